@@ -260,12 +260,13 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
-    """What a plan says of itself, without its trajectory and what was searched: when, how it came about, decisions.
+class PlanSummary:
+    """The result of a plan without its trajectory and search data: time, status, reason, decisions.
 
     Attributes:
-        t: Of its frame, s.
-        status: As the plan's; `reason` likewise.
+        t: Time of its frame, s.
+        status: The status of the plan.
+        reason: The reason of the plan.
         internals: Its decisions and compared lanes, among others.
     """
 
@@ -331,9 +332,9 @@ class PlannedFrame:
     visibility: Visibility | None = None
 
     @property
-    def said(self) -> Said:
-        """What the plan says of itself."""
-        return Said(self.t, self.plan.status, self.plan.reason, self.plan.internals)
+    def summary(self) -> PlanSummary:
+        """The result of the plan without its trajectory and search data."""
+        return PlanSummary(self.t, self.plan.status, self.plan.reason, self.plan.internals)
 
     @classmethod
     def of(cls, frame: Frame, plan: Plan) -> PlannedFrame:

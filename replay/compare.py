@@ -28,7 +28,7 @@ from metrics.compare import DRIVE, PARTING_COLUMNS, Comparison, Side, compare
 from metrics.compare.rules import Rule, judged, load_rules
 from metrics.judge import REFERENCE
 from metrics.judge.gates import load_gates
-from replay.explain.first_difference import parting
+from replay.explain.first_difference import first_difference
 from replay.results.load import RECORDINGS, Results, loaded
 from replay.results.schema import SCHEMA_VERSION
 from replay.results.tables import LOG_CARD, write_file
@@ -254,7 +254,7 @@ def view_command(run: Run, log: str, planner: str, mode: str) -> str:
 
 def _parted(files: Sequence[Path]) -> Iterator[tuple[float, str, str]]:
     try:
-        found = parting(*(read_trace(file)[0] for file in files))
+        found = first_difference(*(read_trace(file)[0] for file in files))
     except LogError as error:
         yield nan, UNKNOWN, f"a trace cannot be read: {error}"
         return

@@ -39,7 +39,7 @@ def read_trace(path: Path) -> tuple[nouns.Trace, Scenario]:
         raise error.at(path) from None
 
 
-def read_moment(path: Path, t: float) -> tuple[nouns.Trace, Scenario, tuple[nouns.Said, ...]]:
+def read_moment(path: Path, t: float) -> tuple[nouns.Trace, Scenario, tuple[nouns.PlanSummary, ...]]:
     """As `read_trace`, with only the plan that was the newest at `t` (s); and what each plan says. Four times faster.
 
     Raises:
@@ -49,7 +49,7 @@ def read_moment(path: Path, t: float) -> tuple[nouns.Trace, Scenario, tuple[noun
     scenario = scenario_of(container)
     try:
         streams, start = container.streams, scenario.start_ns
-        said = tuple(_said(streams.get("/plan", _none("/plan")), start))
+        said = tuple(_summaries(streams.get("/plan", _none("/plan")), start))
         newest = int(np.searchsorted([one.t for one in said], t + 1e-9, side="right")) - 1
         kept = {streams["/plan"].times[newest]} if newest >= 0 else set()
         some = {topic: _taken(stream, kept) for topic, stream in streams.items() if topic in ("/plan", "/predictions")}
@@ -64,7 +64,7 @@ def _taken(stream: Stream, times: set[int]) -> Stream:
     return replace(stream, times=[stream.times[i] for i in kept], payloads=[stream.payloads[i] for i in kept])
 
 
-def _said(plans: Stream, start_ns: int) -> Iterator[nouns.Said]:
+def _summaries(plans: Stream, start_ns: int) -> Iterator[nouns.PlanSummary]:
     plans.check_order(strictly=True)
     times = seconds(plans.times, start_ns).tolist()
     for time, t, message in zip(plans.times, times, plans.decoded(native.PlanSaid), strict=True):
@@ -73,7 +73,7 @@ def _said(plans: Stream, start_ns: int) -> Iterator[nouns.Said]:
         except KeyError as error:
             raise LogError(str(error), topic="/plan", time_ns=time, remedy=MEND) from None
         decisions, lanes = _decided(message)
-        yield nouns.Said(t, status, message.reason, (*decisions, *lanes))
+        yield nouns.PlanSummary(t, status, message.reason, (*decisions, *lanes))
 
 
 def _trace(container: Container, scenario: Scenario, frames: Iterator[nouns.PlannedFrame]) -> nouns.Trace:

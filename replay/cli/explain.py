@@ -28,7 +28,7 @@ def explain(
       replan explain results/run-001 --log paper/crossing_pedestrian --at 6.5
     """
     with handle_errors():
-        from replay.explain.drive import explained, lines_of
+        from replay.explain.explanation import explained, lines_of
         from replay.results.load import load
 
         chosen = chosen_drive(load(result), log, planner, mode)

@@ -2,8 +2,8 @@
 
     /foxglove/road        SceneUpdate     once: lanes by their boundaries, crosswalks, the goal's regions
     /foxglove/stop_lines  SceneUpdate     stop lines in the colours of their lights, whenever one changes
-    /foxglove/obstacles   SceneUpdate     once: those that never move
-    /foxglove/agents      SceneUpdate     all others who are there, as boxes with their names, coloured by kind
+    /foxglove/obstacles   SceneUpdate     once: agents that never move
+    /foxglove/agents      SceneUpdate     all other agents, as boxes with their names, coloured by kind
     /foxglove/tf          FrameTransform  `BASE` (the ego's rear axle) in `MAP`
     /foxglove/ego         SceneUpdate     once: the ego's box, bound to `BASE`
     /foxglove/onboard, /foxglove/plan    PosesInFrame    plans: that of the log's own planner, those of the trace
@@ -57,12 +57,12 @@ except ModuleNotFoundError:
 
 MAP, BASE = "map", "base_link"
 STEP_S = 0.02
-"""Samples of the ego and instants of the others are at least so far apart: 50 Hz is more than a screen shows."""
+"""Least interval between samples of the ego and of agents: 50 Hz is more than a screen shows."""
 HEIGHT_M = {
     AgentKind.CAR: 1.5, AgentKind.TRUCK: 3.2, AgentKind.BUS: 3.2, AgentKind.MOTORCYCLE: 1.5, AgentKind.BICYCLE: 1.7,
     AgentKind.PEDESTRIAN: 1.75, AgentKind.OBJECT: 1.0,
 }  # fmt: skip
-"""Usual heights, drawn only: a log has none."""
+"""Typical heights, for drawing only: a log has none."""
 LINE_M, LABEL_PX = 0.1, 12.0
 
 
@@ -81,7 +81,7 @@ def scenario_channels(scenario: Scenario) -> Iterator[Entry]:
 
 
 def trace_channels(trace: Trace, scenario: Scenario) -> Iterator[Entry]:
-    """The messages of a drive: as of a log, and its plans.
+    """The messages of a drive: those of its log, and its plans.
 
     Raises:
         LogError: As `scenario_channels`.
@@ -97,15 +97,15 @@ def trace_channels(trace: Trace, scenario: Scenario) -> Iterator[Entry]:
 
 
 def _lanes(road: Road, time: int) -> Iterator[SceneEntity]:
-    """Each lane by its boundaries: white, where they may be crossed grey, to opposite lanes yellow."""
+    """Each lane by its boundaries: white, grey if they may be crossed, yellow to opposite lanes."""
     for lane in road.lanes.values():
         lines = []
         for side in ("left", "right"):
             inner = colours.MARKING if getattr(lane, f"{side}_crossable") else colours.EDGE
             colour = colours.OPPOSITE if getattr(lane, f"{side}_opposite") else inner
             lines.append(_line(getattr(lane, side), colour if lane.drivable else colours.FAINT))
-        said = {"kind": lane.kind, "speed_limit_mps": f"{lane.speed_limit:.2f}"}
-        yield _entity(f"lane {lane.id}", time, lines, said)
+        known = {"kind": lane.kind, "speed_limit_mps": f"{lane.speed_limit:.2f}"}
+        yield _entity(f"lane {lane.id}", time, lines, known)
 
 
 def _areas(scenario: Scenario, time: int) -> Iterator[SceneEntity]:
@@ -118,7 +118,7 @@ def _areas(scenario: Scenario, time: int) -> Iterator[SceneEntity]:
 
 
 def _stop_lines(scenario: Scenario) -> Iterator[Entry]:
-    """All of them, at the start and whenever a light changes."""
+    """All stop lines, at the start and whenever a light changes."""
     lines, topic = scenario.road.stop_lines, "/foxglove/stop_lines"
     if not lines:
         return
@@ -139,7 +139,7 @@ def _stop_colour(line: StopLine, shown: dict[int, Colour]) -> int:
 
 
 def _others(scenario: Scenario) -> Iterator[Entry]:
-    """Who never moves, once; the others at the times at which any of them was sampled, and at the end."""
+    """Agents that never move, once; the others at each time at which one of them was sampled, and at the end."""
     tracks, start = scenario.tracks, scenario.start_ns
     still = np.repeat(tracks.static, np.diff(tracks.offsets))
     if still.any():
@@ -196,7 +196,7 @@ def _plans(topic: str, plans: Sequence[tuple[float, Trajectory]], start: int) ->
 
 
 def _thinned(t: FloatArray) -> FloatArray:
-    """Of increasing times the first, and each that is `STEP_S` or more after the one kept before."""
+    """Of increasing times the first one, and each that is at least `STEP_S` after the last one that is kept."""
     kept = [-np.inf]
     for time in t.tolist():
         if time >= kept[-1] + STEP_S - 1e-9:
@@ -205,13 +205,15 @@ def _thinned(t: FloatArray) -> FloatArray:
 
 
 def _scene(time: int, entities: Iterable[SceneEntity]) -> SceneUpdate:
-    """What is on a topic from now on: the entities, and none of those before."""
+    """The new content of a topic: the entities replace all earlier ones."""
     gone = SceneEntityDeletion(timestamp=_stamp(time), type=SceneEntityDeletion.ALL)
     return SceneUpdate(deletions=[gone], entities=entities)
 
 
-def _entity(name: str, time: int, lines: Sequence[LinePrimitive], said: dict[str, str] | None = None) -> SceneEntity:
-    known = [KeyValuePair(key=key, value=value) for key, value in (said or {}).items()]
+def _entity(
+    name: str, time: int, lines: Sequence[LinePrimitive], metadata: dict[str, str] | None = None
+) -> SceneEntity:
+    known = [KeyValuePair(key=key, value=value) for key, value in (metadata or {}).items()]
     return SceneEntity(timestamp=_stamp(time), frame_id=MAP, id=name, metadata=known, lines=lines)
 
 

@@ -6,11 +6,15 @@ import os
 import re
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 from logs.errors import ConfigError, ReplanError, writing
+from logs.mcap import read_trace
 from logs.readers import LogSettings, read_log
+from replay.draw.recording import pair as pairs
+from replay.draw.recording import write_log_recording
+from replay.draw.recording.index import write_index
+from replay.draw.recording.pictures import Picture, film, take_pictures
 from replay.draw.viewer import LOOPBACK, Theme, environment, free_port, in_use
 
 ELSEWHERE = (
@@ -25,7 +29,7 @@ def recordings(target: Path, log: str | None = None) -> list[Path]:
 
     Args:
         target: The folder.
-        log: Only those in whose path this is, as logs or their folders are called.
+        log: Only those whose path contains this name, of a log or its folder.
 
     Raises:
         ConfigError: There are none.
@@ -34,31 +38,27 @@ def recordings(target: Path, log: str | None = None) -> list[Path]:
     if not found:
         raise ConfigError(f"{target}: no recording (*.rrd) in it; `replan evaluate` without --no-recording writes them")
     if log is not None:
-        found = [file for file in found if _letters(log) in _letters(str(file.relative_to(target)))]
+        name, *paths = (
+            re.sub(r"[^0-9A-Za-z]+", "_", str(text)) for text in (log, *(f.relative_to(target) for f in found))
+        )
+        found = [file for file, path in zip(found, paths, strict=True) if name in path]
         if not found:
             raise ConfigError(f"{target}: no recording of a log called {log}")
     return found
 
 
-def _letters(name: str) -> str:
-    """A name without the marks that its folder does not have."""
-    return re.sub(r"[^0-9A-Za-z]+", "_", name)
-
-
 def to_open(target: Path, log: str | None, folder: Path) -> list[Path]:
-    """What the viewer opens of a folder: at most `MOST` recordings, of results the index and the worst of them.
+    """The files of a folder to open: of results the index and the worst recordings, else all, at most `MOST`.
 
     Args:
-        target: Of results, or any with recordings in it.
+        target: A folder of results, or any folder with recordings.
         log: Only the recordings of this log.
-        folder: Where the index goes.
+        folder: Folder for the index.
 
     Raises:
-        ConfigError: There is no recording, or there are too many and no results to say which are worst.
+        ConfigError: There is no recording, or there are too many, and no results that rank them.
     """
     if log is None and (target / "summary.json").is_file():
-        from replay.draw.recording.index import write_index
-
         index, worst = write_index(folder / "index.rrd", target, MOST)
         return [*worst, index]
     found = recordings(target, log)
@@ -71,7 +71,7 @@ def to_open(target: Path, log: str | None, folder: Path) -> list[Path]:
 
 
 def pair(one: Path, two: Path, log: str | None) -> tuple[Path, Path]:
-    """The recordings of two drives: of two files themselves, of two folders those at the same place in both.
+    """The recordings of two drives: two files, or the recordings at the same place in two folders.
 
     Raises:
         ConfigError: There is no such pair, or there are several.
@@ -91,10 +91,7 @@ def pair(one: Path, two: Path, log: str | None) -> tuple[Path, Path]:
 
 
 def write_pair(out: Path, files: tuple[Path, Path]) -> None:
-    """Write two recordings of one log as one; ConfigError where their traces are not beside them."""
-    from logs.mcap import read_trace
-    from replay.draw.recording.pair import write_pair as write
-
+    """Write two recordings of one log as one; ConfigError if their traces are not beside them."""
     for file in files:
         if not file.with_suffix(".mcap").is_file():
             raise ConfigError(f"{file}: its trace ({file.with_suffix('.mcap').name}) is not beside it")
@@ -102,13 +99,11 @@ def write_pair(out: Path, files: tuple[Path, Path]) -> None:
     names = [f"{trace.planner}, {trace.mode.value} loop" for trace in (one, two)]
     if names[0] == names[1]:
         names = [f"{name} ({file.parent.parent.name})" for name, file in zip(names, files, strict=True)]
-    write(out, files, (one, two), (names[0], names[1]))
+    pairs.write_pair(out, files, (one, two), (names[0], names[1]))
 
 
 def save_log(log: Path, out: Path, settings: LogSettings | None = None) -> None:
-    """Write a log of any format as a recording; LogError where it cannot be read, OutputError where `out` cannot."""
-    from replay.draw.recording import write_log_recording
-
+    """Write a log of any format as a recording; LogError if it cannot be read, OutputError if `out` cannot."""
     write_log_recording(out, read_log(log, settings))
 
 
@@ -117,9 +112,9 @@ def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int =
 
     Args:
         files: The recordings.
-        memory_limit: Of the viewer ("2GB", "50%").
-        web: In the browser.
-        port: Of the page, with `web`.
+        memory_limit: Memory of the viewer ("2GB", "50%").
+        web: Show them in the browser.
+        port: Port of the page, with `web`.
 
     Raises:
         ConfigError: The port is in use.
@@ -139,9 +134,7 @@ def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int =
 
 
 def picture(recording: Path, out: Path, at: float, layout: str, tile: str | None, size: str, theme: Theme) -> None:
-    """A picture of a recording at a time, s; ConfigError where it has no such layout or tile."""
-    from replay.draw.recording.screenshot import Picture, take_pictures
-
+    """A picture of a recording at a time, s; ConfigError if it has no such layout or tile."""
     _check_size(size)
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -151,15 +144,9 @@ def picture(recording: Path, out: Path, at: float, layout: str, tile: str | None
 def filmed(
     recording: Path, out: Path, begin: float | None, end: float | None, layout: str, size: str, theme: Theme
 ) -> int:
-    """A video of a recording between two times, s (None: where it begins and ends); how many frames it has."""
-    from replay.draw.recording.readback import span
-    from replay.draw.recording.video import film
-
+    """A video of a recording between two times, s (None: its begin and end); returns the number of frames."""
     _check_size(size)
-    first, last = span(recording)
-    with tempfile.TemporaryDirectory() as folder:
-        start, stop = first if begin is None else begin, last if end is None else end
-        return film(recording, out, start, stop, Path(folder), layout=layout, size=size, theme=theme)
+    return film(recording, out, begin, end, layout=layout, size=size, theme=theme)
 
 
 def _check_size(size: str) -> None:

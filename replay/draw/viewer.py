@@ -1,7 +1,7 @@
 """How the Rerun viewer is started: it listens on this machine only, and sends nothing to another.
 
-Version 0.41 asks two servers for newer versions and has no setting against it. Its HTTP client obeys the usual proxy
-variables, so it is given a proxy that refuses every connection: it does not even look up the servers' names.
+Version 0.41 asks two servers for newer versions, and no setting prevents it. Its HTTP client obeys the usual proxy
+variables, so they name a proxy that refuses every connection: the viewer does not even look up the servers' names.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ SETTINGS = {
 
 @contextmanager
 def environment(**more: str) -> Iterator[dict[str, str]]:
-    """The environment of a viewer: no analytics, no network, and temporary files in a folder that is removed after it.
+    """The environment of a viewer: no analytics, no network, temporary files in a folder that is removed at the end.
 
-    The user's own settings of the viewer are not changed. On Windows the viewer takes them whatever the environment is.
+    The user's own settings of the viewer are not changed. On Windows the viewer reads them in any environment.
     """
     with tempfile.TemporaryDirectory(prefix="replan-viewer-") as folder:
         variable, below = (
@@ -59,7 +59,7 @@ def free_port() -> int:
 
 
 def in_use(port: int) -> bool:
-    """Whether something listens on a port of this machine, or it may not be taken."""
+    """Whether a port of this machine is in use, or may not be used."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # one that has just been closed is free
         try:

@@ -1,11 +1,12 @@
-"""Where two drives of one log part: the first thing that differs, in the order in which one thing makes another.
+"""The first difference of two drives of one log, in the order of cause and effect.
 
-Within a frame: what was shown (others, ego), predictions, route, lane choice, path DP (sides and room), path QP, S-T
-graph, speed DP (who goes first, and room), speed QP, plan; then, on the control rate, command and motion of the car.
-What differs first in time comes before what differs later. Of a planner without internals it is its input or its plan.
+Within a frame: input (agents, ego), predictions, route, lane choice, path DP (sides and available space), path QP, S-T
+graph, speed DP (order of passing, and available space), speed QP, plan; then, at the control rate, the command and the
+motion of the car. An earlier difference comes before a later one. For a planner without internals it is its input or
+its plan.
 
-(1) parted = something differs by more than TOLERANCE, or in a word (who is there, a decision, a lane, an end)
-(2) where  = the first thing that differs by more than FINE, by time, then by `STAGES`
+(1) different = something differs by more than TOLERANCE, or in a word (the agents, a decision, a lane, an end)
+(2) first     = the first thing that differs by more than FINE, by time, then by `STAGES`
 
 (2) looks closer than (1): a plan that is off by half a millimetre is the cause of a car that is off by two, and not the
 other way round.
@@ -25,24 +26,24 @@ from logs.short_names import ShortNames
 from logs.trace import Decision, Graph, LaneOption, Mode, PlannedFrame, SlGraph, StGraph, Trace
 
 TOLERANCE = 1e-3
-"""m, rad, m/s, and of pedals their share: a millimetre is less than any metric resolves."""
+"""m, rad, m/s, and the position of pedals, 0 to 1: a millimetre is less than any metric resolves."""
 FINE = 1e-8
-"""Likewise; above rounding (1e-9 m in a city's grid), and as near to it as causes and effects can be separated."""
+"""Likewise; just above rounding (1e-9 m in the grid of a city), so that causes are separated from effects."""
 SAME_TIME_S = 1e-6
 
 STAGES = (
     "vehicle", "input frame", "prediction", "route", "lane choice", "path DP", "path QP", "S-T graph", "speed DP",
     "speed QP", "plan", "controller", "end",
 )  # fmt: skip
-"""In the order of one instant: earlier commands brought the car to where it is; its next command follows the plan."""
+"""In the order of one instant: earlier commands brought the car to its place; its next command follows the plan."""
 
 
 @dataclass(frozen=True)
-class Parting:
-    """Where two drives part.
+class FirstDifference:
+    """The first difference of two drives.
 
     Attributes:
-        t: s since the scenario's start.
+        t: Time since the start of the scenario, s.
         stage: One of `STAGES`.
         what: "t = 3.20 s, speed QP: station at 4 s 12.31 -> 10.02 m".
     """
@@ -53,40 +54,40 @@ class Parting:
 
 
 @dataclass(frozen=True, slots=True)
-class _Off:
-    """One thing that differs: by how much (inf: a word does), in which stage, and how it is said."""
+class _Difference:
+    """A value that differs: its size (inf: in a word), its stage, and its description."""
 
     t: float
     stage: str
     size: float
-    say: Callable[[], str]
+    describe: Callable[[], str]
 
     @property
     def place(self) -> tuple[float, int]:
         return self.t, STAGES.index(self.stage)
 
 
-def parting(one: Trace, two: Trace) -> Parting | None:
-    """Where two drives of one log part, from the first to the second; None: they do not (1)."""
+def first_difference(one: Trace, two: Trace) -> FirstDifference | None:
+    """The first difference of two drives of one log, from the first to the second; None: there is none (1)."""
     found = [*_driven(one, two), *_ended(one, two)]
-    for offs in _framed(one, two):
-        found += offs
-        clear = [off.t for off in found if off.size > FINE]
-        if clear and offs and offs[0].t >= min(clear) and any(off.size > TOLERANCE for off in found):
+    for some in _framed(one, two):
+        found += some
+        clear = [each.t for each in found if each.size > FINE]
+        if clear and some and some[0].t >= min(clear) and any(each.size > TOLERANCE for each in found):
             break
-    if not any(off.size > TOLERANCE for off in found):  # (1)
+    if not any(each.size > TOLERANCE for each in found):  # (1)
         return None
-    first = min((off for off in found if off.size > FINE), key=lambda off: off.place)  # (2)
-    seen = min((off for off in found if off.size > TOLERANCE), key=lambda off: off.place)
+    first = min((each for each in found if each.size > FINE), key=lambda each: each.place)  # (2)
+    seen = min((each for each in found if each.size > TOLERANCE), key=lambda each: each.place)
     later = f"; more than {TOLERANCE:g} from t = {seen.t:.2f} s on ({seen.stage})" if first.size <= TOLERANCE else ""
-    what = f"t = {first.t:.2f} s, {first.stage}: {first.say()}{later}"
-    return Parting(first.t, first.stage, ShortNames(one.agents.ids)(what))
+    what = f"t = {first.t:.2f} s, {first.stage}: {first.describe()}{later}"
+    return FirstDifference(first.t, first.stage, ShortNames(one.agents.ids)(what))
 
 
 # on the control rate ----------------------------------------------------------------------------------------------
 
 
-def _driven(one: Trace, two: Trace) -> Iterator[_Off]:
+def _driven(one: Trace, two: Trace) -> Iterator[_Difference]:
     n = _together(one.ego.t, two.ego.t)
     t = one.ego.t[:n]
     moved = "vehicle" if one.mode is Mode.CLOSED else "input frame"
@@ -101,77 +102,78 @@ def _driven(one: Trace, two: Trace) -> Iterator[_Off]:
 
 def _rows(
     t: FloatArray, columns: tuple[FloatArray, FloatArray], stages: tuple[str, str], what: str, unit: str
-) -> Iterator[_Off]:
+) -> Iterator[_Difference]:
     """The first row beyond FINE, and the first beyond TOLERANCE; `stages` of the first row, and of the others."""
     one, two = columns
     size = _sizes(one, two)
     for bound in (FINE, TOLERANCE):
         if (size > bound).any():
             i = int(np.argmax(size > bound))
-            say = partial(_numbers, what, one[i], two[i], unit)
-            yield _Off(float(t[i]), stages[i > 0], float(size[i]), say)
+            describe = partial(_numbers, what, one[i], two[i], unit)
+            yield _Difference(float(t[i]), stages[i > 0], float(size[i]), describe)
 
 
 def _together(one: FloatArray, two: FloatArray) -> int:
-    """How many first instants are the same."""
+    """The number of first instants that are the same."""
     n = min(len(one), len(two))
     apart = np.flatnonzero(np.abs(one[:n] - two[:n]) > SAME_TIME_S)
     return int(apart[0]) if len(apart) else n
 
 
-def _ended(one: Trace, two: Trace) -> Iterator[_Off]:
+def _ended(one: Trace, two: Trace) -> Iterator[_Difference]:
     last = [float(trace.ego.t[-1]) for trace in (one, two)]
     ends = [f"{trace.end.value}{f': {trace.detail}' if trace.detail else ''}" for trace in (one, two)]
     if abs(last[0] - last[1]) > SAME_TIME_S or ends[0] != ends[1]:
-        say = f"{ends[0]} at {last[0]:.2f} s -> {ends[1]} at {last[1]:.2f} s"
-        yield _Off(min(last), "end", inf, lambda: say)
+        what = f"{ends[0]} at {last[0]:.2f} s -> {ends[1]} at {last[1]:.2f} s"
+        yield _Difference(min(last), "end", inf, partial(str, what))
 
 
 # frame by frame ---------------------------------------------------------------------------------------------------
 
 
-def _framed(one: Trace, two: Trace) -> Iterator[list[_Off]]:
+def _framed(one: Trace, two: Trace) -> Iterator[list[_Difference]]:
     """What differs in each frame, up to the end of the drive that ends first."""
     end = min(float(trace.ego.t[-1]) for trace in (one, two)) + SAME_TIME_S
     frames = [{round(f.t / SAME_TIME_S): f for f in trace.frames if f.t <= end} for trace in (one, two)]
-    kept: set[type] = {kind for kind in (SlGraph, StGraph) if all(_holds(trace, kind) for trace in (one, two))}
+    insides = [[item for frame in trace.frames for item in frame.plan.internals] for trace in (one, two)]
+    kept: set[type] = {
+        kind for kind in (SlGraph, StGraph) if all(any(isinstance(item, kind) for item in some) for some in insides)
+    }
     for key in sorted(frames[0].keys() | frames[1].keys()):
         before, now = (side.get(key) for side in frames)
         if before is None or now is None:
             t, which = key * SAME_TIME_S, "second" if before is None else "first"
-            yield [_Off(t, "input frame", inf, partial(str, f"a plan was made in the {which} drive only"))]
+            yield [_Difference(t, "input frame", inf, partial(str, f"a plan was made in the {which} drive only"))]
         else:
             yield list(_of_frame(one, two, before, now, kept))
 
 
-def _holds(trace: Trace, kind: type) -> bool:
-    return any(isinstance(item, kind) for frame in trace.frames for item in frame.plan.internals)
-
-
-def _of_frame(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame, kept: set[type]) -> Iterator[_Off]:
+def _of_frame(
+    one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame, kept: set[type]
+) -> Iterator[_Difference]:
     for stage, found in (
         ("input frame", _others(one, two, before, now)),
         ("prediction", _predicted(before, now)),
         *_inside(before, now, kept),
         ("plan", _planned(before, now)),
     ):
-        for size, say in found:
-            yield _Off(before.t, stage, size, say)
+        for size, describe in found:
+            yield _Difference(before.t, stage, size, describe)
 
 
 _Found = Iterator[tuple[float, Callable[[], str]]]
 
 
 def _others(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame) -> _Found:
-    """Who was shown, and where they were known to be."""
+    """The agents that the planner was shown, and their states."""
     kept = before.predictions is not None and now.predictions is not None  # else no frame is kept: an older trace
     if kept and set(before.agents) != set(now.agents):
-        yield inf, partial(_words, "who is there", before.agents, now.agents)
+        yield inf, partial(_words, "agents", before.agents, now.agents)
         return
     seen = [trace.agents if trace.perceived is None else trace.perceived for trace in (one, two)]
     known = [tracks.perceived(before.t) for tracks in seen]
     if set(known[0].ids) != set(known[1].ids):
-        yield inf, partial(_words, "who is there", known[0].ids, known[1].ids)
+        yield inf, partial(_words, "agents", known[0].ids, known[1].ids)
         return
     row = {name: i for i, name in enumerate(known[1].ids)}
     order = [row[name] for name in known[0].ids]
@@ -213,20 +215,22 @@ def _planned(before: PlannedFrame, now: PlannedFrame) -> _Found:
 
 
 def _inside(before: PlannedFrame, now: PlannedFrame, kept: set[type]) -> Iterator[tuple[str, _Found]]:
-    """What its stages left, where both plans have any of it; `kept`: graphs that both traces have at all."""
+    """The artefacts of the stages, if both plans have some; `kept`: the kinds of graphs that both traces have."""
     one, two = tuple(before.plan.internals), tuple(now.plan.internals)
     if not one or not two:
         return
     yield "lane choice", _chosen(one, two)
     paths = _graphs(one, two, SlGraph)
     if paths is not None:
-        yield "route", _reference(*paths)
+        ends = [graph.corridor.first[:1] for graph in paths if graph.corridor is not None]
+        if len(ends) == 2 and len(ends[0]) and len(ends[1]):  # with the same inputs: another reference line
+            yield "route", _largest(ends[0], ends[1], lambda i: "station of the ego", "m")
         yield "path DP", _room(*paths, "lateral offset", "station {:g} m", moves=False)
         yield "path QP", _curve(paths[0].qp, paths[1].qp, "lateral offset", "station {:g} m")
     yield "path DP", _decided(one, two, "path")
     speeds = _graphs(one, two, StGraph)
     if speeds is not None:
-        yield "S-T graph", _outlines(*speeds, "in the way")
+        yield "S-T graph", _outlines(*speeds)
         yield "speed DP", _room(*speeds, "station", "{:g} s", moves=True)
         yield "speed QP", _curve(speeds[0].qp, speeds[1].qp, "station", "{:g} s")
     yield "speed DP", _decided(one, two, "speed")
@@ -250,18 +254,12 @@ def _chosen(one: Sequence[object], two: Sequence[object]) -> _Found:
         yield inf, partial(str, f"{taken[0][0]} -> {taken[1][0]} (now {costs})")
 
 
-def _reference(one: Graph, two: Graph) -> _Found:
-    """With the same inputs, another station of the ego or of who stands is another reference line."""
-    if one.corridor is not None and two.corridor is not None and len(one.corridor.first) and len(two.corridor.first):
-        yield from _largest(one.corridor.first[:1], two.corridor.first[:1], lambda i: "station of the ego", "m")
-
-
 def _room(one: Graph, two: Graph, value: str, at: str, *, moves: bool) -> _Found:
-    """Who is in the way (of those who move the graph itself says it), what the DP chose, and the room that is left."""
+    """The obstacles (those of the S-T graph are compared before), the choice of the DP, and the space that is left."""
     if not moves:
-        yield from _outlines(one, two, "beside the path")
+        yield from _outlines(one, two)
     sides = [{item.agent: item.decision.value for item in graph.obstacles} for graph in (one, two)]
-    for agent in (name for name in sides[0] if name in sides[1]):  # in their order: a set of words has none
+    for agent in (name for name in sides[0] if name in sides[1]):  # in their order, which a set does not have
         if sides[0][agent] != sides[1][agent]:
             yield inf, partial(str, f"{agent}: {sides[0][agent]} -> {sides[1][agent]}")
     yield from _curve(one.dp, two.dp, f"{value} of the DP", at)
@@ -271,27 +269,27 @@ def _room(one: Graph, two: Graph, value: str, at: str, *, moves: bool) -> _Found
             yield from _curve(columns[0], columns[1], f"{name} bound", at)
 
 
-def _outlines(one: Graph, two: Graph, word: str) -> _Found:
-    """Who is in a graph, and where."""
+def _outlines(one: Graph, two: Graph) -> _Found:
+    """The obstacles of a graph, and where they are."""
     names = [tuple(item.agent for item in graph.obstacles) for graph in (one, two)]
     if names[0] != names[1]:
-        yield inf, partial(_words, f"who is {word}", names[0], names[1])
+        yield inf, partial(_words, "obstacles", names[0], names[1])
         return
     for old, new in zip(one.obstacles, two.obstacles, strict=True):
         if old.outline.shape != new.outline.shape:
-            yield inf, partial(str, f"{old.agent} takes the path at other times")
+            yield inf, partial(str, f"{old.agent} occupies the path at other times")
         else:
             where = [f"outline of {old.agent}"] * old.outline.size
             yield from _largest(old.outline.ravel(), new.outline.ravel(), where.__getitem__, "")
 
 
 def _decided(one: Sequence[object], two: Sequence[object], stage: str) -> _Found:
-    said = [
+    decided = [
         {item.agent: item.kind.value for item in side if isinstance(item, Decision) and item.stage == stage}
         for side in (one, two)
     ]
-    for agent in dict.fromkeys([*said[0], *said[1]]):
-        before, now = (side.get(agent, "no decision") for side in said)
+    for agent in dict.fromkeys([*decided[0], *decided[1]]):
+        before, now = (side.get(agent, "no decision") for side in decided)
         if before != now:
             yield inf, partial(str, f"{agent}: {before} -> {now}")
 
@@ -300,7 +298,7 @@ def _decided(one: Sequence[object], two: Sequence[object], stage: str) -> _Found
 
 
 def _sizes(one: FloatArray, two: FloatArray) -> FloatArray:
-    """How far values are apart `(n,)`; inf where only one is a number."""
+    """Absolute differences `(n,)`; inf if only one value is a number."""
     same: BoolArray = (one == two) | (np.isnan(one) & np.isnan(two))
     with np.errstate(invalid="ignore"):
         apart = np.abs(two - one)
@@ -318,7 +316,7 @@ def _largest(one: FloatArray, two: FloatArray, place: Callable[[int], str], unit
 
 
 def _curve(one: FloatArray, two: FloatArray, value: str, at: str) -> _Found:
-    """Curves `(n, 2)` of a value (m) over what `at` says."""
+    """Curves `(n, 2)` of a value, m, over a time or station, formatted by `at`."""
     if one.shape != two.shape:
         counts = " -> ".join(f"{len(curve)} knots" if len(curve) else "none" for curve in (one, two))
         yield inf, partial(str, f"{value}: {counts}")
@@ -334,7 +332,7 @@ def _numbers(what: str, one: float, two: float, unit: str) -> str:
 
 
 def _words(what: str, one: Sequence[str], two: Sequence[str]) -> str:
-    """Who is there now, and who no longer."""
+    """The names that were added and removed."""
     new, gone = ([name for name in a if name not in b] for a, b in ((two, one), (one, two)))
     parts = [f"{word} {', '.join(some[:3])}{' ...' if len(some) > 3 else ''}" for word, some in
              (("no longer", gone), ("now also", new)) if some]  # fmt: skip

@@ -1,12 +1,12 @@
-"""Who would be met if a plan were held: predicted boxes against the ego's box, swept along its way.
+"""The agents that the ego would meet if its plan were held: predicted boxes against the ego's, swept along its way.
 
-Of each prediction (`sweep` of `planners.frenet.st_boundaries`, without any time to spare) [lower(t), upper(t)] are the
-stations at which the ego's box, widened by `MARGIN_M` (`VULNERABLE_MARGIN_M` for who walks or rides) on either side,
-overlaps theirs. After the last prediction everybody goes straight on. With `held` (`replay.explain.course`), the arc
-length s_h(t):
+For each prediction (`sweep` of `planners.frenet.st_boundaries`, without any margin of time), [lower(t), upper(t)] are
+the stations at which the ego's box, widened by `MARGIN_M` (`VULNERABLE_MARGIN_M` for pedestrians and riders) on either
+side, overlaps the agent's. After the last prediction all agents go straight on. With `held` (`replay.explain.course`),
+the arc length s_h(t):
 
 (1) met at the first t with  lower(t) - GAP_M < s_h(t) < upper(t),  unless their centre is behind the ego's then
-(2) else, of who goes along the way: followed from the first t with  s_h(t) > lower(t) - HEADWAY_S v_h
+(2) else, if they go along the way: followed from the first t with  s_h(t) > lower(t) - HEADWAY_S v_h
 (3) need = the least constant deceleration from t_b on that stays GAP_M behind them at all times from (1) on:
     max over t of 2 (v_h T - room) / T^2, and v_h^2 / (2 room) where it stops before t;  T = t - t_b,
     room = lower(t) - s(t_b) - GAP_M, half of lower(t) - s(t_b) where that is more
@@ -27,16 +27,15 @@ from logs.vehicle import VehicleParameters
 from planners.frenet.scene import STANDING_MPS, VULNERABLE, Bodies, Futures
 from planners.frenet.st_boundaries import ALONG, Roles, Swept, sweep
 from planners.frenet.st_boundaries import Way as SweptWay
-from replay.explain.course import LOOK_S, STEP_S, Held
-from replay.explain.way import Way
+from replay.explain.course import LOOK_S, STEP_S, Held, Way
 
 MARGIN_M, VULNERABLE_MARGIN_M = 0.3, 0.6
 GAP_M = 2.0
-"""Who comes nearer than this behind an agent has met them: room left at standstill (IDM's s0)."""
+"""An ego that comes nearer than this behind an agent has met them: the gap at standstill (IDM's s0)."""
 HEADWAY_S = 2.0
-"""Who follows should be no nearer: the rule of two seconds."""
+"""A follower should be no nearer: the rule of two seconds."""
 TOO_LATE_M = 0.1
-"""With less room than this there is no staying behind."""
+"""With less space than this the ego cannot stay behind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,13 +44,13 @@ class Meeting:
 
     Attributes:
         agent: Their id.
-        away_m: Between the boxes now, m.
-        speed_mps: Theirs now.
-        time_s: When (1) or (2), s from the frame; NaN: neither, they are only in the way.
-        distance_m: How far the ego would have gone until then, m.
-        need_mps2: (3); NaN where it stands, of (2), and where it is too late to stay behind.
-        left_m: The least that the plan itself leaves behind them, m; NaN where it is not behind them.
-        left_at_s: When, s from the frame.
+        away_m: Distance between the boxes now, m.
+        speed_mps: Their speed now.
+        time_s: Time of (1) or (2), s from the frame; NaN: neither, they are only in the way.
+        distance_m: How far the ego would have driven until then, m.
+        need_mps2: (3); NaN if the ego stands, for (2), and if it is too late to stay behind.
+        left_m: The least gap of the plan itself behind them, m; NaN if it is not behind them.
+        left_at_s: Time of the least gap, s from the frame.
         is_met: Whether it is (1).
     """
 
@@ -69,15 +68,15 @@ class Meeting:
 def meetings(
     held: Held, way: Way, agents: Agents, futures: Predictions, car: VehicleParameters, passed: BoolArray
 ) -> list[Meeting]:
-    """Everybody who takes a part of the way, a meeting each: of their futures the most demanding.
+    """One meeting for each agent that occupies a part of the way: that of their most demanding future.
 
     Args:
         held: The plan.
         way: Long enough for it.
-        agents: Of the frame; `passed` `(agents,)` those without margin.
+        agents: The agents of the frame.
         futures: Their predictions.
         car: The ego.
-        passed: See there.
+        passed: `(agents,)` whether an agent has no margin.
     """
     times, poses = fine(futures)
     x, y, yaw = poses
@@ -85,7 +84,7 @@ def meetings(
     none, rows = np.zeros(len(agents), np.bool_), np.arange(float(len(futures)))
     _, who, lower, upper, along, row = sweep(
         SweptWay(way.s, way.x, way.y, way.yaw),
-        Futures(times, futures.agent, rows, x, y, yaw),  # in the place of probabilities: which rows they are
+        Futures(times, futures.agent, rows, x, y, yaw),  # row numbers instead of probabilities
         Bodies(agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width),
         Roles(none, VULNERABLE[agents.codes], passed), ego, float(times[0]), 1,
     )  # fmt: skip
@@ -124,13 +123,13 @@ def fine(futures: Predictions) -> tuple[FloatArray, FloatArray]:
 
 
 def _order(one: Meeting) -> tuple[bool, bool, float, float]:
-    """The most demanding first: who is met too late, by need, the sooner; then who is followed too near."""
+    """The most demanding first: met too late, met by need, met sooner; then followed too near."""
     late = one.is_met and np.isnan(one.need_mps2)
     return not one.is_met, not late, -np.nan_to_num(one.need_mps2), float(np.nan_to_num(one.time_s, nan=np.inf))
 
 
 def _meeting(held: Held, way: Way, agents: Agents, taken: _Taken, car: VehicleParameters) -> Meeting | None:
-    """How an agent is in the way; None: only from behind."""
+    """The meeting with an agent; None: they come only from behind."""
     here, lower, upper = np.isfinite(taken.lower), taken.lower, taken.upper
     first = int(np.flatnonzero(here)[0])
     if _is_behind(way, held.s[first], taken.pose[:, first], car):
@@ -162,7 +161,7 @@ def _need(held: Held, lower: FloatArray, first: int) -> float:
         return nan
     k = np.flatnonzero(np.isfinite(lower) & (np.arange(len(lower)) >= first) & (held.t > held.t_from))
     ahead, T = lower[k] - held.s_from, held.t[k] - held.t_from
-    room = np.maximum(ahead - GAP_M, 0.5 * ahead)  # who is nearer already keeps half of it
+    room = np.maximum(ahead - GAP_M, 0.5 * ahead)  # nearer already: half of it is kept
     if not len(k) or (room < TOO_LATE_M).any():
         return nan
     slower = 2.0 * np.maximum(held.v * T - room, 0.0) / T**2

@@ -17,8 +17,8 @@ from planners.piecewise_jerk.solvers import Asked, watched
 from replay.config import RunConfig
 from replay.drive import Drive
 from replay.explain.causes import Explainer
-from replay.explain.drive import explanation, lines_of
-from replay.explain.shown import Shown
+from replay.explain.explanation import Explanation, lines_of
+from replay.explain.planner_input import PlannerInput
 from replay.loop.plan_check import checked
 from replay.loop.planning import Planning
 from replay.oracle import ORACLES
@@ -184,8 +184,8 @@ def report_of(again: PlannedAgain) -> Iterator[str]:
         yield f"  {report.stage}: {report.status}, {counted(report.iterations, 'iteration')}"
     yield ""
     planned = PlannedFrame.of(frame, plan)
-    shown = Shown(planned, frame.agents, planned.predictions, frame.lights)
-    lines = lines_of(explanation(planned, Explainer(again.scenario).account(shown)))
+    shown = PlannerInput(planned, frame.agents, planned.predictions, frame.lights)
+    lines = lines_of(Explanation.of(planned, Explainer(again.scenario).account(shown)))
     yield from map(again.scenario.short_names, lines)
 
 

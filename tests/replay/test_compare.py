@@ -140,7 +140,7 @@ def test_a_damaged_folder_is_an_error_in_one_line(runs: tuple[Path, Path], tmp_p
 def test_the_report_says_inputs_regressions_partings_and_rules(runs: tuple[Path, Path]) -> None:
     result = replan("compare", *runs)
     for words in (
-        "before -> after", "loop.plan_delay_s: 0.0 -> 0.1", "Worst regressions", "Where drives part",
+        "before -> after", "loop.plan_delay_s: 0.0 -> 0.1", "Worst regressions", "First differences of drives",
         "controller: commanded", "[idm]", "replan view ", "at most 0 flips to FAIL", "Comparison: ",
     ):  # fmt: skip
         assert words in result.stdout

@@ -301,14 +301,14 @@ def test_a_chart_or_panel_without_a_place_is_an_error(monkeypatch: pytest.Monkey
     import numpy as np
 
     from replay.draw.charts import layout
+    from replay.draw.curves import Panel
     from replay.draw.recording.blueprint import Contents, blueprint
-    from replay.draw.recording.plots import Panel
 
     monkeypatch.setitem(layout.CHARTS, "extra", lambda subject: [])
     with pytest.raises(ValueError, match="the chart 'extra' has no place in LAYOUT"):
         layout.placed(None)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="the panel 'extra' is in no row of ROWS"):
-        blueprint(Contents([Panel("plots/extra", "", (), 1.0)], None, None, 0, (), np.zeros((2, 2))))
+        blueprint(Contents([Panel("extra", "", (), 1.0)], None, None, 0, (), np.zeros((2, 2))))
 
 
 @pytest.mark.parametrize(

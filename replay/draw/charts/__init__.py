@@ -1,13 +1,12 @@
 """Charts as SVG: the pictures of a drive and of a run, in one style, for the HTML report and `replan plot`.
 
-canvas.py    elements, simplification, `Chart`          axes.py      scales, ticks, plot areas
-style.py     colours by role, light and dark            picture.py   several charts as one file, SVG or PNG
-moment.py    when to look at a drive, when gates broke   subject.py   what a drive's pictures are drawn from
+canvas.py    elements, simplification, `Chart`           axes.py      plot areas with a scale and ticks
+style.py     colours by role, light and dark             picture.py   several charts as one file, SVG or PNG
+moment.py    when to look at a drive, when gates broke   subject.py   the data of a drive's pictures
 scene.py, graphs.py, curves.py, lanes.py                 the pictures of a drive
-layout.py                                                them by name, where each stands, and those of users
-overall.py                                               the pictures of a run and of a comparison
+layout.py                                                their names and places, and charts of users
 
-Nothing here measures: what is drawn is in the trace, the tables and the series of the run.
+Nothing is measured here: the charts show the trace, the tables and the series of the run.
 """
 
 from replay.draw.charts.canvas import Chart

@@ -1,8 +1,8 @@
 """The layer under the charts: SVG elements as text, with few and short numbers.
 
 Coordinates are CSS pixels, x to the right and y down, rounded to a tenth; points that do not move a line by more than
-`KEPT_PX` are dropped. Nothing is styled here but by class names (`style`), and there is no script and no id, so that
-any number of charts can stand in one page.
+`KEPT_PX` are dropped. Elements are styled by class names only (`style`), and there is no script and no id, so that any
+number of charts can be in one page.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from logs.kernel import BoolArray, FloatArray, IntArray
 from replay.draw.charts.style import Theme, stylesheet
 
 KEPT_PX = 0.4
-"""A line is drawn so near to the line that is meant: less than half a pixel is not seen."""
+"""The largest distance of a simplified line from the exact one: less than half a pixel is invisible."""
 LETTER_PX = 5.9
-"""Mean width of a letter at the font size of charts, for room that is made and words that are left out."""
+"""Mean width of a letter at the font size of charts."""
 FAR_PX = 4000.0
-"""Coordinates are cut at this: farther out nothing is seen, and renderers lose digits."""
+"""Coordinates are clipped at this: farther out nothing is visible, and renderers lose digits."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Chart:
     """A picture.
 
     Attributes:
-        name: One word; the last part of a file's name.
+        name: One word; the last part of the file name.
         title: What is shown, with units where they are one.
-        says: The same in a sentence, for who does not see it.
+        says: The same in a sentence, for screen readers.
         width: Pixels; `height` likewise.
         body: SVG elements.
     """
@@ -64,8 +64,7 @@ class Chart:
 
 def px(value: float) -> str:
     """A coordinate as text: "12.3", "12", ".5"."""
-    tenths = round(10.0 * min(max(float(value), -FAR_PX), FAR_PX))
-    return _tenths(tenths)
+    return _tenths(round(10.0 * min(max(float(value), -FAR_PX), FAR_PX)))
 
 
 def _tenths(tenths: int) -> str:
@@ -76,7 +75,11 @@ def _tenths(tenths: int) -> str:
 
 def polyline(x: FloatArray, y: FloatArray, kind: str) -> str:
     """A line `(n,)`; values that are not finite are gaps, single points are dots."""
-    return _path("".join(_moves(some, False) for some in _pieces(x, y)), kind)
+    known: BoolArray = np.isfinite(x) & np.isfinite(y)
+    edge = np.diff(np.r_[False, known, False].astype(np.int64))
+    points = np.column_stack([x, y])
+    pieces = zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)
+    return _path("".join(_moves(points[a:b], False) for a, b in pieces), kind)
 
 
 def area(x: FloatArray, y: FloatArray, kind: str) -> str:
@@ -97,14 +100,6 @@ def polylines(lines: Iterable[FloatArray], kind: str) -> str:
 
 def _path(moves: str, kind: str) -> str:
     return f'<path class="{kind}" d="{moves}"/>' if moves else ""
-
-
-def _pieces(x: FloatArray, y: FloatArray) -> list[FloatArray]:
-    """The unbroken parts of a line, `(m, 2)` each."""
-    known: BoolArray = np.isfinite(x) & np.isfinite(y)
-    edge = np.diff(np.r_[False, known, False].astype(np.int64))
-    points = np.column_stack([x, y])
-    return [points[a:b] for a, b in zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)]
 
 
 def _moves(points: FloatArray, closed: bool) -> str:
@@ -239,14 +234,12 @@ def legend(x: float, y: float, entries: Sequence[tuple[str, str, str]], most: fl
         needed = 24.0 + LETTER_PX * len(word) + 8.0
         if at + needed > x + most + 8.0:
             break
-        out.append(_sample(element, kind, at, y) + text(at + 21.0, y, word, "small"))
+        if element == "area":
+            out.append(rect(at, y - 8.0, 16.0, 8.0, kind))
+        elif element == "dot":
+            out.append(dot(at + 8.0, y - 4.0, 3.0, kind))
+        else:
+            out.append(line(at, y - 3.5, at + 16.0, y - 3.5, kind))
+        out.append(text(at + 21.0, y, word, "small"))
         at += needed
     return "".join(out)
-
-
-def _sample(element: str, kind: str, x: float, y: float) -> str:
-    if element == "area":
-        return rect(x, y - 8.0, 16.0, 8.0, kind)
-    if element == "dot":
-        return dot(x + 8.0, y - 4.0, 3.0, kind)
-    return line(x, y - 3.5, x + 16.0, y - 3.5, kind)

@@ -1,38 +1,31 @@
-"""What was decided when: a row for the plan's status, one per road user with a decision, one per broken gate."""
+"""Decisions over time as a chart: rows for the plan's status, each road user with a decision, and each broken gate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from logs.trace import Decision, DecisionKind, PlanStatus, Said
+from logs.trace import Decision, DecisionKind, PlanStatus, PlanSummary
 from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
 from replay.draw.charts.canvas import LETTER_PX, Chart, rect, shortened, text
 from replay.draw.charts.curves import now_line
 from replay.draw.charts.subject import Subject
+from replay.explain.explanation import STATUS_WORDS
 
 WIDTH_PX, ROW_PX, TOP_PX = 900.0, 20.0, 22.0
 LABEL_PX = 210.0
 MAX_ROWS = 12
-"""Rows of road users; the words beside the picture have all of them."""
+"""Rows of road users; the list of events beside the picture has all of them."""
 LEAST_PX = 3.0
-CALM = ("planned", "columns corrected")
+CALM = tuple(STATUS_WORDS[status] for status in (PlanStatus.PLANNED, PlanStatus.CORRECTED))
 """Statuses that are no alarm."""
-STATUS_WORDS = {
-    PlanStatus.PLANNED: "planned",
-    PlanStatus.CORRECTED: "columns corrected",
-    PlanStatus.PREVIOUS: "previous plan",
-    PlanStatus.COMFORTABLE_STOP: "comfortable stop",
-    PlanStatus.HARD_STOP: "hard stop",
-    PlanStatus.REFUSED: "refused",
-}
 
 
 @dataclass(frozen=True)
 class Span:
-    """Something that held from one time to another, s."""
+    """A state from one time to another, s."""
 
     begin: float
     end: float
@@ -42,18 +35,18 @@ class Span:
 
 @dataclass(frozen=True)
 class Row:
-    """Spans of one road user, gate, or of the plan."""
+    """The spans of one road user, one gate, or the plan."""
 
     name: str
     spans: tuple[Span, ...]
     kind: str = "bar"
 
 
-def decided(plans: Sequence[Said], end: float, short: Callable[[str], str]) -> list[Row]:
-    """What was decided about which agent, from when to when; who was ignored only has no row. First come first.
+def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str]) -> list[Row]:
+    """The decisions about each agent that is not only ignored, in the order of the first decision.
 
-    A decision holds until the next frame; neighbouring frames with the same are one span, whose reason is the first.
-    `short` makes names of agents short.
+    A decision holds until the next frame; consecutive frames with the same decision are one span with the first reason.
+    `short` shortens the names of agents.
     """
     rows: dict[str, list[Span]] = {}
     stops = [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else []
@@ -64,8 +57,8 @@ def decided(plans: Sequence[Said], end: float, short: Callable[[str], str]) -> l
     return [Row(short(agent), tuple(spans)) for agent, spans in rows.items()]
 
 
-def statuses(plans: Sequence[Said], end: float) -> Row:
-    """How the plans came about."""
+def statuses(plans: Sequence[PlanSummary], end: float) -> Row:
+    """The statuses of the plans."""
     spans: list[Span] = []
     stops = [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else []
     for plan, stop in zip(plans, stops, strict=True):
@@ -74,7 +67,7 @@ def statuses(plans: Sequence[Said], end: float) -> Row:
 
 
 def _extend(spans: list[Span], one: Span) -> None:
-    """Add a span, or lengthen the last where it is the same without a break."""
+    """Add a span, or extend the last one if it continues."""
     if spans and spans[-1].word == one.word and abs(spans[-1].end - one.begin) < 1e-6:
         spans[-1] = Span(spans[-1].begin, one.end, one.word, spans[-1].why)
     else:
@@ -82,30 +75,23 @@ def _extend(spans: list[Span], one: Span) -> None:
 
 
 def _rows(subject: Subject) -> list[Row]:
-    plans, end = subject.said, subject.span[1]
-    everybody = decided(plans, end, subject.scenario.short_names)
-    broken = [
-        Row(some.series, tuple(Span(begin, stop, "fails", some.gate) for begin, stop in some.spans), "alarm")
-        for some in subject.violations
-        if some.spans
-    ]
+    plans, end = subject.plans, subject.span[1]
+    agents = decided(plans, end, subject.scenario.short_names)
+    longest = sorted(agents, key=lambda row: -sum(span.end - span.begin for span in row.spans))[:MAX_ROWS]
+    broken: dict[str, Row] = {}
+    for some in subject.violations:  # gates of one series (episode and total time, say) are one row
+        spans = tuple(Span(begin, stop, "fails", some.gate) for begin, stop in some.spans)
+        before = broken[some.series].spans if some.series in broken else ()
+        if spans:
+            broken[some.series] = Row(
+                some.series, tuple(dict.fromkeys((*before, *spans))) if before else spans, "alarm"
+            )
     status = [statuses(plans, end)] if plans else []
-    longest = sorted(everybody, key=lambda row: -sum(span.end - span.begin for span in row.spans))[:MAX_ROWS]
-    return [*status, *(row for row in everybody if row in longest), *_joined(broken)]
-
-
-def _joined(rows: Iterable[Row]) -> list[Row]:
-    """Gates of one series (episode and total time, say) as one row."""
-    found: dict[str, Row] = {}
-    for row in rows:
-        before = found.get(row.name)
-        spans = row.spans if before is None else tuple(dict.fromkeys((*before.spans, *row.spans)))
-        found[row.name] = Row(row.name, spans, row.kind)
-    return list(found.values())
+    return [*status, *(row for row in agents if row in longest), *broken.values()]
 
 
 def decisions(subject: Subject, width: float = WIDTH_PX) -> Chart:
-    """Decisions, plan statuses and broken gates as lanes over time; `width` in pixels."""
+    """Decisions, plan statuses and broken gates as rows over time; `width` in pixels."""
     rows = _rows(subject)
     title = "Decisions, plans and broken gates over time"
     if not rows:
@@ -120,9 +106,13 @@ def decisions(subject: Subject, width: float = WIDTH_PX) -> Chart:
         for k, row in enumerate(rows)
     )
     silent = not any(row.kind == "bar" for row in rows)
-    head = text(2.0, 13.0, title + (": the planner names none" if silent else ""), "title")
+    says = "; ".join(
+        f"{row.name}: " + ", ".join(f"{span.word} {span.begin:.1f} to {span.end:.1f} s" for span in row.spans[:6])
+        for row in rows
+    )
+    head = text(2.0, 13.0, title + (": the planner reports none" if silent else ""), "title")
     drawn = plane.drawn(bars, x_title="time [s]", y_ticks=False, over=names)
-    return Chart("decisions", title, "; ".join(_words(rows)), width, height, drawn + head)
+    return Chart("decisions", title, says, width, height, drawn + head)
 
 
 def _bars(plane: Plane, row: Row, k: int) -> str:
@@ -145,8 +135,3 @@ def _bars(plane: Plane, row: Row, k: int) -> str:
             out.append(text(left - 3.0, y + 14.0, span.word, "end"))
         until = max(until, left + wide)
     return "".join(out)
-
-
-def _words(rows: Sequence[Row]) -> Iterator[str]:
-    for row in rows:
-        yield f"{row.name}: " + ", ".join(f"{span.word} {span.begin:.1f} to {span.end:.1f} s" for span in row.spans[:6])

@@ -1,7 +1,7 @@
 """The charts of a drive by name, where each stands in its page, and those that users add ("module:NAME").
 
-A chart is a function: `draw(subject) -> Chart`, or several. Users' own stand behind the pictures. One that raises costs
-itself only, and says why in its place.
+A chart is a function: `draw(subject) -> Chart`, or several. Charts of users come after the pictures. A chart that
+raises is replaced by its error, and nothing else is affected.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Draw = Callable[[Subject], "Chart | Sequence[Chart]"]
 
 CHARTS: dict[str, Draw] = {"scene": scenes, "st": st_graph, "sl": sl_graph, "curves": curves, "decisions": decisions}
 CHART: Kind[Draw] = Kind("chart", "charts", CHARTS, besides=("all",))
-"""Finds those, and users' own."""
+"""Finds these charts, and those of users."""
 LAYOUT: Mapping[str, tuple[str, ...]] = {
     "pictures": ("scene", "st", "sl"),
     "decided": ("decisions",),
@@ -30,9 +30,9 @@ LAYOUT: Mapping[str, tuple[str, ...]] = {
 }
 """By place in the page of a drive, from top to bottom, the charts that stand there."""
 OWN = "pictures"
-"""Where users' own stand."""
+"""The place of charts of users."""
 BROKEN, BROKEN_PX = "broken", (440.0, 40.0)
-"""Name and size of what stands in the place of a chart that could not be drawn."""
+"""Name and size of the placeholder of a chart that could not be drawn."""
 
 
 def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
@@ -55,19 +55,15 @@ def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
 
 
 def drawn(subject: Subject, name: str) -> list[Chart]:
-    """The charts of a name; one that fails is a sentence in its place. ConfigError as `Kind.find`."""
+    """The charts of a name; one that fails is a placeholder with the error. ConfigError as `Kind.find`."""
     draw = CHART.find(name)
     try:
-        charts = _some(draw(subject))
+        charts: Any = draw(subject)
+        charts = list(charts) if isinstance(charts, (list, tuple)) else [charts]
         wrong = next((type(one).__name__ for one in charts if not isinstance(one, Chart)), "")
         return [_broken(name, f"returned {wrong} instead of a Chart")] if wrong else charts
     except (Exception, SystemExit) as error:
         return [_broken(name, raised(error, of=draw))]
-
-
-def _some(charts: Any) -> list[Any]:
-    """One or several as a list."""
-    return list(charts) if isinstance(charts, (list, tuple)) else [charts]
 
 
 def _broken(name: str, why: str) -> Chart:

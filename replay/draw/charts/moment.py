@@ -1,31 +1,29 @@
-"""When to look at a drive, and when it broke a gate: from the tables of the run, before a trace is read."""
+"""When to look at a drive, and when it broke a gate: from the tables of the run, without its trace."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, isfinite
 from typing import Any
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
 from metrics import GROUPS, METRICS
 from metrics.judge.gates import Outcome
 from replay.results.load import DriveResult
 
 GRAVE = ("collision_at_fault", "safety", "rules", "progress")
-"""Metrics and groups of metrics, the gravest first: the failed gates that are looked at before the others."""
+"""Metrics and groups of metrics, the gravest first: their failed gates come before all others."""
 NEAREST = (("ttc.min", "least time to a collision"), ("gap.min", "least distance to another road user"))
-"""What is looked at where no gate failed."""
+"""Metrics that give the moment if no gate failed."""
 _GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
 _RULE = re.compile(r"(?:(?P<low>\S+) <= )?(?P<metric>\S.*?) (?P<sign><=|>=) (?P<bound>\S+)")
 
 
 @dataclass(frozen=True)
 class Moment:
-    """A time in a drive, s, and why it is worth a look, in a sentence."""
+    """A time in a drive, s, and the reason to look at it, in a sentence."""
 
     t: float
     why: str
@@ -37,8 +35,8 @@ class Violation:
 
     Attributes:
         gate: The rule.
-        series: The series that its metric is made of ("lon_accel").
-        spans: From when to when its steps are out of bounds, s; the one instant of its value where it has no steps.
+        series: The series of its metric ("lon_accel").
+        spans: From when to when its steps are out of bounds, s; without steps, the instant of its value.
     """
 
     gate: str
@@ -47,9 +45,9 @@ class Violation:
 
 
 def worst_moment(drive: DriveResult) -> Moment:
-    """The time of the worst failed gate's value, else of the least TTC or gap, else the middle of the drive.
+    """The time of the worst failed gate, otherwise of the least TTC or gap, otherwise the middle of the drive.
 
-    Gates of safety and rules are worse than others; among equals the first of the gates' file is.
+    Gates of safety and rules are worse than others; among equals, the first in the file of gates.
     """
     failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
     rows = [row for row in list[Any](failed.itertuples()) if isfinite(row.time_s)]
@@ -71,13 +69,13 @@ def worst_moment(drive: DriveResult) -> Moment:
 
 
 def gravity(gate: str) -> int:
-    """The place of a rule in `GRAVE`, by its metric, else by the group of its metric."""
+    """The place of a rule in `GRAVE`, by its metric, otherwise by the group of its metric."""
     metric = measured_by(gate).partition(".")[0]
     return next((i for i, word in enumerate(GRAVE) if word in (metric, _GROUP.get(metric, ""))), len(GRAVE))
 
 
 def measured_by(gate: str) -> str:
-    """The metric that a rule as text is about: "gap.min" of "gap.min >= 0.5 [closed]"; "" where it cannot be told."""
+    """The metric of a rule as text: "gap.min" of "gap.min >= 0.5 [closed]"; "" if there is none."""
     found = _RULE.match(gate)
     return found["metric"].rpartition("mean ")[2] if found else ""
 
@@ -93,38 +91,24 @@ def _violation(drive: DriveResult, gate: str, time_s: float) -> Violation:
     t, values = drive.steps(series)
     known = np.isfinite(values)
     t, values = t[known], values[known]
-    out = _out(gate, series, reduction, values)
-    spans = tuple(_spans(t, out)) if out is not None and out.any() else ((time_s, time_s),) if isfinite(time_s) else ()
-    return Violation(gate, series, spans)
+    low, high = _step_bounds(gate, series, reduction)
+    edge = np.diff(np.r_[False, (values < low) | (values > high), False].astype(np.int64))
+    stretches = zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)
+    spans = tuple((float(t[first]), float(t[end - 1])) for first, end in stretches)
+    return Violation(gate, series, spans or (((time_s, time_s),) if isfinite(time_s) else ()))
 
 
-def _out(gate: str, series: str, reduction: str, values: FloatArray) -> BoolArray | None:
-    """Which steps break a rule `(n,)`: those that its reduction counts, else those out of its own bounds."""
+def _step_bounds(gate: str, series: str, reduction: str) -> tuple[float, float]:
+    """The bounds that steps break: those of the reduction, otherwise those of the rule; infinite if there are none."""
     metric = METRICS.get(series.partition(".")[0])
     how = next((some for some in metric.reductions if some.name == reduction), None) if metric else None
     if how is not None and how.bounds is not None:
-        low, high = how.bounds
-    elif reduction in ("count", "rate"):
-        low, high = -inf, 0.0
-    elif reduction in ("min", "max", "max_abs"):
-        low, high = _bounds(gate)
-        low = -high if reduction == "max_abs" else low
-    else:
-        return None
-    return np.asarray((values < low) | (values > high))
-
-
-def _bounds(gate: str) -> tuple[float, float]:
-    """The bounds of a rule as text."""
+        return how.bounds
     found = _RULE.match(gate)
-    if found is None:
+    if reduction in ("count", "rate"):
+        return -inf, 0.0
+    if found is None or reduction not in ("min", "max", "max_abs"):
         return -inf, inf
     bound = float(found["bound"])
-    return (bound, inf) if found["sign"] == ">=" else (float(found["low"] or -inf), bound)
-
-
-def _spans(t: FloatArray, out: BoolArray) -> Iterator[tuple[float, float]]:
-    """The unbroken stretches of marked steps, first to last step."""
-    edge = np.diff(np.r_[False, out, False].astype(np.int64))
-    for first, end in zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True):
-        yield float(t[first]), float(t[end - 1])
+    low, high = (bound, inf) if found["sign"] == ">=" else (float(found["low"] or -inf), bound)
+    return (-high, high) if reduction == "max_abs" else (low, high)

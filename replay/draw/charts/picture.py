@@ -19,7 +19,7 @@ ALL = "all"
 
 
 def charts_of(subject: Subject, kind: str, width: float) -> list[Chart]:
-    """The charts of a name (`replay.draw.charts.layout.CHART`), or `ALL`, for a picture of a width, pixels."""
+    """The charts of a name (`replay.draw.charts.layout.CHART`), or `ALL`, for a picture with this width, pixels."""
     names = CHART.names() if kind == ALL else (kind,)
     wide = row_width(width)
     found = [[decisions(subject, wide)] if name == "decisions" else drawn(subject, name) for name in names]
@@ -27,13 +27,13 @@ def charts_of(subject: Subject, kind: str, width: float) -> list[Chart]:
 
 
 def row_width(width: float) -> float:
-    """Of as many columns as a width has room for, one at least."""
+    """The width of as many columns as fit into a width, at least one, pixels."""
     columns = max(1, int((width + GAP_PX) / (COLUMN_PX + GAP_PX)))
     return columns * (COLUMN_PX + GAP_PX) - GAP_PX
 
 
 def together(charts: Sequence[Chart], title: str, says: str, width: float) -> Chart:
-    """Charts below and beside each other, as many columns as a width (pixels) has room for, under a title."""
+    """Charts in as many columns as fit into a width (pixels), under a title."""
     most = len(charts) * (COLUMN_PX + GAP_PX) - GAP_PX
     full = max(min(row_width(width), most), *(chart.width for chart in charts))
     placed, x, y, row = [], 0.0, HEAD_PX, 0.0
@@ -53,9 +53,9 @@ def save(chart: Chart, path: Path, *, theme: Theme, width: int) -> None:
     """Write a picture; format by the ending. The same drive gives the same bytes.
 
     Args:
-        chart: What to write.
-        path: Ends with .png or .svg.
-        theme: "auto" is light in a PNG, which cannot follow its reader.
+        chart: The picture.
+        path: The file; it ends with .png or .svg.
+        theme: "auto" is light in a PNG, which cannot follow the system of its reader.
         width: Pixels.
 
     Raises:
@@ -74,7 +74,7 @@ def save(chart: Chart, path: Path, *, theme: Theme, width: int) -> None:
 
 
 def _png(svg: str) -> bytes:
-    """The picture with a font that is surely there: that of matplotlib."""
+    """The picture with the font that matplotlib contains, so that it looks the same on every machine."""
     import matplotlib as mpl
     import resvg_py
 

@@ -12,9 +12,7 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.scenario import AgentKind, Agents
 from logs.shapes import corners
-from logs.short_names import ShortNames
 from logs.states import EgoState
-from logs.trace import Decision, DecisionKind
 from replay.draw.charts.axes import Plane
 from replay.draw.charts.canvas import (
     LETTER_PX,
@@ -31,15 +29,16 @@ from replay.draw.charts.canvas import (
     text,
 )
 from replay.draw.charts.subject import Subject
+from replay.draw.scene import decided, plan_seconds
 from replay.world import box_center
 
 WIDTH_PX, HEIGHT_PX = 440.0, 226.0
 BEHIND_M, AHEAD_M, AHEAD_S, MOST_M = 14.0, 46.0, 3.0, 130.0
-"""What is seen: so much behind the ego, and ahead as far as they drive in `AHEAD_S`, within these bounds."""
+"""The visible part: this far behind the ego, and ahead as far as it drives in `AHEAD_S`, within these bounds."""
 ARROW_S = 1.0
 SLOW_MPS = 0.3
 SMALL_PX = 3.2
-"""Who would be drawn smaller than this radius is drawn as a dot of it."""
+"""An agent that would be smaller is drawn as a dot of this radius."""
 MAX_NAMES = 6
 NAME_M = 60.0
 
@@ -54,7 +53,8 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
     view = _View(plane, ego)
     planned = abs(t - subject.moment.t) < 1e-9
     agents = subject.trace.agents.truth(t)
-    inside = _road(view, subject) + _paths(view, subject, planned=planned) + _others(view, agents) + _ego(view, subject)
+    others = "".join(_other(view, agents, i) for i in range(len(agents)))
+    inside = _road(view, subject) + _paths(view, subject, planned=planned) + others + _ego(view, subject)
     title = f"{word[:1].upper()}{word[1:]}: {t:.2f} s, {ego.v:.1f} m/s"
     drawn = plane.drawn(
         inside, x_title="ahead of the rear axle [m]", over=_names(view, agents, subject, planned=planned)
@@ -66,20 +66,20 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
         ("area", "still", "stands"),
         ("line", "driven", "driven"),
     ]
-    plan = [("line", "planned", "plan, a dot a second")] if planned and subject.frame else []
-    head += legend(60.0, 33.0, [*entries, *plan], WIDTH_PX - 70.0)
-    return Chart(
-        f"scene_{word.replace(' ', '_')}",
-        title,
-        _said(title, agents, ego, subject.scenario.short_names),
-        WIDTH_PX,
-        HEIGHT_PX,
-        drawn + head,
-    )
+    entries += [("line", "planned", "plan, a dot a second")] if planned and subject.frame else []
+    head += legend(60.0, 33.0, entries, WIDTH_PX - 70.0)
+    says = f"Scene, {title}; no other road users"
+    if len(agents):
+        away = np.hypot(agents.x - ego.x, agents.y - ego.y)
+        i, short = int(np.argmin(away)), subject.scenario.short_names
+        says = (
+            f"Scene, {title}; {len(agents)} other road users, the nearest {short(agents.ids[i])}, {away[i]:.0f} m away"
+        )
+    return Chart(f"scene_{word.replace(' ', '_')}", title, says, WIDTH_PX, HEIGHT_PX, drawn + head)
 
 
 def scenes(subject: Subject) -> list[Chart]:
-    """Start, the moment, and end; instants that coincide once."""
+    """Start, the moment, and end; instants that coincide are drawn once."""
     first, last = float(subject.trace.ego.t[0]), float(subject.trace.ego.t[-1])
     word = "this moment" if subject.moment.why == "as asked" else "worst moment"
     at = [(subject.moment.t, word)]
@@ -88,7 +88,7 @@ def scenes(subject: Subject) -> list[Chart]:
 
 
 class _View:
-    """Where points of the world are in the picture, (1)."""
+    """Points of the world in the picture, (1)."""
 
     def __init__(self, plane: Plane, ego: EgoState) -> None:
         self.plane, self.ego = plane, ego
@@ -148,8 +148,7 @@ def _paths(view: _View, subject: Subject, *, planned: bool) -> str:
     plan, futures = frame.plan.trajectory, frame.predictions
     if futures is not None:
         out += polylines(view.lines(map(np.column_stack, zip(futures.x, futures.y, strict=True))), "foreseen")
-    dots = plan.resampled(np.arange(plan.t[0] + 1.0, plan.t[-1] + 1e-9, 1.0)) if plan.t[-1] >= plan.t[0] + 1.0 else None
-    seconds = [] if dots is None else view.of(np.column_stack([dots.x, dots.y])).tolist()
+    seconds = view.of(plan_seconds(frame.plan)).tolist()
     out += polylines(view.lines([np.column_stack([plan.x, plan.y])]), "planned")
     return out + "".join(dot(x, y, 2.4, "second") for x, y in seconds)
 
@@ -163,12 +162,8 @@ def _ego(view: _View, subject: Subject) -> str:
     return area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "nose")
 
 
-def _others(view: _View, agents: Agents) -> str:
-    return "".join(_other(view, agents, i) for i in range(len(agents)))
-
-
 def _other(view: _View, agents: Agents, i: int) -> str:
-    """A box, or a dot where that would be too small; a line to where it is in a second."""
+    """A box, or a dot if that would be too small; a line to the position in one second."""
     box = view.of(corners(*(float(c[i]) for c in (agents.x, agents.y, agents.yaw, agents.length, agents.width))))
     if not view.sees(box):
         return ""
@@ -183,20 +178,13 @@ def _other(view: _View, agents: Agents, i: int) -> str:
     return arrow + area(box[:, 0], box[:, 1], kind)
 
 
-def _decided(subject: Subject) -> dict[str, str]:
-    if subject.frame is None:
-        return {}
-    found = [some for some in subject.frame.plan.internals if isinstance(some, Decision)]
-    return {some.agent: some.kind.value for some in found if some.kind is not DecisionKind.IGNORE}
-
-
 def _names(view: _View, agents: Agents, subject: Subject, *, planned: bool) -> str:
-    """Ids of who is decided about and of the nearest, with the decision; left out where they would overlap."""
+    """Ids of the agents with a decision and of the nearest, with the decision; left out where they would overlap."""
     wide, high = view.plane.inner
-    decided = _decided(subject) if planned else {}
+    about = decided(subject.frame.plan) if planned and subject.frame is not None else {}
     at = view.of(np.column_stack([agents.x, agents.y]))
     away = np.hypot(agents.x - view.ego.x, agents.y - view.ego.y)
-    order = sorted(range(len(agents)), key=lambda i: (agents.ids[i] not in decided, float(away[i])))
+    order = sorted(range(len(agents)), key=lambda i: (agents.ids[i] not in about, float(away[i])))
     placed: list[tuple[float, float, float]] = []
     out = []
     for i in order:
@@ -204,7 +192,7 @@ def _names(view: _View, agents: Agents, subject: Subject, *, planned: bool) -> s
         inside = 0.0 <= x <= wide and 0.0 <= y <= high and away[i] <= max(NAME_M, view.plane.x[1])
         if not inside or len(placed) >= MAX_NAMES:
             continue
-        decision = f": {decided[agents.ids[i]]}" if agents.ids[i] in decided else ""
+        decision = f": {about[agents.ids[i]].kind.value}" if agents.ids[i] in about else ""
         words = shortened(subject.scenario.short_names(agents.ids[i]), 110.0) + decision
         half = 0.5 * LETTER_PX * len(words)
         below = y < 20.0 or (y > 0.5 * high and high - y > 20.0)
@@ -213,11 +201,3 @@ def _names(view: _View, agents: Agents, subject: Subject, *, planned: bool) -> s
             placed.append((x, y, half))
             out.append(text(x, y, words, "name mid"))
     return "".join(out)
-
-
-def _said(title: str, agents: Agents, ego: EgoState, short: ShortNames) -> str:
-    if not len(agents):
-        return f"Scene, {title}; no other road users"
-    away = np.hypot(agents.x - ego.x, agents.y - ego.y)
-    i = int(np.argmin(away))
-    return f"Scene, {title}; {len(agents)} other road users, the nearest {short(agents.ids[i])}, {away[i]:.0f} m away"

@@ -1,7 +1,7 @@
-"""One style for all charts and pages: roles as colours for light and dark ground.
+"""One style for all charts and pages: roles as colours for a light and a dark background.
 
-The hues are those of Okabe and Ito (2008), which people with any colour vision tell apart, lightened for the dark
-ground. No meaning rests on them alone: lines differ in dash, marks in shape, and everything has a word.
+The hues are those of Okabe and Ito (2008), which people with any colour vision can distinguish, lighter on the dark
+background. No meaning depends on colour alone: lines differ in dash, marks in shape, and everything has a label.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ RULES = """
 
 
 def roles(theme: Theme) -> str:
-    """The custom properties; "auto" follows what the reader's system prefers. Empty where one theme is fixed."""
+    """The custom properties; "auto" follows the system of the reader. Empty for a fixed theme."""
     if theme != "auto":
         return ""
     light, dark = (";".join(f"--{name}:{value}" for name, value in some.items()) for some in (LIGHT, DARK))
@@ -88,7 +88,7 @@ def roles(theme: Theme) -> str:
 
 
 def filled(rules: str, theme: Theme) -> str:
-    """The rules with `$role` as a custom property, or as the colour itself where one theme is fixed."""
+    """The rules with `$role` as a custom property, or as the colour itself for a fixed theme."""
     colours = DARK if theme == "dark" else LIGHT
     for name in sorted(colours, key=len, reverse=True):
         rules = rules.replace(f"${name}", f"var(--{name})" if theme == "auto" else colours[name])
@@ -96,5 +96,5 @@ def filled(rules: str, theme: Theme) -> str:
 
 
 def stylesheet(theme: Theme) -> str:
-    """All that a chart by itself needs."""
+    """The style sheet of a chart in a file of its own."""
     return roles(theme) + "".join(filled(RULES, theme).split("\n"))

@@ -1,6 +1,6 @@
-"""Recordings: a drive or a log as one .rrd file with its views in it. The only door to rerun; it draws, never computes.
+"""Recordings: a drive or a log as one .rrd file with its views in it. The only package that writes with rerun.
 
-Import this package only where something is drawn: it loads the viewer's library.
+Import this package only where something is drawn: it loads the viewer's library. It draws, and computes nothing.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ from logs.kernel import FloatArray
 from logs.memory import give_back
 from logs.scenario import Scenario
 from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
-from replay.draw.recording import events, plots, states, why, words
-from replay.draw.recording.axes import Axes, sl_axes, st_axes
+from replay.draw.curves import motion_panels, stage_panel, steps_of
+from replay.draw.graphs import DrawnGraph
+from replay.draw.recording import pages, plots, states
 from replay.draw.recording.blueprint import Contents, blueprint
-from replay.draw.recording.columns import Instants, Tape
-from replay.draw.recording.file import recording_file
-from replay.draw.recording.graphs import draw_graph, draw_happened
+from replay.draw.recording.graphs import Axes, draw_graph, draw_occupancy, sl_axes, st_axes
 from replay.draw.recording.others import draw_others
 from replay.draw.recording.scene import draw_moving, draw_scene
-from replay.draw.recording.text import field_name
-from replay.explain.happened import happened
+from replay.draw.recording.tape import Instants, Tape, recording_file
+from replay.draw.recording.text import field_name, path_parts
+from replay.explain.events import events
+from replay.explain.planner_input import actual_occupancy
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -41,7 +42,7 @@ __all__ = ["write_log_recording", "write_recording"]
 
 SCENE_STEP_S = 0.1
 PART, SAMPLE = 500, 1000
-"""Frames that are drawn at once, and of which the axes of graphs are made."""
+"""The number of frames that are drawn at once, and the largest number of frames that determine the axes of graphs."""
 
 
 def write_recording(
@@ -73,13 +74,12 @@ def write_recording(
         SlGraph: sl_axes([graph for graph in _graphs(some, SlGraph) if graph]),
     }
     del some
-    panels = plots.motion_panels(trace, scenario, times, steps)
-    stages = plots.stage_panel(drive.timings)
-    panels += [stages] if stages else []
-    pages = ("why", "numbers", "recent", "summary") if trace.frames else ("recent", "summary")
+    panels = motion_panels(trace, scenario, times, steps_of(steps))
+    panels += stage_panel(drive.timings, path_parts(timing.stage for timing in drive.timings))
+    names = ("why", "numbers", "recent", "summary") if trace.frames else ("recent", "summary")
     lanes = states.state_lanes(trace, scenario.road)
     contents = Contents(
-        panels, axes[StGraph], axes[SlGraph], [lane.name for lane in lanes], pages, _bounds(trace, scenario)
+        panels, axes[StGraph], axes[SlGraph], [lane.name for lane in lanes], names, _bounds(trace, scenario)
     )
     application = f"replan {scenario.name} {trace.mode.value} loop"
     short = scenario.short_names
@@ -92,9 +92,13 @@ def write_recording(
                 give_back()
         plots.draw_panels(tape, panels, frames)
         states.draw_lanes(tape, lanes, frames)
-        events.draw_events(tape, events.events(trace), planned)
-        words.draw_summary(tape, words.summary(whole, scenario, table))
-        _send_metrics(tape, table)
+        pages.draw_events(tape, events(trace), planned)
+        pages.draw_summary(tape, pages.summary(whole, scenario, table))
+        if table is not None:  # properties of the recording: a column each in a table of recordings
+            shown = table[table["available"] & np.isfinite(table["value"].to_numpy(dtype=float))]
+            values = {field_name(name): float(v) for name, v in zip(shown["metric"], shown["value"], strict=True)}
+            if values:
+                tape.stream.send_property("metrics", rr.AnyValues(drop_untyped_nones=True, **values))
 
 
 def _draw_part(
@@ -105,9 +109,12 @@ def _draw_part(
     planned: Instants,
     axes: Mapping[type[Graph], Axes | None],
 ) -> None:
-    """What there is of others, plans and graphs in some frames: a long drive has no more than these in memory."""
+    """Agents, plans and graphs in some frames: for a long drive, no more than these are in memory."""
     frames = whole.frames[int(planned.frame[0]) : int(planned.frame[-1]) + 1]
-    trace = _around(whole, frames, instants.t)
+    begin = min([float(instants.t[0]), *(frame.t for frame in frames[:1])])
+    end = max([float(instants.t[-1]), *(float(frame.plan.trajectory.t[-1]) for frame in frames)])
+    perceived = None if whole.perceived is None else Around().of(whole.perceived, begin, end)
+    trace = replace(whole, frames=frames, agents=Around().of(whole.agents, begin, end), perceived=perceived)
     draw_moving(tape, trace, frozenset(whole.agents.kinds), instants, planned)
     draw_others(tape, trace, planned)
     for kind, axis in axes.items():
@@ -115,17 +122,9 @@ def _draw_part(
             draw_graph(tape, planned, _graphs(frames, kind), axis)
     st = axes[StGraph]
     if st is not None:
-        draw_happened(tape, planned, list(happened(trace, scenario)), st)
+        draw_occupancy(tape, planned, list(actual_occupancy(trace, scenario)), st)
     if frames:
-        why.draw_why(tape, trace, scenario, planned)
-
-
-def _around(whole: Trace, frames: Sequence[PlannedFrame], t: FloatArray) -> Trace:
-    """The part of a trace for some frames and the instants `t` `(k,)`, s, with who is there until their plans end."""
-    begin = min([float(t[0]), *(frame.t for frame in frames[:1])])
-    end = max([float(t[-1]), *(float(frame.plan.trajectory.t[-1]) for frame in frames)])
-    shown = None if whole.perceived is None else Around().of(whole.perceived, begin, end)
-    return replace(whole, frames=frames, agents=Around().of(whole.agents, begin, end), perceived=shown)
+        pages.draw_why(tape, trace, scenario, planned)
 
 
 def write_log_recording(path: Path, scenario: Scenario) -> None:
@@ -136,7 +135,7 @@ def write_log_recording(path: Path, scenario: Scenario) -> None:
     """
     trace = Trace(scenario.name, "log", Mode.OPEN, False, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG)
     times = scene_times(trace, scenario.duration)
-    panels = plots.motion_panels(trace, scenario, times)
+    panels = motion_panels(trace, scenario, times, steps_of(None))
     contents = Contents(panels, None, None, (), ("summary",), _bounds(trace, scenario))
     instants = Instants.among(times, times)
     application, short = f"replan {scenario.name} log", scenario.short_names
@@ -144,7 +143,7 @@ def write_log_recording(path: Path, scenario: Scenario) -> None:
         draw_scene(tape, trace, scenario, instants)
         draw_moving(tape, trace, frozenset(trace.agents.kinds), instants, instants)
         plots.draw_panels(tape, panels, times)
-        words.draw_summary(tape, words.log_summary(scenario))
+        pages.draw_summary(tape, pages.log_summary(scenario))
 
 
 def scene_times(trace: Trace, end: float) -> FloatArray:
@@ -153,22 +152,17 @@ def scene_times(trace: Trace, end: float) -> FloatArray:
     frames = np.array([frame.t for frame in trace.frames])
     grid = start + SCENE_STEP_S * np.arange(int(np.floor((end - start) / SCENE_STEP_S + 1e-9)) + 1)
     if len(frames):
-        gap = np.abs(grid[:, None] - frames[None, :]).min(axis=1) if len(frames) < 3 else _away(grid, frames)
+        padded = np.r_[-np.inf, frames, np.inf]
+        after = np.searchsorted(padded, grid)
+        gap = np.minimum(grid - padded[after - 1], padded[after] - grid)
         grid = np.r_[frames, grid[gap > 0.75 * SCENE_STEP_S]]
     times = np.unique(np.round(np.r_[grid, end], 9))
     return times[times <= end + 1e-9] if (times <= end + 1e-9).any() else times
 
 
-def _away(grid: FloatArray, frames: FloatArray) -> FloatArray:
-    after = np.clip(np.searchsorted(frames, grid), 1, len(frames) - 1)
-    return np.minimum(np.abs(grid - frames[after - 1]), np.abs(grid - frames[after]))
-
-
-def _graphs(frames: Sequence[PlannedFrame], kind: type[Graph]) -> list[Graph | None]:
+def _graphs(frames: Sequence[PlannedFrame], kind: type[Graph]) -> list[DrawnGraph | None]:
     """The first graph of a kind in each frame."""
-    return [
-        next((artefact for artefact in frame.plan.internals if isinstance(artefact, kind)), None) for frame in frames
-    ]
+    return [DrawnGraph.of(frame.plan, kind) for frame in frames]
 
 
 def _bounds(trace: Trace, scenario: Scenario) -> FloatArray:
@@ -179,18 +173,8 @@ def _bounds(trace: Trace, scenario: Scenario) -> FloatArray:
 
 
 def _digest(trace: Trace) -> str:
-    """The recording's id: the same drive has the same one."""
+    """The id of the recording: the same for the same drive."""
     digest = sha256(repr((trace.scenario, trace.planner, trace.mode.value, len(trace.frames))).encode())
     for column in (trace.ego.t, trace.ego.x, trace.ego.y, trace.ego.v):
         digest.update(column.tobytes())
     return digest.hexdigest()[:32]
-
-
-def _send_metrics(tape: Tape, table: DataFrame | None) -> None:
-    """Available metrics as properties of the recording: a column each in a table of recordings."""
-    if table is None:
-        return
-    shown = table[table["available"] & np.isfinite(table["value"].to_numpy(dtype=float))]
-    values = {field_name(name): float(value) for name, value in zip(shown["metric"], shown["value"], strict=True)}
-    if values:
-        tape.stream.send_property("metrics", rr.AnyValues(drop_untyped_nones=True, **values))

@@ -1,16 +1,16 @@
-"""What is shown where: the views of a recording, only those that have something to show."""
+"""The layouts of a recording: its views, without those that have nothing to show."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import rerun.blueprint as rrb
 
 from logs.kernel import FloatArray
-from replay.draw.recording.axes import (
+from replay.draw.curves import Panel
+from replay.draw.recording.graphs import (
     HEIGHT,
     MARGIN_BOTTOM,
     MARGIN_LEFT,
@@ -19,11 +19,11 @@ from replay.draw.recording.axes import (
     WIDTH,
     Axes,
 )
-from replay.draw.recording.columns import FRAME, REMOVED, ROOM, SIM_TIME
-from replay.draw.recording.plots import Panel
+from replay.draw.recording.plots import plot, time_axis
+from replay.draw.recording.tape import FRAME, REMOVED, ROOM, SIM_TIME
 
 PAGES = {"why": "Why", "numbers": "Solvers and costs", "recent": "Events until now", "summary": "Summary"}
-GRAPHS = {"st": "S-T graph: DP yellow, QP blue, as it then happened pink", "sl": "S-L graph: DP yellow, QP blue"}
+GRAPHS = {"st": "S-T graph: DP yellow, QP blue, actual occupancy pink", "sl": "S-L graph: DP yellow, QP blue"}
 ROWS = {
     "overview": ((("speed",), 1.3), (("acceleration", "jerk"), 1.3)),
     "planner": ((("speed",), 1.2), (("stages",), 1.2)),
@@ -32,12 +32,12 @@ ROWS = {
         (("steer",), 1.0), (("error_across",), 1.0), (("error_along",), 1.0), (("slip",), 1.0), (("friction",), 1.0),
     ),
 }  # fmt: skip
-"""Panels of each layout in order and their shares of the height; those of one row are tabs of one place."""
+"""Panels of each layout in order, and their shares of the height; the panels of one row are tabs of one place."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What there is to show: panels, graphs, lanes of states, which pages, and the corners of the map `(2, 2)`."""
+    """The contents of a recording: panels, graphs, rows of states, pages, and the corners of the map `(2, 2)`."""
 
     panels: Sequence[Panel]
     st: Axes | None
@@ -48,21 +48,21 @@ class Contents:
 
     @property
     def lanes_share(self) -> float:
-        """Of the height, for the lanes of states: each has as much."""
+        """Share of the height for the rows of states, which all have the same height."""
         return 0.35 + 0.24 * len(self.lanes)
 
 
 NUMBERS = 0.032
-"""Share of a curve's width that the numbers of its axis take, in a window of usual size."""
+"""Share of the width of a panel that the numbers of its axis take, in a window of usual size."""
 
 
 def blueprint(contents: Contents) -> rrb.Blueprint:
-    """The layouts as tabs, those that have something to show.
+    """The layouts as tabs.
 
     Raises:
         ValueError: A panel is in no row of `ROWS`: it would not be seen.
     """
-    panels = {panel.entity.removeprefix("plots/"): panel for panel in contents.panels}
+    panels = {panel.name: panel for panel in contents.panels}
     nowhere = set(panels) - {name for rows in ROWS.values() for names, _ in rows for name in names}
     if nowhere:
         raise ValueError(f"the panel '{min(nowhere)}' is in no row of ROWS: it would not be seen")
@@ -89,7 +89,9 @@ def _overview(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
     left = [top, rrb.Horizontal(*graphs)] if graphs else [top]
     rows, shares = _rows("overview", panels)
     if contents.lanes:
-        rows += [_decisions(contents), rrb.Tabs(*_page_views(contents, ("recent",)), _events(), active_tab=0)]
+        columns = rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["LogLevel", "Body"])
+        events = rrb.TextLogView(origin="/events", name="All events", columns=columns)
+        rows += [_decisions(contents), rrb.Tabs(*_page_views(contents, ("recent",)), events, active_tab=0)]
         shares += [contents.lanes_share, 0.9]
     return rrb.Horizontal(
         rrb.Vertical(*left, row_shares=[1.35, 1.0][: len(left)]),
@@ -100,7 +102,7 @@ def _overview(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
 
 
 def _planner(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
-    """The graphs large, the words, what the solvers and the stages did."""
+    """The graphs large, the pages, the solvers and the stage times."""
     rows, shares = _rows("planner", panels)
     words = rrb.Vertical(_pages(contents, ("why",)), _pages(contents, ("numbers",)), row_shares=[1.3, 1.0])
     right = rrb.Vertical(scene_behind(), *rows, _decisions(contents), row_shares=[2.0, *shares, contents.lanes_share])
@@ -110,7 +112,7 @@ def _planner(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
 
 
 def _control(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
-    """What was asked of the car, what it did, and how far off the plan it was, in two columns of curves."""
+    """The commands, what the car did, and how far off the plan it was, in two columns of curves."""
     rows, shares = _rows("control", panels)
     half = (len(rows) + 1) // 2
     columns = [
@@ -122,7 +124,7 @@ def _control(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
 
 
 def _scenes(bounds: FloatArray) -> rrb.Tabs:
-    """The same scene thrice: from behind the ego, from above it, and the whole map (without names)."""
+    """Three views of the scene: from behind the ego, from above it, and the whole map (without names)."""
     above = rrb.EyeControls3D(position=[22.0, 0.0, 58.0], look_target=[22.01, 0.0, 0.0], eye_up=[1.0, 0.0, 0.0])
     middle, span = bounds.mean(axis=0), np.ptp(bounds, axis=0)
     height = 0.75 * float(max(span[0], 1.6 * span[1], 40.0))
@@ -144,7 +146,7 @@ def scene_behind(name: str = "Scene", under: str = "") -> rrb.Spatial3DView:
 
 
 def _scene(name: str, origin: str, contents: list[str], eye: rrb.EyeControls3D, under: str = "") -> rrb.Spatial3DView:
-    """A view of the scene; the driven path is shown from its begin to the cursor, what was removed is hidden."""
+    """A view of the scene; the driven path is shown up to the cursor, removed tracks are hidden."""
     begin, cursor = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
     driven = rrb.VisibleTimeRanges(
         [rrb.VisibleTimeRange(timeline, start=begin, end=cursor) for timeline in (SIM_TIME, FRAME)]
@@ -173,7 +175,7 @@ def graph_view(name: str, origin: str, entity: str) -> rrb.Spatial2DView:
 
 
 def _rows(layout: str, panels: Mapping[str, Panel]) -> tuple[list[rrb.Container | rrb.View], list[float]]:
-    """The rows of curves of a layout that have something to show, and their shares."""
+    """The rows of curves of a layout that have a panel, and their shares."""
     found = [([plot(panels[name]) for name in names if name in panels], share) for names, share in ROWS[layout]]
     return (
         [rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0] for views, _ in found if views],
@@ -182,7 +184,7 @@ def _rows(layout: str, panels: Mapping[str, Panel]) -> tuple[list[rrb.Container 
 
 
 def _pages(contents: Contents, names: Sequence[str]) -> rrb.Container:
-    """Pages of words as tabs of one place; one that the recording does not have is left out."""
+    """Pages as tabs of one place, without those that the recording does not have."""
     return rrb.Tabs(*_page_views(contents, names) or _page_views(contents, ("summary",)), active_tab=0)
 
 
@@ -195,34 +197,12 @@ def _decisions(contents: Contents) -> rrb.Container:
 
 
 def state_view(name: str, lanes: Sequence[str], under: str = "") -> rrb.StateTimelineView:
-    """Lanes of states; `under`: where the recording's entities are ("/A")."""
+    """Rows of states; `under`: where the recording's entities are ("/A")."""
     shown = [f"{under}/{lane}" for lane in lanes]
     return rrb.StateTimelineView(origin=under or "/", contents=shown, name=name, time_view=time_axis())
 
 
 def lanes_beside_numbers(lanes: rrb.Container | rrb.View, under: str = "") -> rrb.Container:
-    """Lanes of states, which have no numbers on their left: room for these, so that their axis is the curves'."""
+    """Rows of states with an empty view on their left, so that their time axis is aligned with that of the curves."""
     room = rrb.TextDocumentView(origin=f"{under}/{ROOM}", name=" ", titlebar=False)
     return rrb.Horizontal(room, lanes, column_shares=[NUMBERS, 1.0 - NUMBERS])
-
-
-def _events() -> rrb.View:
-    columns = rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["LogLevel", "Body"])
-    return rrb.TextLogView(origin="/events", name="All events", columns=columns)
-
-
-def time_axis() -> rrb.TimeAxis:
-    """The one that all curves and lanes share."""
-    return rrb.TimeAxis(link="LinkToGlobal")
-
-
-def plot(panel: Panel, **more: Any) -> rrb.TimeSeriesView:
-    """A panel as a view; `more` where its curves are not those below its entity."""
-    return rrb.TimeSeriesView(
-        **{"origin": f"/{panel.entity}", **more},
-        name=panel.title,
-        axis_x=time_axis(),
-        axis_y=rrb.ScalarAxis(range=panel.y_range),
-        plot_legend=rrb.PlotLegend(corner=panel.corner),
-        interaction=rrb.PlotInteraction(tooltip_mode="All"),
-    )

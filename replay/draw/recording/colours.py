@@ -1,4 +1,4 @@
-"""The colours of a recording: packed 0xRRGGBBAA, readable on a dark and on a light ground.
+"""The colours of a recording: packed 0xRRGGBBAA, readable on a dark and on a light background.
 
 Contrast of two colours (WCAG 2.2), with the relative luminance L of sRGB:
 
@@ -39,7 +39,7 @@ MARKING = 0xB4B4B4FF
 OPPOSITE = 0xE6BE3CFF
 GOAL = 0x50D278FF
 WORDS_LUMINANCE = 0.22
-"""Of words, at most: a contrast of 3 (WCAG: least for large text) to the plates of the viewer, of 0.012 and 0.81."""
+"""The largest luminance of text: a contrast of 3 (WCAG: least for large text) to the plates, 0.012 and 0.81."""
 GAMMA = 2.2
 
 KINDS = {
@@ -68,7 +68,6 @@ STATUSES = {
     PlanStatus.HARD_STOP: 0xC83232FF,
     PlanStatus.REFUSED: 0x8C32C8FF,
 }
-SERIES = (0x4AB8F5FF, 0xE8AC30FF, 0xFF6E64FF, 0x78DC82FF, 0xC896FFFF, 0x50D2C8FF, 0xFF96C8FF, 0x9E9E9EFF)
 
 _RAMP_AT = np.array([0.0, 0.35, 0.65, 1.0])
 _COST_RAMP = np.array([[70, 110, 230], [40, 170, 170], [120, 205, 90], [255, 225, 60]], dtype=np.float64)
@@ -82,7 +81,7 @@ def luminance(colour: int) -> float:
 
 
 def of_words(colour: int) -> int:
-    """The colour, no lighter than words may be: of a label, whose plate is dark or light with the theme."""
+    """The colour for a label, whose plate is dark or light with the theme: no lighter than text may be."""
     share = min(1.0, (WORDS_LUMINANCE / max(luminance(colour), 1e-9)) ** (1.0 / GAMMA))
     red, green, blue = (round(share * ((colour >> shift) & 255)) for shift in (24, 16, 8))
     return (red << 24) | (green << 16) | (blue << 8) | (colour & 255)
@@ -94,7 +93,7 @@ def with_alpha(colour: int, alpha: int) -> int:
 
 
 def darker(colour: PackedArray) -> PackedArray:
-    """The colours at half their light, opaque: fills that overlap without getting denser."""
+    """The colours at half their brightness, opaque: overlapping fills do not get denser."""
     return ((colour >> np.uint32(1)) & np.uint32(0x7F7F7F00)) | np.uint32(255)
 
 
@@ -104,7 +103,7 @@ def _ramp(anchors: FloatArray, u: FloatArray) -> PackedArray:
 
 
 def of_cost(u: FloatArray) -> PackedArray:
-    """Blue (0, cheap) over green to yellow (1, dear)."""
+    """Blue (0, cheap) over green to yellow (1, expensive)."""
     return _ramp(_COST_RAMP, u)
 
 

@@ -1,8 +1,8 @@
-"""What the planner assumed of the others: their futures, and the others themselves as they were shown to it.
+"""The agents from the planner's point of view: their predictions, and their boxes as they were shown to it.
 
 world/predictions     the predicted path of each hypothesis, the likelier the brighter, to the horizon
-world/perceived       boxes as the planner was shown them, where these differ from the true ones
-world/sensor          how far the sensor sees, and the ground that is hidden from it
+world/perceived       boxes as they were shown to the planner, if they differ from the true ones
+world/sensor          the range of the sensor, and the ground that is hidden from it
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ from logs.kernel import FloatArray
 from logs.scenario import Agents
 from logs.trace import PlannedFrame, Trace
 from replay.draw.recording import colours
-from replay.draw.recording.attention import decided, in_full
-from replay.draw.recording.columns import Instants, Tape, joined, pixels, strips
-from replay.draw.recording.lane_choice import places
+from replay.draw.recording.scene import draw_frames
+from replay.draw.recording.states import places
+from replay.draw.recording.tape import Instants, Tape, joined, pixels, strips
 from replay.draw.recording.text import plain
-from replay.explain.shown import SAME_TIME_S, picked
+from replay.draw.scene import decided, in_full
+from replay.explain.planner_input import SAME_TIME_S, picked
 
 NEAR_M = 90.0
-"""Of agents farther from the ego than this no prediction is drawn, and it is not said that they are unseen."""
+"""For agents farther from the ego than this, neither predictions nor missing detections are shown."""
 SHORTEST_M = 0.5
-"""A predicted path shorter than this is that of somebody who stays."""
+"""A shorter predicted path is that of a standing agent."""
 SHADOW_STEP = 0.03
 """Angle between two lines of the hatching of hidden ground, rad."""
 ARC_STEP = 0.1
@@ -35,11 +36,15 @@ LOW, GHOST_HEIGHT = 0.06, 1.4
 
 
 def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
-    """All of the above, a row per frame; what a trace does not hold is left out."""
+    """All of the above that the trace holds, a row per frame."""
     if any(frame.predictions is not None for frame in trace.frames):
         _draw_predictions(tape, trace, frames)
     if trace.frames and (len(trace.agents) or trace.perceived is not None):
-        _draw_perceived(tape, trace, frames)
+        # with a sensor model: all agents that it showed; without: the agents that are carried on after their log ended
+        shown = [perceived_only(trace, float(t)) for t in frames.t]
+        labels = [plain(f"{tape.short(name)} as perceived") for some in shown for name in some.ids]
+        if labels:
+            draw_frames(tape, "world/perceived", shown, frames, GHOST_HEIGHT, labels, colours.PERCEIVED, 1.2)
     if any(frame.visibility is not None for frame in trace.frames):
         _draw_sensor(tape, trace.frames, frames)
 
@@ -53,7 +58,8 @@ def _draw_predictions(tape: Tape, trace: Trace, frames: Instants) -> None:
     for frame, (x, y) in zip(trace.frames, places(trace).tolist(), strict=True):
         drawn = futures(frame, x, y)
         lines += [line for _, _, line in drawn]
-        colour += [colours.with_alpha(colours.KINDS[kinds[name]], _alpha(p)) for name, p, _ in drawn]
+        for name, p, _ in drawn:  # visible however unlikely
+            colour.append(colours.with_alpha(colours.KINDS[kinds[name]], round(50 + 150 * min(max(p, 0.0), 1.0))))
         counts.append(len(drawn))
     points, lengths = joined(lines, 2)
     tape.static("world/predictions", rr.LineStrips3D.from_fields(radii=[pixels(1.2)]))
@@ -65,7 +71,7 @@ def _draw_predictions(tape: Tape, trace: Trace, frames: Instants) -> None:
 
 
 def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, FloatArray]]:
-    """Agent, probability and path `(k, 2)` of each hypothesis that goes somewhere, of those who are drawn in full."""
+    """Agent, probability and path `(k, 2)` of each hypothesis that moves, for the agents that are drawn in full."""
     some = frame.predictions
     if some is None or not len(some) or not len(some.t):
         return []
@@ -82,44 +88,8 @@ def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, F
     ]
 
 
-def _place(trace: Trace, t: float) -> tuple[float, float]:
-    ego = trace.ego
-    return float(np.interp(t, ego.t, ego.x)), float(np.interp(t, ego.t, ego.y))
-
-
-def _alpha(probability: float) -> int:
-    """Opacity of a hypothesis: visible however unlikely."""
-    return round(50 + 150 * min(max(probability, 0.0), 1.0))
-
-
-def _draw_perceived(tape: Tape, trace: Trace, frames: Instants) -> None:
-    """Through a sensor: all that it showed. Without: those that are carried on after their log has ended."""
-    shown = [perceived_only(trace, float(t)) for t in frames.t]
-    counts = [len(some) for some in shown]
-    if not any(counts):
-        return
-    x, y, yaw, length, width = (
-        np.concatenate([getattr(some, name) for some in shown]) for name in ("x", "y", "yaw", "length", "width")
-    )
-    zero, height = np.zeros(len(x)), np.full(len(x), GHOST_HEIGHT)
-    boxes = rr.Boxes3D.columns(
-        centers=np.column_stack([x, y, 0.5 * height]),
-        half_sizes=0.5 * np.column_stack([length, width, height]),
-        quaternions=np.column_stack([zero, zero, np.sin(0.5 * yaw), np.cos(0.5 * yaw)]),
-        labels=[plain(f"{tape.short(name)} as perceived") for some in shown for name in some.ids],
-    )
-    style = rr.Boxes3D.from_fields(
-        colors=[colours.PERCEIVED],
-        fill_mode=rr.components.FillMode.MajorWireframe,
-        radii=[pixels(1.2)],
-        show_labels=False,
-    )
-    tape.static("world/perceived", style)
-    tape.rows("world/perceived", frames, boxes, counts)
-
-
 def perceived_only(trace: Trace, t: float) -> Agents:
-    """What the planner was shown in the frame at `t` and the true boxes do not show."""
+    """The agents that were shown to the planner in the frame at `t`, and are not drawn as true boxes."""
     if trace.perceived is None:
         known, there = trace.agents.perceived(t), set(trace.agents.ids_at(t))
         rows = np.array([i for i, name in enumerate(known.ids) if name not in there], dtype=np.int64)
@@ -130,17 +100,17 @@ def perceived_only(trace: Trace, t: float) -> Agents:
 
 
 def unseen(trace: Trace, t: float) -> list[tuple[str, float]]:
-    """Who was within `NEAR_M` of the ego in the frame at `t` but not shown to the planner, and how far away, m."""
+    """The agents within `NEAR_M` of the ego at `t` that were not shown to the planner, and their distances, m."""
     if trace.perceived is None:
         return []
-    there, shown, (x, y) = trace.agents.truth(t), set(perceived_only(trace, t).ids), _place(trace, t)
-    away = np.hypot(there.x - x, there.y - y)
+    there, shown, ego = trace.agents.truth(t), set(perceived_only(trace, t).ids), trace.ego
+    away = np.hypot(there.x - np.interp(t, ego.t, ego.x), there.y - np.interp(t, ego.t, ego.y))
     near = np.argsort(away, kind="stable")
     return [(there.ids[i], float(away[i])) for i in near if away[i] <= NEAR_M and there.ids[i] not in shown]
 
 
 def _draw_sensor(tape: Tape, planned: Sequence[PlannedFrame], frames: Instants) -> None:
-    """The edge of what is in range and in the field of view, and hatched what is hidden within it."""
+    """The rim of the sensor's range and field of view, and the hidden ground within it, hatched."""
     for entity, draw, colour in (("edge", rim, colours.SENSOR), ("hidden", hatching, colours.HIDDEN)):
         lines = [draw(frame.visibility) if frame.visibility is not None else [] for frame in planned]
         points, lengths = joined([line for some in lines for line in some], 2)
@@ -152,7 +122,7 @@ def _draw_sensor(tape: Tape, planned: Sequence[PlannedFrame], frames: Instants) 
 
 
 def rim(seen: Visibility) -> list[FloatArray]:
-    """The rim of the sensor's range within its field of view; with a side on each hand where that is not all round."""
+    """The rim of the sensor's range within its field of view; with two sides if that is less than all round."""
     half = min(0.5 * seen.field_of_view, pi)
     angles = seen.yaw + np.linspace(-half, half, 2 + ceil(2.0 * half / ARC_STEP))
     edge = np.column_stack([seen.x + seen.range * np.cos(angles), seen.y + seen.range * np.sin(angles)])
@@ -161,7 +131,7 @@ def rim(seen: Visibility) -> list[FloatArray]:
 
 
 def hatching(seen: Visibility) -> list[FloatArray]:
-    """Lines of sight behind those who hide the ground: from the shadow's near edge to the end of the range."""
+    """Lines of sight behind occluding agents: from the near edge of the shadow to the end of the range."""
     lines: list[FloatArray] = []
     for near_right, _, _, near_left in seen.shadows:
         right, left = (atan2(y - seen.y, x - seen.x) for x, y in (near_right, near_left))

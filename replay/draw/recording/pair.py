@@ -1,7 +1,7 @@
-"""Two drives of one log in one window: both scenes and graphs, their curves together, one cursor, and where they part.
+"""Two drives of one log in one window: both scenes and graphs, their curves together, and their first difference.
 
-The chunks of both recordings go under `A` and `B`; what is new are the curves of the difference, B minus A while both
-drive, and the page that says where they part (`replay.explain.first_difference`).
+The chunks of both recordings go under `A` and `B`; the curves of the difference (B minus A while both drive) and the
+page about the first difference (`replay.explain.first_difference`) are new.
 
 (1) gap   = sqrt((x_B - x_A)^2 + (y_B - y_A)^2)      between the reference points, m
 (2) v, a  = v_B - v_A, a_B - a_A                     m/s, m/s2
@@ -9,7 +9,7 @@ drive, and the page that says where they part (`replay.explain.first_difference`
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from hashlib import sha256
 from math import nan
 from pathlib import Path
@@ -17,19 +17,18 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from rerun.chunk import Chunk, RrdReader
+from rerun.chunk import RrdReader
 
 from logs.errors import ConfigError
 from logs.kernel import FloatArray
 from logs.trace import Trace
-from replay.draw.recording import colours
-from replay.draw.recording.blueprint import graph_view, lanes_beside_numbers, plot, scene_behind, state_view
-from replay.draw.recording.columns import SIM_TIME, Instants, Tape
-from replay.draw.recording.file import recording_file
-from replay.draw.recording.plots import Curve, Panel
+from replay.draw.curves import SERIES, Curve, Panel
+from replay.draw.recording.blueprint import graph_view, lanes_beside_numbers, scene_behind, state_view
+from replay.draw.recording.plots import plot
 from replay.draw.recording.states import LANES
+from replay.draw.recording.tape import SIM_TIME, Instants, recording_file
 from replay.draw.recording.text import MARKDOWN, cell, document
-from replay.explain.first_difference import Parting, parting
+from replay.explain.first_difference import first_difference
 
 SIDES = ("A", "B")
 SHADES = (0x5AC8FFFF, 0xFF963CFF)
@@ -42,7 +41,7 @@ DIFFERENCES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("B minus A", ("v", "a")),
 )
 APART_M = 0.5
-"""Drives farther apart than this are seen to be."""
+"""Drives that are farther apart than this look different."""
 MARK = 0xFF463CFF
 
 
@@ -62,9 +61,15 @@ def write_pair(path: Path, recordings: tuple[Path, Path], traces: tuple[Trace, T
     one, two = traces
     if one.scenario != two.scenario:
         raise ConfigError(f"two drives of one log are compared, not of {one.scenario} and {two.scenario}")
-    chunks = [list(_under(side, file)) for side, file in zip(SIDES, recordings, strict=True)]
+    chunks = [
+        [
+            chunk.with_entity_path(f"/{side}{chunk.entity_path}")
+            for chunk in RrdReader(str(file)).stream().to_chunks()
+            if not chunk.entity_path.startswith("/__properties")
+        ]
+        for side, file in zip(SIDES, recordings, strict=True)
+    ]
     t, values = difference(one, two)
-    where = parting(one, two)
     paths = {chunk.entity_path for some in chunks for chunk in some}
     digest = sha256("".join([*map(str, recordings), *names]).encode()).hexdigest()[:32]
     layout = _blueprint(paths, names, traces, t, values)
@@ -72,18 +77,23 @@ def write_pair(path: Path, recordings: tuple[Path, Path], traces: tuple[Trace, T
         for some in chunks:
             tape.stream.send_chunks(some)
         frames = np.array([frame.t for frame in one.frames]) if one.frames else t
-        _draw_difference(tape, Instants.among(t, frames), values)
-        _draw_parting(tape, where, _seen(t, values["gap"]), names, frames)
-
-
-def _under(side: str, file: Path) -> Iterator[Chunk]:
-    for chunk in RrdReader(str(file)).stream().to_chunks():
-        if not chunk.entity_path.startswith("/__properties"):
-            yield chunk.with_entity_path(f"/{side}{chunk.entity_path}")
+        instants = Instants.among(t, frames)
+        for (name, legend), colour in zip(LEGENDS.items(), SERIES, strict=False):
+            tape.static(f"difference/{name}", rr.SeriesLines(colors=[colour], names=[legend], widths=[1.5]))
+            tape.rows(f"difference/{name}", instants, rr.Scalars.columns(scalars=values[name]))
+        where = first_difference(one, two)
+        words = [f"- **{side}**: {cell(name)}" for side, name in zip(SIDES, names, strict=True)]
+        words += ["", f"**First difference: {cell(where.what)}**" if where else "The drives do not differ."]
+        words += ["", _describe_gap(t, values["gap"])]
+        tape.static("parting", rr.TextDocument(document(words), media_type=MARKDOWN))
+        if where is not None:  # a mark on the curves of the difference
+            style = rr.SeriesPoints(colors=[MARK], markers=["Diamond"], marker_sizes=[7.0], names=["first difference"])
+            tape.static("parts", style)
+            tape.rows("parts", Instants.among(np.array([where.t]), frames), rr.Scalars.columns(scalars=[0.0]))
 
 
 def difference(one: Trace, two: Trace) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Times `(n,)` of the longer drive and differences `(n,)` by name, NaN where only one drives: (1), (2)."""
+    """Times `(n,)` of the longer drive and differences `(n,)` by name, NaN after the end of the other: (1), (2)."""
     a, b = one.ego, two.ego
     t = a.t if a.t[-1] >= b.t[-1] else b.t
     first, second = (
@@ -93,29 +103,11 @@ def difference(one: Trace, two: Trace) -> tuple[FloatArray, dict[str, FloatArray
     return t, {"gap": np.hypot(apart["x"], apart["y"]), "v": apart["v"], "a": apart["a"]}
 
 
-def _draw_difference(tape: Tape, instants: Instants, values: dict[str, FloatArray]) -> None:
-    for (name, legend), colour in zip(LEGENDS.items(), colours.SERIES, strict=False):
-        tape.static(f"difference/{name}", rr.SeriesLines(colors=[colour], names=[legend], widths=[1.5]))
-        tape.rows(f"difference/{name}", instants, rr.Scalars.columns(scalars=values[name]))
-
-
-def _seen(t: FloatArray, gap: FloatArray) -> str:
-    """From when on they are seen to be apart."""
+def _describe_gap(t: FloatArray, gap: FloatArray) -> str:
     far = np.flatnonzero(gap > APART_M)
     if not len(far):
-        return f"They are never more than {APART_M:g} m apart."
-    return f"They are more than {APART_M:g} m apart from t = {t[far[0]]:.2f} s on, at most {np.nanmax(gap):.1f} m."
-
-
-def _draw_parting(tape: Tape, where: Parting | None, seen: str, names: tuple[str, str], frames: FloatArray) -> None:
-    """The page, and a mark on the curves of the difference."""
-    lines = [f"- **{side}**: {cell(name)}" for side, name in zip(SIDES, names, strict=True)]
-    said = "They do not part." if where is None else f"**They part at {cell(where.what)}**"
-    tape.static("parting", rr.TextDocument(document([*lines, "", said, "", seen]), media_type=MARKDOWN))
-    if where is not None:
-        style = rr.SeriesPoints(colors=[MARK], markers=["Diamond"], marker_sizes=[7.0], names=["they part"])
-        tape.static("parts", style)
-        tape.rows("parts", Instants.among(np.array([where.t]), frames), rr.Scalars.columns(scalars=[0.0]))
+        return f"The egos are never more than {APART_M:g} m apart."
+    return f"The egos are more than {APART_M:g} m apart from t = {t[far[0]]:.2f} s on, at most {np.nanmax(gap):.1f} m."
 
 
 def _blueprint(
@@ -123,17 +115,27 @@ def _blueprint(
 ) -> rrb.Blueprint:
     """Scenes and graphs of both side by side on the left, words and curves on the right."""
     scenes = [scene_behind(f"{side}: {name}", f"/{side}") for side, name in zip(SIDES, names, strict=True)]
-    left: list[rrb.Container | rrb.View] = [rrb.Horizontal(*scenes), *_tabs(_graphs(paths))]
+    graphs = [  # a tab for each kind of graph that both have
+        rrb.Horizontal(
+            *(graph_view(f"{side}: {title}", f"/{side}/graphs", f"/{side}/graphs/{name}") for side in SIDES), name=title
+        )
+        for name, title in GRAPHS
+        if all(any(path.startswith(f"/{side}/graphs/{name}") for path in paths) for side in SIDES)
+    ]
+    left: list[rrb.Container | rrb.View] = [rrb.Horizontal(*scenes), *_tabs(graphs)]
     pages = [rrb.TextDocumentView(origin=f"/{side}/why", name=f"{side}: why") for side in SIDES]
-    said = rrb.Tabs(rrb.TextDocumentView(origin="/parting", name="Where they part"), *pages, active_tab=0)
+    words = rrb.Tabs(rrb.TextDocumentView(origin="/parting", name="First difference"), *pages, active_tab=0)
     states = [
         state_view(f"{side}: decisions and status", there, f"/{side}")
         for side in SIDES
         if (there := [lane for lane in LANES if f"/{side}/{lane}" in paths])
     ]
-    curves = [_curves(panel, paths) for panel in _panels(traces)]
-    apart = [_difference(title, shown, t, values) for title, shown in DIFFERENCES]
-    right = [said, *_tabs(curves), *_tabs(apart), *(lanes_beside_numbers(part, "/A") for part in _tabs(states))]
+    curves = [_ego_curves(name, title, column, least, paths, traces) for name, title, column, least in CURVES]
+    apart = []
+    for title, shown in DIFFERENCES:
+        panel = Panel("difference", title, tuple(Curve(one, LEGENDS[one], t, values[one]) for one in shown), 1.0)
+        apart.append(plot(panel, origin="/", contents=[*(f"/difference/{one}" for one in shown), "/parts"]))
+    right = [words, *_tabs(curves), *_tabs(apart), *(lanes_beside_numbers(part, "/A") for part in _tabs(states))]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(*left, row_shares=[1.35, 1.0][: len(left)]),
@@ -153,42 +155,16 @@ def _tabs(views: Sequence[rrb.Container | rrb.View]) -> list[rrb.Container]:
     return [rrb.Tabs(*views, active_tab=0)] if views else []
 
 
-def _graphs(paths: set[str]) -> list[rrb.Container]:
-    """A tab for each kind of graph that both have."""
-    return [
-        rrb.Horizontal(
-            *(graph_view(f"{side}: {title}", f"/{side}/graphs", f"/{side}/graphs/{name}") for side in SIDES), name=title
-        )
-        for name, title in GRAPHS
-        if all(any(path.startswith(f"/{side}/graphs/{name}") for path in paths) for side in SIDES)
-    ]
-
-
-def _panels(traces: tuple[Trace, Trace]) -> list[Panel]:
-    """The ego's curves of both, for their axes and legends; they are in the recordings already."""
-    return [
-        Panel(
-            f"plots/{name}",
-            title,
-            tuple(
-                Curve(side, side, shade, trace.ego.t, getattr(trace.ego, column))
-                for side, shade, trace in zip(SIDES, SHADES, traces, strict=True)
-            ),
-            span,
-        )
-        for name, title, column, span in CURVES
-    ]
-
-
-def _curves(panel: Panel, paths: set[str]) -> rrb.View:
-    """The ego's curve of both."""
-    shown = {f"/{side}/{panel.entity}/ego": (side, shade) for side, shade in zip(SIDES, SHADES, strict=True)}
-    there = {path: rr.SeriesLines(names=[side], colors=[c]) for path, (side, c) in shown.items() if path in paths}
-    return plot(panel, origin="/", contents=list(there), overrides=there)
-
-
-def _difference(title: str, names: Sequence[str], t: FloatArray, values: dict[str, FloatArray]) -> rrb.View:
-    """The curves of the difference that share an axis."""
-    curves = tuple(Curve(name, LEGENDS[name], MARK, t, values[name]) for name in names)
-    entities = [*(f"/difference/{name}" for name in names), "/parts"]
-    return plot(Panel("difference", title, curves, 1.0), origin="/", contents=entities)
+def _ego_curves(
+    name: str, title: str, column: str, least: float, paths: set[str], traces: tuple[Trace, Trace]
+) -> rrb.View:
+    """A curve of both egos; it is in the recordings already."""
+    curves = tuple(
+        Curve(side, side, trace.ego.t, getattr(trace.ego, column)) for side, trace in zip(SIDES, traces, strict=True)
+    )
+    there = {
+        path: rr.SeriesLines(names=[side], colors=[shade])
+        for side, shade in zip(SIDES, SHADES, strict=True)
+        if (path := f"/{side}/plots/{name}/ego") in paths
+    }
+    return plot(Panel(name, title, curves, least), origin="/", contents=list(there), overrides=there)

@@ -1,4 +1,4 @@
-"""The road, its rules, the goal and the logged path: what stands still, written once; and the lights as they change."""
+"""The road, its rules and the goal, written once; and the lights as they change."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from logs.road import Lane, Road, inside
 from logs.rules import Colour
 from logs.scenario import Scenario
 from replay.draw.recording import colours
-from replay.draw.recording.columns import Instants, Tape, joined, strips
 from replay.draw.recording.hatch import Window, strokes
+from replay.draw.recording.tape import Instants, Tape, joined, strips
 
 DASH_M, GAP_M = 3.0, 6.0
 BESIDE_M = 0.3
-"""How far beside a boundary another lane is looked for."""
+"""Distance beside a boundary at which another lane is looked for."""
 LIGHTS = {
     Colour.RED: 0xFF4B3CFF,
     Colour.RED_YELLOW: 0xFF963CFF,
@@ -28,7 +28,7 @@ LIGHTS = {
 STOP_SIGN = 0xFF6E64FF
 LAMP_M, LAMP_HEIGHT_M = 0.45, 1.2
 GOAL_NAME_M = 8.0
-"""At this height a name is over its region, as seen from behind the ego."""
+"""Height at which a name is above its region, as seen from behind the ego."""
 
 
 def at_height(points: FloatArray, z: float) -> FloatArray:
@@ -37,7 +37,7 @@ def at_height(points: FloatArray, z: float) -> FloatArray:
 
 
 def draw_lines(tape: Tape, entity: str, lines: Sequence[FloatArray], colour: int, radius: float, z: float) -> None:
-    """Polylines `(n, 2)`, always there."""
+    """Static polylines `(n, 2)`."""
     if not lines:
         return
     points, lengths = joined(lines, 2)
@@ -58,9 +58,9 @@ def dashes(line: FloatArray) -> list[FloatArray]:
 
 
 def draw_road(tape: Tape, road: Road) -> None:
-    """Surfaces, edges (white), markings between lanes (broken where they may be crossed), lines to opposite lanes.
+    """Surfaces, edges (white), markings between lanes (broken if they may be crossed), lines to opposite lanes.
 
-    Where lanes overlap, as in a junction, their edges are no edges of the road: they are drawn faint.
+    If lanes overlap, as in a junction, their edges are no edges of the road: they are drawn faint.
     """
     lanes = tuple(road.lanes.values())
     for entity, some, colour, z in (
@@ -94,9 +94,9 @@ def _draw_rules(tape: Tape, road: Road) -> None:
 
 
 def draw_lights(tape: Tape, scenario: Scenario, instants: Instants) -> None:
-    """The lights as lamps over the middles of their stop lines, in the colours that they show; grey: not known, or off.
+    """The lights as lamps above the middles of their stop lines, in their colours; grey: unknown, or off.
 
-    A row is written where a colour changes.
+    A row is written when a colour changes.
     """
     lines = [line for line in scenario.road.stop_lines if line.light is not None]
     if not lines or not len(instants):
@@ -115,7 +115,7 @@ def draw_lights(tape: Tape, scenario: Scenario, instants: Instants) -> None:
 
 
 def _markings(lane: Lane, road: Road) -> Iterator[tuple[str, FloatArray]]:
-    """The left boundary of a lane where another lane lies beside it; the right one is the neighbour's left."""
+    """The left boundary of a lane if there is another lane beside it; the right one is the neighbour's left."""
     line = dashes(lane.left) if lane.left_crossable else [lane.left]
     if lane.left_opposite:
         yield from (("opposite", piece) for piece in line)
@@ -124,7 +124,7 @@ def _markings(lane: Lane, road: Road) -> Iterator[tuple[str, FloatArray]]:
 
 
 def _edges(lanes: Sequence[Lane], road: Road) -> Iterator[tuple[bool, FloatArray]]:
-    """The boundaries without a lane beside them, in pieces, and whether a piece lies on another of the lanes."""
+    """The boundaries without a lane beside them, in pieces, and whether a piece lies on another lane."""
     sides = [
         (owner, line, side)
         for owner, lane in enumerate(lanes)
@@ -136,7 +136,12 @@ def _edges(lanes: Sequence[Lane], road: Road) -> Iterator[tuple[bool, FloatArray
     ]
     if not sides:
         return
-    outside = [_beside(line, side * BESIDE_M) for _, line, side in sides]
+    outside = []
+    for _, line, side in sides:
+        along = np.diff(line, axis=0)
+        length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
+        normal = np.column_stack([-along[:, 1], along[:, 0]]) / length[:, None]
+        outside.append(0.5 * (line[:-1] + line[1:]) + side * BESIDE_M * normal)
     corners, lengths = joined([lane.polygon for lane in lanes], 2)
     boxes = np.array([[*lane.polygon.min(axis=0), *lane.polygon.max(axis=0)] for lane in lanes])
     owner = np.repeat([owner for owner, _, _ in sides], [len(points) for points in outside])
@@ -148,14 +153,6 @@ def _edges(lanes: Sequence[Lane], road: Road) -> Iterator[tuple[bool, FloatArray
         cuts = np.flatnonzero(np.diff(mask)) + 1
         for start, stop in zip(np.r_[0, cuts], np.r_[cuts, len(mask)], strict=True):
             yield bool(mask[start]), line[start : stop + 1]
-
-
-def _beside(line: FloatArray, left: float) -> FloatArray:
-    """The middles `(n - 1, 2)` of a polyline's segments, moved to the left by so many metres."""
-    along = np.diff(line, axis=0)
-    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
-    normal = np.column_stack([-along[:, 1], along[:, 0]]) / length[:, None]
-    return np.asarray(0.5 * (line[:-1] + line[1:]) + left * normal, dtype=np.float64)
 
 
 @kernel

@@ -1,7 +1,7 @@
 """The scene: ego, agents, plan and log over time, in the world frame.
 
-The camera follows by itself: a view whose origin is the entity `world/ego` moves with it. Agents are drawn as they were
-(`Tracks.truth`), the ego as it drove. Heights are not in a log: a kind has a typical one.
+The camera follows without help: a view whose origin is the entity `world/ego` moves with it. Agents are drawn at their
+true positions (`Tracks.truth`), the ego as it drove. Logs have no heights: each kind has a typical one.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from math import cos, hypot, sin
 import numpy as np
 import rerun as rr
 
-from logs.kernel import BoolArray, FloatArray, IntArray
-from logs.scenario import AgentKind, Agents, Scenario, Tracks
+from logs.kernel import FloatArray, IntArray
+from logs.scenario import AgentKind, Agents, Scenario
 from logs.states import Trajectory
 from logs.trace import Decision, Plan, Trace
 from logs.vehicle import VehicleParameters
 from replay.draw.recording import colours
-from replay.draw.recording.attention import decided, in_full
-from replay.draw.recording.columns import REMOVED, Instants, Tape, joined, pixels, strips
 from replay.draw.recording.road import at_height, draw_goal, draw_lights, draw_lines, draw_road
+from replay.draw.recording.tape import REMOVED, Instants, Tape, joined, pixels, strips
 from replay.draw.recording.text import plain
+from replay.draw.scene import decided, in_full, plan_seconds
 
 HEIGHTS = {
     AgentKind.CAR: 1.5,
@@ -34,11 +34,12 @@ HEIGHTS = {
 }
 EGO_HEIGHT = 1.4
 FAINT = 60
-"""Opacity of those who are not drawn in full, of 255."""
+"""Opacity of agents that are not drawn in full, of 255."""
 LABEL_M, EYE_BACK_M, LABEL_RISE = 2.7, 18.0, 0.03
-"""A label's height from above; how far behind the ego the eye is; by how much a name is raised per metre from there."""
+"""Height of a label from above; distance of the eye behind the ego; rise of a name per metre from the eye."""
 PLAN_POINTS = 60
 FILLED = rr.components.FillMode.TransparentFillMajorWireframe
+FRAME_ONLY = rr.components.FillMode.MajorWireframe
 
 
 def quaternions(yaw: FloatArray) -> FloatArray:
@@ -48,7 +49,7 @@ def quaternions(yaw: FloatArray) -> FloatArray:
 
 
 def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -> None:
-    """Road, goal, lights, ego and log; the others and the plans: `draw_moving`."""
+    """Road, goal, lights, ego and log; agents and plans are drawn by `draw_moving`."""
     draw_road(tape, scenario.road)
     draw_goal(tape, scenario)
     draw_lights(tape, scenario, instants)
@@ -57,21 +58,23 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants)
     if trace.ego is not scenario.ego and len(scenario.ego) > 1:
         _draw_log(tape, trace, scenario, instants)
     if scenario.repair is not None and len(scenario.repair.removed):
-        _draw_removed(tape, scenario.repair.removed, instants)
+        shown = [scenario.repair.removed.perceived(float(t)) for t in instants.t]  # hidden by the blueprint at first
+        labels = [plain(name) for some in shown for name in some.ids]
+        draw_frames(tape, REMOVED, shown, instants, EGO_HEIGHT, labels, colours.REMOVED, 0.8)
 
 
 def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants: Instants, frames: Instants) -> None:
-    """The others at some instants, and the plans of some frames, those in force at the instants: `trace.frames`.
+    """The agents at some instants, and the plans of some frames, which are in force then: `trace.frames`.
 
-    `kinds` are those of all road users of the drive.
+    `kinds` are the kinds of all agents of the drive.
     """
     agents = [trace.agents.truth(float(t)) for t in instants.t]
     plans = [frame.plan for frame in trace.frames]
-    here = _decided_at(plans, instants, int(frames.frame[0]) if plans else 0)
+    about = [decided(plan) for plan in plans] or [{}]
+    begin = int(frames.frame[0]) if plans else 0
+    here = [about[min(int(frame) - begin, len(about) - 1)] for frame in instants.frame]
     xy, yaw = _resampled(trace.ego, instants.t)
-    full = [
-        in_full(some.ids, some.x, some.y, about, (x, y)) for some, about, (x, y) in zip(agents, here, xy, strict=True)
-    ]
+    full = [in_full(some.ids, some.x, some.y, now, (x, y)) for some, now, (x, y) in zip(agents, here, xy, strict=True)]
     for kind in AgentKind:
         if kind in kinds:
             _draw_kind(tape, kind, agents, full, instants)
@@ -112,7 +115,7 @@ def _draw_driven(tape: Tape, ego: Trajectory, instants: Instants) -> None:
 
 
 def _draw_log(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -> None:
-    """The logged ego: its path, and in closed loop its box as a ghost for as long as the log lasts."""
+    """The logged ego: its path, and in closed loop its box as a ghost until the end of the log."""
     log, vehicle = scenario.ego, scenario.vehicle
     path = np.column_stack([log.x, log.y])
     draw_lines(tape, "world/log/path", [path], colours.GHOST, 0.05, 0.02)
@@ -122,53 +125,39 @@ def _draw_log(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) 
     xy, yaw = _resampled(log, instants.t[there])
     center = xy + vehicle.axle_to_center * np.column_stack([np.cos(yaw), np.sin(yaw)])
     half = np.tile([vehicle.length / 2.0, vehicle.width / 2.0, EGO_HEIGHT / 2.0], (len(xy), 1))
-    style = rr.Boxes3D.from_fields(
-        colors=[colours.GHOST],
-        labels=["log"],
-        show_labels=False,
-        fill_mode=rr.components.FillMode.MajorWireframe,
-        radii=[pixels(0.8)],
-    )
-    tape.static("world/log/ego", style)
     boxes = rr.Boxes3D.columns(
         centers=at_height(center, EGO_HEIGHT / 2.0), half_sizes=half, quaternions=quaternions(yaw)
     )
+    style = rr.Boxes3D.from_fields(
+        colors=[colours.GHOST], labels=["log"], show_labels=False, fill_mode=FRAME_ONLY, radii=[pixels(0.8)]
+    )
+    tape.static("world/log/ego", style)
     tape.rows("world/log/ego", instants, boxes, there.astype(np.int64))
 
 
-def _draw_removed(tape: Tape, removed: Tracks, instants: Instants) -> None:
-    """The tracks that a repair removed, while each is valid; the blueprint hides them at first."""
-    shown = [removed.perceived(float(t)) for t in instants.t]
+def draw_frames(
+    tape: Tape, entity: str, shown: Sequence[Agents], instants: Instants, height: float, labels: Sequence[str],
+    colour: int, wide: float,
+) -> None:  # fmt: skip
+    """Wireframe boxes of agents at instants, `wide` pixels; their labels are visible on hover."""
     x, y, yaw, length, width = (
         np.concatenate([getattr(some, name) for some in shown]) for name in ("x", "y", "yaw", "length", "width")
     )
-    style = rr.Boxes3D.from_fields(
-        colors=[colours.REMOVED],
-        fill_mode=rr.components.FillMode.MajorWireframe,
-        radii=[pixels(0.8)],
-        show_labels=False,
-    )
-    half = 0.5 * np.column_stack([length, width, np.full(len(x), EGO_HEIGHT)])
     boxes = rr.Boxes3D.columns(
-        centers=at_height(np.column_stack([x, y]), EGO_HEIGHT / 2.0),
-        half_sizes=half,
+        centers=at_height(np.column_stack([x, y]), height / 2.0),
+        half_sizes=0.5 * np.column_stack([length, width, np.full(len(x), height)]),
         quaternions=quaternions(yaw),
-        labels=[plain(name) for some in shown for name in some.ids],
+        labels=labels,
     )
-    tape.static(REMOVED, style)
-    tape.rows(REMOVED, instants, boxes, [len(some) for some in shown])
-
-
-def _decided_at(plans: Sequence[Plan], instants: Instants, begin: int) -> list[dict[str, Decision]]:
-    """What the plan in force at each instant decides about each agent; `begin` is the frame of the first plan."""
-    each = [decided(plan) for plan in plans] or [{}]
-    return [each[min(int(frame) - begin, len(each) - 1)] for frame in instants.frame]
+    style = rr.Boxes3D.from_fields(colors=[colour], fill_mode=FRAME_ONLY, radii=[pixels(wide)], show_labels=False)
+    tape.static(entity, style)
+    tape.rows(entity, instants, boxes, [len(some) for some in shown])
 
 
 def _draw_kind(
     tape: Tape, kind: AgentKind, agents: Sequence[Agents], full: Sequence[IntArray], instants: Instants
 ) -> None:
-    """Boxes of one kind of agent, faint of those who are not drawn in full; their ids show when they are pointed at."""
+    """Boxes of one kind of agent, faint if they are not drawn in full; their ids are visible on hover."""
     chosen = [np.array([i for i, k in enumerate(some.kinds) if k is kind], dtype=np.int64) for some in agents]
     xy, length, width, yaw = (
         np.concatenate([column[at] for column, at in zip(columns, chosen, strict=True)])
@@ -183,29 +172,17 @@ def _draw_kind(
     half = np.column_stack([length, width, np.full(len(xy), height)]) / 2.0
     names = {name: plain(tape.short(name)) for name in {name for some in agents for name in some.ids}}
     labels = [names[some.ids[i]] for some, at in zip(agents, chosen, strict=True) for i in at]
-    seen = np.concatenate([_marked(some, len(all_))[at] for at, some, all_ in zip(chosen, full, agents, strict=True)])
+    seen = np.concatenate([np.isin(at, rows) for at, rows in zip(chosen, full, strict=True)])
     colour = np.where(seen, colours.KINDS[kind], colours.with_alpha(colours.KINDS[kind], FAINT)).astype(np.uint32)
-    style = rr.Boxes3D.from_fields(fill_mode=FILLED, show_labels=False)
     boxes = rr.Boxes3D.columns(
-        centers=at_height(xy, height / 2.0),
-        half_sizes=half,
-        quaternions=quaternions(yaw),
-        labels=labels,
-        colors=colour,
+        centers=at_height(xy, height / 2.0), half_sizes=half, quaternions=quaternions(yaw), labels=labels, colors=colour
     )
-    tape.static(f"world/agents/{kind.value}", style)
+    tape.static(f"world/agents/{kind.value}", rr.Boxes3D.from_fields(fill_mode=FILLED, show_labels=False))
     tape.rows(f"world/agents/{kind.value}", instants, boxes, [len(at) for at in chosen])
 
 
-def _marked(rows: IntArray, count: int) -> BoolArray:
-    """Which of so many are among the rows."""
-    out = np.zeros(count, np.bool_)
-    out[rows] = True
-    return out
-
-
 def _draw_velocities(tape: Tape, agents: Sequence[Agents], full: Sequence[IntArray], instants: Instants) -> None:
-    """Where each moving agent that is drawn in full will be in a second at its velocity."""
+    """The velocity of each moving agent that is drawn in full, as its displacement in one second."""
     moving = [at[np.nan_to_num(some.speed)[at] > 0.3] for some, at in zip(agents, full, strict=True)]
     starts, counts = joined([np.column_stack([some.x, some.y])[at] for some, at in zip(agents, moving, strict=True)], 2)
     vectors, _ = joined([np.column_stack([some.vx, some.vy])[at] for some, at in zip(agents, moving, strict=True)], 2)
@@ -216,9 +193,9 @@ def _draw_velocities(tape: Tape, agents: Sequence[Agents], full: Sequence[IntArr
 
 
 def _beyond(some: Agents, i: int, eye: Sequence[float]) -> tuple[float, float, float]:
-    """Where the name of an agent goes, so that it hides no part of them: beyond them as the ego sees them.
+    """The position of an agent's name, where it hides no part of them: beyond them, as seen from the ego.
 
-    A label hangs below its point, so that is by its height, as seen from above and from behind the ego.
+    A label hangs below its point: the point is raised by its height, as seen from above and from behind the ego.
     """
     x, y, yaw = eye
     turn = float(some.yaw[i]) - yaw
@@ -263,8 +240,7 @@ def _draw_plans(tape: Tape, plans: Sequence[Plan], frames: Instants, fastest: fl
         xy = np.column_stack([path.x[at], path.y[at]])
         lines.append(np.stack([xy[:-1], xy[1:]], axis=1))
         speeds.append(0.5 * (path.v[at][:-1] + path.v[at][1:]))
-        seconds = np.arange(path.t[0] + 1.0, path.t[-1] + 1e-6, 1.0)
-        dots.append(_resampled(path, seconds)[0])
+        dots.append(plan_seconds(plan))
     pieces = np.concatenate(lines)
     colour = colours.of_speed(np.concatenate(speeds) / fastest)
     drawn = strips(at_height(pieces.reshape(-1, 2), 0.12), np.full(len(pieces), 2))

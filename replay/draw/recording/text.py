@@ -1,7 +1,7 @@
-"""Words for the viewer: a text that its font can draw, and entity paths from users' words.
+"""Text for the viewer: only characters that its font can draw, and entity paths from names of users.
 
-A glyph that the viewer's font lacks ends the headless viewer, so every text goes through `plain` (one line),
-`cell` (one line inside Markdown) or `document` (Markdown of ours). Names of scenarios, agents, stages come from users.
+A glyph that the viewer's font lacks terminates the headless viewer, so every text goes through `plain` (one line),
+`cell` (one line inside Markdown) or `document` (our own Markdown). Many names come from users.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ _MARKDOWN = str.maketrans({mark: f"\\{mark}" for mark in "\\`*_[]<>|#~"})
 
 
 def plain(text: object) -> str:
-    """One line of drawable characters: white space becomes a space, what cannot be drawn "?"."""
+    """One line of drawable characters: white space becomes a space, any other character "?"."""
     composed = unicodedata.normalize("NFC", " ".join(str(text).split()))
     return _drawable(composed)
 
 
 def cell(text: object) -> str:
-    """One line to be put into Markdown: marks that Markdown would read are escaped."""
+    """One line inside Markdown: special characters of Markdown are escaped."""
     return plain(text).translate(_MARKDOWN)
 
 
 def document(lines: Iterable[str]) -> str:
-    """Markdown of lines of ours, each drawable; a user's words in them must have come through `cell`."""
+    """Our own Markdown, made drawable; names of users in it must have been escaped by `cell`."""
     return "\n".join(map(_drawable, lines))
 
 
@@ -43,11 +43,11 @@ def _drawable(text: str) -> str:
 
 
 class Marked(str):
-    """A cell of a table that is Markdown of ours."""
+    """A cell of a table that is our own Markdown."""
 
 
 def link(words: object, file: Path) -> Marked:
-    """Words that open a recording where they are clicked; the words alone where its path cannot be drawn."""
+    """A link that opens a recording; the words alone if its path cannot be drawn."""
     path = file.as_posix()
     can = DRAWABLE.issuperset(path) and not set("<>|\\") & set(path)
     return Marked(f"[{cell(words)}](<{path}>)" if can else cell(words))
@@ -63,7 +63,7 @@ def table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
 
 
 def path_parts(words: Iterable[str]) -> dict[str, str]:
-    """An escaped entity path part for each distinct word; different words never share one."""
+    """An escaped part of an entity path for each distinct word; different words never share one."""
     parts: dict[str, str] = {}
     for word in words:
         if word not in parts:
@@ -81,5 +81,5 @@ def field_name(word: str) -> str:
 
 
 def application_name(words: str) -> str:
-    """Words as the name under which the viewer keeps a layout: it allows few characters, and not many of them."""
+    """The name under which the viewer stores a layout: at most 100 characters of a small set."""
     return "".join(mark if mark.isascii() and (mark.isalnum() or mark in " _-") else "-" for mark in words)[:100]

@@ -1,6 +1,6 @@
-"""A comparison for a terminal: are the inputs the same, what flipped, where is it worse and better, where drives part.
+"""A comparison for a terminal: differing inputs, flips, what got worse and better, first differences of drives.
 
-Plain letters only, as `replay.draw.report.terminal`.
+ASCII only, as `replay.draw.report.terminal`.
 """
 
 from __future__ import annotations
@@ -11,29 +11,28 @@ from math import isfinite
 from typing import Any
 
 import pandas as pd
-from rich import box
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
-from rich.table import Table
 from rich.text import Text
 
 from logs.words import counted
 from metrics.compare import DRIVE, Comparison
 from metrics.judge.gates import Outcome
+from replay.draw.report.console import grid, titled
 
 MOST_FLIPS, MOST_PAIRS, MOST_GROUPS, MOST_LINES = 20, 8, 14, 10
-"""More are counted and not shown; --json has all."""
+"""Further rows are only counted; --json has all."""
 OUTCOMES = {0: "pass", 1: "fail", 4: "inconclusive"}
 STYLES = {"pass": "green", "fail": "bold red", "inconclusive": "yellow"}
 
 Watch = Callable[[str, str, str], str]
-"""Log, planner and mode to the command that shows the drive; "" where it is not at hand."""
+"""Log, planner and mode to the command that shows the drive; "" if it is not available."""
 
 
 def print_comparison(
     comparison: Comparison, console: Console, watch: Watch = lambda log, planner, mode: "", *, alone: bool = True
 ) -> None:
-    """The whole comparison; its exit code where it is the command's (`alone`), and not a part of it."""
+    """The whole comparison; with the exit code if it is that of the command (`alone`)."""
     console.print(Group(*_parts(comparison, watch, alone=alone)))
 
 
@@ -58,7 +57,7 @@ def _rows(table: pd.DataFrame) -> Iterator[Any]:
 
 
 def _with_planners(comparison: Comparison) -> Comparison:
-    """Where there are several planners, each log and group with its planner behind it."""
+    """If there are several planners, each log and group is followed by its planner."""
     if comparison.pairs["planner"].nunique() < 2:
         return comparison
     pairs, flips, groups, partings = (
@@ -72,16 +71,7 @@ def _with_planners(comparison: Comparison) -> Comparison:
 
 
 def _titled(title: str, *parts: RenderableType) -> Iterator[RenderableType]:
-    yield Text(title, style="bold underline")
-    yield from (Padding(part, (0, 0, 0, 2)) if isinstance(part, Text) else part for part in parts)
-    yield Text()
-
-
-def _grid(*columns: str, right: Sequence[str] = ()) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-    for title in columns:
-        table.add_column(title, overflow="fold", justify="right" if title in right else "left")
-    return table
+    return titled(title, *(Padding(part, (0, 0, 0, 2)) if isinstance(part, Text) else part for part in parts))
 
 
 def _inputs(comparison: Comparison) -> Iterator[RenderableType]:
@@ -100,11 +90,11 @@ def _listed(lines: Sequence[str]) -> list[Text]:
 def _flips(comparison: Comparison) -> Iterator[RenderableType]:
     flips = comparison.flips
     if flips.empty:
-        yield from _titled("Flips", Text("none: each gate says of each log what it said"))
+        yield from _titled("Flips", Text("none: no verdict changed"))
         return
     rank = 2 - 2 * (flips["after"] == "fail") - (flips["before"] == "fail")
     order = rank.sort_values(kind="stable").index
-    table = _grid("log", "loop", "gate", "before", "after", "value", "at")
+    table = grid("log", "loop", "gate", "before", "after", "value", "at")
     for row in _rows(flips.loc[order].head(MOST_FLIPS)):
         after = Text(
             f"{row.after}{' (marginal)' if row.marginal and row.after == 'fail' else ''}",
@@ -120,7 +110,7 @@ def _flips(comparison: Comparison) -> Iterator[RenderableType]:
 def _extremes(title: str, pairs: pd.DataFrame, command: str) -> Iterator[RenderableType]:
     if pairs.empty:
         return
-    table = _grid("log", "loop", "metric", "before -> after", "at", "about")
+    table = grid("log", "loop", "metric", "before -> after", "at", "about")
     for row in _rows(pairs):
         values = f"{_number(row.baseline)} -> {_number(row.candidate)}{_unit(row.unit)}"
         table.add_row(Text(row.log), row.mode, Text(row.metric), values, _time(row.time_s), Text(row.reason))
@@ -128,9 +118,9 @@ def _extremes(title: str, pairs: pd.DataFrame, command: str) -> Iterator[Rendera
 
 
 def _groups(comparison: Comparison) -> Iterator[RenderableType]:
-    """Metrics that a gate asks of or that clearly changed, over the suite, and over parts of it where they clearly did.
+    """Metrics with a gate or a significant change over the suite, and those with both over groups of logs.
 
-    Of the reductions of one metric the one that changed most.
+    Of the reductions of one metric, the one that changed most is shown.
     """
     groups = comparison.groups[comparison.groups["delta"] != 0.0]
     asked = set(comparison.pairs.loc[comparison.pairs["asked"], "metric"])
@@ -144,7 +134,7 @@ def _groups(comparison: Comparison) -> Iterator[RenderableType]:
     words = shown["metric"].map(lambda name: name.partition(".")[0])
     shown = shown[~shown.assign(metric=words)[["kind", "group", "planner", "mode", "metric"]].duplicated()]
     titles = ("logs of", "loop", "metric", "logs", "before", "after", "change [95 %]", "better", "worse")
-    table = _grid(*titles, right=("logs", "before", "after", "better", "worse"))
+    table = grid(*titles, right=("logs", "before", "after", "better", "worse"))
     for row in _rows(shown.head(MOST_GROUPS)):
         inside = f" [{row.low:+.3g}, {row.high:+.3g}]" if isfinite(row.low) else ""
         hurts = row.delta * {"lower": 1.0, "higher": -1.0}.get(row.direction, 0.0)
@@ -158,17 +148,17 @@ def _groups(comparison: Comparison) -> Iterator[RenderableType]:
 
 def _partings(comparison: Comparison) -> Iterator[RenderableType]:
     if len(comparison.partings):
-        table = _grid("log", "loop", "first difference")
+        table = grid("log", "loop", "first difference")
         for row in _rows(comparison.partings):
             table.add_row(Text(row.log), row.mode, Text(row.what))
         unseen = comparison.not_looked_at
-        aside = [Text(f"not looked for in {counted(unseen, 'more drive')} that differ", style="dim")] if unseen else []
-        yield from _titled("Where drives part", table, *aside)
+        aside = [Text(f"not searched in {counted(unseen, 'more drive')} that differ", style="dim")] if unseen else []
+        yield from _titled("First differences of drives", table, *aside)
 
 
 def _rules(comparison: Comparison) -> Iterator[RenderableType]:
     if comparison.verdicts:
-        table = _grid("outcome", "rule", "what was found")
+        table = grid("outcome", "rule", "what was found")
         for verdict in sorted(comparison.verdicts, key=lambda verdict: list(Outcome).index(verdict.outcome)):
             word = verdict.outcome.value
             table.add_row(Text(word.upper(), style=STYLES[word]), Text(verdict.rule), Text(verdict.reason))
@@ -187,7 +177,7 @@ def _ending(comparison: Comparison, *, alone: bool) -> Iterator[RenderableType]:
 
 
 def last_line(comparison: Comparison, *, alone: bool = True) -> str:
-    """The outcome in one line, with the exit code where it is the command's."""
+    """The outcome in one line, with the exit code if it is that of the command."""
     code = f" (exit code {comparison.exit_code})" if alone else ""
     return f"Comparison: {OUTCOMES[comparison.exit_code].upper()}{code}"
 
@@ -209,7 +199,7 @@ def _unit(unit: str) -> str:
 
 
 def document(comparison: Comparison) -> dict[str, Any]:
-    """All of it, for JSON; of the pairs those that differ."""
+    """The whole comparison for JSON; of the pairs only those that differ."""
     changed = comparison.pairs[comparison.pairs["delta"] != 0.0]
     content = {item.name: getattr(comparison, item.name) for item in fields(comparison)}
     return {"outcome": OUTCOMES[comparison.exit_code], "exit_code": comparison.exit_code, **content, "pairs": changed}

@@ -1,4 +1,4 @@
-"""The door to the terminal: what comes from logs, planners and messages moves no cursor and sets no colour."""
+"""Output to the terminal: text from logs, planners and messages cannot move the cursor or set a colour."""
 
 from __future__ import annotations
 
@@ -6,26 +6,29 @@ import errno
 import io
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 
+from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
 
 from logs.words import VISIBLE
 
 _TABLE = {code: sign for code, sign in VISIBLE.items() if chr(code) not in "\n\t"}
-"""`VISIBLE` without the ends of lines and tabs."""
+"""`VISIBLE` without line ends and tabs."""
 
 
 def visible(text: object) -> str:
-    """The text with control characters that can be seen, each as one character; lines and tabs stay."""
+    """The text with visible characters instead of control characters; lines and tabs stay."""
     return str(text).translate(_TABLE)
 
 
 class SafeConsole(Console):
-    """A console that styles its own words alone: what is in the texts is `visible`."""
+    """A console that applies only its own styles: texts are made `visible`."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """As Console's; sequences of rich's own are segments of control, and stay."""
@@ -34,7 +37,7 @@ class SafeConsole(Console):
 
 
 class LastingFile(io.FileIO):
-    """An open descriptor; what is written after its reader has gone, or it was closed, is discarded."""
+    """An open descriptor; data are discarded after its reader has exited, or it was closed."""
 
     def write(self, data: Any, /) -> int:
         """As FileIO's, but EPIPE and EBADF are not raised: from then on the descriptor is the null device."""
@@ -48,10 +51,10 @@ class LastingFile(io.FileIO):
 
 
 def lasting_streams() -> None:
-    """Make stdout and stderr safe to write to whatever becomes of them; what a terminal's encoding lacks becomes "?".
+    """Make stdout and stderr safe to write to; characters that the encoding of a terminal lacks become "?".
 
-    Standard descriptors that are closed are opened on the null device: else a result file could get the number of one,
-    and what is printed would be written into it.
+    Standard descriptors that are closed are opened on the null device: otherwise a result file could get the number of
+    one, and printed text would be written into it.
     """
     for fd in range(3):
         try:
@@ -69,6 +72,21 @@ def lasting_streams() -> None:
         on_line = fd == 2 or raw.isatty()
         encoding = getattr(stream, "encoding", None) or "utf-8"
         setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(raw), encoding, "replace", line_buffering=on_line))
+
+
+def grid(*columns: str, right: Sequence[str] = (), padding: int = 1) -> Table:
+    """A table with a line below its head; the columns `right` are right-aligned."""
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, padding, 0, 0))
+    for title in columns:
+        table.add_column(title, overflow="fold", justify="right" if title in right else "left")
+    return table
+
+
+def titled(title: str, *parts: RenderableType) -> Iterator[RenderableType]:
+    """A title, its parts, and an empty line."""
+    yield Text(title, style="bold underline")
+    yield from parts
+    yield Text()
 
 
 def _to_nothing(fd: int) -> None:

@@ -1,4 +1,4 @@
-"""The paper's figures as pictures: each function draws what it is given and computes nothing of the drive.
+"""The figures of the paper: each function draws its arguments, and computes nothing of the drive.
 
 matplotlib is imported when the first figure is made, with the Agg canvas: no display, no global state.
 """
@@ -16,7 +16,6 @@ from logs.errors import ConfigError
 from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.shapes import corners
-from logs.states import Trajectory
 from logs.trace import PlannedFrame, StGraph, Trace
 from replay.results.tables import write_file
 from replay.world import box_center
@@ -70,7 +69,7 @@ def path_figure(traces: Sequence[tuple[str, Trace]], planned: FloatArray, scenar
 
     Args:
         traces: Controller and drive; the first one's path is drawn, the errors of all.
-        planned: Points `(n, 2)` that the first drive's plans asked for.
+        planned: Points `(n, 2)` of the plans of the first drive.
         scenario: The road.
     """
     import matplotlib as mpl
@@ -84,7 +83,8 @@ def path_figure(traces: Sequence[tuple[str, Trace]], planned: FloatArray, scenar
         above.plot(first.ego.x, first.ego.y, color=DRIVEN, lw=1.3, label=f"driven ({name})")
         above.set_aspect("equal")
         above.set(xlabel="x [m]", ylabel="y [m]", title="Planned and driven path")
-        _window(above, first.ego, 10.0)
+        x, y = first.ego.x, first.ego.y
+        above.set(xlim=(x.min() - 10.0, x.max() + 10.0), ylim=(y.min() - 10.0, y.max() + 10.0))
         above.legend(loc="upper left")
         for (label, trace), color in zip(traces, (DRIVEN, DP, "#3a923a", "#888888"), strict=False):
             if trace.tracking is not None:
@@ -105,7 +105,10 @@ def st_figure(frames: Sequence[tuple[str, PlannedFrame]], trace: Trace, scenario
     with mpl.rc_context(STYLE):
         figure = empty_figure(12.0, 2.7 * len(frames))
         rows = figure.subplots(len(frames), 2, width_ratios=(1.5, 1.0), squeeze=False)
-        graphs = [_st_graph(frame) for _, frame in frames]
+        graphs = [
+            next((artefact for artefact in frame.plan.internals if isinstance(artefact, StGraph)), None)
+            for _, frame in frames
+        ]
         top = max([float(np.nanmax(g.qp[:, 1])) for g in graphs if g and len(g.qp)], default=50.0)
         for (scene, plane), (word, frame), graph in zip(rows, frames, graphs, strict=True):
             _scene(scene, frame, trace, scenario)
@@ -149,19 +152,14 @@ def pedals_figure(
             for begin, end in braking:
                 panel.axvspan(begin, end, color=DP, alpha=0.12, lw=0.0)
             panel.axvline(clear, color="#3a923a", lw=1.2, ls=":")
-        for begin, end in braking:
-            _spanned(panels[1], begin, end)
+        height = 0.93 * panels[1].get_ylim()[1]
+        for begin, end in braking:  # a double arrow with the duration
+            panels[1].annotate("", (begin, height), (end, height), arrowprops={"arrowstyle": "<->", "color": DP})
+            panels[1].text(0.5 * (begin + end), height, f"{end - begin:.1f} s", color=DP, ha="center", va="bottom")
         panels[2].annotate(
             "walker has left the path", (clear, 0.0), (4.0, 5.0), textcoords="offset points", color="#3a923a"
         )
         return figure
-
-
-def _spanned(axes: Axes, begin: float, end: float) -> None:
-    """A double arrow over an interval with its duration."""
-    height = 0.93 * axes.get_ylim()[1]
-    axes.annotate("", (begin, height), (end, height), arrowprops={"arrowstyle": "<->", "color": DP})
-    axes.text(0.5 * (begin + end), height, f"{end - begin:.1f} s", color=DP, ha="center", va="bottom")
 
 
 QUANTITIES = (
@@ -198,8 +196,8 @@ def grid_figure(table: pd.DataFrame) -> Figure:
             axes.set_title(f"ego {speed:g} km/h")
         for axes in rows[-1]:
             axes.set_xlabel("walker comes later by [s]")
-        said = ", ".join(f"{letter}: {word}" for letter, word in MARKS.values())
-        figure.suptitle(f"{said}; grey: no braking", x=0.01, ha="left", fontsize=10)
+        marks = ", ".join(f"{letter}: {word}" for letter, word in MARKS.values())
+        figure.suptitle(f"{marks}; grey: no braking", x=0.01, ha="left", fontsize=10)
         return figure
 
 
@@ -219,10 +217,6 @@ def _heat(axes: Axes, cells: pd.DataFrame, column: str, colors: Any, bounds: tup
     return mesh
 
 
-def _st_graph(frame: PlannedFrame) -> StGraph | None:
-    return next((artefact for artefact in frame.plan.internals if isinstance(artefact, StGraph)), None)
-
-
 def _draw_st(axes: Axes, graph: StGraph | None, top: float) -> None:
     """Obstacles black, DP red, QP blue."""
     axes.set(ylabel="station along the path [m]", xlim=(0.0, 8.0), ylim=(0.0, top))
@@ -235,7 +229,7 @@ def _draw_st(axes: Axes, graph: StGraph | None, top: float) -> None:
     axes.plot([], [], color=OBSTACLE, lw=1.6, label="obstacle")
     axes.plot(graph.dp[:, 0], graph.dp[:, 1], color=DP, lw=1.4, marker="o", markersize=3.0, markevery=10, label="DP")
     axes.plot(graph.qp[:, 0], graph.qp[:, 1], color=QP, lw=1.8, label="QP")
-    axes.set_title("S-T graph" if graph.obstacles else "S-T graph: nobody in the way")
+    axes.set_title("S-T graph" if graph.obstacles else "S-T graph: no obstacle")
 
 
 def _scene(axes: Axes, frame: PlannedFrame, trace: Trace, scenario: Scenario) -> None:
@@ -267,8 +261,3 @@ def _lanes(axes: Axes, scenario: Scenario) -> None:
         axes.fill(*lane.polygon.T, fc=ROAD if lane.drivable else OTHER, lw=0.0, zorder=0)
         for side in (lane.left, lane.right):
             axes.plot(*side.T, color=LINE, lw=0.7, zorder=0.5)
-
-
-def _window(axes: Axes, ego: Trajectory, room: float) -> None:
-    axes.set_xlim(ego.x.min() - room, ego.x.max() + room)
-    axes.set_ylim(ego.y.min() - room, ego.y.max() + room)

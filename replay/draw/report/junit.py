@@ -7,13 +7,13 @@ A suite per planner and loop. In it, `classname` is PLANNER.LOOP.LOG and `name` 
     error       the log could not be driven to the end, or not at all: one test "evaluated" per log, whose time is that
                 of the drive, simulated
 
-What a gate says of all logs together (a mean, a share of passes, too little evidence) is a test of the class
-PLANNER.LOOP.all logs, or of its group; a log by itself does not fail such a gate. Beside them there is a suite "run" of
-what is about no planner, and with a baseline a suite "compare" of its rules. So a test fails where `replan` ends with
-1, and has an error where it ends with 3.
+A verdict on all logs together (a mean, a share of passes, too little evidence) is a test of the class PLANNER.LOOP.all
+logs, or of its group; a single log does not fail such a gate. There is also a suite "run" for what belongs to no
+planner, and with a baseline a suite "compare" for its rules. So a test fails if `replan` ends with 1, and has an error
+if it ends with 3.
 
-It holds no clock: the same results give the same bytes. Ant's schema wants a timestamp and a host all the same, which
-are `TIMESTAMP` and "localhost". Elements and attributes are those that the schemas of Ant and Jenkins have in common.
+It holds no clock: the same results give the same bytes. Ant's schema requires a timestamp and a host, which are
+`TIMESTAMP` and "localhost". Elements and attributes are those that the schemas of Ant and Jenkins have in common.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ def junit(results: Results, over: Overview) -> str:
 
     Args:
         results: The run.
-        over: What reports say of it; with a baseline its comparison.
+        over: The overview of the run, with its comparison, if there is a baseline.
     """
-    said = log_outcomes(results)
+    verdicts = log_outcomes(results)
     suites = [("run", list(_of_run(results, over)))]
     suites += [
-        (f"{planner}.{mode}", list(_of_drives(results, over, said, planner, mode)))
+        (f"{planner}.{mode}", list(_of_drives(results, over, verdicts, planner, mode)))
         for planner, mode in results.run.drives
     ]
     if over.comparison is not None:
@@ -73,7 +73,7 @@ def junit(results: Results, over: Overview) -> str:
 
 
 def _of_run(results: Results, over: Overview) -> Iterator[Case]:
-    """What is about no planner of the run: planners that could not be loaded, gates that no planner was asked."""
+    """Tests without a planner: planners that could not be loaded, gates without a planner to judge."""
     for failure in results.summary["failures"]:
         if not failure["log"]:
             yield Case("run", EVALUATED, "error", failure["message"])
@@ -82,40 +82,31 @@ def _of_run(results: Results, over: Overview) -> Iterator[Case]:
             yield Case("run.all logs", gate.rule, gate.outcome, gate.reason)
 
 
-def _of_drives(results: Results, over: Overview, said: pd.DataFrame, planner: str, mode: str) -> Iterator[Case]:
+def _of_drives(results: Results, over: Overview, verdicts: pd.DataFrame, planner: str, mode: str) -> Iterator[Case]:
     """The tests of one planner and loop: gates over all logs, then each log."""
     for gate in over.gates:
         if (gate.planner, gate.mode) == (planner, mode) and (gate.over != WORST or gate.outcome == "inconclusive"):
             yield Case(f"{planner}.{mode}.{gate.group or 'all logs'}", gate.rule, gate.outcome, gate.reason)
     together = {gate.rule for gate in over.gates if gate.over != WORST}
-    asked = (said["outcome"] != Outcome.NOT_ASKED.value) & ~said["gate"].isin(together)
-    said = said[(said["planner"] == planner) & (said["mode"] == mode) & asked]
+    asked = (verdicts["outcome"] != Outcome.NOT_ASKED.value) & ~verdicts["gate"].isin(together)
+    verdicts = verdicts[(verdicts["planner"] == planner) & (verdicts["mode"] == mode) & asked]
     short = without_folders(results)
-    rows = dict(iter(said.groupby("log", sort=False)))
+    rows = dict(iter(verdicts.groupby("log", sort=False)))
     mine = results.drives[(results.drives["planner"] == planner) & (results.drives["mode"] == mode)]
     drives = dict(zip(mine["log"], mine["t_end_s"].astype(float), strict=True))
     for log in results.logs["log"]:
         where = f"{planner}.{mode}.{short(str(log)).replace('.', '_')}"
-        why = short(_why(results, log, planner, mode)) or ("" if log in drives else "no result")
+        errors = (
+            failure["message"] for failure in results.summary["failures"]
+            if failure["log"] == log and failure["planner"] in (None, planner) and failure["mode"] in (None, mode)
+        )  # fmt: skip
+        why = short("; ".join(errors)) or ("" if log in drives else "no result")
         yield Case(where, EVALUATED, "error" if why else "pass", why, drives.get(log, 0.0))
         if log in drives and log in rows:
-            yield from (_case(where, row) for row in rows[log].itertuples())
-
-
-def _case(where: str, row: Any) -> Case:
-    """What a log says of a gate."""
-    unit = f" at {row.time_s:.2f} s" if isfinite(row.time_s) else ""
-    value = f"{row.value:.4g}{unit}" if isfinite(row.value) else ""
-    return Case(where, row.gate, row.outcome, ": ".join(filter(None, (value, row.reason))))
-
-
-def _why(results: Results, log: str, planner: str, mode: str) -> str:
-    """Why a log was not driven to the end; "" where it was."""
-    found = [
-        failure["message"] for failure in results.summary["failures"]
-        if failure["log"] == log and failure["planner"] in (None, planner) and failure["mode"] in (None, mode)
-    ]  # fmt: skip
-    return "; ".join(found)
+            for row in list[Any](rows[log].itertuples()):
+                when = f" at {row.time_s:.2f} s" if isfinite(row.time_s) else ""
+                value = f"{row.value:.4g}{when}" if isfinite(row.value) else ""
+                yield Case(where, row.gate, row.outcome, ": ".join(filter(None, (value, row.reason))))
 
 
 def _suite(number: int, name: str, cases: Iterable[Case], over: Overview) -> ElementTree.Element:
@@ -149,5 +140,5 @@ def _test(case: Case) -> ElementTree.Element:
 
 
 def _legal(text: str) -> str:
-    """The text with what XML 1.0 cannot hold replaced (section 2.2, Char)."""
+    """The text, with characters replaced that XML 1.0 does not allow (section 2.2, Char)."""
     return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "\N{REPLACEMENT CHARACTER}", text)

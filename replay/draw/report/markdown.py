@@ -1,6 +1,6 @@
 """The report of a run as Markdown (GitHub's): `report.md`, and the summary of a step in CI.
 
-Names of logs, planners and road users are anything: `_text` keeps them from being Markdown. What is long is folded.
+Names of logs, planners and road users may contain anything: `_text` escapes Markdown in them. Long parts are folded.
 """
 
 from __future__ import annotations
@@ -18,17 +18,16 @@ from logs.errors import writing
 from logs.words import counted
 from metrics.compare import Comparison
 from metrics.judge.gates import Outcome
-from replay.draw.report.columns import legend
-from replay.draw.report.model import BROKEN, NOTHING, DriveRow, GateRow, Overview, PassShare
+from replay.draw.report.model import BROKEN, NOTHING, DriveRow, Overview, PassShare, legend
 
 STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
 """Names the file that CI shows as the summary of a step."""
 STEP_BYTES = 1 << 20
-"""What GitHub takes of it; of more it shows nothing."""
+"""The limit of GitHub, which shows nothing of a longer one."""
 MAX_OPEN = 25
 """Longer lists are folded."""
 MAX_COMPARED = 50
-"""More regressions or groups of a comparison are not listed."""
+"""Further regressions or groups of a comparison are not listed."""
 WEIGHT = {Outcome.FAIL.value: 0, Outcome.INCONCLUSIVE.value: 1, "": 2, Outcome.PASS.value: 3}
 
 
@@ -36,9 +35,9 @@ def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
     """The report.
 
     Args:
-        over: What it says.
-        links: Files beside it that it names first ("report.html"), with links to these and to the drives' files; None:
-            no links at all, where the report stands alone.
+        over: The contents.
+        links: Files beside the report to link to first ("report.html"), before those of the drives; None: no links at
+            all, for a report by itself.
     """
     return "\n\n".join(part for part in _parts(over, links) if part) + "\n"
 
@@ -71,7 +70,7 @@ def _parts(over: Overview, links: Iterable[str] | None) -> Iterator[str]:
     yield _first(over)
     if links:
         yield ", ".join(f"[{_text(link)}]({quote(link)})" for link in links)
-    yield _failures(over)
+    yield _list(f"Could not be evaluated ({len(over.failures)})", over.failures)
     yield from _gates(over)
     if over.comparison is not None:
         yield from _comparison(over.comparison)
@@ -88,7 +87,7 @@ def _parts(over: Overview, links: Iterable[str] | None) -> Iterator[str]:
 
 
 def _first(over: Overview) -> str:
-    """What came of it, in a sentence or two."""
+    """The outcome, in a sentence or two."""
     if over.shard:
         return f"Shard {over.shard}, not judged: `replan merge` judges all shards together."
     count = {word: sum(gate.outcome == word for gate in over.gates) for word in WEIGHT}
@@ -102,54 +101,48 @@ def _first(over: Overview) -> str:
     return f"**{over.outcome.upper()}** (exit code {over.exit_code}): {verdicts}.{worst}{shares}\n\n{made}"
 
 
-def _failures(over: Overview) -> str:
-    return _list(f"Could not be evaluated ({len(over.failures)})", over.failures)
-
-
 def _gates(over: Overview) -> Iterator[str]:
-    """What is not passed in full; what is, folded."""
+    """The gates that do not pass, and folded those that do."""
     if over.shard:
         return
-    bad = [gate for gate in over.gates if gate.outcome != Outcome.PASS.value]
-    good = [gate for gate in over.gates if gate.outcome == Outcome.PASS.value]
+    head = ("outcome", "rule", "loop", "what was found")
+    rows = [(gate.outcome.upper(), gate.rule, gate.mode or NOTHING, gate.found) for gate in over.gates]
+    bad, good = ([row for row in rows if (row[0] == "PASS") is passed] for passed in (False, True))
     yield "## Gates"
     if bad:
-        yield _table(("outcome", "rule", "loop", "what was found"), map(_gate, bad))
+        yield _table(head, bad)
     if good:
-        table = _table(("outcome", "rule", "loop", "what was found"), map(_gate, good))
-        yield _folded(f"{len(good)} verdicts pass", table)
+        yield _folded(f"{len(good)} verdicts pass", _table(head, good))
     if over.not_asked:
         yield _folded(f"{len(over.not_asked)} gates were not asked of some drives", _list("", over.not_asked))
-
-
-def _gate(gate: GateRow) -> tuple[str, ...]:
-    return gate.outcome.upper(), gate.rule, gate.mode or NOTHING, gate.found
 
 
 def _shares(over: Overview) -> Iterator[str]:
     if not over.whole:
         return
-    yield "## Logs that pass"
     head = ("logs", "planner", "loop", "pass", "share", "95 % interval", "fail", "inconclusive", "not evaluated")
-    yield _table(head, map(_share, over.whole), right=range(3, 9))
-    yield "Of all logs: what is inconclusive or could not be evaluated is no pass."
+
+    def table(shares: Iterable[PassShare]) -> str:
+        rows = [
+            (share.name, share.planner, share.mode, f"{share.passed} of {share.logs}", f"{100.0 * share.share:.0f}%",
+             f"{100.0 * share.low:.0f} to {100.0 * share.high:.0f}%",
+             *map(str, (share.failed, share.inconclusive, share.missing)))
+            for share in shares
+        ]  # fmt: skip
+        return _table(head, rows, right=range(3, 9))
+
+    yield "## Logs that pass"
+    yield table(over.whole)
+    yield "Shares of all logs: a log that is inconclusive or could not be evaluated does not pass."
     if over.grouped:
-        yield _folded("By family, tag and dataset", _table(head, map(_share, over.grouped), right=range(3, 9)))
-
-
-def _share(share: PassShare) -> tuple[str, ...]:
-    interval = f"{100.0 * share.low:.0f} to {100.0 * share.high:.0f}%"
-    counts = (share.failed, share.inconclusive, share.missing)
-    passed = f"{share.passed} of {share.logs}"
-    percent = f"{100.0 * share.share:.0f}%"
-    return (share.name, share.planner, share.mode, passed, percent, interval, *map(str, counts))
+        yield _folded("By family, tag and dataset", table(over.grouped))
 
 
 def _drives(over: Overview, *, linked: bool) -> Iterator[str]:
     """A row per log and planner, the worst first."""
     if not over.drives:
         return
-    first = next((i for i, column in enumerate(over.columns) if column.mode == "closed"), len(over.columns))
+    first = over.first_closed
     names = [column.words for column in over.columns]
     ended = ["closed loop ended by"] if first < len(names) else []
     head = ("log", "planner", "verdict", *names[:first], *ended, *names[first:], *(["files"] if linked else []))
@@ -177,16 +170,12 @@ def _drive(row: DriveRow, first: int, columns: int, *, linked: bool) -> list[str
 def _latency(over: Overview) -> str:
     if not over.latency:
         return ""
-    rows = [
-        (row.planner, row.stage, *(f"{ms:.2f}" for ms in (row.p50_ms, row.p95_ms, row.p99_ms)), _percent(row.share))
-        for row in over.latency
-    ]
+    rows = []
+    for row in over.latency:
+        share = f"{100.0 * row.share:.0f}%" if isfinite(row.share) else NOTHING
+        rows.append((row.planner, row.stage, *(f"{ms:.2f}" for ms in (row.p50_ms, row.p95_ms, row.p99_ms)), share))
     head = ("planner", "stage", "p50 [ms]", "p95 [ms]", "p99 [ms]", "share")
     return _folded(f"Planning time (wall clock, {counted(over.frames, 'plan')})", _table(head, rows, right=range(2, 6)))
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f}%" if isfinite(share) else NOTHING
 
 
 # with a baseline --------------------------------------------------------------------------------------------------
@@ -194,10 +183,10 @@ def _percent(share: float) -> str:
 
 def _comparison(found: Comparison) -> Iterator[str]:
     yield f"## Compared: {_text(found.baseline)} -> {_text(found.candidate)}"
-    rules = [(said.outcome.value.upper(), said.rule, said.reason) for said in found.verdicts]
+    rules = [(verdict.outcome.value.upper(), verdict.rule, verdict.reason) for verdict in found.verdicts]
     if rules:
         yield _table(("outcome", "rule", "what was found"), rules)
-    yield _list("Inputs that are not the same", found.differences, level=3)
+    yield _list("Inputs that differ", found.differences, level=3)
     yield _list("Only in the baseline", found.only_in_baseline, level=3)
     yield _list("Only in the candidate", found.only_in_candidate, level=3)
     yield _frame("Flips", found.flips, ("log", "planner", "mode", "gate", "before", "after", "time_s", "reason"))
@@ -207,23 +196,19 @@ def _comparison(found: Comparison) -> Iterator[str]:
     sure = found.groups[found.groups["significant"].astype(bool)] if len(found.groups) else found.groups
     moved = ("kind", "group", "planner", "mode", "metric", "logs", "baseline", "candidate", "delta", "low", "high")
     yield _frame("Means that changed beyond chance (95 %)", sure.head(MAX_COMPARED), moved)
-    yield _frame("Where drives part", found.partings, ("log", "planner", "mode", "t_s", "stage", "what"))
+    yield _frame("First differences of drives", found.partings, ("log", "planner", "mode", "t_s", "stage", "what"))
 
 
 def _frame(title: str, rows: pd.DataFrame, names: Sequence[str]) -> str:
-    """Columns of a frame as a table; "" where it has no row."""
+    """Columns of a frame as a table; "" if it has no row."""
     if not len(rows):
         return ""
-    table = _table(names, ([_value(value) for value in row] for row in rows[list(names)].itertuples(index=False)))
-    return (
-        f"### {title}\n\n{table}" if len(rows) <= MAX_OPEN else f"### {title}\n\n{_folded(f'{len(rows)} rows', table)}"
-    )
 
+    def value(cell: object) -> str:
+        return str(cell) if not isinstance(cell, float) else f"{cell:.4g}" if isfinite(cell) else NOTHING
 
-def _value(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}" if isfinite(value) else NOTHING
-    return str(value)
+    table = _table(names, (map(value, row) for row in rows[list(names)].itertuples(index=False)))
+    return f"### {title}\n\n{table if len(rows) <= MAX_OPEN else _folded(f'{len(rows)} rows', table)}"
 
 
 # Markdown ---------------------------------------------------------------------------------------------------------

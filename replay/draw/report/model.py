@@ -1,21 +1,128 @@
-"""What a report says, as plain words and numbers; `replay.draw.report.overview` makes it of the results of a run."""
+"""The contents of a report as plain words and numbers, and the columns of its table of drives.
+
+`replay.draw.report.overview` makes them from the results of a run.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
 
 from metrics.compare import Comparison
 from metrics.judge.aggregate import BOTH, SUITE
-from replay.draw.report.columns import Column
 
 NOTHING = "-"
 BROKEN = "Charts that could not be drawn"
 
 
 @dataclass(frozen=True)
+class Column:
+    """One metric of the table of drives.
+
+    Attributes:
+        title: With the unit, in short lines.
+        metric: Row of the metric table.
+        mode: Loop in which it was measured.
+        show: Formats a value.
+        bad: Whether a value is marked.
+    """
+
+    title: str
+    metric: str
+    mode: str
+    show: Callable[[float], str]
+    bad: Callable[[float], bool] = lambda value: False
+
+    @property
+    def words(self) -> str:
+        """The title on one line."""
+        return self.title.replace("fall\nback", "fallback").replace("\n", " ")
+
+
+def _fixed(digits: int) -> Callable[[float], str]:
+    return lambda value: f"{value:.{digits}f}"
+
+
+def percent(value: float) -> str:
+    """A share as "12%"; "<1%" if it is small but not zero."""
+    return f"{100.0 * value:.0f}%" if value == 0.0 or value >= 0.01 else "<1%"
+
+
+COLUMNS = (
+    Column("ADE\n3 s\n[m]", "ade.3s.mean", "open", _fixed(2)),
+    Column("fall\nback", "fallback.rate", "open", percent, lambda value: value > 0.0),
+    Column("route\ndone", "route_progress.final", "closed", percent, lambda value: value < 0.5),
+    Column("goal", "goal.final", "closed", lambda value: "yes" if value else "no", lambda value: value == 0.0),
+    Column("hits\nat\nfault", "collision_at_fault.count", "closed", _fixed(0), lambda value: value > 0.0),
+    Column("least\ngap\n[m]", "gap.min", "closed", _fixed(2), lambda value: value < 0.2),
+    Column("off\nplan\n[m]", "tracking_lateral.max_abs", "closed", _fixed(2)),
+    Column("TTC\n[s]", "ttc.min", "closed", _fixed(1), lambda value: value < 0.95),
+    Column("jerk\n[s]", "lon_jerk_state.time_out_of_bounds", "closed", _fixed(1), lambda value: value > 2.0),
+    Column("fall\nback", "fallback.rate", "closed", percent, lambda value: value > 0.0),
+)
+"""Open loop first; the columns of the closed loop follow the end of its drive."""
+
+LEGEND = (
+    ("open", "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s."),
+    (
+        "closed",
+        "closed loop: the planner drives; route done: of what the log's driver, else the route follower, does in all;",
+    ),
+    (
+        "closed",
+        "TTC: least time to a collision; off plan: largest lateral distance; jerk: seconds beyond 4.13 m/s3.",
+    ),
+    (
+        "",
+        "verdict: the worst outcome of the gates, and how many of them were asked; inconclusive: no evidence.",
+    ),
+    ("", "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv)."),
+)
+"""Loop ("": either) and line."""
+
+
+def legend(columns: Sequence[Column]) -> list[str]:
+    """The meaning of some columns, and of those beside them."""
+    loops = {"", *(column.mode for column in columns)}
+    return [line for loop, line in LEGEND if loop in loops]
+
+
+def _mean(digits: int) -> Callable[[list[float]], str]:
+    return lambda values: f"{sum(values) / len(values):.{digits}f}"
+
+
+def _sum(values: list[float]) -> str:
+    return f"{sum(values):.0f}"
+
+
+def _mean_percent(values: list[float]) -> str:
+    return percent(sum(values) / len(values))
+
+
+COMPARED: tuple[tuple[str, str, str, Callable[[list[float]], str]], ...] = (
+    ("ADE over 3 s, mean [m] (open)", "open", "ade.3s.mean", _mean(2)),
+    ("frames with fallback, mean (open)", "open", "fallback.rate", _mean_percent),
+    ("goal reached (closed)", "closed", "goal.final", lambda v: f"{sum(v):.0f} of {len(v)}"),
+    ("collisions at fault (closed)", "closed", "collision_at_fault.count", _sum),
+    ("least gap [m] (closed)", "closed", "gap.min", lambda v: f"{min(v):.2f}"),
+    ("off plan, worst [m] (closed)", "closed", "tracking_lateral.max_abs", lambda v: f"{max(v):.2f}"),
+    ("least TTC [s] (closed)", "closed", "ttc.min", lambda v: f"{min(v):.1f}"),
+    ("run into by the replay (closed)", "closed", "replay_contact.final", _sum),
+    (
+        "jerk beyond 4.13 m/s3, worst [s] (closed)",
+        "closed",
+        "lon_jerk_state.time_out_of_bounds",
+        lambda v: f"{max(v):.1f}",
+    ),
+    ("frames with fallback, mean (closed)", "closed", "fallback.rate", _mean_percent),
+)
+"""Label, loop, metric, and how its values over the logs are combined."""
+
+
+@dataclass(frozen=True)
 class Cell:
-    """A value in a table: as text, as the number (NaN: there is none), and whether it deserves colour."""
+    """A value in a table: as text, as a number (NaN: there is none), and whether it is marked."""
 
     text: str = NOTHING
     value: float = nan
@@ -28,9 +135,10 @@ class DriveRow:
 
     Attributes:
         log: Name of the log.
-        planner: Name of the planner; `shown` is with its marks: oracle, trusted, batched, not deterministic.
-        verdict: The worst outcome of the gates on this log; "" where none was asked.
-        asked: How many of the gates were asked, of how many: "24/41".
+        planner: Name of the planner.
+        shown: The name with its marks: oracle, trusted, batched, not deterministic.
+        verdict: The worst outcome of the gates on this log; "" if no gate applies.
+        asked: The number of gates that apply, of all: "24/41".
         end: How the closed loop ended.
         cells: One per column of `Overview.columns`.
         files: Traces and recordings, relative to the result folder.
@@ -49,37 +157,38 @@ class DriveRow:
 
     @property
     def trouble(self) -> int:
-        """How many of its cells are coloured."""
+        """The number of its marked cells."""
         return self.end.bad + sum(cell.bad for cell in self.cells)
 
     @property
     def recording(self) -> str:
-        """The recording of the closed loop, else of the open one; "" where there is none."""
+        """The recording of the closed loop, otherwise of the open one; "" if there is none."""
         return next(iter(sorted(file for file in self.files if file.endswith(".rrd"))), "")
 
     @property
     def trace(self) -> str:
-        """The trace of the closed loop, else of the open one."""
+        """The trace of the closed loop, otherwise of the open one."""
         return next(iter(sorted(file for file in self.files if file.endswith(".mcap"))), "")
 
 
 @dataclass(frozen=True)
 class GateRow:
-    """What a gate says of one planner in one loop.
+    """The verdict of a gate on one planner in one loop.
 
     Attributes:
         outcome: "pass", "fail" or "inconclusive".
         rule: "gap.min >= 0.5 [closed]".
-        over: What must hold it: "worst" (every log), or what the logs make together.
-        found: In short: of a pass the value nearest to the bound, else the reason.
+        over: What must pass: "worst" (every log), or an aggregate of the logs.
+        found: In short: if it passes, the value nearest to the bound, otherwise the reason.
         reason: The whole sentence.
-        why: Why the gate is there.
-        planner: "" where none was to be judged; `mode` likewise.
-        group: Which logs, of a gate that is asked of each group; else "".
-        log: The worst log; "" where there is none.
-        value: The judged value; NaN where there is none.
-        unit: Of the value.
-        time_s: When it occurred; NaN where it has no time.
+        why: The reason for the gate.
+        planner: "" if there was none to judge; `mode` likewise.
+        mode: See there.
+        group: The group of logs, for a gate over groups; otherwise "".
+        log: The worst log; "" if there is none.
+        value: The judged value; NaN if there is none.
+        unit: Unit of the value.
+        time_s: When it occurred; NaN if it has no time.
     """
 
     outcome: str
@@ -99,7 +208,7 @@ class GateRow:
 
 @dataclass(frozen=True)
 class PassShare:
-    """How many logs of a group pass, with the 95 % interval of the share (`metrics.judge.aggregate`).
+    """The number of logs of a group that pass, with the 95 % interval of the share (`metrics.judge.aggregate`).
 
     Attributes:
         kind: "suite", "family", "tag" or "dataset"; `group` is its name, "" of the suite.
@@ -134,7 +243,7 @@ class PassShare:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How much was driven or planned along; `km` is NaN in open loop, where nothing is driven."""
+    """The time and distance that were driven or planned along; `km` is NaN in open loop, where nothing is driven."""
 
     planner: str
     mode: str
@@ -155,7 +264,7 @@ class Coverage:
 
 @dataclass(frozen=True)
 class StageTime:
-    """How long a stage of a plan took: quantiles over all frames of both loops, ms, and its share of the whole."""
+    """The time of a stage: quantiles over all frames of both loops, ms, and its share of the whole plan."""
 
     planner: str
     stage: str
@@ -167,31 +276,31 @@ class StageTime:
 
 @dataclass(frozen=True)
 class Overview:
-    """What a report says, in its order.
+    """The contents of a report, in its order.
 
     Attributes:
         outcome: In words, as `replan evaluate` ends; `exit_code` likewise.
-        shard: "2/5": which part of a run this is, that is not judged; else "".
+        shard: "2/5": the part of a run that this is, which is not judged; otherwise "".
         replan: Version that drove.
         config: First 12 hex digits of the SHA-256 of the resolved configuration.
-        logs: How many were asked for.
+        logs: The number of requested logs.
         columns: Of `drives`.
         drives: In the order of the run.
-        planners: Names, oracles and the trusted marked: columns of `compared`.
+        planners: Names with marks: columns of `compared`.
         compared: A label, and a text per planner.
-        frames: How many plans the latencies are of.
+        frames: The number of plans behind the latencies.
         latency: By planner and stage, the whole plan last.
-        gates: What is not passed first; those that were asked of no log are left out.
-        not_asked: The gates that were not asked of a log, with the commonest reason, a line each.
+        gates: Failed and inconclusive gates first, without gates that apply to no log.
+        not_asked: The gates that do not apply to some logs, with the commonest reason, a line each.
         shares: Pass shares: suite, families, tags, datasets.
         coverage: By planner and loop.
-        ensembles: How many verdicts were tried in worlds that should not matter.
-        fragile: Those that did not hold, a sentence each.
-        notes: What was assumed, with how many logs it concerns, the commonest first.
-        failures: What could not be evaluated.
+        ensembles: The number of verdicts that were tested with perturbed runs.
+        fragile: The verdicts that changed, a sentence each.
+        notes: Assumptions, with the number of logs, the commonest first.
+        failures: Logs and planners that could not be evaluated.
         worst: The drive to look at first.
-        comparison: With a baseline, where there is one.
-        broken: Charts that could not be drawn, a sentence each: known when the page with them is written.
+        comparison: The comparison with a baseline, if there is one.
+        broken: Charts that could not be drawn, a sentence each; known after the page is written.
     """
 
     outcome: str
@@ -219,6 +328,11 @@ class Overview:
     broken: tuple[str, ...] = ()
 
     @property
+    def first_closed(self) -> int:
+        """The index of the first column of the closed loop; the end of its drive comes before it."""
+        return next((i for i, column in enumerate(self.columns) if column.mode == "closed"), len(self.columns))
+
+    @property
     def whole(self) -> tuple[PassShare, ...]:
         """The pass shares over all logs, one per planner, over the loops that were run."""
         mine = [share for share in self.shares if share.kind == SUITE]
@@ -227,10 +341,7 @@ class Overview:
 
     @property
     def grouped(self) -> tuple[PassShare, ...]:
-        """The pass shares of the groups that say something of their own: of two logs or more, and not of all.
-
-        Over the loops that were run, the lowest first.
-        """
+        """The pass shares of groups of at least two logs, but not all, over the loops that were run, sorted."""
         modes = {share.planner: share.mode for share in self.whole}
         mine = [share for share in self.shares if 1 < share.logs < self.logs and share.mode == modes[share.planner]]
         return tuple(sorted(mine, key=lambda share: share.share))

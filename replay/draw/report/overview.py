@@ -1,10 +1,10 @@
-"""What every report says of a run, as plain words and numbers: terminal, Markdown and HTML render this, and no more.
+"""The overview of a run, as plain words and numbers; terminal, Markdown and HTML render it, and nothing else.
 
 result = load("results/run-001")
 print_report(overview(result), Console(), result.path)
 
-It holds no clock but the planning times of the run itself, and no path but those within the result folder: the reports
-of a folder are the same, byte for byte, wherever it is.
+It holds no clock but the planning times of the run itself, and no path outside of the result folder: the reports of a
+folder are the same, byte for byte, wherever it is.
 """
 
 from __future__ import annotations
@@ -28,8 +28,19 @@ from metrics.judge.aggregate import LogLabels, membership, pass_shares, standing
 from metrics.judge.gates import Outcome
 from metrics.judge.rows import judge_deadline
 from replay.draw.charts.moment import gravity
-from replay.draw.report.columns import COLUMNS, COMPARED, Column
-from replay.draw.report.model import NOTHING, Cell, Coverage, DriveRow, GateRow, Overview, PassShare, StageTime
+from replay.draw.report.model import (
+    COLUMNS,
+    COMPARED,
+    NOTHING,
+    Cell,
+    Column,
+    Coverage,
+    DriveRow,
+    GateRow,
+    Overview,
+    PassShare,
+    StageTime,
+)
 from replay.drive import BATCHED, TRUSTED
 from replay.loop.determinism import NOT_DETERMINISTIC
 from replay.results.load import Results
@@ -45,20 +56,25 @@ Key = tuple[str, str]
 
 
 def overview(results: Results, comparison: Comparison | None = None) -> Overview:
-    """What a report says of a finished run.
+    """The overview of a finished run.
 
     Args:
         results: Of `replay.results.load.load`.
-        comparison: With a baseline: its rules count in outcome and exit code, the worst of both.
+        comparison: With a baseline: outcome and exit code are then the worst of both.
     """
     code = combined((results.exit_code, comparison.exit_code if comparison else 0))
-    values = _values(results.metrics)
-    said = log_outcomes(results)
+    found = results.metrics[results.metrics["available"].astype(bool)]
+    ensemble = found[found["metric"] == "ensemble.fragile"]
+    keys = zip(found["log"], found["planner"], found["mode"], found["metric"], strict=True)
+    values = dict(zip(keys, map(float, found["value"]), strict=True))
+    verdicts = log_outcomes(results)
     modes = [mode.value for mode in results.run.modes]
     columns = tuple(column for column in COLUMNS if column.mode in modes)
-    drives = _drives(results, values, columns, said)
-    gates = _gates(results, said)
-    planners = _planners(results.drives)
+    drives = _drives(results, values, columns, verdicts)
+    gates = _gates(results, verdicts)
+    planners = {
+        planner: marked(list(mine.itertuples())) for planner, mine in results.drives.groupby("planner", sort=False)
+    }
     return Overview(
         outcome=str(results.summary["outcome"]) if code == results.exit_code else OUTCOMES[code],
         exit_code=code,
@@ -69,31 +85,39 @@ def overview(results: Results, comparison: Comparison | None = None) -> Overview
         columns=columns,
         drives=drives,
         planners=tuple(planners.values()),
-        compared=_compared(list(planners), modes, values),
+        compared=_compared([*map(str, planners)], modes, values),
         frames=int((results.timings["stage"] == "total").sum()),
         latency=tuple(_latency(results.timings)),
         gates=gates,
-        not_asked=tuple(_not_asked(said)),
-        shares=_shares(results, said) if "shard" not in results.summary else (),
+        not_asked=tuple(_not_asked(verdicts)),
+        shares=_shares(results, verdicts) if "shard" not in results.summary else (),
         coverage=tuple(_coverage(results.drives, values)),
-        ensembles=len(_ensemble(results.metrics)),
-        fragile=tuple(_fragile(results.metrics)),
+        ensembles=len(ensemble),
+        fragile=tuple(
+            f"{row.log} [{row.planner}, {row.mode} loop]: {row.reason}"
+            for row in ensemble[ensemble["value"] > 0.0].itertuples()
+        ),
         notes=tuple(_notes(results.summary["logs"])),
-        failures=tuple(map(without_folders(results), map(_failure, results.summary["failures"]))),
+        failures=tuple(
+            without_folders(results)(
+                f"{row['message']} [{row['planner']}, {row['mode']} loop]" if row["planner"] else str(row["message"])
+            )
+            for row in results.summary["failures"]
+        ),
         worst=_worst(gates, drives),
         comparison=comparison,
     )
 
 
 def log_outcomes(results: Results) -> pd.DataFrame:
-    """What each log says of each gate, `Results.verdicts`, and of the deadline, where one was asked."""
+    """The verdict of each gate on each log, `Results.verdicts`, and of the deadline, if there is one."""
     deadline_s = results.run.deadline_s
     late = judge_deadline(results.timings, deadline_s, results.labels) if deadline_s > 0.0 else ()
     return pd.concat([results.verdicts, outcomes(late)], ignore_index=True) if late else results.verdicts
 
 
 def without_folders(results: Results) -> Callable[[str], str]:
-    """A text with the logs that could not be read called by their files' names, wherever these lay."""
+    """A function that removes the folders of the logs from a text."""
     labels = [Path(label) for label in results.logs["source"]]
     folders = sorted({f"{path.parent}{os.sep}" for path in labels if path.is_absolute()}, key=len, reverse=True)
 
@@ -111,7 +135,7 @@ def combined(codes: Iterable[int]) -> int:
 
 
 def marked(drives: Sequence[Any]) -> str:
-    """The name of the planner of drives, with marks: it knew the log's future, could have looked, was shared, dices."""
+    """The name of the planner of drives, with marks: oracle, trusted, batched, not deterministic."""
     notes, oracle = [str(note) for drive in drives for note in drive.notes], any(drive.oracle for drive in drives)
     marks = {
         "oracle": oracle,
@@ -126,60 +150,48 @@ Values = Mapping[tuple[str, str, str, str], float]
 """By log, planner, mode and metric."""
 
 
-def _values(table: pd.DataFrame) -> Values:
-    found = table[table["available"].astype(bool)]
-    keys = zip(found["log"], found["planner"], found["mode"], found["metric"], strict=True)
-    return dict(zip(keys, map(float, found["value"]), strict=True))
-
-
-def _planners(drives: pd.DataFrame) -> dict[str, str]:
-    """Names, and as they are marked."""
-    grouped: dict[str, list[Any]] = {}
-    for drive in drives.itertuples():
-        grouped.setdefault(str(drive.planner), []).append(drive)
-    return {planner: marked(mine) for planner, mine in grouped.items()}
-
-
 # drives ---------------------------------------------------------------------------------------------------------------
 
 
-def _drives(results: Results, values: Values, columns: Sequence[Column], said: pd.DataFrame) -> tuple[DriveRow, ...]:
-    verdicts = _verdicts(said)
+def _drives(
+    results: Results, values: Values, columns: Sequence[Column], verdicts: pd.DataFrame
+) -> tuple[DriveRow, ...]:
+    worst_of = _verdicts(verdicts)
     folders = dict(zip(results.logs["log"], results.logs["folder"], strict=True))
+
+    def cell(column: Column, value: float) -> Cell:
+        return Cell(column.show(value), value, column.bad(value)) if isfinite(value) else Cell()
+
     grouped: dict[Key, list[Any]] = {}
     for drive in results.drives.itertuples():
         grouped.setdefault((str(drive.log), str(drive.planner)), []).append(drive)
     return tuple(
         DriveRow(
-            log, planner, marked(mine), *verdicts.get((log, planner), ("", "")),
+            log, planner, marked(mine), *worst_of.get((log, planner), ("", "")),
             _end(next((drive for drive in mine if drive.mode == "closed"), None)),
-            tuple(_cell(column, values.get((log, planner, column.mode, column.metric), nan)) for column in columns),
+            tuple(cell(column, values.get((log, planner, column.mode, column.metric), nan)) for column in columns),
             tuple(file for drive in mine for file in drive.files), folders[log],
         )
         for (log, planner), mine in grouped.items()
     )  # fmt: skip
 
 
-def _verdicts(said: pd.DataFrame) -> dict[Key, tuple[str, str]]:
-    """The worst outcome on each log and planner, and how many gates were asked: "24/41"."""
+def _verdicts(verdicts: pd.DataFrame) -> dict[Key, tuple[str, str]]:
+    """The worst outcome on each log and planner, and the number of gates that apply: "24/41"."""
     found: dict[Key, list[Outcome]] = {}
-    for log, planner, outcome in zip(said["log"], said["planner"], said["outcome"], strict=True):
+    for log, planner, outcome in zip(verdicts["log"], verdicts["planner"], verdicts["outcome"], strict=True):
         found.setdefault((log, planner), []).append(Outcome(outcome))
     asked = {key: sum(outcome is not Outcome.NOT_ASKED for outcome in each) for key, each in found.items()}
     return {key: (worst(each).value, f"{asked[key]}/{len(each)}") for key, each in found.items()}
 
 
-def _not_asked(said: pd.DataFrame) -> Iterator[str]:
-    """The rules that were not asked of some drives, those of most drives first, with the commonest reason."""
-    drives = said.groupby("gate")["log"].count()
-    rows = said[said["outcome"] == Outcome.NOT_ASKED.value].groupby("gate", sort=True)["reason"]
+def _not_asked(verdicts: pd.DataFrame) -> Iterator[str]:
+    """The rules that do not apply to some drives, those of most drives first, with the commonest reason."""
+    drives = verdicts.groupby("gate")["log"].count()
+    rows = verdicts[verdicts["outcome"] == Outcome.NOT_ASKED.value].groupby("gate", sort=True)["reason"]
     for gate, reasons in sorted(rows, key=lambda one: (-len(one[1]), one[0])):
         common = Counter(reasons).most_common(1)[0][0]
         yield f"{gate}: in {len(reasons)} of {counted(int(drives[gate]), 'drive')} ({common})"
-
-
-def _cell(column: Column, value: float) -> Cell:
-    return Cell(column.show(value), value, column.bad(value)) if isfinite(value) else Cell()
 
 
 CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
@@ -235,7 +247,7 @@ def _latency(timings: pd.DataFrame) -> Iterator[StageTime]:
 
 
 def _coverage(drives: pd.DataFrame, values: Values) -> Iterator[Coverage]:
-    """What the verdicts rest on, by planner and loop."""
+    """The time and distance on which the verdicts are based, by planner and loop."""
     sums: dict[tuple[str, str, str], list[float]] = {}
     for (_, planner, mode, metric), value in values.items():
         sums.setdefault((planner, mode, metric), []).append(value)
@@ -247,10 +259,10 @@ def _coverage(drives: pd.DataFrame, values: Values) -> Iterator[Coverage]:
             yield Coverage(planner, mode, len(logged), sum(driven), sum(logged), sum(metres) / 1e3 if metres else nan)
 
 
-def _shares(results: Results, said: pd.DataFrame) -> tuple[PassShare, ...]:
+def _shares(results: Results, verdicts: pd.DataFrame) -> tuple[PassShare, ...]:
     labels = results.labels | dict.fromkeys(results.unread, LogLabels())
     crashed = [(row["log"], row["planner"], row["mode"]) for row in results.summary["failures"]]
-    stand = standings(said, results.drives, list(labels), results.run.drives, crashed)
+    stand = standings(verdicts, results.drives, list(labels), results.run.drives, crashed)
     names = ["kind", "group", "planner", "mode", "logs", "passed", "failed", "inconclusive", "missing", "mean"]
     rows = pass_shares(stand, labels)[[*names, "low", "high"]].itertuples(index=False)
     return tuple(PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows)
@@ -259,10 +271,10 @@ def _shares(results: Results, said: pd.DataFrame) -> tuple[PassShare, ...]:
 # gates ----------------------------------------------------------------------------------------------------------------
 
 
-def _gates(results: Results, said: pd.DataFrame) -> tuple[GateRow, ...]:
+def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[GateRow, ...]:
     units = dict(zip(results.metrics["metric"], results.metrics["unit"], strict=True))
     found: dict[tuple[str, str, str], dict[str, str]] = {}
-    for gate, log, planner, mode, outcome in said[["gate", "log", "planner", "mode", "outcome"]].itertuples(
+    for gate, log, planner, mode, outcome in verdicts[["gate", "log", "planner", "mode", "outcome"]].itertuples(
         index=False
     ):
         found.setdefault((gate, planner, mode), {})[log] = outcome
@@ -297,7 +309,7 @@ def _gate_row(verdict: Mapping[str, Any], unit: str, lacking: int, asked: int) -
 
 
 def _near(gate: Mapping[str, Any], value: float, unit: str, log: str) -> str:
-    """The value of a pass, and of one that every log must hold where it was nearest to the bound."""
+    """The value of a passed gate; if every log must pass, also the log nearest to the bound."""
     if gate["over"] == "pass_share":
         return f"{100.0 * value:.3g}% of the logs"
     shown = 0.0 if abs(value) < 1e-9 else value
@@ -306,21 +318,11 @@ def _near(gate: Mapping[str, Any], value: float, unit: str, log: str) -> str:
     return f"{text}, on {log}" if shown and gate["over"] == "worst" else text
 
 
-# what else is said ------------------------------------------------------------------------------------------------
-
-
-def _ensemble(table: pd.DataFrame) -> pd.DataFrame:
-    return table[(table["metric"] == "ensemble.fragile") & table["available"].astype(bool)]
-
-
-def _fragile(table: pd.DataFrame) -> Iterator[str]:
-    rows = _ensemble(table)
-    for row in rows[rows["value"] > 0.0].itertuples():
-        yield f"{row.log} [{row.planner}, {row.mode} loop]: {row.reason}"
+# notes -----------------------------------------------------------------------------------------------------------
 
 
 def _notes(logs: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Every note once, with how many logs it concerns; notes that differ in numbers only are one."""
+    """Every note once, with the number of logs; notes that differ only in numbers are one."""
     count: Counter[str] = Counter()
     texts: dict[str, set[str]] = {}
     for log in logs:
@@ -330,13 +332,6 @@ def _notes(logs: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         for key, note in notes.items():
             texts.setdefault(key, set()).add(note)
     for key, concerned in count.most_common():
-        yield f"{_example(texts[key])} ({concerned} of {counted(len(logs), 'log')})"
-
-
-def _example(notes: set[str]) -> str:
-    first = min(notes).rstrip(".")
-    return first if len(notes) == 1 else f"for example: {first}"
-
-
-def _failure(row: Mapping[str, Any]) -> str:
-    return f"{row['message']} [{row['planner']}, {row['mode']} loop]" if row["planner"] else str(row["message"])
+        first = min(texts[key]).rstrip(".")
+        example = first if len(texts[key]) == 1 else f"for example: {first}"
+        yield f"{example} ({concerned} of {counted(len(logs), 'log')})"

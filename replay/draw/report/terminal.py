@@ -1,7 +1,7 @@
-"""The report of a run for a terminal: drives, gates, latency, what was assumed, and how to look closer.
+"""The report of a run for a terminal: drives, gates, latency, assumptions, and how to look closer.
 
-Plain letters only (no symbols that a terminal may lack); fits 80 columns, uses more where there are more. What it says
-is in `replay.draw.report.overview`.
+ASCII only (no symbols that a terminal may lack); it fits 80 columns, and uses more if there are more. Its contents are
+those of `replay.draw.report.overview`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from math import isfinite
 from pathlib import Path
 
-from rich import box
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.table import Table
@@ -18,11 +17,11 @@ from rich.text import Text
 
 from logs.words import counted
 from metrics.judge.gates import Outcome
-from replay.draw.report.columns import legend
-from replay.draw.report.model import BROKEN, NOTHING, Cell, DriveRow, GateRow, Overview
+from replay.draw.report.console import grid, titled
+from replay.draw.report.model import BROKEN, NOTHING, Overview, legend
 
 MAX_ROWS = 30
-"""More drives than these are not listed; those with trouble come first."""
+"""Further drives are not listed; those with marked values come first."""
 
 MAX_NOTES = 12
 MAX_GROUPS = 12
@@ -31,14 +30,14 @@ STYLES = {Outcome.PASS.value: "green", Outcome.FAIL.value: "bold red", Outcome.I
 
 
 def print_report(over: Overview, console: Console, folder: Path, *, ending: bool = True) -> None:
-    """The whole report on the results in a folder; without its `ending` where something stands between."""
+    """The whole report on the results in a folder; without its `ending` if something else is printed before it."""
     console.print(Group(*_parts(over)))
     if ending:
         print_ending(over, console, folder)
 
 
 def print_ending(over: Overview, console: Console, folder: Path, place: str = "") -> None:
-    """Where the results are (`place`: where those of the folder go), and the outcome: the last line of a run."""
+    """The place of the results (`place`: where those of the folder go), and the outcome: the last line of a run."""
     console.print(Group(*_ending(over, folder, place or str(folder))))
 
 
@@ -46,50 +45,40 @@ def _parts(over: Overview) -> Iterator[RenderableType]:
     if over.drives:
         yield from _drives(over)
         if len(over.planners) > 1:
-            yield from _titled("Planners", _comparison(over))
-        yield from _titled(f"Planning time (wall clock, {counted(over.frames, 'plan')})", _latency(over))
+            yield from titled("Planners", _comparison(over))
+        yield from titled(f"Planning time (wall clock, {counted(over.frames, 'plan')})", _latency(over))
     judged = Text(f"not judged: shard {over.shard}; see replan merge") if over.shard else _gates(over)
-    yield from _titled("Gates", judged, *(Text(each.text, style="dim") for each in over.coverage))
+    yield from titled("Gates", judged, *(Text(each.text, style="dim") for each in over.coverage))
     if over.not_asked:
-        yield from _titled("Gates that were not asked", *_listed(over.not_asked, MAX_NOTES, "report.html"))
+        yield from titled("Gates that were not asked", *_listed(over.not_asked, MAX_NOTES, "report.html"))
     yield from _shares(over)
     if over.ensembles:
         title = f"Ensemble: {len(over.fragile)} of {over.ensembles} verdicts are fragile"
-        yield from _titled(title, *_listed(over.fragile, MAX_ROWS, "metrics.csv"))
+        yield from titled(title, *_listed(over.fragile, MAX_ROWS, "metrics.csv"))
     if over.broken:
-        yield from _titled(BROKEN, *_listed(over.broken, MAX_NOTES, "report.html"))
+        yield from titled(BROKEN, *_listed(over.broken, MAX_NOTES, "report.html"))
     if over.notes:
-        yield from _titled("Notes", *_listed(over.notes, MAX_NOTES, "summary.json"))
+        yield from titled("Notes", *_listed(over.notes, MAX_NOTES, "summary.json"))
     if over.failures:
         title = f"Could not be evaluated ({len(over.failures)})"
-        yield from _titled(title, *_listed(over.failures, MAX_ROWS, "summary.json"))
-
-
-def _titled(title: str, *parts: RenderableType) -> Iterator[RenderableType]:
-    yield Text(title, style="bold underline")
-    yield from parts
-    yield Text()
+        yield from titled(title, *_listed(over.failures, MAX_ROWS, "summary.json"))
 
 
 def _listed(lines: Sequence[str], most: int, rest: str) -> Iterator[RenderableType]:
-    """The lines, indented; how many are left out, and the file that has them."""
+    """The lines, indented; the number of further lines, and the file that has them."""
     more = [f"{len(lines) - most} more: {rest}"] if len(lines) > most else []
     return (Padding(Text(line), (0, 0, 0, 2)) for line in (*lines[:most], *more))
 
 
-def _grid(*, padding: int = 1) -> Table:
-    return Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, padding, 0, 0))
-
-
 def _drives(over: Overview) -> Iterator[RenderableType]:
-    """One row per log and planner, and what the columns mean."""
+    """One row per log and planner, and the meaning of the columns."""
     rows = over.drives
     shown = rows if len(rows) <= MAX_ROWS else sorted(rows, key=lambda row: -row.trouble)[:MAX_ROWS]
     several = len(over.planners) > 1
-    table = _grid(padding=0)
+    table = grid(padding=0)
     table.add_column("log", overflow="fold")
     table.add_column("verdict", no_wrap=True)
-    first = _first_closed(over)
+    first = over.first_closed
     for i, column in enumerate(over.columns):
         if i == first:
             table.add_column("closed loop\nended by", overflow="fold", max_width=13)
@@ -101,27 +90,18 @@ def _drives(over: Overview) -> Iterator[RenderableType]:
         name = Text(f"  {row.shown}" if several else row.log)
         verdict = f"{SAYS[row.verdict]} {row.asked}" if row.verdict else NOTHING
         word = Text(verdict, style=STYLES.get(row.verdict, ""))
-        table.add_row(name, word, *(Text(cell.text, "red" if cell.bad else "") for cell in _cells(row, first)))
+        end = (row.end,) if first < len(row.cells) else ()
+        cells = (*row.cells[:first], *end, *row.cells[first:])
+        table.add_row(name, word, *(Text(cell.text, "red" if cell.bad else "") for cell in cells))
         before = row.log
     left = len(rows) - len(shown)
     omitted = [f"{counted(left, 'more drive')} without more trouble than these: metrics.csv"] if left else []
-    yield from _titled("Drives", table, Text("\n".join([*legend(over.columns), *omitted]), style="dim"))
-
-
-def _first_closed(over: Overview) -> int:
-    """The first column of the closed loop: how its drive ended comes before it."""
-    return next((i for i, column in enumerate(over.columns) if column.mode == "closed"), len(over.columns))
-
-
-def _cells(row: DriveRow, first: int) -> tuple[Cell, ...]:
-    """What stands right of the planner."""
-    end = (row.end,) if first < len(row.cells) else ()
-    return (*row.cells[:first], *end, *row.cells[first:])
+    yield from titled("Drives", table, Text("\n".join([*legend(over.columns), *omitted]), style="dim"))
 
 
 def _comparison(over: Overview) -> Table:
     """One column per planner: each metric over the logs."""
-    table = _grid()
+    table = grid()
     table.add_column("over all logs")
     for planner in over.planners:
         table.add_column(planner, justify="right", overflow="fold")
@@ -132,9 +112,7 @@ def _comparison(over: Overview) -> Table:
 
 def _latency(over: Overview) -> Table:
     """p50, p95, p99 of each stage, over all frames of both loops."""
-    table = _grid()
-    for title in ("planner", "stage"):
-        table.add_column(title, overflow="fold")
+    table = grid("planner", "stage")
     for title in ("p50 [ms]", "p95 [ms]", "p99 [ms]", "share"):
         table.add_column(Text(title), justify="right")
     for row in over.latency:
@@ -146,28 +124,21 @@ def _latency(over: Overview) -> Table:
 
 
 def _gates(over: Overview) -> RenderableType:
-    """What is not passed first, in full."""
-    table = _grid()
+    """Failed and inconclusive gates first."""
+    table = grid()
     for title in ("outcome", "rule", "what was found"):
         table.add_column(title, overflow="fold", no_wrap=title == "outcome")
     for row in over.gates:
-        table.add_row(Text(row.outcome.upper(), style=STYLES[row.outcome]), Text(_rule(row)), Text(row.found))
+        loop = f" [{row.mode}]" if row.mode and f"[{row.mode}]" not in row.rule else ""
+        table.add_row(Text(row.outcome.upper(), style=STYLES[row.outcome]), Text(row.rule + loop), Text(row.found))
     return table
 
 
-def _rule(row: GateRow) -> str:
-    """The rule with its loop: a gate of either loop is a row for each."""
-    loop = f" [{row.mode}]" if row.mode else ""
-    return row.rule if loop in row.rule else row.rule + loop
-
-
 def _shares(over: Overview) -> Iterator[RenderableType]:
-    """How many logs pass, in all and by group; groups of one log, or of all, say nothing more."""
+    """The number of logs that pass, in all and by group."""
     if not over.whole:
         return
-    table = _grid()
-    for title in ("logs", "planner"):
-        table.add_column(title, overflow="fold")
+    table = grid("logs", "planner")
     for title in ("pass", "95%", "fail", "inconcl.", "lost"):
         table.add_column(Text(title), justify="right", no_wrap=True)
     for share in (*over.whole, *over.grouped[:MAX_GROUPS]):
@@ -179,7 +150,7 @@ def _shares(over: Overview) -> Iterator[RenderableType]:
     more = (
         [Text(f"{counted(left, 'more group')} passing no less often: groups.parquet", style="dim")] if left > 0 else []
     )
-    yield from _titled("Logs that pass", table, *more)
+    yield from titled("Logs that pass", table, *more)
 
 
 def _ending(over: Overview, folder: Path, place: str) -> Iterator[RenderableType]:

@@ -1,7 +1,7 @@
 """The reports of a result folder, as files: report.md, junit.xml, report.html.
 
-They are made of the results as they are read back, so that a folder from elsewhere has them too, and hold no path but
-those within the folder: whatever holds them, their bytes are the same.
+They are made from the results on disk, so that they can be made for any folder, and hold no path outside of the folder:
+their bytes do not depend on where it is.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from logs.errors import writing
-from replay.draw.report.attempts import Attempts
-from replay.draw.report.html import write_html
+from replay.draw.report.html import Attempts, write_html
 from replay.draw.report.junit import junit
 from replay.draw.report.markdown import append_step_summary, markdown
 from replay.draw.report.model import Overview
@@ -26,11 +25,11 @@ def write_reports(results: Results, over: Overview, out: Path) -> Overview:
 
     Args:
         results: The run.
-        over: What they say of it.
-        out: Folder for them; made if it is not there. The links of report.md need it to be the result folder.
+        over: The overview of the run.
+        out: Folder for them; created if needed. report.md has links only if it is the result folder.
 
     Returns:
-        What they say, with the charts and files that could not be made: an error in one of them costs that one only.
+        The overview, with the charts and files that could not be made: an error in one affects no other.
     """
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)

@@ -61,8 +61,8 @@ from planners.lattice.checks import (
     states,
     third_square,
 )
-from replay.draw.recording.why import why
-from replay.explain import accounts
+from replay.draw.recording.pages import why
+from replay.explain import Explanation, accounts
 from replay.loop.closed_loop import run_closed_loop
 from replay.planner_process.planner_config import planner_keywords
 
@@ -302,7 +302,10 @@ def test_the_counts_are_in_the_trace_and_in_words(tmp_path: Path) -> None:
         assert message["candidates"] == [
             {"stage": "lattice", "considered": counted.considered, "rejected": dict(counted.rejected)}
         ]
-        assert any(f"lattice: {counted.considered}; not taken: " in line for line in why(planned, account))
+        assert any(
+            f"lattice: {counted.considered}; not taken: " in line
+            for line in why(planned, Explanation.of(planned, account))
+        )
 
 
 def test_the_configuration_is_a_table() -> None:

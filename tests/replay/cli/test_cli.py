@@ -374,7 +374,7 @@ def test_view_of_two_drives_writes_them_as_one(recorded: Path, tmp_path: Path) -
 def test_view_says_what_cannot_be_drawn(
     recorded: Path, options: list[str], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("replay.draw.recording.video.shutil.which", lambda name: None)
+    monkeypatch.setattr("replay.draw.recording.pictures.shutil.which", lambda name: None)
     assert said in one_error(replan("view", next(recorded.glob("test_free*/closed.rrd")), *options))
 
 

@@ -18,7 +18,7 @@ from logs.mcap import write_scenario
 from planners.piecewise_jerk.solvers import solve
 from replay.config import RunConfig
 from replay.explain import accounts
-from replay.explain.drive import changes, explained, lines_of
+from replay.explain.explanation import changes, explained, lines_of
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
 from replay.results.load import Results

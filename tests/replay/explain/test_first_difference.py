@@ -28,7 +28,7 @@ from logs.trace import (
     StGraph,
     Trace,
 )
-from replay.explain.first_difference import STAGES, TOLERANCE, parting
+from replay.explain.first_difference import STAGES, TOLERANCE, first_difference
 
 ROWS, FRAMES = 301, 31
 LANES = (LaneOption("keep", (("time lost", 1.0),)), LaneOption("left", (("time lost", 3.0),), "slower"))
@@ -121,7 +121,7 @@ def _ignored(decision: Decision) -> Decision:
 
 
 PLANTED: dict[str, tuple[str, Callable[[PlannedFrame], PlannedFrame], str]] = {
-    "who is there": ("input frame", lambda f: replace(f, agents=("car 12", "ped")), "no longer truck 40; now also ped"),
+    "agents": ("input frame", lambda f: replace(f, agents=("car 12", "ped")), "no longer truck 40; now also ped"),
     "a prediction": ("prediction", _elsewhere, "y of truck 40 in 4 s 0.00 -> 0.40 m"),
     "the reference line": ("route", inside(SlGraph, lambda g: _corridor(g, first=g.corridor.first + 0.5)), "station"),
     "the lane": ("lane choice", inside(LaneOption, lambda x: replace(x, name="pass")), "keep -> pass (now pass 1.00 s"),
@@ -143,7 +143,7 @@ ANY_FRAME = st.integers(0, FRAMES - 1)
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_a_drive_does_not_part_from_itself(mode: Mode) -> None:
-    assert parting(drive(mode), drive(mode)) is None
+    assert first_difference(drive(mode), drive(mode)) is None
 
 
 @settings(max_examples=25, deadline=None)
@@ -152,10 +152,10 @@ def test_what_is_changed_in_a_frame_is_found_there(k: int, name: str, mode: Mode
     stage, change, words = PLANTED[name]
     trace = drive(mode)
     other = changed(trace, k, change)
-    found = parting(trace, other)
+    found = first_difference(trace, other)
     assert found is not None and (found.t, found.stage) == (trace.frames[k].t, stage)
     assert words in found.what and found.what.startswith(f"t = {found.t:.2f} s, {stage}: ")
-    back = parting(other, trace)
+    back = first_difference(other, trace)
     assert back is not None and (back.t, back.stage) == (found.t, found.stage)
 
 
@@ -166,7 +166,7 @@ def test_of_several_changes_the_first_in_time_and_then_in_stage_is_found(planted
     for k, name in sorted(planted, key=lambda one: one[1] == "the graph"):  # last: it leaves nobody to overtake
         other = changed(other, k, PLANTED[name][1])
     k, place = min((k, STAGES.index(PLANTED[name][0])) for k, name in planted)
-    found = parting(drive(), other)
+    found = first_difference(drive(), other)
     assert found is not None and (found.t, STAGES.index(found.stage)) == (drive().frames[k].t, place)
 
 
@@ -181,7 +181,7 @@ def test_between_frames_the_controller_and_the_car_act(row: int, stage: str) -> 
         if stage == "controller"
         else replace(trace, ego=replace(trace.ego, x=trace.ego.x + step))
     )
-    found = parting(trace, other)
+    found = first_difference(trace, other)
     assert found is not None and (found.t, found.stage) == (trace.ego.t[row], stage)
 
 
@@ -189,7 +189,7 @@ def test_between_frames_the_controller_and_the_car_act(row: int, stage: str) -> 
 @settings(max_examples=5, deadline=None)
 def test_rounding_parts_nothing(size: float) -> None:
     trace = drive()
-    assert parting(trace, replace(trace, ego=replace(trace.ego, x=trace.ego.x + size))) is None
+    assert first_difference(trace, replace(trace, ego=replace(trace.ego, x=trace.ego.x + size))) is None
 
 
 # examples ---------------------------------------------------------------------------------------------------------
@@ -198,9 +198,9 @@ def test_rounding_parts_nothing(size: float) -> None:
 def test_a_small_cause_is_named_and_not_its_larger_effect() -> None:
     """The QP is off by half a millimetre at 1 s; the car is off by 2 mm from 2 s on."""
     small = changed(drive(), 10, inside(StGraph, lambda g: replace(g, qp=raised(g.qp, 40, 1, 0.5 * TOLERANCE))))
-    assert parting(drive(), small) is None
+    assert first_difference(drive(), small) is None
     step = np.where(drive().ego.t >= 2.0, 2.0 * TOLERANCE, 0.0)
-    found = parting(drive(), replace(small, ego=replace(small.ego, x=small.ego.x + step)))
+    found = first_difference(drive(), replace(small, ego=replace(small.ego, x=small.ego.x + step)))
     assert found is not None and (found.t, found.stage) == (1.0, "speed QP")
     assert found.what.endswith("; more than 0.001 from t = 2.00 s on (vehicle)")
 
@@ -208,18 +208,18 @@ def test_a_small_cause_is_named_and_not_its_larger_effect() -> None:
 def test_others_elsewhere_are_an_input() -> None:
     trace = drive()
     agents = replace(trace.agents, x=trace.agents.x + np.where(trace.agents.t > 1.05, 0.3, 0.0))
-    found = parting(trace, replace(trace, agents=agents))
+    found = first_difference(trace, replace(trace, agents=agents))
     assert found is not None and (found.t, found.stage) == (1.1, "input frame") and "x of " in found.what
 
 
 def test_another_start_is_an_input_and_a_late_plan_the_controllers() -> None:
     trace = drive()
     moved = replace(trace, ego=replace(trace.ego, y=trace.ego.y + 0.1))
-    found = parting(trace, moved)
+    found = first_difference(trace, moved)
     assert found is not None and (found.t, found.stage) == (0.0, "input frame") and "the ego's y" in found.what
     open_loop = drive(Mode.OPEN)
     moved = replace(open_loop, ego=replace(open_loop.ego, y=open_loop.ego.y + 0.1 * (open_loop.ego.t > 0.95)))
-    found = parting(open_loop, moved)
+    found = first_difference(open_loop, moved)
     assert found is not None and (found.t, found.stage) == (1.0, "input frame")
 
 
@@ -233,7 +233,7 @@ def test_a_drive_that_ends_earlier_parts_where_it_ends() -> None:
         end=EndReason.COLLISION,
         detail="car 12",
     )
-    found = parting(trace, short)
+    found = first_difference(trace, short)
     assert found is not None and (round(found.t, 6), found.stage) == (1.99, "end")
     assert "goal reached: goal region 1 at 3.00 s -> collision: car 12 at 1.99 s" in found.what
 
@@ -241,13 +241,13 @@ def test_a_drive_that_ends_earlier_parts_where_it_ends() -> None:
 def test_a_planner_without_internals_parts_in_its_plan() -> None:
     bare = replace(drive(), frames=tuple(replace(f, plan=replace(f.plan, internals=())) for f in drive().frames))
     other = changed(drive(), 5, PLANTED["the speed"][1])
-    assert parting(bare, other) is None
-    found = parting(bare, changed(other, 7, PLANTED["the plan"][1]))
+    assert first_difference(bare, other) is None
+    found = first_difference(bare, changed(other, 7, PLANTED["the plan"][1]))
     assert found is not None and (round(found.t, 6), found.stage) == (0.7, "plan")
 
 
 def test_plans_at_other_times_part_at_the_first_of_them() -> None:
     trace = drive()
-    found = parting(trace, replace(trace, frames=trace.frames[::2]))
+    found = first_difference(trace, replace(trace, frames=trace.frames[::2]))
     assert found is not None and (round(found.t, 6), found.stage) == (0.1, "input frame")
     assert "in the first drive only" in found.what

@@ -20,13 +20,12 @@ from logs.shapes import distance
 from planners import PLANNERS
 from replay.config import LoopConfig, PlannerProcessConfig
 from replay.explain import Account, Action, Cause, CauseKind, accounts, sentences
-from replay.explain.alternatives import NOISE, SHOWS, telling
 from replay.explain.causes import CURVE_MPS2, STAYS_BEHIND, Explainer
-from replay.explain.course import LOOK_S, Course, Held
+from replay.explain.course import LOOK_S, Course, Held, Way, Ways
+from replay.explain.explanation import NOISE, SHOWS, main_terms
 from replay.explain.meetings import GAP_M, HEADWAY_S, VULNERABLE_MARGIN_M, fine
+from replay.explain.planner_input import PlannerInput, planner_inputs
 from replay.explain.sentences import MOST, conflicts
-from replay.explain.shown import Shown, shown
-from replay.explain.way import Way, Ways
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
 
@@ -51,7 +50,7 @@ class SlowDown:
 # ------------------------------------------------------------------------------------------------------ the law
 
 
-def boxes(case: Shown) -> tuple[FloatArray, FloatArray]:
+def boxes(case: PlannerInput) -> tuple[FloatArray, FloatArray]:
     """Rows x, y, yaw of the predictions `(3, n, k)` every 0.1 s, and length, width of each."""
     assert case.predictions is not None
     _, poses = fine(case.predictions)
@@ -59,7 +58,7 @@ def boxes(case: Shown) -> tuple[FloatArray, FloatArray]:
     return poses, np.stack([case.agents.length[who], case.agents.width[who]])
 
 
-def gaps(case: Shown, held: FloatArray, way: Way, world: Scenario) -> FloatArray:
+def gaps(case: PlannerInput, held: FloatArray, way: Way, world: Scenario) -> FloatArray:
     """Between the ego's box at arc lengths `(k,)` and each prediction `(n, k)`, m; NaN where its centre is behind."""
     poses, sizes = boxes(case)
     car = world.vehicle
@@ -74,7 +73,7 @@ def gaps(case: Shown, held: FloatArray, way: Way, world: Scenario) -> FloatArray
     return out
 
 
-def check(case: Shown, account: Account, world: Scenario, ways: Ways) -> None:
+def check(case: PlannerInput, account: Account, world: Scenario, ways: Ways) -> None:
     """The law for one frame."""
     plan, course, said = case.planned.plan, account.course, sentences(account)
     accel = float(np.interp(plan.trajectory.t[0] + 1.0, plan.trajectory.t, plan.trajectory.v)) - plan.trajectory.v[0]
@@ -123,7 +122,7 @@ def check_opening(sentence: str, plan: Plan, account: Account) -> None:
         assert path.a[begins].min() <= -0.3
 
 
-def check_others(case: Shown, causes: list[Cause], held: Held, away: FloatArray) -> None:
+def check_others(case: PlannerInput, causes: list[Cause], held: Held, away: FloatArray) -> None:
     """Who is said to be met is met then and not before; who is not said to be is not."""
     assert case.predictions is not None
     ids = [case.agents.ids[i] for i in case.predictions.agent]
@@ -162,7 +161,7 @@ def check_drive(name: str, planner: str, mode: str, until: float = 1e9) -> list[
     trace = LOOPS[mode](world, planner, config=TRUSTED).trace
     trace = replace(trace, frames=tuple(frame for frame in trace.frames if frame.t <= until)[::4])
     found, ways = list(accounts(trace, world)), Ways(world)
-    for case, account in zip(shown(trace, world), found, strict=True):
+    for case, account in zip(planner_inputs(trace, world), found, strict=True):
         check(case, account, world, ways)
     return found
 
@@ -202,7 +201,7 @@ def why_of(world: Scenario, plan: Plan) -> Account:
     """Why this plan is made of the first frame."""
     trace = run_open_loop(world, f"{__name__}:SlowDown", config=TRUSTED).trace
     (first, *_) = trace.frames
-    (case,) = shown(replace(trace, frames=(replace(first, plan=plan),)), world)
+    (case,) = planner_inputs(replace(trace, frames=(replace(first, plan=plan),)), world)
     return Explainer(world).account(case)
 
 
@@ -244,7 +243,7 @@ def test_a_word_about_who_is_near_the_way_is_the_planners() -> None:
     world = world_with(track("waits", [0.0], [30.0], [3.2], static=True))
     may = Decision("waits", DecisionKind.YIELD, "speed", "may step out")
     said = sentences(why_of(world, braking(world, (may,))))
-    assert said == ["Slows down for waits (yield): may step out; so the planner says."]
+    assert said == ["Slows down for waits (yield): may step out; a decision of the planner alone."]
 
 
 @pytest.mark.parametrize(("y", "kind"), [(3.2, CauseKind.WORD), (12.0, CauseKind.NONE)])
@@ -253,10 +252,8 @@ def test_who_is_overtaken_near_the_way_is_inferred_where_nothing_else_is_found(y
     account = why_of(world, braking(world, (Decision("walks", DecisionKind.OVERTAKE, "speed", "steps out later"),)))
     (cause,) = account.causes
     assert cause.kind is kind and cause.inferred
-    said = (
-        "Slows down for walks (inferred; the planner decided: overtake): steps out later; near its way, but at 10.0 m/s"
-    )
-    assert (sentences(account) == [f"{said} not met."]) is (kind is CauseKind.WORD)
+    said = "Slows down for walks (inferred; the planner decided: overtake): steps out later; near its way, but not met"
+    assert (sentences(account) == [f"{said} at 10.0 m/s."]) is (kind is CauseKind.WORD)
 
 
 def test_one_conflict_is_said_once() -> None:
@@ -272,17 +269,17 @@ def test_one_conflict_is_said_once() -> None:
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0.0, 1e6)), min_size=1, max_size=8))
 def test_the_terms_that_are_told_make_up_the_cost(terms: list[tuple[str, float]]) -> None:
-    total, worded = sum(value for _, value in terms), sum(value for _, value in telling(terms))
+    total, worded = sum(value for _, value in terms), sum(value for _, value in main_terms(terms))
     assert abs(total - worded) <= len(terms) * max(NOISE, SHOWS * total)
-    assert telling([(name, 1e-9 * value / 1e6) for name, value in terms]) == []
-    beside = telling([*terms, ("blocked", inf), ("bug", nan)])
-    assert [name for name, _ in beside] == [*(name for name, _ in telling(terms)), "blocked", "bug"]
+    assert main_terms([(name, 1e-9 * value / 1e6) for name, value in terms]) == []
+    beside = main_terms([*terms, ("blocked", inf), ("bug", nan)])
+    assert [name for name, _ in beside] == [*(name for name, _ in main_terms(terms)), "blocked", "bug"]
 
 
 def test_where_nothing_explains_it_no_cause_is_found() -> None:
     world = world_with()
     (said,) = sentences(why_of(world, braking(world)))
-    assert said.startswith("Slows down; no cause found: at 10.0 m/s it would meet no one")
+    assert said.startswith("Slows down; no cause found: at 10.0 m/s it would meet no road user")
 
 
 def test_a_red_light_is_a_cause_a_green_one_is_not() -> None:

@@ -1,4 +1,4 @@
-"""Two drives in one recording: whose is whose, how far they are apart, where they part."""
+"""Two drives in one recording: their entities, their distance, their first difference."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sample_drive import drive
 from logs.errors import ConfigError
 from replay.draw.recording import write_recording
 from replay.draw.recording.pair import difference, write_pair
-from replay.draw.recording.readback import span
+from replay.draw.recording.pictures import span
 
 
 def test_the_difference_of_a_drive_with_itself_is_nothing_and_turns_with_the_order() -> None:
@@ -42,7 +42,7 @@ def test_both_recordings_are_in_one_with_the_place_where_they_part(tmp_path: Pat
         kept = {f"/{side}{entity}" for entity in single.moving if not entity.startswith("/__")}
         assert kept <= set(both.moving)
     page = both.static("/parting", "TextDocument:text").to_pylist()[0]
-    assert "se\\_cond" in page and "They part at t = 3.0" in page and "apart from t = 3.0" in page
+    assert "se\\_cond" in page and "First difference: t = 3.0" in page and "apart from t = 3.0" in page
     assert both.times("/parts") == pytest.approx([3.01], abs=0.02)
     assert span(tmp_path / "pair.rrd") == (0.0, pytest.approx(float(trace.ego.t[-1])))
     with pytest.raises(ConfigError, match="one log"):

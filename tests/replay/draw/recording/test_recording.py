@@ -35,18 +35,18 @@ from logs.kernel import FloatArray
 from logs.presence import MAX_AGE_S
 from logs.repair import detections_of
 from metrics import series
+from replay.draw.axes import multiples, nice_step
 from replay.draw.recording import colours, scene_times, write_log_recording, write_recording
-from replay.draw.recording.axes import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, nice_step, spread, ticks
-from replay.draw.recording.columns import Instants, Tape
-from replay.draw.recording.events import events
+from replay.draw.recording.graphs import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, spread
 from replay.draw.recording.hatch import Window, outline_segments, strokes
+from replay.draw.recording.pages import why
+from replay.draw.recording.pictures import Picture, arranged, click_theme, take_pictures
 from replay.draw.recording.road import covered, dashes
-from replay.draw.recording.screenshot import Picture, arranged, take_pictures
+from replay.draw.recording.tape import Instants, Tape
 from replay.draw.recording.text import DRAWABLE, application_name, cell, path_parts, plain
-from replay.draw.recording.theme import clicked
-from replay.draw.recording.why import why
 from replay.drive import Drive, StageTime
-from replay.explain import accounts
+from replay.explain import Explanation, accounts
+from replay.explain.events import events
 
 # ---------------------------------------------------------------------------------------------------------- laws
 
@@ -115,7 +115,7 @@ def test_two_outlines_are_filled_apart() -> None:
 @given(st.floats(1e-3, 1e4), st.integers(2, 12))
 def test_ticks_are_few_round_and_inside(span: float, most: int) -> None:
     step = nice_step(span, most)
-    marks = ticks(0.0, span, step)
+    marks = multiples(0.0, span, step)
     assert 1 <= len(marks) <= most + 1
     assert marks[-1] <= span * (1.0 + 1e-9)
     assert float(f"{step:.0e}") == pytest.approx(step)
@@ -474,7 +474,7 @@ def test_a_failed_writing_leaves_nothing_and_restores_the_library(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done, world = drive()
-    monkeypatch.setattr("replay.draw.recording.why.draw_why", lambda *_: 1 / 0)
+    monkeypatch.setattr("replay.draw.recording.pages.draw_why", lambda *_: 1 / 0)
     before = rr.strict_mode()
     with pytest.raises(ZeroDivisionError):
         write_recording(tmp_path / "some.rrd", done, world)
@@ -520,8 +520,8 @@ def test_many_decisions_are_counted_not_listed() -> None:
     stop = Decision("wall", DecisionKind.STOP, "speed", "ahead")
     frame = PlannedFrame(0.0, replace(done.trace.frames[0].plan, internals=(*ignored, stop)))
     (account,) = accounts(replace(done.trace, frames=(frame,)), world)
-    page = "\n".join(why(frame, account))
-    assert "wall: stop" in page and "and 286 more" in page
+    page = "\n".join(why(frame, Explanation.of(frame, account)))
+    assert "- **wall: stop** (speed): ahead" in page and "and 286 more" in page
 
 
 # -------------------------------------------------------------------------------------------------------- viewer
@@ -593,4 +593,4 @@ def test_a_viewer_that_does_not_set_its_theme_is_said_in_time(tmp_path: Path) ->
     hangs = tmp_path / "viewer"
     hangs.write_text("#!/bin/sh\nexec sleep 60\n", encoding="utf-8")
     hangs.chmod(0o755)
-    assert clicked("light", hangs, 1, os.environ, 0.1).endswith("did not answer within 0.1 s")
+    assert click_theme("light", hangs, 1, os.environ, 0.1).endswith("did not answer within 0.1 s")

@@ -29,12 +29,13 @@ from logs.catalogue import CATALOGUE
 from logs.trace import KEPT_STEP_S
 from replay.config import LoopConfig
 from replay.draw.recording import write_recording
-from replay.draw.recording.events import events
-from replay.draw.recording.lane_choice import changes_under_way, choices, lanes_driven, options, told
 from replay.draw.recording.others import futures, hatching, perceived_only, rim, unseen
-from replay.draw.recording.why import why
+from replay.draw.recording.pages import why
+from replay.draw.recording.states import changes_under_way, choices, lanes_driven
 from replay.drive import Drive
-from replay.explain import accounts
+from replay.explain import Explanation, accounts
+from replay.explain.events import events
+from replay.explain.explanation import describe_choice, lane_options
 from replay.loop.closed_loop import run_closed_loop
 
 EGO = EgoState(3.0, 0.0, 0.0, 0.0, 10.0)
@@ -45,7 +46,7 @@ def page(trace: Trace, index: int, *more: object) -> str:
     """The page of a frame."""
     _, world = drive()
     account = list(accounts(trace, world))[index]
-    return "\n".join(why(trace.frames[index], account, *more))  # type: ignore[arg-type]
+    return "\n".join(why(trace.frames[index], Explanation.of(trace.frames[index], account), *more))  # type: ignore[arg-type]
 
 
 def agents(count: int) -> Agents:
@@ -227,7 +228,7 @@ def test_a_change_of_lane_is_told_with_its_costs() -> None:
     text = page(trace, 15)
     assert "- **left**: 1.3 s (time lost 0.3, change 1.0); car 7 is beside" in text
     assert "- **keep**: 7.4 s (time lost 7.4); taken" in text
-    assert told(options(trace.frames[20].plan)).endswith("keep 7.4 s (time lost 7.4)")
+    assert describe_choice(lane_options(trace.frames[20].plan)).endswith("keep 7.4 s (time lost 7.4)")
 
 
 def test_a_change_is_under_way_until_the_lane_is_left() -> None:

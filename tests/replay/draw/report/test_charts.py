@@ -20,16 +20,16 @@ from typer.testing import CliRunner
 
 from logs import Decision, DecisionKind, PlanStatus
 from logs.mcap import read_moment, read_trace
-from logs.trace import LaneOption, Said
+from logs.trace import LaneOption, PlanSummary
 from replay.cli import app
 from replay.config import RunConfig
+from replay.draw.axes import ticks
 from replay.draw.charts import Chart, curves, decisions, scenes, sl_graph, st_graph, subject
-from replay.draw.charts.axes import ticks
 from replay.draw.charts.canvas import KEPT_PX, cut_line, cut_outline, polyline, px, simplified, text
 from replay.draw.charts.lanes import decided, statuses
 from replay.draw.charts.moment import gravity, measured_by, violations, worst_moment
 from replay.draw.charts.style import DARK, LIGHT, RULES, stylesheet
-from replay.draw.recording.events import events
+from replay.explain.events import events
 from replay.results.load import Results, load
 from replay.run import evaluate_logs
 
@@ -206,10 +206,10 @@ def test_the_metric_of_a_rule(rule: str, metric: str) -> None:
 # a drive ------------------------------------------------------------------------------------------------------------
 
 
-def said(*kinds: DecisionKind | None) -> list[Said]:
+def said(*kinds: DecisionKind | None) -> list[PlanSummary]:
     some = [() if kind is None else (Decision("ped 7", kind, "speed", f"why {i}"),) for i, kind in enumerate(kinds)]
     status = [PlanStatus.PLANNED, PlanStatus.HARD_STOP]
-    return [Said(0.1 * i, status[i > 2], "", inside) for i, inside in enumerate(some)]
+    return [PlanSummary(0.1 * i, status[i > 2], "", inside) for i, inside in enumerate(some)]
 
 
 def test_decisions_hold_until_the_next_frame() -> None:
@@ -258,7 +258,7 @@ def test_each_chart_is_svg_with_numbers_on_its_axes(run: Results, planner: str) 
         words = [node.text or "" for node in root.iter() if node.tag == "text"]
         assert root.get("aria-label") == chart.says
         if planner == "constant_speed" and chart.name in ("st", "sl"):
-            assert "constant_speed shows nothing of its inside" in words
+            assert "constant_speed reports no internals" in words
         else:
             numbers = [word for word in words if re.fullmatch(r"\u2212?[\d.]+", word)]
             assert len(numbers) >= 2 and any("[" in word for word in words), chart.name

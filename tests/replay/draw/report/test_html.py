@@ -132,7 +132,7 @@ def test_what_it_says_is_what_the_run_says(page: Page, results: Results) -> None
     assert moment.why.startswith("collision_at_fault.count <= 0 [closed] fails: 1")
     assert f"Look at {moment.t:.2f} s : {moment.why.split('<img')[0]}" in text
     because = subject(results.drive(visible_name(HOSTILE), "dp_qp", "open")).because  # the loop in which a gate fails
-    assert because[0].startswith("The plan of t = ") and because[0] in text
+    assert because[0].startswith("The plan at t = ") and because[0] in text
 
 
 @pytest.mark.slow
@@ -180,9 +180,9 @@ def test_what_fails_in_a_report_costs_itself_only(
     assert not write_reports(results, before, tmp_path / "whole").broken
     for place, said in (
         ("replay.draw.charts.subject.accounts", "The account of the plan could not be made: MemoryError: Unable"),
-        ("replay.draw.report.html.drive.subject", "no pictures: a bug in replan: MemoryError"),
-        ("replay.draw.report.html.page.drive_page", "The page of a drive could not be made: MemoryError"),
-        ("replay.draw.report.html.page.pass_shares", "The chart of shares could not be made"),
+        ("replay.draw.report.html.subject", "no pictures: a bug in replan: MemoryError"),
+        ("replay.draw.report.html.drive_page", "The page of a drive could not be made: MemoryError"),
+        ("replay.draw.report.html.pass_shares", "The chart of shares could not be made"),
     ):
         with monkeypatch.context() as patch:
             module, _, name = place.rpartition(".")

@@ -11,17 +11,17 @@ import pandas as pd
 
 from logs.kernel import FloatArray
 from logs.words import counted
-from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words, spread
+from replay.draw.axes import widened
+from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
 from replay.draw.charts.canvas import Chart, dot, legend, line, rect, shortened, text
-from replay.draw.report.columns import Column
-from replay.draw.report.model import DriveRow, PassShare
+from replay.draw.report.model import Column, DriveRow, PassShare
 
 WIDTH_PX, WIDE_PX, ROW_PX, TOP_PX = 440.0, 640.0, 19.0, 40.0
 LABEL_SHARE = 0.4
-"""Of the width, at most, for names."""
+"""The largest share of the width for names."""
 MAX_SHARES, MAX_PAIRS = 40, 20
 FEW = 5
-"""A box of quartiles needs more values than this."""
+"""A box of quartiles is drawn for more values than this."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def _names(plane: Plane, names: Sequence[str]) -> str:
 
 
 def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
-    """The share of logs that pass, with its 95 % interval, by group: a dot, a whisker, and the counts."""
+    """The share of logs that pass, with its 95 % interval, by group: a dot, a whisker, and counts."""
     shown = shares[:MAX_SHARES]
     names = [f"{share.name}, {share.planner}" if planners > 1 else share.name for share in shown]
     plane = _rows_plane(names, (-2.0, 102.0), width=WIDE_PX)
@@ -93,7 +93,7 @@ def _strips(column: int, drives: Sequence[DriveRow]) -> Iterator[Strip]:
 def _distribution(column: Column, strips: Sequence[Strip]) -> Chart:
     """A dot per log, and the box of the quartiles with the median."""
     values = np.concatenate([strip.values for strip in strips])
-    low, high = spread(float(values.min()), float(values.max()), 1e-3, 0.04)
+    low, high = widened(float(values.min()), float(values.max()), 1e-3, 0.04)
     names = [strip.name for strip in strips]
     plane = _rows_plane(names, (min(low, 0.0) if values.min() >= 0.0 and low < 0.0 else low, high), top=22.0)
     marks = "".join(_strip(plane, strip, k) for k, strip in enumerate(strips))
@@ -134,7 +134,7 @@ def moved(pairs: pd.DataFrame, title: str) -> Chart:
     shown = pairs.sort_values(["worse", "log"], ascending=[False, True], kind="stable").head(MAX_PAIRS)
     names = [str(log) for log in shown["log"]]
     both = shown[["baseline", "candidate"]].to_numpy(np.float64)
-    plane = _rows_plane(names, spread(float(both.min()), float(both.max()), 1e-6))
+    plane = _rows_plane(names, widened(float(both.min()), float(both.max()), 1e-6))
     marks, rows = [], list[Any](shown.itertuples())
     for k, (row, (before, now)) in enumerate(zip(rows, plane.at_x(both).tolist(), strict=True)):
         y, kind = ROW_PX * (k + 0.5), "worse" if row.worse > 0.0 else "better"

@@ -1,9 +1,9 @@
-"""Who is drawn in full: in dense traffic a picture that shows all alike shows nothing.
+"""Which agents are drawn in full: in dense traffic, a picture that shows all alike shows nothing.
 
-(1) in full = those that the plan decides about (not "ignore"), and the `NEAREST` that are nearest, within `NEAR_M`
-(2) few     = where no more than `NEAREST` are there, all of them
+(1) in full = the agents that the plan decides about (not "ignore"), and the `NEAREST` nearest within `NEAR_M`
+(2) few     = all agents, if there are no more than `NEAREST`
 
-The others are faint boxes without a name, an arrow and a predicted path.
+The others are faint boxes without a name, an arrow or a predicted path.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ NEAR_M = 40.0
 
 
 def decided(plan: Plan) -> dict[str, Decision]:
-    """The decision to be named at each agent: the last that is not "ignore"."""
+    """The decision that is shown at each agent: the last one that is not "ignore"."""
     return {
         artefact.agent: artefact
         for artefact in plan.internals
@@ -37,11 +37,18 @@ def in_full(
         ids: `(n,)`.
         x: World, m, `(n,)`; `y` likewise.
         y: See there.
-        about: Those that the plan decides about.
-        ego: Where the ego is.
+        about: The agents that the plan decides about.
+        ego: Position of the ego.
     """
     if len(ids) <= NEAREST:
         return np.arange(len(ids))
     away = np.hypot(x - ego[0], y - ego[1])
     near = {int(i) for i in np.argsort(away, kind="stable")[:NEAREST] if away[i] <= NEAR_M}
     return np.array(sorted(near | {i for i, name in enumerate(ids) if name in about}), dtype=np.int64)
+
+
+def plan_seconds(plan: Plan) -> FloatArray:
+    """Positions `(n, 2)` of a plan at each full second after its start, m."""
+    path = plan.trajectory
+    t = np.arange(path.t[0] + 1.0, path.t[-1] + 1e-6, 1.0)
+    return np.column_stack([np.interp(t, path.t, path.x), np.interp(t, path.t, path.y)])

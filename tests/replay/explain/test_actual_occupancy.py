@@ -10,7 +10,7 @@ from handmade import drive, lanes_along, scenario, straight, track, tracks
 
 from logs import DecisionKind, EndReason, GraphObstacle, Mode, Plan, PlannedFrame, StGraph, Trace
 from logs.kernel import FloatArray
-from replay.explain.happened import happened
+from replay.explain.planner_input import actual_occupancy
 
 NONE = np.empty((0, 2))
 
@@ -23,7 +23,7 @@ def outlines(*agents: dict[str, object], end: float = 8.0) -> list[FloatArray]:
     frame = PlannedFrame(0.0, Plan(ego, internals=(StGraph(None, None, NONE, NONE, things),)))
     driven = ego.between(0.0, end)
     trace = Trace("handmade", "x", Mode.CLOSED, False, driven, world.tracks, (frame,), EndReason.GOAL)
-    (found,) = happened(trace, world)
+    (found,) = actual_occupancy(trace, world)
     return found
 
 
@@ -49,6 +49,8 @@ def test_only_those_in_the_graph_are_drawn() -> None:
     world = scenario(ego, agents=tracks(track("wall", [0.0], [30.0], [0.0], static=True)), road=lanes_along(ego))
     frame = PlannedFrame(0.0, Plan(ego))
     trace = Trace("handmade", "x", Mode.CLOSED, False, ego, world.tracks, (frame,), EndReason.GOAL)
-    assert list(happened(trace, world)) == [[]]
+    assert list(actual_occupancy(trace, world)) == [[]]
     stop = StGraph(None, None, NONE, NONE, (GraphObstacle("stop line 1", NONE, DecisionKind.STOP),))
-    assert list(happened(replace(trace, frames=(PlannedFrame(0.0, Plan(ego, internals=(stop,))),)), world)) == [[]]
+    assert list(actual_occupancy(replace(trace, frames=(PlannedFrame(0.0, Plan(ego, internals=(stop,))),)), world)) == [
+        []
+    ]

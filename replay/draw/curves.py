@@ -1,0 +1,317 @@
+"""Curves over time: which panels a recording and the charts show, and which values are in them.
+
+The values are columns of the trace, the scenario, the timings and the series of the metrics; nothing else is computed.
+A panel without a finite value is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from logs.frame_store import loaded
+from logs.kernel import FloatArray
+from logs.road import RoadSource
+from logs.scenario import Scenario
+from logs.states import Controls
+from logs.trace import Mode, Trace
+from metrics.comfort import LON_JERK_STATE
+from replay.draw.axes import widened
+from replay.vehicle.tyre_use import tyre_use
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from replay.drive import StageTime
+
+JERK = LON_JERK_STATE.name
+SPIKE = 99.5
+"""Percentile of the size of spiky values that the axis of a chart shows."""
+BLUE, YELLOW, RED, GREEN, VIOLET, TEAL, PINK, GREY = SERIES = (
+    0x4AB8F5FF, 0xE8AC30FF, 0xFF6E64FF, 0x78DC82FF, 0xC896FFFF, 0x50D2C8FF, 0xFF96C8FF, 0x9E9E9EFF,
+)  # fmt: skip
+"""Colours of curves in recordings, 0xRRGGBBAA; charts tell curves apart by their order."""
+DIM, PALE = 0xFFFFFF78, 0xFFFFFF96
+"""Masks that make a colour more transparent: `RED & DIM`."""
+
+Steps = Callable[[str], tuple[FloatArray, FloatArray]]
+"""The name of a metric to its times and values `(n,)`; both empty if it was not measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One curve.
+
+    Attributes:
+        name: One word.
+        legend: What the reader sees.
+        t: `(n,)` s.
+        values: `(n,)`.
+        colour: In recordings.
+        width: In recordings, pixels.
+        steps: Whether a value holds until the next.
+        spiky: Whether the axis may cut off its rarest values.
+    """
+
+    name: str
+    legend: str
+    t: FloatArray
+    values: FloatArray
+    colour: int = BLUE
+    width: float = 1.5
+    steps: bool = False
+    spiky: bool = False
+
+    @property
+    def known(self) -> FloatArray:
+        """The finite values."""
+        return self.values[np.isfinite(self.values)]
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Curves that share an axis.
+
+    Attributes:
+        name: One word.
+        title: With the unit.
+        curves: The curves with a finite value; at most three in a chart.
+        least: The axis is never shorter than this, so that a constant curve looks constant.
+        about: First words of the metrics whose failed gates are shaded here, in charts.
+        floor: The axis does not go below this, in charts.
+        most: The axis does not go above this, in charts.
+    """
+
+    name: str
+    title: str
+    curves: tuple[Curve, ...]
+    least: float
+    about: tuple[str, ...] = ()
+    floor: float = -np.inf
+    most: float = np.inf
+
+    @property
+    def values(self) -> FloatArray:
+        """All finite values."""
+        return np.concatenate([curve.known for curve in self.curves])
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The axis of a chart."""
+        values = self.values
+        if any(curve.spiky for curve in self.curves):
+            far = max(float(np.percentile(np.abs(values), SPIKE)), 0.5 * self.least)
+            values = np.clip(values, -far, far)
+        low, high = widened(float(values.min()), float(values.max()), self.least)
+        return max(low, self.floor), min(high, self.most)
+
+
+def _shown(*panels: Panel) -> list[Panel]:
+    """The panels with their curves that have a finite value; no panel without any."""
+    kept = ((panel, tuple(curve for curve in panel.curves if len(curve.known))) for panel in panels)
+    return [
+        Panel(panel.name, panel.title, curves, panel.least, panel.about, panel.floor, panel.most)
+        for panel, curves in kept
+        if curves
+    ]
+
+
+def _columns(some: object | None, *curves: tuple[str, str, str, int, float]) -> tuple[Curve, ...]:
+    """Curves of an object with columns: name, legend, column, colour and width each; none without the object."""
+    if some is None:
+        return ()
+    t: FloatArray = some.t  # type: ignore[attr-defined]
+    return tuple(
+        Curve(name, legend, t, getattr(some, column), colour, width) for name, legend, column, colour, width in curves
+    )
+
+
+# recordings -------------------------------------------------------------------------------------------------------
+
+
+def steps_of(table: DataFrame | None) -> Steps:
+    """The steps of metrics in the rows of `metrics.series`; None: none was measured."""
+
+    def steps(metric: str) -> tuple[FloatArray, FloatArray]:
+        if table is None:
+            return np.empty(0), np.empty(0)
+        mine = table[table["metric"] == metric]
+        return mine["t_s"].to_numpy(np.float64), mine["value"].to_numpy(np.float64)
+
+    return steps
+
+
+def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray, steps: Steps) -> list[Panel]:
+    """Speed, acceleration, jerk, pedals, steering, tracking errors and tyres, until the end of `times`."""
+    ego, log = trace.ego, scenario.ego.between(-np.inf, float(times[-1]))
+    compared = log if trace.mode is Mode.CLOSED and len(log) > 1 else None
+    jerk = steps(JERK)
+    speeds = (
+        Curve("limit", "limit", times, _limits(trace, scenario, times), RED, 1.0, steps=True),
+        *_columns(compared, ("log", "log", "v", GREY, 1.0)),
+        *_plan_curves(trace, "v"),
+        Curve("ego", "ego", ego.t, ego.v, BLUE, 2.0),
+    )
+    accelerations = (
+        Curve("jerk", "jerk", *jerk, RED & PALE, 1.0, spiky=True),
+        *_columns(compared, ("log", "log", "a", GREY, 1.0)),
+        *_plan_curves(trace, "a"),
+        Curve("ego", "ego", ego.t, ego.a, BLUE, 2.0),
+    )
+    asked, done, logged = trace.commands, trace.actuation, scenario.controls
+    if logged is not None:
+        kept = logged.t <= float(ego.t[-1])
+        logged = Controls(*(getattr(logged, name)[kept] for name in ("t", "steer", "throttle", "brake")))
+    pedals = (
+        *_columns(asked, ("throttle_command", "throttle asked", "throttle", GREEN & DIM, 1.0),
+                  ("brake_command", "brake asked", "brake", RED & DIM, 1.0)),
+        *_columns(done, ("throttle", "throttle", "throttle", GREEN, 2.0), ("brake", "brake", "brake", RED, 2.0)),
+        *_columns(logged, ("throttle_log", "throttle log", "throttle", GREY, 1.0),
+                  ("brake_log", "brake log", "brake", YELLOW, 1.0)),
+    )  # fmt: skip
+    steer = (
+        *_columns(logged, ("log", "log", "steer", GREY, 1.0)),
+        *_columns(asked, ("command", "asked", "steer", BLUE & DIM, 1.0)),
+        *_columns(done, ("ego", "ego", "steer", BLUE, 2.0)),
+    )
+    errors = trace.tracking
+    across = _columns(errors, ("lateral", "lateral [m]", "lateral", YELLOW, 1.5),
+                      ("heading", "heading [rad]", "heading", TEAL, 1.5))  # fmt: skip
+    along = _columns(errors, ("station", "station [m]", "station", VIOLET, 1.5),
+                     ("speed", "speed [m/s]", "speed", GREEN, 1.5))  # fmt: skip
+    slips, friction = list[Curve](), list[Curve]()
+    if done is not None and len(ego) > 1:
+        use = tyre_use(ego, done, scenario.vehicle)
+        slips = [Curve("front", "front", ego.t, use.front), Curve("rear", "rear", ego.t, use.rear, YELLOW)]
+        friction = [Curve("friction", "of the tyres", ego.t, use.friction, RED)]
+    return _shown(
+        Panel("speed", "Speed [m/s]", speeds, 2.0),
+        Panel("acceleration", "Acceleration [m/s²], jerk [m/s³]", accelerations, 1.0),
+        Panel("jerk", "Jerk in full", (Curve("ego", "jerk [m/s³]", *jerk, RED),), 2.0),
+        Panel("pedals", "Throttle, brake [0..1]", pedals, 0.2),
+        Panel("steer", "Steering [rad]", steer, 0.02),
+        Panel("error_across", "Tracking error: across", across, 0.1),
+        Panel("error_along", "Tracking error: along", along, 0.2),
+        Panel("slip", "Tyre slip angles [rad]", tuple(slips), 0.02),
+        Panel("friction", "Friction used [0..1]", tuple(friction), 0.2),
+    )
+
+
+def _limits(trace: Trace, scenario: Scenario, times: FloatArray) -> FloatArray:
+    """Speed limit of the lane that the ego is on, as in the log; NaN elsewhere."""
+    out = np.full(len(times), np.nan)
+    if scenario.road.source is RoadSource.LANES:
+        x, y = np.interp(times, trace.ego.t, trace.ego.x), np.interp(times, trace.ego.t, trace.ego.y)
+        for i in range(len(times)):
+            lanes = scenario.road.lanes_at(float(x[i]), float(y[i]))
+            out[i] = next((lane.speed_limit for lane in lanes if lane.drivable), np.nan)
+    return out
+
+
+def _plan_curves(trace: Trace, column: str) -> list[Curve]:
+    """Closed loop: the plan in force. Open loop, in which each plan starts at the log: what older plans predicted."""
+    if not trace.frames:
+        return []
+    if trace.mode is Mode.CLOSED:
+        t = trace.ego.t
+        values = np.full(len(t), np.nan)
+        starts = np.searchsorted(t, np.array([frame.t for frame in trace.frames]) - 1e-9)
+        for frame, start, stop in zip(trace.frames, starts, np.r_[starts[1:], len(t)], strict=True):
+            path = loaded(frame.plan.trajectory)
+            values[start:stop] = np.interp(t[start:stop], path.t, getattr(path, column))
+        return [Curve("plan", "plan", t, values, YELLOW)]
+    end = trace.ego.t[-1]
+
+    def older(lag: float) -> FloatArray:
+        plans = ((frame.t + lag, loaded(frame.plan.trajectory)) for frame in trace.frames)
+        found = [(t, np.interp(t, p.t, getattr(p, column))) for t, p in plans if t <= min(p.t[-1], end) + 1e-9]
+        return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+    return [
+        Curve(f"plan_{lag:.0f}s", f"plan {lag:.0f} s before", some[:, 0], some[:, 1], colour, 1.2)
+        for lag, colour in ((1.0, YELLOW), (3.0, VIOLET))
+        for some in (older(lag),)
+    ]
+
+
+def stage_panel(timings: Sequence[StageTime], names: dict[str, str]) -> list[Panel]:
+    """Milliseconds per stage; "total" is the whole plan. `names`: of the stages as entities."""
+    curves = []
+    for k, (stage, name) in enumerate(sorted(names.items(), key=lambda item: item[0] != "total")):
+        some = sorted((timing.t, timing.seconds) for timing in timings if timing.stage == stage)
+        t, seconds = np.array(some).T
+        colour, width = (GREY, 2.0) if stage == "total" else (SERIES[k % 7], 1.2)
+        curves.append(Curve(name, stage, t, 1e3 * seconds, colour, width, spiky=True))
+    return _shown(Panel("stages", "Stage times [ms]", tuple(curves), 0.2))
+
+
+# charts -----------------------------------------------------------------------------------------------------------
+
+
+def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
+    """The panels of the charts of a drive."""
+    return _shown(*(_closed(trace, steps) if trace.mode is Mode.CLOSED else _open(trace, steps)))
+
+
+def _measured(steps: Steps, legend: str, metric: str, *, gaps: bool = False, spiky: bool = False) -> Curve:
+    """A metric step by step, without steps that have no value; with `gaps` where none is known for over a second."""
+    t, values = steps(metric)
+    known = np.isfinite(values)
+    t, values = t[known], values[known]
+    if gaps:
+        far = np.flatnonzero(np.diff(t) > 1.0)
+        t, values = np.insert(t, far + 1, t[far]), np.insert(values, far + 1, np.nan)
+    return Curve(metric, legend, t, values, spiky=spiky)
+
+
+def _closed(trace: Trace, steps: Steps) -> list[Panel]:
+    """Closed loop; the speed of the plan in force is the ego's minus the tracking error."""
+    ego, errors, done, asked = trace.ego, trace.tracking, trace.actuation, trace.commands
+    measured, named = partial(_measured, steps), partial(_named, errors)
+    plan = [Curve("plan", "plan", errors.t, np.interp(errors.t, ego.t, ego.v) - errors.speed)] if errors else []
+    accelerations = measured("along", "lon_accel"), measured("across", "lat_accel")
+    jerks = measured("along", JERK, spiky=True), measured("across", "lat_jerk_state", spiky=True)
+    gaps = measured("all", "gap", gaps=True), measured("pedestrians, riders", "gap_vulnerable", gaps=True)
+    ttc = (measured("TTC", "ttc", gaps=True),)
+    steers = (("done", done), ("asked", asked))
+    steer = tuple(Curve(word, word, some.t, some.steer) for word, some in steers if some)
+    return [
+        Panel("speed", "Speed [m/s]", (Curve("ego", "ego", ego.t, ego.v), *plan), 2.0, ("speed",), -0.5),
+        Panel("acceleration", "Acceleration [m/s²]", accelerations, 1.0, ("lon_accel", "lat_accel")),
+        Panel("jerk", "Jerk [m/s³]", jerks, 2.0, ("lon_jerk", "lat_jerk", "jerk")),
+        Panel("gap", "Distance to the nearest [m]", gaps, 2.0, ("gap", "collision"), 0.0),
+        Panel("ttc", "Time to a collision [s]", ttc, 2.0, ("ttc",), 0.0),
+        Panel("steer", "Steering [rad]", steer, 0.05, ("steer_rate",)),
+        Panel("pedals", "Pedals [0 to 1]", _named(done, "throttle", "brake"), 0.3,
+              ("throttle", "brake", "pedals_together"), 0.0, 1.0),
+        Panel("tracking", "Tracking error [m]", named("lateral", "station"), 0.1,
+              ("tracking_lateral", "tracking_station")),
+        Panel("tracking_speed", "Tracking error of the speed [m/s]", named("speed"), 0.2, ("tracking_speed",)),
+        Panel("tracking_heading", "Tracking error of the heading [rad]", named("heading"), 0.02,
+              ("tracking_heading",)),
+    ]  # fmt: skip
+
+
+def _named(some: object | None, *columns: str) -> tuple[Curve, ...]:
+    """Curves of columns by their own names."""
+    return _columns(some, *((name, name, name, BLUE, 1.5) for name in columns))
+
+
+def _open(trace: Trace, steps: Steps) -> list[Panel]:
+    """Open loop: each plan is one step."""
+    ego, measured = trace.ego, partial(_measured, steps)
+    errors = tuple(measured(f"within {part}", f"ade.{part}") for part in ("1s", "3s", "5s"))
+    planned = measured("along", "plan_lon_accel"), measured("across", "plan_lat_accel")
+    jerk = (measured("along", "plan_lon_jerk", spiky=True),)
+    change = (measured("from plan to plan", "plan_change"),)
+    return [
+        Panel("speed", "Speed of the log [m/s]", (Curve("log", "log", ego.t, ego.v),), 2.0, (), -0.5),
+        Panel("displacement", "Mean distance of plan and log [m]", errors, 0.5, ("ade", "fde"), 0.0),
+        Panel("acceleration", "Largest acceleration of each plan [m/s²]", planned, 1.0, ("plan_l",), 0.0),
+        Panel("jerk", "Largest jerk of each plan [m/s³]", jerk, 2.0, ("plan_lon_jerk",), 0.0),
+        Panel("change", "Change from plan to plan [m]", change, 0.2, ("plan_change",), 0.0),
+    ]

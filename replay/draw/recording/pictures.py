@@ -1,0 +1,340 @@
+"""Pictures and videos of a recording without a display.
+
+The real viewer runs headless on a local port and is asked for screenshots. It draws asynchronously: a picture is taken
+when two in a row are equal. It needs a Vulkan driver; a software one is enough (Mesa's lavapipe).
+
+A picture has no header (menu, warnings about the driver) and no time panel; the tabs that hold its contents are open.
+A headless viewer reads no theme from its settings, and its client has no call for it: the viewer's own server for
+agents (MCP: one JSON message per line on stdin and stdout) clicks on it. Videos are made of pictures, by Pillow (.gif,
+.png) or by ffmpeg if it is installed.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.resources import files
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pyarrow as pa
+from PIL import Image
+from rerun.chunk import RrdReader
+from rerun.experimental import ViewerClient
+
+from logs.errors import ConfigError, ReplanError, writing
+from replay.draw.recording.tape import SIM_TIME
+from replay.draw.viewer import LAYOUTS, LOOPBACK, Theme, environment, free_port
+from replay.results.tables import write_file
+
+PAUSE_S = 0.3
+HEADER_PX = 36
+"""Height of the viewer's header."""
+AWAY = (1, 1)
+"""Where the pointer is left: in the header, which is cut off."""
+FRAMES_PER_S = 10.0
+"""The usual planning rate."""
+BY_PILLOW = (".gif", ".png")
+"""Endings of animations; any other needs ffmpeg."""
+EVEN = "pad=ceil(iw/2)*2:ceil(ih/2)*2"
+"""ffmpeg: even width and height, since most players want colours with half the resolution."""
+
+Blueprint = dict[str, dict[str, dict[str, Any]]]
+"""As the viewer reports it: entity, archetype, field."""
+
+
+class ScreenshotError(ReplanError):
+    """The viewer did not start, died, or never settled on a picture."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture to take.
+
+    Attributes:
+        out: The PNG file.
+        t: Time in the recording, s.
+        view: Name of one view; None: the whole window.
+        layout: One of `LAYOUTS`; a view that it does not have is taken from another.
+    """
+
+    out: Path
+    t: float
+    view: str | None = None
+    layout: str = LAYOUTS[0]
+
+
+def take_pictures(
+    recording: Path,
+    pictures: Sequence[Picture],
+    *,
+    size: str = "1920x1080",
+    theme: Theme = "dark",
+    timeout: float = 60.0,
+) -> list[str]:
+    """Take pictures of a recording.
+
+    Args:
+        recording: The .rrd file.
+        pictures: What to take, in this order.
+        size: Of a picture of the whole window, pixels: WIDTHxHEIGHT.
+        theme: Of the viewer.
+        timeout: For starting, loading and each picture, s.
+
+    Returns:
+        What the viewer reports about its views after the last picture, a line each; empty for a healthy recording.
+
+    Raises:
+        ConfigError: There is no such layout or view.
+        ScreenshotError: No graphics driver, the viewer died, or a picture never settled.
+        OutputError: A picture cannot be written.
+    """
+    width, height = (int(part) for part in size.split("x"))
+    with _viewer(f"{width}x{height + HEADER_PX}", theme, timeout) as (client, alive):
+        client.open([str(recording.resolve())])
+        _until(lambda: not client.get_state().loading, timeout, alive, "the recording does not load")
+        kept = client.get_blueprint("recording").blueprint
+        shown = None
+        for picture in pictures:
+            if (picture.layout, picture.view) != shown:
+                parts, view = arranged(kept, picture.layout, picture.view)
+                client.set_blueprint(parts, "recording")
+                shown = picture.layout, picture.view
+            if any(recording.timelines for recording in client.get_state().recordings):
+                client.set_time(SIM_TIME, duration=picture.t, play_state="paused")
+            _settle(client, picture, view, timeout, alive)
+        return [f"{view.name}: {report.summary}" for view in client.get_state().views for report in view.reports]
+
+
+def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint, str | None]:
+    """A blueprint without header and time panel, in which the tabs that hold a layout or a view of it are open.
+
+    Args:
+        kept: As the viewer reports it: fields by entity and archetype.
+        layout: One of `LAYOUTS`.
+        view: Name of a view; of several the one in the layout, otherwise the first.
+
+    Returns:
+        The blueprint, and the view's id.
+
+    Raises:
+        ConfigError: There is no such layout or view.
+    """
+    parts = {name: {kind: dict(fields) for kind, fields in part.items()} for name, part in kept.items()}
+    parts["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}
+    parts.setdefault("/time_panel", {}).setdefault("TimePanelBlueprint", {})["state"] = "Hidden"
+    parents = {}
+    for name, part in parts.items():
+        contents: str | list[str] = part.get("ContainerBlueprint", {}).get("contents", [])
+        for child in [contents] if isinstance(contents, str) else contents:
+            parents[child] = name.removeprefix("/")
+    titles = {
+        name.removeprefix("/"): str(fields.get("display_name", ""))
+        for name, part in parts.items()
+        for kind, fields in part.items()
+        if kind in ("ContainerBlueprint", "ViewBlueprint")
+    }
+    layouts = {title.lower(): name for name, title in titles.items() if title.lower() in LAYOUTS}
+    if layout != LAYOUTS[0] and layout not in layouts:
+        raise ConfigError(f"this recording has no layout {layout!r}; there are: {', '.join(sorted(layouts)) or 'one'}")
+    target = layouts.get(layout)
+    if view is not None:
+        found = [name for name, title in titles.items() if title == view and name.startswith("view/")]
+        if not found:
+            there = sorted({title for name, title in titles.items() if name.startswith("view/") and title.strip()})
+            raise ConfigError(f"no view {view!r}; there are: {', '.join(there)}")
+        found.sort(key=lambda name: target not in _above(name, parents))
+        target = found[0]
+    for child in _above(target, parents) if target else ():
+        parent = parts.get(f"/{parents.get(child, '')}", {}).get("ContainerBlueprint", {})
+        if parent.get("container_kind") == "Tabs":
+            parent["active_tab"] = child
+    return parts, target.removeprefix("view/") if view is not None and target else None
+
+
+def _above(name: str, parents: Mapping[str, str]) -> list[str]:
+    """A part and its containers, the innermost first."""
+    out = [name]
+    while out[-1] in parents:
+        out.append(parents[out[-1]])
+    return out
+
+
+def _settle(client: Any, picture: Picture, view: str | None, timeout: float, alive: Callable[[], None]) -> None:
+    last = b""
+
+    def settled() -> bool:
+        nonlocal last
+        time.sleep(PAUSE_S)
+        before, last = last, client.take_screenshot(view_id=view)
+        return before == last
+
+    _until(settled, timeout, alive, f"the picture at {picture.t} s never settled")
+    if view is None:  # the place of the hidden header is empty
+        shot, cut = Image.open(BytesIO(last)), BytesIO()
+        shot.crop((0, HEADER_PX, shot.width, shot.height)).save(cut, "PNG")
+        last = cut.getvalue()
+    write_file(picture.out, lambda partial: partial.write_bytes(last))
+
+
+def _until(done: Callable[[], bool], timeout: float, alive: Callable[[], None], complaint: str) -> None:
+    end = time.monotonic() + timeout
+    while not done():
+        alive()
+        if time.monotonic() > end:
+            raise ScreenshotError(f"{complaint} within {timeout:g} s")
+        time.sleep(0.02)
+
+
+@contextmanager
+def _viewer(size: str, theme: Theme, timeout: float) -> Iterator[tuple[Any, Callable[[], None]]]:
+    """A headless viewer, its client, and a check that it is alive; it ends with the block."""
+    binary = Path(str(files("rerun_cli").joinpath("rerun")))
+    port = free_port()
+    command = [str(binary), "--headless", "--port", str(port), "--bind", LOOPBACK, "--window-size", size]
+    with tempfile.TemporaryFile("w+") as log, environment(RUST_LOG="error") as variables:
+        process = subprocess.Popen(command, env=variables, stdout=log, stderr=subprocess.STDOUT)
+        try:
+            client = _connect(port, timeout, lambda: _check(process, log))
+            if theme != "dark":  # the default
+                client.set_location("about:settings")
+                if error := click_theme(theme, binary, port, variables, timeout):
+                    raise ScreenshotError(f"the viewer's theme cannot be set: {error}")
+            yield client, lambda: _check(process, log)
+        finally:
+            process.terminate()
+            try:
+                process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def _check(process: subprocess.Popen[bytes], log: IO[str]) -> None:
+    if process.poll() is not None:
+        log.seek(0)
+        words = " ".join(log.read()[-400:].split())
+        raise ScreenshotError(f"the viewer ended with code {process.returncode}: {words}")
+
+
+def _connect(port: int, timeout: float, alive: Callable[[], None]) -> Any:
+    end = time.monotonic() + timeout
+    while True:
+        alive()
+        try:
+            client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+            client.get_state()
+            return client
+        except (ConnectionError, RuntimeError, OSError, ValueError) as error:
+            if time.monotonic() > end:
+                raise ScreenshotError(f"the viewer did not answer within {timeout:g} s: {error}") from error
+            time.sleep(0.05)
+
+
+def click_theme(theme: Theme, binary: Path, port: int, variables: Mapping[str, str], timeout: float) -> str:
+    """Click a theme in the settings, which must be shown; gives the error, "" if there is none.
+
+    Args:
+        theme: The theme.
+        binary: The executable of the viewer.
+        port: The port of the running viewer.
+        variables: The environment.
+        timeout: s.
+    """
+    actions = [
+        {"name": "wait_for", "args": {"label_contains": theme.title()}},
+        {"name": "click", "args": {"label_contains": theme.title()}},
+        {"name": "hover", "args": {"pos": AWAY}},
+    ]
+    start = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "replan", "version": "1"}}
+    messages: list[dict[str, Any]] = [
+        {"id": 1, "method": "initialize", "params": start},
+        {"method": "notifications/initialized"},
+        {"id": 2, "method": "tools/call", "params": {"name": "batch", "arguments": {"actions": actions}}},
+    ]
+    sent = "".join(json.dumps({"jsonrpc": "2.0", **message}) + "\n" for message in messages)
+    command = [str(binary), "viewer-mcp", "--endpoint", f"http://{LOOPBACK}:{port}"]
+    try:
+        done = subprocess.run(
+            command, input=sent, env=dict(variables), capture_output=True, text=True, timeout=timeout, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return f"its server for agents did not answer within {timeout:g} s"
+    answers = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    result = next((one.get("result", one) for one in answers if one.get("id") == 2), {"isError": True})
+    return str(result.get("content", done.stderr)) if result.get("isError", True) else ""
+
+
+# videos -----------------------------------------------------------------------------------------------------------
+
+
+def span(recording: Path) -> tuple[float, float]:
+    """The first and the last time of a recording, s; ConfigError if nothing in it has a time."""
+    batches = [
+        chunk.to_record_batch() for chunk in RrdReader(str(recording)).stream().to_chunks() if not chunk.is_static
+    ]
+    times = [
+        np.asarray(batch.column(SIM_TIME).cast(pa.int64())) / 1e9
+        for batch in batches
+        if SIM_TIME in batch.schema.names and len(batch)
+    ]
+    if not times:
+        raise ConfigError(f"{recording}: nothing in it has a time")
+    return float(min(some.min() for some in times)), float(max(some.max() for some in times))
+
+
+def film(
+    recording: Path, out: Path, begin: float | None, end: float | None, *, layout: str, size: str, theme: Theme
+) -> int:
+    """Write the video of a recording; returns the number of its frames.
+
+    Args:
+        recording: The .rrd file.
+        out: The video; its ending is the format.
+        begin: Start, s; None: that of the recording.
+        end: End, s; None: that of the recording.
+        layout: One of `LAYOUTS`.
+        size: Pixels: WIDTHxHEIGHT.
+        theme: The theme of the viewer.
+
+    Raises:
+        ConfigError: There is no such layout, no time in the span, or no ffmpeg for this ending.
+        ReplanError: ffmpeg fails, or the viewer does.
+        OutputError: The video cannot be written.
+    """
+    if out.suffix not in BY_PILLOW and shutil.which("ffmpeg") is None:
+        raise ConfigError(
+            f"{out}: ffmpeg is not installed here; it writes {out.suffix or 'videos'}, or name a FILE.gif"
+        )
+    first, last = span(recording)
+    begin, end = first if begin is None else begin, last if end is None else end
+    times = begin + np.arange(np.floor((end - begin) * FRAMES_PER_S + 1e-9) + 1) / FRAMES_PER_S
+    if not len(times):
+        raise ConfigError(f"--from {begin:g} --to {end:g}: no time between them")
+    with tempfile.TemporaryDirectory() as folder:
+        pictures = [Picture(Path(folder) / f"{i:05d}.png", float(t), layout=layout) for i, t in enumerate(times)]
+        take_pictures(recording, pictures, size=size, theme=theme)
+        with writing(out):
+            out.parent.mkdir(parents=True, exist_ok=True)
+            if out.suffix in BY_PILLOW:
+                frame, *others = [Image.open(picture.out).convert("RGB") for picture in pictures]
+                frame.save(out, save_all=True, append_images=others, duration=round(1e3 / FRAMES_PER_S), loop=0)
+            else:
+                _by_ffmpeg(Path(folder), out)
+    return len(pictures)
+
+
+def _by_ffmpeg(folder: Path, out: Path) -> None:
+    command = ["ffmpeg", "-y", "-loglevel", "error", "-framerate", f"{FRAMES_PER_S:g}"]
+    command += ["-i", str(folder / "%05d.png"), "-vf", EVEN, "-pix_fmt", "yuv420p", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ReplanError(f"{out}: ffmpeg failed: {' '.join(done.stderr[-400:].split())}")

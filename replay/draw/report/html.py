@@ -1,0 +1,418 @@
+"""The report as one HTML file: it opens from disk, makes no request to any network, and is readable without script.
+
+It has an overview, a comparison if there is a baseline, and a page per drive. The page, its style and its script are in
+templates/ (jinja2, everything escaped). An error in one part costs that part, never the report.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from importlib import resources
+from math import isfinite
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import quote
+
+import pandas as pd
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+from markupsafe import Markup
+
+from logs.errors import ConfigError, LogError, OutputError, ReplanError, raised, writing
+from logs.words import counted
+from metrics.compare import Comparison
+from metrics.judge.gates import Outcome
+from replay.draw.charts import Chart, subject
+from replay.draw.charts.canvas import printable
+from replay.draw.charts.layout import BROKEN, placed
+from replay.draw.charts.style import RULES, filled, roles
+from replay.draw.charts.subject import Subject
+from replay.draw.report.charts import distributions, moved, pass_shares
+from replay.draw.report.model import DriveRow, Overview
+from replay.explain.events import Event, events
+from replay.results.load import DriveResult, Results
+from replay.results.tables import safe_name, write_text
+
+T = TypeVar("T")
+
+MOST_REGRESSIONS, MOST_IMPROVEMENTS, MOST_GROUPS, MOST_MOVED = 60, 20, 80, 6
+"""Numbers of rows in the tables of a comparison, and of metrics that are drawn."""
+_ORDER = {"fail": 0, "inconclusive": 1}
+MOST_EVENTS = 60
+"""Further events are only counted."""
+_WEIGHT = {outcome.value: weight for weight, outcome in enumerate(Outcome)}
+
+
+class Attempts:
+    """Makes parts of a report, and records the parts that fail.
+
+    Attributes:
+        broken: A sentence for each part that could not be made.
+    """
+
+    def __init__(self) -> None:
+        self.broken: list[str] = []
+
+    def __call__(self, what: str, make: Callable[[], T], instead: T) -> T:
+        """The result of `make`; if it raises, `instead`, and a sentence in `broken`.
+
+        Raises:
+            ConfigError: As `make`: the user named something that does not exist.
+            OutputError: Likewise: nothing can be written.
+        """
+        try:
+            return make()
+        except (ConfigError, OutputError):
+            raise
+        except Exception as error:
+            why = str(error) if isinstance(error, LogError) else raised(error)
+            self.broken.append(f"{what} could not be made: {why}")
+            return instead
+
+
+def write_html(overview: Overview, results: Results, path: Path, *, drives: int = 100) -> tuple[str, ...]:
+    """Write the report as one HTML file; the same run gives the same bytes.
+
+    Args:
+        overview: The overview of the results, with its comparison, if there is one.
+        results: The run.
+        path: The file; links to recordings are relative to it.
+        drives: The number of drives with a page, the worst first; the table has all of them.
+
+    Returns:
+        Charts that could not be drawn, a sentence each, with how many pages it concerns.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    broken = Counter[str]()
+
+    def pages() -> Iterator[DrivePage]:
+        for row in paged:
+            anchor, attempt = anchors[row.log, row.planner], Attempts()
+            made = attempt("The page of a drive", partial(drive_page, results, row, anchor, path), None)
+            page = failed_page(row, anchor, attempt.broken[0]) if made is None else made
+            broken.update(page.broken)
+            yield page
+
+    paged = worst_first(overview.drives)[:drives]
+    anchors, shares = _anchors(paged), [*overview.whole, *overview.grouped]
+    attempt = Attempts()
+    share = attempt("The chart of shares", lambda: _markup(pass_shares(shares, len(overview.planners))), Markup())
+    drawn = attempt(
+        "The charts of distributions", lambda: distributions(overview.columns, overview.drives), list[Chart]()
+    )
+    page = _environment().get_template("report.html").render(
+        overview=overview,
+        shares=share if shares else "",
+        distributions=[_markup(chart) for chart in drawn],
+        anchors=anchors,
+        pages=pages(),
+        paged=paged,
+        comparison=None if overview.comparison is None else _compared(overview.comparison),
+        style=Markup(_read("style.css") + roles("auto") + filled(RULES, "auto")),  # our own files
+        script=Markup(_read("script.js")),
+    )  # fmt: skip
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, page)
+    each = (f"{error} ({times} of {counted(len(paged), 'drive')})" for error, times in broken.items())
+    return (*attempt.broken, *each)
+
+
+def worst_first(drives: Sequence[DriveRow]) -> list[DriveRow]:
+    """Failed, then inconclusive, then passed; within these the one with most trouble first."""
+    return sorted(drives, key=lambda row: (_ORDER.get(row.verdict, 2), -row.trouble))
+
+
+def _anchors(rows: Sequence[DriveRow]) -> dict[tuple[str, str], str]:
+    """An id for each page, made of the names; a number where two would be the same."""
+    found: dict[tuple[str, str], str] = {}
+    taken: set[str] = set()
+    for row in rows:
+        name = f"drive/{safe_name(row.log)}/{safe_name(row.planner)}"
+        anchor = next(one for one in (name, *(f"{name}-{k}" for k in range(2, len(rows) + 2))) if one not in taken)
+        taken.add(anchor)
+        found[row.log, row.planner] = anchor
+    return found
+
+
+def _markup(chart: Chart) -> Markup:
+    return Markup(chart.inline())  # canvas escapes every word
+
+
+def _compared(comparison: Comparison) -> dict[str, Any]:
+    """The comparison as lists of rows."""
+    groups, flips = comparison.groups, comparison.flips
+    rank = 2 - 2 * (flips["after"] == "fail") - (flips["before"] == "fail")
+    asked = groups["metric"].isin(set(comparison.pairs.loc[comparison.pairs["asked"].astype(bool), "metric"]))
+    shown = groups[groups["significant"].astype(bool) | asked & (groups["kind"] == "suite")]
+    moving = shown[shown["delta"].abs() > 0.0]
+    order = moving.assign(rank=~moving["significant"].astype(bool)).sort_values("rank", kind="stable")
+    worse = comparison.regressions(MOST_REGRESSIONS, each=3)
+    return {
+        "of": comparison,
+        "flips": _dicts(comparison.flips.loc[rank.sort_values(kind="stable").index]),  # new failures first
+        "regressions": _dicts(worse),
+        "improvements": _dicts(comparison.improvements(MOST_IMPROVEMENTS)),
+        "groups": _dicts(order.head(MOST_GROUPS)),
+        "more_groups": max(len(order) - MOST_GROUPS, 0),
+        "partings": _dicts(comparison.partings),
+        "charts": [_markup(chart) for chart in _moved(comparison)],
+    }
+
+
+def _moved(comparison: Comparison) -> list[Chart]:
+    """The metrics that moved most, those that a gate asks of first; one chart per metric, planner and loop."""
+    pairs = comparison.pairs
+    both = pairs[pairs["baseline"].notna() & pairs["candidate"].notna() & (pairs["delta"] != 0.0)]
+    both = both[both["worse"].notna()]
+    keys = list(dict.fromkeys(zip(both["metric"], both["planner"], both["mode"], strict=True)))[:MOST_MOVED]
+    return [
+        moved(both[(both["metric"] == m) & (both["planner"] == p) & (both["mode"] == mode)], f"{m}, {p}, {mode} loop")
+        for m, p, mode in keys
+    ]
+
+
+def _dicts(table: pd.DataFrame) -> list[Mapping[str, Any]]:
+    return table.to_dict("records")  # type: ignore[return-value]
+
+
+def _read(name: str) -> str:
+    return resources.files("replay.draw.report").joinpath("templates", name).read_text(encoding="utf-8")
+
+
+@cache
+def _environment() -> Environment:
+    found = Environment(
+        loader=FunctionLoader(_read), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+    )
+
+    def number(value: object) -> str:
+        """Four digits; "-" for a missing value."""
+        if not isinstance(value, (int, float)) or not isfinite(value):
+            return "-"
+        return f"{0.0 if abs(value) < 1e-12 else value:.4g}"
+
+    def seconds(value: float) -> str:
+        return f"{value:.2f} s" if isfinite(value) else ""
+
+    def unit(name: str) -> str:
+        return "" if name in ("", "1", "count") else f" {name}"
+
+    def sorts(value: float) -> str:
+        """The sort key of a cell; empty: last."""
+        return f"{value:.9g}" if isfinite(value) else ""
+
+    found.filters |= {"number": number, "seconds": seconds, "unit": unit, "line": printable, "sorts": sorts}
+    return found
+
+
+# the page of a drive -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class VerdictLine:
+    """The verdict of a gate on this drive."""
+
+    gate: str
+    mode: str
+    outcome: str
+    value: float
+    time_s: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class MetricLine:
+    """One metric of this drive."""
+
+    metric: str
+    value: float
+    unit: str
+    time_s: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A file to open: its name and loop, a link relative to the page, and the command that opens it."""
+
+    name: str
+    mode: str
+    href: str
+    command: str
+
+
+@dataclass(frozen=True, eq=False)
+class DrivePage:
+    """The contents of the page of a drive.
+
+    Attributes:
+        anchor: Its id in the report.
+        row: Its row in the overview.
+        mode: The loop of the pictures.
+        tags: Tags of the log.
+        time_s: The moment of the pictures; NaN if there are none.
+        why: Why this moment; if there are no pictures, why not.
+        because: What the plan does then, and why, in sentences.
+        end: How the drive ended.
+        verdicts: The verdicts of both loops, failed ones first.
+        pictures: Scenes and graphs; then `decided`, and `curves`.
+        events: What changed, when.
+        more_events: The number of events that are left out.
+        metrics: By loop, the available metrics.
+        missing: Reason, and the metrics that are not available for it.
+        files: Recordings, otherwise traces.
+        plot: The command that draws the same pictures.
+        broken: Charts that could not be drawn, a sentence each.
+    """
+
+    anchor: str
+    row: DriveRow
+    mode: str
+    tags: tuple[str, ...]
+    time_s: float
+    why: str
+    because: tuple[str, ...]
+    end: str
+    verdicts: tuple[VerdictLine, ...]
+    pictures: tuple[Markup, ...]
+    decided: Markup
+    curves: tuple[Markup, ...]
+    events: tuple[Event, ...]
+    more_events: int
+    metrics: tuple[tuple[str, tuple[MetricLine, ...]], ...]
+    missing: tuple[tuple[str, str], ...]
+    files: tuple[Recording, ...]
+    plot: str
+    broken: tuple[str, ...]
+
+    @property
+    def failed(self) -> tuple[VerdictLine, ...]:
+        """Verdicts that fail or are inconclusive."""
+        good = (Outcome.PASS.value, Outcome.NOT_ASKED.value)
+        return tuple(line for line in self.verdicts if line.outcome not in good)
+
+    @property
+    def passed(self) -> tuple[VerdictLine, ...]:
+        """Verdicts that pass."""
+        return tuple(line for line in self.verdicts if line.outcome == Outcome.PASS.value)
+
+    @property
+    def not_asked(self) -> tuple[VerdictLine, ...]:
+        """Gates that were not asked of this drive."""
+        return tuple(line for line in self.verdicts if line.outcome == Outcome.NOT_ASKED.value)
+
+
+def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> DrivePage:
+    """The page of a log and a planner; the pictures are of the loop in which a gate failed, the closed one first.
+
+    Args:
+        results: The run.
+        row: Its row in the overview.
+        anchor: Its id in the report.
+        page: The file of the report: links are relative to it.
+    """
+    mine = results.drives[(results.drives["log"] == row.log) & (results.drives["planner"] == row.planner)]
+    drives = [results.drive(row.log, row.planner, mode) for mode in ("closed", "open") if mode in set(mine["mode"])]
+    failed = (drive for drive in drives if (drive.verdicts["outcome"] == Outcome.FAIL.value).any())
+    shown = next(failed, drives[0])
+    attempt = Attempts()
+    seen, why = _subject(shown)
+
+    def changed() -> list[Event]:
+        if seen is None:
+            return []
+        short = seen.scenario.short_names
+        return [replace(event, words=short(event.words)) for event in events(seen.trace, seen.plans)]
+
+    found = attempt("The list of events", changed, list[Event]())
+    because = attempt("The account of the plan", lambda: seen.because if seen else (), tuple[str, ...]())
+    charts = placed(seen, results.run.charts) if seen else {}
+    labels = results.labels.get(row.log)
+    detail = f": {shown.info['detail']}" if shown.info["detail"] else ""
+    return DrivePage(
+        anchor, row, shown.mode, labels.tags if labels else (),
+        seen.moment.t if seen else float("nan"), seen.moment.why if seen else why,
+        because,
+        f"{shown.info['end']}{detail}, after {shown.info['t_end_s']:.2f} s",
+        tuple(line for drive in drives for line in _verdicts(drive.verdicts)),
+        _drawn(charts.get("pictures", ())), Markup().join(_drawn(charts.get("decided", ()))),
+        _drawn(charts.get("curves", ())),
+        tuple(found[:MOST_EVENTS]), max(len(found) - MOST_EVENTS, 0),
+        tuple((drive.mode, tuple(_metrics(drive))) for drive in drives),
+        tuple(_missing(drives)), tuple(_files(results, drives, page)), _plot(results, row, seen, page),
+        (*(chart.says for some in charts.values() for chart in some if chart.name == BROKEN), *attempt.broken),
+    )  # fmt: skip
+
+
+def failed_page(row: DriveRow, anchor: str, why: str) -> DrivePage:
+    """The page of a drive whose page cannot be made, with the error."""
+    nothing = Markup()
+    return DrivePage(
+        anchor, row, "", (), float("nan"), why, (), "", (), (), nothing, (), (), 0, (), (), (), "", (why,)
+    )  # fmt: skip
+
+
+def _subject(drive: DriveResult) -> tuple[Subject | None, str]:
+    """The subject of a drive's pictures; None if it cannot be made, and why."""
+    try:
+        return subject(drive), ""
+    except ReplanError as error:
+        return None, f"no pictures: {error.what if isinstance(error, LogError) else error}"
+    except Exception as error:
+        return None, f"no pictures: a bug in replan: {raised(error)}"
+
+
+def _drawn(charts: Sequence[Chart]) -> tuple[Markup, ...]:
+    return tuple(Markup(chart.inline()) for chart in charts)  # canvas escapes every word
+
+
+def _verdicts(table: pd.DataFrame) -> list[VerdictLine]:
+    rows: list[Any] = list(table.itertuples(index=False))
+    lines = [VerdictLine(v.gate, v.mode, v.outcome, float(v.value), float(v.time_s), v.reason) for v in rows]
+    return sorted(lines, key=lambda line: _WEIGHT[line.outcome])
+
+
+def _metrics(drive: DriveResult) -> Iterator[MetricLine]:
+    table = drive.metrics[drive.metrics["available"].astype(bool)]
+    columns = (table[name].tolist() for name in ("metric", "value", "unit", "time_s", "reason"))
+    return (MetricLine(*row) for row in zip(*columns, strict=True))
+
+
+def _missing(drives: Sequence[DriveResult]) -> Iterator[tuple[str, str]]:
+    """Why metrics are not available, and which, of both loops together."""
+    by_reason: dict[str, list[str]] = {}
+    for drive in drives:
+        lacking = drive.metrics[~drive.metrics["available"].astype(bool)]
+        for reason, metric in zip(lacking["reason"].tolist(), lacking["metric"].tolist(), strict=True):
+            by_reason.setdefault(reason, []).append(metric)
+    for reason, names in by_reason.items():
+        yield reason, ", ".join(dict.fromkeys(names))
+
+
+def _relative(file: Path, page: Path) -> str:
+    """A file relative to the report."""
+    return Path(os.path.relpath(file, page.parent)).as_posix()
+
+
+def _files(results: Results, drives: Sequence[DriveResult], page: Path) -> Iterator[Recording]:
+    """The recording of each loop, or its trace if there is none."""
+    for drive in drives:
+        files = sorted(drive.info["files"], key=lambda file: not file.endswith(".rrd"))
+        for file in files[:1]:
+            near = _relative(results.path / file, page)
+            yield Recording(file, drive.mode, quote(near), f"replan view {shlex.quote(near)}")
+
+
+def _plot(results: Results, row: DriveRow, seen: Subject | None, page: Path) -> str:
+    if seen is None:
+        return ""
+    words = ["replan", "plot", _relative(results.path, page), "--log", row.log, "--planner", row.planner]
+    at = f"{seen.moment.t:.2f}" if isfinite(seen.moment.t) else "0"
+    return shlex.join([*words, "--mode", seen.drive.mode, "--at", at])

@@ -1,0 +1,319 @@
+"""A plan in words: why it slows down, what was decided about which agent, the alternatives, the costs.
+
+`replan explain`, the page "why" of a recording and the HTML report show the same `Explanation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from logs.scenario import Scenario
+from logs.trace import (
+    Candidates,
+    Corridor,
+    CostTerms,
+    Decision,
+    DecisionKind,
+    Graph,
+    LaneOption,
+    Plan,
+    PlannedFrame,
+    PlanStatus,
+    PlanSummary,
+    SolverReport,
+    StGraph,
+    Trace,
+)
+from logs.words import counted
+from replay.config import LoopConfig
+from replay.explain.causes import KEEP, Account, accounts, not_passed
+from replay.explain.sentences import sentences
+from replay.results.load import DriveResult
+
+A = TypeVar("A")
+
+MOST_LINES = 5
+"""Further lines of a section are only counted."""
+LONGITUDINAL = (DecisionKind.STOP, DecisionKind.YIELD, DecisionKind.FOLLOW, DecisionKind.OVERTAKE)
+"""Decisions about the speed, the strongest first."""
+FREE_DRIVE, NO_NUDGE, BOTH = "drive on", "keep", "nudge left and right"
+STATUS_WORDS = {
+    PlanStatus.PLANNED: "planned",
+    PlanStatus.CORRECTED: "plan corrected",
+    PlanStatus.PREVIOUS: "previous plan",
+    PlanStatus.COMFORTABLE_STOP: "comfortable stop",
+    PlanStatus.HARD_STOP: "hard stop",
+    PlanStatus.REFUSED: "plan refused",
+}
+"""The statuses in two words; their values are sentences."""
+TOUCH_M = 0.1
+"""A solution nearer to a bound than this touches it."""
+NOISE = 1e-6
+"""A smaller cost is within the tolerance of a solver."""
+SHOWS = 1e-3
+"""A term with a smaller share does not show in the three digits of the sum."""
+BOUND_M = 6.0
+"""An obstacle bounds a solution from at most this distance: gaps are kept to it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """A bound that a solution touches.
+
+    Attributes:
+        plane: "S-T" or "S-L".
+        bound: "upper" or "lower".
+        agent: The agent whose outline lies beyond it; empty if there is none.
+        first: Start of the stretch, s from the frame (S-T) or station, m (S-L); `last` its end.
+        last: See there.
+        at: The solution in the middle of the stretch, m.
+    """
+
+    plane: str
+    bound: str
+    agent: str
+    first: float
+    last: float
+    at: float
+
+
+class Section(NamedTuple):
+    """Lines under a title, each a name (may be empty) and what is stated about it."""
+
+    title: str
+    lines: list[tuple[str, str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """A plan in words and numbers.
+
+    Attributes:
+        t: Time of the frame, s.
+        does: What the plan does within the next second.
+        because: Why, in sentences.
+        account: The numbers of these sentences.
+        fallback: Whether the planner failed; then `reason` is part of `because`.
+        reason: The planner's own sentence.
+        decisions: One for each agent, kind and stage; ignored agents last.
+        costs: Costs of the plan, by stage and term.
+        lanes: The lanes that the planner compared: cost by term, and the reason against each.
+        candidates: How many candidates there were, and why the others were not taken.
+        active: The bounds that the solution touches.
+        solvers: The reports of the solvers.
+    """
+
+    t: float
+    does: str
+    because: tuple[str, ...]
+    account: Account
+    fallback: bool
+    reason: str
+    decisions: tuple[Decision, ...]
+    costs: tuple[CostTerms, ...]
+    lanes: tuple[LaneOption, ...]
+    candidates: tuple[Candidates, ...]
+    active: tuple[Touch, ...]
+    solvers: tuple[SolverReport, ...]
+
+    @classmethod
+    def of(cls, frame: PlannedFrame, account: Account, *, bounds: bool = True) -> Explanation:
+        """The explanation of a frame's plan; without `bounds` no active ones are looked for, which takes time."""
+        plan, because = frame.plan, sentences(account)
+        decisions = list({(d.agent, d.kind, d.stage): d for d in reversed(_of(plan, Decision))}.values())[::-1]
+        decisions.sort(key=_is_ignored)
+        followed = dict.fromkeys(d.agent for d in decisions if d.kind is DecisionKind.FOLLOW)
+        if followed and not account.not_passed and (against := not_passed(plan)):
+            because.append(f"{', '.join(followed)} is not passed: {'; '.join(against)}.")
+        return cls(
+            frame.t, account.course.action.value, tuple(because), account, plan.status.is_fallback, plan.reason,
+            tuple(decisions), tuple(_of(plan, CostTerms)), tuple(_of(plan, LaneOption)),
+            tuple(_of(plan, Candidates)), tuple(touched(plan)) if bounds else (), tuple(_of(plan, SolverReport)),
+        )  # fmt: skip
+
+    def sections(self) -> Iterator[Section]:
+        """All that was decided, compared and computed, as lines of plain text; no empty section."""
+        decided = [
+            (f"{d.agent}: {d.kind.value}", f" ({d.stage}): {d.reason}" if d.reason else f" ({d.stage})")
+            for d in self.decisions
+        ]
+        taken = [(each.name, f": {format_option(each)}; {each.against or 'taken'}") for each in self.lanes]
+        candidates = [
+            ("", f"{each.stage}: {each.considered}; not taken: "
+             + (", ".join(f"{n} {why}" for why, n in each.rejected) or "none"))
+            for each in self.candidates
+        ]  # fmt: skip
+        active = []
+        for one in self.active:
+            unit, agent = "s" if one.plane == "S-T" else "m", f" ({one.agent})" if one.agent else ""
+            span = f"from {one.first:.1f} {unit} to {one.last:.1f} {unit}"
+            active.append(("", f"{one.plane} {one.bound} bound{agent} {span}, at {one.at:.1f} m"))
+        costs = [("", f"{each.stage}: {format_terms(each.terms)}") for each in self.costs]
+        solvers = [
+            ("" if r.solved else f"{r.stage}: not solved", f"{f'{r.stage}: ' if r.solved else ', '}{r.status},"
+             f" {counted(r.iterations, 'iteration')}, residuals {_residual(r.primal_residual)} (primal),"
+             f" {_residual(r.dual_residual)} (dual)")
+            for r in self.solvers
+        ]  # fmt: skip
+        for title, lines in (
+            ("decisions", decided), ("lanes", taken), ("candidates", candidates), ("active bounds", active),
+            ("costs", costs), ("solvers", solvers),
+        ):  # fmt: skip
+            if lines:
+                yield Section(title, lines)
+
+
+def explained(drive: DriveResult, at: float | None = None) -> list[Explanation]:
+    """The plan at a time, or each plan that decides otherwise than the one before it.
+
+    Raises:
+        ConfigError: There is no plan at that time.
+        LogError: The trace is damaged.
+    """
+    loop = drive.result.run.drive_loop
+    if at is None:
+        return list(changes(drive.trace, drive.scenario, loop))
+    wanted = drive.frame(at).t
+    pairs = zip(drive.trace.frames, accounts(drive.trace, drive.scenario, loop), strict=True)
+    return [Explanation.of(frame, account) for frame, account in pairs if frame.t == wanted]
+
+
+def changes(trace: Trace, scenario: Scenario, loop: LoopConfig | None = None) -> Iterator[Explanation]:
+    """The frames at which the status, lane, a decision or the first cause changes; arguments as `accounts`."""
+    before: Any = None
+    for frame, account in zip(trace.frames, accounts(trace, scenario, loop), strict=True):
+        first = account.causes[0] if account.causes else None
+        decisions = frozenset((d.agent, d.kind) for d in _of(frame.plan, Decision) if not _is_ignored(d))
+        now = (
+            frame.plan.status, taken_option(lane_options(frame.plan)), decisions, account.course.action,
+            first and (first.kind, first.who),
+        )  # fmt: skip
+        if now != before:
+            yield Explanation.of(frame, account)
+        before = now
+
+
+def lines_of(one: Explanation) -> Iterator[str]:
+    """An explanation as text; of the solvers only those that failed."""
+    yield f"t = {one.t:.2f} s: {one.does}"
+    yield from (f"  {sentence}" for sentence in one.because)
+    if one.reason and not one.fallback:
+        yield f"  The planner's reason: {one.reason}."
+    failed = tuple(report for report in one.solvers if not report.solved)
+    for title, lines in replace(one, solvers=failed).sections():
+        for i, line in enumerate(lines[:MOST_LINES]):
+            yield f"    {title if i == 0 else '':<13} {''.join(line)}"
+        if len(lines) > MOST_LINES:
+            yield f"    {'':<13} and {len(lines) - MOST_LINES} more"
+
+
+def _of(plan: Plan, kind: type[A]) -> list[A]:
+    return [artefact for artefact in plan.internals if isinstance(artefact, kind)]
+
+
+def _is_ignored(decision: Decision) -> bool:
+    return decision.kind is DecisionKind.IGNORE
+
+
+def _residual(value: float) -> str:
+    return f"{value:.1e}" if np.isfinite(value) else "unknown"
+
+
+# decisions and lanes in a word ------------------------------------------------------------------------------------
+
+
+def longitudinal(plan: Plan) -> str:
+    """The strongest decision of a plan about the speed."""
+    kinds = {decision.kind for decision in _of(plan, Decision)}
+    return next((kind.value for kind in LONGITUDINAL if kind in kinds), FREE_DRIVE)
+
+
+def lateral(plan: Plan) -> str:
+    """The decisions of a plan about the side on which obstacles are passed."""
+    kinds = {decision.kind for decision in _of(plan, Decision)}
+    left, right = DecisionKind.NUDGE_LEFT in kinds, DecisionKind.NUDGE_RIGHT in kinds
+    if left and right:
+        return BOTH
+    return DecisionKind.NUDGE_LEFT.value if left else DecisionKind.NUDGE_RIGHT.value if right else NO_NUDGE
+
+
+def lane_options(plan: Plan | PlanSummary) -> tuple[LaneOption, ...]:
+    """The lanes that a plan compared; empty if it compared none."""
+    return tuple(artefact for artefact in plan.internals if isinstance(artefact, LaneOption))
+
+
+def taken_option(some: Sequence[LaneOption]) -> str:
+    """The name of the option that was taken."""
+    return next((option.name for option in some if not option.against), KEEP)
+
+
+def describe_choice(some: Sequence[LaneOption]) -> str:
+    """Why an option was taken: its cost, and that of each other."""
+    name = taken_option(some)
+    chosen = next(option for option in some if option.name == name)
+    others = "; ".join(f"{option.name} {format_option(option)}" for option in some if option is not chosen)
+    return f"costs {format_option(chosen)} instead of {others}"
+
+
+def format_option(option: LaneOption) -> str:
+    """The cost of an option, and the terms that matter."""
+    terms = ", ".join(f"{name} {value:.1f}" for name, value in option.terms if abs(value) >= 0.05)
+    return f"{option.cost:.1f} s" + (f" ({terms})" if terms else "")
+
+
+# costs and bounds -------------------------------------------------------------------------------------------------
+
+
+def format_terms(terms: Sequence[tuple[str, float]]) -> str:
+    """A cost as the sum of its terms: "4.8 = reference 1.25 + obstacle 3.5"."""
+    if not terms:
+        return "no terms"
+    shown, total = main_terms(terms), sum(value for _, value in terms)
+    return f"{total:.3g} = " + " + ".join(f"{name} {value:.3g}" for name, value in shown) if shown else "0"
+
+
+def main_terms(terms: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
+    """The terms that show in their sum, without numerical noise; values that are not finite are kept."""
+    least = max(NOISE, SHOWS * sum(abs(value) for _, value in terms if isfinite(value)))
+    return [(name, value) for name, value in terms if abs(value) > least or not isfinite(value)]
+
+
+def touched(plan: Plan) -> Iterator[Touch]:
+    """The bounds that the solutions of a plan's graphs touch."""
+    for graph in plan.internals:
+        if isinstance(graph, Graph) and graph.corridor is not None and len(graph.qp) > 1:
+            for bound in ("upper", "lower"):
+                yield from _touches(graph, graph.corridor, bound)
+
+
+def _touches(graph: Graph, corridor: Corridor, bound: str) -> Iterator[Touch]:
+    """The stretches in which the solution touches one side; its start, which is given, does not count."""
+    at, x = graph.qp.T
+    edge = np.interp(at, corridor.first, np.clip(getattr(corridor, bound), -1e6, 1e6))
+    inside = (at >= corridor.first[0]) & (at <= corridor.first[-1]) & (np.arange(len(at)) > 0)
+    marks = np.diff(np.r_[False, inside & (np.abs(x - edge) < TOUCH_M), False].astype(np.int64))
+    plane = "S-T" if isinstance(graph, StGraph) else "S-L"
+    for begin, end in zip(np.flatnonzero(marks > 0), np.flatnonzero(marks < 0) - 1, strict=True):
+        middle = (begin + end) // 2
+        who = _beyond(graph, float(at[middle]), float(edge[middle]), up=bound == "upper")
+        if who or plane == "S-L" or x[end] > x[0] + TOUCH_M:
+            yield Touch(plane, bound, who, float(at[begin]), float(at[end]), float(x[middle]))
+
+
+def _beyond(graph: Graph, at: float, edge: float, *, up: bool) -> str:
+    """The obstacle whose outline is nearest beyond an edge."""
+    best, who = BOUND_M, ""
+    for thing in graph.obstacles:
+        points = thing.outline
+        if not len(points) or not points[:, 0].min() - TOUCH_M <= at <= points[:, 0].max() + TOUCH_M:
+            continue
+        near = points[np.abs(points[:, 0] - at) <= np.abs(points[:, 0] - at).min() + TOUCH_M]
+        away = float(near[:, 1].min() - edge if up else edge - near[:, 1].max())
+        if -TOUCH_M <= away < best:
+            best, who = away, thing.agent
+    return who

@@ -20,8 +20,8 @@ from logs.catalogue import CATALOGUE
 from replay.config import LoopConfig
 from replay.loop.open_loop import run_open_loop
 from replay.loop.perception import Perception
-from replay.planner_process.convert import frame_message
 from replay.planner_process.processes import _launcher
+from replay.planner_process.schema import encode, frame_message
 from replay.world import World, logged_ego
 
 BUILT_IN, APART = "constant_speed", "planners.constant_speed:ConstantSpeed"
@@ -67,11 +67,9 @@ def drive_s(log: Scenario, planner: str) -> float:
 
 def size_kb(log: Scenario) -> float:
     """The first frame's message, kB."""
-    import msgspec
-
     config = LoopConfig()
     world = World(logged_ego(log.ego, log.vehicle, float(log.ego.t[0])), log.tracks)
-    return len(msgspec.msgpack.encode(frame_message(Perception(log, config).frame(world, None)))) / 1e3
+    return len(encode(frame_message(Perception(log, config).frame(world, None)))) / 1e3
 
 
 if __name__ == "__main__":

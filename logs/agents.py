@@ -88,7 +88,7 @@ class Agents:
 
     def __post_init__(self) -> None:
         for name in NUMBERS[NUMBERS.index("yaw_rate") :]:
-            if getattr(self, name) is _UNKNOWN:
+            if not len(getattr(self, name)):
                 unknown = np.nan if name in OPTIONAL else 0.0
                 object.__setattr__(self, name, np.full(len(self.ids), unknown))
         if self.codes is _UNCODED:

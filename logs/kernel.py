@@ -32,6 +32,8 @@ from logs.kernel_stamp import KernelIndex
 FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+Points = np.ndarray[tuple[int, int], np.dtype[np.floating[Any]]]
+"""Points `(n, 2)`: x and y in each row."""
 
 TIE = 1e-6
 """Lengths (m), times (s), angles, ratios and costs that differ by less are equal where something is decided.

@@ -122,7 +122,10 @@ class KernelIndex(IndexDataCacheFile):
 
     def load(self, key: Any) -> Any:
         """The machine code of one kind of arguments, as numba kept it; None: there is none."""
-        found = super().load(key)  # type: ignore[no-untyped-call]
+        try:
+            found = super().load(key)  # type: ignore[no-untyped-call]
+        except ModuleNotFoundError:  # the module of a kernel that was compiled into it has moved since
+            found = None
         return self._beside.load(key) if found is None and self._beside else found
 
     def holds(self, processor: Any) -> bool:

@@ -22,7 +22,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, IntArray, frozen, inner_kernel, kernel
+from logs.kernel import TIE, FloatArray, IntArray, Points, frozen, inner_kernel, kernel
 from logs.rules import Crosswalk, StopLine
 
 
@@ -53,8 +53,8 @@ class Lane:
     """
 
     id: int
-    left: FloatArray
-    right: FloatArray
+    left: Points
+    right: Points
     successors: tuple[int, ...] = ()
     left_neighbour: int | None = None
     right_neighbour: int | None = None
@@ -205,7 +205,7 @@ class Goal:
             that they allow whatever one of them allows: all regions, and intervals from the least to the greatest.
     """
 
-    regions: tuple[FloatArray, ...] = ()
+    regions: tuple[Points, ...] = ()
     t: tuple[float, float] | None = None
     v: tuple[float, float] | None = None
     yaw: tuple[float, float] | None = None

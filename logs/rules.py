@@ -11,7 +11,7 @@ from enum import Enum
 
 import numpy as np
 
-from logs.kernel import FloatArray, frozen
+from logs.kernel import FloatArray, Points, frozen
 
 
 class Colour(Enum):
@@ -70,7 +70,7 @@ class StopLine:
 
     id: int
     lane: int
-    points: FloatArray
+    points: Points
     light: int | None = None
     must_stop: bool = False
     towards: tuple[int, ...] = ()
@@ -91,7 +91,7 @@ class Crosswalk:
     """
 
     id: int
-    polygon: FloatArray
+    polygon: Points
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "polygon", frozen(self.polygon))

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, ClassVar, overload
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, frozen
+from logs.kernel import FloatArray, IntArray, Points, frozen
 from logs.scenario import Tracks
 from logs.states import Controls, Trajectory
 
@@ -145,8 +145,9 @@ class GridCost:
     chosen: IntArray
 
     def __post_init__(self) -> None:
-        for name in ("first", "second", "cost"):
+        for name in ("first", "second"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "cost", frozen(np.reshape(self.cost, (len(self.first), len(self.second)))))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -167,7 +168,7 @@ class GraphObstacle:
     """An agent in a graph: its outline `(k, 2)` in graph coordinates and what was decided about it."""
 
     agent: str
-    outline: FloatArray
+    outline: Points
     decision: DecisionKind
 
     def __post_init__(self) -> None:
@@ -180,8 +181,8 @@ class Graph:
 
     grid: GridCost | None
     corridor: Corridor | None
-    dp: FloatArray
-    qp: FloatArray
+    dp: Points
+    qp: Points
     obstacles: tuple[GraphObstacle, ...]
 
     def __post_init__(self) -> None:
@@ -193,10 +194,14 @@ class Graph:
 class SlGraph(Graph):
     """Station (m) and lateral offset (m) of the reference line: where the path was chosen."""
 
+    plane: ClassVar[str] = "sl"
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StGraph(Graph):
     """Time (s from the frame) and station along the path (m from the ego): where the speed was chosen."""
+
+    plane: ClassVar[str] = "st"
 
 
 Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | LaneOption | SolverReport

@@ -5,12 +5,11 @@ Modules:
     container.py   an MCAP file as topics of messages, or one sentence that says what is wrong with it
     reader.py      native messages -> Scenario          osi.py, osi_lanes.py   ASAM OSI ground truth -> Scenario
     complete.py    what a log leaves out and how it is filled in
-    writer.py      Scenario -> native log               trace.py, trace_reader.py   Trace -> native log and back
+    writer.py      Scenario -> native log               trace.py               Trace -> native log and back
 """
 
 from logs.mcap.reader import read_scenario
-from logs.mcap.trace import write_trace
-from logs.mcap.trace_reader import read_moment, read_trace
+from logs.mcap.trace import read_moment, read_trace, write_trace
 from logs.mcap.writer import write_scenario
 
 __all__ = [

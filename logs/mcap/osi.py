@@ -277,7 +277,11 @@ def _kind(item: Any) -> AgentKind:
 
 
 def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: FloatArray, notes: list[str]) -> Tracks:
-    standing = {key: item for key, item in seen.standing.items() if key not in rows and _stands_in_the_way(item)}
+    standing = {
+        key: item
+        for key, item in seen.standing.items()
+        if key not in rows and enum_name(item.classification, "type") not in NOT_IN_THE_WAY
+    }
     if len(standing) < len(seen.standing):
         left_out = len(seen.standing) - len(standing)
         notes.append(f"{left_out} of {len(seen.standing)} stationary objects are not in the way (bridges, kerbs, ...).")
@@ -289,9 +293,10 @@ def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: Flo
     if not others:
         return Tracks.empty()
     kinds = [AgentKind.OBJECT if key in standing else _kind(seen.moving[key]) for key in others]
+    boxes = [(standing[key] if key in standing else seen.moving[key]).base.dimension for key in others]
     sizes = [
-        _size(standing[key] if key in standing else seen.moving[key], kind)
-        for key, kind in zip(others, kinds, strict=True)
+        (box.length, box.width) if min(box.length, box.width) > 0.0 else USUAL_SIZE_M[kind]
+        for box, kind in zip(boxes, kinds, strict=True)
     ]
     offsets = np.r_[0, np.cumsum([len(values) for values in others.values()])]
     columns = np.vstack([values[:, :6] for values in others.values()])
@@ -310,15 +315,6 @@ def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: Flo
         columns[:, 4],
         columns[:, 5],
     )
-
-
-def _stands_in_the_way(item: Any) -> bool:
-    return enum_name(item.classification, "type") not in NOT_IN_THE_WAY
-
-
-def _size(item: Any, kind: AgentKind) -> tuple[float, float]:
-    size = item.base.dimension
-    return (size.length, size.width) if min(size.length, size.width) > 0.0 else USUAL_SIZE_M[kind]
 
 
 def _road(seen: _Seen, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:

@@ -20,7 +20,10 @@ _NAMES = {float: "number", int: "integer", str: "text", bool: "boolean", type(No
 def markdown() -> str:
     """The page."""
     kinds = _kinds()
-    rows = [f"| `{topic}` | {_link(kind)} | {_first(kind)} |" for topic, kind in native.TOPICS.items()]
+    rows = [
+        f"| `{topic}` | {_link(kind)} | {' '.join((kind.__doc__ or '').split())} |"
+        for topic, kind in native.TOPICS.items()
+    ]
     head = [
         "# The native log format",
         "",
@@ -87,7 +90,3 @@ def _type(hint: Any) -> str:
 
 def _link(kind: type[msgspec.Struct]) -> str:
     return f"[{kind.__name__}](#{kind.__name__.lower()})"
-
-
-def _first(kind: type[msgspec.Struct]) -> str:
-    return " ".join((kind.__doc__ or "").split())

@@ -101,17 +101,15 @@ def _chosen(summary: Sequence[McapRecord], first_ns: float, last_ns: float) -> l
     chunks = sorted(_of(summary, ChunkIndex), key=lambda chunk: chunk.chunk_start_offset)
     rare = {channel.id for channel in _of(summary, Channel) if channel.topic not in PERIODIC}
     kept = set(range(len(chunks[:1])))  # (4)
-    kept |= {k for k, chunk in enumerate(chunks) if _overlaps(chunk, first_ns, last_ns)}  # (1)
+    for k, chunk in enumerate(chunks):
+        if chunk.message_start_time <= last_ns and first_ns <= chunk.message_end_time:
+            kept.add(k)  # (1)
     for channel in {number for chunk in chunks for number in chunk.message_index_offsets}:
         having = [k for k, chunk in enumerate(chunks) if channel in chunk.message_index_offsets]
         kept |= set([k for k in having if chunks[k].message_end_time < first_ns][-1:])  # (2)
         kept |= set([k for k in having if chunks[k].message_start_time > last_ns][:1])
         kept |= set(having) if channel in rare else set()  # (3)
     return [chunks[k] for k in sorted(kept)]
-
-
-def _overlaps(chunk: ChunkIndex, first_ns: float, last_ns: float) -> bool:
-    return chunk.message_start_time <= last_ns and first_ns <= chunk.message_end_time
 
 
 def _pieces(ranged: Ranged, summary: Sequence[McapRecord], chunks: Sequence[ChunkIndex]) -> Iterator[bytes]:

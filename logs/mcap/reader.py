@@ -17,6 +17,7 @@ import numpy as np
 
 from logs import road as nouns
 from logs.agents import codes_of
+from logs.codec import noun_of
 from logs.detections import Change, Detections, Repair
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray, IntArray
@@ -24,7 +25,7 @@ from logs.mcap import native, osi
 from logs.mcap.complete import completed, road_along
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
 from logs.observed import Spans, of_stream
-from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+from logs.rules import Colour, TrafficLight
 from logs.scenario import FINDING, Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
@@ -84,7 +85,10 @@ def _native(container: Container) -> Scenario:
     start_ns = _from_record(record, "start_ns", int, streams["/ego"].times[0])
     if not 0 <= start_ns <= LAST_TIME_NS:
         raise LogError(f"start_ns is {start_ns}", topic=native.SCENARIO_RECORD, remedy="a log time, nanoseconds")
-    ego = _ego(streams["/ego"], start_ns, notes)
+    try:
+        ego = completed(sampled(streams["/ego"], native.Ego, start_ns), notes)
+    except ValueError as error:
+        raise LogError(str(error), topic="/ego", remedy=MEND) from None
     tracks, extended = marked_tracks(streams, start_ns, notes)
     detections, repair = _repaired(streams, start_ns, tracks, extended)
     road = _road(_one(streams, "/road", native.Road), ego, notes)
@@ -96,6 +100,9 @@ def _native(container: Container) -> Scenario:
     parameters = {} if vehicle is None else msgspec.structs.asdict(vehicle)
     controls = streams.get("/controls", streams.get("/actuation"))
     noted = _from_record(record, "notes", list[str], [])
+    said = container.metadata.get(native.FREE_RECORD, {})
+    free = {key: text for key, text in said.items() if not key.startswith(FINDING)}
+    driven = {f"trace_{key}": value for key, value in container.metadata.get(native.TRACE_RECORD, {}).items()}
     try:
         return Scenario(
             name=record.get("name", container.path.stem),
@@ -114,7 +121,7 @@ def _native(container: Container) -> Scenario:
                 _from_record(record, "origin_y_m", float, 0.0),
             ),
             start_ns=start_ns,
-            metadata=_free_metadata(container),
+            metadata={**free, **driven},
             notes=(*noted, *(note for note in notes if note not in noted)),
             lights=lights,
             onboard=_onboard(streams.get("/onboard"), start_ns),
@@ -146,12 +153,6 @@ def _from_record(record: dict[str, str], key: str, kind: type[T], default: T) ->
         raise LogError(what, topic=native.SCENARIO_RECORD, remedy=MEND) from None
 
 
-def _free_metadata(container: Container) -> dict[str, str]:
-    driven = {f"trace_{key}": value for key, value in container.metadata.get(native.TRACE_RECORD, {}).items()}
-    said = container.metadata.get(native.FREE_RECORD, {})
-    return {**{key: text for key, text in said.items() if not key.startswith(FINDING)}, **driven}
-
-
 def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:
     """The message of a topic that has one or none."""
     if topic not in streams or not len(streams[topic]):
@@ -171,17 +172,16 @@ def seconds(times: Sequence[int], start_ns: int) -> FloatArray:
     return (np.array(times, dtype=np.int64) - start_ns) / 1e9
 
 
-def _column(messages: Sequence[Any], name: str) -> FloatArray:
-    return np.array([getattr(message, name) for message in messages], dtype=np.float64)
-
-
 def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[str, FloatArray]:
     """Column t and those of a kind, whether they come one sample a message or in blocks."""
     block = native.BLOCKS[kind]
     if stream.schema != native.schema_name(block):
         stream.check_order(strictly=True)
         some = stream.decoded(kind)
-        columns = {name: _column(some, name) for name in kind.__struct_fields__}
+        columns = {
+            name: np.array([getattr(message, name) for message in some], dtype=np.float64)
+            for name in kind.__struct_fields__
+        }
         return {"t": seconds(stream.times, start_ns), **columns}
     blocks = stream.decoded(block)
     for time, message in zip(stream.times, blocks, strict=True):
@@ -197,13 +197,6 @@ def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[s
         raise LogError("a log time is beyond any clock", topic=stream.topic, remedy=MEND)
     replace(stream, times=times).check_order(strictly=True)
     return {"t": seconds(times, start_ns), **{name: np.array(some, np.float64) for name, some in joined.items()}}
-
-
-def _ego(stream: Stream, start_ns: int, notes: list[str]) -> Trajectory:
-    try:
-        return completed(sampled(stream, native.Ego, start_ns), notes)
-    except ValueError as error:
-        raise LogError(str(error), topic=stream.topic, remedy=MEND) from None
 
 
 def controls_of(stream: Stream, start_ns: int) -> Controls:
@@ -351,28 +344,12 @@ def _road(message: native.Road | None, ego: Trajectory, notes: list[str]) -> nou
         return road_along(ego, notes)
     if not message.default_speed_limit > 0.0:
         raise LogError("default_speed_limit_mps must be positive", topic="/road", remedy=MEND)
-    source = nouns.RoadSource[message.source.upper()]
-    lanes = {lane.id: _lane(lane) for lane in message.lanes}
-    if len(lanes) < len(message.lanes):
+    if len({lane.id for lane in message.lanes}) < len(message.lanes):
         raise LogError("two lanes have the same id", topic="/road", remedy="ids are unique in a road")
     try:
-        stop_lines = tuple(_stop_line(line) for line in message.stop_lines)
-        crosswalks = tuple(Crosswalk(c.id, _outline(c, f"crosswalk {c.id}")) for c in message.crosswalks)
-        limits = message.default_speed_limit, stop_lines, crosswalks, frozenset(message.assumed_limits)
-        return nouns.Road(lanes, source, message.drives_on_right, *limits)
+        return noun_of(nouns.Road, message)
     except ValueError as error:
         raise LogError(str(error), topic="/road", remedy=MEND) from None
-
-
-def _outline(message: native.Crosswalk | native.StopLine, name: str) -> FloatArray:
-    if len(message.x) != len(message.y):
-        raise ValueError(f"{name} has {len(message.x)} x_m and {len(message.y)} y_m")
-    return np.column_stack([message.x, message.y])
-
-
-def _stop_line(line: native.StopLine) -> StopLine:
-    points = _outline(line, f"stop line {line.id}")
-    return StopLine(line.id, line.lane, points, line.light, line.must_stop, tuple(line.towards))
 
 
 def _lights(stream: Stream | None, start_ns: int) -> tuple[TrafficLight, ...]:
@@ -400,9 +377,8 @@ def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
     out = []
     for at, time, message in zip(known, stream.times, stream.decoded(native.OnboardPlan), strict=True):
         _equal_lengths(message.trajectory, stream.topic, time)
-        columns = (np.array(column, np.float64) for column in msgspec.structs.astuple(message.trajectory))
         try:
-            out.append(OnboardPlan(at, Trajectory(*columns)))
+            out.append(noun_of(OnboardPlan, message, known=at))
         except ValueError as error:
             raise LogError(str(error), topic=stream.topic, time_ns=time, remedy=MEND) from None
     return tuple(out)
@@ -417,42 +393,10 @@ def _dark(road: nouns.Road, lights: Sequence[TrafficLight]) -> tuple[str, ...]:
     return (f"The log does not show the lights of {len(lost)} of {len(road.stop_lines)} stop lines: not known is off.",)
 
 
-def _lane(lane: native.LaneColumns) -> nouns.Lane:
-    lengths = {len(lane.left_x), len(lane.left_y), len(lane.right_x), len(lane.right_y)}
-    if len(lengths) > 1:
-        remedy = "point i of one faces point i of the other"
-        raise LogError(f"lane {lane.id}: boundaries have {sorted(lengths)} points", topic="/road", remedy=remedy)
-    try:
-        return nouns.Lane(
-            id=lane.id,
-            left=np.column_stack([lane.left_x, lane.left_y]),
-            right=np.column_stack([lane.right_x, lane.right_y]),
-            successors=tuple(lane.successors),
-            left_neighbour=lane.left_neighbour,
-            right_neighbour=lane.right_neighbour,
-            left_opposite=lane.left_opposite,
-            speed_limit=float("nan") if lane.speed_limit is None else lane.speed_limit,
-            drivable=lane.drivable,
-            left_crossable=lane.left_crossable,
-            right_crossable=lane.right_crossable,
-            right_opposite=lane.right_opposite,
-            kind=lane.kind,
-            yields_to=tuple(lane.yields_to),
-        )
-    except ValueError as error:
-        raise LogError(str(error), topic="/road", remedy=MEND) from None
-
-
 def _goal(message: native.Goal | None) -> nouns.Goal | None:
     if message is None:
         return None
-    goal = _one_goal(message)
-    return replace(goal, alternatives=tuple(map(_one_goal, message.alternatives))) if message.alternatives else goal
-
-
-def _one_goal(message: native.Goal | native.GoalAlternative) -> nouns.Goal:
-    for region in message.regions:
+    for region in chain(message.regions, *(one.regions for one in message.alternatives)):
         if len(region.x) != len(region.y) or len(region.x) < 3:
             raise LogError("a region needs as many x_m as y_m, three or more", topic="/goal", remedy=MEND)
-    regions = tuple(np.column_stack([region.x, region.y]) for region in message.regions)
-    return nouns.Goal(regions, message.t, message.v, message.yaw)
+    return noun_of(nouns.Goal, message)

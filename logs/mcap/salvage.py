@@ -195,7 +195,10 @@ def _records_at(
         if code == Opcode.CHUNK:
             chunk = Chunk.read(body)
             found = opened(chunk)
-            return (size, found, True) if _in_its_times(chunk, found) else None
+            begin, end = chunk.message_start_time, chunk.message_end_time
+            if any(not begin <= record.log_time <= end for record in found if isinstance(record, Message)):
+                return None  # the chunk does not state the times of its messages
+            return size, found, True
         if not in_step or (code == Opcode.MESSAGE and not undamaged):
             return None
         if code in _PASSED:
@@ -205,22 +208,12 @@ def _records_at(
         return None
 
 
-def _in_its_times(chunk: Chunk, records: list[McapRecord]) -> bool:
-    """Whether all messages are of the times that the chunk states."""
-    begin, end = chunk.message_start_time, chunk.message_end_time
-    return all(begin <= record.log_time <= end for record in records if isinstance(record, Message))
-
-
-def _read_message(stream: Any, size: int) -> McapRecord:
-    return Message.read(stream, size)
-
-
 _KNOWN: dict[int, Any] = {
     Opcode.HEADER: lambda stream, size: Header.read(stream),
     Opcode.SCHEMA: lambda stream, size: Schema.read(stream),
     Opcode.CHANNEL: lambda stream, size: Channel.read(stream),
     Opcode.METADATA: lambda stream, size: Metadata.read(stream),
-    Opcode.MESSAGE: _read_message,
+    Opcode.MESSAGE: Message.read,
 }
 """Records outside of chunks that are kept."""
 _PASSED = frozenset(Opcode) - frozenset(_KNOWN) - {Opcode.CHUNK}

@@ -4,7 +4,10 @@ Ego and agents are those of the trace; road, goal and vehicle those of the scena
 plans is kept: "none" (status, and trajectory at `KEPT_STEP_S`), "summary" (the whole trajectory, decisions, cost terms,
 candidates, compared lanes, solver reports, graphs without the grids of costs, predictions every `SUMMARY_STEP_S`),
 "full" (and the grids, and all predictions that the trace has). In graphs null stands for "not reached" and "free". What
-a sensor showed of the others is always kept. `read_trace` gives the drive back.
+a sensor showed of the others is always kept.
+
+`read_trace` returns the drive. What the file leaves out is not made up: grids that were not kept are None, and agents
+that were in a frame without being predicted are not listed in it. The yaw of a prediction is not kept: it is NaN.
 """
 
 from __future__ import annotations
@@ -13,16 +16,19 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+import msgspec
 import numpy as np
 
 from logs import trace as nouns
+from logs.codec import message_of, noun_of
 from logs.errors import LogError
 from logs.frame import Predictions
 from logs.frame_store import light
-from logs.kernel import FloatArray
 from logs.mcap import native
+from logs.mcap.container import MEND, Container, Stream, read_container
+from logs.mcap.reader import controls_of, sampled, scenario_of, seconds, tracks_of
 from logs.mcap.writer import Entry, column, log_times, samples, scenario_entries, scenario_records, table_of, write_log
 from logs.scenario import Scenario, Tracks
 from logs.states import TRAJECTORY_COLUMNS
@@ -90,11 +96,11 @@ def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> I
     for time, frame in zip(times, trace.frames, strict=True):
         yield time, "/plan", plan_message(frame.plan, internals)
         if internals != "none" and frame.predictions is not None:
-            yield time, "/predictions", _predictions(frame, frame.predictions, full=internals == "full")
+            yield time, "/predictions", _predictions_message(frame, frame.predictions, full=internals == "full")
     if trace.perceived is not None:
         if not _who(trace.perceived).items() <= _who(trace.agents).items():
             yield start_ns, "/perceived/table", table_of(trace.perceived)
-        yield from _perceived(trace.perceived, times, start_ns)
+        yield from _perceived_messages(trace.perceived, times, start_ns)
     for topic, kind, table in (
         ("/command", native.Controls, trace.commands),
         ("/actuation", native.Controls, trace.actuation),
@@ -110,7 +116,7 @@ def _who(tracks: Tracks) -> dict[str, tuple[object, ...]]:
     return dict(zip(tracks.ids, columns, strict=True))
 
 
-def _perceived(shown: Tracks, frames: list[int], start_ns: int) -> Iterator[Entry]:
+def _perceived_messages(shown: Tracks, frames: list[int], start_ns: int) -> Iterator[Entry]:
     """A message a frame, empty where nobody was seen."""
     times = np.array(log_times(shown.t, start_ns, "/perceived"), dtype=np.int64)
     track = np.repeat(np.arange(len(shown)), np.diff(shown.offsets))
@@ -122,7 +128,7 @@ def _perceived(shown: Tracks, frames: list[int], start_ns: int) -> Iterator[Entr
         yield time, "/perceived", native.AgentColumns([shown.ids[i] for i in track[at]], *columns)
 
 
-def _predictions(frame: nouns.PlannedFrame, some: Predictions, *, full: bool) -> native.Predictions:
+def _predictions_message(frame: nouns.PlannedFrame, some: Predictions, *, full: bool) -> native.Predictions:
     ids = [frame.agents[i] for i in some.agent]
     probability = column(some.probability, "/predictions", "probability")
     kept = slice(None) if full else nouns.kept_samples(some.t, SUMMARY_STEP_S)
@@ -131,65 +137,159 @@ def _predictions(frame: nouns.PlannedFrame, some: Predictions, *, full: bool) ->
 
 
 def plan_message(plan: nouns.Plan, internals: Internals) -> native.Plan:
-    """A plan with as much of its inside as is asked for."""
+    """The message of a plan, with as much of its internals as is asked for."""
     planned = plan.trajectory
     kept = nouns.kept_samples(planned.t) if internals == "none" else slice(None)
-    columns = [getattr(planned, name)[kept].tolist() for name in TRAJECTORY_COLUMNS]
-    message = native.Plan(
-        plan.status.name.lower(), plan.reason, plan.start.name.lower(), native.TrajectoryColumns(*columns)
+    columns = native.TrajectoryColumns(*(getattr(planned, name)[kept].tolist() for name in TRAJECTORY_COLUMNS))
+    inside = {} if internals == "none" else inside_of(plan.internals, full=internals == "full")
+    return message_of(native.Plan, plan, trajectory=columns, **inside)
+
+
+_INSIDE: dict[str, tuple[type[msgspec.Struct], tuple[type[nouns.Artefact], ...]]] = {
+    "decisions": (native.Decision, (nouns.Decision,)),
+    "costs": (native.CostTerms, (nouns.CostTerms,)),
+    "candidates": (native.Candidates, (nouns.Candidates,)),
+    "lanes": (native.LaneOption, (nouns.LaneOption,)),
+    "solvers": (native.SolverReport, (nouns.SolverReport,)),
+    "graphs": (native.Graph, (nouns.SlGraph, nouns.StGraph)),
+}
+"""Under which name, and as which message, the artefacts of a plan are written, in the order in which they are read."""
+_PLACE = {noun: (name, kind) for name, (kind, some) in _INSIDE.items() for noun in some}
+
+
+def inside_of(internals: Iterable[nouns.Artefact], *, full: bool = True) -> dict[str, Any]:
+    """The artefacts of a plan as lists of messages, by the name of the list; graphs without grids unless `full`."""
+    found: dict[str, Any] = {}
+    for artefact in internals:
+        name, kind = _PLACE[type(artefact)]
+        given = {} if full or name != "graphs" else {"grid": None}
+        found.setdefault(name, []).append(message_of(kind, artefact, **given))
+    return found
+
+
+def artefacts_of(message: msgspec.Struct) -> Iterator[nouns.Artefact]:
+    """The artefacts in the lists of a message, of which it may have some only."""
+    for name, (_, kinds) in _INSIDE.items():
+        for each in getattr(message, name, ()):
+            kind: Any = kinds[name == "graphs" and each.plane == "st"]
+            yield noun_of(kind, each)
+
+
+def read_trace(path: Path) -> tuple[nouns.Trace, Scenario]:
+    """The drive in a file that `write_trace` wrote, and the scenario as it was driven (road, goal, vehicle, lights).
+
+    Raises:
+        LogError: The file is damaged, is no trace, or breaks the format; nothing else is raised.
+    """
+    container = read_container(Path(path))
+    scenario = scenario_of(container)
+    try:
+        return _trace(container, scenario, _frames(container.streams, scenario.start_ns)), scenario
+    except LogError as error:
+        raise error.at(path) from None
+
+
+def read_moment(path: Path, t: float) -> tuple[nouns.Trace, Scenario, tuple[nouns.PlanSummary, ...]]:
+    """As `read_trace`, with only the plan that was the newest at `t` (s); and what each plan says. Four times faster.
+
+    Raises:
+        LogError: As `read_trace`, but for what is wrong with the other plans.
+    """
+    container = read_container(Path(path))
+    scenario = scenario_of(container)
+    try:
+        streams, start = container.streams, scenario.start_ns
+        said = tuple(_summaries(streams.get("/plan", _none("/plan")), start))
+        newest = int(np.searchsorted([one.t for one in said], t + 1e-9, side="right")) - 1
+        kept = {streams["/plan"].times[newest]} if newest >= 0 else set()
+        some = {topic: _taken(stream, kept) for topic, stream in streams.items() if topic in ("/plan", "/predictions")}
+        return _trace(container, scenario, _frames(some, start)), scenario, said
+    except LogError as error:
+        raise error.at(path) from None
+
+
+def _taken(stream: Stream, times: set[int]) -> Stream:
+    """The messages of a stream at some times."""
+    kept = [i for i, time in enumerate(stream.times) if time in times]
+    return replace(stream, times=[stream.times[i] for i in kept], payloads=[stream.payloads[i] for i in kept])
+
+
+def _summaries(plans: Stream, start_ns: int) -> Iterator[nouns.PlanSummary]:
+    plans.check_order(strictly=True)
+    times = seconds(plans.times, start_ns).tolist()
+    for time, t, message in zip(plans.times, times, plans.decoded(native.PlanSaid), strict=True):
+        try:
+            yield noun_of(nouns.PlanSummary, message, t=t, internals=tuple(artefacts_of(message)))
+        except KeyError as error:
+            raise LogError(str(error), topic="/plan", time_ns=time, remedy=MEND) from None
+
+
+def _trace(container: Container, scenario: Scenario, frames: Iterator[nouns.PlannedFrame]) -> nouns.Trace:
+    record = container.metadata.get(native.TRACE_RECORD)
+    if record is None:
+        raise LogError("a log, and no drive of a planner", remedy="name a trace: open.mcap or closed.mcap of a result")
+    streams, start = container.streams, scenario.start_ns
+    try:
+        mode, end = nouns.Mode(record["mode"]), nouns.EndReason[record["end"].upper()]
+    except (KeyError, ValueError) as error:
+        raise LogError(f"bad or missing {error}", topic=native.TRACE_RECORD, remedy=MEND) from None
+    asked, done = (
+        controls_of(streams[name], start) if name in streams else None for name in ("/command", "/actuation")
     )
-    if internals == "none":
-        return message
-    for artefact in plan.internals:
-        if isinstance(artefact, nouns.Decision):
-            message.decisions.append(
-                native.Decision(artefact.agent, artefact.kind, artefact.stage, artefact.reason),
-            )
-        elif isinstance(artefact, nouns.CostTerms):
-            message.costs.append(native.CostTerms(artefact.stage, dict(artefact.terms)))
-        elif isinstance(artefact, nouns.Candidates):
-            message.candidates.append(
-                native.Candidates(artefact.stage, artefact.considered, dict(artefact.rejected)),
-            )
-        elif isinstance(artefact, nouns.LaneOption):
-            message.lanes.append(native.LaneOption(artefact.name, dict(artefact.terms), artefact.against))
-        elif isinstance(artefact, nouns.SolverReport):
-            message.solvers.append(_solver(artefact))
-        else:
-            message.graphs.append(_graph(artefact, full=internals == "full"))
-    return message
-
-
-def _solver(report: nouns.SolverReport) -> native.SolverReport:
-    return native.SolverReport(
-        report.stage, report.solved, report.status, report.iterations, report.primal_residual, report.dual_residual
+    tracking = nouns.TrackingErrors(**sampled(streams["/tracking"], native.Tracking, start)) if done else None
+    return nouns.Trace(
+        scenario=record.get("scenario", scenario.name),
+        planner=record.get("planner", ""),
+        mode=mode,
+        oracle=record.get("oracle") == "true",
+        ego=scenario.ego,
+        agents=scenario.tracks,
+        frames=tuple(frames),
+        end=end,
+        detail=record.get("detail", ""),
+        commands=asked,
+        actuation=done,
+        tracking=tracking,
+        notes=scenario.notes,
+        perceived=_perceived(streams, start),
     )
 
 
-def _graph(graph: nouns.SlGraph | nouns.StGraph, *, full: bool) -> native.Graph:
-    return native.Graph(
-        plane="sl" if isinstance(graph, nouns.SlGraph) else "st",
-        grid=_grid(graph.grid) if full else None,
-        corridor=_corridor(graph.corridor),
-        dp=_rows(graph.dp),
-        qp=_rows(graph.qp),
-        obstacles=[native.GraphObstacle(o.agent, _rows(o.outline), o.decision) for o in graph.obstacles],
-    )
-
-
-def _grid(grid: nouns.GridCost | None) -> native.Grid | None:
-    if grid is None:
+def _perceived(streams: dict[str, Stream], start_ns: int) -> Tracks | None:
+    if "/perceived" not in streams:
         return None
-    chosen = [int(index) for index in grid.chosen]
-    return native.Grid(grid.first.tolist(), grid.second.tolist(), _rows(grid.cost), chosen)
+    table = streams.get("/perceived/table", streams.get("/agents/table"))
+    if table is None:  # there is no other: nothing was seen
+        return Tracks.empty()
+    seen = {"/agents/table": table, "/agents": streams["/perceived"]}
+    return tracks_of(seen, start_ns, [])
 
 
-def _corridor(corridor: nouns.Corridor | None) -> native.Corridor | None:
-    if corridor is None:
-        return None
-    return native.Corridor(corridor.first.tolist(), corridor.lower.tolist(), corridor.upper.tolist())
+def _none(topic: str) -> Stream:
+    return Stream(topic, "json", "", "jsonschema", b"")
 
 
-def _rows(points: FloatArray) -> list[list[float | None]]:
-    rows: list[list[float | None]] = points.tolist()
-    return rows
+def _frames(streams: dict[str, Stream], start_ns: int) -> Iterator[nouns.PlannedFrame]:
+    plans = streams.get("/plan", _none("/plan"))
+    plans.check_order(strictly=True)
+    expected = streams.get("/predictions", _none("/predictions"))
+    predictions = dict(zip(expected.times, expected.decoded(native.Predictions), strict=True))
+    for time, t, message in zip(
+        plans.times, seconds(plans.times, start_ns).tolist(), plans.decoded(native.Plan), strict=True
+    ):
+        try:
+            shown = predictions.get(time)
+            agents, futures = ((), None) if shown is None else _predictions_of(shown)
+            plan = noun_of(nouns.Plan, message, internals=tuple(artefacts_of(message)))
+            yield nouns.PlannedFrame(t, plan, agents, futures)
+        except (KeyError, ValueError) as error:
+            raise LogError(str(error), topic="/plan", time_ns=time, remedy=MEND) from None
+
+
+def _predictions_of(message: native.Predictions) -> tuple[tuple[str, ...], Predictions]:
+    agents = tuple(dict.fromkeys(message.id))
+    row = {name: i for i, name in enumerate(agents)}
+    rows = np.array([row[name] for name in message.id], dtype=np.int64)
+    shape = (len(rows), len(message.t))
+    x, y = (np.array(some, np.float64).reshape(shape) for some in (message.x, message.y))
+    return agents, noun_of(Predictions, message, agent=rows, x=x, y=y, yaw=np.full(shape, np.nan))

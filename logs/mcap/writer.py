@@ -11,7 +11,7 @@ below 26 days). A repair is left out where the tracks were changed since: then i
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, astuple, fields
+from dataclasses import asdict, astuple
 from itertools import chain, pairwise
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
@@ -24,13 +24,13 @@ from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 
 from logs import road as nouns
+from logs.codec import message_of, scalar_as_number
 from logs.detections import Detections
 from logs.errors import LogError, writing
 from logs.kernel import BoolArray, FloatArray
 from logs.mcap import native
-from logs.rules import Colour, StopLine, TrafficLight
+from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario, Tracks
-from logs.states import TRAJECTORY_COLUMNS
 
 CHUNK_BYTES = 128 * 1024
 SPOOL_BYTES = 16 * 2**20
@@ -97,7 +97,7 @@ def _spooled(
     entries: Iterable[Entry], spool: IO[bytes]
 ) -> tuple[dict[str, type[msgspec.Struct | Message]], list[tuple[int, str, int, int]]]:
     """The kind of each topic, and of each message its log time, topic, and where it is in the spool."""
-    encoder = msgspec.json.Encoder(enc_hook=_plain)
+    encoder = msgspec.json.Encoder(enc_hook=scalar_as_number)
     kinds: dict[str, type[msgspec.Struct | Message]] = {}
     places, end = [], 0
     for time, topic, message in entries:
@@ -130,13 +130,6 @@ def _collect(file: Any, files: dict[str, Any]) -> None:
         for other in file.dependencies:
             _collect(other, files)
         files[file.name] = file
-
-
-def _plain(value: Any) -> Any:
-    """NumPy scalars as Python's."""
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{type(value).__name__} in a message")
 
 
 def scenario_records(scenario: Scenario, *, version: int = native.WITHOUT_BLOCKS) -> dict[str, dict[str, str]]:
@@ -185,8 +178,7 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
         yield from samples(scenario.controls, native.Controls, "/controls", start, blocks=blocks)
     times = log_times(np.array([plan.known for plan in scenario.onboard]), start, "/onboard")
     for time, plan in zip(times, scenario.onboard, strict=True):
-        columns = (getattr(plan.trajectory, name).tolist() for name in TRAJECTORY_COLUMNS)
-        yield time, "/onboard", native.OnboardPlan(native.TrajectoryColumns(*columns))
+        yield time, "/onboard", message_of(native.OnboardPlan, plan)
 
 
 def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
@@ -315,20 +307,11 @@ def _agents(tracks: Tracks, ids: list[int], group: Any, extended: list[bool] | N
 
 
 def _road(road: nouns.Road) -> native.Road:
-    return native.Road(
-        [_lane(lane) for lane in road.lanes.values()],
-        "lanes" if road.source is nouns.RoadSource.LANES else "driven_path",
-        road.drives_on_right,
-        finite(road.default_speed_limit, "default speed limit"),
-        [_stop_line(line) for line in road.stop_lines],
-        [native.Crosswalk(c.id, c.polygon[:, 0].tolist(), c.polygon[:, 1].tolist()) for c in road.crosswalks],
-        sorted(road.assumed_limits),
-    )
-
-
-def _stop_line(line: StopLine) -> native.StopLine:
-    x, y = line.points.T.tolist()
-    return native.StopLine(line.id, line.lane, x, y, line.light, line.must_stop, list(line.towards))
+    finite(road.default_speed_limit, "default speed limit")
+    for lane in road.lanes.values():
+        if np.isinf(lane.speed_limit):
+            raise LogError(f"lane {lane.id}: the speed limit is infinite", topic="/road", remedy="use NaN for no limit")
+    return message_of(native.Road, road)
 
 
 def _lights(lights: Sequence[TrafficLight], start_ns: int) -> Iterator[Entry]:
@@ -346,33 +329,11 @@ def _lights(lights: Sequence[TrafficLight], start_ns: int) -> Iterator[Entry]:
         yield time, "/traffic_lights", native.LightColumns(*columns)
 
 
-def _lane(lane: nouns.Lane) -> native.LaneColumns:
-    if np.isinf(lane.speed_limit):
-        raise LogError(f"lane {lane.id}: the speed limit is infinite", topic="/road", remedy="use NaN for no limit")
-    columns = ("left", "right", "successors", "yields_to")
-    kept = {f.name: getattr(lane, f.name) for f in fields(lane) if f.name not in columns}
-    return native.LaneColumns(
-        left_x=lane.left[:, 0].tolist(),
-        left_y=lane.left[:, 1].tolist(),
-        right_x=lane.right[:, 0].tolist(),
-        right_y=lane.right[:, 1].tolist(),
-        successors=list(lane.successors),
-        yields_to=list(lane.yields_to),
-        **kept,
-    )
-
-
 def _goal(goal: nouns.Goal) -> native.Goal:
-    return native.Goal(*_bounds(goal), [native.GoalAlternative(*_bounds(one)) for one in goal.alternatives])
-
-
-def _bounds(goal: nouns.Goal) -> tuple[list[native.Region], native.Pair | None, native.Pair | None, native.Pair | None]:
-    """Regions, and intervals of t, v and yaw."""
-    regions = [
-        native.Region(column(region[:, 0], "/goal", "x"), column(region[:, 1], "/goal", "y")) for region in goal.regions
-    ]
-    return regions, _interval(goal.t, "goal t"), _interval(goal.v, "goal v"), _interval(goal.yaw, "goal yaw")
-
-
-def _interval(interval: tuple[float, float] | None, name: str) -> native.Pair | None:
-    return None if interval is None else (finite(interval[0], name), finite(interval[1], name))
+    for one in (goal, *goal.alternatives):
+        for name in ("t", "v", "yaw"):
+            _finite_all(getattr(one, name) or (), f"goal {name}")
+        for region in one.regions:
+            check(region[:, 0], "/goal", "x")
+            check(region[:, 1], "/goal", "y")
+    return message_of(native.Goal, goal)

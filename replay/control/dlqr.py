@@ -4,18 +4,12 @@ State x = (e_d m, e_d' m/s, e_phi rad, e_phi' rad/s, e_steer rad) at the rear ax
 minus that of exact following; the model is (2)-(3) of `replay.control.lateral_model` with (steer)' = (u - steer) / lag.
 
 (1) x[k+1] = A x[k] + B u[k]          exact for an input held over a period (ZOH); other forms can be compared
-(2) J = sum of x' Q x + u' R u,       R = steer_weight (1 + (v / v_0)^2)^2
-(3) P = Q + A' P (I + B R^-1 B' P)^-1 A,   K = (R + B' P B)^-1 B' P A
-(4) command = feed-forward - K x, both for when the command takes effect, where the steering is late (`steering_delay`)
+(2) command = feed-forward - K x, both for when the command takes effect, where the steering is late (`steering_delay`);
+    the gain K is that of `replay.control.regulator`, tabulated over speed
+(3) feed-forward = the command of exact following (`replay.control.feedforward`), read ahead on the path
+(4) of exact following: heading e_phi = p_0 kappa, its rate r = v kappa + p_0 kappa', its wheel angle
 
-R grows with the lateral acceleration that a steering angle makes: below v_0 the error decays over a distance, above it
-over a time. K is tabulated over speed and interpolated; below the table's first speed, where one can hardly steer, its
-first row holds.
-
-(5) feed-forward = the command of exact following (`replay.control.feedforward`), read ahead on the path
-(6) of exact following: heading e_phi = p_0 kappa, its rate r = v kappa + p_0 kappa', its wheel angle
-
-With (6) in x, -K x holds the k_3 term of the feed-forward: on a constant curve all errors vanish. p and d take the slip
+With (4) in x, -K x holds the k_3 term of the feed-forward: on a constant curve all errors vanish. p and d take the slip
 that the tyres have shown (`replay.control.slip`), so that they vanish for other tyres and loads too.
 With rigid tyres the states e_d' and e_phi' follow from the others: then it is the DLQR of `dlqr_kinematic`.
 """
@@ -31,10 +25,15 @@ import numpy as np
 from logs.errors import ConfigError, unknown_name
 from logs.kernel import FloatArray, frozen, inner_kernel
 from logs.vehicle import VehicleParameters
-from replay.control.dlqr_kinematic import SHORTEST_LAG_S, gain
-from replay.control.feedforward import commanded, following_at, slip_table, steer_for, table_speeds
+from replay.control.feedforward import commanded, following_at, slip_table, steer_for
 from replay.control.lateral_model import DISCRETISATIONS, at_rear_axle, error_model, with_steering
-from replay.control.riccati import solve_riccati
+from replay.control.regulator import (
+    SHORTEST_LAG_S,
+    Regulator,
+    gain,
+    solve_regulator,
+    table_speeds,
+)
 from replay.control.slip import NOTHING_LEARNED, SlipModel, SlipState, learned, slip_model
 from replay.control.steering_delay import (
     DelayModel,
@@ -54,7 +53,7 @@ from replay.vehicle.plan_path import Deviation
 
 @dataclass(frozen=True)
 class DlqrConfig:
-    """Weights of (2) and the form of (1).
+    """Weights of the regulator and the form of (1).
 
     Attributes:
         lateral_weight: 1/m2.
@@ -62,7 +61,7 @@ class DlqrConfig:
         heading_weight: 1/rad2.
         heading_rate_weight: (s/rad)2.
         steer_weight: Of u, 1/rad2.
-        speed_mps: v_0 of (2).
+        speed_mps: v_0 of the regulator's R.
         discretisation: Name in `replay.control.lateral_model.DISCRETISATIONS`.
     """
 
@@ -84,20 +83,8 @@ class DlqrConfig:
             raise unknown_name("discretisation", self.discretisation, DISCRETISATIONS)
 
 
-@dataclass(frozen=True, eq=False)
-class Regulator:
-    """A solved (1)-(3) at one speed: A `(n, n)`, B `(n, 1)`, Q, R, P, and the gain K `(1, n)`."""
-
-    A: FloatArray
-    B: FloatArray
-    Q: FloatArray
-    R: FloatArray
-    P: FloatArray
-    K: FloatArray
-
-
 def regulator(v: float, p: VehicleParameters, period: float, config: DlqrConfig) -> Regulator:
-    """Solve (1)-(3) at one speed, m/s.
+    """The regulator of (1) at one speed, m/s.
 
     Raises:
         ConfigError: The weights, or a speed of 0, allow no stable gain.
@@ -108,22 +95,17 @@ def regulator(v: float, p: VehicleParameters, period: float, config: DlqrConfig)
     A, B = with_steering(A, B, max(p.steer_lag, SHORTEST_LAG_S))
     A, B = DISCRETISATIONS[config.discretisation](A, B[:, None], period)  # (1)
     weights = (config.lateral_weight, config.lateral_rate_weight, config.heading_weight, config.heading_rate_weight)
-    Q = np.diag([*weights, 0.0])
-    R = np.array([[config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2]])  # (2)
-    P = solve_riccati(np.ascontiguousarray(A), np.ascontiguousarray(B), Q, R)  # (3)
-    if not np.isfinite(P).all():
-        raise ConfigError(f"DLQR: no stable gain at {v} m/s with {config}")
-    return Regulator(A, B, Q, R, P, np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
+    return solve_regulator(A, B, (*weights, 0.0), config.steer_weight, v, config.speed_mps)
 
 
 @lru_cache(maxsize=32)
 def schedule(p: VehicleParameters, period: float, config: DlqrConfig) -> FloatArray:
-    """K `(n, 5)` at `feedforward.table_speeds`."""
+    """K `(n, 5)` at `table_speeds`."""
     return frozen(np.array([regulator(float(v), p, period, config).K[0] for v in table_speeds()]))
 
 
 class DlqrLaw(NamedTuple):
-    """The numbers of (4)-(6) for a vehicle with tyres that slip.
+    """The numbers of (2)-(4) for a vehicle with tyres that slip.
 
     Attributes:
         gains: From `schedule`.
@@ -177,18 +159,18 @@ def steer_slipping(
     if law.commands:
         delay = observed(delay, model, now.steer)
     slip = learned(state.slip, law.slip, now)
-    rear, angle = following_at(law.slips, law.wheelbase, (slip.front, slip.rear), v)  # (6)
+    rear, angle = following_at(law.slips, law.wheelbase, (slip.front, slip.rear), v)  # (4)
     y = lateral_deviation(now, off, knots, rear)
     lateral, side, heading, turn = predicted(y, delay, model, knots, off.foot, v, angle)
     foot = off.foot + v * delay.delay
     wheel = settled_wheel(delay) if periods(delay, model) else now.steer
     command = (
-        steer_for(knots, foot, v, commanded(angle, law.lag, model.period))  # (5)
+        steer_for(knots, foot, v, commanded(angle, law.lag, model.period))  # (3)
         - gain(law.gains, v, 0) * lateral
         - gain(law.gains, v, 1) * (side + v * heading)
         - gain(law.gains, v, 2) * heading
         - gain(law.gains, v, 3) * turn
-        - gain(law.gains, v, 4) * (wheel - steer_for(knots, foot, v, angle))  # (4)
+        - gain(law.gains, v, 4) * (wheel - steer_for(knots, foot, v, angle))  # (2)
     )
     command = min(max(command, -law.max_steer), law.max_steer)
     if law.commands:

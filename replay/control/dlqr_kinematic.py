@@ -10,14 +10,10 @@ small angles, speed v, wheelbase L, steering lag T (Rajamani, Vehicle Dynamics a
     r = exp(-dt / T),  e_steer+ = r e_steer + (1 - r) u
     e_yaw+ = e_yaw + v / L (i e_steer + (dt - i) u)                             i = T (1 - r)
     e_lat+ = e_lat + v dt e_yaw + v^2 / L (j e_steer + (dt^2 / 2 - j) u)        j = T (dt - i)
-(5) J = sum of x' Q x + u' R u,       R = steer_weight (1 + (v / v_0)^2)^2
-(6) P = Q + A' P A - A' P B K,   K = (R + B' P B)^-1 B' P A,   u = -K x
 
-R grows with the lateral acceleration that a steering angle makes: below v_0 the error decays over a distance, above it
-over a time. K is tabulated over speed and interpolated; below the table's first speed, where (1)-(2) can hardly be
-steered, its first row holds.
+The gain K of u = -K x is that of `replay.control.regulator`, tabulated over speed.
 
-(7) steer command = atan(L kappa(s + v (T + dt / 2))) - K x
+(5) steer command = atan(L kappa(s + v (T + dt / 2))) - K x
     The curvature is read ahead by the steering's lag and half a period of the hold: to first order, the wheel then has
     the angle of the path at the foot point s, and on a constant curve every error is 0 in the steady state.
 """
@@ -32,26 +28,28 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.errors import ConfigError
-from logs.kernel import FloatArray, frozen, inner_kernel, kernel
+from logs.kernel import FloatArray, frozen, inner_kernel
 from logs.vehicle import VehicleParameters
-from replay.control.riccati import solve_riccati
+from replay.control.regulator import (
+    SHORTEST_LAG_S,
+    Regulator,
+    gain,
+    solve_regulator,
+    table_speeds,
+)
 from replay.vehicle.base import Motion
 from replay.vehicle.plan_path import Deviation, path_kappa
-
-SPEED_STEP_MPS = 0.5
-MAX_SPEED_MPS = 60.0
-SHORTEST_LAG_S = 1e-3
 
 
 @dataclass(frozen=True)
 class KinematicDlqrConfig:
-    """Weights of (5).
+    """Weights of the regulator.
 
     Attributes:
         lateral_weight: 1/m2; `heading_weight` 1/rad2; `steer_weight` 1/rad2.
         heading_weight: Of e_yaw.
         steer_weight: Of u.
-        speed_mps: v_0 of (5).
+        speed_mps: v_0 of the regulator's R.
     """
 
     lateral_weight: float = 1.0
@@ -66,18 +64,6 @@ class KinematicDlqrConfig:
             raise ConfigError("DLQR: steer_weight and speed_mps must be positive")
 
 
-@dataclass(frozen=True, eq=False)
-class Regulator:
-    """A solved (4)-(6) at one speed: A `(3, 3)`, B `(3, 1)`, Q, R, P, and the gain K `(1, 3)`."""
-
-    A: FloatArray
-    B: FloatArray
-    Q: FloatArray
-    R: FloatArray
-    P: FloatArray
-    K: FloatArray
-
-
 def error_model(v: float, wheelbase: float, lag: float, period: float) -> tuple[FloatArray, FloatArray]:
     """A `(3, 3)` and B `(3, 1)` of (4)."""
     turn, decay = v / wheelbase, exp(-period / lag)
@@ -89,37 +75,24 @@ def error_model(v: float, wheelbase: float, lag: float, period: float) -> tuple[
 
 
 def regulator(v: float, wheelbase: float, lag: float, period: float, config: KinematicDlqrConfig) -> Regulator:
-    """Solve (4)-(6) at one speed, m/s.
+    """The regulator of (4) at one speed, m/s.
 
     Raises:
         ConfigError: The weights, or a speed of 0, allow no stable gain.
     """
     A, B = error_model(v, wheelbase, lag, period)
-    Q = np.diag([config.lateral_weight, config.heading_weight, 0.0])
-    R = np.array([[config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2]])  # (5)
-    P = solve_riccati(A, B, Q, R)  # (6)
-    if not np.isfinite(P).all():
-        raise ConfigError(f"DLQR: no stable gain at {v} m/s with {config}")
-    return Regulator(A, B, Q, R, P, np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
+    weights = (config.lateral_weight, config.heading_weight, 0.0)
+    return solve_regulator(A, B, weights, config.steer_weight, v, config.speed_mps)
 
 
 @lru_cache(maxsize=32)
 def gain_table(wheelbase: float, lag: float, period: float, config: KinematicDlqrConfig) -> FloatArray:
-    """K `(n, 3)` at the speeds SPEED_STEP_MPS, 2 SPEED_STEP_MPS, ... MAX_SPEED_MPS."""
-    speeds = SPEED_STEP_MPS * np.arange(1, round(MAX_SPEED_MPS / SPEED_STEP_MPS) + 1)
-    return frozen(np.array([regulator(float(v), wheelbase, lag, period, config).K[0] for v in speeds]))
-
-
-@kernel
-def gain(gains: FloatArray, v: float, column: int) -> float:
-    """An entry of K at a speed, m/s, linear between the table's rows; the ends hold."""
-    place = min(max(v / SPEED_STEP_MPS - 1.0, 0.0), len(gains) - 1.0)
-    i = min(int(place), len(gains) - 2)
-    return gains[i, column] + (place - i) * (gains[i + 1, column] - gains[i, column])
+    """K `(n, 3)` at `table_speeds`."""
+    return frozen(np.array([regulator(float(v), wheelbase, lag, period, config).K[0] for v in table_speeds()]))
 
 
 class KinematicLaw(NamedTuple):
-    """The numbers of (7): K over speed, wheelbase m, max_steer rad, T + dt / 2 s."""
+    """The numbers of (5): K over speed, wheelbase m, max_steer rad, T + dt / 2 s."""
 
     gains: FloatArray
     wheelbase: float
@@ -143,6 +116,6 @@ def steer_rolling(law: KinematicLaw, now: Motion, off: Deviation, knots: FloatAr
         ahead
         - gain(law.gains, now.v, 0) * off.lateral
         - gain(law.gains, now.v, 1) * off.heading
-        - gain(law.gains, now.v, 2) * (now.steer - here)  # (7)
+        - gain(law.gains, now.v, 2) * (now.steer - here)  # (5)
     )
     return min(max(command, -law.max_steer), law.max_steer)

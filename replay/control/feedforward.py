@@ -16,8 +16,8 @@ import numpy as np
 
 from logs.kernel import FloatArray, frozen, kernel
 from logs.vehicle import VehicleParameters
-from replay.control.dlqr_kinematic import MAX_SPEED_MPS, SPEED_STEP_MPS
 from replay.control.lateral_model import following
+from replay.control.regulator import SPEED_STEP_MPS, at_speed, table_speeds
 from replay.vehicle.plan_path import path_kappa
 
 SPREAD_S = 0.15
@@ -28,24 +28,11 @@ Series = tuple[float, float, float]
 """d_0 rad m, d_1 rad m s, d_2 rad m s2."""
 
 
-def table_speeds() -> FloatArray:
-    """The speeds of all tables, m/s: SPEED_STEP_MPS, 2 SPEED_STEP_MPS, ... MAX_SPEED_MPS."""
-    return SPEED_STEP_MPS * np.arange(1, round(MAX_SPEED_MPS / SPEED_STEP_MPS) + 1)
-
-
 @lru_cache(maxsize=32)
 def slip_table(p: VehicleParameters) -> FloatArray:
     """rear_0, front_0, front_1, front_2 `(n, 4)` of `following` at `table_speeds`."""
     rows = [(rear[0], *front) for rear, front, _ in (following(float(v), p) for v in table_speeds())]
     return frozen(np.array(rows))
-
-
-@kernel
-def at_speed(table: FloatArray, v: float) -> tuple[int, float]:
-    """Row of a table over `table_speeds` and share of the next row; the ends hold."""
-    place = min(max(v / SPEED_STEP_MPS - 1.0, 0.0), len(table) - 1.0)
-    i = min(int(place), len(table) - 2)
-    return i, place - i
 
 
 @kernel

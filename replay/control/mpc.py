@@ -35,7 +35,6 @@ from logs.states import Command, EgoState
 from logs.trace import Plan, SolverReport
 from logs.vehicle import VehicleParameters
 from planners.qp import QPConfig, QPResult, QuadraticProgram
-from replay.control.dlqr_kinematic import SHORTEST_LAG_S
 from replay.control.feedforward import commanded, following_at, slip_table, steer_for
 from replay.control.mpc_model import (
     GRAVITY,
@@ -54,6 +53,7 @@ from replay.control.mpc_model import (
 )
 from replay.control.pedals import Lead, Pedals, SoftStop, Standstill
 from replay.control.quintic import resampled
+from replay.control.regulator import SHORTEST_LAG_S
 from replay.control.slip import Slip
 from replay.control.steering_delay import SteeringDelay, lateral_deviation
 from replay.vehicle.base import Controller, Powertrain, motion_of

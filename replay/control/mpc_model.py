@@ -26,8 +26,9 @@ import numpy as np
 
 from logs.kernel import FloatArray, IntArray, frozen, kernel
 from logs.vehicle import VehicleParameters
-from replay.control.feedforward import at_speed, following_at, steer_for, table_speeds
+from replay.control.feedforward import following_at, steer_for
 from replay.control.lateral_model import body_model, has_rigid_tyres, held
+from replay.control.regulator import at_speed, table_speeds
 from replay.vehicle.pedal_map import PedalMap, reach
 from replay.vehicle.plan_path import path_kappa, timed
 

@@ -17,19 +17,22 @@ from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from replay.control.dlqr import DlqrLaw, DlqrState, dlqr_law, dlqr_start, steer_slipping
 from replay.control.dlqr_kinematic import KinematicLaw, kinematic_law, steer_rolling
+from replay.control.geometric import PursuitLaw, StanleyLaw, pursuit_law, stanley_law, steer_at_front, steer_pursuing
 from replay.control.lateral_model import has_rigid_tyres
 from replay.control.pedals import NO_PEDAL, NO_STOP, PedalState, StopState, eased, hold, press, stands
-from replay.control.pid import AT_REST, SpeedLaw, SpeedState, accelerate_dual_loop, dual_loop_law
-from replay.control.pure_pursuit import PursuitLaw, pursuit_law, steer_pursuing
-from replay.control.single_pid import (
+from replay.control.pid import (
+    AT_REST,
+    SpeedLaw,
     SpeedPidConfig,
+    SpeedState,
     SteeringPidLaw,
     accelerate_by_error,
+    accelerate_dual_loop,
+    dual_loop_law,
     steer_by_error,
     steering_pid_law,
 )
 from replay.control.slip import SlipModel, SlipState, slip_model
-from replay.control.stanley import StanleyLaw, stanley_law, steer_at_front
 from replay.control.steering_delay import DelayModel, DelayState, SteeringDelay
 from replay.vehicle.base import Motion, Plain, Powertrain, motion_of, plain
 from replay.vehicle.pedal_map import PedalMap

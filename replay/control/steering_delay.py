@@ -26,9 +26,9 @@ import numpy as np
 
 from logs.kernel import FloatArray, inner_kernel, kernel
 from logs.vehicle import VehicleParameters
-from replay.control.dlqr_kinematic import SHORTEST_LAG_S
-from replay.control.feedforward import at_speed, kappa_rate, steer_for
+from replay.control.feedforward import kappa_rate, steer_for
 from replay.control.mpc_model import lateral_table
+from replay.control.regulator import SHORTEST_LAG_S, at_speed
 from replay.vehicle.base import Motion
 from replay.vehicle.plan_path import Deviation, path_kappa
 

@@ -7,12 +7,12 @@ planner that is not deterministic are those of one try.
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import zip_longest
 
 import numpy as np
 
-from logs.states import Trajectory
+from logs.states import TRAJECTORY_COLUMNS
 from logs.trace import EndReason, PlannedFrame, Trace
 
 NOT_DETERMINISTIC = "not deterministic: "
@@ -36,17 +36,14 @@ def parting(trace: Trace, again: Trace, until_s: float) -> str:
     first, second = ([frame for frame in one.frames if frame.t <= until_s] for one in (trace, again))
     for one, other in zip_longest(first, second):
         if one is None or other is None:
-            return _ended(again if other is None else trace)
+            shorter = again if other is None else trace
+            failed = shorter.end is EndReason.PLANNER_FAILURE
+            why = shorter.detail if failed else f"it ended by {shorter.end.value}"
+            return f"{trace.planner}, driven twice: it goes on only once: {why}"
         said = _apart(one, other)
         if said:
             return f"{trace.planner}, driven twice: {said} at {one.t:.2f} s"
     return ""
-
-
-def _ended(trace: Trace) -> str:
-    """Why there is one frame fewer."""
-    why = trace.detail if trace.end is EndReason.PLANNER_FAILURE else f"it ended by {trace.end.value}"
-    return f"{trace.planner}, driven twice: it goes on only once: {why}"
 
 
 def _apart(one: PlannedFrame, other: PlannedFrame) -> str:
@@ -56,8 +53,7 @@ def _apart(one: PlannedFrame, other: PlannedFrame) -> str:
         return f"the plans have {len(a)} and {len(b)} states"
     if one.plan.status is not other.plan.status:
         return f"the plans are '{one.plan.status.value}' and '{other.plan.status.value}'"
-    columns = [field.name for field in fields(Trajectory)]
-    if all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in columns):
+    if all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in TRAJECTORY_COLUMNS):
         return ""
     metres = float(np.max(np.hypot(a.x - b.x, a.y - b.y)))
     speed = float(np.max(np.abs(a.v - b.v)))

@@ -11,7 +11,7 @@ import numpy as np
 from logs.errors import PlannerError
 from logs.frame_store import FrameStore
 from logs.scenario import Scenario
-from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
+from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import EndReason, Mode, PlannedFrame, Trace
 from replay.config import DEFAULT_LOOP, LoopConfig
 from replay.drive import Drive
@@ -58,12 +58,13 @@ def run_open_loop(
             break
         frames.append(PlannedFrame.of(frame, plan))
 
+    driven = egos[: max(len(frames), 1)]
     trace = Trace(
         scenario=scenario.name,
         planner=planner,
         mode=Mode.OPEN,
         oracle=planning.is_oracle or perception.is_oracle,
-        ego=_trajectory(egos[: max(len(frames), 1)]),
+        ego=Trajectory(*(np.array([getattr(ego, name) for ego in driven]) for name in TRAJECTORY_COLUMNS)),
         agents=scenario.tracks,
         frames=frames.frames,
         end=end,
@@ -78,7 +79,3 @@ def frame_times(log: Trajectory, period_ns: int) -> list[float]:
     """The frame grid of a log, s: from its first sample on, not beyond its last; at least one frame."""
     first, last = round(float(log.t[0]) * 1e9), round(float(log.t[-1]) * 1e9)
     return [ns / 1e9 for ns in range(first, last + 1, period_ns)]
-
-
-def _trajectory(egos: list[EgoState]) -> Trajectory:
-    return Trajectory(*(np.array([getattr(ego, name) for ego in egos]) for name in TRAJECTORY_COLUMNS))

@@ -92,19 +92,26 @@ class Perception:
         self._shown: list[tuple[float, Agents]] = []
         self.is_oracle = config.prediction == ORACLE
         self._predictor = None if self.is_oracle else configured(PREDICTION, config.prediction, config.settings)
-        self.notes = tuple(_notes(config, scenario))
+        notes = []
+        if self.is_oracle:
+            notes.append("the predictions are the log's own future, which no planner could know")
+        if not self._true:
+            recorded = config.perception in ("auto", "recorded")
+            sight = "as recorded" if recorded else f"through a {config.perception}"
+            notes.append(f"the planner sees the others {sight}")
+        self.notes = tuple(notes)
 
     def frame(self, world: World, previous: Plan | None) -> Frame:
         """The frame at the world's time; `previous` is the plan being driven, None in open loop and at the start."""
         agents, visibility = self._sight(world)
         if not self._true:
             self._shown.append((world.ego.t, agents))
-        t = world.ego.t
-        predictions = (
-            logged_futures(self._log, agents, _grid(t, self._config))
-            if self.is_oracle
-            else _predicted(agents, t, self._config, self._lanes, self._predictor)
-        )
+        t, config = world.ego.t, self._config
+        if self.is_oracle:
+            steps = round(config.prediction_horizon_s / config.prediction_step_s)
+            predictions = logged_futures(self._log, agents, t + config.prediction_step_s * np.arange(steps + 1))
+        else:
+            predictions = _predicted(agents, t, config, self._lanes, self._predictor)
         lights = {light.id: light.at(t) for light in self._lights}
         return Frame(t, world.ego, agents, predictions, previous, visibility, lights)
 
@@ -125,21 +132,6 @@ def _predicted(
 ) -> Predictions:
     horizon, step, method = config.prediction_horizon_s, config.prediction_step_s, config.prediction
     return predict(agents, t, horizon=horizon, step=step, method=method, lanes=lanes, predictor=predictor)
-
-
-def _grid(t: float, config: LoopConfig) -> FloatArray:
-    steps = round(config.prediction_horizon_s / config.prediction_step_s)
-    return np.asarray(t + config.prediction_step_s * np.arange(steps + 1))
-
-
-def _notes(config: LoopConfig, scenario: Scenario) -> list[str]:
-    notes = []
-    if config.prediction == ORACLE:
-        notes.append("the predictions are the log's own future, which no planner could know")
-    if not shows_truth(config.perception, scenario):
-        recorded = config.perception in ("auto", "recorded")
-        notes.append(f"the planner sees the others {'as recorded' if recorded else f'through a {config.perception}'}")
-    return notes
 
 
 def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:

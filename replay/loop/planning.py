@@ -21,11 +21,9 @@ from replay.config import LoopConfig, PlannerProcessConfig
 from replay.drive import BATCHED, FIRST, TRUSTED, DriveKey, StageTime
 from replay.loop.plan_check import checked
 from replay.oracle import ORACLES
-from replay.planner_process.link import FaultError
+from replay.planner_process.connection import ApartPlanner, FaultError, current_log
 from replay.planner_process.planner_config import is_apart, is_built_in, planner_factory, prepared
-from replay.planner_process.proxy import ApartPlanner
 from replay.planner_process.stopwatch import Stopwatch
-from replay.planner_process.together import log_here
 
 SHORTEST_DRIVE_M = 10.0
 """A goal is made of a drive's end only where the drive led at least this far away."""
@@ -74,7 +72,7 @@ class Planning:
         self.is_oracle = spec in ORACLES
         given = GIVEN_PATH if scenario.road.source is RoadSource.DRIVEN_PATH else ""
         trusted = "" if is_built_in(spec) or is_apart(spec, config.apart) else TRUSTED
-        shared = is_apart(spec, config.apart) and log_here() is not None
+        shared = is_apart(spec, config.apart) and current_log() is not None
         batched = BATCHED.format(config.apart.batch) if shared else ""
         self.notes = tuple(filter(None, (note, given, trusted, batched)))
         self.goal = goal

@@ -10,8 +10,8 @@ from contextlib import suppress
 from typing import Any, Generic, TypeVar
 
 import msgspec
-import numpy as np
 
+from logs.codec import array_as_bytes, array_of, scalar_as_number
 from replay.planner_process.schema import LARGEST_BYTES
 
 T = TypeVar("T")
@@ -19,8 +19,8 @@ T = TypeVar("T")
 HEADER = struct.Struct("<I")
 PIPE_BYTES = 1 << 20
 """Room of a pipe: a frame goes over in one piece (64 KiB is usual, 1 MiB what Linux grants to everyone)."""
-SAID_BYTES = 4096
-"""So much of the end of what the planner printed is kept."""
+PRINTED_BYTES = 4096
+"""How much of the end of what the planner printed is kept."""
 
 
 class LateError(Exception):
@@ -32,14 +32,7 @@ class GoneError(Exception):
 
 
 class GarbageError(Exception):
-    """What came is no message."""
-
-
-def plain(value: object) -> object:
-    """Numbers of NumPy's in a planner's answer."""
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{type(value).__name__} cannot be sent")
+    """The other side sent an invalid message."""
 
 
 class Channel(Generic[T]):
@@ -48,17 +41,18 @@ class Channel(Generic[T]):
     Args:
         into: Where the other side reads.
         out: Where it writes.
-        said: Where it prints (its stderr), read along so that it never has to wait; -1: nowhere.
+        stderr: Where it prints, read along so that it never has to wait; -1: nowhere.
         kind: What is received.
         patient: Whether this side waits without deadlines: a planner.
     """
 
-    def __init__(self, into: int, out: int, kind: Any, said: int = -1, *, patient: bool = False) -> None:
-        self._into, self._out, self._said_at = into, out, said
-        self._encoder, self._decoder = msgspec.msgpack.Encoder(enc_hook=plain), msgspec.msgpack.Decoder(kind)
-        self._buffer, self._filled, self.said = bytearray(PIPE_BYTES), 0, b""
+    def __init__(self, into: int, out: int, kind: Any, stderr: int = -1, *, patient: bool = False) -> None:
+        self._into, self._out, self._stderr = into, out, stderr
+        self._encoder = msgspec.msgpack.Encoder(enc_hook=scalar_as_number if patient else array_as_bytes)
+        self._decoder = msgspec.msgpack.Decoder(kind, dec_hook=array_of)
+        self._buffer, self._filled, self.printed = bytearray(PIPE_BYTES), 0, b""
         self._patient = patient
-        for fd in {into, out, said} - {-1}:
+        for fd in {into, out, stderr} - {-1}:
             os.set_blocking(fd, patient)
             widen(fd)
 
@@ -91,7 +85,7 @@ class Channel(Generic[T]):
         Raises:
             LateError: It did not come in time.
             GoneError: The channel was closed.
-            GarbageError: What came is no message of the type.
+            GarbageError: It is no message of the type.
         """
         self._read(HEADER.size, deadline)
         (size,) = HEADER.unpack_from(self._buffer)
@@ -129,38 +123,38 @@ class Channel(Generic[T]):
         while True:
             poll = select.poll()
             poll.register(fd, event)
-            if self._said_at >= 0:
-                poll.register(self._said_at, select.POLLIN)
+            if self._stderr >= 0:
+                poll.register(self._stderr, select.POLLIN)
             left = deadline - time.monotonic()
             if left <= 0.0:
                 raise LateError
             ready = dict(poll.poll(None if left == float("inf") else 1e3 * left))
-            if self._said_at in ready:
-                self.listen()
+            if self._stderr in ready:
+                self.read_printed()
             if fd in ready:
                 return
 
-    def listen(self) -> None:
-        """Read what was printed so far."""
-        while self._said_at >= 0:
+    def read_printed(self) -> None:
+        """Read what the planner printed so far."""
+        while self._stderr >= 0:
             try:
-                part = os.read(self._said_at, PIPE_BYTES)
+                part = os.read(self._stderr, PIPE_BYTES)
             except OSError:  # nothing more now
                 return
             if not part:
-                os.close(self._said_at)
-                self._said_at = -1
+                os.close(self._stderr)
+                self._stderr = -1
                 return
-            self.said = (self.said + part)[-SAID_BYTES:]
+            self.printed = (self.printed + part)[-PRINTED_BYTES:]
             if len(part) < PIPE_BYTES:
                 return
 
     def close(self) -> None:
         """Close all that is open."""
-        for fd in {self._into, self._out, self._said_at} - {-1}:
+        for fd in {self._into, self._out, self._stderr} - {-1}:
             with suppress(OSError):
                 os.close(fd)
-        self._into = self._out = self._said_at = -1
+        self._into = self._out = self._stderr = -1
 
 
 def widen(fd: int) -> None:

@@ -1,7 +1,7 @@
-"""A Python planner in its process: it is built of a context, and answers frames with plans.
+"""A Python planner in its process: it is built from a context, and answers frames with plans.
 
-Its stdin and stdout carry the messages of `replay.planner_process.schema`. They are taken away from the planner's code:
-what it prints goes to stderr, of which the last lines are shown where it fails.
+Its stdin and stdout carry the messages of `replay.planner_process.schema`. The planner's code cannot use them: what it
+prints goes to stderr, whose last lines are shown where it fails.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from logs.trace import Plan
 from planners.base import Planner
 from replay.planner_process import schema
 from replay.planner_process.channel import Channel, GoneError
-from replay.planner_process.convert import context_of, frame_of, plan_sent
 from replay.planner_process.planner_config import (
     check_keywords,
     of_class,
@@ -35,11 +34,11 @@ from replay.planner_process.stopwatch import Stopwatch
 
 
 def main() -> None:
-    """Answer what comes on stdin until it closes."""
+    """Answer the messages on stdin until it closes."""
     channel: Channel[Any] = Channel(os.dup(1), os.dup(0), schema.Question, patient=True)
-    _settle_in()
+    _redirect_streams()
     try:
-        Seat(channel).serve()
+        PlannerServer(channel).serve()
     except GoneError:
         pass
     finally:
@@ -47,21 +46,21 @@ def main() -> None:
 
 
 def load(planner: str, settings: bytes) -> None:
-    """What all drives of a planner have in common: its module, and what its class loads (`prepared`).
+    """Load what all drives of a planner share: its module, and what its class prepares (`prepared`).
 
     Args:
         planner: "module:Class".
         settings: Its table in the configuration, MessagePack.
     """
-    _settle_in()
+    _redirect_streams()
     try:
         prepared(planner, planner_keywords(planner, msgspec.msgpack.decode(settings)))
     finally:
         sys.stdout.flush()
 
 
-def _settle_in() -> None:
-    """Nothing to read on stdin, stdout is stderr, and the working directory is searched last."""
+def _redirect_streams() -> None:
+    """Make stdin empty and stdout the same as stderr, and search the working directory last."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.close(nothing)
@@ -74,12 +73,12 @@ def _settle_in() -> None:
 
 
 def warm() -> None:
-    """Load the kernel that every plan needs: the compiler takes 0.2 s to wake, once and not in each process."""
+    """Load the kernel that every plan needs: the compiler starts in 0.2 s, here once instead of in each process."""
     Trajectory(*np.arange(14.0).reshape(7, 2))
 
 
-class Seat:
-    """One planner, or those of several logs which plan together, and their clock."""
+class PlannerServer:
+    """Answers the messages to one planner, or to the planners of several logs that plan together; has their clock."""
 
     def __init__(self, channel: Channel[Any]) -> None:
         self._channel, self._watch = channel, Stopwatch()
@@ -88,7 +87,7 @@ class Seat:
         self._keep = False
 
     def serve(self) -> None:
-        """Answer every message; what the planner raises becomes an answer, too."""
+        """Answer every message; an exception of the planner becomes an answer, too."""
         while True:
             question = self._channel.receive()
             answer = _tried(self._answer, question)
@@ -111,7 +110,7 @@ class Seat:
     def _built(self, hello: schema.Hello) -> schema.Ready:
         self._planners.append(None)
         keywords = planner_keywords(hello.planner, hello.config)
-        context = context_of(hello.context, self._watch.lap)
+        context = schema.context_of(hello.context, self._watch.lap)
         factory: Any = prepared(hello.planner, keywords)
         self._planners[-1] = factory(context, **keywords)
         self._together, self._keep = of_class(factory, "plan_batch"), hello.keep_internals
@@ -127,8 +126,8 @@ class Seat:
     def _planned(
         self, plan: Callable[[list[Any], list[Frame]], Any], seats: list[int], sent: list[schema.Frame]
     ) -> Any:
-        """What the planners of some seats answer to their frames."""
-        planners, frames = [self._planners[seat] for seat in seats], [frame_of(message) for message in sent]
+        """What the planners in some seats return for their frames; `plan` calls them."""
+        planners, frames = [self._planners[seat] for seat in seats], [schema.frame_of(message) for message in sent]
         assert None not in planners, "a frame came before the context"
         self._watch.start()
         try:
@@ -141,11 +140,11 @@ class Seat:
             return schema.Failed(raised(plan), "raised")
         if not isinstance(plan, Plan):
             return schema.Failed(f"it returned {type(plan).__name__} instead of a Plan", "contract")
-        return plan_sent(plan.recorded(keep=self._keep), self._watch.laps, inside=True)
+        return schema.plan_message(plan.recorded(keep=self._keep), self._watch.laps, inside=True)
 
 
 def _tried(answer: Callable[[Any], Any], question: Any) -> Any:
-    """The answer to a question, or what was raised instead."""
+    """The answer to a question, or the failure that was raised."""
     try:
         return answer(question)
     except ReplanError as error:

@@ -3,8 +3,8 @@
     python -P -m replay.planner_process.launcher      its control socket is its stdin; replan starts it
     (`replay.planner_process.processes`)
 
-It has imported what every Python planner needs, and never holds a frame, so that a process for a drive costs
-milliseconds and knows nothing of the drives before. On the control socket, JSON by the line:
+It has imported what every Python planner needs, and never holds a frame, so that a process for a drive starts in
+milliseconds and knows nothing of earlier drives. The control socket carries JSON, one message a line:
 
     {"start": KEY, "argv": [...] or null, "memory": bytes or 0}    with three descriptors: stdin, stdout, stderr of it
     {"start": KEY, "load": [planner, settings], "memory": ...}     with one: the control socket of a template
@@ -47,7 +47,7 @@ from replay.planner_process import child
 PDEATHSIG, CHILD_SUBREAPER = 1, 36
 """`prctl`: which signal comes when the parent has died; that orphans below become children of the process (Linux)."""
 ENDING_S = 2.0
-"""A template has so long to end, with all that it has started, when this process does."""
+"""How long a template may take to end, with all processes that it has started, when this process ends."""
 
 
 def main() -> None:
@@ -63,7 +63,7 @@ def main() -> None:
 
 @dataclass(eq=False)
 class Forks:
-    """What is asked for on a control socket, and what was forked for it.
+    """Serves the requests on a control socket: forks processes and kills them.
 
     Attributes:
         control: The socket.
@@ -78,7 +78,7 @@ class Forks:
     given: list[int] = field(default_factory=list)
 
     def serve(self) -> None:
-        """Do what is asked until the socket closes; then end all that runs."""
+        """Serve requests until the socket closes; then end all processes that run."""
         self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC) if hasattr(os, "pipe2") else os.pipe()
         os.set_blocking(self._waker, False)
         signal.set_wakeup_fd(self._waker, warn_on_full_buffer=False)
@@ -132,13 +132,13 @@ class Forks:
             if ended:
                 with suppress(OSError):
                     os.killpg(pid, signal.SIGKILL)  # what it started goes with it
-                said = {"ended": self.live.pop(pid)["start"], "status": status}
+                message = {"ended": self.live.pop(pid)["start"], "status": status}
                 self._kill_orphans()
                 with suppress(OSError):
-                    self.control.send(json.dumps(said).encode() + b"\n")
+                    self.control.send(json.dumps(message).encode() + b"\n")
 
     def _kill_orphans(self) -> None:
-        """Kill children that were not started here: what an ended process left behind, which is now this one's."""
+        """Kill children that were not started here: an ended process left them, and this one became their parent."""
         until = time.monotonic() + ENDING_S
         while (orphans := children() - self.live.keys()) and time.monotonic() < until:
             for pid in orphans:

@@ -1,7 +1,7 @@
 """The worker's side of the launcher: a process for a planner, started within milliseconds, and its end.
 
 One launcher serves a worker as long as its Python path, folder and environment stay as they are; it ends with the
-worker, and with it all that it has started. Within a run (`loaded_for`) the drives of a planner are forked from a
+worker, and with it all that it has started. Within a run (`set_template_run`) the drives of a planner are forked from a
 template, which has loaded its module once; where there can be none, from the launcher, and each loads it for itself.
 """
 
@@ -30,9 +30,9 @@ ENVIRONMENT = (
     "PATH", "HOME", "USER", "LANG", "LC_", "TZ", "TMPDIR", "XDG_CACHE_HOME", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_",
     "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "CUDA_", "VIRTUAL_ENV", "COVERAGE_",
 )  # fmt: skip
-"""Variables, and beginnings of their names, that a planner's process is given: what programs need to start."""
+"""Environment variables, or beginnings of their names, that are passed on: what programs need to start."""
 GRACE_S = 1.0
-"""A planner whose drive is over has so long to end by itself."""
+"""How long a planner may take to end by itself after its drive."""
 ROOT = Path(__file__).parents[2]
 
 
@@ -43,9 +43,8 @@ class Load:
     Attributes:
         planner: "module:Class".
         settings: Its table in the configuration, MessagePack.
-        again: Whether it is the second of two, which have nothing in common: for the second drive of a log's start
-            (`replay.loop.determinism`), as what a module draws or reads while it is imported need not come out the
-            same.
+        again: Whether it serves the second drive of a log's start (`replay.loop.determinism`). That has a template of
+            its own, as a module may draw or read something else each time it is imported.
     """
 
     planner: str
@@ -64,7 +63,7 @@ class Process:
         self._forks, self._key, self.channel = forks, key, channel
 
     def close(self) -> None:
-        """The drive is over: it may end by itself, and is killed where it does not."""
+        """Let it end by itself after its drive, and kill it where it does not."""
         self.channel.close()
         if self._forks.status(self._key, GRACE_S) is None:
             self._forks.kill(self._key)
@@ -77,7 +76,7 @@ class Process:
     def ending(self) -> str:
         """How it ended, in words; it is ended where it has only closed its output."""
         status = self._forks.status(self._key, GRACE_S)
-        self.channel.listen()
+        self.channel.read_printed()
         if status is None:
             return "it closed its output"
         code = os.waitstatus_to_exitcode(status)
@@ -88,17 +87,17 @@ class Process:
         return f"its process was killed ({name}){hint}"
 
 
-def started(argv: list[str] | None, kind: Any, limits: PlannerProcessConfig, load: Load | None = None) -> Process:
-    """A new process: a program, or (None) the Python planner of `replay.planner_process.child`, which may be `load`.
+def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfig, load: Load | None = None) -> Process:
+    """A new process of a program or of a Python planner (`replay.planner_process.child`).
 
     Args:
-        argv: The program, and its arguments.
-        kind: What it answers.
-        limits: What it may take.
-        load: What a template of it has loaded where drives are in a run; None: it begins with nothing.
+        argv: The program and its arguments; None: a Python planner.
+        kind: The type of its answers.
+        limits: Of its memory, and of the time to load its template.
+        load: What its template has loaded, within a run; None: it begins without a template.
 
     Raises:
-        ConfigError: The system has no such processes.
+        ConfigError: The system cannot pass descriptors between processes.
     """
     if not hasattr(socket, "send_fds"):
         raise ConfigError("planners are kept apart on Linux and macOS only; here give --set loop.apart.trust=true")
@@ -110,12 +109,12 @@ def started(argv: list[str] | None, kind: Any, limits: PlannerProcessConfig, loa
     return launcher.forks.start(asked, kind)
 
 
-def loaded_for(run: str) -> None:
-    """From now on a planner's module is loaded once in this process for all drives of a run.
+def set_template_run(run: str) -> None:
+    """From now on, load a planner's module once in this process for all drives of a run.
 
     Args:
-        run: Which it is; what was loaded for another is let go, as the files may have changed since. "": none, and
-            each drive loads it for itself.
+        run: Its name. Templates of another run are dropped, as the files may have changed since. "": no run; each
+            drive loads the module itself.
     """
     if _warm.get("run", "") != run:
         _warm["run"] = run
@@ -139,7 +138,7 @@ class Forks:
         self.close = weakref.finalize(self, control.close)
 
     def start(self, asked: Mapping[str, Any], kind: Any) -> Process:
-        """A planner's process, forked there; OSError where nothing is there."""
+        """A planner's process, forked there; OSError where the other end is gone."""
         pipes = [os.pipe() for _ in range(3)]
         (stdin, into), (out, stdout), (said, stderr) = pipes
         try:
@@ -154,7 +153,7 @@ class Forks:
         return Process(self, key, Channel(into, out, kind, said))
 
     def template(self, asked: Mapping[str, Any]) -> Forks:
-        """Another such process, forked there, that loads a module."""
+        """A template, forked there, that loads a module."""
         ours, theirs = socket.socketpair()
         with theirs:
             return Forks(ours, self._asked(asked, [theirs.fileno()]))
@@ -180,7 +179,7 @@ class Forks:
         return self._ended[key]
 
     def _hear(self, until: float) -> bool:
-        """Take what is said; False: nothing until then, or the socket is closed."""
+        """Read messages; False: none came until then, or the socket is closed."""
         try:
             ready, _, _ = select.select([self._control], [], [], max(until - time.monotonic(), 0.0))
             data = self._control.recv(1 << 16, socket.MSG_DONTWAIT) if ready else b""
@@ -189,10 +188,10 @@ class Forks:
         if not data:
             return False
         *lines, self._rest = (self._rest + data).split(b"\n")
-        for said in map(json.loads, lines):
-            self._unfit = said.get("unfit", self._unfit)
-            if "ended" in said:
-                self._ended[said["ended"]] = said["status"]
+        for message in map(json.loads, lines):
+            self._unfit = message.get("unfit", self._unfit)
+            if "ended" in message:
+                self._ended[message["ended"]] = message["status"]
         return True
 
     def kill(self, key: int) -> None:
@@ -218,15 +217,15 @@ class Launcher:
             )  # fmt: skip
         self.forks = Forks(control)
         self.templates: dict[Load, Forks | None] = {}
-        self.close = weakref.finalize(self, _ended_with, control, self._process, self.templates)
+        self.close = weakref.finalize(self, _end_launcher, control, self._process, self.templates)
 
     @property
     def alive(self) -> bool:
-        """Whether it runs, and is this process' own (and not that of one that has forked)."""
+        """Whether it runs and belongs to this process (after a fork it belongs to the parent)."""
         return self.close.alive and self._process.poll() is None
 
     def template(self, load: Load, limits: PlannerProcessConfig) -> Forks | None:
-        """What has loaded it; None: it cannot be loaded in time, or not be forked then."""
+        """The template that has loaded a planner; None: it cannot be loaded in time, or must not be forked."""
         found = self.templates.get(load)
         if found is not None and self.forks.status(found.key, 0.0) is not None:
             del self.templates[load]  # it has died
@@ -240,7 +239,7 @@ class Launcher:
         return self.templates[load]
 
 
-def _ended_with(
+def _end_launcher(
     control: socket.socket, process: subprocess.Popen[bytes], templates: Mapping[Load, Forks | None]
 ) -> None:
     for each in filter(None, templates.values()):
@@ -254,20 +253,17 @@ def _ended_with(
 
 
 _warm: dict[str, Any] = {}
-"""The launcher of this process, for what it was started, and the run that is driven."""
+"""launcher: that of this process; for: the settings it was started with; run: the run that is driven."""
 
 
-def _launcher(environment: Iterable[str]) -> Launcher:
-    wanted = os.getpid(), str(Path.cwd()), _environment(environment)
+def _launcher(more: Iterable[str]) -> Launcher:
+    """The launcher of this process, with the variables of `ENVIRONMENT` and `more`; started anew where those change."""
+    names = set(more)
+    environment = {name: value for name, value in os.environ.items() if name.startswith(ENVIRONMENT) or name in names}
+    path = dict.fromkeys([*(str(Path(entry).absolute()) for entry in sys.path if "://" not in entry), str(ROOT)])
+    environment |= {"PYTHONPATH": os.pathsep.join(path), "PYTHONHASHSEED": "0"}
+    wanted = os.getpid(), str(Path.cwd()), environment
     if _warm.get("for") != wanted or not _warm["launcher"].alive:
-        _warm.update({"for": wanted, "launcher": Launcher(wanted[2])})
+        _warm.update({"for": wanted, "launcher": Launcher(environment)})
     launcher: Launcher = _warm["launcher"]
     return launcher
-
-
-def _environment(more: Iterable[str]) -> dict[str, str]:
-    """What a planner's process is given of ours."""
-    wanted = set(more)
-    found = {name: value for name, value in os.environ.items() if name.startswith(ENVIRONMENT) or name in wanted}
-    path = dict.fromkeys([*(str(Path(entry).absolute()) for entry in sys.path if "://" not in entry), str(ROOT)])
-    return {**found, "PYTHONPATH": os.pathsep.join(path), "PYTHONHASHSEED": "0"}

@@ -8,63 +8,38 @@ below; "type" says which message it is. Replan speaks first:
 
 A column is a MessagePack binary of little-endian float64, or (from the planner) an array of numbers; points are x, y
 after one another. Frames, units and signs are those of `logs`: world frame, SI, the ego's reference point is its rear
-axle, an agent's the centre of its box. What replan does not know of a message it skips; a planner should, too.
+axle, an agent's the centre of its box. A reader skips the fields that it does not know, and a planner should, too.
+
+Lanes, stop lines, crosswalks, goals, the ego's state, the vehicle and the visibility are the nouns themselves, with
+arrays as columns (`logs.codec`). The other nouns have a message here: they hold what is not sent.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
+from logs import agents, frame, states, trace
 from logs.agents import AgentKind
+from logs.codec import Column, array_as_bytes, array_of, message_of, noun_of, packed, unpacked
 from logs.mcap import native
-from logs.rules import Colour
-from logs.states import EgoState
+from logs.mcap.trace import artefacts_of, inside_of
+from logs.road import Goal, Lane
+from logs.rules import Colour, Crosswalk, StopLine
+from logs.states import TRAJECTORY_COLUMNS, EgoState
 from logs.vehicle import VehicleParameters
 
 SCHEMA_VERSION = 1
 LARGEST_BYTES = 64 << 20
-"""A planner's message is no longer: the first four characters of any text would be a greater length."""
-
-Column = bytes | list[float]
-
-
-class Lane(msgspec.Struct):
-    """`logs.road.Lane`; `left` and `right` are points."""
-
-    id: int
-    left: bytes
-    right: bytes
-    successors: tuple[int, ...]
-    left_neighbour: int | None
-    right_neighbour: int | None
-    left_opposite: bool
-    speed_limit: float
-    drivable: bool
-    left_crossable: bool
-    right_crossable: bool
-    kind: str
-    right_opposite: bool
-    yields_to: tuple[int, ...]
-
-
-class StopLine(msgspec.Struct):
-    """`logs.rules.StopLine`; `points` are two."""
-
-    id: int
-    lane: int
-    points: bytes
-    light: int | None
-    must_stop: bool
-    towards: tuple[int, ...]
-
-
-class Crosswalk(msgspec.Struct):
-    """`logs.rules.Crosswalk`; `polygon` are points."""
-
-    id: int
-    polygon: bytes
+"""The greatest length of a planner's message: the first four characters of any text would be a greater length."""
+MOST_POINTS = 10_000
+"""States of a trajectory: 100 s at 100 Hz. A longer plan is refused (`replay.loop.plan_check`)."""
+LONGEST_REASON = 1000
+"""Characters of a reason or an error message. A longer one is cut, and says so."""
+LARGEST_INSIDE_BYTES = 8 << 20
+"""What a planner in another process shows of one plan, with its timings, as MessagePack: `dp_qp` shows some 10 KiB."""
 
 
 class Road(msgspec.Struct):
@@ -78,18 +53,8 @@ class Road(msgspec.Struct):
     crosswalks: list[Crosswalk]
 
 
-class Goal(msgspec.Struct):
-    """`logs.road.Goal`; each region are points. Planners of before `alternatives` do not read them."""
-
-    regions: list[bytes]
-    t: tuple[float, float] | None
-    v: tuple[float, float] | None
-    yaw: tuple[float, float] | None
-    alternatives: list[Goal] = []
-
-
 class Context(msgspec.Struct):
-    """`logs.frame.PlannerContext`: what does not change in a drive."""
+    """`logs.frame.PlannerContext`: what does not change in a drive. Older planners do not read `goal.alternatives`."""
 
     road: Road
     goal: Goal | None
@@ -118,9 +83,9 @@ class Describe(msgspec.Struct, tag="describe"):
 
 
 class Agents(msgspec.Struct):
-    """`logs.agents.Agents`: columns `(n,)`; the last three are empty where they are not known of anybody.
+    """`logs.agents.Agents`: columns `(n,)`; the last three are empty where they are not known of any agent.
 
-    Replans of before `age` do not send those, planners of before it do not read them.
+    Replan did not send those before it had `age`, and planners that are as old do not read them.
     """
 
     ids: tuple[str, ...]
@@ -149,17 +114,6 @@ class Predictions(msgspec.Struct):
     y: bytes
     yaw: bytes
     method: str
-
-
-class Visibility(msgspec.Struct):
-    """`logs.frame.Visibility`; shadows are four points each."""
-
-    x: float
-    y: float
-    yaw: float
-    range: float
-    field_of_view: float
-    shadows: bytes
 
 
 class Light(msgspec.Struct):
@@ -220,7 +174,7 @@ class Frame(msgspec.Struct, tag="frame"):
     agents: Agents
     predictions: Predictions
     previous: Plan | None
-    visibility: Visibility | None
+    visibility: frame.Visibility | None
     lights: list[Light]
 
 
@@ -269,3 +223,86 @@ class Answers(msgspec.Struct, tag="answers"):
 
 Question = Hello | Describe | Frame | Hellos | Frames
 Answer = Ready | Described | Plan | Failed | Answers
+
+
+def encode(message: object) -> bytes:
+    """A message, or what holds messages, as MessagePack; TypeError where a value cannot be sent."""
+    return msgspec.msgpack.encode(message, enc_hook=array_as_bytes)
+
+
+def decode(data: bytes, kind: Any) -> Any:
+    """The message of a type in MessagePack; msgspec.DecodeError where there is none."""
+    return msgspec.msgpack.decode(data, type=kind, dec_hook=array_of)
+
+
+def shortened(text: str) -> str:
+    """The text, or its beginning and how long it was: at most `LONGEST_REASON` characters."""
+    if len(text) <= LONGEST_REASON:
+        return text
+    mark = f" ... (cut, {len(text)} characters)"
+    return text[: LONGEST_REASON - len(mark)] + mark
+
+
+def context_message(context: frame.PlannerContext) -> Context:
+    """The message of a context."""
+    return message_of(Context, context)
+
+
+def context_of(message: Context, lap: Callable[[str], None]) -> frame.PlannerContext:
+    """The context of a message; `lap` is the planner's clock."""
+    return noun_of(frame.PlannerContext, message, lap=lap)
+
+
+def frame_message(now: frame.Frame) -> Frame:
+    """The message of a frame."""
+    return Frame(
+        t=now.t,
+        ego=now.ego,
+        agents=message_of(Agents, now.agents),
+        predictions=message_of(Predictions, now.predictions),
+        previous=None if now.previous is None else plan_message(now.previous),
+        visibility=now.visibility,
+        lights=[Light(light, colour) for light, colour in now.lights.items()],
+    )
+
+
+def frame_of(message: Frame) -> frame.Frame:
+    """The frame of a message."""
+    some = message.predictions
+    shape = (len(some.agent), len(unpacked(some.t)))
+    futures: dict[str, Any] = {name: unpacked(getattr(some, name)).reshape(shape) for name in ("x", "y", "yaw")}
+    return frame.Frame(
+        message.t,
+        message.ego,
+        noun_of(agents.Agents, message.agents),
+        noun_of(frame.Predictions, some, **futures),
+        None if message.previous is None else plan_of(message.previous),
+        message.visibility,
+        {light.id: light.colour for light in message.lights},
+    )
+
+
+def plan_message(plan: trace.Plan, laps: dict[str, float] | None = None, *, inside: bool = False) -> Plan:
+    """The message of a plan, with its inside or without."""
+    shown = Inside(**inside_of(plan.internals)) if inside and len(plan.internals) else None
+    columns = (packed(getattr(plan.trajectory, name)) for name in TRAJECTORY_COLUMNS)
+    status, start = plan.status.name.lower(), plan.start.name.lower()
+    return Plan(Trajectory(*columns), status, shortened(plan.reason), start, laps or {}, shown)
+
+
+def plan_of(message: Plan) -> trace.Plan:
+    """The plan of a message.
+
+    Raises:
+        ValueError: `Trajectory` refuses it, its status or start is unknown, or its inside does not fit or is too large.
+    """
+    size = len(msgspec.msgpack.encode((message.laps, message.inside))) if message.laps or message.inside else 0
+    if size > LARGEST_INSIDE_BYTES:
+        raise ValueError(f"its inside has {size} bytes, more than {LARGEST_INSIDE_BYTES}: keep less of it")
+    for name, known in (("status", trace.PlanStatus), ("start", trace.PlanStart)):
+        if getattr(message, name).upper() not in known.__members__:
+            raise ValueError(f"{name} '{getattr(message, name)}' is none of {', '.join(known.__members__).lower()}")
+    columns = (unpacked(getattr(message.trajectory, name)) for name in TRAJECTORY_COLUMNS)
+    status, start = trace.PlanStatus[message.status.upper()], trace.PlanStart[message.start.upper()]
+    internals = tuple(artefacts_of(message.inside)) if message.inside else ()
+    return trace.Plan(states.Trajectory(*columns), status, message.reason, start, internals)

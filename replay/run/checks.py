@@ -19,6 +19,7 @@ from replay.control import CONTROLLER
 from replay.loop.perception import ORACLE, PERCEPTION
 from replay.loop.simulation_setup import controller_of
 from replay.oracle import ORACLES
+from replay.planner_process.connection import describe_planner
 from replay.planner_process.planner_config import (
     check_keywords,
     is_apart,
@@ -26,7 +27,6 @@ from replay.planner_process.planner_config import (
     planner_keywords,
     resolved_table,
 )
-from replay.planner_process.proxy import described
 from replay.prediction import PREDICTION, LaneMap, predict
 from replay.results.log_result import Failure
 from replay.settings import SETTINGS, check, configured, dotted, keywords_of, resolved
@@ -108,7 +108,7 @@ def _resolved(planner: str, run: RunConfig) -> dict[str, Any]:
     """The planner's table with its defaults, found out where it will run; checked that it can be built of it."""
     table, apart = run.planner.get(planner, {}), run.loop.apart
     if is_apart(planner, apart):
-        return described(planner, table, apart)
+        return describe_planner(planner, table, apart)
     if apart.batch and not is_built_in(planner):
         raise ConfigError("loop.apart.batch is for planners in a process of their own: leave out loop.apart.trust")
     resolved = resolved_table(planner, table)

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 from uuid import uuid4
 
 from logs.kernel import cold
-from replay.planner_process.processes import loaded_for
-from replay.planner_process.together import in_lockstep
+from replay.planner_process.batch import in_lockstep
+from replay.planner_process.processes import set_template_run
 from replay.run.one_log import evaluate_log
 from replay.run.pool import WorkerLost, run_all
 
@@ -98,7 +98,7 @@ class Job:
 
     def __call__(self, team: Sequence[LogSource]) -> list[LogResult]:
         """As `evaluate_log`, of each of some logs that are evaluated together (`LoopConfig.apart.batch`)."""
-        loaded_for(self.name)
+        set_template_run(self.name)
         tasks = [partial(evaluate_log, source, self.run, self.out, self.stamp) for source in team]
         return in_lockstep(tasks) if self.run.loop.apart.batch else [task() for task in tasks]
 
@@ -109,7 +109,7 @@ def _here(job: Job, teams: Sequence[Sequence[LogSource]]) -> Iterator[tuple[int,
         for index, team in enumerate(teams):
             yield index, job(team)
     finally:
-        loaded_for("")
+        set_template_run("")
 
 
 def longest_first(

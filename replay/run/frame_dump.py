@@ -12,7 +12,7 @@ each frame is fresh (open loop) it holds that one only.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,17 +20,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from logs.codec import WIRE, packed
 from logs.errors import LogError, writing
 from logs.frame import Frame, PlannerContext
-from logs.kernel import FloatArray
 from logs.trace import Plan, SolverReport
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from planners.piecewise_jerk.solvers import Asked
 from planners.qp import QPResult
 from replay.loop.plan_check import checked
 from replay.planner_process import schema
-from replay.planner_process.channel import plain
-from replay.planner_process.convert import context_message, context_of, frame_message, frame_of, plan_of, plan_sent
 from replay.planner_process.planner_config import planner_factory, planner_keywords
 
 VERSION = 1
@@ -121,26 +119,35 @@ class FrameDump:
 
 def dump(path: Path, one: FrameDump) -> None:
     """Write a dump; OutputError where the file cannot be written."""
-    frames = [frame_message(frame) for frame in one.frames]
-    problems = [_problem(asked) for asked in one.problems]
-    plan = plan_sent(one.plan, inside=True)
-    made = File(
-        VERSION, one.log, one.planner, dict(one.config), context_message(one.context), frames, plan, problems
-    )  # fmt: skip
+    file = File(
+        version=VERSION,
+        log=one.log,
+        planner=one.planner,
+        config=dict(one.config),
+        context=schema.context_message(one.context),
+        frames=[schema.frame_message(frame) for frame in one.frames],
+        plan=schema.plan_message(one.plan, inside=True),
+        problems=[_problem(asked) for asked in one.problems],
+    )
     with writing(path):
-        path.write_bytes(msgspec.msgpack.encode(made, enc_hook=plain))
+        path.write_bytes(schema.encode(file))
 
 
 def load(path: Path) -> FrameDump:
     """What `dump` wrote; LogError where it is damaged, or none."""
     try:
-        file = msgspec.msgpack.decode(path.read_bytes(), type=File)
+        file: File = schema.decode(path.read_bytes(), File)
         if file.version != VERSION:
             raise ValueError(f"a dump of version {file.version}, this replan reads {VERSION}")
         return FrameDump(
-            file.log, file.planner, file.config, context_of(file.context, _no_clock),
-            tuple(map(frame_of, file.frames)), plan_of(file.plan), tuple(map(_asked, file.problems)),
-        )  # fmt: skip
+            log=file.log,
+            planner=file.planner,
+            config=file.config,
+            context=schema.context_of(file.context, _no_clock),
+            frames=tuple(map(schema.frame_of, file.frames)),
+            plan=schema.plan_of(file.plan),
+            problems=tuple(map(_asked, file.problems)),
+        )
     except (OSError, ValueError, KeyError, msgspec.MsgspecError) as error:
         raise LogError(f"is no dump of a frame: {error}", file=path) from None
 
@@ -149,27 +156,25 @@ def _no_clock(stage: str) -> None:
     """Nothing is measured."""
 
 
-def _bytes(values: FloatArray) -> bytes:
-    return np.ascontiguousarray(values, "<f8").tobytes()
-
-
 def _problem(asked: Asked) -> Problem:
     problem, result = asked
-    leads, start, references, lower, upper = map(
-        _bytes, (problem.leads, problem.start, problem.references, problem.lower, problem.upper)
-    )
+    arrays = {name: packed(getattr(problem, name)) for name in ("leads", "start", "references", "lower", "upper")}
     numbers = [problem.step, problem.soft, *problem.weights]
-    return Problem(result.report, numbers, leads, start, references, lower, upper, _bytes(result.x))
+    return Problem(report=result.report, numbers=numbers, x=packed(result.x), **arrays)
 
 
 def _asked(message: Problem) -> Asked:
     step, soft, *weights = message.numbers
-    leads, start, references, lower, upper, x = (
-        np.frombuffer(column, "<f8").copy()
-        for column in (message.leads, message.start, message.references, message.lower, message.upper, message.x)
-    )
-    rows: Sequence[int] = (4 + len(leads), -1)
+    columns = (message.leads, message.start, message.references, message.lower, message.upper, message.x)
+    leads, start, references, lower, upper, x = (np.frombuffer(column, WIRE).copy() for column in columns)
     problem = PiecewiseJerkProblem(
-        step, leads, start, Weights(*weights), references.reshape(2, -1), lower.reshape(rows), upper.reshape(rows), soft
+        step=step,
+        leads=leads,
+        start=start,
+        weights=Weights(*weights),
+        references=references.reshape(2, -1),
+        lower=lower.reshape(4 + len(leads), -1),
+        upper=upper.reshape(4 + len(leads), -1),
+        soft=soft,
     )
     return Asked(problem, QPResult(x, message.report))

@@ -25,7 +25,7 @@ from planners import PLANNER
 from replan.own import PACKAGES
 from replay.config import RunConfig, dump_run
 from replay.oracle import ORACLES
-from replay.planner_process.link import command_of
+from replay.planner_process.connection import command_of
 from replay.results.log_result import LogResult, Stamp, load_result
 from replay.results.tables import FILES, LOG_CARD, PARTIAL, check_ours, clear_partial
 from replay.results.version import replan_version

@@ -6,7 +6,7 @@ With front and rear wheel angles df and dr, speed v along the body, wheelbase L;
 (2) dy/dt   = v sin(yaw) + v_lat cos(yaw),        v_lat = v tan(dr) at the rear axle, the reference point
 (3) dyaw/dt = v (tan(df) - tan(dr)) / L
 (4) d(df)/dt                                      replay.vehicle.steering
-(5) dv/dt, d(throttle)/dt, d(brake)/dt            replay.vehicle.powertrain
+(5) dv/dt, d(throttle)/dt, d(brake)/dt            replay.vehicle.pedal_map
 (6) dr = rear_ratio df                            geared: 0 for a car; negative: against each other, turns more tightly
 (7) kappa = cos(dr) (tan(df) - tan(dr)) / L       of the path driven with the wheels held where they are
 
@@ -32,7 +32,7 @@ from logs.kernel import FloatArray, inner_kernel, kernel
 from logs.states import Command, EgoState
 from logs.vehicle import VehicleParameters
 from replay.vehicle.base import Motion, Plain, plain
-from replay.vehicle.powertrain import Limits, PedalPowertrain, is_rolling, rolling_acceleration
+from replay.vehicle.pedal_map import Limits, PedalPowertrain, is_rolling, rolling_acceleration
 from replay.vehicle.steering import Steering, steer_rate
 
 if TYPE_CHECKING:

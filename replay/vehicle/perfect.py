@@ -11,8 +11,8 @@ from math import atan
 from logs.states import Command, EgoState
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters
+from replay.vehicle.pedal_map import PedalPowertrain
 from replay.vehicle.plan_path import PlanPath, Tracker, path_point
-from replay.vehicle.powertrain import PedalPowertrain
 
 
 class Perfect:

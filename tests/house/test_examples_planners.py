@@ -62,7 +62,7 @@ def test_what_a_program_prints_last_is_said(tmp_path: Path, log: Scenario) -> No
     ):
         run_closed_loop(log, f"exec:{script}")
     script.write_text("#!/bin/sh\necho 'INFO: listening to replan and talking back'\ncat\n", encoding="utf-8")
-    with pytest.raises(PlannerError, match="sent what is no message while it was built"):
+    with pytest.raises(PlannerError, match="sent an invalid message while it was built"):
         run_closed_loop(log, f"exec:{script}")
 
 

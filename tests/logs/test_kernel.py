@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import os
 import shutil
@@ -233,3 +234,19 @@ def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(tm
             assert last.load(who) in (None, f"code of {who}"), order
         in_turn = order.index("look b") == 3 or order.index("look a") == 3
         assert not in_turn or all(last.load(who) for who in "ab"), order
+
+
+class FromMovedModule:
+    """Unpickled, as machine code is: it imports a module that is not there any more."""
+
+    def __reduce__(self) -> tuple[Any, tuple[str]]:
+        return importlib.import_module, ("replay.vehicle.no_such_module",)
+
+
+@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled")
+def test_code_with_a_kernel_of_a_module_that_was_moved_is_not_found(tmp_path: Path) -> None:
+    index = KernelIndex(cast("Any", interpolated), str(tmp_path))
+    index.save("kind", FromMovedModule())
+    assert index.load("kind") is None
+    index.save("kind", "code compiled anew")
+    assert index.load("kind") == "code compiled anew"

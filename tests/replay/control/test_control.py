@@ -14,15 +14,15 @@ from scipy.linalg import solve_discrete_are
 from logs import ConfigError, EgoState, Plan, Trajectory, VehicleParameters
 from replay.control import CONTROLLERS
 from replay.control.dlqr_kinematic import KinematicDlqrConfig as DlqrConfig
-from replay.control.dlqr_kinematic import error_model, gain, kinematic_law, regulator
+from replay.control.dlqr_kinematic import error_model, kinematic_law, regulator
 from replay.control.lateral_model import with_rigid_tyres
 from replay.control.pedals import HYSTERESIS_MPS2, Pedals
 from replay.control.pid import AT_REST, PidConfig, accelerate_dual_loop, dual_loop_law
-from replay.control.riccati import solve_riccati
+from replay.control.regulator import gain, solve_riccati
 from replay.vehicle import VEHICLES
 from replay.vehicle.base import motion_of
+from replay.vehicle.pedal_map import PedalPowertrain
 from replay.vehicle.plan_path import PlanPath
-from replay.vehicle.powertrain import PedalPowertrain
 
 CAR = VehicleParameters()
 TRAIN = PedalPowertrain(CAR)

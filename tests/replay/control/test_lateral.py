@@ -14,7 +14,7 @@ from scipy.linalg import solve_discrete_are
 from logs import ConfigError, EgoState, Plan, Trajectory, VehicleParameters
 from replay.control import CONTROLLERS
 from replay.control.dlqr import DlqrConfig, regulator, schedule
-from replay.control.dlqr_kinematic import KinematicDlqrConfig, gain
+from replay.control.dlqr_kinematic import KinematicDlqrConfig
 from replay.control.dlqr_kinematic import regulator as kinematic_regulator
 from replay.control.feedforward import commanded, following_at, slip_table, steer_for
 from replay.control.lateral_model import (
@@ -27,6 +27,7 @@ from replay.control.lateral_model import (
     with_rigid_tyres,
     with_steering,
 )
+from replay.control.regulator import gain
 from replay.control.slip import Slip
 from replay.loop.simulation_setup import controller_of
 from replay.vehicle import VEHICLES

@@ -27,10 +27,9 @@ from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
 from replay.loop.perception import perceive
 from replay.planner_process import schema
-from replay.planner_process.convert import context_message, context_of, frame_message, frame_of
-from replay.planner_process.link import clean
-from replay.planner_process.processes import _warm, loaded_for
-from replay.planner_process.proxy import described
+from replay.planner_process.connection import clean_text, describe_planner
+from replay.planner_process.processes import _warm, set_template_run
+from replay.planner_process.schema import context_message, context_of, decode, encode, frame_message, frame_of
 from replay.run.one_log import LOOPS
 from replay.run.resume import stamp_of
 from replay.world import World
@@ -80,11 +79,11 @@ SAID = {
     "Loops": "did not answer within 0.4 s at t = 0.50 s",
     "Allocates": "raised at 0.50 s: MemoryError: Unable to allocate",
     "SysExits": "raised at 0.50 s: SystemExit: 3 (bad_planners.py:",
-    "Exits": "has gone at t = 0.50 s: its process ended with code 7; it printed last: going?[31m home",
-    "ExitsWell": "has gone at t = 0.50 s: its process ended with code 0",
-    "Segfaults": "has gone at t = 0.50 s: its process was killed (SIGSEGV)",
-    "Closes": "has gone at t = 0.50 s: it closed its output",
-    "Babbles": "sent what is no message at t = 0.50 s: ",
+    "Exits": "exited at t = 0.50 s: its process ended with code 7; it printed last: going?[31m home",
+    "ExitsWell": "exited at t = 0.50 s: its process ended with code 0",
+    "Segfaults": "exited at t = 0.50 s: its process was killed (SIGSEGV)",
+    "Closes": "exited at t = 0.50 s: it closed its output",
+    "Babbles": "sent an invalid message at t = 0.50 s: ",
     "Writes": "raised at 0.50 s: ValueError: cannot set WRITEABLE flag to True of this array (bad_planners.py:",
     "Daemon": "did not answer within 0.4 s at t = 0.50 s",
     "Shows": "broke its contract at 0.50 s: its inside has 20000",
@@ -131,9 +130,9 @@ def test_what_is_too_large_in_every_plan_is_cut_or_refused_within_seconds(name: 
 @pytest.mark.parametrize("within_a_run", [False, True])
 def test_processes_in_sessions_of_their_own_end_with_the_drive(name: str, within_a_run: bool, folder: Path) -> None:
     (folder / "detached").unlink(missing_ok=True)
-    loaded_for("a run" if within_a_run else "")
+    set_template_run("a run" if within_a_run else "")
     trace = ended(f"bad_planners:{name}", LoopConfig(apart=PlannerProcessConfig()))
-    loaded_for("")
+    set_template_run("")
     assert len(trace.frames) == (11 if name == "Detaches" else 5), trace.detail
     pids, until = (folder / "detached").read_text().split(), time.monotonic() + 5.0
     assert len(pids) == 2
@@ -187,9 +186,9 @@ def test_a_planner_that_cannot_be_built_or_loaded_is_an_error() -> None:
 
 def test_settings_are_asked_of_the_planner_and_reach_it() -> None:
     spec = "planners.constant_speed:ConstantSpeed"
-    assert described(spec, {"step_s": 0.2}, PlannerProcessConfig()) == {"horizon_s": 8.0, "step_s": 0.2}
+    assert describe_planner(spec, {"step_s": 0.2}, PlannerProcessConfig()) == {"horizon_s": 8.0, "step_s": 0.2}
     with pytest.raises(ConfigError, match="horizon"):
-        described(spec, {"horizon": 4.0}, PlannerProcessConfig())
+        describe_planner(spec, {"horizon": 4.0}, PlannerProcessConfig())
     trace = run_closed_loop(short_log(), spec, planner_config={"horizon_s": 4.0, "step_s": 0.2}).trace
     assert len(trace.frames[0].plan.trajectory) == 21
 
@@ -214,7 +213,7 @@ def test_another_program_is_not_resumed_with(tmp_path: Path) -> None:
 
 
 def test_control_characters_do_not_reach_the_terminal() -> None:
-    assert clean("a\x1b[2J\r\nb\x00\u202ec") == "a?[2J b??c"
+    assert clean_text("a\x1b[2J\r\nb\x00\u202ec") == "a?[2J b??c"
 
 
 @pytest.mark.slow
@@ -267,12 +266,12 @@ def test_a_goal_with_alternatives_reaches_the_planner_and_one_without_is_as_befo
     log = scenario(drive(straight, 10.0, 1.0))
     for goal in (plain, both):
         sent = context_message(PlannerContext(log.road, goal, log.vehicle, 0.1, log.ego.state(0)))
-        found = context_of(msgspec.msgpack.decode(msgspec.msgpack.encode(sent), type=schema.Context), None).goal
+        found = context_of(decode(encode(sent), schema.Context), print).goal
         assert found is not None and (found.t, found.v, found.yaw) == (goal.t, goal.v, goal.yaw)
         assert [one.v for one in found.alternatives] == [one.v for one in goal.alternatives]
         np.testing.assert_array_equal(np.vstack(found.regions), np.vstack(goal.regions))
-    old = {key: value for key, value in msgspec.to_builtins(sent.goal).items() if key != "alternatives"}
-    assert msgspec.convert(old, schema.Goal).alternatives == []
+    old = {key: value for key, value in decode(encode(sent.goal), dict).items() if key != "alternatives"}
+    assert decode(encode(old), Goal).alternatives == ()
 
 
 def test_agents_reach_the_planner_with_all_columns_and_without_those_of_older_senders() -> None:
@@ -280,13 +279,13 @@ def test_agents_reach_the_planner_with_all_columns_and_without_those_of_older_se
     frame = perceive(World(log.ego.state(0), log.tracks), None, LoopConfig())
     assert not len(frame.agents)
     frame = perceive(World(replace(log.ego.state(0), t=0.6), log.tracks), None, LoopConfig())
-    sent = msgspec.msgpack.encode(frame_message(frame))
-    found = frame_of(msgspec.msgpack.decode(sent, type=schema.Frame)).agents
+    sent = encode(frame_message(frame))
+    found = frame_of(decode(sent, schema.Frame)).agents
     for name in NUMBERS:
         np.testing.assert_array_equal(getattr(found, name), getattr(frame.agents, name), err_msg=name)
     assert found.age == pytest.approx([0.2]) and found.unseen == pytest.approx([0.1])
     plain = msgspec.msgpack.decode(sent)
     for name in OPTIONAL:
         del plain["agents"][name]
-    old = frame_of(msgspec.msgpack.decode(msgspec.msgpack.encode(plain), type=schema.Frame)).agents
+    old = frame_of(decode(encode(plain), schema.Frame)).agents
     assert all(np.isnan(getattr(old, name)).all() for name in OPTIONAL) and old.x == frame.agents.x

@@ -20,7 +20,7 @@ from replay.drive import DriveKey
 from replay.loop.open_loop import run_open_loop
 from replay.loop.planning import Planning
 from replay.planner_process.launcher import ENDING_S
-from replay.planner_process.processes import _warm, loaded_for
+from replay.planner_process.processes import _warm, set_template_run
 from replay.run.evaluate import evaluate_logs
 from replay.run.one_log import LOOPS
 
@@ -37,9 +37,9 @@ MINE = "class Mine(ConstantSpeed): pass\n"
 
 @pytest.fixture(autouse=True)
 def run() -> Iterator[None]:
-    loaded_for("a run")
+    set_template_run("a run")
     yield
-    loaded_for("")
+    set_template_run("")
 
 
 def written(name: str, more: str = MINE) -> str:
@@ -74,10 +74,10 @@ def test_a_module_is_loaded_once_in_a_run_and_anew_in_the_next() -> None:
     assert loads("once") == 2, "the second drive of a start has another"
     driven(planner, step_s=0.2)
     assert loads("once") == 3, "other settings"
-    loaded_for("another run")
+    set_template_run("another run")
     driven(planner)
     assert loads("once") == 4
-    loaded_for("")
+    set_template_run("")
     driven(planner)
     driven(planner)
     assert loads("once") == 6, "outside a run each drive loads it"
@@ -129,7 +129,7 @@ def test_a_module_that_cannot_be_loaded_is_said_as_without_a_template(name: str)
     planner, said = written(name, BAD[name][0] + "\n" + MINE), list[str]()
     limits = LoopConfig(apart=PlannerProcessConfig(start_timeout_s=1.0, memory_gb=2.0))
     for run in ("", "a run"):
-        loaded_for(run)
+        set_template_run(run)
         with pytest.raises(PlannerError, match=BAD[name][1]) as failure:
             driven(planner, config=limits)
         said.append(str(failure.value))
@@ -160,7 +160,7 @@ PREPARED = """
 def test_a_class_prepares_itself_once_and_everywhere_alike() -> None:
     planner, found = written("prepared", PREPARED), list[list[bytes]]()
     for run, expected in (("a run", 2), ("", 6)):
-        loaded_for(run)
+        set_template_run(run)
         found += [plans(driven(planner, file="b")) for _ in range(2)]
         assert loads("prepared") == expected
     assert found[0] == found[1] == found[2] == found[3], "a seed that the module sets holds in each drive"
@@ -217,9 +217,9 @@ def test_a_worker_that_is_killed_takes_its_templates_along() -> None:
     code = """
         import os, time
         from short_logs import short
-        from replay.planner_process.processes import _warm, loaded_for
+        from replay.planner_process.processes import _warm, set_template_run
         from replay.loop.open_loop import run_open_loop
-        loaded_for("a run")
+        set_template_run("a run")
         run_open_loop(short("test/a"), "orphans:Mine")
         print(_warm["launcher"]._process.pid, flush=True)
         os.kill(os.getpid(), 9)

@@ -21,7 +21,7 @@ from replay.vehicle.drivetrain import (
     shifted,
     wanted_force,
 )
-from replay.vehicle.powertrain import PedalPowertrain
+from replay.vehicle.pedal_map import PedalPowertrain
 from replay.vehicle.single_track import SingleTrack
 
 CARS = {"default": VehicleParameters(), **{name: vehicle_parameters(name) for name in vehicle_names()}}

@@ -17,7 +17,7 @@ from short_logs import short
 from logs import ConfigError, EndReason
 from logs.mcap import write_scenario
 from replay.config import LoopConfig, PlannerProcessConfig, RunConfig
-from replay.planner_process.together import in_lockstep
+from replay.planner_process.batch import in_lockstep
 from replay.results.load import Results
 from replay.run import evaluate_logs
 from replay.run.engine import teams_of
@@ -124,7 +124,7 @@ FAILS: dict[str, tuple[str, str, list[bool], str]] = {
         "",
         "import os\nif frames[0].t > 0.45: os._exit(3)",
         [True] * 3,
-        "has gone in step 6 of drives for 3 logs together: its process ended with code 3",
+        "exited in step 6 of drives for 3 logs together: its process ended with code 3",
     ),
 }
 

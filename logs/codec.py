@@ -1,0 +1,228 @@
+"""One codec of the nouns: between a dataclass and the message that stands for it in a file or on a wire.
+
+A message is a `msgspec.Struct` whose fields have the names of the noun's. Both types say how a field is stored:
+
+    noun                                     message
+    FloatArray, IntArray                     list of numbers, or bytes: little-endian float64, row by row
+    Points `(n, 2)`                          list of pairs, or bytes; or two lists: x and y, left -> left_x and left_y
+    float                                    number; null where it is NaN
+    tuple of pairs (name, value)             object
+    Enum                                     its value; in a field that is text, its name in lower case
+    noun; tuple or mapping by id of nouns    message; list of messages
+
+What a message has no field for keeps its default in the noun. Numbers are the same to the bit on both sides, and arrays
+that are read from bytes lie over them without a copy. Nouns that need none of this (only numbers, text, enums, and
+arrays as bytes) are sent as they are: `array_as_bytes` and `array_of` are the hooks of msgspec for their arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from functools import cache
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+import numpy as np
+
+from logs.kernel import FloatArray, IntArray, Points
+
+M = TypeVar("M")
+N = TypeVar("N")
+Convert = Callable[[Any], Any]
+Row = tuple[str, str, Convert | None]
+
+WIRE = np.dtype("<f8")
+Column = bytes | list[float]
+"""A column of a message in which both forms are read."""
+ABSENT = {"cost": np.inf, "lower": -np.inf, "upper": np.inf}
+"""What null stands for in the arrays of a graph: a node that is not reached, a bound that is free; elsewhere NaN."""
+
+
+def packed(values: FloatArray) -> Any:
+    """An array as bytes, row by row; without a copy where it is stored like that."""
+    array: Any = np.ascontiguousarray(values, WIRE)
+    return memoryview(array).cast("B") if array.size else b""
+
+
+def unpacked(column: Column) -> FloatArray:
+    """The numbers of a column `(n,)`; ValueError where the bytes are not whole numbers."""
+    return np.frombuffer(column, WIRE) if isinstance(column, bytes) else np.array(column, np.float64)
+
+
+def scalar_as_number(value: object) -> object:
+    """The `enc_hook` of messages without arrays: scalars of NumPy are numbers."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} cannot be sent")
+
+
+def array_as_bytes(value: object) -> object:
+    """The `enc_hook` of messages that hold nouns: arrays are bytes, scalars of NumPy are numbers."""
+    return packed(value) if isinstance(value, np.ndarray) else scalar_as_number(value)
+
+
+def array_of(kind: Any, value: Any) -> Any:
+    """The `dec_hook` of messages that hold nouns: the array `kind`, `FloatArray` or `Points`, of bytes."""
+    column = unpacked(value)
+    return column.reshape(-1, 2) if kind == Points else column
+
+
+def message_of(kind: Callable[..., M], noun: Any, **given: Any) -> M:
+    """The message of a noun; fields that are `given` are taken instead of the noun's."""
+    values = given
+    for name, source, convert in _writers(kind, noun.__class__):
+        if name not in given:
+            value = getattr(noun, source)
+            values[name] = value if convert is None else convert(value)
+    return kind(**values)
+
+
+def noun_of(kind: Callable[..., N], message: Any, **given: Any) -> N:
+    """The noun of a message; fields that are `given` are taken instead of the message's.
+
+    Raises:
+        ValueError: Columns do not fit each other, or the noun refuses them.
+        KeyError: A text names no member of an Enum.
+    """
+    values = given
+    for name, source, convert in _readers(kind, message.__class__):
+        if name not in given:
+            value = getattr(message, source) if source else message
+            values[name] = value if convert is None else convert(value)
+    return kind(**values)
+
+
+@cache
+def _writers(kind: Any, noun: Any) -> tuple[Row, ...]:
+    """For each field of a message: its name, the noun's field, and what converts that."""
+    own, found = get_type_hints(noun), list[Row]()
+    outline = next((name for name, hint in own.items() if hint == Points), "")
+    for name, hint in get_type_hints(kind).items():
+        source, axis = (outline, name) if name in ("x", "y") else (name[:-2], name[-1])
+        if name in own:
+            found.append((name, name, _written(hint, own[name])))
+        elif own.get(source) == Points:
+            found.append((name, source, _axis("xy".index(axis))))
+    return tuple(found)
+
+
+def _axis(index: int) -> Convert:
+    return lambda points: points[:, index].tolist()
+
+
+def _written(hint: Any, own: Any = None) -> Convert | None:
+    """What makes the value of a message's field of a noun's, whose type is `own`; None: it is taken as it is."""
+    if (some := _without_none(hint)) is not hint:
+        return _or_none(_written(some, own))
+    origin, args = get_origin(hint), get_args(hint)
+    if hint is bytes or hint == Column:
+        return packed
+    if (hint is str or origin is Literal) and _is_enum(own):
+        return lambda member: member.name.lower()
+    if origin is dict:
+        return dict
+    if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
+        if hint.__struct_fields__ == ("x", "y"):
+            return lambda points: hint(*points.T.tolist())
+        return lambda noun: message_of(hint, noun)
+    if origin is not list:
+        return None
+    item = _written(args[0])
+
+    def listed(values: Any) -> list[Any]:
+        if isinstance(values, np.ndarray):
+            out: list[Any] = values.tolist()
+            return out
+        values = values.values() if isinstance(values, Mapping) else values
+        values = sorted(values) if isinstance(values, frozenset) else values
+        return list(values) if item is None else [item(value) for value in values]
+
+    return listed
+
+
+@cache
+def _readers(noun: Any, kind: Any) -> tuple[Row, ...]:
+    """For each field of a noun that a message has: its name, the message's field ("": several), what converts that."""
+    hints, names, found = get_type_hints(noun), kind.__struct_fields__, list[Row]()
+    for name in (each.name for each in fields(noun)):
+        if name in names:
+            found.append((name, name, _read(hints[name], ABSENT.get(name))))
+        elif hints[name] == Points:
+            axes = (f"{name}_x", f"{name}_y") if f"{name}_x" in names else ("x", "y")
+            found.append((name, "", _columns(noun, kind, *axes)))
+    return tuple(found)
+
+
+def _columns(noun: type, kind: Any, x: str, y: str) -> Convert:
+    """What makes points of two columns of a message."""
+    serialised = {each.name: each.encode_name for each in msgspec.structs.fields(kind)}
+    what = "".join(f" {letter.lower()}" if letter.isupper() else letter for letter in noun.__name__).strip()
+
+    def read(message: Any) -> FloatArray:
+        xs, ys = getattr(message, x), getattr(message, y)
+        if len(xs) != len(ys):
+            raise ValueError(f"{what} {message.id} has {len(xs)} {serialised[x]} and {len(ys)} {serialised[y]}")
+        return np.column_stack([xs, ys])
+
+    return read
+
+
+def _read(hint: Any, absent: float | None = None) -> Convert | None:
+    """What makes the value of a noun's field of a message's; None: it is taken as it is."""
+    if (some := _without_none(hint)) is not hint:
+        return _or_none(_read(some, absent))
+    origin, args = get_origin(hint), get_args(hint)
+    if hint is float:
+        return lambda value: np.nan if value is None else value
+    if hint == Points:
+        return _points
+    if hint == FloatArray:
+        return unpacked if absent is None else lambda values: _filled(values, absent)
+    if hint == IntArray:
+        return lambda values: np.array(values, np.int64)
+    if _is_enum(hint):
+        return lambda value: hint[value.upper()] if isinstance(value, str) else value
+    if origin is frozenset:
+        return frozenset
+    if origin is tuple and args[-1] is ...:
+        if get_origin(args[0]) is tuple:
+            return lambda pairs: tuple((key, np.nan if value is None else value) for key, value in pairs.items())
+        item = None if _is_enum(args[0]) else _read(args[0])
+        return tuple if item is None else lambda values: tuple(map(item, values))
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return lambda values: {value.id: _noun(args[1], value) for value in values}
+    return (lambda value: _noun(hint, value)) if is_dataclass(hint) else None
+
+
+def _noun(kind: Any, value: Any) -> Any:
+    """The noun of a message, or the noun that is there already."""
+    return noun_of(kind, value) if isinstance(value, msgspec.Struct) else value
+
+
+def _points(value: Any) -> FloatArray:
+    if isinstance(value, msgspec.Struct):
+        return np.column_stack(msgspec.structs.astuple(value))
+    return unpacked(value).reshape(-1 if isinstance(value, bytes) else len(value), 2)
+
+
+def _filled(values: Any, absent: float) -> FloatArray:
+    """The values with `absent` in the place of null."""
+    found = np.array(values, np.float64)
+    return np.where(np.isnan(found), absent, found)
+
+
+def _without_none(hint: Any) -> Any:
+    """The type of an optional field; of any other, its type."""
+    some = [each for each in get_args(hint) if each is not NoneType]
+    return some[0] if get_origin(hint) in (Union, UnionType) and len(some) == 1 else hint
+
+
+def _or_none(convert: Convert | None) -> Convert | None:
+    return convert and (lambda value: None if value is None else convert(value))
+
+
+def _is_enum(hint: Any) -> bool:
+    return isinstance(hint, type) and issubclass(hint, Enum)

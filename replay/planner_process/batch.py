@@ -1,0 +1,203 @@
+"""Several logs in lock step: the frames of one step are sent to one planner's process together (`--batch`).
+
+Each log is evaluated in a thread, of which one runs at a time, until its drive asks the planner; then the next one
+runs. So nothing that drives, measures or writes has to know of threads, and the results depend on no clock. When all
+logs wait, they are answered. First come the frames of the drive that is on (one planner, one loop; each log has made as
+many steps). Where no log waits for a plan any more, the drive begins that comes first of those that they wait for.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextvars import copy_context
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from replay.config import PlannerProcessConfig
+from replay.drive import DriveKey
+from replay.planner_process import schema
+from replay.planner_process.connection import Connection, FaultError, PlannerConnection, set_current_log
+from replay.planner_process.processes import Load
+from replay.planner_process.stopwatch import Stopwatch
+
+R = TypeVar("R")
+
+
+class AbandonedError(BaseException):
+    """The run has ended before this log: its thread unwinds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What the drive of a log asks.
+
+    Attributes:
+        place: Which drive.
+        message: `schema.Hello`, where it begins, or `schema.Frame`.
+        limit: How long the answer may take, s.
+        limits: Of the planner's process.
+        load: What it loads.
+    """
+
+    place: DriveKey
+    message: Any
+    limit: float
+    limits: PlannerProcessConfig
+    load: Load
+
+
+class BatchLog(Generic[R]):
+    """A log that is evaluated in a thread, which runs while `run_on` waits for it.
+
+    Attributes:
+        request: What it waits for.
+        answer: The answer, or the planner's fault.
+        took_s: How long the answer took, s.
+        ended: Whether its evaluation has returned.
+        result: What that returned.
+    """
+
+    request: Request
+    answer: schema.Answer | FaultError
+    result: R
+
+    def __init__(self, task: Callable[[], R]) -> None:
+        self.ended, self.took_s = False, 0.0
+        self._task, self._raised, self._abandoned = task, list[BaseException](), False
+        self._go, self._back = threading.Semaphore(0), threading.Semaphore(0)
+        self._thread = threading.Thread(target=copy_context().run, args=(self._run,), daemon=True)
+
+    def run_on(self) -> None:
+        """Run until the log asks or has ended; what its evaluation raises is raised here."""
+        if self._thread.ident is None:
+            self._thread.start()
+        else:
+            self._go.release()
+        self._back.acquire()
+        if self._raised:
+            raise self._raised[0]
+
+    def ask(self, request: Request) -> schema.Answer | FaultError:
+        """Wait until all logs wait, and return the answer; called in the log's thread."""
+        self.request = request
+        self._back.release()
+        self._go.acquire()
+        if self._abandoned:
+            raise AbandonedError
+        return self.answer
+
+    def connect(self, place: DriveKey, limits: PlannerProcessConfig, load: Load, watch: Stopwatch) -> PlannerConnection:
+        """The connection of one of the log's drives; `watch` does not count the time that other logs take."""
+
+        def ask(message: Any, limit: float) -> schema.Answer:
+            begin = time.perf_counter()
+            answer = self.ask(Request(place, message, limit, limits, load))
+            watch.waited(time.perf_counter() - begin - self.took_s)
+            if isinstance(answer, FaultError):
+                raise FaultError(str(answer))
+            return answer
+
+        return BatchConnection(ask)
+
+    def abandon(self) -> None:
+        """End the evaluation, with what it has to clear away."""
+        self._abandoned = True
+        if self._thread.is_alive():
+            self._go.release()
+            self._thread.join()
+
+    def _run(self) -> None:
+        set_current_log(self)
+        try:
+            self.result = self._task()
+        except BaseException as error:
+            self._raised.append(error)
+        self.ended = True
+        self._back.release()
+
+
+@dataclass(frozen=True, eq=False)
+class BatchConnection:
+    """The `PlannerConnection` of a drive to a process that it shares: a fault of this drive does not end the others."""
+
+    answer: Callable[[Any, float], schema.Answer]
+
+    def ask(self, message: Any, limit: float, when: str) -> schema.Answer:
+        """See `PlannerConnection.ask`; the step takes the place of `when`, as the logs have different times."""
+        return self.answer(message, limit)
+
+    def fault(self, what: str) -> FaultError:
+        """The error; the process goes on."""
+        return FaultError(what)
+
+    def kill(self) -> None:
+        """Nothing: the process goes on."""
+
+
+class BatchSession:
+    """The planner's process for the drives of some logs.
+
+    Args:
+        logs: Those that wait for the begin of their drive.
+    """
+
+    def __init__(self, logs: Sequence[BatchLog[Any]]) -> None:
+        first = logs[0].request
+        self._connection = Connection(first.load.planner, first.limits, first.load, len(logs))
+        self._seats, self._steps = {log: seat for seat, log in enumerate(logs)}, 0
+        self._together = f"for {len(logs)} logs together"
+        hellos = schema.Hellos([log.request.message for log in logs])
+        self._answer(logs, hellos, f"while it was built {self._together}")
+
+    def plan(self, logs: Sequence[BatchLog[Any]]) -> None:
+        """Answer the frames of logs."""
+        self._steps += 1
+        frames = schema.Frames([self._seats[log] for log in logs], [log.request.message for log in logs])
+        self._answer(logs, frames, f"in step {self._steps} of drives {self._together}")
+
+    def _answer(self, logs: Sequence[BatchLog[Any]], message: Any, when: str) -> None:
+        """Send a message for all these logs, and give each its answer; a failure of all is one of each."""
+        begin = time.perf_counter()
+        answer: schema.Answer | FaultError
+        try:
+            answer = self._connection.ask(message, sum(log.request.limit for log in logs), when)
+            if not isinstance(answer, schema.Failed) and len(getattr(answer, "each", ())) != len(logs):
+                raise self._connection.fault(f"broke its contract {when}: it did not answer each")
+        except FaultError as fault:
+            answer = fault
+        answers = answer.each if isinstance(answer, schema.Answers) else [answer] * len(logs)
+        for log, each in zip(logs, answers, strict=True):
+            log.answer, log.took_s = each, time.perf_counter() - begin
+
+    def close(self) -> None:
+        """End the drives."""
+        self._connection.close()
+
+
+def in_lockstep(tasks: Sequence[Callable[[], R]]) -> list[R]:
+    """What the tasks return, each of which evaluates a log; planners that may be shared plan for all of them."""
+    logs = [BatchLog(task) for task in tasks]
+    session: BatchSession | None = None
+    try:
+        for log in logs:
+            log.run_on()
+        while waiting := [log for log in logs if not log.ended]:
+            some = [log for log in waiting if isinstance(log.request.message, schema.Frame)]
+            if session is not None and some:
+                session.plan(some)
+            else:
+                if session is not None:
+                    session.close()
+                first = min(log.request.place for log in waiting)
+                some = [log for log in waiting if log.request.place == first]
+                session = BatchSession(some)
+            for log in some:
+                log.run_on()
+    finally:
+        if session is not None:
+            session.close()
+        for log in logs:
+            log.abandon()
+    return [log.result for log in logs]

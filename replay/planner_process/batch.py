@@ -1,4 +1,4 @@
-"""Several logs in lock step: the frames of one step are sent to one planner's process together (`--batch`).
+"""Several logs in lock step: the frames of one step are sent to one planner's process together (`loop.apart.batch`).
 
 Each log is evaluated in a thread, of which one runs at a time, until its drive asks the planner; then the next one
 runs. So nothing that drives, measures or writes has to know of threads, and the results depend on no clock. When all

@@ -233,7 +233,7 @@ def describe_planner(spec: str, table: Mapping[str, object], limits: PlannerProc
     if is_foreign(spec):
         (command_of if spec.startswith("exec:") else address_of)(spec)
         if limits.batch:
-            raise ConfigError(f"planner '{spec}' has no plan_batch, as a Python planner may have: leave out loop.apart.batch")
+            raise ConfigError(f"planner '{spec}' has no plan_batch: leave out loop.apart.batch")
         return dict(table)
     process = _open(spec, limits)
     config = {key: value for key, value in table.items() if value is not None}

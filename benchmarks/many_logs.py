@@ -29,7 +29,7 @@ from logs.catalogue.suites import ordered
 from logs.mcap import write_scenario
 from replay.results.tables import safe_name
 
-QUIET = ("--no-recording", "--internals", "none")
+QUIET = ("--no-recording", "--set", "internals=none")
 TENTHS = 10
 TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -14,10 +14,11 @@ from pathlib import Path
 import pandas as pd
 
 from logs.readers import LogSettings, reader_of
-from metrics.judge import verdicts_by_log
+from metrics.judge import worst
+from metrics.judge.gates import Outcome
 from replay.config import RunConfig
-from replay.results.log_result import LogResult
-from replay.run import RunResult, evaluate_logs
+from replay.results.load import Results
+from replay.run import evaluate_logs
 from replay.run.sources import select
 
 PLANNERS = ("dp_qp", "logged")
@@ -39,18 +40,17 @@ def held(paths: list[Path], settings: LogSettings) -> dict[str, list[str]]:
     return out
 
 
-def row(log: LogResult, about: list[str], result: RunResult) -> list[str]:
+def row(name: str, about: list[str], result: Results) -> list[str]:
     """The cells of one log."""
-    name = log.name
-    found = Counter(log.health["kind"]) if len(log.health) else Counter()
+    found = Counter(result.health.loc[result.health["log"] == name, "kind"])
     findings = ", ".join(f"{count} {kind}" for kind, count in found.items()) or "none"
-    table = result.table[(result.table["log"] == name) & (result.table["planner"] == "dp_qp")]
+    table = result.metrics[(result.metrics["log"] == name) & (result.metrics["planner"] == "dp_qp")]
     value = table.set_index(["mode", "metric"])["value"]
-    ends = {(drive.planner, drive.mode): drive for drive in log.drives}
+    ends = {(drive.planner, drive.mode): drive for drive in result.drives[result.drives["log"] == name].itertuples()}
     done = value.get(("closed", "route_progress.final"), float("nan"))
     closed = ends.get(("dp_qp", "closed"))
     opened = f"{value.get(('open', 'ade.3s.mean'), float('nan')):.2f} m, {value.get(('open', 'fallback.rate'), 0):.0%}"
-    verdict = verdicts_by_log([v for v in result.verdicts if v.gate]).get((name, "dp_qp"), "")
+    verdict = worst(map(Outcome, result.verdicts.query("log == @name and planner == 'dp_qp'")["outcome"])).value
     logged = ends.get(("logged", "closed"))
     return [
         name, *about, findings, opened, f"{closed.end}, {done:.0%}" if closed else "failed", str(verdict),
@@ -69,11 +69,11 @@ def main() -> None:
     run = RunConfig(PLANNERS, recording=False, internals="none", log=settings)
     result = evaluate_logs(told.logs, run, told.out / "run", workers=1)
     about = held(told.logs, settings)
-    rows = [row(log, about[log.source], result) for log in result.logs if log.digest]
+    rows = [row(log.log, about[log.source], result) for log in result.logs.itertuples() if log.sha256]
     frame = pd.DataFrame(rows, columns=list(HEAD))
     lines = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
     lines += ["| " + " | ".join(map(str, cells)) + " |" for cells in frame.itertuples(index=False)]
-    lines += [f"\nnot evaluated: {failure.message}" for failure in result.failures]
+    lines += [f"\nnot evaluated: {failure.message}" for failure in result.failures.itertuples()]
     (told.out / "real_logs.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     print("\n".join(lines))
 

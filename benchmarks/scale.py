@@ -2,7 +2,7 @@
 
 python -m benchmarks.scale curve       a quarter of the suite "smoke" by 0, 1, 2 workers and on Ray (docs/scale.md)
 python -m benchmarks.scale overhead    a task that does nothing and returns the folder of a log
-python -m benchmarks.scale end         `concluded` on so many logs: seconds and peak memory of this process
+python -m benchmarks.scale end         `judge_and_write` on so many logs: seconds and peak memory of this process
 python -m benchmarks.scale share [LOG ...]   metrics' and reference drives' part of the CPU; no LOG: the built-in suite
 """
 
@@ -27,9 +27,9 @@ from metrics import health
 from replay.config import RunConfig
 from replay.loop import reference_drives
 from replay.results.log_result import LogResult
-from replay.run import RunResult, evaluate_logs, one_log
+from replay.run import evaluate_logs, one_log
 from replay.run.engine import Engine, Local
-from replay.run.evaluate import concluded, gates_of
+from replay.run.evaluate import gates_of, judge_and_write
 from replay.run.on_ray import OnRay
 from replay.run.pool import run_all
 from replay.run.shard import Shard
@@ -74,17 +74,19 @@ def curve() -> None:
     with tempfile.TemporaryDirectory() as folder:
         _evaluated(Local(0), Path(folder))
         for name, engine in engines.items():
-            wall, cpu, result = timed(lambda engine=engine: _evaluated(engine, Path(folder)))
-            inside = sum(log.seconds for log in result.logs)
-            n = len(result.logs)
+            wall, cpu, logs = timed(lambda engine=engine: _evaluated(engine, Path(folder)))
+            inside, n = sum(log.seconds for log in logs), len(logs)
             each = f"wall {wall / n:.2f} s, CPU {cpu / n:.2f} s, in drives {inside / n:.2f} s"
             print(f"{name:8s} {n} logs: a log {each}")
         sizes = [file.stat().st_size for file in Path(folder).glob("*/*")]
         print(f"{sum(sizes) / n / 1e3:.0f} kB of files a log")
 
 
-def _evaluated(engine: Engine, folder: Path) -> RunResult:
-    return evaluate_logs((), END, folder, suite=SUITE, engine=engine, shard=Shard(1, 4))
+def _evaluated(engine: Engine, folder: Path) -> list[LogResult]:
+    """The logs of a quarter of the suite, driven."""
+    logs: list[LogResult] = []
+    evaluate_logs((), END, folder, suite=SUITE, engine=engine, shard=Shard(1, 4), on_log=logs.append)
+    return logs
 
 
 def share(*logs: str) -> None:
@@ -139,12 +141,16 @@ def end() -> None:
         out = Path(folder)
         write_scenario(out / "log.mcap", scenario("paper/free_road"))
         out = out / "run"
-        (log,) = evaluate_logs([out.parent / "log.mcap"], END, out).logs
+        driven: list[LogResult] = []
+        evaluate_logs([out.parent / "log.mcap"], END, out, on_log=driven.append)
+        (log,) = driven
         for count in (100, 400):
             named = [f"log/{k:07d}" for k in range(count)]
             logs = [_named(log, name) for name in named]
             selection = Selection(tuple(LogSource(name) for name in named))
-            wall, _, _ = timed(lambda logs=logs, s=selection: concluded(out, END, s, logs, gates_of(END, None), ()))
+            wall, _, _ = timed(
+                lambda logs=logs, s=selection: judge_and_write(out, END, s, logs, gates_of(END, None), ())
+            )
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
             sizes = {name: (out / name).stat().st_size / count for name in ("metrics.parquet", "timings.parquet")}
             sizes["summary.json"] = (out / "summary.json").stat().st_size / count

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from logs.errors import ConfigError
 from metrics.compare import Comparison
 from replay.config import Internals, RunConfig, RunMode, load_run
-from replay.results.load import Results, load
+from replay.results.load import Results
 from replay.run import evaluate_logs
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def evaluate(
 ) -> Results:
     """Drive planners over logs, measure, judge by gates, and write everything into one folder, as `replan evaluate`.
 
-    What is left out is as in `config`, and where that says nothing, the default of `replay.config.RunConfig`.
+    An argument that is left out is as in `config`, else the default of `replay.config.RunConfig`.
 
     Args:
         logs: Files and folders of any format; none: the built-in suite.
@@ -48,10 +48,10 @@ def evaluate(
         metrics: "module:NAME" of metrics of your own.
         charts: "module:NAME" of charts of your own.
         recording: Whether .rrd files are written.
-        internals: What of a planner's inside is kept: "none", "summary", "full".
+        internals: How much of a planner's internals is kept: "none", "summary", "full".
         config: All settings of a run, or a TOML file of them.
         suite: Instead of logs: a suite of the catalogue, or a family or group of it.
-        window: Seconds: each log is evaluated in parts of this length.
+        window: Split each log into windows of this length, s.
         workers: Child processes; 0 evaluates in this one. Results do not depend on it. With any, a script needs
             `if __name__ == "__main__":`.
         resume: Go on with an interrupted run into `out`.
@@ -64,7 +64,9 @@ def evaluate(
     """
     run = load_run(Path(config)) if isinstance(config, (str, Path)) else config or RunConfig()
     given = {
-        "planners": None if planners is None else tuple(map(named, _each(planners))),
+        "planners": None
+        if planners is None
+        else tuple(map(named, [planners] if isinstance(planners, (str, type)) else planners)),
         "mode": mode,
         "gates": None if gates is None else str(gates),
         "metrics": None if metrics is None else tuple(metrics),
@@ -75,8 +77,7 @@ def evaluate(
     }
     run = _over(run, {key: value for key, value in given.items() if value is not None})
     places = [logs] if isinstance(logs, (str, Path)) else list(logs)
-    done = evaluate_logs(places, run, out, workers=workers, resume=resume, window=window, suite=suite)
-    return load(done.out)
+    return evaluate_logs(places, run, out, workers=workers, resume=resume, window=window, suite=suite)
 
 
 def compare(
@@ -98,10 +99,10 @@ def compare(
         ConfigError: There are no such results, or no such planner in them.
         LogError: They are damaged.
     """
-    from replay.compare import compare_runs, opened
+    from replay.compare import compare_runs, read_run
 
-    sides = [opened(run.path if isinstance(run, Results) else run) for run in (baseline, candidate)]
-    return compare_runs(sides[0], sides[1], tuple(planners), gates=None if gates is None else Path(gates))
+    one, two = (run if isinstance(run, Results) else read_run(run) for run in (baseline, candidate))
+    return compare_runs(one, two, tuple(planners), gates=None if gates is None else Path(gates))
 
 
 def named(planner: str | type) -> str:
@@ -117,10 +118,6 @@ def named(planner: str | type) -> str:
             f"planner {planner.__qualname__}: put it into a file of its own, which its process can import"
         )
     return f"{planner.__module__}:{planner.__qualname__}"
-
-
-def _each(planners: str | type[Planner] | Sequence[str | type[Planner]]) -> Sequence[str | type[Planner]]:
-    return [planners] if isinstance(planners, (str, type)) else planners
 
 
 def _over(config: Any, given: dict[str, Any]) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from logs.files import check_named, read_toml
 from logs.mcap import read_trace
 from logs.mcap.container import read_container
 from logs.remote import Near
-from metrics import COLUMNS, METRICS, Metric, load_metric
+from metrics import COLUMNS, METRICS, load_metric
 from metrics.compare import DRIVE, PARTING_COLUMNS, Comparison, Side, compare
 from metrics.compare.rules import Rule, judged, load_rules
 from metrics.judge import REFERENCE
@@ -46,22 +46,11 @@ UNKNOWN = "not known"
 """Stage where a trace cannot be read."""
 
 
-@dataclass(frozen=True, eq=False)
-class Opened:
-    """A run to compare: its tables, and its folder; None for a baseline's file, which has no traces."""
-
-    side: Side
-    results: Results | None
-    metrics: tuple[str, ...] = ()
-
-    @property
-    def planners(self) -> tuple[str, ...]:
-        """Who was driven."""
-        table = self.side.table
-        return tuple(dict.fromkeys(table.loc[table["mode"] != REFERENCE, "planner"]))
+Run = Results | Side
+"""A run to compare: a result folder, or a baseline's file, which holds the tables and no traces."""
 
 
-def opened(path: Path | str) -> Opened:
+def read_run(path: Path | str) -> Run:
     """The run in a result folder, or in a file that `write_baseline` wrote; either may be a URL.
 
     Raises:
@@ -69,26 +58,28 @@ def opened(path: Path | str) -> Opened:
         LogError: It is damaged.
     """
     near = Near(path, RECORDINGS)
-    path = near.path
-    check_named(path)
-    if path.is_file():
-        return _baseline(path)
-    results = loaded(near)
+    check_named(near.path)
+    return _read_baseline(near.path) if near.path.is_file() else loaded(near)
+
+
+def side_of(run: Run) -> Side:
+    """The tables of a run, as `metrics.compare` takes them; LogError where they are damaged."""
+    if isinstance(run, Side):
+        return run
     try:
-        side = Side(path.name, results.metrics, _logs(results), _facts(results), _failed(results), _crashed(results))
-        return Opened(side, results, tuple(read_toml(path / "run.toml").get("metrics", ())))
+        table = run.logs
+        text = table[["log", "sha256", "family", "dataset"]].astype(object)
+        logs = text.where(text.notna(), "")  # what an older version did not write is empty
+        logs["tags"] = [list(tags) if isinstance(tags, list) else [] for tags in table["tags"]]
+        logs["vehicle"] = [_vehicle(run, log.get("drives", ())) for log in run.summary["logs"]]
+        messages = {row.log: str(row.message) for row in run.failures.itertuples()}
+        failed = {log: messages.get(log, "not evaluated") for log in sorted(run.unread)}
+        rows = run.failures[["log", "planner", "mode"]].dropna().drop_duplicates()
+        crashed = tuple(rows.itertuples(index=False, name=None))
+        own = tuple(read_toml(run.path / "run.toml").get("metrics", ()))
+        return Side(run.path.name, run.metrics, logs, _facts(run), failed, crashed, own)
     except (OSError, ValueError, KeyError) as error:
-        raise LogError(f"cannot be read as results: {error}", file=path) from None
-
-
-def _logs(results: Results) -> pd.DataFrame:
-    """`Side.logs`; what an older version did not write is empty."""
-    table = results.logs
-    text = table[["log", "sha256", "family", "dataset"]].astype(object)
-    text = text.where(text.notna(), "")
-    text["tags"] = [list(tags) if isinstance(tags, list) else [] for tags in table["tags"]]
-    text["vehicle"] = [_vehicle(results, log.get("drives", ())) for log in results.summary["logs"]]
-    return text
+        raise LogError(f"cannot be read as results: {error}", file=run.path) from None
 
 
 def _vehicle(results: Results, drives: Sequence[Mapping[str, Any]]) -> str:
@@ -120,42 +111,31 @@ def _flat(table: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, str]
             yield f"{where}{key}", str(value)
 
 
-def _failed(results: Results) -> dict[str, str]:
-    unread = set(results.logs.loc[results.logs["sha256"] == "", "log"])
-    said = {row.log: str(row.message) for row in results.failures.itertuples()}
-    return {log: said.get(log, "not evaluated") for log in sorted(unread)}
-
-
-def _crashed(results: Results) -> tuple[tuple[str, str, str], ...]:
-    rows = results.failures[["log", "planner", "mode"]].dropna().drop_duplicates()
-    return tuple(rows.itertuples(index=False, name=None))
-
-
 # the file ---------------------------------------------------------------------------------------------------------
 
 
-def write_baseline(run: Opened, path: Path) -> None:
-    """A run as one file: the same results give the same bytes."""
-    side = run.side
+def write_baseline(run: Run, path: Path) -> None:
+    """Write a run as one file: the same results give the same bytes."""
+    side = side_of(run)
     head = {
         "schema_version": SCHEMA_VERSION,
         "facts": dict(side.facts),
         "logs": side.logs.to_dict("records"),
         "failed": dict(side.failed),
         "crashed": [list(drive) for drive in side.crashed],
-        "metrics": list(run.metrics),
+        "metrics": list(side.metrics),
     }
     table = pa.Table.from_pandas(side.table.drop(columns="source"), preserve_index=False)
     table = table.replace_schema_metadata({BASELINE: json.dumps(head, ensure_ascii=False, sort_keys=True)})
     write_file(path, lambda partial: pq.write_table(table, partial, compression="zstd", compression_level=19))
 
 
-def _baseline(path: Path) -> Opened:
+def _read_baseline(path: Path) -> Side:
     try:
         table = pq.read_table(path)
         head = json.loads((table.schema.metadata or {})[BASELINE])
     except KeyError:
-        raise ConfigError(f"{path}: is no baseline; `replan baseline RESULTS -o {path.name}` writes one") from None
+        raise ConfigError(f"{path}: is not a baseline; `replan baseline RESULTS -o {path.name}` writes one") from None
     except (OSError, pa.ArrowException, ValueError, RecursionError) as error:
         raise LogError(f"cannot be read as a baseline: {error}", file=path) from None
     try:
@@ -165,86 +145,82 @@ def _baseline(path: Path) -> Opened:
         rows = rows.assign(source="", about=rows.get("about"))[list(COLUMNS)]
         logs = pd.DataFrame(head["logs"], columns=["log", "sha256", "family", "dataset", "tags", "vehicle"])
         crashed = tuple(tuple(drive) for drive in head.get("crashed", ()))
-        side = Side(path.name, rows, logs, head["facts"], head["failed"], crashed)
-        return Opened(side, None, tuple(head["metrics"]))
+        return Side(path.name, rows, logs, head["facts"], head["failed"], crashed, tuple(head["metrics"]))
     except (KeyError, TypeError) as error:
-        raise LogError(f"cannot be read as a baseline: something is missing in it: {error}", file=path) from None
+        raise LogError(f"cannot be read as a baseline: {error} is missing", file=path) from None
 
 
 # comparing --------------------------------------------------------------------------------------------------------
 
 
 def compare_runs(
-    baseline: Opened,
-    candidate: Opened,
+    baseline: Run,
+    candidate: Run,
     planners: tuple[str, ...] = (),
     *,
     gates: Path | None = None,
     more: tuple[Rule, ...] = (),
     partings: int = MOST_PARTINGS,
 ) -> Comparison:
-    """Two runs compared, and judged by the rules of comparison.
+    """Compare two runs, and judge the comparison by the rules.
 
     Args:
-        baseline: What was.
-        candidate: What is.
+        baseline: The run before.
+        candidate: The run after.
         planners: One: only this planner of both. Two: the first of the baseline with the second of the candidate.
         gates: A file of gates and rules; None: the packaged ones.
         more: Rules beside those of the file.
-        partings: In so many drives, the worst first, it is looked for where they part.
+        partings: In at most this many drives, the worst first, the first difference is looked for.
 
     Raises:
         ConfigError: A planner is not in its run, or the gates cannot be read.
+        LogError: The tables of a run are damaged.
     """
     pair = (planners[0], planners[-1]) if planners else None
-    sides = _sides(baseline, candidate, pair)
-    known = _metrics((*baseline.metrics, *candidate.metrics))
+    one, two = side_of(baseline), side_of(candidate)
+    own = (load_metric(spec) for spec in dict.fromkeys((*one.metrics, *two.metrics)))
+    known = {**METRICS, **{metric.name: metric for metric in own}}
+    one, two = _same_planners(one, two, pair)
     rules = (*load_rules(gates, metrics=known), *more)
-    comparison = compare(*sides, load_gates(gates, metrics=known), {rule.metric for rule in rules} - {""})
-    comparison = judged(rules, comparison, sides[0].labels | sides[1].labels)
-    if baseline.results is None or candidate.results is None or not partings:
+    comparison = compare(one, two, load_gates(gates, metrics=known), {rule.metric for rule in rules} - {""})
+    comparison = judged(rules, comparison, one.labels | two.labels)
+    if not (isinstance(baseline, Results) and isinstance(candidate, Results) and partings):
         return comparison
-    both = (baseline.results, candidate.results)
-    return _with_partings(comparison, both, pair, partings)
+    return _with_partings(comparison, (baseline, candidate), pair, partings)
 
 
-def _metrics(named: Sequence[str]) -> dict[str, Metric]:
-    """The built-in metrics and those of the runs' own."""
-    own = (load_metric(spec) for spec in dict.fromkeys(named))
-    return {**METRICS, **{metric.name: metric for metric in own}}
-
-
-def _sides(baseline: Opened, candidate: Opened, pair: tuple[str, str] | None) -> tuple[Side, Side]:
-    """The tables of the planners asked for; those that only one of the runs configured are no difference of inputs."""
-    one, two = baseline.side, candidate.side
-    if one.label == two.label and pair is not None:
-        one, two = replace(one, label=f"{one.label}: {pair[0]}"), replace(two, label=f"{two.label}: {pair[1]}")
+def _same_planners(one: Side, two: Side, pair: tuple[str, str] | None) -> tuple[Side, Side]:
+    """Both sides with the planners asked for under common names, and without the settings of planners of one alone."""
+    kept = set(_planners(one)) & set(_planners(two))
     if pair is not None:
+        if one.label == two.label:
+            one, two = replace(one, label=f"{one.label}: {pair[0]}"), replace(two, label=f"{two.label}: {pair[1]}")
         name = pair[0] if pair[0] == pair[1] else " -> ".join(pair)
-        one, two = _only(baseline, one, pair[0], name), _only(candidate, two, pair[1], name)
-    kept = {pair[0]} & {pair[1]} if pair else set(baseline.planners) & set(candidate.planners)
-    return _without(one, kept), _without(two, kept)
+        one, two = _only(one, pair[0], name), _only(two, pair[1], name)
+        kept = {pair[0]} & {pair[1]}
+
+    def is_common(key: str) -> bool:
+        return not key.startswith("planner.") or any(key.startswith(f"planner.{planner}.") for planner in kept)
+
+    facts = ({key: value for key, value in side.facts.items() if is_common(key)} for side in (one, two))
+    return replace(one, facts=next(facts)), replace(two, facts=next(facts))
 
 
-def _only(run: Opened, side: Side, planner: str, name: str) -> Side:
+def _planners(side: Side) -> tuple[str, ...]:
+    """The planners that were driven."""
+    return tuple(dict.fromkeys(side.driven["planner"]))
+
+
+def _only(side: Side, planner: str, name: str) -> Side:
     """The rows of one planner, under a name that both sides share, and judged whether it is an oracle or not."""
-    if planner not in run.planners:
-        raise unknown_name("planner (in the run)", planner, run.planners)
+    if planner not in _planners(side):
+        raise unknown_name("planner (in the run)", planner, _planners(side))
     table = side.table
     mine = table[table["planner"] == planner].assign(planner=name)
     mine = mine if name == planner else mine.assign(oracle=False)
     references = table[table["mode"] == REFERENCE]
     crashed = tuple((log, name, mode) for log, driven, mode in side.crashed if driven == planner)
     return replace(side, table=pd.concat([mine, references], ignore_index=True), crashed=crashed)
-
-
-def _without(side: Side, planners: set[str]) -> Side:
-    """The side with the settings of these planners only."""
-
-    def asked(key: str) -> bool:
-        return not key.startswith("planner.") or any(key.startswith(f"planner.{name}.") for name in planners)
-
-    return replace(side, facts={key: value for key, value in side.facts.items() if asked(key)})
 
 
 def _with_partings(
@@ -267,11 +243,11 @@ def _with_partings(
     return replace(comparison, partings=table, not_looked_at=max(looked - most, 0))
 
 
-def watched(run: Opened, log: str, planner: str, mode: str) -> str:
-    """The command that shows a drive; "" where it is not at hand. Of "a -> b" it is b's."""
-    if run.results is None:
+def view_command(run: Run, log: str, planner: str, mode: str) -> str:
+    """The command that shows a drive; "" of a baseline's file. Of planners "a -> b" it is the drive of b."""
+    if isinstance(run, Side):
         return ""
-    drive = run.results.drive(log, planner.split(" -> ")[-1], mode)
+    drive = run.drive(log, planner.split(" -> ")[-1], mode)
     recording = drive.trace_file.with_suffix(".rrd")
     return f"replan view {recording if recording.is_file() else drive.trace_file}"
 

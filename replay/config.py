@@ -3,16 +3,14 @@
     planners = ["dp_qp"]             # names, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT"
     mode = "both"                    # "open", "closed" or "both"
     gates = "default"                # or a file of thresholds
-    internals = "summary"            # what of a planner's inside goes into the traces: "none", "summary", "full"
+    internals = "summary"            # how much of a planner's internals the traces hold: "none", "summary", "full"
     recording = true                 # write .rrd files
     foxglove = false                 # channels that Foxglove draws, in the logs and traces that are written
     metrics = []                     # of your own, beside the built-in ones: "module:NAME"
     charts = []                      # likewise, in the report
-    ensemble = 0                     # perturbed runs of each log
-    (replay.run.perturb)
-
-    repeat_s = 2.0                   # so much of a drive of your own planner is driven twice: is it deterministic?
-    deadline_s = 0.0                 # a plan may take so long (0.1 at 10 Hz); 0: not asked, as clocks differ
+    ensemble = 0                     # perturbed runs per log (replay.run.perturb)
+    repeat_s = 2.0                   # the start of a drive of your own planner is driven twice: is it deterministic?
+    deadline_s = 0.0                 # the longest time of a plan (0.1 at 10 Hz); 0: not asked, as clocks differ
 
     [log]                            # logs.readers.LogSettings: what logs do not say, or where they say it
     [loop]                           # LoopConfig
@@ -23,13 +21,13 @@
     [vehicle]                        # VehicleParameters: takes the place of what the logs say
     set = "vw_vanagon"               # all of a known vehicle's, a file of `logs/vehicles`; other keys are put over it
 
-Every key may be left out. What a file says wrongly is an error that names file, key and remedy; nothing is ignored.
+Every key may be left out. An error in a file names file, key and remedy; no key is ignored.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from math import inf
 from pathlib import Path
@@ -44,7 +42,7 @@ from logs.observed import MAX_AGE_S
 from logs.readers.base import LogSettings
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_parameters
-from replay.settings import SETTINGS, known_keys, strict
+from replay.settings import SETTINGS, known_keys, merged, strict
 
 RunMode = Literal["both", "open", "closed"]
 Internals = Literal["none", "summary", "full"]
@@ -105,9 +103,9 @@ class PlannerProcessConfig:
 
     Attributes:
         trust: Planners named "module:Class" run in the process that holds the log: faster, and no limit holds.
-        plan_timeout_s: A plan may take so long.
-        start_timeout_s: Building the planner may take so long, and so may its first plan (kernels, models).
-        log_timeout_s: All of it may take so long in one drive; 0: no limit.
+        plan_timeout_s: Longest time of a plan.
+        start_timeout_s: Longest time to build the planner, and of its first plan (kernels, models).
+        log_timeout_s: Longest time of all plans of a drive; 0: no limit.
         memory_gb: Data of the planner's process; 0: no limit.
         environment: Variables that it is given beside `replay.planner_process.processes.ENVIRONMENT`.
         batch: Number of logs in lock step, whose frames are planned together (`plan_batch`); 0: each log by itself.
@@ -155,7 +153,7 @@ class LoopConfig:
         prediction_step_s: Time between two samples of a prediction.
         end_with_evidence: A closed drive ends where the recording of the log's traffic does (`Scenario.traffic_spans`).
         apart: How planners that are not built in are kept apart.
-        settings: Keywords of what is named here, by its key; a run's come from its tables (`RunConfig.controller` ...).
+        settings: Keywords of what is named here, by its key; no key of the file: `RunConfig.drive_loop` fills them in.
 
     Raises:
         ConfigError: A period is not positive, or the periods do not fit.
@@ -277,9 +275,12 @@ class RunConfig:
                 raise ConfigError(f"{name} must not be negative, got {getattr(self, name)}")
         known_keys(self.vehicle, ("set", *(item.name for item in fields(VehicleParameters))), "vehicle")
         self.driven(VehicleParameters())
+
+    @property
+    def drive_loop(self) -> LoopConfig:
+        """`loop` with the settings of what it names, as the loops take it."""
         chosen = {key: getattr(self, table).get(getattr(self.loop, key), {}) for key, table in SETTINGS.items()}
-        settings = {key: dict(table) for key, table in chosen.items() if table}
-        object.__setattr__(self, "loop", replace(self.loop, settings=settings))
+        return replace(self.loop, settings={key: dict(table) for key, table in chosen.items() if table})
 
     @property
     def modes(self) -> tuple[Mode, ...]:
@@ -301,10 +302,6 @@ class RunConfig:
         """The file of thresholds; None is the packaged default."""
         return None if self.gates == "default" else Path(self.gates)
 
-    def in_car(self, name: str | None) -> RunConfig:
-        """The run with a known vehicle in place of the logs'; None: as it is."""
-        return self if name is None else replace(self, vehicle={**self.vehicle, "set": name})
-
     def driven(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The vehicle of a log with this run's replacements.
 
@@ -319,29 +316,37 @@ class RunConfig:
         return strict(VehicleParameters, {**asdict(base), **over}, "vehicle") if over else base
 
 
-def load_run(path: Path) -> RunConfig:
-    """The configuration in a TOML file; a relative `gates` is relative to that file.
+def load_run(path: Path | None, changes: Mapping[str, Any] | None = None) -> RunConfig:
+    """The configuration in a TOML file, with changes.
+
+    Args:
+        path: The file; None: the defaults. Its `gates`, where they are a relative path, are relative to the file.
+        changes: A table like that of the file, which is put over it key by key.
 
     Raises:
-        ConfigError: The file is absent or no TOML, a key is unknown, a value has the wrong type or range.
+        ConfigError: The file is absent or not TOML, a key is unknown, a value has the wrong type or range.
     """
-    table = read_toml(path)
-    try:
-        run = strict(RunConfig, table)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
-    return run if run.gates == "default" else replace(run, gates=str(path.parent / run.gates))
+    table: dict[str, Any] = {}
+    if path is not None:
+        table = dict(read_toml(path))
+        try:
+            gates = strict(RunConfig, table).gates
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from None
+        table["gates"] = gates if gates == "default" else str(path.parent / gates)
+    return strict(RunConfig, merged(table, changes or {}))
 
 
 def dump_run(run: RunConfig) -> str:
     """The configuration as TOML, every default spelled out; `load_run` reads it back to an equal one."""
-    table = asdict(run)
-    del table["loop"]["settings"]  # the tables that they are from are there
-    return HEADER + tomli_w.dumps(_plain(table))
+    return HEADER + tomli_w.dumps(_plain(run))
 
 
 def _plain(value: Any) -> Any:
-    """Values as TOML has them: enums by value, no None."""
+    """Values as TOML has them: dataclasses as tables of their keys, enums by value, no None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        keys = (item.name for item in fields(value) if item.metadata.get("key", True))
+        value = {key: getattr(value, key) for key in keys}
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items() if item is not None}
     if isinstance(value, (list, tuple)):

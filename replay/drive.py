@@ -13,7 +13,7 @@ BATCHED = "batched: the planner's process was shared with other logs, up to {} i
 
 
 @dataclass(frozen=True, order=True)
-class Place:
+class DriveKey:
     """Which of a log's drives it is; they are driven in this order.
 
     Attributes:
@@ -29,7 +29,7 @@ class Place:
     again: bool = False
 
 
-FIRST = Place()
+FIRST = DriveKey()
 
 
 @dataclass(frozen=True, slots=True)

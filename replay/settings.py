@@ -7,7 +7,9 @@ with a frozen dataclass: then its table mirrors that dataclass, sub-tables inclu
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+import json
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, fields, is_dataclass
 from functools import partial
 from typing import Any, TypeVar, get_args, get_type_hints
@@ -162,3 +164,44 @@ def _said_plainly(message: str, where: str) -> str:
     what = what.replace("`", "")
     what = what[:1].lower() + what[1:] if what.startswith("Expected") else what
     return f"{key}: {what}" if key else what
+
+
+def dotted_keys(cls: type, where: str = "") -> Iterator[str]:
+    """All keys of the table that mirrors a dataclass, those of its sub-tables dotted ("loop.plan_period_s")."""
+    hints = get_type_hints(cls)
+    for item in fields(cls):
+        if item.metadata.get("key", item.init):
+            key, kind = dotted(where, item.name), hints[item.name]
+            yield from dotted_keys(kind, key) if isinstance(kind, type) and is_dataclass(kind) else (key,)
+
+
+def merged(table: Table, changes: Table) -> dict[str, Any]:
+    """A table with changes put over it key by key, sub-tables included."""
+    result = dict(table)
+    for key, value in changes.items():
+        old = result.get(key)
+        result[key] = merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return result
+
+
+def set_table(words: Iterable[str]) -> dict[str, Any]:
+    """The table that words "KEY=VALUE" spell: the key dotted as in TOML, the value as TOML has it, or else plain text.
+
+    Raises:
+        ConfigError: A word is not of this form.
+    """
+    table: dict[str, Any] = {}
+    for word in words:
+        key, separator, value = word.partition("=")
+        try:
+            if not separator:
+                raise ValueError("there is no '='")
+            try:
+                entry = tomllib.loads(f"{key} = {value}")
+            except tomllib.TOMLDecodeError:  # text without quotes
+                entry = tomllib.loads(f"{key} = {json.dumps(value)}")
+        except ValueError as error:
+            hint = "write it as KEY=VALUE, for example loop.plan_period_s=0.2"
+            raise ConfigError(f"--set {word}: {hint} ({error})") from None
+        table = merged(table, entry)
+    return table

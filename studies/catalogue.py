@@ -41,7 +41,7 @@ from replay.config import RunConfig
 from replay.draw.report.figures import STYLE, empty_figure, save
 from replay.results.tables import write_file, write_text
 from replay.run import evaluate_logs
-from replay.run.pool import settle
+from replay.run.pool import freeze_gc
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -271,7 +271,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _driven(suite: str, planner: str, out: Path, workers: int) -> Path:
     """The folder of a closed-loop run of the suite."""
-    settle()
+    freeze_gc()
     run = RunConfig(planners=(planner,), mode="closed", recording=False, internals="none")
     evaluate_logs(
         run=run,

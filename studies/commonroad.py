@@ -24,11 +24,13 @@ import pandas as pd
 
 from logs.errors import ReplanError
 from logs.trace import EndReason, Mode
-from metrics.judge import CAREFUL, verdicts_by_log
+from metrics.judge import CAREFUL, worst
 from metrics.judge import REFERENCE as JUDGED_BY
+from metrics.judge.gates import Outcome
 from replay.config import LoopConfig, RunConfig
+from replay.results.load import Results
 from replay.results.tables import write_file, write_text
-from replay.run import RunResult, evaluate_logs
+from replay.run import evaluate_logs
 from replay.traffic import TRAFFIC
 
 PLANNERS = ("dp_qp", "idm", "lattice")
@@ -84,15 +86,16 @@ def source_of(tags: Sequence[str]) -> str:
     return next((name for tag, name in SOURCES.items() if tag in tags), HAND_MADE)
 
 
-def drives(result: RunResult, traffic: str) -> pd.DataFrame:
+def drives(result: Results, traffic: str) -> pd.DataFrame:
     """A row per log and planner of a run; `frames` is how many plans were made."""
-    driven = result.table["available"] & (result.table["mode"] == Mode.CLOSED.value)
-    found = result.table[driven].pivot_table(index=["log", "planner"], columns="metric", values="value", dropna=False)
+    driven = result.metrics["available"] & (result.metrics["mode"] == Mode.CLOSED.value)
+    found = result.metrics[driven].pivot_table(index=["log", "planner"], columns="metric", values="value", dropna=False)
     rows = found.reindex(columns=list(ROWS.values())).set_axis(list(ROWS), axis=1).reset_index()
-    tags = {log.name: log.tags for log in result.logs}
+    tags = dict(zip(result.logs["log"], result.logs["tags"], strict=True))
     rows.insert(0, "traffic", traffic)
     rows.insert(1, "source", [source_of(tags[log]) for log in rows["log"]])
-    ends = {(drive.log, drive.planner): ": ".join(filter(None, (drive.end, drive.detail))) for drive in result.drives}
+    text = result.drives[["log", "planner", "end", "detail"]].to_dict("records")
+    ends = {(row["log"], row["planner"]): ": ".join(filter(None, (row["end"], row["detail"]))) for row in text}
     rows["end"] = [ends[key] for key in zip(rows["log"], rows["planner"], strict=True)]
     rows["verdict"] = np.select(
         [rows["applies"] == 0.0, rows["avoids"] == 1.0, rows["avoids"] == 0.0],
@@ -104,21 +107,24 @@ def drives(result: RunResult, traffic: str) -> pd.DataFrame:
     rows["frames"] = [int(frames.get(key, 0)) for key in zip(rows["log"], rows["planner"], strict=True)]
     rows["comfort"] = ~((rows["jerk_p99_mps3"] > JERK_MPS3) | (rows["lat_accel_max_mps2"] > LATERAL_MPS2))
     logged = rows[(rows["planner"] == REFERENCE) & (rows["goal"] == 1.0)]["log"]
-    careful = (result.table["mode"] == JUDGED_BY) & (result.table["planner"] == CAREFUL)
-    entered = result.table[careful & (result.table["metric"] == ROWS["goal"]) & (result.table["value"] == 1.0)]["log"]
+    careful = (result.metrics["mode"] == JUDGED_BY) & (result.metrics["planner"] == CAREFUL)
+    entered = result.metrics[careful & (result.metrics["metric"] == ROWS["goal"]) & (result.metrics["value"] == 1.0)][
+        "log"
+    ]
     rows["reachable"] = rows["log"].isin({*logged, *entered})
-    said = verdicts_by_log(result.verdicts)
-    rows["gates"] = [said.get(key, "") for key in zip(rows["log"], rows["planner"], strict=True)]
+    outcomes = result.verdicts.groupby(["log", "planner"])["outcome"]
+    verdicts = {(str(log), str(who)): worst(map(Outcome, each)).value for (log, who), each in outcomes}
+    rows["gates"] = [verdicts.get(key, "") for key in zip(rows["log"], rows["planner"], strict=True)]
     return rows.drop(columns=["applies", "avoids"])
 
 
-def table_of(result: RunResult, rows: pd.DataFrame, planners: Sequence[str]) -> pd.DataFrame:
+def table_of(result: Results, rows: pd.DataFrame, planners: Sequence[str]) -> pd.DataFrame:
     """A row per source and planner: what `COLUMNS` says of the drives `rows` of one run."""
     seconds = result.timings[result.timings["stage"] == "total"].merge(
         rows[["log", "planner", "source"]], on=["log", "planner"]
     )
-    lost = [(failure.log, failure.planner) for failure in result.failures]
-    tags = {log.name: source_of(log.tags) for log in result.logs if log.digest}
+    lost = [(failure.log, failure.planner) for failure in result.failures.itertuples()]
+    tags = {log["log"]: source_of(log["tags"]) for log in result.summary["logs"] if log["sha256"]}
     out = []
     for source in (*dict.fromkeys([*SOURCES.values(), HAND_MADE]), ALL):
         for planner in planners:
@@ -200,8 +206,8 @@ def compare(
         loop = LoopConfig(traffic=kind)
         run = RunConfig(planners=chosen, mode="closed", recording=False, internals="none", loop=loop)
         result = evaluate_logs(logs, run, out / kind, workers=workers, resume=resume)
-        for failure in result.failures:
-            say(f"traffic {kind}: {failure.line}")
+        for failure in result.failures.itertuples():
+            say(f"traffic {kind}: {failure.message}")
         rows = drives(result, kind)
         found = table_of(result, rows, chosen)
         found.insert(0, "traffic", kind)

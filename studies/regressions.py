@@ -32,8 +32,9 @@ from metrics.compare import Comparison
 from metrics.compare.rules import Rule
 from metrics.judge.gates import Outcome
 from planners.dp_qp.planner import DpQp
-from replay.compare import compare_runs, opened
+from replay.compare import compare_runs
 from replay.config import RunConfig
+from replay.results.load import Results
 from replay.results.tables import safe_name, write_file
 from replay.run import evaluate_logs
 from replay.run.sources import LogSource, builtin_suite, select
@@ -131,19 +132,20 @@ def compared(
         change = CHANGES[name]
         candidate = _run(out, name, change, logs, workers)
         planners = (PLANNER, change.run.planners[0])
-        before, after = opened(baseline), opened(candidate)
         if change.logs is not _same:  # their hashes say that they are others: asked is what 1e-9 m alone does
-            after = replace(after, side=replace(after.side, logs=before.side.logs))
-        yield name, compare_runs(before, after, planners, more=(STRICT,), partings=2 * len(logs))
+            hashes = {log["log"]: log["sha256"] for log in baseline.summary["logs"]}
+            logs_now = [{**log, "sha256": hashes[log["log"]]} for log in candidate.summary["logs"]]
+            candidate = replace(candidate, summary={**candidate.summary, "logs": logs_now})
+        yield name, compare_runs(baseline, candidate, planners, more=(STRICT,), partings=2 * len(logs))
 
 
-def _run(out: Path, name: str, change: Change, logs: Sequence[Scenario], workers: int) -> Path:
+def _run(out: Path, name: str, change: Change, logs: Sequence[Scenario], workers: int) -> Results:
     folder = out / "logs" if change.logs is _same else out / f"logs_{name}"
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{safe_name(log.name)}.mcap" for log in logs]
     for file, log in zip(files, logs, strict=True):
         write_scenario(file, change.logs(log))
-    return evaluate_logs(files, change.run, out / name, workers=workers).out
+    return evaluate_logs(files, change.run, out / name, workers=workers)
 
 
 def row(name: str, comparison: Comparison) -> dict[str, Any]:

@@ -73,6 +73,7 @@ class Side:
         facts: What it was made with, as text: versions, every key of the configuration.
         failed: Logs that could not be evaluated, and why.
         crashed: Drives (log, planner, mode) in which the planner failed; the table holds their beginning.
+        metrics: "module:NAME" of the metrics of the user's own.
     """
 
     label: str
@@ -81,6 +82,7 @@ class Side:
     facts: Mapping[str, str]
     failed: Mapping[str, str]
     crashed: tuple[tuple[str, str, str], ...] = ()
+    metrics: tuple[str, ...] = ()
 
     @property
     def labels(self) -> dict[str, LogLabels]:

@@ -5,9 +5,9 @@
 
 from metrics.judge.excuses import CAREFUL, DRIVER, FOLLOWER, IMPACT, REFERENCE, REPLAY_CONTACT
 from metrics.judge.gates import Gate, Gates, Outcome, load_gates
-from metrics.judge.verdicts import Verdict, judge, outcomes, verdicts_by_log, worst
+from metrics.judge.verdicts import Verdict, judge, outcomes, worst
 
 __all__ = [
     "CAREFUL", "DRIVER", "FOLLOWER", "IMPACT", "REFERENCE", "REPLAY_CONTACT", "Gate", "Gates", "Outcome", "Verdict",
-    "judge", "load_gates", "outcomes", "verdicts_by_log", "worst",
+    "judge", "load_gates", "outcomes", "worst",
 ]  # fmt: skip

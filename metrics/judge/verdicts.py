@@ -151,15 +151,6 @@ def worst(found: Iterable[Outcome]) -> Outcome:
     return min(asked, key=list(Outcome).index, default=Outcome.INCONCLUSIVE)
 
 
-def verdicts_by_log(verdicts: Sequence[Verdict]) -> dict[tuple[str, str], str]:
-    """The worst outcome, "pass", "fail" or "inconclusive", by log and planner, over both loops."""
-    found: dict[tuple[str, str], list[Outcome]] = {}
-    for verdict in verdicts:
-        for log in verdict.logs:
-            found.setdefault((log.log, verdict.planner), []).append(log.outcome)
-    return {key: worst(each).value for key, each in found.items()}
-
-
 def _judge(
     gate: Gate, drives: Drives, known: Sequence[str], labels: Mapping[str, LogLabels], failed: Mapping[str, str]
 ) -> list[Verdict]:

@@ -1,21 +1,23 @@
 """The command line: words in, exit code out; no logic here.
 
-Commands by what they are about:
+Commands by subject:
 
-evaluate.py    what drives: evaluate, vary, paper, calibrate
-shards.py      the shards of a run put together: merge
-report.py      the reports of results
-logs.py        what reads and writes logs: synth, convert, repair, inspect, salvage, export
-warmup.py      kernels compiled beforehand: warmup
-results.py     what looks at results: view
+evaluate.py    drive: evaluate, vary, paper, calibrate
+shards.py      put the shards of a run together: merge
+report.py      write the reports of results: report
+logs.py        read and write logs: synth, convert, repair, inspect, salvage, export
+warmup.py      compile kernels beforehand: warmup
+results.py     look at results: view
 compare.py     run against run: compare, baseline
 plot.py        pictures of a drive: plot
 explain.py     a drive in words: explain
-frame.py       one frame planned again: frame
+frame.py       plan one frame again: frame
 about.py       what replan knows: list, metrics
-names.py       names for shell completion
-ending.py      what is said and written at the end of a run
-app.py         what they share
+chosen.py      the drive that plot, explain, frame and view show
+renamed.py     options of the last version that have another name now
+names.py       names and keys for shell completion
+ending.py      the end of a run: reports, exit code
+app.py         what the commands share
 """
 
 from replay.cli import evaluate, shards, report, logs, results, compare, plot, explain, frame, about, warmup  # isort: skip  # the order of the help
@@ -38,11 +40,11 @@ __all__ = [
 ]
 
 COLLECTED_EVERY = 10_000
-"""New objects after which garbage is looked for: with Python's 700, that took a twelfth of a first verdict."""
+"""New objects between two garbage collections: with Python's 700, they took a twelfth of a first verdict."""
 
 
 def main() -> None:
-    """Run the command line; ends the process with its exit code, that of a bug in replan is `INTERNAL`."""
+    """Run the command line; ends the process with its exit code, which is `INTERNAL` for a bug in replan."""
     import gc
 
     from replay.draw.report.console import lasting_streams

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from replay.cli.app import Json, answered, app, say, say_json
+from replay.cli.app import Json, app, handle_errors, say, say_json
 from replay.cli.names import completion
 
 
@@ -14,18 +14,21 @@ from replay.cli.names import completion
 def listed(
     kind: Annotated[
         str | None,
-        typer.Argument(help="planners, controllers, metrics ...; none: all kinds.", autocompletion=completion("kind")),
+        typer.Argument(
+            help="planners, controllers, metrics ... Default: the number of names of each kind.",
+            autocompletion=completion("kind"),
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """List what there is by name, each with one line and where it stands.
+    """List the names of a kind, each with one line and its place in the code.
 
     [bold]Examples[/bold]
 
       replan list
       replan list controllers
     """
-    with answered():
+    with handle_errors():
         from replay.cli import listing
 
         if as_json:
@@ -38,18 +41,18 @@ def listed(
 
 @app.command()
 def metrics(
-    name: Annotated[str | None, typer.Argument(help='A metric\'s name, or "module:NAME" of your own.')] = None,
-    markdown: Annotated[bool, typer.Option("--markdown", help="The page of all: docs/metrics.md.")] = False,
+    name: Annotated[str | None, typer.Argument(help='Name of a metric, or "module:NAME" of your own.')] = None,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print docs/metrics.md.")] = False,
     as_json: Json = False,
 ) -> None:
-    """List the metrics, or say all about one: formula, parameters, source, what it needs.
+    """List the metrics, or describe one: formula, parameters, source, what it needs.
 
     [bold]Examples[/bold]
 
       replan metrics
       replan metrics route_progress
     """
-    with answered():
+    with handle_errors():
         from metrics import GROUPS, load_metric, pages
 
         if as_json:

@@ -1,13 +1,13 @@
-"""What all commands share: the app, errors as one line and an exit code, options that come repeatedly."""
+"""What the commands share: the app, errors as one line and an exit code, and options of several commands."""
 
 from __future__ import annotations
 
 import errno
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from math import isfinite
 from pathlib import Path
@@ -15,51 +15,77 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
-from logs.errors import ConfigError, ReplanError, raised
-from replay.cli.names import completion
+from logs.errors import ConfigError, ReplanError, raised, unknown_name
+from replay.cli.names import complete_setting, completion
 
 if TYPE_CHECKING:
-    from logs.readers import LogSettings
     from replay.config import RunConfig
 
 app = typer.Typer(
     name="replan",
-    help="Replay driving logs through a planner, open loop and closed loop, and judge what it did.\n\n"
-    "Start with [bold]replan evaluate[/bold]: it needs no logs, the built-in suite is driven.",
+    help="Replay driving logs through a planner, open loop and closed loop, and judge the drives.\n\n"
+    "Start with [bold]replan evaluate[/bold]: without logs it drives the built-in suite.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-Ego = Annotated[str | None, typer.Option("--ego", help="Take this road user of the log as the ego.")]
-Map = Annotated[Path | None, typer.Option("--map", help="A map that replaces the log's.")]
+LOGS, LOOP, JUDGE, OUTPUT, RUNNING = "Logs", "Drive", "Judge", "Output", "Run"
+"""The groups in which the options of `replan evaluate` are shown."""
+
+
+def option(panel: str | None, words: str, *names: str, complete: str = "", **more: Any) -> Any:
+    """A `typer.Option` in a group of the help.
+
+    Args:
+        panel: The group; None: that of all options.
+        words: What the help says.
+        names: As the option is written; none: by its parameter.
+        complete: The table of `replay.cli.names` that the shell completes it from.
+        more: As `typer.Option` takes it.
+    """
+    if complete:
+        more["autocompletion"] = completion(complete)
+    make: Any = typer.Option
+    return make(*names, rich_help_panel=panel, help=words, **more)
+
+
+Ego = Annotated[str | None, option(LOGS, "Take this road user of the log as the ego.", "--ego", metavar="ID")]
+Map = Annotated[Path | None, option(LOGS, "A map that replaces that of the log.", "--map", metavar="FILE")]
 Repair = Annotated[
     Literal["auto", "on", "off"] | None,
-    typer.Option("--repair", help="Make raw detections into tracks: auto (where they are none), on, off."),
+    option(LOGS, "Make tracks of raw detections: auto (if it has no tracks).", "--repair"),
 ]
-Begin = Annotated[float | None, typer.Option("--from", help="Begin so many seconds after the log's.")]
-End = Annotated[float | None, typer.Option("--to", help="End so many seconds after the log's begin.")]
-Foxglove = Annotated[bool, typer.Option("--foxglove", help="Channels that Foxglove draws, in what is written.")]
+Begin = Annotated[float | None, option(LOGS, "Begin this many seconds after the log does.", "--from", metavar="S")]
+End = Annotated[float | None, option(LOGS, "End this many seconds after the log begins.", "--to", metavar="S")]
 Suite = Annotated[
     str | None,
-    typer.Option(
-        "--suite",
-        autocompletion=completion("suite"),
-        help="smoke, full, nightly; or a family or group with all its cells.",
+    option(
+        LOGS, "Built-in logs: smoke, full, nightly, or a family or group.", "--suite", metavar="NAME", complete="suite"
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout, and nothing else there.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say errors and the outcome only.")]
-Settings = Annotated[Path | None, typer.Option("--config", help="TOML file of a run: its \\[log] table.")]
+Foxglove = Annotated[bool, option(OUTPUT, "Also write channels that Foxglove can draw.", "--foxglove")]
+Json = Annotated[bool, option(OUTPUT, "Write one JSON document, and nothing else, to stdout.", "--json")]
+Quiet = Annotated[bool, option(OUTPUT, "Print errors and the outcome only.", "--quiet", "-q")]
+Settings = Annotated[Path | None, option(None, "TOML file of a run: its \\[log] table.", "--config", metavar="FILE")]
+Set = Annotated[
+    list[str] | None,
+    option(
+        RUNNING, "Any other setting, by its key in the file; repeatable.", "--set", metavar="KEY=VALUE",
+        autocompletion=complete_setting,
+    ),
+]  # fmt: skip
+Gates = Annotated[Path | None, option(JUDGE, "TOML file of thresholds. Default: the packaged ones.", metavar="FILE")]
+Workers = Annotated[int | None, option(RUNNING, "Processes; 0: this one. Default: one per core.", min=0, metavar="N")]
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""What the system says where there is no more room."""
+"""Error numbers of a full disk."""
 
 
 @contextmanager
-def answered() -> Iterator[None]:
-    """What a user can mend becomes one line and an exit code; Ctrl-C and SIGTERM become 130."""
+def handle_errors() -> Iterator[None]:
+    """Turn errors that a user can correct into one line and an exit code; Ctrl-C and SIGTERM into 130."""
     try:
         yield
     except ReplanError as error:
@@ -76,13 +102,13 @@ def answered() -> Iterator[None]:
 
 
 INTERNAL = 70
-"""Exit code of an error that is a bug in replan (EX_SOFTWARE of sysexits.h); 1 only ever says that a gate failed."""
+"""Exit code of a bug in replan (EX_SOFTWARE of sysexits.h); 1 always means that a gate failed."""
 TRACEBACK = "REPLAN_TRACEBACK"
-"""Environment variable: where it is set, such an error comes with its traceback."""
+"""Environment variable: if it is set, the traceback of such an error is printed."""
 
 
 def bug(error: Exception) -> NoReturn:
-    """Say in one line what happened, and end the process with `INTERNAL`."""
+    """Print the error of a bug in one line, and end the process with `INTERNAL`."""
     import traceback
 
     if os.environ.get(TRACEBACK):
@@ -93,19 +119,19 @@ def bug(error: Exception) -> NoReturn:
 
 
 def say(text: object = "", *, err: bool = False) -> None:
-    """On stdout or stderr, with control characters that can be seen: none reaches the terminal."""
+    """Print to stdout or stderr, with control characters made visible: none reaches the terminal."""
     from replay.draw.report.console import visible
 
     typer.echo(visible(text), err=err)
 
 
 def say_error(message: str) -> None:
-    """One line on stderr."""
+    """Print one line to stderr."""
     say(f"error: {message}", err=True)
 
 
 def say_json(document: Any) -> None:
-    """One JSON document on stdout; dataclasses are objects, tables lists of rows, what is no number is null."""
+    """Print one JSON document to stdout: dataclasses as objects, tables as lists of rows, NaN as null."""
     import json
 
     ascii_only = "utf" not in (sys.stdout.encoding or "").lower()  # else "?" would be written
@@ -113,7 +139,7 @@ def say_json(document: Any) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON has it."""
+    """A value as JSON has it."""
     if is_dataclass(value) and not isinstance(value, type):
         return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):
@@ -142,47 +168,46 @@ def _version(asked: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say the version.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
     pass
 
 
-def run_config(
-    config: Path | None, options: dict[str, Any], loop: dict[str, Any], apart: dict[str, Any] | None = None
-) -> RunConfig:
-    """The configuration file with the options over it; None is an option that was not given."""
+def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[str] = ()) -> RunConfig:
+    """The configuration of a run: the file, over it the options, over these the words of `--set`.
+
+    Args:
+        config: A TOML file, or None.
+        options: A table like that of the file; None and empty lists are options that were not given.
+        words: "KEY=VALUE" each, the key dotted, the value as TOML has it; a value that is not TOML is taken as text.
+
+    Raises:
+        ConfigError: A key is unknown, a value is wrong, or the file cannot be read.
+    """
     from replay.config import RunConfig, load_run
+    from replay.settings import dotted_keys, merged, set_table
 
-    def over(table: Any, given: dict[str, Any]) -> Any:
-        return replace(table, **{key: value for key, value in given.items() if value is not None})
+    changed = set_table(words)
+    keys = list(dotted_keys(RunConfig))
+    for key in changed:
+        if not any(key == known.partition(".")[0] for known in keys):
+            raise unknown_name("key", key, keys)
+    return load_run(config, merged(_given(options), changed))
 
-    run = RunConfig() if config is None else load_run(config)
-    limits = over(run.loop.apart, apart or {})
-    made: RunConfig = over(run, {**options, "loop": over(run.loop, {**loop, "apart": limits})})
-    return made
+
+def _given(options: Mapping[str, Any]) -> dict[str, Any]:
+    """A table without the options that were not given."""
+    tables = {key: _given(value) if isinstance(value, Mapping) else value for key, value in options.items()}
+    return {key: value for key, value in tables.items() if value is not None and value != []}
 
 
-def log_settings(
-    config: Path | None,
-    ego: str | None,
-    road_map: Path | None,
-    begin: float | None,
-    end: float | None,
-    problem: int | None = None,
-    repair: str | None = None,
-) -> LogSettings:
-    """The [log] table of the configuration file with the options over it."""
-    from logs.readers.base import LogSettings
-    from replay.config import load_run
-
-    options: dict[str, Any] = {"ego": ego, "begin": begin, "end": end, "problem": problem, "repair": repair}
-    given = {key: value for key, value in options.items() if value is not None}
-    given |= {} if road_map is None else {"map": str(road_map)}
-    try:
-        return replace(LogSettings() if config is None else load_run(config).log, **given)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
+def log_table(
+    ego: str | None, road_map: Path | None, begin: float | None, end: float | None, repair: str | None
+) -> dict[str, Any]:
+    """The options about logs as the table [log] of a run."""
+    place = None if road_map is None else str(road_map)
+    return {"ego": ego, "map": place, "begin": begin, "end": end, "repair": repair}
 
 
 def cores() -> int:

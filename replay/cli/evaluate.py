@@ -3,182 +3,140 @@
 from __future__ import annotations
 
 import signal
-from dataclasses import replace
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from logs.errors import ConfigError
 from replay.cli.app import (
+    JUDGE,
+    LOGS,
+    LOOP,
+    OUTPUT,
+    RUNNING,
     Begin,
     Ego,
     End,
     Foxglove,
+    Gates,
     Json,
     Map,
     Quiet,
     Repair,
+    Set,
     Suite,
-    answered,
+    Workers,
     app,
     cores,
-    log_settings,
+    handle_errors,
+    log_table,
+    option,
     run_config,
     say,
     say_json,
 )  # fmt: skip
-from replay.cli.ending import EXIT_CODES, Baseline, NoReport, before_all, ended
-from replay.cli.names import completion
+from replay.cli.ending import EXIT_CODES, Baseline, NoReport, Printed, finish_run, load_baseline
+from replay.cli.renamed import EvaluateCommand
 
 if TYPE_CHECKING:
-    from replay.config import RunConfig
+    from replay.results.load import Results
     from replay.results.log_result import LogResult
-    from replay.run import RunResult
     from replay.run.engine import Engine
-    from replay.run.publish import Place
+    from replay.run.publish import OutputLocation
     from replay.run.sources import Selection
 
 
-@app.command(epilog=EXIT_CODES)
+@app.command(epilog=EXIT_CODES, cls=EvaluateCommand)
 def evaluate(
     logs: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Logs of any format (replan convert --formats), or folders of them; none: the built-in suite."
+            help="Logs of any format (replan convert --formats), or folders of them. Default: the built-in suite."
         ),
     ] = None,
     planner: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            LOOP,
+            "A name, module:Class, exec:COMMAND or tcp://HOST:PORT; repeatable. Default: dp_qp.",
             "--planner",
             "-p",
-            autocompletion=completion("planner"),
-            help='A name, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT"; may be repeated. Default: dp_qp.',
+            metavar="NAME",
+            complete="planner",
         ),
     ] = None,
-    trust: Annotated[
-        bool, typer.Option("--trust", help="Run planners of your own in our process: faster, and no limit holds.")
-    ] = False,
-    plan_timeout: Annotated[
-        float | None, typer.Option(min=1e-3, help="Seconds after which a planner that does not answer is given up: 10.")
-    ] = None,
-    log_timeout: Annotated[
-        float | None, typer.Option(min=0.0, help="Seconds that it may take in a whole drive. Default: no limit.")
-    ] = None,
-    planner_memory: Annotated[
-        float | None, typer.Option(min=0.0, metavar="GB", help="What its process may hold; 0: no limit. Default: 8.")
-    ] = None,
-    batch: Annotated[
-        int | None,
-        typer.Option(min=0, help="Logs driven in lock step, for a planner with plan_batch. Default: each by itself."),
-    ] = None,
-    metric: Annotated[
-        list[str] | None, typer.Option(help='A metric of your own beside the built-in ones, "module:NAME"; repeatable.')
-    ] = None,
-    chart: Annotated[
-        list[str] | None, typer.Option(help='A chart of your own in the report, "module:NAME"; repeatable.')
-    ] = None,
-    mode: Annotated[Literal["both", "open", "closed"] | None, typer.Option(help="Loops to run. Default: both.")] = None,
-    config: Annotated[Path | None, typer.Option(help="TOML file of settings; options win over it.")] = None,
-    gates: Annotated[Path | None, typer.Option(help="TOML file of thresholds. Default: the packaged ones.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Result folder. Default: results/run-NNN.")] = None,
-    resume: Annotated[
-        bool,
-        typer.Option("--resume", help="Go on with the interrupted run in --out: finished logs are taken as they are."),
-    ] = False,
-    no_recording: Annotated[bool, typer.Option("--no-recording", help="Write no .rrd files: faster.")] = False,
-    foxglove: Foxglove = False,
-    internals: Annotated[
-        Literal["none", "summary", "full"] | None,
-        typer.Option(help="What of the planner's inside goes into the traces. Default: summary."),
-    ] = None,
-    ensemble: Annotated[
-        int | None,
-        typer.Option(min=0, help="Drive each log so many times more, in worlds that should not matter: is it fragile?"),
-    ] = None,
-    deadline: Annotated[
-        float | None,
-        typer.Option(min=1e-3, help="Seconds that a plan may take; a gate on it is asked only with this option."),
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
-    ] = None,
+    mode: Annotated[Literal["both", "open", "closed"] | None, option(LOOP, "Loops to run. Default: both.")] = None,
     vehicle: Annotated[
         str | None,
-        typer.Option(
-            autocompletion=completion("vehicle"),
-            help="How the ego moves: kinematic_bicycle, single_track, multibody, perfect ...",
-        ),
+        option(LOOP, "kinematic_bicycle, single_track, multibody or perfect.", metavar="NAME", complete="vehicle"),
     ] = None,
     car: Annotated[
         str | None,
-        typer.Option(
-            autocompletion=completion("car"),
-            help="Whose numbers instead of the log's: bmw_320i, small_electric, vw_vanagon.",
-        ),
+        option(LOOP, "Vehicle parameters in place of the log's: bmw_320i ...", metavar="NAME", complete="car"),
     ] = None,
     controller: Annotated[
-        str | None,
-        typer.Option(
-            autocompletion=completion("controller"),
-            help="How plans are followed: dlqr_pid, mpc, pure_pursuit, stanley, pid ...",
-        ),
+        str | None, option(LOOP, "dlqr_pid, mpc, pure_pursuit, stanley, pid ...", metavar="NAME", complete="controller")
     ] = None,
     traffic: Annotated[
         str | None,
-        typer.Option(
-            autocompletion=completion("traffic"),
-            help="The others: as logged but for those who give_way; time, ego_position, reactive.",
-        ),
+        option(LOOP, "The others: give_way, time (as logged), reactive ...", metavar="NAME", complete="traffic"),
     ] = None,
-    end_with_evidence: Annotated[
-        bool, typer.Option("--end-with-evidence", help="End closed drives where the recorded traffic ends.")
-    ] = False,
     prediction: Annotated[
         str | None,
-        typer.Option(
-            autocompletion=completion("prediction"),
-            help="Their futures: constant_velocity, lane_following ..., oracle.",
-        ),
+        option(LOOP, "lane_following, constant_velocity, ..., oracle.", metavar="NAME", complete="prediction"),
     ] = None,
     perception: Annotated[
-        str | None,
-        typer.Option(
-            autocompletion=completion("perception"), help="What is seen: ground_truth, recorded, sensor or auto."
-        ),
+        str | None, option(LOOP, "ground_truth, recorded, sensor or auto.", metavar="NAME", complete="perception")
     ] = None,
-    plant: Annotated[
-        list[str] | None,
-        typer.Option(help="KEY=VALUE of the car that planner and controller are not told (mass=1400); repeatable."),
-    ] = None,
+    suite: Suite = None,
     ego: Ego = None,
     road_map: Map = None,
     begin: Begin = None,
     end: End = None,
     repair: Repair = None,
     window: Annotated[
-        float | None,
-        typer.Option(min=1.0, help="Evaluate each log in parts of so many seconds."),
+        float | None, option(LOGS, "Split each log into windows of S seconds.", min=1.0, metavar="S")
     ] = None,
-    suite: Suite = None,
+    gates: Gates = None,
     baseline: Baseline = None,
-    shard: Annotated[
-        str | None, typer.Option(metavar="I/N", help="Drive every N-th log only, from the I-th: see replan merge.")
+    ensemble: Annotated[
+        int | None, option(JUDGE, "Perturbed runs per log: do the verdicts hold?", min=0, metavar="N")
     ] = None,
-    engine: Annotated[
-        Literal["local", "ray"], typer.Option(help="Where logs are driven: on this machine, or on Ray. Same results.")
-    ] = "local",
-    address: Annotated[
-        str | None, typer.Option(help="Of a Ray cluster: auto, HOST:6379, ray://HOST:10001. Default: one for this run.")
+    metric: Annotated[
+        list[str] | None, option(JUDGE, "A metric of your own, module:NAME; repeatable.", metavar="NAME")
     ] = None,
+    out: Annotated[
+        Path | None, option(OUTPUT, "Result folder. Default: results/run-NNN.", "--out", "-o", metavar="FOLDER")
+    ] = None,
+    chart: Annotated[
+        list[str] | None, option(OUTPUT, "A report chart of your own, module:NAME; repeatable.", metavar="NAME")
+    ] = None,
+    foxglove: Foxglove = False,
+    no_recording: Annotated[bool, option(OUTPUT, "Write no .rrd files: faster.", "--no-recording")] = False,
     no_report: NoReport = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Annotated[
-        bool,
-        typer.Option("--verbose", "-v", help="Say each log as it ends, how long it took and how its drives ended."),
+        bool, option(OUTPUT, "Print each log as it ends: its time, how its drives ended.", "--verbose", "-v")
     ] = False,
+    config: Annotated[
+        Path | None, option(RUNNING, "TOML file of settings; options win over it.", metavar="FILE")
+    ] = None,
+    settings: Set = None,
+    workers: Workers = None,
+    resume: Annotated[bool, option(RUNNING, "Continue the interrupted run in --out.", "--resume")] = False,
+    shard: Annotated[
+        str | None, option(RUNNING, "Drive every N-th log, from the I-th: replan merge.", metavar="I/N")
+    ] = None,
+    engine: Annotated[
+        Literal["local", "ray"], option(RUNNING, "Where logs are driven. Default: local.", show_default=False)
+    ] = "local",
+    address: Annotated[
+        str | None, option(RUNNING, "Ray cluster (or auto). Default: one for this run.", metavar="HOST:PORT")
+    ] = None,
 ) -> None:
     """Drive planners over logs, measure, judge by gates, and record.
 
@@ -188,54 +146,63 @@ def evaluate(
       replan evaluate --suite full                         300 logs of the catalogue
       replan evaluate my_logs/ --planner dp_qp --planner logged
       replan evaluate a.mcap --planner my_pkg.mine:MyPlanner --mode closed
-      replan evaluate my_logs/ --gates gates.toml --out results/nightly
       replan evaluate my_logs/ --gates gates.toml --out results/nightly --resume
-    """
-    with answered():
-        from replay.run.publish import result_place
+      replan evaluate my_logs/ --set loop.plan_period_s=0.2 --set loop.apart.trust=true
 
-        options: dict[str, Any] = {
-            "planners": tuple(planner or ()) or None,
-            "metrics": tuple(metric or ()) or None,
-            "charts": tuple(chart or ()) or None,
-            "mode": mode,
-            "gates": None if gates is None else str(gates),
-            "internals": internals,
-            "recording": False if no_recording else None,
-            "foxglove": foxglove or None,
-            "ensemble": ensemble,
-            "deadline_s": deadline,
-        }
+    The keys of --set are those of a run's TOML file: docs/use.md.
+    """
+    with handle_errors():
+        from replay.run import evaluate_logs
+        from replay.run.publish import output_location
+        from replay.run.shard import Shard
+
         loop = {
             "vehicle": vehicle,
             "controller": controller,
             "traffic": traffic,
-            "end_with_evidence": end_with_evidence or None,
             "prediction": prediction,
             "perception": perception,
-            "plant": _settings(plant) if plant else None,
         }
-        options["log"] = log_settings(config, ego, road_map, begin, end, repair=repair)
-        apart = {
-            "trust": trust or None,
-            "plan_timeout_s": plan_timeout,
-            "log_timeout_s": log_timeout,
-            "memory_gb": planner_memory,
-            "batch": batch,
+        options = {
+            "planners": planner,
+            "metrics": metric,
+            "charts": chart,
+            "mode": mode,
+            "gates": None if gates is None else str(gates),
+            "recording": False if no_recording else None,
+            "foxglove": foxglove or None,
+            "ensemble": ensemble,
+            "vehicle": {"set": car},
+            "log": log_table(ego, road_map, begin, end, repair),
+            "loop": loop,
         }
-        run = run_config(config, options, loop, apart).in_car(car)
+        run = run_config(config, options, settings or ())
         if baseline is not None and shard is not None:
-            raise ConfigError("--shard drives a part only: give --baseline to replan merge")
-        before = None if baseline is None else before_all(baseline, run, run.gates_path, out)
-        with result_place(out, resume=resume) as place:
+            raise ConfigError("--shard drives a part of the logs only: give --baseline to replan merge")
+        before = None if baseline is None else load_baseline(baseline, run, run.gates_path, out)
+        part = None if shard is None else Shard.parsed(shard)
+        driven_on = _engine(engine, address, workers)
+        with output_location(out, resume=resume) as location:
             result = _evaluated(
-                logs or [], run, place, _engine(engine, address, workers),
-                resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
-            )  # fmt: skip
-            said = {"report": not no_report, "as_json": as_json, "quiet": quiet}
-            code = ended(result, before, place.url, gates=run.gates_path, **said)
-        if place.url and not quiet:
-            say(f"all of it is at {place.url}", err=True)
+                partial(
+                    evaluate_logs,
+                    logs or [],
+                    run,
+                    location.folder,
+                    engine=driven_on,
+                    resume=resume,
+                    shard=part,
+                    window=window,
+                    suite=suite,
+                ),
+                location,
+                quiet=quiet,
+                verbose=verbose,
+            )
+            printed = Printed(as_json=as_json, quiet=quiet, report=not no_report)
+            code = finish_run(result, before, location.url, run.gates_path, printed)
+        if location.url and not quiet:
+            say(f"all of it is at {location.url}", err=True)
         raise typer.Exit(code)
 
 
@@ -244,30 +211,23 @@ def vary(
     log: Annotated[str | None, typer.Argument(help="A log of any format, or a family of the catalogue.")] = None,
     variation: Annotated[
         list[str] | None,
-        typer.Option("--vary", help="NAME=LOW:HIGH:COUNT, an axis (one or two), or NAME=VALUE; see --list."),
+        option(None, "NAME=LOW:HIGH:COUNT, an axis (one or two), or NAME=VALUE; see --list.", "--vary"),
     ] = None,
     agent: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--agent",
-            help="Who is varied (id or short name); repeatable. Default: of those who move, who comes nearest.",
-        ),
+        list[str] | None, option(None, "Agent to vary, repeatable. Default: the one in conflict.", "--agent")
     ] = None,
-    planner: Annotated[
-        str | None, typer.Option("--planner", "-p", autocompletion=completion("planner"), help="Default: dp_qp.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Result folder. Default: results/run-NNN.")] = None,
+    planner: Annotated[str | None, option(None, "Default: dp_qp.", "--planner", "-p", complete="planner")] = None,
+    out: Annotated[Path | None, option(None, "Result folder. Default: results/run-NNN.", "--out", "-o")] = None,
     resolution: Annotated[
-        float | None, typer.Option(help="How near edges are found. Default: an eighth of two cells' distance.")
+        float | None, option(None, "Width to which edges are bisected. Default: an eighth of a cell.")
     ] = None,
-    list_agents: Annotated[bool, typer.Option("--list-agents", help="List who is there, the nearest first.")] = False,
-    listing: Annotated[bool, typer.Option("--list", help="List what may be varied.")] = False,
+    list_agents: Annotated[bool, option(None, "List the agents, the nearest first.", "--list-agents")] = False,
+    listing: Annotated[bool, option(None, "List what can be varied.", "--list")] = False,
     config: Annotated[Path | None, typer.Option(help="TOML file of a run; options win over it.")] = None,
-    gates: Annotated[Path | None, typer.Option(help="TOML file of thresholds. Default: the packaged ones.")] = None,
+    settings: Set = None,
+    gates: Gates = None,
     recording: Annotated[bool, typer.Option("--recording", help="Write the .rrd file of each drive.")] = False,
-    workers: Annotated[
-        int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
-    ] = None,
+    workers: Workers = None,
     ego: Ego = None,
     road_map: Map = None,
     begin: Begin = None,
@@ -276,7 +236,7 @@ def vary(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """One log, varied: a surface of pass and fail over one or two parameters, as a table and a picture.
+    """Vary one log: a surface of pass and fail over one or two parameters, as a table and a picture.
 
     [bold]Examples[/bold]
 
@@ -285,7 +245,7 @@ def vary(
       replan vary my_bag --agent 17 --vary time=-2:2:9 -p dp_qp
       replan vary my_log.mcap --vary standing_car=20:80:7 --vary ego_speed=0.5:1.5:5
     """
-    with answered():
+    with handle_errors():
         from replay.vary import command
         from replay.vary.encounters import encounters
 
@@ -294,14 +254,18 @@ def vary(
             return
         if log is None:
             raise ConfigError("name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9")
-        scenario = command.opened(log, log_settings(config, ego, road_map, begin, end, repair=repair))
+        options = {
+            "planners": [planner] if planner else None,
+            "gates": None if gates is None else str(gates),
+            "log": log_table(ego, road_map, begin, end, repair),
+            "recording": recording,
+            "internals": "summary" if recording else "none",
+        }
+        run = run_config(config, options, settings or ())
+        scenario = command.opened(log, run.log)
         if list_agents:
             say_json(encounters(scenario)) if as_json else say("\n".join(command.agents(scenario)))
             return
-        options = {"planners": (planner,) if planner else None, "gates": None if gates is None else str(gates)}
-        run = replace(
-            run_config(config, options, {}), recording=recording, internals="summary" if recording else "none"
-        )
         asked = command.asked(scenario, variation or [], agent or [], resolution)
         count = cores() if workers is None else workers
         result = command.vary(
@@ -316,20 +280,6 @@ def vary(
         raise typer.Exit(result.exit_code)
 
 
-def _settings(words: list[str]) -> dict[str, float | str]:
-    """Words "key=value"; a value that is no number stays a word."""
-    found: dict[str, float | str] = {}
-    for word in words:
-        key, separator, value = word.partition("=")
-        if not separator or not key:
-            raise ConfigError(f"--plant {word}: write it as KEY=VALUE, for example mass=1400")
-        try:
-            found[key] = float(value)
-        except ValueError:
-            found[key] = value
-    return found
-
-
 def _engine(name: str, address: str | None, workers: int | None) -> Engine:
     """Where the logs are driven."""
     from replay.run.engine import Local
@@ -338,39 +288,33 @@ def _engine(name: str, address: str | None, workers: int | None) -> Engine:
         from replay.run.on_ray import OnRay
 
         if workers == 0:
-            raise ConfigError("--workers 0 is this process, which is not --engine ray: leave one of them out")
+            raise ConfigError(
+                "--workers 0 drives in this process, and --engine ray on a cluster: leave one of them out"
+            )
         return OnRay(address or "", workers)
     if address is not None:
-        raise ConfigError("--address is of a Ray cluster: give --engine ray, too")
+        raise ConfigError("--address names a Ray cluster: give --engine ray, too")
     return Local(cores() if workers is None else workers)
 
 
-def _evaluated(
-    logs: list[Path], run: RunConfig, place: Place, engine: Engine, *, resume: bool, window: float | None,
-    suite: str | None, shard: str | None, quiet: bool, verbose: bool,
-) -> RunResult:  # fmt: skip
+def _evaluated(evaluate: Callable[..., Results], location: OutputLocation, *, quiet: bool, verbose: bool) -> Results:
+    """The run, with progress on stderr; the results of each log are sent to a URL as they come."""
     from replay.cli.progress import progress
-    from replay.run import evaluate_logs
-    from replay.run.pool import settle
-    from replay.run.shard import Shard
+    from replay.run.pool import freeze_gc
 
-    part = None if shard is None else Shard.parsed(shard)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
-    settle()
+    freeze_gc()
     with progress(quiet=quiet, verbose=verbose) as (on_start, on_log):
 
-        def said_and_kept(result: LogResult) -> None:
+        def check_and_start(selection: Selection, folder: Path) -> None:
+            location.check_outside(selection.sources)
+            on_start(selection, folder)
+
+        def log_and_send(result: LogResult) -> None:
             on_log(result)
-            place.keep(result)
+            location.keep(result)
 
-        def begun(selection: Selection, out: Path) -> None:
-            place.check_outside(selection.sources)
-            on_start(selection, out)
-
-        return evaluate_logs(
-            logs, run, place.folder, engine=engine, resume=resume, window=window, suite=suite, shard=part,
-            on_start=begun, on_log=said_and_kept,
-        )  # fmt: skip
+        return evaluate(on_start=check_and_start, on_log=log_and_send)
 
 
 @app.command()
@@ -383,15 +327,13 @@ def paper(
         ),
     ] = None,
     roads: Annotated[int, typer.Option(min=0, help="Seeded roads in the table of controllers.")] = 50,
-    workers: Annotated[
-        int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
-    ] = None,
+    workers: Workers = None,
 ) -> None:
     """Run the experiments of the paper: its figures 9, 10 and 12, recordings, controllers compared, pedestrians.
 
     A few minutes. What agrees with the paper and what does not: docs/paper.md.
     """
-    with answered():
+    with handle_errors():
         from replay.paper.reproduce import PaperConfig, reproduce
 
         count = cores() if workers is None else workers
@@ -409,7 +351,7 @@ def calibrate(
     config: Annotated[Path | None, typer.Option(help="TOML file of a run: its \\[vehicle].")] = None,
 ) -> None:
     """Write and plot the table acceleration x speed -> throttle or brake, from the vehicle's own model."""
-    with answered():
+    with handle_errors():
         from replay.run.calibrate import calibrate as write
 
         for path in write(out, vehicle, car, config):

@@ -1,4 +1,4 @@
-"""A driven trace in the formats of others.
+"""Traces in the formats of other projects.
 
 CommonRoad solution: the ego's states at the scenario's time steps, of the kinematic single track model KS, in which the
 position is the centre of gravity, b behind it the rear axle (commonroad-vehicle-models):
@@ -21,9 +21,11 @@ import numpy as np
 from logs.errors import LogError
 from logs.mcap import read_scenario
 from logs.scenario import Scenario
-from logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
+from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import EndReason
 from logs.vehicle import vehicle_parameters
+from replay.results.load import load
+from replay.results.tables import safe_name
 
 TYPES = {"bmw_320i": 2, "vw_vanagon": 3}
 """Vehicle type of a benchmark id by our name of the vehicle."""
@@ -49,26 +51,48 @@ def commonroad_solution(trace: Path, cost: str = COSTS[0]) -> str:
         raise error if error.file is not None else error.at(trace) from None
 
 
+def solutions(run: Path, cost: str = COSTS[0]) -> tuple[dict[str, str], list[str]]:
+    """The solution files of the closed drives of a run by their names, and why other closed drives have none.
+
+    Raises:
+        ConfigError: It is no result folder.
+    """
+    results, found, skipped = load(run), dict[str, str](), list[str]()
+    for log, planner in results.drives.loc[results.drives["mode"] == "closed", ["log", "planner"]].itertuples(
+        index=False
+    ):
+        drive = results.drive(log, planner, "closed")
+        several = len(results.run.planners) > 1
+        try:
+            name = f"{safe_name(log)}{f'.{safe_name(planner)}' if several else ''}.xml"
+            found[name] = commonroad_solution(drive.trace_file, cost)
+        except LogError as error:
+            skipped.append(str(error))
+    return found, skipped
+
+
 def _solution(scenario: Scenario, cost: str) -> str:
-    said = scenario.metadata
-    if "benchmark" not in said or said.get("trace_mode") != "closed" or scenario.controls is None:
+    facts = scenario.metadata
+    if "benchmark" not in facts or facts.get("trace_mode") != "closed" or scenario.controls is None:
         remedy = "name closed.mcap of a CommonRoad scenario in a result folder"
         raise LogError("no closed drive over a CommonRoad scenario", remedy=remedy)
-    car, dt = scenario.vehicle, float(said["time_step_s"])
-    kind = next((number for name, number in TYPES.items() if _same_size(name, scenario)), None)
+    car, dt = scenario.vehicle, float(facts["time_step_s"])
+    sizes = ((vehicle_parameters(name), number) for name, number in TYPES.items())
+    size = (car.length, car.width, car.wheelbase)
+    kind = next((number for one, number in sizes if (one.length, one.width, one.wheelbase) == size), None)
     if kind is None:
         remedy = f"drive with --vehicle kinematic_bicycle --car {' or '.join(TYPES)}"
         raise LogError("the vehicle is none of CommonRoad's", topic="/vehicle", remedy=remedy)
     first = round(scenario.start_ns / 1e9 / dt)
-    driven = _carried_on(scenario, dt) if said.get("trace_end") == EndReason.GOAL.name.lower() else scenario.ego
+    driven = _carried_on(scenario, dt) if facts.get("trace_end") == EndReason.GOAL.name.lower() else scenario.ego
     steps = np.arange(int(driven.t[-1] / dt + 1e-6) + 1)
     ego = driven.resampled(np.minimum(dt * steps, driven.t[-1]))
-    steer = _steer_at(scenario.controls, dt * steps)
+    steer = np.interp(dt * steps, scenario.controls.t, np.nan_to_num(scenario.controls.steer))
     behind = car.wheelbase - car.cog_to_front
     x = ego.x + behind * np.cos(ego.yaw) + scenario.origin[0]  # (1)
     y = ego.y + behind * np.sin(ego.yaw) + scenario.origin[1]
-    root = ET.Element("CommonRoadSolution", benchmark_id=f"KS{kind}:{cost}:{said['benchmark']}:{VERSION}")
-    path = ET.SubElement(root, "ksTrajectory", planningProblem=said["planning_problem"])
+    root = ET.Element("CommonRoadSolution", benchmark_id=f"KS{kind}:{cost}:{facts['benchmark']}:{VERSION}")
+    path = ET.SubElement(root, "ksTrajectory", planningProblem=facts["planning_problem"])
     for k in steps:
         state = ET.SubElement(path, "ksState")
         values = {"x": x[k], "y": y[k], "steeringAngle": steer[k], "velocity": ego.v[k], "orientation": ego.yaw[k]}
@@ -93,12 +117,3 @@ def _carried_on(scenario: Scenario, dt: float) -> Trajectory:
         last.a, last.kappa,
     )  # fmt: skip
     return Trajectory(*(np.r_[getattr(ego, name), x] for name, x in zip(TRAJECTORY_COLUMNS, state, strict=True)))
-
-
-def _same_size(name: str, scenario: Scenario) -> bool:
-    known, car = vehicle_parameters(name), scenario.vehicle
-    return (known.length, known.width, known.wheelbase) == (car.length, car.width, car.wheelbase)
-
-
-def _steer_at(controls: Controls, t: np.ndarray) -> np.ndarray:
-    return np.asarray(np.interp(t, controls.t, np.nan_to_num(controls.steer)))

@@ -1,4 +1,4 @@
-"""`replan frame`: one frame planned again."""
+"""`replan frame`: plan one frame again."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ from typing import Annotated
 
 import typer
 
-from replay.cli.app import answered, app, say
-from replay.cli.plot import Loop, drive_of
+from replay.cli.app import app, handle_errors, say
+from replay.cli.chosen import OfLog, OfMode, chosen_drive
 
 
 @app.command()
 def frame(
     result: Annotated[Path, typer.Argument(help="A folder of results.")],
-    at: Annotated[float, typer.Option(help="Time, s: the last frame not later is planned again.")],
-    log: Annotated[str | None, typer.Option(help="Which log. Without it: the drive to look at first.")] = None,
-    of: Annotated[str | None, typer.Option("--of", help="Whose drive, where there are several.")] = None,
-    planner: Annotated[str | None, typer.Option(help="Another planner, which is given this frame alone.")] = None,
-    mode: Annotated[Loop | None, typer.Option(help="Default: closed, where it was driven.")] = None,
-    dump: Annotated[Path | None, typer.Option(help="Write frames, plan and QPs here: FILE.msgpack.")] = None,
+    at: Annotated[float, typer.Option(help="Time, s; the last frame up to it is planned again.")],
+    log: OfLog = None,
+    of: Annotated[str | None, typer.Option("--of", help="The drive of this planner. Default: the worst drive.")] = None,
+    planner: Annotated[
+        str | None, typer.Option(help="Plan the frame with this planner instead; it gets this frame only.")
+    ] = None,
+    mode: OfMode = None,
+    dump: Annotated[Path | None, typer.Option(help="Write frames, plan and QPs to FILE.msgpack.")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Open the debugger before the frame is planned.")] = False,
 ) -> None:
     """Drive up to a frame again, in one process, and plan it with a report: stages, times, sizes, residuals.
@@ -29,13 +31,14 @@ def frame(
       replan frame results/run-001 --at 6.5 --dump frame.msgpack
       replan frame results/run-001 --at 6.5 --planner idm
     """
-    with answered():
+    with handle_errors():
         from replay.results.load import load
         from replay.run.frame_again import planned_again, report_of
         from replay.run.frame_dump import dump as write_dump
 
-        drive = drive_of(load(result), log, of, mode.value if mode else None)
-        again = planned_again(drive, at, planner, debug=debug)
+        chosen = chosen_drive(load(result), log, of, mode)
+        again = planned_again(chosen.drive, at, planner, debug=debug)
+        say(f"{chosen.title}{chosen.remark}")
         for line in report_of(again):
             say(line)
         if dump is not None:

@@ -1,4 +1,4 @@
-"""`replan synth | convert | repair | inspect | salvage | export`: what reads and writes logs."""
+"""`replan synth | convert | repair | inspect | salvage | export`: read and write logs."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ from replay.cli.app import (
     Repair,
     Settings,
     Suite,
-    answered,
     app,
-    log_settings,
+    handle_errors,
+    log_table,
+    run_config,
     say,
     say_error,
     say_json,
@@ -41,7 +42,7 @@ def synth(
         str, typer.Option("--as", help="native, or ros2: a bag of raw detections (group raw).", metavar="FORM")
     ] = "native",
     listing: Annotated[bool, typer.Option("--list", help="List the families and their parameters.")] = False,
-    markdown: Annotated[bool, typer.Option("--markdown", help="The page of all: docs/catalogue.md.")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print docs/catalogue.md.")] = False,
     as_json: Json = False,
 ) -> None:
     """Write synthesised logs of the catalogue.
@@ -54,7 +55,7 @@ def synth(
       replan synth --suite smoke -o my_logs
       replan synth raw --as ros2 -o my_bags
     """
-    with answered():
+    with handle_errors():
         from replay.cli.synth import FORMS, chosen, listed, markdown_page, overrides, synthesise, table, write_suite
 
         if as_json:
@@ -82,7 +83,7 @@ def synth(
 @app.command()
 def convert(
     logs: Annotated[
-        list[Path] | None, typer.Argument(help="Logs of any format; a format's name first asks for that one.")
+        list[Path] | None, typer.Argument(help="Logs of any format; a format's name before them chooses it.")
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="FILE.mcap for one log, else a folder.")] = None,
     ego: Ego = None,
@@ -98,7 +99,7 @@ def convert(
     formats: Annotated[bool, typer.Option("--formats", help="List the formats that replan reads.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Logs of other formats to replan's own MCAP.
+    """Convert logs of other formats to replan's own MCAP.
 
     [bold]Examples[/bold]
 
@@ -107,7 +108,7 @@ def convert(
       replan convert drive.mcap -o for_foxglove.mcap --foxglove
       replan convert commonroad USA_US101-6_1_T-1.xml -o us101.mcap
     """
-    with answered():
+    with handle_errors():
         from replay.cli.convert import convert_all, listing, table
         from replay.cli.progress import sign_of_life
 
@@ -121,7 +122,8 @@ def convert(
             return
         if not logs or out is None:
             raise ConfigError("name logs and where to write them: replan convert LOG ... -o FOLDER; see --formats")
-        settings = log_settings(config, ego, road_map, begin, end, problem, repair)
+        options = log_table(ego, road_map, begin, end, repair)
+        settings = run_config(config, {"log": {**options, "problem": problem}}).log
         with sign_of_life(lambda line: say(line, err=True), lambda: "converting"):
             done = convert_all(logs, out, settings, foxglove=foxglove, say=say, say_error=say_error)
         if not done:
@@ -140,17 +142,17 @@ def repair(
     repair: Repair = None,
     config: Settings = None,
 ) -> None:
-    """Make tracks of a log's raw detections, and say what was joined, removed and extended, and why.
+    """Make tracks of a log's raw detections, and list what was joined, removed and extended, and why.
 
     [bold]Example[/bold]
 
       replan repair my_bag/ -o my_bag.mcap --table changes.csv
     """
-    with answered():
+    with handle_errors():
         from replay.cli.progress import sign_of_life
         from replay.cli.repair import lines, repair_log
 
-        settings = log_settings(config, ego, road_map, begin, end, repair=repair)
+        settings = run_config(config, {"log": log_table(ego, road_map, begin, end, repair)}).log
         with sign_of_life(lambda line: say(line, err=True), lambda: f"repairing {log}"):
             scenario = repair_log(log, out, table, settings)
         say("\n".join([str(out), *(f"    note: {note}" for note in scenario.notes)]))
@@ -168,8 +170,8 @@ def inspect(
     config: Settings = None,
     as_json: Json = False,
 ) -> None:
-    """Say what a log holds, over which time, and what is missing for which evaluation."""
-    with answered():
+    """List what a log contains, over which time, and what is missing for which evaluation."""
+    with handle_errors():
         from logs.remote import here
         from logs.summary import summarise
         from replay.cli.progress import sign_of_life
@@ -178,7 +180,7 @@ def inspect(
         with here(log) as near, sign_of_life(lambda line: say(line, err=True), lambda: f"reading {log}"):
             if not near.exists():
                 raise ConfigError(f"{log}: no such file or folder")
-            settings = log_settings(config, ego, road_map, begin, end, repair=repair)
+            settings = run_config(config, {"log": log_table(ego, road_map, begin, end, repair)}).log
             summary = summarise(near, settings)
             raw = None if summary.read is None else before(near, settings, summary.read)
         if as_json:
@@ -206,7 +208,7 @@ def salvage(
     out: Annotated[Path, typer.Argument(help="The MCAP file to write.")],
 ) -> None:
     """Keep every intact chunk of a damaged MCAP file, and name what was lost."""
-    with answered():
+    with handle_errors():
         from logs.mcap.salvage import salvage as save
 
         if not damaged.is_file():
@@ -216,7 +218,7 @@ def salvage(
         say("\n".join([str(out), *(f"    {line}" for line in save(damaged, out).lines())]))
 
 
-export_app = typer.Typer(help="Drives in the formats of others.", no_args_is_help=True)
+export_app = typer.Typer(help="Write drives in the formats of other projects.", no_args_is_help=True)
 app.add_typer(export_app, name="export")
 
 
@@ -227,27 +229,39 @@ def _export() -> None:
 
 @export_app.command("commonroad-solution")
 def commonroad_solution(
-    trace: Annotated[Path, typer.Argument(help="closed.mcap of a CommonRoad scenario, in a result folder.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The XML file to write.")],
+    run: Annotated[Path, typer.Argument(help="A result folder, or closed.mcap of one drive in it.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for the files of a run; of one drive also FILE.xml.")
+    ],
     cost: Annotated[str, typer.Option(help="Cost function that the benchmark id names.")] = "JB1",
 ) -> None:
-    """A closed drive as a CommonRoad solution, for CommonRoad's own checker.
+    """Write the closed drives over CommonRoad scenarios as CommonRoad solutions, for CommonRoad's own checker.
+
+    Of a run, drives over other logs are skipped and named; exit code 3 where no drive could be written.
 
     [bold]Example[/bold]
 
       replan evaluate USA_US101-6_1_T-1.xml --vehicle kinematic_bicycle --car bmw_320i -o results/us101
-      replan export commonroad-solution results/us101/USA_US101-6_1_T-1-56aaf9ca/closed.mcap -o solution.xml
+      replan export commonroad-solution results/us101 -o solutions
     """
-    with answered():
-        from logs.errors import unknown_name
-        from replay.cli.export import COSTS
+    with handle_errors():
+        from replay.cli.export import COSTS, solutions
         from replay.cli.export import commonroad_solution as solution
         from replay.results.tables import write_text
 
         if cost not in COSTS:
             raise unknown_name("cost function", cost, COSTS)
-        text = solution(trace, cost)
-        with writing(out):
-            out.parent.mkdir(parents=True, exist_ok=True)
-            write_text(out, text)
-        say(out)
+        if run.is_dir():
+            found, skipped = solutions(run, cost)
+            for line in skipped:
+                say(f"skipped {line}", err=True)
+            texts = {out / name: text for name, text in found.items()}
+        else:
+            texts = {out if out.suffix == ".xml" else out / f"{run.parent.name}.xml": solution(run, cost)}
+        for file, text in texts.items():
+            with writing(file):
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_text(file, text)
+            say(file)
+        if not texts:
+            raise typer.Exit(3)

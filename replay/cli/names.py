@@ -46,6 +46,18 @@ def completion(option: str) -> Callable[[str], list[str]]:
     return complete
 
 
+def complete_setting(incomplete: str) -> list[str]:
+    """The keys that `--set` takes, each with "="; of a planner, controller ... that is named, those of its table."""
+    from replay.config import RunConfig
+    from replay.settings import SETTINGS, dotted_keys
+
+    tables = {"planner": "planner", **{table: option for option, table in SETTINGS.items()}}
+    keys: list[str] = []
+    for key in dotted_keys(RunConfig):
+        keys += [f"{key}.{name}." for name in names(tables[key])] if key in tables else [f"{key}="]
+    return [key for key in keys if key.startswith(incomplete)]
+
+
 def _keys(file: Path, table: str) -> Iterator[str]:
     for node in ast.parse(file.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id == table:

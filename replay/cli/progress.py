@@ -1,6 +1,6 @@
-"""How far a run is: a bar on a terminal, else occasional lines; errors of a log at once; how to go on when interrupted.
+"""Progress of a run: a bar on a terminal, else occasional lines; errors as they occur; after Ctrl-C, how to continue.
 
-Everything is said on stderr, so that stdout has the report alone.
+All of it goes to stderr, so that stdout has the report alone.
 """
 
 from __future__ import annotations
@@ -101,14 +101,14 @@ def sign_of_life(say: Callable[[str], None], words: Callable[[], str], every_s: 
 def progress(
     *, quiet: bool = False, verbose: bool = False
 ) -> Iterator[tuple[Callable[[Selection, Path], None], Callable[[LogResult], None]]]:
-    """What is to be called as a run begins and as each log ends.
+    """The functions to call as a run begins and as each log ends.
 
     Args:
-        quiet: Only errors are said.
-        verbose: Each log is named as it ends, with how long it took and how its drives ended.
+        quiet: Print errors only.
+        verbose: Print each log as it ends, with its time and how its drives ended.
 
     Raises:
-        KeyboardInterrupt: As it came, with words that say what is left of the run and how to go on with it.
+        KeyboardInterrupt: As it came, with a message that says what is finished and how to continue.
     """
     rest = TextColumn("{task.fields[rest]}")
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), rest
@@ -131,7 +131,7 @@ def progress(
                 say(f"left out: {reason}")
             say(f"{counted(len(selection.sources), 'log')} -> {out}")
             if cold():
-                say("compiling kernels (once; about a minute): replan warmup does it beforehand")
+                say("compiling kernels (once, about a minute); replan warmup does it beforehand")
 
         def on_log(result: LogResult) -> None:
             for failure in result.failures:
@@ -141,7 +141,10 @@ def progress(
             line = pace.step(now, driven=driven, cost=costs[result.source])
             bar.update(task, advance=1, rest=pace.rest(now))
             if verbose:
-                say(f"{pace.done} of {pace.total}  {_ended(result)}")
+                took = f"{result.seconds:.1f} s" if isfinite(result.seconds) else "finished before"
+                ends = [f"{drive.planner} {drive.mode}: {drive.end}" for drive in result.drives]
+                ends += [f"{len(result.failures)} could not be evaluated"] if result.failures else []
+                say(f"{pace.done} of {pace.total}  {result.name}  {took}  {'; '.join(ends)}")
             elif not on_terminal:
                 say(line)
 
@@ -154,20 +157,10 @@ def progress(
             with sign_of_life(lambda line: None if on_terminal else say(line), state):
                 yield on_start, on_log
         except KeyboardInterrupt:
-            said = _interrupted(*begun[0]) if begun else "interrupted: nothing was begun"
-            raise KeyboardInterrupt(said) from None
-
-
-def _ended(result: LogResult) -> str:
-    """A log in a line: how long it took, and how its drives ended."""
-    took = f"{result.seconds:.1f} s" if isfinite(result.seconds) else "there already"
-    ends = [f"{drive.planner} {drive.mode}: {drive.end}" for drive in result.drives]
-    lacking = [f"{len(result.failures)} could not be evaluated"] if result.failures else []
-    return f"{result.name}  {took}  {'; '.join([*ends, *lacking])}"
-
-
-def _interrupted(out: Path, pace: Pace) -> str:
-    return (
-        f"interrupted: {pace.done} of {pace.total} logs are finished in {out}, no tables are written;"
-        f" to go on give the same command with --out {out} --resume"
-    )
+            if not begun:
+                raise KeyboardInterrupt("interrupted: no log was started") from None
+            out, pace = begun[0]
+            raise KeyboardInterrupt(
+                f"interrupted: {pace.done} of {counted(pace.total, 'log')} are finished in {out}, and no tables are"
+                f" written; to continue, give the same command with --out {out} --resume"
+            ) from None

@@ -1,4 +1,4 @@
-"""`replan report`: the reports of results that are there."""
+"""`replan report`: write the reports of finished runs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import answered, app, say
+from replay.cli.app import app, handle_errors, say
 
 
 @app.command()
@@ -36,9 +36,9 @@ def report(
       replan report results/run-001
       replan report results/run-001 --baseline baseline.parquet -o reports
     """
-    with answered():
+    with handle_errors():
         from logs.remote import url_of
-        from replay.compare import compare_runs, opened
+        from replay.compare import compare_runs, read_run
         from replay.draw.report.overview import overview
         from replay.draw.report.write import write_reports
         from replay.results.load import load
@@ -47,7 +47,7 @@ def report(
         if url_of(results) and out is None:
             raise ConfigError(f"{url_of(results)}: name a folder for its reports with --out")
         found = load(results)
-        comparison = None if baseline is None else compare_runs(opened(baseline), opened(found.path), gates=gates)
+        comparison = None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
         folder = out or found.path
         written = write_reports(found, overview(found, comparison), folder)
         for name in REPORTS:

@@ -1,4 +1,4 @@
-"""`replan merge`: the shards of a run put together."""
+"""`replan merge`: put the shards of a run together."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from replay.cli.app import Json, Quiet, answered, app
-from replay.cli.ending import EXIT_CODES, Baseline, NoReport, before_all, ended
+from replay.cli.app import Json, Quiet, app, handle_errors
+from replay.cli.ending import EXIT_CODES, Baseline, NoReport, Printed, finish_run, load_baseline
 
 
 @app.command(epilog=EXIT_CODES)
@@ -31,22 +31,23 @@ def merge(
       replan evaluate my_logs/ --shard 2/2 -o shard-2
       replan merge shard-1 shard-2 -o results/merged
     """
-    with answered():
+    with handle_errors():
         from contextlib import ExitStack
 
         from logs.remote import here
         from replay.config import load_run
         from replay.run.merge import gates_in
         from replay.run.merge import merge as merged
-        from replay.run.publish import result_place
+        from replay.run.publish import output_location
 
         with ExitStack() as near:
             folders = [near.enter_context(here(shard)) for shard in shards]
             gates = near.enter_context(gates_in(folders[0]))
             run = load_run(folders[0] / "run.toml")
-            before = None if baseline is None else before_all(baseline, run, gates, out)
-            place = near.enter_context(result_place(out))
+            before = None if baseline is None else load_baseline(baseline, run, gates, out)
+            place = near.enter_context(output_location(out))
             assert place.folder is not None
             result = merged(folders, place.folder)
-            code = ended(result, before, place.url, gates=gates, report=not no_report, as_json=as_json, quiet=quiet)
+            printed = Printed(as_json=as_json, quiet=quiet, report=not no_report)
+            code = finish_run(result, before, place.url, gates, printed)
         raise typer.Exit(code)

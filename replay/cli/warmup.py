@@ -1,13 +1,13 @@
-"""`replan warmup`: kernels compiled beforehand."""
+"""`replan warmup`: compile kernels beforehand."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from replay.cli.app import Json, Quiet, answered, app, run_config, say, say_error, say_json
+from replay.cli.app import Json, Quiet, app, handle_errors, run_config, say, say_error, say_json
 from replay.cli.names import completion
 
 
@@ -17,12 +17,12 @@ def warmup(
         list[str] | None,
         typer.Option("--planner", "-p", autocompletion=completion("planner"), help="Repeatable. Default: dp_qp."),
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="TOML file of a run: what it drives with.")] = None,
-    every: Annotated[bool, typer.Option("--all", help="Also those of all else that is built in.")] = False,
+    config: Annotated[Path | None, typer.Option(help="TOML file of a run, for its kernels.")] = None,
+    every: Annotated[bool, typer.Option("--all", help="Compile the kernels of all that is built in.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compile the kernels that a run needs, and keep them: the first log is then driven at once.
+    """Compile the kernels that a run needs, and keep them, so that the first log starts at once.
 
     They are kept in NUMBA_CACHE_DIR, else beside the installed code, else in the user's cache folder: docs/ci.md.
 
@@ -31,13 +31,12 @@ def warmup(
       replan warmup
       NUMBA_CACHE_DIR=/var/cache/replan replan warmup --planner dp_qp --planner lattice
     """
-    with answered():
-        options: dict[str, Any] = {"planners": tuple(planner or ()) or None}
-        run = run_config(config, options, {})
+    with handle_errors():
+        run = run_config(config, {"planners": planner})
         from replay.run.warmup import everything, warm_up
 
         if not quiet:
-            say("compiling kernels (a minute or two; seconds where they are there already)", err=True)
+            say("compiling kernels (a minute or two; seconds if they were compiled before)", err=True)
         done = warm_up(run, *(everything() if every else ()))
         for failure in done.failures:
             say_error(failure.message)

@@ -175,7 +175,7 @@ def explained(drive: DriveResult, at: float | None = None) -> list[Explanation]:
         ConfigError: There is no plan at that time.
         LogError: The trace is damaged.
     """
-    loop = drive.result.run.loop
+    loop = drive.result.run.drive_loop
     if at is None:
         return list(changes(drive.trace, drive.scenario, loop))
     wanted = drive.frame(at).t

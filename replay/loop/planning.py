@@ -18,7 +18,7 @@ from logs.states import EgoState
 from logs.trace import Plan
 from planners.base import Planner
 from replay.config import LoopConfig, PlannerProcessConfig
-from replay.drive import BATCHED, FIRST, TRUSTED, Place, StageTime
+from replay.drive import BATCHED, FIRST, TRUSTED, DriveKey, StageTime
 from replay.loop.plan_check import checked
 from replay.oracle import ORACLES
 from replay.planner_process.connection import ApartPlanner, FaultError, current_log
@@ -66,7 +66,7 @@ class Planning:
         start: EgoState,
         *,
         keep_internals: bool = True,
-        place: Place = FIRST,
+        place: DriveKey = FIRST,
     ) -> None:
         goal, note = goal_of(scenario)
         self.is_oracle = spec in ORACLES

@@ -1,4 +1,4 @@
-"""Several logs in lock step: the frames of one step are sent to one planner's process together (`--batch`).
+"""Several logs in lock step: the frames of one step are sent to one planner's process together (`loop.apart.batch`).
 
 Each log is evaluated in a thread, of which one runs at a time, until its drive asks the planner; then the next one
 runs. So nothing that drives, measures or writes has to know of threads, and the results depend on no clock. When all
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from replay.config import PlannerProcessConfig
-from replay.drive import Place
+from replay.drive import DriveKey
 from replay.planner_process import schema
 from replay.planner_process.connection import Connection, FaultError, PlannerConnection, set_current_log
 from replay.planner_process.processes import Load
@@ -41,7 +41,7 @@ class Request:
         load: What it loads.
     """
 
-    place: Place
+    place: DriveKey
     message: Any
     limit: float
     limits: PlannerProcessConfig
@@ -88,7 +88,7 @@ class BatchLog(Generic[R]):
             raise AbandonedError
         return self.answer
 
-    def connect(self, place: Place, limits: PlannerProcessConfig, load: Load, watch: Stopwatch) -> PlannerConnection:
+    def connect(self, place: DriveKey, limits: PlannerProcessConfig, load: Load, watch: Stopwatch) -> PlannerConnection:
         """The connection of one of the log's drives; `watch` does not count the time that other logs take."""
 
         def ask(message: Any, limit: float) -> schema.Answer:

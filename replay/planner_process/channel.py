@@ -91,7 +91,7 @@ class Channel(Generic[T]):
         (size,) = HEADER.unpack_from(self._buffer)
         if size > LARGEST_BYTES and not self._patient:
             what = f"a message of {size} bytes, more than {LARGEST_BYTES}"
-            raise GarbageError(f"{what} (keep less inside of plans, or give a smaller --batch)")
+            raise GarbageError(f"{what} (keep less inside of plans, or give a smaller loop.apart.batch)")
         end = HEADER.size + size
         self._read(end, deadline)
         try:

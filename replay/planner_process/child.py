@@ -158,6 +158,6 @@ def _described(question: schema.Describe) -> schema.Described:
     table = resolved_table(question.planner, question.config)
     check_keywords(question.planner, table)
     if question.batch and of_class(planner_factory(question.planner), "plan_batch") is None:
-        remedy = "add the class method plan_batch(cls, frames, planners), or leave out --batch"
+        remedy = "add the class method plan_batch(cls, frames, planners), or leave out loop.apart.batch"
         raise ConfigError(f"planner '{question.planner}' has no plan_batch: {remedy}")
     return schema.Described(table)

@@ -18,7 +18,7 @@ from logs.errors import ConfigError, PlannerError
 from logs.frame import Frame, PlannerContext
 from logs.trace import Plan
 from replay.config import PlannerProcessConfig
-from replay.drive import FIRST, Place
+from replay.drive import FIRST, DriveKey
 from replay.planner_process import schema
 from replay.planner_process.channel import Channel, GarbageError, GoneError, LateError
 from replay.planner_process.planner_config import is_foreign
@@ -52,7 +52,7 @@ class PlannerConnection(Protocol):
 class CurrentLog(Protocol):
     """A log that is evaluated in a thread of its own, together with others (`replay.planner_process.batch`)."""
 
-    def connect(self, place: Place, limits: PlannerProcessConfig, load: Load, watch: Stopwatch) -> PlannerConnection:
+    def connect(self, place: DriveKey, limits: PlannerProcessConfig, load: Load, watch: Stopwatch) -> PlannerConnection:
         """The connection of one of its drives to the planner's process that the logs share."""
         ...
 
@@ -174,7 +174,7 @@ class ApartPlanner:
         watch: Stopwatch,
         *,
         keep_internals: bool,
-        place: Place = FIRST,
+        place: DriveKey = FIRST,
     ) -> None:
         self._limits, self._watch, self._has_planned = limits, watch, False
         config = {key: value for key, value in table.items() if value is not None}
@@ -233,7 +233,7 @@ def describe_planner(spec: str, table: Mapping[str, object], limits: PlannerProc
     if is_foreign(spec):
         (command_of if spec.startswith("exec:") else address_of)(spec)
         if limits.batch:
-            raise ConfigError(f"planner '{spec}' has no plan_batch, as a Python planner may have: leave out --batch")
+            raise ConfigError(f"planner '{spec}' has no plan_batch: leave out loop.apart.batch")
         return dict(table)
     process = _open(spec, limits)
     config = {key: value for key, value in table.items() if value is not None}

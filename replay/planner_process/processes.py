@@ -100,7 +100,7 @@ def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfi
         ConfigError: The system cannot pass descriptors between processes.
     """
     if not hasattr(socket, "send_fds"):
-        raise ConfigError("planners are kept apart on Linux and macOS only; here give --trust")
+        raise ConfigError("planners are kept apart on Linux and macOS only; here give --set loop.apart.trust=true")
     launcher, asked = _launcher(limits.environment), {"argv": argv, "memory": round(limits.memory_gb * 1e9)}
     template = launcher.template(load, limits) if load and _warm.get("run") else None
     if template is not None:

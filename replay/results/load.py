@@ -72,7 +72,7 @@ def loaded(near: Near) -> Results:
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{near.place}/summary.json: cannot be read: {error}") from None
     if not isinstance(summary, dict):
-        raise ConfigError(f"{near.place}/summary.json: holds no summary of a run")
+        raise ConfigError(f"{near.place}/summary.json: contains no summary of a run")
     if summary.get("schema_version") != SCHEMA_VERSION:
         was = summary.get("schema_version")
         raise ConfigError(
@@ -80,7 +80,7 @@ def loaded(near: Near) -> Results:
         )
     missing = SUMMARY_KEYS - summary.keys()
     if missing:
-        raise ConfigError(f"{near.place}/summary.json: is not whole: no {', '.join(sorted(missing))}; evaluate again")
+        raise ConfigError(f"{near.place}/summary.json: is incomplete: no {', '.join(sorted(missing))}; evaluate again")
     return Results(folder, summary, near)
 
 
@@ -99,11 +99,13 @@ class Results:
     Attributes:
         path: The result folder.
         summary: What summary.json holds: version, outcome, exit code, logs, gates, failures.
+        resumed: How many logs `evaluate_logs` took from an interrupted run; 0 of results that were loaded.
     """
 
     path: Path
     summary: dict[str, Any] = field(repr=False)  # megabytes of a large run
     _near: Near | None = field(default=None, repr=False)
+    resumed: int = 0
 
     @cached_property
     def run(self) -> RunConfig:
@@ -114,6 +116,11 @@ class Results:
     def exit_code(self) -> int:
         """Of `replan evaluate`."""
         return int(self.summary["exit_code"])
+
+    @property
+    def outcome(self) -> str:
+        """The exit code in words: "pass", "fail", "inconclusive", ...; "not judged" of a shard."""
+        return str(self.summary["outcome"])
 
     @cached_property
     def metrics(self) -> pd.DataFrame:
@@ -127,7 +134,7 @@ class Results:
 
     @cached_property
     def verdicts(self) -> pd.DataFrame:
-        """A row per gate, log, planner and mode: what this log says of the gate."""
+        """A row per gate, log, planner and mode: the outcome of the gate on this log."""
         return _table(self.path / "verdicts.parquet", pd.read_parquet)
 
     @cached_property
@@ -137,7 +144,7 @@ class Results:
 
     @cached_property
     def gates(self) -> pd.DataFrame:
-        """A row per gate, planner, mode and group: what all logs say together; `gate` is its rule as text."""
+        """A row per gate, planner, mode and group: the outcome over all logs; `gate` is its rule as text."""
         rows = [{"group": "", **verdict, "gate": verdict["rule"]} for verdict in self.summary["gates"]]
         table = pd.DataFrame(rows, columns=list(GATE_COLUMNS))
         return table.astype({"value": "float64", "time_s": "float64"})
@@ -211,7 +218,8 @@ class Results:
             return DriveResult(self, *found.iloc[0][["log", "planner", "mode"]])
         if log not in set(table["log"]):
             raise unknown_name("log", log, list(dict.fromkeys(table["log"])))
-        there = ", ".join(f"{p} ({m} loop)" for p, m in zip(*_of(table, log), strict=True))
+        mine = table[table["log"] == log]
+        there = ", ".join(f"{p} ({m} loop)" for p, m in zip(mine["planner"], mine["mode"], strict=True))
         what = "name a planner of" if len(found) else f"no {mode} loop of {planner or 'any planner'}; there are"
         raise ConfigError(f"{self.path}: {log}: {what} {there}")
 
@@ -229,11 +237,6 @@ class Results:
             for item in frame.plan.internals
             if isinstance(item, Decision)
         ]
-
-
-def _of(table: pd.DataFrame, log: str) -> tuple[list[str], list[str]]:
-    mine = table[table["log"] == log]
-    return list(mine["planner"]), list(mine["mode"])
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ METRICS, MEMBERS, HEALTH, TIMINGS = "metrics.parquet", "ensemble.parquet", "heal
 
 @dataclass(frozen=True)
 class Failure:
-    """What could not be evaluated.
+    """A log, or a drive of it, that could not be evaluated.
 
     Attributes:
         log: Label or name of the log.
@@ -158,8 +158,8 @@ def keep(folder: Path, result: LogResult, tables: LogTables, identity: str, stam
     write_json(folder / LOG_CARD, card)
 
 
-def kept(folder: Path) -> tuple[LogResult, str, Stamp] | None:
-    """The result in a log's folder, its input and what it depends on; None where it is not whole."""
+def load_result(folder: Path) -> tuple[LogResult, str, Stamp] | None:
+    """Read the result in a log's folder, its input and its stamp; None where the folder is not whole."""
     try:
         card: dict[str, Any] = json.loads((folder / LOG_CARD).read_text(encoding="utf-8"))
         if card["schema_version"] != SCHEMA_VERSION:
@@ -173,7 +173,10 @@ def kept(folder: Path) -> tuple[LogResult, str, Stamp] | None:
             card["dataset"],
             tuple(card["tags"]),
             tuple(card["notes"]),
-            tuple(_drive(drive) for drive in card["drives"]),
+            tuple(
+                DriveRecord(**{**drive, "notes": tuple(drive["notes"]), "files": tuple(drive["files"])})
+                for drive in card["drives"]
+            ),
             tuple(Failure(**failure) for failure in card["failures"]),
         )
         files = [folder.parent / file for drive in result.drives for file in drive.files]
@@ -184,10 +187,6 @@ def kept(folder: Path) -> tuple[LogResult, str, Stamp] | None:
         return (result, card["input"], stamp) if whole else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
-
-
-def _drive(card: dict[str, Any]) -> DriveRecord:
-    return DriveRecord(**{**card, "notes": tuple(card["notes"]), "files": tuple(card["files"])})
 
 
 def table_of(out: Path, results: Iterable[LogResult], name: str) -> pd.DataFrame:

@@ -6,12 +6,12 @@ driven in parts on several machines (`shard`), which are put together again (`me
 from replay.run import evaluate_logs
 from replay.config import RunConfig
 
-result = evaluate_logs(["my_logs/"], RunConfig(planners=("dp_qp", "logged")), "results/mine")
-result.table          # pandas: one row per log, planner, mode and metric
-result.verdicts       # gates: PASS, FAIL or INCONCLUSIVE, with reasons
+results = evaluate_logs(["my_logs/"], RunConfig(planners=("dp_qp", "logged")), "results/mine")
+results.metrics       # pandas: one row per log, planner, mode and metric
+results.gates         # a row per gate: pass, fail or inconclusive, with the reason
 """
 
 from replay.results.version import replan_version
-from replay.run.evaluate import RunResult, evaluate_logs
+from replay.run.evaluate import evaluate_logs
 
-__all__ = ["RunResult", "evaluate_logs", "replan_version"]
+__all__ = ["evaluate_logs", "replan_version"]

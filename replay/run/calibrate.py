@@ -7,7 +7,7 @@ from pathlib import Path
 from logs.errors import ConfigError
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
-from replay.config import RunConfig, load_run
+from replay.config import load_run
 from replay.control.calibration import Calibration
 from replay.results.tables import write_file
 from replay.vehicle import VEHICLE
@@ -33,8 +33,8 @@ def calibrate(
     vehicle = VEHICLE.find(model)
     if model == "perfect":
         raise ConfigError("the perfect vehicle has no pedals: there is nothing to calibrate")
-    run = RunConfig() if config is None else load_run(config)
-    parameters = run.in_car(car).driven(VehicleParameters())
+    run = load_run(config, {} if car is None else {"vehicle": {"set": car}})
+    parameters = run.driven(VehicleParameters())
     table = Calibration.of(build(vehicle, model, parameters, STANDING, {}).powertrain)
     try:
         out.mkdir(parents=True, exist_ok=True)

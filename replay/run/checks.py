@@ -110,7 +110,7 @@ def _resolved(planner: str, run: RunConfig) -> dict[str, Any]:
     if is_apart(planner, apart):
         return describe_planner(planner, table, apart)
     if apart.batch and not is_built_in(planner):
-        raise ConfigError("--batch is for planners in a process of their own: leave out --trust")
+        raise ConfigError("loop.apart.batch is for planners in a process of their own: leave out loop.apart.trust")
     resolved = resolved_table(planner, table)
     check_keywords(planner, resolved)
     return resolved
@@ -120,15 +120,16 @@ def _check_plant(run: RunConfig) -> None:
     """Refuse a vehicle, plant or controller that no log can have; the log's own numbers are not known yet."""
     default = VehicleParameters()
     vehicle = run.driven(default) if "set" in run.vehicle else default
-    parted(run.loop.plant)
-    table = {key: value for key, value in run.loop.plant.items() if key not in _OF_THE_LOG}
-    model, start = configured(VEHICLE, run.loop.vehicle, run.loop.settings), EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
-    with _built("vehicle", run.loop.vehicle):
-        built = build(model, run.loop.vehicle, vehicle, start, table)
-    if run.loop.controller in CONTROLLER.builtin:
+    loop = run.drive_loop
+    parted(loop.plant)
+    table = {key: value for key, value in loop.plant.items() if key not in _OF_THE_LOG}
+    model, start = configured(VEHICLE, loop.vehicle, loop.settings), EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
+    with _built("vehicle", loop.vehicle):
+        built = build(model, loop.vehicle, vehicle, start, table)
+    if loop.controller in CONTROLLER.builtin:
         return
-    with _built("controller", run.loop.controller):
-        controller_of(built, vehicle, run.loop.controller, run.loop.control_period_ns / 1e9, run.loop.settings)
+    with _built("controller", loop.controller):
+        controller_of(built, vehicle, loop.controller, loop.control_period_ns / 1e9, loop.settings)
 
 
 def _check_others(run: RunConfig) -> None:
@@ -136,7 +137,7 @@ def _check_others(run: RunConfig) -> None:
 
     What it raises there by its defaults, too, may be that log's fault: it is heard of from the user's own.
     """
-    loop, scene = run.loop, cache(lambda: scenario(SCENE))
+    loop, scene = run.drive_loop, cache(lambda: scenario(SCENE))
 
     def predicted(predictor: Any) -> object:
         tracks, t = scene().tracks, scene().ego.state(0).t

@@ -1,4 +1,4 @@
-"""A run over many logs, from the selection to the tables. `replan evaluate` is a thin skin over `evaluate_logs`."""
+"""A run over many logs, from the selection to the tables: `evaluate_logs`, which `replan evaluate` calls."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import os
 import platform
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from enum import Enum
-from functools import cached_property, partial
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -26,12 +26,12 @@ from metrics.judge.gates import Gates, Outcome, load_gates
 from metrics.judge.rows import SHARE as LATE
 from metrics.judge.rows import judge_deadline, with_asked, with_ensemble
 from replay.config import RunConfig, dump_run
+from replay.results.load import Results, load
 from replay.results.log_result import (
     HEALTH,
     MEMBERS,
     METRICS,
     TIMINGS,
-    DriveRecord,
     Failure,
     LogResult,
     table_of,
@@ -63,61 +63,6 @@ from replay.run.shard import Shard, write_card
 from replay.run.sources import LogSource, Selection, builtin_suite, named_suite, select
 
 
-@dataclass(frozen=True, eq=False)
-class RunResult:
-    """What came of a run.
-
-    Attributes:
-        out: The result folder.
-        run: What was asked for.
-        selection: Which logs, and which were left out.
-        logs: In the order of the selection.
-        failures: Everything that could not be evaluated.
-        table: One row per log, planner, mode and metric, sorted.
-        verdicts: What the gates say.
-        resumed: How many logs were taken from an interrupted run.
-        shard: Which part of a run this is, that is not judged; None: all of it.
-    """
-
-    out: Path
-    run: RunConfig
-    selection: Selection
-    logs: tuple[LogResult, ...]
-    failures: tuple[Failure, ...]
-    table: pd.DataFrame
-    verdicts: tuple[Verdict, ...]
-    resumed: int = 0
-    shard: Shard | None = None
-
-    @property
-    def drives(self) -> tuple[DriveRecord, ...]:
-        """All drives, in the order of the logs."""
-        return tuple(drive for log in self.logs for drive in log.drives)
-
-    @cached_property
-    def timings(self) -> pd.DataFrame:
-        """How long each stage of each plan took: rows of timings.parquet."""
-        return read_timings(self.out / TIMINGS)
-
-    @property
-    def exit_code(self) -> int:
-        """0 pass, 1 a gate failed, 2 configuration, 3 could not be evaluated, 4 inconclusive; of a shard 0: done."""
-        codes = {failure.exit_code for failure in self.failures}
-        if codes:
-            return 2 if 2 in codes else 3
-        if self.shard is not None:
-            return 0
-        outcomes = {verdict.outcome for verdict in self.verdicts} - {Outcome.NOT_ASKED}
-        if Outcome.FAIL in outcomes:
-            return 1
-        return 4 if Outcome.INCONCLUSIVE in outcomes or not outcomes else 0
-
-    @property
-    def outcome(self) -> str:
-        """The exit code in words."""
-        return "not judged" if self.shard is not None and self.exit_code == 0 else OUTCOMES[self.exit_code]
-
-
 def evaluate_logs(
     logs: Sequence[Path | str] = (),
     run: RunConfig | None = None,
@@ -131,7 +76,7 @@ def evaluate_logs(
     shard: Shard | None = None,
     on_start: Callable[[Selection, Path], None] = lambda selection, out: None,
     on_log: Callable[[LogResult], None] = lambda result: None,
-) -> RunResult:
+) -> Results:
     """Drive the planners over logs, measure, judge and write everything into one folder.
 
     Args:
@@ -142,7 +87,7 @@ def evaluate_logs(
         engine: Where the logs are driven, with the same results; None: `workers` of this machine.
         resume: Take the logs that an interrupted run into `out` has finished as they are (`replay.run.resume`); the
             tables are the same, byte for byte, as those of a run that was never interrupted.
-        window: Seconds: each log is evaluated in parts of this length, each as a log of its own.
+        window: Split each log into windows of this length, s; each is a log of its own.
         suite: Instead of logs: a suite of the catalogue, or a family or group of it with all its cells.
         shard: Drive this part of the logs only; `replay.run.merge` judges all parts together.
         on_start: Called once with what was selected and the result folder.
@@ -180,19 +125,21 @@ def evaluate_logs(
             clear_partial(out)
         if shard is not None:
             write_card(out, shard, whole, run, stamp, failures, results)
-        return concluded(out, run, selection, results, gates, failures, resumed=len(done), shard=shard)
+        return judge_and_write(out, run, selection, results, gates, failures, resumed=len(done), shard=shard)
 
 
 def _check_together(engine: Engine, window: float | None, shard: Shard | None) -> None:
     """Refuse what does not go with logs in lock step."""
     if not isinstance(engine, Local):
-        raise ConfigError("--batch drives logs together on this machine only: leave out --engine, or --batch")
+        raise ConfigError("loop.apart.batch drives logs together on this machine only: leave out --engine or the batch")
     if shard is not None:
         raise ConfigError(
-            "--batch puts the logs of a run together, and --shard takes them apart: leave out one of them"
+            "loop.apart.batch drives the logs of a run together, and --shard separates them: leave out one of them"
         )
     if window is not None:
-        raise ConfigError("--batch would show a planner the later parts of a log, with --window: leave out one of them")
+        raise ConfigError(
+            "loop.apart.batch with --window would show a planner later windows of the log: leave out one of them"
+        )
 
 
 def _whole(out: Path, done: Mapping[int, LogResult], selection: Selection, run: RunConfig) -> dict[int, LogResult]:
@@ -206,7 +153,7 @@ def _whole(out: Path, done: Mapping[int, LogResult], selection: Selection, run: 
 
 @contextmanager
 def _to_be_resumed(out: Path) -> Iterator[None]:
-    """Where the disk is full, how to go on is said, too."""
+    """Add to the error of a full disk how to continue."""
     try:
         yield
     except OutputError as error:
@@ -220,7 +167,7 @@ def gates_of(run: RunConfig, path: Path | None) -> Gates:
     return gates.asked_of(mode.value for mode in run.modes) if path is None else gates
 
 
-def concluded(
+def judge_and_write(
     out: Path,
     run: RunConfig,
     selection: Selection,
@@ -230,45 +177,77 @@ def concluded(
     *,
     resumed: int = 0,
     shard: Shard | None = None,
-) -> RunResult:
-    """The run of these results, judged (but a shard), its tables written into `out`, where the logs' folders are.
+) -> Results:
+    """Judge the results of a run (those of a shard are not judged), and write its tables.
 
     Args:
-        out: The result folder.
+        out: The result folder, where the folders of the logs are; the tables go there.
         run: As it was driven.
         selection: The logs.
-        results: What came of each, in their order.
+        results: Of each log, in the order of the selection.
         gates: The thresholds.
-        failures: What is about no log.
+        failures: What could not be evaluated and is not about a log.
         resumed: How many logs were taken from an interrupted run.
         shard: Which part of a run it is; None: all of it.
     """
     results = _distinct(results)
     table = joined([table_of(out, results, METRICS)], KEYS, COLUMNS).astype({"value": float, "time_s": float})
-    labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in results if log.digest}
+    labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in results}
+    read = {log.name: labels[log.name] for log in results if log.digest}
     members = joined([table_of(out, results, MEMBERS)], KEYS, COLUMNS)
-    table = with_asked(with_ensemble(table, members, gates, labels), gates, labels)
-    unread = {result.name: "see the errors" for result in results if not result.digest}
-    timings = out / TIMINGS
+    table = with_asked(with_ensemble(table, members, gates, read), gates, read)
     sorted_ = sorted((result for result in results if result.folder), key=lambda result: result.name)
-    write_timings(timings, (timings_of(out, result) for result in sorted_))
+    write_timings(out / TIMINGS, (timings_of(out, result) for result in sorted_))
+    verdicts: tuple[Verdict, ...] = ()
     errors = [failure for result in results for failure in result.failures]
-    crashed = {(one.log, one.planner, one.mode): one.message for one in errors if one.planner and one.mode}
-    verdicts = judge(gates, table, labels, failed=unread, crashed=crashed) if shard is None else ()
-    late = judge_deadline(read_timings(timings), run.deadline_s, labels) if run.deadline_s > 0.0 and not shard else ()
-    result = RunResult(
-        out=out,
-        run=run,
-        selection=selection,
-        logs=results,
-        failures=(*failures, *(failure for log in results for failure in log.failures)),
-        table=table,
-        verdicts=(*verdicts, *late),
-        resumed=resumed,
-        shard=shard,
-    )
-    _write(result)
-    return result
+    if shard is None:
+        unread = {result.name: "see the errors" for result in results if not result.digest}
+        crashed = {(one.log, one.planner, one.mode): one.message for one in errors if one.planner and one.mode}
+        verdicts = tuple(judge(gates, table, read, failed=unread, crashed=crashed))
+        if run.deadline_s > 0.0:
+            verdicts += tuple(judge_deadline(read_timings(out / TIMINGS), run.deadline_s, read))
+    errors = [*failures, *errors]
+    write_metrics(out, table)
+    found = table_of(out, results, HEALTH)
+    write_parquet(out / HEALTH, found if len(found) else health.table("", ()))
+    rows = outcomes([verdict for verdict in verdicts if verdict.gate.metric != LATE])
+    write_parquet(out / "verdicts.parquet", rows)
+    records = [asdict(drive) for result in results for drive in result.drives]
+    drives = pd.DataFrame(records, columns=["log", "planner", "mode", "oracle"])
+    stand = standings(rows, drives, list(labels), run.drives, [(one.log, one.planner, one.mode) for one in errors])
+    write_parquet(out / "groups.parquet", groups(table, stand, labels))
+    code = exit_code_of(errors, None if shard is not None else [verdict.outcome for verdict in verdicts])
+    summary = {
+        "replan": replan_version(),
+        "python": platform.python_version(),
+        **({} if shard is None else {"shard": str(shard)}),
+        "outcome": "not judged" if shard is not None and code == 0 else OUTCOMES[code],
+        "exit_code": code,
+        "logs_left_out": list(selection.dropped),
+        "logs": [_log_summary(log) for log in results],
+        "gates": [_verdict_summary(verdict) for verdict in verdicts],
+        "failures": [asdict(failure) for failure in errors],
+    }
+    write_json(out / "summary.json", summary)
+    return replace(load(out), resumed=resumed)
+
+
+def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None) -> int:
+    """Exit code of a run: 0 pass, 1 a gate failed, 2 configuration, 3 not all could be evaluated, 4 inconclusive.
+
+    Args:
+        failures: What could not be evaluated.
+        outcomes: Of the gates; None: the run is not judged, and 0 means that it is done.
+    """
+    codes = {failure.exit_code for failure in failures}
+    if codes:
+        return 2 if 2 in codes else 3
+    if outcomes is None:
+        return 0
+    asked = set(outcomes) - {Outcome.NOT_ASKED}
+    if Outcome.FAIL in asked:
+        return 1
+    return 4 if Outcome.INCONCLUSIVE in asked or not asked else 0
 
 
 def _selected(logs: Sequence[Path | str], run: RunConfig, window: float | None, suite: str | None) -> Selection:
@@ -307,16 +286,14 @@ def _evaluated(
     left = [index for index in range(len(sources)) if index not in done]
     for place, ended in evaluate([sources[index] for index in left]):
         index = left[place]
-        results[index] = _lost(sources[index], ended) if isinstance(ended, WorkerLost) else ended
+        if isinstance(ended, WorkerLost):
+            label = sources[index].label
+            ended = LogResult(label, label, failures=(Failure(label, f"{label}: not evaluated: {ended.reason}"),))
+        results[index] = ended
         if results[index].stopped:
             raise OutputError(results[index].stopped)
         on_log(results[index])
     return tuple(results[index] for index in range(len(sources)))
-
-
-def _lost(source: LogSource, lost: WorkerLost) -> LogResult:
-    failure = Failure(source.label, f"{source.label}: not evaluated: {lost.reason}")
-    return LogResult(source.label, source.label, failures=(failure,))
 
 
 def _distinct(results: Sequence[LogResult]) -> tuple[LogResult, ...]:
@@ -335,35 +312,6 @@ def _renamed(result: LogResult) -> LogResult:
     )
 
 
-def _write(result: RunResult) -> None:
-    write_metrics(result.out, result.table)
-    found = table_of(result.out, result.logs, HEALTH)
-    write_parquet(result.out / HEALTH, found if len(found) else health.table("", ()))
-    said = outcomes([verdict for verdict in result.verdicts if verdict.gate.metric != LATE])
-    write_parquet(result.out / "verdicts.parquet", said)
-    labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in result.logs}
-    drives = pd.DataFrame([asdict(drive) for drive in result.drives], columns=["log", "planner", "mode", "oracle"])
-    crashed = [(failure.log, failure.planner, failure.mode) for failure in result.failures]
-    stand = standings(said, drives, list(labels), result.run.drives, crashed)
-    write_parquet(result.out / "groups.parquet", groups(result.table, stand, labels))
-    write_json(result.out / "summary.json", summary(result))
-
-
-def summary(result: RunResult) -> dict[str, Any]:
-    """What summary.json holds, NaN as null."""
-    return {
-        "replan": replan_version(),
-        "python": platform.python_version(),
-        **({} if result.shard is None else {"shard": str(result.shard)}),
-        "outcome": result.outcome,
-        "exit_code": result.exit_code,
-        "logs_left_out": list(result.selection.dropped),
-        "logs": [_log_summary(log) for log in result.logs],
-        "gates": [_verdict_summary(verdict) for verdict in result.verdicts],
-        "failures": [asdict(failure) for failure in result.failures],
-    }
-
-
 def _log_summary(log: LogResult) -> dict[str, Any]:
     return {
         "log": log.name,
@@ -379,16 +327,10 @@ def _log_summary(log: LogResult) -> dict[str, Any]:
 
 
 def _verdict_summary(verdict: Verdict) -> dict[str, Any]:
-    """All but what each log says: that is in verdicts.parquet."""
-    said = {key: value for key, value in asdict(verdict).items() if key != "logs"}
-    return {"rule": str(verdict.gate), **_no_nan(said)}
-
-
-def _no_nan(record: dict[str, Any]) -> dict[str, Any]:
-    return {key: _json_value(value) for key, value in record.items()}
-
-
-def _json_value(value: Any) -> Any:
-    if isinstance(value, float) and not isfinite(value):
-        return None
-    return value.value if isinstance(value, Enum) else value
+    """A verdict without what it says of each log, which is in verdicts.parquet; NaN is null."""
+    record: dict[str, Any] = {"rule": str(verdict.gate)}
+    for key, value in asdict(verdict).items():
+        if key != "logs":
+            plain = value.value if isinstance(value, Enum) else value
+            record[key] = None if isinstance(plain, float) and not isfinite(plain) else plain
+    return record

@@ -110,7 +110,7 @@ def _driven(drive: DriveResult, scenario: Scenario, until_s: float, *, debug: bo
         return kept[0]
 
     keywords = planner_keywords(drive.planner, run.planner.get(drive.planner, {}))
-    config = replace(run.loop, apart=replace(run.loop.apart, trust=True))
+    config = replace(run.drive_loop, apart=replace(run.loop.apart, trust=True))
     loop = LOOPS[drive.trace.mode]
     made = loop(scenario, drive.planner, planner_config=keywords, config=config, until_s=until_s, seat=seat)
     if not made.trace.frames or abs(made.trace.frames[-1].t - until_s) > SAME_TIME_S:

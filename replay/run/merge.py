@@ -1,6 +1,6 @@
 """The shards of a run put together: the tables are those of the run that drove all logs itself, byte for byte.
 
-What cannot be the same is a clock: `timings.parquet`, and what is judged by it (`--deadline`).
+What cannot be the same is a clock: `timings.parquet`, and what is judged by it (`deadline_s`).
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from logs.files import read_toml
 from logs.names import counted
 from replay.config import load_run
 from replay.planner_process.planner_config import planner_factory
-from replay.results.log_result import Failure, LogResult, Stamp, kept
+from replay.results.load import Results
+from replay.results.log_result import Failure, LogResult, Stamp, load_result
 from replay.results.schema import SCHEMA_VERSION
 from replay.results.tables import PARTIAL, SHARD_CARD, claim, write_text
-from replay.run.evaluate import RunResult, concluded, gates_of
+from replay.run.evaluate import gates_of, judge_and_write
 from replay.run.lock import held
 from replay.run.origin import begun_in, write_origin
 from replay.run.resume import changes, stamp_of
@@ -57,7 +58,7 @@ class Part:
     results: tuple[LogResult, ...]
 
 
-def merge(folders: Sequence[Path | str], out: Path | str) -> RunResult:
+def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
     """Judge the logs of all shards together and write one result folder.
 
     Args:
@@ -81,7 +82,7 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> RunResult:
         write_text(out / "run.toml", text)
         write_origin(out, begun_in(found[0].folder, (result.source for result in found[0].results)))
         _copy_folders(found, out)
-        return concluded(out, run, _selection(found), _results(found), gates, found[0].failures)
+        return judge_and_write(out, run, _selection(found), _results(found), gates, found[0].failures)
 
 
 @contextmanager
@@ -144,7 +145,7 @@ def _result(folder: Path, card: Mapping[str, Any]) -> LogResult:
     if not card["folder"]:
         failures = tuple(Failure(**failure) for failure in card["failures"])
         return LogResult(card["source"], card["log"], failures=failures)
-    content = kept(folder / card["folder"])
+    content = load_result(folder / card["folder"])
     if content is None:
         raise ConfigError(
             f"{folder}: the folder {card['folder']} in it is not there or not whole; copy the shard again"

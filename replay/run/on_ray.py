@@ -34,7 +34,7 @@ from replay.results.log_result import Failure, LogResult, Stamp
 from replay.results.tables import PARTIAL
 from replay.run.checks import KINDS
 from replay.run.engine import Job, longest_first
-from replay.run.pool import WorkerLost, settle
+from replay.run.pool import WorkerLost, freeze_gc
 from replay.run.resume import stamp_of
 from replay.run.sources import LogSource
 
@@ -71,7 +71,9 @@ class OnRay:
             ConfigError: Ray is not installed, the cluster cannot be reached, or its Python is another.
             OutputError: A folder cannot be written here.
         """
-        absolute = [_absolute(source) for source in sources]
+        absolute = [
+            source if source.path is None else replace(source, path=source.path.absolute()) for source in sources
+        ]
         with self._connected(run) as ray:
             job = ray.put((run, stamp, uuid4().hex))
             task = ray.remote(_on_node).options(max_retries=RETRIES, num_cpus=1)
@@ -187,11 +189,6 @@ def _ray() -> Any:
     return ray
 
 
-def _absolute(source: LogSource) -> LogSource:
-    """The source as a node sees it that shares this machine's folders."""
-    return source if source.path is None else replace(source, path=source.path.absolute())
-
-
 def _answer(ray: Any, reference: Any) -> tuple[Any, Any] | WorkerLost:
     """What a task returned, or why it did not."""
     try:
@@ -238,7 +235,7 @@ def _stamp_here(planners: tuple[str, ...], metrics: tuple[str, ...], of_loop: tu
     return stamp_of(RunConfig(planners=planners, metrics=metrics, loop=loop, log=LogSettings(reader=reader)))
 
 
-_settled = cache(settle)
+_settled = cache(freeze_gc)
 """Once in each process, behind its first log: by then all kernels are loaded."""
 
 

@@ -31,7 +31,7 @@ from metrics import METRICS, Metric, health, load_metric
 from metrics.comfort import LON_JERK_STATE
 from metrics.judge.rows import MEMBER
 from replay.config import RunConfig
-from replay.drive import Drive, Place
+from replay.drive import Drive, DriveKey
 from replay.loop.avoidability import with_avoidability
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.determinism import NOT_DETERMINISTIC, with_probe
@@ -177,7 +177,7 @@ def _identified(source: LogSource, scenario: Scenario, folder: Path, run: RunCon
 def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, progress: _Progress) -> None:
     if Mode.CLOSED in run.modes:
         with progress.attempt():
-            scenario, tables = with_references(scenario, run.loop)
+            scenario, tables = with_references(scenario, run.drive_loop)
             progress.tables += tables
     with closing(StepsFile(folder)) as steps:
         for planner, mode, place in _places(run):
@@ -191,14 +191,14 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
                 del trace  # before the next one is driven: of an hour it is large
         steps.write()
     with progress.attempt():
-        progress.tables += late_follower(progress.tables, scenario, run.loop)
+        progress.tables += late_follower(progress.tables, scenario, run.drive_loop)
 
 
-def _places(run: RunConfig, member: int = 0) -> Iterator[tuple[str, Mode, Place]]:
+def _places(run: RunConfig, member: int = 0) -> Iterator[tuple[str, Mode, DriveKey]]:
     """Planner and loop of each drive of a log, or of a member of its ensemble."""
     for i, planner in enumerate(run.planners):
         for j, mode in enumerate(run.modes):
-            yield planner, mode, Place(member, i, j)
+            yield planner, mode, DriveKey(member, i, j)
 
 
 def _drive_one(
@@ -206,7 +206,7 @@ def _drive_one(
     planner: str,
     mode: Mode,
     run: RunConfig,
-    place: Place,
+    place: DriveKey,
     file: Path,
     progress: _Progress,
     steps: StepsFile,
@@ -242,7 +242,7 @@ def _driven(
     planner: str,
     mode: Mode,
     run: RunConfig,
-    place: Place,
+    place: DriveKey,
     *,
     keep: bool,
     until_s: float = inf,
@@ -253,14 +253,14 @@ def _driven(
         scenario,
         planner,
         planner_config=keywords,
-        config=run.loop,
+        config=run.drive_loop,
         keep_internals=keep,
         until_s=until_s,
         seat=partial(Planning, place=place),
     )
 
 
-def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig, place: Place) -> Drive:
+def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig, place: DriveKey) -> Drive:
     """The drive, marked where its planner is the user's own and is not deterministic (`RunConfig.repeat_s`)."""
     planner, until_s = drive.trace.planner, float(scenario.ego.t[0]) + run.repeat_s
     if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:
@@ -281,13 +281,13 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
     measures = all_metrics(run)
     tables: list[pd.DataFrame] = []
     if Mode.CLOSED in run.modes:
-        other, tables = with_references(other, run.loop)
+        other, tables = with_references(other, run.drive_loop)
     for planner, mode, place in _places(run, member):
         with progress.attempt(planner, mode):
             drive = _driven(other, planner, mode, run, place, keep=bool(run.metrics))
             noted = progress.broken(planner, mode)
             tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
-    tables += late_follower(tables, other, run.loop)
+    tables += late_follower(tables, other, run.drive_loop)
     progress.members.extend(table.assign(member=member, perturbation=name) for table in tables)
 
 

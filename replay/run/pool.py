@@ -71,7 +71,8 @@ def run_all(
             while waiting and len(crew) < (1 if one_first else workers):
                 crew.append(_hired(function))
                 _hand_out(crew[-1], items, waiting)
-            for worker in _ready(crew):
+            answered = wait([worker.pipe for worker in crew])
+            for worker in [each for each in crew if each.pipe in answered]:
                 index, result = worker.item, worker.take()
                 worker.item = None
                 if waiting and not isinstance(result, WorkerLost):
@@ -102,11 +103,6 @@ def _hand_out(worker: _Worker[T, R], items: Sequence[T], waiting: list[int]) -> 
         worker.pipe.send(items[worker.item])
 
 
-def _ready(crew: list[_Worker[T, R]]) -> list[_Worker[T, R]]:
-    answered = wait([worker.pipe for worker in crew])
-    return [worker for worker in crew if worker.pipe in answered]
-
-
 def _dismiss(worker: _Worker[T, R]) -> None:
     worker.pipe.close()
     worker.process.join()
@@ -117,7 +113,7 @@ def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
     """The child: answer items until the pipe is closed. Ctrl-C is the parent's business; with it the child ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    settle()
+    freeze_gc()
     served = 0
     while True:
         try:
@@ -127,11 +123,11 @@ def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
         pipe.send(function(item))
         served += 1
         if served == 1:  # by now all kernels are loaded, too
-            settle()
+            freeze_gc()
 
 
-def settle() -> None:
-    """Modules and kernels that are loaded stay: they are not looked through for garbage again.
+def freeze_gc() -> None:
+    """Exclude the modules and kernels that are loaded from garbage collection.
 
     A full collection took 117 ms with them, sometimes in the middle of a plan.
     """

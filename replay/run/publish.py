@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from logs.errors import ConfigError, ReplanError
-from logs.remote import RemoteFile, content, fetch, listed, local_path, put, put_new, remove, url_of
+from logs.remote import content, fetch, listed, local_path, put, put_new, remove, url_of
 from replay.results.log_result import LogResult
 from replay.results.tables import FILES, LOCK, LOG_CARD, PARTIAL
 from replay.run.lock import card, has_ended
@@ -28,8 +28,8 @@ from replay.run.sources import LogSource
 
 
 @dataclass
-class Place:
-    """Where a run writes.
+class OutputLocation:
+    """Where the results of a run are written.
 
     Attributes:
         folder: On this machine; None: the next free one.
@@ -54,7 +54,8 @@ class Place:
     def keep(self, result: LogResult) -> None:
         """Send a log's folder, and before the first `run.toml`; OutputError."""
         if self.url and self.folder is not None and result.folder:
-            self._send([self.folder / "run.toml", *_card_last(self.folder / result.folder)])
+            files = sorted((self.folder / result.folder).iterdir(), key=lambda path: (path.name == LOG_CARD, path.name))
+            self._send([self.folder / "run.toml", *files])
 
     def finish(self) -> None:
         """Send all that is not there yet; OutputError."""
@@ -74,7 +75,7 @@ class Place:
 
 
 @contextmanager
-def result_place(out: Path | str | None, *, resume: bool = False) -> Iterator[Place]:
+def output_location(out: Path | str | None, *, resume: bool = False) -> Iterator[OutputLocation]:
     """A place for a run's results; at a URL it is held, and what is there is fetched (`resume`) or replaced.
 
     Raises:
@@ -83,7 +84,7 @@ def result_place(out: Path | str | None, *, resume: bool = False) -> Iterator[Pl
     """
     url = "" if out is None else url_of(out)
     if not url:
-        yield Place(None if out is None else local_path(out))
+        yield OutputLocation(None if out is None else local_path(out))
         return
     _hold(url)
     try:
@@ -99,7 +100,7 @@ def result_place(out: Path | str | None, *, resume: bool = False) -> Iterator[Pl
         remove([f"{url}/{LOCK}"])
 
 
-def _begun(url: str, folder: Path, *, resume: bool) -> Place:
+def _begun(url: str, folder: Path, *, resume: bool) -> OutputLocation:
     """The place, with what stays of the results that are there."""
     files = [file for file in listed(url) if file.name != LOCK]
     cards = {file.name.partition("/")[0] for file in files if file.name.endswith(f"/{LOG_CARD}")}
@@ -109,7 +110,7 @@ def _begun(url: str, folder: Path, *, resume: bool) -> Place:
         foreign += files
     if foreign:
         raise ConfigError(
-            f"{url}: holds {foreign[0].name}, which is no result of replan; give --out a new or empty place"
+            f"{url}: contains {foreign[0].name}, which is no result of replan; give --out a new or empty place"
         )
     whole = [file for file in logs if file.name.partition("/")[0] in cards] if resume else []
     kept = [*whole, *(file for file in files if resume and file.name == "run.toml")]
@@ -117,16 +118,9 @@ def _begun(url: str, folder: Path, *, resume: bool) -> Place:
         folder.mkdir()
         fetch(kept, folder)
     there = {file.name: (folder / file.name).stat().st_mtime_ns for file in kept}
-    return Place(folder, url, there, [file.url for file in _cards_first(files) if file not in kept])
-
-
-def _cards_first(files: Sequence[RemoteFile]) -> list[RemoteFile]:
-    """In the order in which they may go: no log's folder looks whole that is not; what says that all is ours, last."""
-    return sorted(files, key=lambda file: (file.name == "run.toml", not file.name.endswith(LOG_CARD), file.name))
-
-
-def _card_last(folder: Path) -> list[Path]:
-    return sorted(folder.iterdir(), key=lambda path: (path.name == LOG_CARD, path.name))
+    # removed first are the cards, so that no folder looks whole that is not, and last run.toml, which says whose it is
+    order = sorted(files, key=lambda file: (file.name == "run.toml", not file.name.endswith(LOG_CARD), file.name))
+    return OutputLocation(folder, url, there, [file.url for file in order if file not in kept])
 
 
 def _hold(url: str) -> None:

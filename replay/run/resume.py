@@ -9,6 +9,7 @@ run is mixed in.
 from __future__ import annotations
 
 import shutil
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
@@ -25,7 +26,7 @@ from replan.own import PACKAGES
 from replay.config import RunConfig, dump_run
 from replay.oracle import ORACLES
 from replay.planner_process.connection import command_of
-from replay.results.log_result import LogResult, Stamp, kept
+from replay.results.log_result import LogResult, Stamp, load_result
 from replay.results.tables import FILES, LOG_CARD, PARTIAL, check_ours, clear_partial
 from replay.results.version import replan_version
 from replay.run.checks import KINDS
@@ -78,7 +79,7 @@ def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Sta
     folders = [folder for folder in sorted(out.iterdir()) if (folder / LOG_CARD).is_file()]
     if folders or (out / "run.toml").is_file():
         _check_run(out, run)
-    found = {folder: kept(folder) for folder in folders if not folder.name.startswith(PARTIAL)}
+    found = {folder: load_result(folder) for folder in folders if not folder.name.startswith(PARTIAL)}
     inputs = {identity_of(source): index for index, source in enumerate(sources)}
     results: dict[int, LogResult] = {}
     for content in found.values():
@@ -86,7 +87,10 @@ def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Sta
             continue
         result, identity, was = content
         if was != stamp:
-            raise ConfigError(f"{out}: was begun with {_other(was, stamp)}; {START_OVER}")
+            with_what = "other code of replan, of a planner or of a metric than there is now"
+            if was.replan != stamp.replan:
+                with_what = f"replan {was.replan}, this is {stamp.replan}"
+            raise ConfigError(f"{out}: was begun with {with_what}; {START_OVER}")
         if identity not in inputs:
             raise ConfigError(
                 f"{out}: holds results of {result.source}, which is not among the logs or has changed; name the same"
@@ -107,7 +111,7 @@ def identity_of(source: LogSource) -> str:
 
 def _check_run(out: Path, run: RunConfig) -> None:
     """Refuse another configuration; the gates may be others."""
-    changed = changes(read_toml(out / "run.toml"), _as_read(run), besides="gates")
+    changed = changes(read_toml(out / "run.toml"), tomllib.loads(dump_run(run)), besides="gates")
     if changed:
         raise ConfigError(
             f"{out}: was begun with another configuration: {changed}; give the same options, or {START_OVER}"
@@ -122,13 +126,6 @@ def changes(before: Mapping[str, Any], now: Mapping[str, Any], besides: str = ""
     return f"{said} and {len(changed) - 3} more" if len(changed) > 3 else said
 
 
-def _as_read(run: RunConfig) -> dict[str, Any]:
-    """The configuration as it would be read from the file of a run."""
-    import tomllib
-
-    return tomllib.loads(dump_run(run))
-
-
 def _flat(table: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, Any]]:
     for key, value in table.items():
         if isinstance(value, Mapping):
@@ -139,12 +136,6 @@ def _flat(table: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, Any]
 
 def _said(table: Mapping[str, Any], key: str) -> str:
     return repr(table[key]) if key in table else "not set"
-
-
-def _other(was: Stamp, now: Stamp) -> str:
-    if was.replan != now.replan:
-        return f"replan {was.replan}, this is {now.replan}"
-    return "other code of replan, of a planner or of a metric than there is now"
 
 
 def _clear(out: Path, broken: Sequence[Path]) -> None:

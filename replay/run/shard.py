@@ -76,21 +76,18 @@ def write_card(
         failures: What is about no log.
         results: In the order of the shard's logs, under the names that they have in their own folders.
     """
-    card = {
+    card: dict[str, Any] = {
         **asdict(shard),
         "inputs": [identity_of(source) for source in whole.sources],
         "logs_left_out": list(whole.dropped),
         "gates": None if run.gates_path is None else run.gates_path.read_text(encoding="utf-8"),
         **asdict(stamp),
         "failures": [asdict(failure) for failure in failures],
-        "logs": [_log_card(result) for result in results],
+        "logs": [],
     }
+    for result in results:
+        log: dict[str, Any] = {"source": result.source, "folder": result.folder}
+        if not result.folder:
+            log |= {"log": result.name, "failures": [asdict(failure) for failure in result.failures]}
+        card["logs"].append(log)
     write_json(out / SHARD_CARD, card)
-
-
-def _log_card(result: LogResult) -> dict[str, Any]:
-    """A log with a folder by that; else all that there is of it."""
-    if result.folder:
-        return {"source": result.source, "folder": result.folder}
-    failures = [asdict(failure) for failure in result.failures]
-    return {"source": result.source, "folder": "", "log": result.name, "failures": failures}

@@ -174,7 +174,7 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
     """The logs that files and folders hold, of all formats in `logs.readers`.
 
     A folder that is no log itself is searched for logs. Results of earlier runs, hidden files and second copies of the
-    same bytes are left out. With `window`, each log becomes its parts of so many seconds.
+    same bytes are left out. With `window`, each log is split into windows of this length, s.
 
     Raises:
         ConfigError: A path does not exist, is of a kind that no reader knows, or nothing is left.
@@ -184,12 +184,16 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
     dropped: list[str] = []
     for place in paths:
         url = url_of(place)
-        candidates = list(_remote(url, settings) if url else _local(local_path(place), settings))
+        if url:
+            candidates = list(_remote(url, settings))
+        else:
+            found = _logs(local_path(place), settings)
+            candidates = [(LogSource(str(log), log, settings), reason) for log, reason in found]
         if not candidates:
             looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers(settings.reader)))
             raise ConfigError(f"{url or place}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}")
         for log, reason in candidates:
-            source = log if reason or log.remote else _hashed(log)
+            source = log if reason or log.path is None else replace(log, digest=_digest(log.path, settings))
             key = _version(log.remote) or source.digest or (os.path.realpath(log.path) if log.path else log.label)
             twin = kept.get(key)
             reason = reason or (f"the same bytes as {twin.label}" if twin else "")
@@ -214,11 +218,6 @@ def _parts(source: LogSource, window: float) -> Iterator[LogSource]:
         parts = (source.settings,)
     for part in parts:
         yield replace(source, label=f"{source.label} from {part.begin:g} s", settings=part)
-
-
-def _local(path: Path, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
-    """The logs at a path, each with the reason why it is left out ("" keeps it)."""
-    return ((LogSource(str(log), log, settings), reason) for log, reason in _logs(path, settings))
 
 
 def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
@@ -263,11 +262,6 @@ def _version(files: Sequence[RemoteFile]) -> str:
         return f"{files[0].size}-{files[0].version}"
     text = "".join(f"{file.name.partition('/')[2]} {file.size} {file.version}\n" for file in files)
     return hashlib.sha256(text.encode()).hexdigest() if files else ""
-
-
-def _hashed(source: LogSource) -> LogSource:
-    assert source.path is not None
-    return replace(source, digest=_digest(source.path, source.settings))
 
 
 def _logs(path: Path, settings: LogSettings) -> Iterator[tuple[Path, str]]:

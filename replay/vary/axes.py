@@ -70,7 +70,7 @@ class Question:
 
     @property
     def varies_agents(self) -> bool:
-        """Whether agents must be named: somebody is varied, and nobody inserted who would be meant."""
+        """Whether agents must be named: a variation is of an agent, and none inserts the agent that it varies."""
         kinds = [VARIATIONS[name] for name in (*self.fixed, *(axis.name for axis in self.axes))]
         return any(kind.of == "agent" for kind in kinds) and not any(kind.inserts for kind in kinds)
 

@@ -1,4 +1,4 @@
-"""Who comes how near to the ego in a log, so that a user finds which to vary."""
+"""The agents of a log by how near they come to the ego, so that a user finds which to vary."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from replay.loop.reference_drives import reference_drives
 
 GRID_S = 0.1
 SEEN_S = 1.0
-"""Who is tracked for a shorter time is not proposed: most often a flicker, no road user."""
+"""An agent that is tracked for a shorter time is not proposed: most often it is a flicker."""
 GOING_M = 1.0
-"""Who goes a shorter way stands: another time or speed changes nothing."""
+"""An agent that goes a shorter way stands: another time or speed changes nothing."""
 SHOWN = 40
 
 
@@ -96,15 +96,15 @@ def _drive(scenario: Scenario) -> Trajectory:
 
 
 def nearest_agent(scenario: Scenario) -> str:
-    """Who comes nearest to the ego of all who go somewhere; where nobody does, of all.
+    """The agent that comes nearest to the ego, of those that move; where none moves, of all.
 
     Raises:
-        ConfigError: There is nobody.
+        ConfigError: There is no agent.
     """
     seen = [one for one in encounters(scenario) if one.t_to - one.t_from >= SEEN_S]
     going = [one for one in seen if one.way >= GOING_M]
     if not seen:
-        raise ConfigError(f"{scenario.name}: nobody is there to be varied; vary the ego's start, or insert somebody")
+        raise ConfigError(f"{scenario.name}: there is no agent to vary; vary the ego's start, or insert an agent")
     return (going or seen)[0].agent
 
 
@@ -119,4 +119,4 @@ def listing(found: tuple[Encounter, ...], short: ShortNames) -> list[str]:
     ]
     lines[0] += "   [s, s, m, m, s]"
     more = len(found) - SHOWN
-    return lines + ([f"and {more} who come less near"] if more > 0 else [])
+    return lines + ([f"and {more} that come less near"] if more > 0 else [])

@@ -36,10 +36,10 @@ from metrics.reference_drivers import APPLIES, AVOIDS, MARGIN
 from metrics.reference_drivers import Outcome as Careful
 from replay.config import RunConfig
 from replay.draw.report.figures import save
-from replay.results.log_result import LogResult
+from replay.results.load import Results
 from replay.results.tables import LOCK, safe_name, write_file, write_json, write_parquet
 from replay.results.version import replan_version
-from replay.run import RunResult, evaluate_logs
+from replay.run import evaluate_logs
 from replay.run.lock import held
 from replay.vary.axes import Question
 from replay.vary.bisection import ERROR, Bracket, bisected, brackets
@@ -194,9 +194,13 @@ class _Rounds:
         made = {cell: self._log(cell) for cell in cells}
         logs = [path for path in made.values() if isinstance(path, Path)]
         found = evaluate_logs(logs, self.run, self.out / part, workers=self.workers) if logs else None
-        by_source = {} if found is None else {result.source: result for result in found.logs}
+        names = {} if found is None else dict(zip(found.logs["source"], found.logs["log"], strict=True))
         for cell, path in made.items():
-            said = _broken(path) if isinstance(path, str) else _judged(by_source[str(path)], found)
+            if isinstance(path, str):
+                said = _broken(path)
+            else:
+                assert found is not None
+                said = _judged(found, names[str(path)])
             log = _file(self.question.values(cell))
             self.rows.append({"cell": cell, **self.question.values(cell), "part": part, **said, "log": log})
         return [row["outcome"] for row in self.rows[-len(cells) :]]
@@ -223,25 +227,29 @@ def _broken(why: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _judged(log: LogResult, run: RunResult | None) -> dict[str, Any]:
-    """What `replan evaluate` says of a log, in one row."""
-    assert run is not None
-    if log.failures or not log.drives:
-        return _broken(log.failures[0].line if log.failures else "not driven")
-    said = [(verdict.gate, one) for verdict in run.verdicts for one in verdict.logs if one.log == log.name]
-    outcome = worst([one.outcome for _, one in said])
-    table = run.table[(run.table["log"] == log.name) & (run.table["planner"] == run.run.planners[0])].set_index(
-        "metric"
-    )
+def _judged(results: Results, log: str) -> dict[str, Any]:
+    """The verdict of `replan evaluate` on a log, in one row."""
+    drives = results.drives[results.drives["log"] == log]
+    failures = results.failures[results.failures["log"] == log]
+    if len(failures) or drives.empty:
+        why = "not driven"
+        if len(failures):
+            first = failures.iloc[0]
+            why = f"{first.message} [{first.planner}, {first.mode} loop]" if first.planner else str(first.message)
+        return _broken(why)
+    verdicts = results.verdicts[results.verdicts["log"] == log]
+    outcome = worst(map(Outcome, verdicts["outcome"]))
+    table = results.metrics
+    table = table[(table["log"] == log) & (table["planner"] == results.run.planners[0])].set_index("metric")
     value = table["value"].where(table["available"], nan)
-    careful, drive = _careful(value), log.drives[0]
+    careful, drive = _careful(value), drives.iloc[0]
     excused = outcome is Outcome.INCONCLUSIVE and careful == Careful.UNAVOIDABLE.value
-    blamed = [(gate, one.why) for gate, one in said if one.outcome is outcome and outcome is not Outcome.PASS]
+    blamed = verdicts[(verdicts["outcome"] == outcome.value) & (outcome is not Outcome.PASS)]
     contact = drive.end in _CONTACTS
     return {
         "outcome": UNAVOIDABLE if excused else outcome.value,
-        "gates": "; ".join(str(gate) for gate, _ in blamed),
-        "why": next((why for _, why in blamed if why), ""),
+        "gates": "; ".join(blamed["gate"]),
+        "why": next(filter(None, blamed["reason"]), ""),
         "end": drive.end,
         "contact": drive.detail if contact else "",
         "contact_s": drive.t_end_s if contact else nan,

@@ -230,6 +230,6 @@ def test_findings_go_into_the_results(tmp_path: Path) -> None:
     result = evaluate_logs([tmp_path / "log.mcap"], run, tmp_path / "out")
     found = pd.read_parquet(tmp_path / "out" / "health.parquet")
     assert found["kind"].tolist() == ["ego jump"] and found["log"].tolist() == ["made"]
-    assert any(note.startswith("Health, ego jump:") for note in result.logs[0].notes)
+    assert any(note.startswith("Health, ego jump:") for note in result.logs.iloc[0].notes)
     again = evaluate_logs([tmp_path / "log.mcap"], run, tmp_path / "out", resume=True)
     assert again.resumed == 1 and pd.read_parquet(tmp_path / "out" / "health.parquet").equals(found)

@@ -16,7 +16,7 @@ from typer.testing import CliRunner, Result
 from logs import ConfigError, LogError
 from metrics.compare import Comparison
 from replay.cli import app
-from replay.compare import compare_runs, opened, write_baseline
+from replay.compare import compare_runs, read_run, write_baseline
 from replay.config import RunConfig
 from replay.draw.report.compared import document
 from replay.run import evaluate_logs
@@ -46,13 +46,13 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def of(*paths: Path, **how: object) -> Comparison:
-    return compare_runs(opened(paths[0]), opened(paths[-1]), **how)  # type: ignore[arg-type]
+    return compare_runs(read_run(paths[0]), read_run(paths[-1]), **how)  # type: ignore[arg-type]
 
 
 def test_the_same_run_is_no_difference_as_folder_and_as_file(runs: tuple[Path, Path], tmp_path: Path) -> None:
     files = tmp_path / "one.parquet", tmp_path / "two.parquet"
     for file in files:
-        write_baseline(opened(runs[0]), file)
+        write_baseline(read_run(runs[0]), file)
     assert files[0].read_bytes() == files[1].read_bytes() and files[0].stat().st_size < 100_000
     for pair in ((runs[0], runs[0]), (files[0], runs[0]), (files[0], files[1])):
         found = of(*pair)
@@ -104,16 +104,16 @@ def test_a_missing_log_and_an_older_folder(runs: tuple[Path, Path], tmp_path: Pa
 
 def test_what_cannot_be_read_is_named(runs: tuple[Path, Path], tmp_path: Path) -> None:
     damaged, foreign = tmp_path / "damaged.parquet", tmp_path / "foreign.parquet"
-    write_baseline(opened(runs[0]), damaged)
+    write_baseline(read_run(runs[0]), damaged)
     damaged.write_bytes(damaged.read_bytes()[:-500])
     pd.DataFrame({"x": [1]}).to_parquet(foreign)
     for path, error, words in (
         (damaged, LogError, "cannot be read as a baseline"),
-        (foreign, ConfigError, "is no baseline"),
+        (foreign, ConfigError, "is not a baseline"),
         (tmp_path / "nothing", ConfigError, "no results"),
     ):
         with pytest.raises(error, match=words):
-            opened(path)
+            read_run(path)
     assert replan("baseline", runs[0], "-o", tmp_path).exit_code == 3  # a folder is there
 
 
@@ -144,7 +144,7 @@ def test_the_report_says_inputs_regressions_partings_and_rules(runs: tuple[Path,
         "controller: commanded", "[idm]", "replan view ", "at most 0 flips to FAIL", "Comparison: ",
     ):  # fmt: skip
         assert words in result.stdout
-    content = json.loads(replan("compare", *runs, "--json", "--no-partings").stdout)
+    content = json.loads(replan("compare", *runs, "--json", "--no-first-difference").stdout)
     assert content["exit_code"] == result.exit_code and content["partings"] == []
     assert len(content["pairs"]) == len(document(of(*runs, partings=0))["pairs"]) > 0
 
@@ -174,7 +174,7 @@ def _damaged(folder: Path) -> Path:
 @pytest.mark.parametrize("case", list(CASES))
 def test_exit_codes(runs: tuple[Path, Path], tmp_path: Path, case: str) -> None:
     code, words = CASES[case]
-    assert replan("compare", *words(runs, tmp_path), "--no-partings").exit_code == code
+    assert replan("compare", *words(runs, tmp_path), "--no-first-difference").exit_code == code
 
 
 @pytest.mark.slow

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import fields, replace
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 
 import pytest
@@ -15,7 +18,7 @@ from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from planners.dp_qp import DpQpConfig
 from replay.config import LoopConfig, RunConfig, dump_run, load_run
 from replay.planner_process.planner_config import planner_keywords, resolved_table
-from replay.settings import strict
+from replay.settings import dotted_keys, set_table, strict
 
 WORDS = st.text("abcdefgh_:.", min_size=1, max_size=12)
 VEHICLE_KEYS = {
@@ -112,9 +115,7 @@ def test_a_known_vehicle_replaces_the_logs_and_other_keys_replace_its_own(name: 
     log = VehicleParameters(mass=900.0, width=2.0)
     assert RunConfig(vehicle={"set": name}).driven(log) == vehicle_parameters(name)
     assert RunConfig(vehicle={"set": name, "mass": mass}).driven(log) == replace(vehicle_parameters(name), mass=mass)
-    assert RunConfig(vehicle={"mass": mass}).in_car(name).driven(log).mass == mass
-    assert RunConfig(vehicle={"set": name}).in_car("bmw_320i").driven(log) == vehicle_parameters("bmw_320i")
-    assert RunConfig().in_car(None) == RunConfig()
+    assert load_run(None, {"vehicle": {"set": name}}).driven(log) == vehicle_parameters(name)
 
 
 def test_columns_of_a_known_vehicle_can_be_replaced() -> None:
@@ -148,3 +149,31 @@ def test_a_resolved_planner_table_spells_everything_and_makes_the_same_planner(n
     assert table
     again = planner_keywords(name, table)
     assert again == ({"config": DpQpConfig()} if name == "dp_qp" else table)
+
+
+def test_words_of_set_are_toml_or_text_and_change_one_key(tmp_path: Path) -> None:
+    words = [
+        "loop.plan_period_s=0.2",
+        "mode=open",
+        'planner."my:Mine".layers=[1, 2]',
+        "loop.plant.mass=1400",
+        "log.ego='17'",
+    ]
+    table = set_table(words)
+    assert table["loop"] == {"plan_period_s": 0.2, "plant": {"mass": 1400}}
+    assert table["planner"] == {"my:Mine": {"layers": [1, 2]}}
+    (tmp_path / "run.toml").write_text("gates = 'mine.toml'\n[loop]\nplan_delay_s = 0.1", encoding="utf-8")
+    run = load_run(tmp_path / "run.toml", table)
+    assert (run.mode, run.log.ego, run.loop.plan_delay_s, run.loop.plan_period_s) == ("open", "17", 0.1, 0.2)
+    assert run.gates_path == tmp_path / "mine.toml"
+    for wrong in ("loop", "loop plan=1", "=1"):
+        with pytest.raises(ConfigError, match="write it as KEY=VALUE"):
+            set_table([wrong])
+
+
+def test_every_dotted_key_is_one_of_the_written_file() -> None:
+    whole = tomllib.loads(dump_run(RunConfig()))
+    keys = list(dotted_keys(RunConfig))
+    assert {"mode", "loop.apart.trust", "loop.sensor.range_m", "log.ego", "vehicle"} <= set(keys)
+    for key in keys:
+        reduce(getitem, key.split("."), whole)

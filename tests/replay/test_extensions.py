@@ -245,7 +245,7 @@ def test_settings_of_built_in_ones_are_their_configuration() -> None:
     found, _ = checked(run)
     assert found.controller["mpc"]["steps"] == 9 and found.controller["mpc"]["step_s"] == 0.1
     assert found.vehicle_model["single_track"]["tyre"] == "pacejka"
-    assert found.loop.settings["controller"] == found.controller["mpc"]
+    assert found.drive_loop.settings["controller"] == found.controller["mpc"]
     with pytest.raises(ConfigError, match=r"controller\.mpc\.steps: expected int"):
         checked(RunConfig(("idm",), controller={"mpc": {"steps": 1.5}}))
 

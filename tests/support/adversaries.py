@@ -409,9 +409,11 @@ def main() -> None:
             )  # fmt: skip
             asked = [logs[str(one.log)]] if late else list(logs.values())
             result = evaluate_logs(asked, run, Path(place) / "out" / name, workers=2)
-            for verdict in result.verdicts:
-                failed = sum(log.outcome.value == "fail" for log in verdict.logs)
-                rows.setdefault(f"{verdict.gate.metric} {verdict.mode}", {})[name] = str(failed) if failed else "."
+            for verdict in result.gates.itertuples():
+                of_gate = (result.verdicts["gate"] == verdict.gate) & (result.verdicts["mode"] == verdict.mode)
+                failed = int((result.verdicts[of_gate]["outcome"] == "fail").sum())
+                metric = result.summary["gates"][verdict.Index]["gate"]["metric"]
+                rows.setdefault(f"{metric} {verdict.mode}", {})[name] = str(failed) if failed else "."
             rows.setdefault("exit code", {})[name] = str(result.exit_code)
     rows["exit code"] = rows.pop("exit code")
     print(f"| gate | {' | '.join(ADVERSARIES)} |", "| --- |" + " --- |" * len(ADVERSARIES), sep="\n")

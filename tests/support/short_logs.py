@@ -10,7 +10,8 @@ from handmade import drive, lanes_along, scenario, square, straight, track, trac
 
 from logs import Goal, Scenario
 from replay.config import RunConfig
-from replay.run import RunResult, evaluate_logs
+from replay.results.load import Results
+from replay.run import evaluate_logs
 
 QUICK = RunConfig(planners=("constant_speed",), recording=False)
 
@@ -31,7 +32,7 @@ def free_and_blocked() -> tuple[Scenario, Scenario]:
     return replace(free, name="test/free"), replace(free, tracks=wall, name="test/blocked")
 
 
-def run(logs: Path | Sequence[Path], out: Path, config: RunConfig = QUICK, **options: int) -> RunResult:
+def run(logs: Path | Sequence[Path], out: Path, config: RunConfig = QUICK, **options: int) -> Results:
     return evaluate_logs([logs] if isinstance(logs, Path) else logs, config, out, **options)
 
 

@@ -88,7 +88,7 @@ def _absent(subject: Subject, kind: _Kind) -> str:
     if subject.frame.plan.internals or any(plan.internals for plan in subject.plans):
         return f"this plan has no {kind.title}"
     if subject.drive.result.run.internals == "none":
-        return "the internals of the plan were not kept (--internals none)"
+        return "the internals of the plan were not kept (--set internals=none)"
     return f"{subject.drive.planner} reports no internals"
 
 

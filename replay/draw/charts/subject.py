@@ -44,7 +44,7 @@ class Subject:
         if self.frame is None:
             return ()
         earlier = [one.t for one in self.plans if one.t < self.frame.t]
-        (account,) = accounts(self.trace, self.scenario, self.drive.result.run.loop, earlier)
+        (account,) = accounts(self.trace, self.scenario, self.drive.result.run.drive_loop, earlier)
         plan = Explanation.of(self.frame, account, bounds=False)
         return (f"The plan at t = {plan.t:.2f} s: {plan.does}.", *map(self.scenario.short_names, plan.because))
 

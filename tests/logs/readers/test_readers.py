@@ -241,4 +241,4 @@ def test_a_link_that_leads_to_itself_is_refused(tmp_path: Path) -> None:
     write_scenario(tmp_path / "whole.mcap", SCENARIO)
     (tmp_path / "loop.mcap").symlink_to("loop.mcap")
     result = evaluate_logs([tmp_path], RunConfig(("logged",), recording=False), tmp_path / "out")
-    assert len(result.drives) == 2 and any("loop.mcap" in reason for reason in result.selection.dropped)
+    assert len(result.drives) == 2 and any("loop.mcap" in reason for reason in result.summary["logs_left_out"])

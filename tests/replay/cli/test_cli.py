@@ -15,12 +15,14 @@ from rich.console import Console
 
 from logs.errors import ConfigError
 from logs.mcap import read_scenario
-from replay.config import RunConfig
+from replay.cli.renamed import EVALUATE, replaced
+from replay.config import RunConfig, load_run
 from replay.draw.report.overview import overview
 from replay.draw.report.terminal import print_report
 from replay.draw.view import recordings
-from replay.results.load import load
-from replay.run import RunResult, evaluate_logs
+from replay.results.load import Results, load
+from replay.run import evaluate_logs
+from replay.settings import set_table
 
 
 def test_help_names_every_command_and_teaches_by_example() -> None:
@@ -31,6 +33,21 @@ def test_help_names_every_command_and_teaches_by_example() -> None:
         assert f"replan {command[0]}" in replan(*command, "--help").stdout
     assert "Exit codes" in replan("evaluate", "--help").stdout
     assert "its [log] table" in replan("inspect", "--help").stdout
+
+
+def test_the_help_of_evaluate_fits_on_a_screen_and_a_half(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    assert len(replan("evaluate", "--help").stdout.splitlines()) <= 75
+
+
+@pytest.mark.parametrize("option", EVALUATE)
+def test_an_old_option_is_a_setting_and_says_so(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    value = {"--plant": "mass=1400", "--internals": "none", "--batch": "2"}.get(option, "3")
+    old = [option, value] if "{}" in EVALUATE[option] else [option]
+    words = list(replaced(["--mode", "open", *old, "--", option], EVALUATE))
+    assert (words[:3], words[4:]) == (["--mode", "open", "--set"], ["--", option])
+    assert f"hint: {option} is now --set {words[3]}" in capsys.readouterr().err
+    assert load_run(None, set_table(words[3:4])) != RunConfig()
 
 
 def test_version() -> None:
@@ -78,6 +95,9 @@ def test_exit_3_beats_1_and_the_good_log_is_evaluated(folder: Path, tmp_path: Pa
         (["{free}", "--gates", "nowhere.toml"], "nowhere.toml"),
         (["{free}", "--gates", "{wrong_gate}"], "did you mean 'gap.min'"),
         (["{free}", "--config", "{wrong_key}"], "did you mean 'loop.plan_period_s'?"),
+        (["{free}", "--set", "plan_period_s=1"], "did you mean 'loop.plan_period_s'?"),
+        (["{free}", "--set", "loop.plan_period_s=ab"], "loop.plan_period_s: expected float, got str"),
+        (["{free}", "--set", "loop"], "write it as KEY=VALUE"),
         (["{free}", "--out", "{empty}/../foreign"], "no result of replan"),
     ],
 )
@@ -108,9 +128,11 @@ def test_an_unknown_option_or_value_is_exit_2() -> None:
 def test_options_win_over_the_configuration(folder: Path, tmp_path: Path) -> None:
     config = tmp_path / "run.toml"
     config.write_text('planners = ["dp_qp"]\nmode = "both"\n[loop]\nplan_period_s = 0.2\n', encoding="utf-8")
-    evaluate(folder / "free.mcap", "--config", config, "--mode", "open", "--out", tmp_path / "out")
+    words = ("--mode", "open", "--set", "loop.control_period_s=0.02", "--internals", "none")
+    evaluate(folder / "free.mcap", "--config", config, *words, "--out", tmp_path / "out")
     written = (tmp_path / "out" / "run.toml").read_text(encoding="utf-8")
-    for line in ('"constant_speed"', 'mode = "open"', "plan_period_s = 0.2", "recording = false"):
+    settings = ("plan_period_s = 0.2", "control_period_s = 0.02", 'internals = "none"')
+    for line in ('"constant_speed"', 'mode = "open"', "recording = false", *settings):
         assert line in written
 
 
@@ -267,7 +289,7 @@ def test_view_opens_recordings_with_the_viewer(tmp_path: Path, monkeypatch: pyte
 def recorded(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results with recordings: one log passes, one fails."""
     run = RunConfig(planners=("constant_speed",))
-    return evaluate_logs([folder], run, tmp_path_factory.mktemp("recorded")).out
+    return evaluate_logs([folder], run, tmp_path_factory.mktemp("recorded")).path
 
 
 def test_view_of_results_opens_an_index_and_the_worst(
@@ -315,6 +337,20 @@ def test_a_log_is_found_by_its_name_as_the_index_has_it(tmp_path: Path) -> None:
         recordings(tmp_path, "cut_out")
 
 
+def test_a_picture_of_a_run_is_of_the_worst_drive_and_says_so(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Path] = []
+    monkeypatch.setattr("replay.draw.view.picture", lambda recording, *rest: drawn.append(recording))
+    every = replan("view", recorded, "--screenshot", tmp_path / "x.png")
+    row = overview(load(recorded)).worst
+    assert row is not None and drawn[0].parent == recorded / row.folder
+    assert f"{row.log}, constant_speed, " in every.stdout and "the worst of 4 drives" in every.stdout
+    free = replan("view", recorded, "--log", "test/free", "--screenshot", tmp_path / "x.png")
+    assert drawn[1].parent.name.startswith("test_free") and "test/free, constant_speed, closed loop" in free.stdout
+    assert "the worst of 2 drives" in free.stdout
+
+
 def test_view_of_two_drives_writes_them_as_one(recorded: Path, tmp_path: Path) -> None:
     one = next(recorded.glob("test_free*/closed.rrd"))
     both = tmp_path / "both.rrd"
@@ -351,28 +387,28 @@ def test_view_refuses_what_holds_no_recording(folder: Path, tmp_path: Path) -> N
 
 
 @pytest.fixture(scope="module")
-def compared(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+def compared(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Results:
     run = RunConfig(planners=("constant_speed", "logged"), recording=False)
     return evaluate_logs([folder], run, tmp_path_factory.mktemp("out"))
 
 
-def report(result: RunResult, width: int, **changes: Any) -> str:
+def report(result: Results, width: int, **changes: Any) -> str:
     """The report of a run, with other logs in its summary."""
-    written, results = StringIO(), load(result.out)
+    written, results = StringIO(), load(result.path)
     results = replace(results, summary={**results.summary, **changes})
-    print_report(overview(results), Console(width=width, file=written), result.out)
+    print_report(overview(results), Console(width=width, file=written), result.path)
     return written.getvalue()
 
 
 @pytest.mark.parametrize("width", [80, 100, 140])
-def test_the_report_fits_the_terminal_and_is_plain(compared: RunResult, width: int) -> None:
+def test_the_report_fits_the_terminal_and_is_plain(compared: Results, width: int) -> None:
     lines = report(compared, width).splitlines()
     assert max(map(len, lines)) <= width
     assert "constant_speed" in "".join(lines)
     assert all(char.isascii() or char == "\N{BOX DRAWINGS LIGHT HORIZONTAL}" for line in lines for char in line)
 
 
-def test_the_report_marks_oracles_and_has_a_column_per_planner(compared: RunResult) -> None:
+def test_the_report_marks_oracles_and_has_a_column_per_planner(compared: Results) -> None:
     text = report(compared, 140)
     assert re.search(r"over all logs +constant_speed +logged \(oracle\)", text)
     assert re.search(r"collisions at fault \(closed\) +1 +1", text)
@@ -380,16 +416,16 @@ def test_the_report_marks_oracles_and_has_a_column_per_planner(compared: RunResu
     assert re.search(r"test/blocked *\n  constant_speed .*collision:", text)
 
 
-def test_the_report_names_units_and_says_what_was_assumed(compared: RunResult) -> None:
-    logs = load(compared.out).summary["logs"]
+def test_the_report_names_units_and_says_what_was_assumed(compared: Results) -> None:
+    logs = load(compared.path).summary["logs"]
     text = report(compared, 140, logs=[{**log, "notes": [f"limit {i}.5 m/s used"]} for i, log in enumerate(logs)])
     assert "for example: limit 0.5 m/s used (2 of 2 logs)" in text
     assert "m/s3" in text
     assert "p99 [ms]" in text
 
 
-def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: RunResult) -> None:
-    logs = load(compared.out).summary["logs"]
+def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: Results) -> None:
+    logs = load(compared.path).summary["logs"]
     recorded = [
         {**drive, "files": [f"{log['log']}/{drive['planner']}.{drive['mode']}.rrd"]}
         for log in logs
@@ -398,10 +434,10 @@ def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: RunResu
     shown = report(
         compared, 200, logs=[{**log, "drives": [d for d in recorded if d["log"] == log["log"]]} for log in logs]
     )
-    assert "replan view " + str(compared.out / "test/blocked/constant_speed.closed.rrd") in shown
+    assert "replan view " + str(compared.path / "test/blocked/constant_speed.closed.rrd") in shown
 
 
-def test_a_long_report_shows_trouble_first(compared: RunResult, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_report_shows_trouble_first(compared: Results, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("replay.draw.report.terminal.MAX_ROWS", 1)
     text = report(compared, 140)
     assert "3 more drives" in text

@@ -103,7 +103,7 @@ def case(log: str = "free.mcap", planner: str = "constant_speed", gates: str = "
         (case(gates="tag"), 4),
         (case(gates="sure"), 4),  # one log shows no share of 90 %
         (case(planner="misbehaving_cases:Interrupted"), 3),  # it raises, in its own process
-        (case(planner="misbehaving_cases:Interrupted --trust"), 130),
+        (case(planner="misbehaving_cases:Interrupted --set loop.apart.trust=true"), 130),
         ("report run -o OUT", 0),
         ("report run --baseline run -o OUT", 0),
         ("report other --baseline run -o OUT", 0),  # they are written, whatever they say

@@ -82,3 +82,17 @@ def test_the_file_is_written_where_it_is_asked_for_or_the_place_is_named(trace: 
     result = CliRunner().invoke(app, [*words, str(tmp_path / "file" / "solution.xml")])
     assert result.exit_code == 3
     assert "solution.xml: cannot be written" in result.stderr
+
+
+def test_a_run_is_written_whole_and_other_logs_are_named(tmp_path: Path) -> None:
+    made = CATALOGUE["everyday/cut_in"].scenario()
+    write_scenario(tmp_path / "a.mcap", replace(made, name="ZAM_Made-1_1_T-1", metadata=SAID).in_vehicle(BMW))
+    write_scenario(tmp_path / "b.mcap", replace(CATALOGUE["paper/free_road"].scenario(), name="mine"))
+    words = ["-p", "constant_speed", "--no-recording", "--no-report", "--workers", "0", "-o", str(tmp_path / "run")]
+    CliRunner().invoke(app, ["evaluate", str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap"), *words])
+    said = CliRunner().invoke(
+        app, ["export", "commonroad-solution", str(tmp_path / "run"), "-o", str(tmp_path / "new")]
+    )
+    assert said.exit_code == 0 and "skipped" in said.stderr and "mine" in said.stderr
+    (file,) = (tmp_path / "new").iterdir()
+    assert file.name == "ZAM_Made-1_1_T-1.xml" and "KS2:JB1:ZAM_Made" in file.read_text(encoding="utf-8")

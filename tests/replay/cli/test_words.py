@@ -26,7 +26,7 @@ from logs.vehicle import vehicle_names
 from metrics import METRICS
 from planners import PLANNERS
 from replay.cli.listing import KINDS, entries
-from replay.cli.names import names
+from replay.cli.names import complete_setting, names
 from replay.cli.progress import LEAST_S, Pace, progress, sign_of_life
 from replay.control import CONTROLLERS
 from replay.draw.charts.layout import CHARTS
@@ -150,7 +150,7 @@ def test_verbose_says_each_log_as_it_ends(folder: Path, tmp_path: Path) -> None:
     assert second.endswith("constant_speed closed: goal reached")
     assert " s  " in first
     again = evaluate(folder, "--mode", "closed", "--out", tmp_path / "out", "-v", "--resume")
-    assert again.stderr.count("there already") == 2
+    assert again.stderr.count("finished before") == 2
 
 
 def test_what_is_left_goes_by_the_length_of_the_logs() -> None:
@@ -228,6 +228,8 @@ def test_a_shell_is_given_names() -> None:
     words = {"_REPLAN_COMPLETE": "complete_bash", "COMP_WORDS": "replan evaluate --controller p", "COMP_CWORD": "3"}
     result = python("-m", "replan", **words)
     assert result.stdout.split() == ["pure_pursuit", "pid"]
+    assert "loop.plan_period_s=" in complete_setting("loop.pl")
+    assert complete_setting("controller.p") == ["controller.pure_pursuit.", "controller.pid."]
     named = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}  # else the shell above this process counts
     assert "replan" in python("-m", "replan", "--show-completion", "bash", **named).stdout
 

@@ -41,14 +41,14 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     folder = tmp_path_factory.mktemp("logs")
     write_scenario(folder / "pedestrian.mcap", log())
     run = RunConfig(recording=False)
-    return results_of(evaluate_logs([folder], run, tmp_path_factory.mktemp("out") / "run", workers=0).out)
+    return results_of(evaluate_logs([folder], run, tmp_path_factory.mktemp("out") / "run", workers=0).path)
 
 
 def test_a_run_read_back_is_explained_as_it_was_when_driven(results: Results) -> None:
     """The recording explains the drive in memory, `explain` the one on the disk: the same accounts."""
     driven = run_closed_loop(log(), "dp_qp").trace
     read = results.drive(LOG, "dp_qp")
-    again = list(accounts(read.trace, read.scenario, results.run.loop))
+    again = list(accounts(read.trace, read.scenario, results.run.drive_loop))
     assert again == list(accounts(driven, log()))
     assert any(account.causes for account in again)
 

@@ -59,20 +59,22 @@ def test_who_is_dealt_other_plans_is_marked_with_time_and_size(here: Path, trust
     planners = ("dealt:Dicing", "dealt:Steady", "constant_speed")
     config = replace(QUICK, planners=planners, loop=LoopConfig(apart=PlannerProcessConfig(trust=trust)))
     result = evaluate_logs([here / "a.mcap"], config, here / "out")
-    for drive in result.drives:
+    for drive in result.drives.itertuples():
         said = [note for note in drive.notes if note.startswith(NOT_DETERMINISTIC)]
         assert len(said) == (drive.planner == "dealt:Dicing"), drive
         assert all("differ by up to 0 m and" in note and "m/s at 0.50 s" in note for note in said), said
     marks = {drive.shown for drive in overview(load(here / "out")).drives}
     assert {"dealt:Dicing (trusted) (not deterministic)" if trust else "dealt:Dicing (not deterministic)"} <= marks
     silent = evaluate_logs([here / "a.mcap"], replace(config, repeat_s=0.0), here / "silent")
-    assert not [note for drive in silent.drives for note in drive.notes if note.startswith(NOT_DETERMINISTIC)]
+    assert not [
+        note for drive in silent.drives.itertuples() for note in drive.notes if note.startswith(NOT_DETERMINISTIC)
+    ]
 
 
 @pytest.mark.slow
 def test_a_planner_that_fails_only_the_second_time_is_marked(here: Path) -> None:
     config = replace(QUICK, planners=("dealt:Failing",), mode="open", repeat_s=1.0)
-    (drive,) = evaluate_logs([here / "a.mcap"], config, here / "out").drives
+    (drive,) = evaluate_logs([here / "a.mcap"], config, here / "out").drives.itertuples()
     assert drive.end == EndReason.END_OF_LOG.value
     (note,) = (note for note in drive.notes if note.startswith(NOT_DETERMINISTIC))
     assert "goes on only once" in note and "once is enough" in note

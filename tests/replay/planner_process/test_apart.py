@@ -222,7 +222,7 @@ def test_control_characters_do_not_reach_the_terminal() -> None:
 def test_a_run_that_ends_takes_a_planner_along_that_hangs(tmp_path: Path, how: signal.Signals, workers: str) -> None:
     write_scenario(tmp_path / "log.mcap", short_log())
     command = [sys.executable, "-P", "-c", "from replay.cli import main; main()", "evaluate", "log.mcap"]
-    options = ["-p", "bad_planners:Hangs", "--plan-timeout", "1000", "--workers", workers, "-o", "out"]
+    options = ["-p", "bad_planners:Hangs", "--set", "loop.apart.plan_timeout_s=1000", "--workers", workers, "-o", "out"]
     places = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen([*command, *options], cwd=tmp_path, env=places, stderr=subprocess.PIPE) as run:
         while not (tmp_path / "hangs").exists():

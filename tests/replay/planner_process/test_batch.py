@@ -1,4 +1,4 @@
-"""Several logs in lock step (`--batch`): what a planner that plans them one by one answers does not change by it."""
+"""Logs in lock step (`loop.apart.batch`): the answers of a planner that plans them one by one do not change."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from logs import ConfigError, EndReason
 from logs.mcap import write_scenario
 from replay.config import LoopConfig, PlannerProcessConfig, RunConfig
 from replay.planner_process.batch import in_lockstep
-from replay.run import RunResult, evaluate_logs
+from replay.results.load import Results
+from replay.run import evaluate_logs
 from replay.run.engine import teams_of
 
 pytestmark = pytest.mark.usefixtures("folder")
@@ -57,7 +58,7 @@ def sizes(name: str) -> list[str]:
     return Path(f"sizes.{name}").read_text(encoding="utf-8").split()
 
 
-def run(planner: str, logs: Path, out: Path, batch: int, workers: int = 0, **options: object) -> RunResult:
+def run(planner: str, logs: Path, out: Path, batch: int, workers: int = 0, **options: object) -> Results:
     loop = LoopConfig(apart=PlannerProcessConfig(batch=batch))
     given = {"mode": "both", "repeat_s": 0.2, **options}
     config = RunConfig(planners=("constant_speed", planner), loop=loop, recording=False, internals="none", **given)  # type: ignore[arg-type]
@@ -73,11 +74,13 @@ def tables(out: Path) -> list[bytes]:
 def test_the_numbers_are_those_of_logs_by_themselves(workers: int, logs: Path, tmp_path: Path) -> None:
     planner = written(f"same{workers}")
     alone, together = run(planner, logs, tmp_path / "alone", 0), run(planner, logs, tmp_path / "two", 2, workers)
-    assert not alone.failures and not together.failures
+    assert not len(alone.failures) and not len(together.failures)
     assert tables(tmp_path / "alone") == tables(tmp_path / "two")
-    said = [any(note.startswith("batched: ") for note in drive.notes) for drive in together.drives]
-    assert said == [drive.planner == planner for drive in together.drives]
-    assert not any(note.startswith(("batched", "not det")) for drive in alone.drives for note in drive.notes)
+    said = [any(note.startswith("batched: ") for note in drive.notes) for drive in together.drives.itertuples()]
+    assert said == [drive.planner == planner for drive in together.drives.itertuples()]
+    assert not any(
+        note.startswith(("batched", "not det")) for drive in alone.drives.itertuples() for note in drive.notes
+    )
     counts = sizes(f"same{workers}")
     assert {"2@0", "2@1", "1@0", "1@1"} <= set(counts), "a group of two, and the one that is left"
     assert max(int(size.partition("@")[0]) for size in counts) == 2
@@ -92,7 +95,7 @@ def test_logs_of_other_lengths_and_members_keep_step(tmp_path: Path) -> None:
     options = {"ensemble": 1, "mode": "open"}
     run(planner, tmp_path / "logs", tmp_path / "alone", 0, **options)
     result = run(planner, tmp_path / "logs", tmp_path / "three", 3, **options)
-    assert not result.failures
+    assert not len(result.failures)
     assert tables(tmp_path / "alone") == tables(tmp_path / "three")
     first = sizes("lengths")[:21]
     assert first == [f"{3 - (i > 5) - (i > 10)}@{i}" for i in range(21)]
@@ -131,12 +134,12 @@ def test_a_fault_costs_the_log_that_it_is_of_or_each_is_named(name: str, logs: P
     built, batch, failed, said = FAILS[name]
     planner = written(name, built, batch)
     result = run(planner, logs, tmp_path / "out", 3, mode="open", repeat_s=0.0)
-    drives = [drive for drive in result.drives if drive.planner == planner]
+    drives = [drive for drive in result.drives.itertuples() if drive.planner == planner]
     assert [drive.end == EndReason.PLANNER_FAILURE.value for drive in drives] == failed
     for drive, wrong in zip(drives, failed, strict=True):
         if wrong:
             assert drive.detail.startswith(f"planner '{planner}' on {drive.log} {said}"), drive.detail
-    assert [drive.end for drive in result.drives if drive.planner == "constant_speed"] == [
+    assert [drive.end for drive in result.drives.itertuples() if drive.planner == "constant_speed"] == [
         EndReason.END_OF_LOG.value
     ] * 3
 
@@ -144,10 +147,12 @@ def test_a_fault_costs_the_log_that_it_is_of_or_each_is_named(name: str, logs: P
 def test_one_that_cannot_be_built_leaves_the_others(logs: Path, tmp_path: Path) -> None:
     planner = written("unbuilt", "if context.start.v > 12.0: raise KeyError('weights')")
     result = run(planner, logs, tmp_path / "out", 3, mode="open", repeat_s=0.0)
-    assert sorted(failure.log for failure in result.failures) == sorted(
-        log.name for log in result.logs if not any(drive.planner == planner for drive in log.drives)
+    assert sorted(failure.log for failure in result.failures.itertuples()) == sorted(
+        log.log
+        for log in result.logs.itertuples()
+        if planner not in set(result.drives.query(f"log == '{log.log}'")["planner"])
     )
-    assert all("cannot be built: KeyError: 'weights'" in failure.message for failure in result.failures)
+    assert all("cannot be built: KeyError: 'weights'" in failure.message for failure in result.failures.itertuples())
     assert 0 < len(result.failures) < 3
 
 
@@ -155,7 +160,7 @@ def test_a_run_is_resumed_by_whole_groups(logs: Path, tmp_path: Path) -> None:
     planner, out = written("resumed"), tmp_path / "out"
     first = run(planner, logs, out, 2, mode="open", repeat_s=0.0)
     before = tables(out)
-    shutil.rmtree(out / first.logs[0].folder)
+    shutil.rmtree(out / first.logs.iloc[0].folder)
     Path("sizes.resumed").unlink()
     again = evaluate_logs([logs], first.run, out, resume=True)
     assert again.resumed == 1 and tables(out) == before
@@ -167,12 +172,14 @@ def test_what_does_not_go_together_is_refused(logs: Path, tmp_path: Path) -> Non
     for options in (
         ["--window", "1"],
         ["--shard", "1/2"],
-        ["--trust"],
+        ["--set", "loop.apart.trust=true"],
         ["-p", "planners.idm:Idm"],
         ["-p", "exec:true"],
     ):
-        ended = replan("evaluate", str(logs), "-p", planner, "--batch", "2", *options, "-o", str(tmp_path / "out"))
-        assert ended.exit_code == 2 and "--batch" in ended.output, options
+        ended = replan(
+            "evaluate", str(logs), "-p", planner, "--set", "loop.apart.batch=2", *options, "-o", str(tmp_path / "out")
+        )
+        assert ended.exit_code == 2 and "loop.apart.batch" in " ".join(ended.output.split()), options
     with pytest.raises(ConfigError, match="batch"):
         PlannerProcessConfig(batch=65)
 

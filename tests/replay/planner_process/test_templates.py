@@ -16,7 +16,7 @@ from short_logs import short
 from logs import EndReason, PlannerError, Trace
 from logs.states import TRAJECTORY_COLUMNS
 from replay.config import DEFAULT_LOOP, LoopConfig, PlannerProcessConfig, RunConfig
-from replay.drive import Place
+from replay.drive import DriveKey
 from replay.loop.open_loop import run_open_loop
 from replay.loop.planning import Planning
 from replay.planner_process.launcher import ENDING_S
@@ -54,7 +54,7 @@ def loads(name: str) -> int:
 
 def driven(planner: str, *, again: bool = False, config: LoopConfig = DEFAULT_LOOP, **settings: object) -> Trace:
     def seat(*given: object, **named: object) -> Planning:
-        return Planning(*given, place=Place(again=again), **named)  # type: ignore[arg-type]
+        return Planning(*given, place=DriveKey(again=again), **named)  # type: ignore[arg-type]
 
     return run_open_loop(short("test/a"), planner, planner_config=settings, config=config, seat=seat).trace
 
@@ -206,7 +206,9 @@ def test_a_run_loads_it_twice_in_a_worker_and_still_sees_what_is_not_determinist
     result = evaluate_logs([logs], run, folder / "out", workers=workers)
     assert loads(name) == 1 + 2 * max(workers, 1), "one checks the settings; two in each worker"
     assert len(result.drives) == 3
-    assert all(any(note.startswith("not deterministic") for note in drive.notes) for drive in result.drives)
+    assert all(
+        any(note.startswith("not deterministic") for note in drive.notes) for drive in result.drives.itertuples()
+    )
     assert not _warm["launcher"].templates
 
 

@@ -12,7 +12,7 @@ from short_logs import QUICK, short
 
 from logs.mcap import write_scenario
 from replay.config import RunConfig
-from replay.results.load import Results, load
+from replay.results.load import Results
 from replay.results.schema import _TYPES, FRAMES, SCHEMA_VERSION, TABLES, arrow, markdown
 from replay.results.tables import TABLES as FILES
 from replay.run import evaluate_logs
@@ -29,7 +29,7 @@ def result(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     (folder / "b.mcap").write_bytes((folder / "a.mcap").read_bytes()[:-80])
     if request.param == "nothing":
         (folder / "a.mcap").unlink()
-    return load(evaluate_logs([folder], RUN, tmp_path_factory.mktemp("out") / "run").out)
+    return evaluate_logs([folder], RUN, tmp_path_factory.mktemp("out") / "run")
 
 
 def test_the_page_is_that_of_the_schema() -> None:

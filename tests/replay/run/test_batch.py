@@ -21,14 +21,14 @@ from short_logs import QUICK, identical, run, short
 from logs import ConfigError, PlannerError
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings
-from metrics.judge import Verdict
-from metrics.judge.gates import Gate, Outcome
+from metrics.judge.gates import Outcome
 from replay.config import PlannerProcessConfig, RunConfig, load_run
 from replay.results.tables import claim, next_free, safe_name
-from replay.run import RunResult, evaluate_logs
+from replay.run import evaluate_logs
+from replay.run.evaluate import exit_code_of
 from replay.run.one_log import Failure
 from replay.run.pool import WorkerLost, run_all
-from replay.run.sources import Selection, builtin_suite, select
+from replay.run.sources import builtin_suite, select
 
 PLANNERS = '''
 import os, signal
@@ -64,7 +64,7 @@ def planners(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 @pytest.mark.slow  # .ci/run compares two runs of the whole suite
 def test_two_runs_and_any_number_of_workers_give_the_same_bytes(logs: Path, tmp_path: Path) -> None:
     config = replace(QUICK, planners=("constant_speed", "dp_qp"))
-    outs = [run(logs, tmp_path / str(i), config, workers=workers).out for i, workers in enumerate((0, 0, 2))]
+    outs = [run(logs, tmp_path / str(i), config, workers=workers).path for i, workers in enumerate((0, 0, 2))]
     assert len(list(outs[0].glob("*/*.mcap"))) == 3 * 4
     assert identical(outs[0], outs[1])
     assert identical(outs[0], outs[2])
@@ -73,13 +73,13 @@ def test_two_runs_and_any_number_of_workers_give_the_same_bytes(logs: Path, tmp_
 def test_the_order_of_the_logs_changes_nothing_but_the_order_of_the_report(logs: Path, tmp_path: Path) -> None:
     files = [logs / "a.mcap", logs / "b.mcap"]
     one, other = run(files, tmp_path / "one"), run(files[::-1], tmp_path / "other")
-    assert identical(one.out, other.out)
-    assert [log.name for log in one.logs] == [log.name for log in other.logs][::-1]
+    assert identical(one.path, other.path)
+    assert list(one.logs["log"]) == list(other.logs["log"])[::-1]
 
 
 def test_tables_hold_every_log_planner_and_mode_sorted(logs: Path, tmp_path: Path) -> None:
     result = run(logs, tmp_path / "out", replace(QUICK, planners=("logged", "constant_speed")))
-    table = pq.read_table(result.out / "metrics.parquet")
+    table = pq.read_table(result.path / "metrics.parquet")
     assert table.schema.metadata[b"replan_schema_version"] == b"1"
     rows = table.to_pandas()
     assert set(rows["schema_version"]) == {1}
@@ -92,28 +92,28 @@ def test_tables_hold_every_log_planner_and_mode_sorted(logs: Path, tmp_path: Pat
     } | {(f"test/{log}", planner, "reference") for log in "abc" for planner in ("driver", "careful")}  # fmt: skip
     assert rows.loc[rows["planner"] == "logged", "oracle"].all()
     assert (rows.loc[(rows["planner"] == "logged") & (rows["metric"] == "ade.1s.mean"), "value"] == 0.0).all()
-    csv = pd.read_csv(result.out / "metrics.csv")
+    csv = pd.read_csv(result.path / "metrics.csv")
     np.testing.assert_array_equal(csv["value"], rows["value"])
-    timings = pd.read_parquet(result.out / "timings.parquet")
+    timings = pd.read_parquet(result.path / "timings.parquet")
     assert (timings["seconds"] > 0.0).all()
     assert set(timings.columns) == {"log", "planner", "mode", "t_s", "stage", "seconds"}
 
 
 def test_the_files_of_a_log_are_there_and_readable(logs: Path, tmp_path: Path) -> None:
     result = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, recording=True))
-    (log,) = result.logs
-    assert log.folder == safe_name("test/a", log.digest)
-    folder = result.out / log.folder
+    (log,) = result.logs.itertuples()
+    assert log.folder == safe_name("test/a", log.sha256)
+    folder = result.path / log.folder
     assert {path.name for path in folder.iterdir()} == {
         "open.mcap", "closed.mcap", "open.rrd", "closed.rrd",
         "frames.parquet", "health.parquet", "metrics.parquet", "timings.parquet", "log.json",
     }  # fmt: skip
     driven = read_scenario(folder / "closed.mcap")
-    assert driven.ego.t[-1] == pytest.approx(result.drives[1].t_end_s)
+    assert driven.ego.t[-1] == pytest.approx(result.drives.iloc[1].t_end_s)
     frames = pd.read_parquet(folder / "frames.parquet")
     assert set(frames["mode"]) == {"open", "closed"}
-    assert not list(result.out.rglob(".partial*"))
-    summary = json.loads((result.out / "summary.json").read_text(encoding="utf-8"))
+    assert not list(result.path.rglob(".partial*"))
+    summary = json.loads((result.path / "summary.json").read_text(encoding="utf-8"))
     assert summary["exit_code"] == result.exit_code
     assert [drive["files"] for drive in summary["logs"][0]["drives"]] == [
         [f"{log.folder}/{mode}.mcap", f"{log.folder}/{mode}.rrd"] for mode in ("open", "closed")
@@ -122,8 +122,8 @@ def test_the_files_of_a_log_are_there_and_readable(logs: Path, tmp_path: Path) -
 
 def test_the_resolved_configuration_runs_the_same_again(logs: Path, tmp_path: Path) -> None:
     first = run(logs / "a.mcap", tmp_path / "one", replace(QUICK, planner={"constant_speed": {"horizon_s": 3.0}}))
-    again = run(logs / "a.mcap", tmp_path / "two", load_run(first.out / "run.toml"))
-    assert identical(first.out, again.out)
+    again = run(logs / "a.mcap", tmp_path / "two", load_run(first.path / "run.toml"))
+    assert identical(first.path, again.path)
     assert again.run.planner["constant_speed"] == {"horizon_s": 3.0, "step_s": 0.1}
 
 
@@ -131,10 +131,10 @@ def test_a_bad_log_is_one_failure_and_the_others_are_evaluated(logs: Path, tmp_p
     bad = tmp_path / "bad.mcap"
     bad.write_bytes((logs / "a.mcap").read_bytes()[:400])
     result = run([bad, logs / "b.mcap"], tmp_path / "out")
-    assert [failure.log for failure in result.failures] == [str(bad)]
-    assert str(bad) in result.failures[0].message
-    assert not result.failures[0].traceback
-    assert {drive.log for drive in result.drives} == {"test/b"}
+    assert [failure.log for failure in result.failures.itertuples()] == [str(bad)]
+    assert str(bad) in result.failures.iloc[0].message
+    assert not result.summary["failures"][0]["traceback"]
+    assert {drive.log for drive in result.drives.itertuples()} == {"test/b"}
     assert result.exit_code == 3
 
 
@@ -143,15 +143,15 @@ def test_when_nothing_can_be_evaluated_the_tables_are_empty_and_nothing_passes(t
     bad.write_bytes(b"no log at all")
     result = run(bad, tmp_path / "out")
     assert result.exit_code == 3
-    assert {verdict.outcome for verdict in result.verdicts} == {Outcome.INCONCLUSIVE}
+    assert set(result.gates["outcome"]) == {"inconclusive"}
     assert len(pd.read_parquet(tmp_path / "out" / "metrics.parquet")) == 0
 
 
 @pytest.mark.slow
 def test_a_killed_planner_costs_its_drives_only(logs: Path, tmp_path: Path, planners: str) -> None:
     result = run(logs, tmp_path / "out", replace(QUICK, planners=(f"{planners}:Killed", "logged")), workers=2)
-    assert [failure.log for failure in result.failures] == ["test/b", "test/b"]
-    assert all("was killed (SIGKILL)" in failure.message for failure in result.failures)
+    assert [failure.log for failure in result.failures.itertuples()] == ["test/b", "test/b"]
+    assert all("was killed (SIGKILL)" in failure.message for failure in result.failures.itertuples())
     assert len(result.drives) == 12 and result.exit_code == 3
 
 
@@ -161,11 +161,11 @@ def test_a_killed_worker_costs_its_log_only(logs: Path, tmp_path: Path, planners
     trusted = replace(QUICK.loop, apart=PlannerProcessConfig(trust=True))
     config = replace(QUICK, planners=(f"{planners}:Killed",), loop=trusted)
     result = run(logs, tmp_path / "out", config, workers=2)
-    assert [Path(failure.log).name for failure in result.failures] == ["b.mcap"]
-    assert "SIGKILL" in result.failures[0].message
-    assert {drive.log for drive in result.drives} == {"test/a", "test/c"}
+    assert [Path(failure.log).name for failure in result.failures.itertuples()] == ["b.mcap"]
+    assert "SIGKILL" in result.failures.iloc[0].message
+    assert {drive.log for drive in result.drives.itertuples()} == {"test/a", "test/c"}
     assert result.exit_code == 3
-    assert not list(result.out.rglob(".partial*"))
+    assert not list(result.path.rglob(".partial*"))
 
 
 @pytest.mark.parametrize(("name", "said"), [("Raising", "out of ideas"), ("Leaving", "SystemExit")])
@@ -174,20 +174,20 @@ def test_a_planner_that_raises_is_a_failure_that_names_it(
 ) -> None:
     config = replace(QUICK, planners=("constant_speed", f"{planners}:{name}"))
     result = run(logs / "a.mcap", tmp_path / "out", config)
-    assert {(failure.planner, failure.mode) for failure in result.failures} == {
+    assert {(failure.planner, failure.mode) for failure in result.failures.itertuples()} == {
         (f"{planners}:{name}", "open"),
         (f"{planners}:{name}", "closed"),
     }
-    assert all(said in failure.line and name in failure.line for failure in result.failures)
+    assert all(said in failure.message and name in failure.message for failure in result.failures.itertuples())
     assert result.exit_code == 3
-    assert "constant_speed" in set(result.table["planner"])
+    assert "constant_speed" in set(result.metrics["planner"])
 
 
 @pytest.mark.slow
 def test_a_planner_that_cannot_be_loaded_leaves_the_others(logs: Path, tmp_path: Path) -> None:
     result = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, planners=("nowhere:Mine", "constant_speed")))
     assert result.run.planners == ("constant_speed",)
-    assert "nowhere" in result.failures[0].message
+    assert "nowhere" in result.failures.iloc[0].message
     assert result.exit_code == 3
     with pytest.raises(PlannerError, match="nowhere"):
         run(logs / "a.mcap", tmp_path / "other", replace(QUICK, planners=("nowhere:Mine",)))
@@ -214,10 +214,10 @@ def test_logs_of_one_name_are_told_apart_by_their_content(logs: Path, tmp_path: 
     for i, v in enumerate((9.0, 10.0)):
         write_scenario(tmp_path / f"{i}.mcap", short("same", v=v))
     result = run([tmp_path / "0.mcap", tmp_path / "1.mcap"], tmp_path / "out")
-    names = [log.name for log in result.logs]
-    assert names == [f"same@{log.digest[:8]}" for log in result.logs]
-    assert set(result.table["log"]) == set(names)
-    assert len({log.folder for log in result.logs}) == 2
+    names = [log.log for log in result.logs.itertuples()]
+    assert names == [f"same@{log.sha256[:8]}" for log in result.logs.itertuples()]
+    assert set(result.metrics["log"]) == set(names)
+    assert len({log.folder for log in result.logs.itertuples()}) == 2
 
 
 @given(
@@ -225,17 +225,15 @@ def test_logs_of_one_name_are_told_apart_by_their_content(logs: Path, tmp_path: 
     outcomes=st.lists(st.sampled_from(list(Outcome)), max_size=4),
 )
 def test_exit_codes_three_beats_one_beats_four(failures: list[int], outcomes: list[Outcome]) -> None:
-    none = pd.DataFrame()
-    result = RunResult(
-        Path(), RunConfig(), Selection(()), (), tuple(Failure("log", "wrong", exit_code=code) for code in failures),
-        none, tuple(Verdict(Gate("gap.min", min=0.0), outcome, "") for outcome in outcomes),
-    )  # fmt: skip
+    wrong = [Failure("log", "wrong", exit_code=code) for code in failures]
+    code = exit_code_of(wrong, outcomes)
+    assert exit_code_of(wrong, None) == (min(failures) if failures else 0)
     if failures:
-        assert result.exit_code == min(failures)
+        assert code == min(failures)
     elif Outcome.FAIL in outcomes:
-        assert result.exit_code == 1
+        assert code == 1
     else:
-        assert result.exit_code == (0 if set(outcomes) - {Outcome.NOT_ASKED} == {Outcome.PASS} else 4)
+        assert code == (0 if set(outcomes) - {Outcome.NOT_ASKED} == {Outcome.PASS} else 4)
 
 
 def test_folders_are_searched_and_what_is_left_out_is_said(logs: Path, tmp_path: Path) -> None:
@@ -294,7 +292,7 @@ def test_results_of_an_earlier_run_are_replaced(logs: Path, tmp_path: Path) -> N
     out = tmp_path / "out"
     run(logs, out)
     again = run(logs / "a.mcap", out)
-    assert [path.name for path in out.iterdir() if path.is_dir()] == [again.logs[0].folder]
+    assert [path.name for path in out.iterdir() if path.is_dir()] == [again.logs.iloc[0].folder]
 
 
 def test_a_result_folder_that_holds_the_log_is_not_cleared(logs: Path, tmp_path: Path) -> None:

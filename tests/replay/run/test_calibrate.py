@@ -40,9 +40,7 @@ def test_a_run_drives_the_known_vehicle_and_its_configuration_says_so(tmp_path: 
     log = tmp_path / "log.mcap"
     write_scenario(log, scenario(drive(straight, 8.0, 1.0)))
     out = tmp_path / "out"
-    told = (
-        "--planner constant_speed --car vw_vanagon --vehicle single_track --plant mass=1900 --mode closed --workers 0"
-    )
+    told = "--planner constant_speed --car vw_vanagon --vehicle single_track --set loop.plant.mass=1900 --mode closed"
     words = ["evaluate", str(log), *told.split(), "--workers", "0", "--no-recording", "--out", str(out)]
     result = RUNNER.invoke(app, words)
     assert result.exit_code in (0, 1, 4), result.output

@@ -107,7 +107,7 @@ def test_a_run_ends_in_one_line_and_is_resumed(logs: Path, tmp_path: Path, size:
     assert "Traceback" not in done.output
     left = [path for path in out.rglob("*") if path.name.startswith((".partial", ".lock")) or path.suffix == ".part"]
     assert not left and not (out / "summary.json").exists()
-    assert identical(whole.out, evaluate_logs([logs], QUICK, out, resume=True).out)
+    assert identical(whole.path, evaluate_logs([logs], QUICK, out, resume=True).path)
 
 
 def test_frames_that_find_no_room_are_said_as_they_are_put() -> None:
@@ -126,7 +126,7 @@ def test_a_worker_that_finds_the_disk_full_ends_the_run(
     with room(9000), pytest.raises(OutputError, match="--resume"):
         evaluate_logs([logs], replace(QUICK, recording=True), tmp_path / "out", workers=2)
     again = evaluate_logs([logs], replace(QUICK, recording=True), tmp_path / "out", workers=2, resume=True)
-    assert identical(whole.out, again.out)
+    assert identical(whole.path, again.path)
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_a_worker_that_finds_the_disk_full_ends_the_run(
 def test_a_command_ends_in_one_line(
     logs: Path, tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, words: str
 ) -> None:
-    results = run(logs / "b.mcap", tmp_path_factory.mktemp("results") / "out", QUICK).out
+    results = run(logs / "b.mcap", tmp_path_factory.mktemp("results") / "out", QUICK).path
     said = words.format(log=logs / "b.mcap", tmp=tmp_path, results=results).split()
     with room(700):
         done = CliRunner().invoke(app, said)

@@ -56,7 +56,7 @@ def test_a_second_run_is_refused_and_says_who_holds_the_folder(logs: Path, tmp_p
 def test_nothing_of_the_lock_is_left_and_the_folder_may_be_used_again(logs: Path, tmp_path: Path, system: str) -> None:
     for _ in range(2):
         result = run(logs / "a.mcap", tmp_path / "out", QUICK)
-        assert not (result.out / LOCK).exists()
+        assert not (result.path / LOCK).exists()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").touch()
     with pytest.raises(ConfigError, match=r"thesis\.tex"):

@@ -14,7 +14,8 @@ from short_logs import QUICK, identical, short
 
 from logs import ConfigError
 from logs.mcap import write_scenario
-from replay.run import RunResult, evaluate_logs
+from replay.results.load import Results
+from replay.run import evaluate_logs
 from replay.run.on_ray import OnRay, code_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]  # Ray leaves sockets and files open
@@ -84,7 +85,7 @@ def trusted(*planners: str) -> Any:
     return replace(QUICK, planners=planners, loop=replace(QUICK.loop, apart=replace(QUICK.loop.apart, trust=True)))
 
 
-def run(logs: Path, out: Path, config: Any, engine: OnRay | None = None, **options: Any) -> RunResult:
+def run(logs: Path, out: Path, config: Any, engine: OnRay | None = None, **options: Any) -> Results:
     return evaluate_logs([logs], config, out, engine=engine, **options)
 
 
@@ -104,16 +105,16 @@ def test_two_nodes_of_which_one_is_killed_give_the_bytes_of_this_process(
     killer.join(60.0)
     drives = len(list(slow.iterdir()))
     here = run(logs, tmp_path / "here", config)
-    assert not there.failures
-    assert identical(here.out, there.out)
-    assert (here.out / "verdicts.parquet").read_bytes() == (there.out / "verdicts.parquet").read_bytes()
+    assert not len(there.failures)
+    assert identical(here.path, there.path)
+    assert (here.path / "verdicts.parquet").read_bytes() == (there.path / "verdicts.parquet").read_bytes()
     assert drives > 2 * 6  # open and closed loop of six logs, and what was begun on the node that died
 
 
 def test_on_this_machine_a_worker_that_dies_costs_its_log(logs: Path, slow: Path, tmp_path: Path) -> None:
     result = run(logs, tmp_path / "out", trusted("slow_planner:Killing", "constant_speed"), OnRay(workers=2))
-    assert [failure.log for failure in result.failures] == [str(logs / "3.mcap")]
-    assert "lost on the cluster after 4 tries" in result.failures[0].message
+    assert [failure.log for failure in result.failures.itertuples()] == [str(logs / "3.mcap")]
+    assert "lost on the cluster after 4 tries" in result.failures.iloc[0].message
     assert len(result.drives) == 5 * 4
 
 

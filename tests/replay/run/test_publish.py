@@ -16,7 +16,7 @@ from logs.mcap import write_scenario
 from replay.results.load import load
 from replay.results.log_result import LogResult
 from replay.results.tables import LOG_CARD
-from replay.run.publish import result_place
+from replay.run.publish import output_location
 
 fsspec = pytest.importorskip("fsspec", reason="the extra s3 is not installed: pip install 'replan[s3]'")
 OUT = "memory://fleet/out"
@@ -46,13 +46,13 @@ def folder(out: Path, **files: str) -> Path:
 
 
 def test_a_run_that_cannot_begin_removes_nothing(store: Any) -> None:
-    with pytest.raises(ConfigError, match="no such log"), result_place(OUT):
+    with pytest.raises(ConfigError, match="no such log"), output_location(OUT):
         raise ConfigError("no such log")
     assert there(store) == BEFORE
 
 
 def test_the_results_before_go_as_the_first_log_is_sent(store: Any) -> None:
-    with result_place(OUT) as place:
+    with output_location(OUT) as place:
         assert place.folder is not None and there(store).keys() == {*BEFORE, ".lock"}
         folder(place.folder)
         place.keep(LogResult("a", "a", folder="a-1"))
@@ -62,7 +62,7 @@ def test_the_results_before_go_as_the_first_log_is_sent(store: Any) -> None:
 
 def test_what_is_driven_again_is_sent_again(store: Any) -> None:
     """`--resume` drives a log again whose folder is not whole: its files have the same names."""
-    with result_place(OUT, resume=True) as place:
+    with output_location(OUT, resume=True) as place:
         assert place.folder is not None
         assert (place.folder / "a-1" / "frames.parquet").read_bytes() == b"old"
         folder(place.folder, **{"frames.parquet": "new"})
@@ -85,5 +85,5 @@ def test_what_is_said_of_results_names_their_url(store: Any, tmp_path: Path) -> 
         load(OUT)
     write_scenario(tmp_path / "log.mcap", short("test/a"))
     words = ["evaluate", str(tmp_path / "log.mcap"), "-p", "constant_speed", "--workers", "0", "--no-recording"]
-    done = CliRunner().invoke(app, [*words, "--internals", "none", "--no-report", "--json", "-o", OUT])
+    done = CliRunner().invoke(app, [*words, "--set", "internals=none", "--no-report", "--json", "-o", OUT])
     assert json.loads(done.stdout)["results"] == OUT

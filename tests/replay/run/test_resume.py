@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -20,8 +20,9 @@ from logs import ConfigError
 from logs.mcap import write_scenario
 from replay.cli import app
 from replay.config import RunConfig
-from replay.results.log_result import kept, timings_of
-from replay.run import RunResult, evaluate_logs
+from replay.results.load import Results
+from replay.results.log_result import LogResult, load_result, timings_of
+from replay.run import evaluate_logs
 
 PATIENT = '''
 import os, pathlib, time
@@ -52,7 +53,7 @@ def patient(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def resumed(logs: Path | Sequence[Path], out: Path, config: RunConfig = CONFIG, *, workers: int = 0) -> RunResult:
+def resumed(logs: Path | Sequence[Path], out: Path, config: RunConfig = CONFIG, *, workers: int = 0) -> Results:
     return evaluate_logs([logs] if isinstance(logs, Path) else logs, config, out, workers=workers, resume=True)
 
 
@@ -110,8 +111,8 @@ def test_a_resumed_run_gives_the_bytes_of_one_that_was_never_interrupted(
     assert len(list(out.glob("*/log.json"))) == 3
     assert {path: path.stat().st_mtime_ns for path in done} == done
     whole = evaluate_logs([logs], CONFIG, patient / "whole")
-    assert identical(whole.out, out)
-    assert [log.name for log in result.logs] == [log.name for log in whole.logs]
+    assert identical(whole.path, out)
+    assert list(result.logs["log"]) == list(whole.logs["log"])
     assert not list(out.rglob(".partial*"))
 
 
@@ -120,7 +121,7 @@ def begun(logs: Path, tmp_path: Path) -> Path:
     """A finished run without its tables and without the last log: what a killed run leaves."""
     out = tmp_path / "out"
     result = evaluate_logs([logs], QUICK, out)
-    folder = out / result.logs[-1].folder
+    folder = out / result.logs.iloc[-1].folder
     folder.rename(out / ".partial-0123-4567")
     for name in ("metrics.parquet", "metrics.csv", "timings.parquet", "summary.json"):
         (out / name).unlink()
@@ -134,7 +135,7 @@ def test_only_what_is_missing_is_evaluated(
     result = resumed(logs, begun, QUICK)
     assert result.resumed == 2
     assert {path: path.stat().st_mtime_ns for path in before} == before
-    assert identical(evaluate_logs([logs], QUICK, tmp_path / "whole").out, begun)
+    assert identical(evaluate_logs([logs], QUICK, tmp_path / "whole").path, begun)
     monkeypatch.setattr("replay.run.engine.evaluate_log", lambda *_, **__: 1 / 0)
     tables = {name: (begun / name).read_bytes() for name in ("metrics.parquet", "metrics.csv", "summary.json")}
     assert resumed(logs, begun, QUICK).resumed == 3, "a run that is complete is taken whole"
@@ -146,14 +147,14 @@ def test_a_folder_that_is_not_whole_is_evaluated_anew(logs: Path, begun: Path, t
     (first / "closed.mcap").unlink()
     (second / "log.json").write_text("{", encoding="utf-8")
     assert resumed(logs, begun, QUICK).resumed == 0
-    assert identical(evaluate_logs([logs], QUICK, tmp_path / "whole").out, begun)
+    assert identical(evaluate_logs([logs], QUICK, tmp_path / "whole").path, begun)
 
 
 def test_more_logs_may_be_named_and_in_another_order(logs: Path, begun: Path) -> None:
     files = sorted(logs.glob("*.mcap"))
     result = resumed(files[::-1], begun, QUICK)
     assert result.resumed == 2
-    assert [log.source for log in result.logs] == [str(file) for file in files[::-1]]
+    assert [log.source for log in result.logs.itertuples()] == [str(file) for file in files[::-1]]
 
 
 @pytest.mark.slow
@@ -171,19 +172,20 @@ def test_failures_of_the_interrupted_run_are_not_forgotten(logs: Path, tmp_path:
     finally:
         sys.path.remove(str(tmp_path))
     assert again.resumed == 3
-    assert again.failures == first.failures and again.exit_code == first.exit_code == 3
+    assert again.failures.equals(first.failures) and again.exit_code == first.exit_code == 3
 
 
 def test_the_kept_result_is_the_result(logs: Path, tmp_path: Path) -> None:
-    result = evaluate_logs([logs], QUICK, tmp_path / "out")
-    for log in result.logs:
-        found = kept(result.out / log.folder)
+    logged: list[LogResult] = []
+    result = evaluate_logs([logs], QUICK, tmp_path / "out", on_log=logged.append)
+    assert len(logged) == 3
+    for log in logged:
+        found = load_result(result.path / log.folder)
         assert found is not None
         again = found[0]
-        assert again.drives == log.drives and len(timings_of(result.out, again))
-        assert (again.name, again.digest, again.folder, again.tags, again.notes, again.failures) == (
-            log.name, log.digest, log.folder, log.tags, log.notes, log.failures,
-        )  # fmt: skip
+        assert asdict(replace(again, seconds=0.0)) == asdict(replace(log, seconds=0.0)) and len(
+            timings_of(result.path, again)
+        )
 
 
 # ------------------------------------------------------------------------------------------------------ refusals

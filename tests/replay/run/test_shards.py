@@ -17,8 +17,9 @@ from short_logs import QUICK, short
 from logs import ConfigError
 from logs.mcap import write_scenario
 from replay.config import RunConfig
+from replay.results.load import Results
 from replay.results.tables import REPORTS, TABLES
-from replay.run import RunResult, evaluate_logs
+from replay.run import evaluate_logs
 from replay.run.merge import merge
 from replay.run.shard import Shard
 
@@ -42,14 +43,14 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def whole(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+def whole(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Results:
     return evaluate_logs([logs], QUICK, tmp_path_factory.mktemp("whole") / "out")
 
 
 def shards(logs: Path, out: Path, of: int, run: RunConfig = QUICK) -> list[Path]:
     """The folders of all shards."""
     numbers = range(1, of + 1)
-    return [evaluate_logs([logs], run, out / f"{number}", shard=Shard(number, of)).out for number in numbers]
+    return [evaluate_logs([logs], run, out / f"{number}", shard=Shard(number, of)).path for number in numbers]
 
 
 @pytest.fixture(scope="module")
@@ -77,12 +78,12 @@ def test_what_is_no_shard_is_said(text: str) -> None:
 
 
 @pytest.mark.parametrize("of", [2, *(pytest.param(of, marks=pytest.mark.slow) for of in (1, 3, 7))])
-def test_merged_shards_are_the_run_byte_for_byte(logs: Path, tmp_path: Path, whole: RunResult, of: int) -> None:
+def test_merged_shards_are_the_run_byte_for_byte(logs: Path, tmp_path: Path, whole: Results, of: int) -> None:
     """Seven shards of five logs: two of them have none."""
     merged = merge(shards(logs, tmp_path, of)[::-1], tmp_path / "merged")
-    expected = files(whole.out)
+    expected = files(whole.path)
     assert {*TABLES} - CLOCK - {*REPORTS} - {"shard.json"} <= expected.keys()
-    assert files(merged.out) == expected
+    assert files(merged.path) == expected
     assert merged.exit_code == whole.exit_code == 3
 
 
@@ -101,7 +102,7 @@ def test_gates_and_ensembles_are_those_of_the_whole_run(logs: Path, tmp_path: Pa
     alone = evaluate_logs([logs], run, tmp_path / "alone")
     parts = shards(logs, tmp_path / "parts", 2, run)
     rules.unlink()  # they hold the gates themselves
-    assert files(merge(parts, tmp_path / "merged").out) == files(alone.out)
+    assert files(merge(parts, tmp_path / "merged").path) == files(alone.path)
 
 
 def test_merging_twice_and_after_resuming_gives_the_same(logs: Path, tmp_path: Path, two: Sequence[Path]) -> None:
@@ -111,8 +112,8 @@ def test_merging_twice_and_after_resuming_gives_the_same(logs: Path, tmp_path: P
     with pytest.raises(ConfigError, match="no whole shard"):
         merge([begun, two[1]], tmp_path / "merged")
     evaluate_logs([logs], QUICK, begun, resume=True, shard=Shard(1, 2))
-    once = files(merge([begun, two[1]], tmp_path / "merged").out)
-    assert files(merge(two, tmp_path / "merged").out) == once
+    once = files(merge([begun, two[1]], tmp_path / "merged").path)
+    assert files(merge(two, tmp_path / "merged").path) == once
 
 
 @pytest.mark.parametrize(
@@ -129,7 +130,7 @@ def test_missing_and_overlapping_shards_are_refused(
 
 def test_shards_of_other_runs_are_refused(logs: Path, two: Sequence[Path], tmp_path: Path) -> None:
     def second(name: str, source: Path = logs, run: RunConfig = QUICK, of: int = 2) -> Path:
-        return evaluate_logs([source], run, tmp_path / name, shard=Shard(2, of)).out
+        return evaluate_logs([source], run, tmp_path / name, shard=Shard(2, of)).path
 
     fewer = tmp_path / "fewer"
     fewer.mkdir()
@@ -152,10 +153,10 @@ def test_shards_of_other_runs_are_refused(logs: Path, two: Sequence[Path], tmp_p
             merge([two[0], folder], tmp_path / "merged")
 
 
-def test_a_damaged_or_foreign_folder_is_refused(two: Sequence[Path], whole: RunResult, tmp_path: Path) -> None:
+def test_a_damaged_or_foreign_folder_is_refused(two: Sequence[Path], whole: Results, tmp_path: Path) -> None:
     damaged = shutil.copytree(two[0], tmp_path / "damaged")
     next(damaged.rglob("closed.mcap")).unlink()
-    for folder, said in ((damaged, "not there or not whole"), (whole.out, "no whole shard"), (two[0], "lies there")):
+    for folder, said in ((damaged, "not there or not whole"), (whole.path, "no whole shard"), (two[0], "lies there")):
         with pytest.raises(ConfigError, match=said):
             merge([folder, two[1]], two[1] if folder == two[0] else tmp_path / "merged")
 

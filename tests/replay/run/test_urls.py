@@ -21,7 +21,7 @@ from replay.run.sources import select
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]  # botocore and the server leave sockets open
 moto: Any = pytest.importorskip("moto.server", reason="moto is not installed: pip install moto[s3] flask flask-cors")
 pytest.importorskip("s3fs", reason="the extra s3 is not installed: pip install 'replan[s3]'")
-QUICK = ("-p", "constant_speed", "--no-recording", "--internals", "none", "--workers", "0", "--no-report")
+QUICK = ("-p", "constant_speed", "--no-recording", "--set", "internals=none", "--workers", "0", "--no-report")
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,7 @@ def test_one_run_at_a_time_and_nothing_of_others_is_touched(bucket: Any, logs: P
     bucket.pipe("fleet/out/thesis.tex", b"years")
     refused = replan("evaluate", str(logs), *QUICK, "-o", "s3://fleet/out")
     assert refused.exit_code == 2
-    assert "holds thesis.tex, which is no result of replan" in refused.stderr
+    assert "contains thesis.tex, which is no result of replan" in refused.stderr
     assert bucket.find("fleet/out") == ["fleet/out/thesis.tex"]
 
 

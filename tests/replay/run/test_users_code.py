@@ -70,21 +70,21 @@ def test_a_metric_that_fails_costs_itself_only(
     last = "metric('bad', ok, (MAX, Reduction('odd', bad)))" if "def ok" in body else "metric('bad', bad)"
     name = module(f"mine_{bad}", f"{body}\nBAD = {last}\n")
     config = replace(QUICK, mode="open", metrics=(f"{name}:BAD", f"{name}:SOUND"))
-    without = run(logs / "a.mcap", tmp_path / "without", replace(config, metrics=(f"{name}:SOUND",))).table
+    without = run(logs / "a.mcap", tmp_path / "without", replace(config, metrics=(f"{name}:SOUND",))).metrics
     found = run(logs / "a.mcap", tmp_path / "with", config)
-    theirs = found.table["metric"].str.startswith("bad")
-    assert found.table[~theirs].reset_index(drop=True).equals(without)
-    lost = found.table[theirs & ~found.table["available"]]
+    theirs = found.metrics["metric"].str.startswith("bad")
+    assert found.metrics[~theirs].reset_index(drop=True).equals(without)
+    lost = found.metrics[theirs & ~found.metrics["available"]]
     line = body[: body.index("def bad")].count("\n") + 1
     where = [f"({name}.py:{number})" for number in (line, line + 1)]
     assert len(lost) and all(any(place in reason for place in where) for reason in lost["reason"]), lost["reason"]
-    assert set(found.table[theirs]["metric"]) == {"bad.mean", "bad.max"} ^ (
+    assert set(found.metrics[theirs]["metric"]) == {"bad.mean", "bad.max"} ^ (
         {"bad.mean", "bad.odd"} if "def ok" in body else set()
     )
-    (failure,) = found.failures
+    (failure,) = found.failures.itertuples()
     assert "not available is the metric 'bad'" in failure.message and "bug" not in failure.message
     assert any(place in failure.message for place in where) and failure.planner == "constant_speed"
-    assert found.exit_code == 3 and len(found.drives) == 1 and (found.out / found.drives[0].files[0]).exists()
+    assert found.exit_code == 3 and len(found.drives) == 1 and (found.path / found.drives.iloc[0].files[0]).exists()
 
 
 def test_a_bug_of_our_own_is_called_one_and_costs_its_metric(
@@ -96,9 +96,9 @@ def test_a_bug_of_our_own_is_called_one_and_costs_its_metric(
     own = {**METRICS, "speed": replace(METRICS["speed"], measure=wrong)}
     monkeypatch.setattr("replay.run.one_log.METRICS", own)
     found = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, mode="closed"))
-    (failure,) = found.failures
+    (failure,) = found.failures.itertuples()
     assert "a bug in replan, in its metric 'speed': KeyError: 'lane'" in failure.message
-    rows = found.table[found.table["planner"] == "constant_speed"].set_index("metric")
+    rows = found.metrics[found.metrics["planner"] == "constant_speed"].set_index("metric")
     assert not rows.loc["speed.mean", "available"] and rows.loc["distance.final", "available"]
 
 
@@ -131,7 +131,7 @@ def test_a_planner_that_raises_in_a_library_is_named_with_its_own_line(
     text = "import numpy as np\nclass P:\n    def __init__(self, context): pass\n"
     name = module("in_a_library", text + "    def plan(self, frame):\n        return np.linalg.inv(np.zeros((2, 2)))\n")
     found = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, planners=(f"{name}:P",)))
-    assert all("LinAlgError: Singular matrix (in_a_library.py:5)" in one.message for one in found.failures)
+    assert all("LinAlgError: Singular matrix (in_a_library.py:5)" in one.message for one in found.failures.itertuples())
     assert len(found.failures) == 2
 
 
@@ -156,9 +156,9 @@ def test_the_command_line_says_it_in_a_line(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--plant foo=1", "no key is called 'foo'"),
-        ("--plant mass=heavy", "expected a number"),
-        ("--plant mass=-1", "mass must be positive"),
+        ("--set loop.plant.foo=1", "no key is called 'foo'"),
+        ("--set loop.plant.mass=heavy", "expected a number"),
+        ("--set loop.plant.mass=-1", "mass must be positive"),
         ("--config table.toml", "planner.dp_qp"),
         ("-p needy:Needy", "missing a required argument: 'path'"),
         ("--gates rule.toml", "no metric has this name"),

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, ConfigError, Goal, Scenario
 from logs.mcap import write_scenario
-from metrics.judge import verdicts_by_log
+from metrics.judge import worst
+from metrics.judge.gates import Outcome
 from replay.config import RunConfig
 from replay.run import evaluate_logs
 from replay.vary import VaryResult, command, encounters, prepared, question, vary
@@ -61,11 +62,11 @@ def test_a_cell_is_what_evaluate_says_of_its_log(result: VaryResult, tmp_path: P
     (cell,) = result.table.query("side == -4 and ego_start == 1").to_dict("records")
     alone = evaluate_logs([result.out / "logs" / cell["log"]], replace(RUN, mode="closed", gates=str(
         result.out.parent / "gates.toml")), tmp_path / "alone")  # fmt: skip
-    assert list(verdicts_by_log(alone.verdicts).values()) == [cell["outcome"]] == ["fail"]
-    gap = alone.table.query("metric == 'gap.min' and planner == 'constant_speed'")["value"].item()
+    assert worst(map(Outcome, alone.verdicts["outcome"])).value == cell["outcome"] == "fail"
+    gap = alone.metrics.query("metric == 'gap.min' and planner == 'constant_speed'")["value"].item()
     assert gap == cell["least_gap_m"]
     assert "collision_at_fault.count" in cell["gates"] and "17" in cell["contact"]
-    assert cell["contact_s"] == alone.drives[0].t_end_s
+    assert cell["contact_s"] == alone.drives.iloc[0].t_end_s
 
 
 def test_the_edge_is_where_the_boxes_touch(result: VaryResult) -> None:
@@ -154,7 +155,7 @@ def test_who_comes_nearest() -> None:
     assert found["17"].least == pytest.approx(beside) and (found["17"].t_from, found["17"].t_to) == (0.0, 2.9)
     assert found["far"].way == 20.0 and list(found) == ["blink", "17", "far"]
     assert nearest_agent(made) == "far"  # the only one who goes anywhere
-    with pytest.raises(ConfigError, match="nobody"):
+    with pytest.raises(ConfigError, match="there is no agent to vary"):
         nearest_agent(replace(made, tracks=tracks()))
 
 

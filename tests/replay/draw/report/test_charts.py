@@ -30,8 +30,8 @@ from replay.draw.charts.lanes import decided, statuses
 from replay.draw.charts.moment import gravity, measured_by, violations, worst_moment
 from replay.draw.charts.style import DARK, LIGHT, RULES, stylesheet
 from replay.explain.events import events
-from replay.results.load import load
-from replay.run import RunResult, evaluate_logs
+from replay.results.load import Results, load
+from replay.run import evaluate_logs
 
 LOG = "paper/crossing_pedestrian"
 PIXELS = st.floats(-500.0, 500.0)
@@ -39,7 +39,7 @@ LINES = hnp.arrays(np.float64, st.tuples(st.integers(2, 60), st.just(2)), elemen
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+def run(tmp_path_factory: pytest.TempPathFactory) -> Results:
     config = RunConfig(planners=("dp_qp", "constant_speed"), mode="closed", recording=False)
     return evaluate_logs((), config, tmp_path_factory.mktemp("results") / "run", suite=LOG)
 
@@ -224,8 +224,8 @@ def test_decisions_hold_until_the_next_frame() -> None:
     assert decided([], 1.0, str) == [] and statuses([], 1.0).spans == ()
 
 
-def test_a_moment_of_a_trace_is_that_of_the_whole(run: RunResult) -> None:
-    file = load(run.out).drive(LOG, "dp_qp").trace_file
+def test_a_moment_of_a_trace_is_that_of_the_whole(run: Results) -> None:
+    file = load(run.path).drive(LOG, "dp_qp").trace_file
     (whole, _), (part, _, said) = read_trace(file), read_moment(file, 3.04)
     (frame,) = part.frames
     assert frame.t == whole.frames[30].t == pytest.approx(3.0) and len(frame.plan.internals) > 4
@@ -240,8 +240,8 @@ def test_a_moment_of_a_trace_is_that_of_the_whole(run: RunResult) -> None:
 
 
 @pytest.mark.parametrize("planner", ["dp_qp", "constant_speed"])
-def test_each_chart_is_svg_with_numbers_on_its_axes(run: RunResult, planner: str) -> None:
-    seen = subject(load(run.out).drive(LOG, planner))
+def test_each_chart_is_svg_with_numbers_on_its_axes(run: Results, planner: str) -> None:
+    seen = subject(load(run.path).drive(LOG, planner))
     charts = [*scenes(seen), st_graph(seen), sl_graph(seen), *curves(seen), decisions(seen)]
     assert {chart.name for chart in charts} >= {
         "st",
@@ -265,8 +265,8 @@ def test_each_chart_is_svg_with_numbers_on_its_axes(run: RunResult, planner: str
         assert not re.search(r"nan|inf\b|<script|id=", chart.body), chart.name
 
 
-def test_broken_gates_are_shaded_and_named(run: RunResult) -> None:
-    seen = subject(load(run.out).drive(LOG, "constant_speed"))
+def test_broken_gates_are_shaded_and_named(run: Results) -> None:
+    seen = subject(load(run.path).drive(LOG, "constant_speed"))
     by_name = {chart.name: chart for chart in curves(seen)}
     assert 'class="broken"' in by_name["ttc"].body and "\u26a0 ttc" in by_name["ttc"].body
     assert 'class="broken"' not in by_name["pedals"].body
@@ -279,18 +279,19 @@ def replan(*words: object) -> Any:
 
 
 @pytest.mark.slow
-def test_plot_writes_pictures(run: RunResult, tmp_path: Path) -> None:
-    said = replan("plot", run.out, "-o", tmp_path / "a.png", "--width", 700)
+def test_plot_writes_pictures(run: Results, tmp_path: Path) -> None:
+    said = replan("plot", run.path, "-o", tmp_path / "a.png", "--width", 700)
     assert said.exit_code == 0 and "constant_speed, closed loop, at 8.2" in said.stdout
+    assert "(the worst of 2 drives; another: --log, --planner, --mode)" in said.stdout
     data = (tmp_path / "a.png").read_bytes()
     assert data.startswith(b"\x89PNG") and int.from_bytes(data[16:20]) == 700
     again = ("--planner", "dp_qp", "--at", 6.5, "--chart", "st", "--theme", "dark")
     for name in ("b.svg", "c.svg"):
-        assert replan("plot", run.out, *again, "-o", tmp_path / name).exit_code == 0
+        assert replan("plot", run.path, *again, "-o", tmp_path / name).exit_code == 0
     drawn = (tmp_path / "b.svg").read_text(encoding="utf-8")
     assert drawn == (tmp_path / "c.svg").read_text(encoding="utf-8") and DARK["ground"] in drawn
     assert "pedestrian: yield" in "".join(ET.fromstring(drawn).itertext())
-    assert replan("plot", run.out, "--planner", "dp_qp", "--chart", "scene", "-o", tmp_path / "each").exit_code == 0
+    assert replan("plot", run.path, "--planner", "dp_qp", "--chart", "scene", "-o", tmp_path / "each").exit_code == 0
     names = sorted(file.name for file in (tmp_path / "each").iterdir())
     assert len(names) == 6 and names[0] == "paper_crossing_pedestrian-dp_qp-closed-scene_end.png"
 
@@ -299,15 +300,14 @@ def test_plot_writes_pictures(run: RunResult, tmp_path: Path) -> None:
     ("words", "line"),
     [
         (("--log", "paper/crossing"), "paper/crossing_pedestrian"),
-        (("--log", LOG), "name a planner of dp_qp"),
-        (("--planner", "idm"), "no drive of idm"),
-        (("--planner", "dp_qp", "--mode", "open"), "no open loop of dp_qp"),
+        (("--planner", "idm"), "is called 'idm'"),
+        (("--planner", "dp_qp", "--mode", "open"), "is called 'open'; known are: closed"),
         (("--planner", "dp_qp", "--at", 99), "--at 99 is not in its 0 to"),
         (("-o", "picture.pdf"), "a picture ends with .png or .svg"),
     ],
 )
-def test_what_cannot_be_plotted_is_one_line(run: RunResult, words: tuple[Any, ...], line: str) -> None:
-    said = replan("plot", run.out, *words)
+def test_what_cannot_be_plotted_is_one_line(run: Results, words: tuple[Any, ...], line: str) -> None:
+    said = replan("plot", run.path, *words)
     assert said.exit_code == 2 and said.stderr.count("\n") == 1 and line in said.stderr
 
 

@@ -14,7 +14,7 @@ from handmade import drive, lanes_along, scenario, square, straight, track, trac
 from logs import Goal
 from logs.mcap import write_scenario
 from logs.names import visible_name
-from replay.compare import compare_runs, opened
+from replay.compare import compare_runs, read_run
 from replay.config import RunConfig
 from replay.draw.charts import subject, worst_moment
 from replay.draw.charts.layout import CHARTS
@@ -60,13 +60,13 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     write_scenario(folder / "same.mcap", replace(free, name="test free"))
     write_scenario(folder / "hostile.mcap", replace(free, name=HOSTILE, tracks=wall, tags=("<i>tag",)))
     config = RunConfig(planners=("dp_qp", "constant_speed"), recording=False)
-    return load(evaluate_logs([folder], config, tmp_path_factory.mktemp("results") / "run").out)
+    return evaluate_logs([folder], config, tmp_path_factory.mktemp("results") / "run")
 
 
 @pytest.fixture(scope="module")
 def content(results: Results, tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("page") / "report.html"
-    runs = opened(results.path)
+    runs = read_run(results.path)
     compared = compare_runs(runs, runs, planners=("constant_speed", "dp_qp"))
     write_html(overview(results, compared), results, path)
     return path.read_text(encoding="utf-8")

@@ -80,7 +80,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     (folder / "d.mcap").write_bytes((folder / "a.mcap").read_bytes()[:-100])
     (folder / "gates.toml").write_text(GATES, encoding="utf-8")
     config = RunConfig(planners=PLANNERS, recording=False, gates=str(folder / "gates.toml"))
-    return load(evaluate_logs([folder], config, tmp_path_factory.mktemp("out") / "run").out)
+    return evaluate_logs([folder], config, tmp_path_factory.mktemp("out") / "run")
 
 
 def parsed(results: Results, comparison: Comparison | None = None) -> dict[str, TestSuite]:
@@ -171,7 +171,7 @@ def test_a_planner_that_crashes_on_a_log_is_an_error_and_counts_against(
     other = tracks(track("car", [0.0, 2.0], [60.0, 60.0], [20.0, 20.0]))
     for log, agents in zip(logs, (None, other), strict=True):
         write_scenario(log, replace(scenario(ego, agents=agents, road=lanes_along(ego)), name=log.stem))
-    found = load(evaluate_logs(logs, config, tmp_path / "out").out)
+    found = evaluate_logs(logs, config, tmp_path / "out")
     over = overview(found)
     assert over.exit_code == 3 and {gate.outcome for gate in over.gates} == {"inconclusive"}
     (share,) = over.whole

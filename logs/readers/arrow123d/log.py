@@ -125,6 +125,10 @@ class EgoRows:
             raise ValueError(f"the vehicle has no {name}")
         return place[:3]
 
+    def world(self, point: FloatArray) -> FloatArray:
+        """Where a point `(3,)` in the IMU's frame is in the world `(n, 3)`, m."""
+        return self.position + rotated(self.q, np.broadcast_to(point, self.position.shape))
+
 
 def read_123d(folder: Path) -> Scenario:
     """Read the log in a folder (module docstring); LogError where it cannot be used."""
@@ -244,10 +248,7 @@ def _ego(rows: EgoRows, notes: list[str]) -> tuple[Trajectory, bool]:
     """All states of the rear axle, s since the first, and whether their velocities are the log's own."""
     t = (rows.time_us - rows.time_us[0]) / 1e6
     axle = rows.part("rear_axle_to_imu_se3")
-    place, yaw = (
-        (rows.position + rotated(rows.q, np.broadcast_to(axle, rows.position.shape)))[:, :2],
-        np.unwrap(heading(rows.q)),
-    )
+    place, yaw = rows.world(axle)[:, :2], np.unwrap(heading(rows.q))
     stored, moving = rows.dynamic[:, :3], np.isfinite(rows.dynamic[:, [0, 8]]).all() and rows.dynamic[:, :3].any()
     owner = np.zeros(len(t), np.int64)
     if not moving or _is_differenced(t, rows.position, rotated(rows.q, stored), owner):

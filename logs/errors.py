@@ -72,7 +72,7 @@ class ConfigError(ReplanError):
 
 
 class OutputError(ReplanError):
-    """A file cannot be written: the disk is full, or no one may write there."""
+    """A file cannot be written: the disk is full, or the place is not writable."""
 
 
 @contextmanager

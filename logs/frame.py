@@ -56,7 +56,7 @@ class Predictions:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Visibility:
-    """What the sensor can see of the ground; ask `hides` for points from which somebody may step out.
+    """The ground that the sensor can see; `hides` tests points from which a pedestrian may step out.
 
     Attributes:
         x: Sensor, world, m; `y` likewise.
@@ -133,7 +133,7 @@ class PlannerContext:
 
     Attributes:
         road: The lanes; always at least one.
-        goal: Where to go; None where nobody knows: then straight on.
+        goal: Where to go; None where it is unknown: then straight on.
         vehicle: The ego's parameters.
         period: Time between two frames, s.
         start: The ego's state at the first frame.

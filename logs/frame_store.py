@@ -54,7 +54,7 @@ class Scratch:
         return begin
 
     def get(self, begin: int, size: int) -> bytes:
-        """So many bytes of what is there."""
+        """A number of bytes from a place in the file."""
         self._file.seek(begin)
         self._reads = True
         return self._file.read(size)
@@ -103,7 +103,7 @@ class FrameStore(Sequence[PlannedFrame]):
     """The frames so far, in order of time.
 
     Args:
-        whole: So many are kept in memory as they are.
+        whole: The number of frames that are kept in memory as they are.
 
     Raises:
         OutputError: (append) The file cannot be written.

@@ -185,7 +185,7 @@ Points = np.ndarray[tuple[int, int], np.dtype[np.floating[Any]]]
 TIE = 1e-6
 """Lengths (m), times (s), angles, ratios and costs that differ by less are equal where something is decided.
 
-Far above rounding and far below what anybody measures. Round figures are common in maps and scenarios, so decisions
+Far above rounding and far below any measurement. Round figures are common in maps and scenarios, so decisions
 must not have their edges on them: comparisons lean by this to the side that their code states.
 """
 

@@ -361,7 +361,7 @@ class Tracks:
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """One log: what was driven, where, among whom.
+    """One log: the drive, the road, and the other road users.
 
     Attributes:
         name: Short and unique within a run ("paper/free_road").
@@ -376,7 +376,7 @@ class Scenario:
         source: Where the log comes from; `licence` under which terms.
         origin: World offset `(x, y)` that was subtracted by the reader, m.
         start_ns: Log time of t = 0, nanoseconds.
-        metadata: What else the log says of itself (generator, parameters, seed), and what was found out (`FINDING`).
+        metadata: Other data of the log (generator, parameters, seed), and findings of the reader (`FINDING`).
         notes: What was assumed in reading, one sentence each: shown to the user.
         lights: The traffic lights that the road's stop lines name, in order of their ids (ordered here). One that a
             stop line names and that is not among them was not observed.

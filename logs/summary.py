@@ -111,7 +111,7 @@ class LogSummary:
 
 
 def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
-    """What a log of any format holds; damage and foreign formats are told in `error`, never raised."""
+    """What a log of any format holds; damage and unknown formats are in `error`, never raised."""
     reader, scenario, error = reader_of(path, settings), None, None
     contents, files = Contents("not a log that replan reads"), tuple[Path, ...]((path,))
     try:
@@ -128,7 +128,7 @@ def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
         sum(file.stat().st_size for file in files if file.is_file()),
         contents.topics,
         None if scenario is None else _scenario(scenario),
-        () if scenario is None else evaluations(scenario, told=_tells_vehicle(scenario, contents)),
+        () if scenario is None else evaluations(scenario, has_vehicle=_tells_vehicle(scenario, contents)),
         error,
         scenario,
     )
@@ -200,14 +200,14 @@ def _goal(goal: Goal) -> str:
     return ", ".join(parts)
 
 
-def evaluations(scenario: Scenario, *, told: bool) -> tuple[Evaluation, ...]:
-    """Which evaluations the scenario allows; `told` says whether the log itself describes the vehicle."""
+def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, ...]:
+    """Which evaluations the scenario allows; `has_vehicle`: whether the log itself describes the vehicle."""
     ego, tracks, road = scenario.ego, scenario.tracks, scenario.road
     lanes = road.source is RoadSource.LANES
     unlimited = sum(not np.isfinite(lane.speed_limit) for lane in road.lanes.values())
     compared = f"{len(ego)} ego states to compare with" if len(ego) > 1 else "one ego state only: nothing to compare"
     lasting = f"{scenario.duration:.1f} s to drive" if scenario.duration > 0.0 else "the log lasts 0 s"
-    alone = "no one else is in the log: only comfort, progress and lanes"
+    alone = "no other road users in the log: only comfort, progress and lanes"
     recorded = clipped(scenario.traffic_spans, 0.0, scenario.duration)
     others = counted(len(tracks), "other") if len(tracks) else alone
     known_s = sum(last - first for first, last in recorded)
@@ -229,7 +229,7 @@ def evaluations(scenario: Scenario, *, told: bool) -> tuple[Evaluation, ...]:
         ),
         Evaluation("lights, stop signs, crosswalks, right of way", *_rules(scenario)),
         Evaluation(
-            "tracking", scenario.duration > 0.0, "the log's vehicle" if told else "vehicle partly or wholly assumed"
+            "tracking", scenario.duration > 0.0, "the log's vehicle" if has_vehicle else "vehicle partly or all assumed"
         ),
         Evaluation(
             "steering and pedals against the log",

@@ -151,7 +151,7 @@ def mirrored(scenario: Scenario) -> Scenario:
 
     Left and right change places everywhere: yaw, curvature and steering change their signs, boundaries, neighbours and
     markings swap, so do the ends of stop lines, and the words "nudge left" and "nudge right" in the expected decisions.
-    Sizes, times, speeds, who yields to whom, lights, and the name but for its ending stay.
+    Sizes, times, speeds, right of way, lights, and the name except for its ending stay.
     """
     goal, controls, name = scenario.goal, scenario.controls, scenario.name
     metadata = dict(scenario.metadata)

@@ -230,7 +230,7 @@ def _reduced(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, f
     if not -1 <= step < len(steps.t):
         raise ValueError(f"step {step} of {len(steps.t)}")
     if not isfinite(value):
-        return nan, False, f"{reduction.name} of the steps is {value}, which is no number", nan
+        return nan, False, f"{reduction.name} of the steps is {value}, not a number", nan
     label = steps.labels[step] if steps.labels and step >= 0 else ""
     return value, True, label, float(steps.t[step]) if step >= 0 else nan
 

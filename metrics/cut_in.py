@@ -43,7 +43,7 @@ OUT_M, IN_M = 0.3, 0.1
 SAME_WAY = cos(0.25 * pi)
 REACT_S, BRAKE_MPS2, HORIZON_S = 0.35, 6.0, 5.0
 LOOK_BACK_S = 15.0  # This much of a drive is looked at before a hit: from 50 m/s, (3) gives a follower 9 s
-MOST_MPS2 = 9.81  # Forced braking is given up to this
+MOST_MPS2 = 9.81  # Forced braking is computed up to this
 AS_LOGGED_M = 0.5
 ALONGSIDE_M = 10.0  # A road user whose centre is farther ahead of the ego's centre does not follow the ego, m
 

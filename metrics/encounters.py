@@ -258,7 +258,7 @@ PET_PARTS = {
 _GRID = f"every {GRID_S:g} s"
 TTC_ACCELERATED = Metric(
     "ttc_accelerated", "s", "higher", (Mode.CLOSED,), _ttc_accelerated, (MIN, time_below(1.5, "time_below_1500ms")),
-    "Least time until boxes touch when all go on along their velocity vectors with their accelerations, no one into "
+    "Least time until boxes touch when all go on along their velocity vectors with their accelerations, none into "
     "reverse; to the same agents as ttc.",
     f"{CATALOGUE}; commonroad-crime asks it of a lead in a lane", formula="v(t) = max(v + a t, 0) of each",
     parameters=(f"horizon {HORIZON_S:g} s", f"pieces of {PIECE_S:g} s", "bound 1.5 s", _GRID),

@@ -80,7 +80,7 @@ def _evidence(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 
 
 def _found(trace: Trace, known: BoolArray, why: str, needed: BoolArray | None = None) -> Evidence:
-    """The series of a kind of evidence; `why` says of the steps that need it and have none what is lacking."""
+    """The series of a kind of evidence; `why` is what is missing in steps that need it and have none."""
     ego = trace.ego
     needed = np.ones(len(known), np.bool_) if needed is None else needed
     value = np.where(needed, known.astype(np.float64), np.nan)

@@ -53,7 +53,7 @@ from metrics.once import last, once
 
 STEP_S = 0.1  # Plans are compared at multiples of this after their frame's time
 SHORT_M = 5.0  # Shorter plans (in their first 4 s) are those of a standing ego (NAVSIM)
-PIECE = 1000  # So many plans are laid out at a time: all those of an hour are 80 MB
+PIECE = 1000  # Plans laid out at a time: all those of an hour are 80 MB
 NO_PLANS = Unavailable("the drive has no plans")
 APART_S, COMPARED_S = 0.5, 4.0
 EC_BOUNDS = (("acceleration", 0.7), ("jerk", 0.5), ("yaw rate", 0.1), ("yaw acceleration", 0.1))  # (3), SI

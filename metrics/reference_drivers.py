@@ -15,8 +15,8 @@ Whoever is ahead is a hazard to "cc" while it
     will be in it while the ego passes, both at constant velocity (ours: R157 knows no crossing);
 (3) is in the band and slower than the driver by more than 0.5 m/s; or (4) is in it and brakes with 5 m/s2 or more.
 "cc" evaluates a hazard for 0.4 s and reacts for 0.75 s, in which it lets go of the pedal (0.4 m/s2). Then it brakes
-with 0.774 g, at 12.65 m/s3, as soon as gap / (v - u) < 2.0 s, in (4) as soon as gap / v < 2.0 s, and until nobody is
-a hazard and nobody in the band nearer than 2 m + 2 s v.
+with 0.774 g, at 12.65 m/s3, as soon as gap / (v - u) < 2.0 s, in (4) as soon as gap / v < 2.0 s, and until no
+agent is a hazard and none in the band is nearer than 2 m + 2 s v.
 
 In the JRC's code (JRC-FSM 01b05c29) nothing begins before the other is in the ego's width and the time to collision
 below 2.0 s; only then do the 0.75 s run. Here both times run from when the wandering zone is left: the regulation does
@@ -38,7 +38,7 @@ linear between safe and unsafe.
 The margin of a verdict is the least distance between the driver's box and the agent's over the whole drive:
 (6) avoidable: the least gap that is left to the agent that a driver who does not brake would touch, m, > 0
     unavoidable: minus the depth of the touch (the shortest shift that parts the boxes), the drive going on through it
-    not applicable: the least gap that a driver who does not brake leaves to anybody
+    not applicable: the least gap that a driver who does not brake leaves to any agent
 A verdict is marginal where its margin, or that of the drive without braking, is within `MARGINAL_M`, or where a driver
 who judges `JUDGED_S` earlier or later comes to another one: crossing paths, (2) and (5), and the time of reaction.
 
@@ -178,7 +178,7 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
     if passive.meets < 0:
         marginal = passive.least < MARGINAL_M
         by = f", by {passive.least:.1f} m, marginal" if marginal else ""
-        reason = f"at constant speed the ego meets nobody{by}"
+        reason = f"at constant speed the ego meets no one{by}"
         return Verdict(name, Outcome.NOT_APPLICABLE, reason, margin=passive.least, marginal=marginal)
     found = course.drive(driver, about=passive.agent)
     agent, margin, end = passive.agent if found.meets < 0 else found.agent, found.least, found.meets

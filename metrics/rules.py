@@ -348,7 +348,7 @@ def _fewer(bound: float, name: str) -> Reduction:
 
 PRIORITY_GAP = Metric(
     "priority_gap", "s", "higher", (Mode.CLOSED,), _priority_gap, (MIN, _fewer(SERIOUS_S, "below_1s")),
-    "Time from the ego's leaving a spot to its being taken by one who goes first there (post-encroachment time).",
+    "Time between the ego leaving a spot and a road user with priority reaching it (post-encroachment time).",
     "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. 2023)",
     formula="least t_j - t_i >= 0 over boxes i of the ego and j of the other that overlap",
     parameters=(f"grid {GRID_S} s", f"serious {SERIOUS_S:g} s"), needs="lanes that yield, a drive of two states",

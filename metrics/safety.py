@@ -70,7 +70,7 @@ CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Meth
 OFF_ROAD_M = 0.3
 OUTLINE_M = 0.25  # Between two points the outline is at most half of this further off than they are, m
 PASSING_MPS, PASSING_M = (3.0, 5.0), (0.5, 1.0)  # Room to those who are passed, by the ego's speed, linear between
-LEAVING_MPS = 0.5  # One who goes away to the side as fast has crossed, and is not passed
+LEAVING_MPS = 0.5  # An agent that leaves to the side this fast has crossed, and is not passed
 
 
 PERSON_KG = 75.0  # A driver: Regulation (EU) No 1230/2012

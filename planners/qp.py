@@ -71,7 +71,7 @@ class QuadraticProgram:
         stage: Name in the solver reports.
         P: `(n, n)` symmetric positive semidefinite.
         A: `(m, n)`.
-        equalities: The first so many rows have equal bounds.
+        equalities: The number of first rows with equal bounds.
         scale: `(n,)` typical size of each variable; the solvers work on x / scale, and on rows of size 1.
         config: Settings.
     """

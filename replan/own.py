@@ -2,7 +2,7 @@
 
 Python searches the folder of a script, or the working directory, before installed packages. So whatever of replan is
 imported first puts a finder before all others that gives `logs`, `metrics`, `planners` and `replay` from where this
-package lies. What clashes nevertheless is said in one message with both files and the way out.
+package lies. A remaining clash is reported in one message with both files and the remedy.
 
 It stands beside the public names, and imports nothing of ours: all four packages begin with it.
 """

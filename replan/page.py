@@ -16,7 +16,7 @@ HEAD = """# `import replan`
 The public names, on one page. Everything has types (`py.typed`); `help(replan.evaluate)` says all about one. The
 packages behind (`logs`, `metrics`, `planners`, `replay`) may be imported as well; only the names here stay as they are.
 Their fields and arguments are in the [API reference](reference.md).
-`import replan` first: then no `metrics.py` or `logs/` of yours is taken for one of them. This page is made from the
+`import replan` first: then your own `metrics.py` or `logs/` is not mistaken for one of them. This page is made from the
 code (`replan/page.py`).
 """
 SECTIONS = {

@@ -32,7 +32,7 @@ _EASE = 0.7 * MAX_JERK
 
 @dataclass(frozen=True, slots=True)
 class Ahead:
-    """What the driver minds: `gap` m from the front bumper to it, its `speed`, whether to `stop` for it."""
+    """What the driver reacts to: `gap` m from the front bumper to it, its `speed`, whether to `stop` for it."""
 
     gap: float
     speed: float = 0.0

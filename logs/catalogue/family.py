@@ -4,7 +4,7 @@ The scenario's metadata hold the generator's version, all parameters, and under 
 decide, as JSON: agent id, or "stop line ID" -> kinds (`DecisionKind` values), one of which it should decide about that
 agent or line at some time of the drive. Those that are not named need no decision.
 
-The logged driver of a scenario touches no one. Where a published grid holds cells in which no one could get through,
+The logged driver of a scenario has no collision. Where a published grid holds cells in which that is impossible,
 the log ends with the last state `before_contact`, and the metadata say who would have been met, and when.
 """
 

@@ -4,7 +4,7 @@ No public suite has them; the values are ours. Perception's faults are in the tr
 crossing pedestrian, 1 a lead, 2 a cut-in. In the closed loop the log is the world, so that a track with a gap is what
 the planner perceives, and what the others are judged by is interpolated (`logs.observed`); a delayed track is another
 world there, and wrong against the ego in the open loop only. Those of ego and lanes are in the free road; the log then
-holds the first ego state only, since no one drove there.
+holds the first ego state only, since nothing was driven there.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from logs.scenario import Scenario, Tracks
 SCENES = (paper.CROSSING_PEDESTRIAN, everyday.FOLLOW, everyday.CUT_IN)
 SOURCE = "ours"
 GOAL_SECTIONS = 6
-"""Of a lane that ends elsewhere than the scene's: so many of its last cross-sections, 10 m, are the goal."""
+"""Number of last cross-sections (10 m) that are the goal, of a lane that does not end where the scene does."""
 Lines = tuple[FloatArray, FloatArray]
 
 
@@ -77,7 +77,7 @@ def _noisy(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
 
 
 def _sparse(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
-    """One of so many frames, without velocities."""
+    """One frame of every `every`, without velocities."""
     left = _kept(tracks, np.rint(tracks.t / SAMPLE_S).astype(np.int64) % int(p["every_frames"]) == 0)
     return replace(left, vx=np.full(len(left.t), np.nan), vy=np.full(len(left.t), np.nan))
 
@@ -113,7 +113,7 @@ def _noisy_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
 
 
 def _coarse_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
-    """A cross-section every so many metres (they are 2 m apart), and the last."""
+    """A cross-section per step in metres (they are 2 m apart), and the last."""
     keep = np.unique(np.r_[0 : len(lines[0]) : round(p["spacing_m"] / 2.0), len(lines[0]) - 1])
     return lines[0][keep], lines[1][keep]
 
@@ -144,13 +144,13 @@ def _kinked_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
 
 
 def _ended_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
-    """The lane ends after so many metres."""
+    """The lane ends after a length in metres."""
     keep = np.r_[0.0, np.cumsum(np.hypot(*np.diff(0.5 * (lines[0] + lines[1]), axis=0).T))] <= p["length_m"]
     return lines[0][keep], lines[1][keep]
 
 
 def _narrow_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
-    """From so many metres on the lane is narrower."""
+    """The lane is narrower from a station (m) on."""
     middle, half = 0.5 * (lines[0] + lines[1]), 0.5 * (lines[0] - lines[1])
     s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(middle, axis=0).T))]
     narrower = p["width_m"] / LANE_WIDTH_M

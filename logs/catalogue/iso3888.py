@@ -9,8 +9,8 @@ The 3.5 m are from middle to middle, with `edge_based` from the entry's middle t
 1.0 m from the entry lane's left edge to the offset lane's right edge; the exit's middle is the entry's. (Other readings
 are around; these are stated. The standard itself was not read: Project Chrono's demonstration and another one were.)
 
-As a scenario the sections are one lane, that goes straight from one to the next and is wider there; no one can be met.
-What is asked is whether the ego stays in it; it may slow down, as the logged driver does.
+As a scenario the sections are one lane, which goes straight from one to the next and is wider there; there are no other
+road users. The ego must stay in the lane; it may slow down, as the logged driver does.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ def off_lane(walkers: Sequence[Agent]) -> float:
     """The first sample at which all have left the lane for good, s.
 
     Raises:
-        ValueError: Somebody stays on it, or nobody comes.
+        ValueError: A pedestrian stays on it, or none comes.
     """
     last = -1
     for one in walkers:
@@ -234,7 +234,7 @@ def _runs_out(p: Mapping[str, float]) -> Scenario:
 
 RUNS_OUT = Family(
     "pedestrian/runs_out",
-    "a child runs out from behind parked cars (CPNCO): be slow where no one can be seen",
+    "a child runs out from behind parked cars (CPNCO): be slow where the view is blocked",
     {
         "ego_speed_mps": 8.3,
         "pedestrian_speed_mps": 1.39,

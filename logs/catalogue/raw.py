@@ -42,7 +42,7 @@ def _row(name: str, first: float, last: float, y: float, *, spacing: float = 6.5
 def _along(
     name: str, kind: AgentKind, size: tuple[float, float], t: FloatArray, x: float, y: float, speed: float
 ) -> Agent:
-    """One who goes along the road at a constant speed, backwards where it is negative."""
+    """A road user along the road at a constant speed, which is backwards where it is negative."""
     return moving(name, kind, size, t, x + speed * t, np.full(len(t), y), yaw=0.0 if speed > 0.0 else pi)
 
 

@@ -1,8 +1,8 @@
 """Traffic rules: a red light that turns green, a pedestrian at a crosswalk, a side road before a main road.
 
-Nobody forces the ego: who ignores the rule runs the red light, drives on before the waiting pedestrian, or takes the
-way of those who go first. The logged driver obeys: he stops `STOP_SHORT_M` before the line, and drives on `reaction_s`
-after he may.
+Nothing forces the ego: a planner that ignores the rule runs the red light, drives on before the waiting pedestrian, or
+takes the right of way of others. The logged driver obeys: it stops `STOP_SHORT_M` before the line, and drives on
+`reaction_s` after it may.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ RED_YELLOW_S = 1.0
 
 
 def stopping(line: float, speed: float, car: VehicleParameters, s: float) -> Ahead | None:
-    """What a driver with the rear axle at station `s`, who came with `speed`, minds of a line at which he must stop.
+    """What a driver with the rear axle at station `s`, arriving at `speed`, reacts to at a line with a mandatory stop.
 
     None: it is still far away, or the front is beyond it.
     """

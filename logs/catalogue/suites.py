@@ -1,6 +1,6 @@
 """Suites: parts of all families' cells, chosen the same way every time.
 
-There is one order of all cells; a suite is its first so many, so that a smaller one is part of a larger. Of a family
+There is one order of all cells; a suite is a prefix of it, so that a smaller suite is part of a larger one. Of a family
 with n cells the k-th, from 0, comes at
 
 (1) k / sqrt(n)

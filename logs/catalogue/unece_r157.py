@@ -4,7 +4,7 @@ Numbers as in the OpenSCENARIO files of ASAM/openMSL (sl-3-1-osc-alks-scenarios 
 in a lane 3.5 m wide. What is not theirs: targets that stand are met after 6 s as those of Euro NCAP are (from the 500 m
 of 4.2_1 a drive at 5 km/h would last six minutes); who cuts in or out begins after 2 s, its lateral speed comes and
 goes in 0.4 s, and an acceleration lasts until the ego's speed at the begin, or standstill; a lead that cuts out is
-2.0 s ahead. 4.4_2, the cut-in that no one can avoid, is a cell of 4.4_1: 10 m, 3 m/s.
+2.0 s ahead. 4.4_2, the unavoidable cut-in, is a cell of 4.4_1: 10 m, 3 m/s.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ LONGEST_PIECE_M, SHORTEST_PIECE_M = 2.0, 0.25
 LONGEST_M = 20_000.0
 """A lanelet that reaches farther has a point that is not where it should be."""
 MOST_HERE = 100
-"""So many lanelets begin at one place at most, or share a boundary."""
+"""The greatest number of lanelets that begin at one place or share a boundary."""
 MOST = 1000
 """Pieces of a boundary: (3) takes the product of both sides' pieces in time and memory."""
 _DRIVABLE = frozenset({"road", "highway", "play_street", "exit"})
@@ -86,7 +86,7 @@ class Bound:
 
 @dataclass(frozen=True)
 class Strip:
-    """A lanelet in its direction: its boundaries, what is said of it, and its regulatory elements."""
+    """A lanelet in its direction: its boundaries, its tags, and its regulatory elements."""
 
     id: int
     left: Bound

@@ -25,12 +25,12 @@ from logs.road import Lane, Road
 RESOLUTION_M = 0.1
 """Of pyxodr; its lanes end within a few cm of where the next ones begin."""
 KEPT = 5
-"""Every so many points of that are kept."""
+"""The step between the points that are kept."""
 NARROWEST_M = 0.1
 """A lane that is nowhere wider has no area: it begins or ends there."""
 LARGEST_BYTES, LONGEST_M = 1 << 28, 1e6
 FARTHEST = 100.0
-"""A polynomial may lead so many times its length away: pyxodr walks along it in steps of `RESOLUTION_M`."""
+"""A polynomial may lead this many times its length away: pyxodr walks along it in steps of `RESOLUTION_M`."""
 _DRIVABLE = {"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "bidirectional"}
 _CROSSABLE = {"none", "broken", "broken broken", "botts dots"}
 _UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}

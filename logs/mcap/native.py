@@ -381,7 +381,7 @@ class Plan(msgspec.Struct):
 
 
 class PlanSaid(msgspec.Struct):
-    """Of a plan what it says of itself: decoded ten times faster than all of it."""
+    """The summary of a plan; it is decoded ten times faster than the whole plan."""
 
     status: str
     reason: str

@@ -40,7 +40,7 @@ class OsiMap:
     logical_boundaries: dict[int, Any] = field(default_factory=dict)
 
     def add(self, truth: Any) -> None:
-        """Take what a ground truth says of the road; older descriptors lack the logical lanes."""
+        """Add the road of a ground truth; older descriptors lack the logical lanes."""
         for known, name in (
             (self.lanes, "lane"),
             (self.boundaries, "lane_boundary"),

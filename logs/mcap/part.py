@@ -87,7 +87,7 @@ def _of(summary: Sequence[McapRecord], kind: type[R]) -> list[R]:
 
 
 def _scenario_record(ranged: Ranged, summary: Sequence[McapRecord]) -> dict[str, str] | None:
-    """What a native log says of itself; None where it is none."""
+    """The metadata of a native log; None if the file is not one."""
     for index in _of(summary, MetadataIndex):
         if index.name == native.SCENARIO_RECORD:
             raw = ranged(index.offset, index.offset + index.length)

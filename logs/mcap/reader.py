@@ -286,7 +286,7 @@ def _repaired(
     if message is None:
         return found, None
     if found is None:
-        what = "the tracks are said to be repaired, but there are no detections"
+        what = "the tracks are marked as repaired, but there are no detections"
         raise LogError(what, topic="/repair", remedy="keep /detections, or leave /repair out")
     _equal_lengths(message, "/repair", streams["/repair"].times[0])
     *columns, sources = msgspec.structs.astuple(message)

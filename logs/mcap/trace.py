@@ -117,7 +117,7 @@ def _who(tracks: Tracks) -> dict[str, tuple[object, ...]]:
 
 
 def _perceived_messages(shown: Tracks, frames: list[int], start_ns: int) -> Iterator[Entry]:
-    """A message a frame, empty where nobody was seen."""
+    """A message per frame, empty where no agent was seen."""
     times = np.array(log_times(shown.t, start_ns, "/perceived"), dtype=np.int64)
     track = np.repeat(np.arange(len(shown)), np.diff(shown.offsets))
     order = np.lexsort((track, times))

@@ -34,7 +34,7 @@ from logs.scenario import Scenario, Tracks
 
 CHUNK_BYTES = 128 * 1024
 SPOOL_BYTES = 16 * 2**20
-"""So many bytes of messages wait in memory; more in a file."""
+"""The greatest number of bytes of messages in memory; more wait in a file."""
 BLOCK = 100
 """Samples of a block: a second of a drive, so that a killed writer loses little."""
 Entry = tuple[int, str, msgspec.Struct | Message]

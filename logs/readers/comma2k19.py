@@ -78,7 +78,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
     yaw = np.unwrap(np.arctan2(forward @ plane[1], forward @ plane[0]))
     notes = [
         "The poses are the camera's: they are taken for the rear axle's, about 1.5 m behind it.",
-        "Radar returns are not read: they have neither size nor class. Nobody else is in the log.",
+        "Radar returns are not read: they have neither size nor class. The log holds no other road users.",
     ]
     columns = {"t": t, "x": x, "y": y, "yaw": yaw, "v": (velocity * forward).sum(axis=1)}
     columns |= {"a": np.full(len(t), np.nan), "kappa": np.full(len(t), np.nan)}

@@ -294,7 +294,7 @@ def _check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame |
     for key, given in columns.items():
         of, _, ours = key.rpartition(".")
         if ours not in known or of not in ("", *NAMES):
-            what = f"columns has {key}, which is no name here"
+            what = f"columns has {key}, which is not a known name"
             raise LogError(what, topic="[log]", remedy=f"known: {', '.join(known)}; of one table: ego.v, agents.v ...")
         if held and not any(table.has(ours) for table in held if of in ("", table.name)):
             raise LogError(f"no table has the column {given} that {key} is read from", topic="[log] columns")

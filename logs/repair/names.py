@@ -21,7 +21,7 @@ from logs.kernel import FloatArray
 
 STEP_S, FASTEST_MPS, JUMPS = 0.5, 60.0, 0.02
 """Ids are no identities if more than `JUMPS` of the steps of one id within `STEP_S` are faster than `FASTEST_MPS`, or
-if so many boxes have an id that another box of their frame has."""
+if this share of the boxes has an id that another box of their frame has."""
 SHORT_S, FLICKER, LEAST_IDS = 1.0, 0.5, 10
 """Road users flicker if more than half of at least ten ids are seen for less than a second."""
 NEAR_M = 2.5

@@ -258,7 +258,7 @@ def _depths(t: FloatArray, boxes: FloatArray, ego: Trajectory, vehicle: VehicleP
 
 
 def _beside_ego(user: User, ego: Trajectory, vehicle: VehicleParameters) -> tuple[User | None, str]:
-    """A user with what the ego's drive says of it, and why; None where it was not there."""
+    """A road user as the ego's drive confirms it, and why; None if it was not there."""
     t, boxes = user.t, user.poses
     if user.piece.still:
         near = (ego.t >= t[0] - BEFORE_S) & (ego.t <= t[-1] + BEFORE_S)

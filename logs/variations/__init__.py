@@ -123,7 +123,7 @@ def _signed(was: Scenario, now: Scenario, agents: Sequence[str], values: Mapping
     about = f" of {', '.join(agents)}" if agents else ""
     notes = (
         f"Varied from {was.name}: {said}{about}.",
-        "Of the ego's log only the start is kept: it was driven in another world, and judges no one in this one.",
+        "Of the ego's log only the start is kept: it was driven in another world and is no reference in this one.",
         "A varied track goes straight on where its recording was cut by the begin or the end of the log.",
     )
     entries = {f"{VARIED}.{name}": repr(float(value)) for name, value in values.items()}
@@ -153,11 +153,11 @@ _TABLE = (
     ),
     Variation("copy", "s", -LONGEST_S, LONGEST_S, nan, "each agent is followed by a copy so much later", tracks.copied),
     Variation("side", "m", -50.0, 50.0, 0.0, "the agents are so far to the left of their course", tracks.sideways),
-    Variation("speed", "1", 0.2, 5.0, 1.0, "the agents go so many times as fast along their path", tracks.in_speed),
+    Variation("speed", "1", 0.2, 5.0, 1.0, "factor of the agents' speed along their path", tracks.in_speed),
     Variation("time", "s", -LONGEST_S, LONGEST_S, 0.0, "the agents come so much later", tracks.in_time),
     Variation("remove", "1", 0.0, 1.0, 0.0, "1: the agents are not there", tracks.removed, is_choice=True),
     Variation("ego_start", "m", -200.0, 200.0, 0.0, "the ego starts so far along its path", ego.ego_start, of="ego"),
-    Variation("ego_speed", "1", 0.0, 3.0, 1.0, "the ego starts so many times as fast", ego.ego_speed, of="ego"),
+    Variation("ego_speed", "1", 0.0, 3.0, 1.0, "factor of the ego's speed at the start", ego.ego_speed, of="ego"),
 )  # fmt: skip
 VARIATIONS: Mapping[str, Variation] = MappingProxyType({each.name: each for each in _TABLE})
 """By name, in the order in which they are applied."""

@@ -49,7 +49,7 @@ def ego_start(scenario: Scenario, agents: Sequence[str], value: float) -> Scenar
 
 
 def ego_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
-    """(4) of the package: so many times as fast."""
+    """(4) of the package: a factor of the speed."""
     start = scenario.ego.state(0)
     return replace(scenario, ego=_one(replace(start, v=value * start.v, a=0.0)))
 
@@ -60,7 +60,7 @@ def _one(state: EgoState) -> Trajectory:
 
 
 def check_start(was: Scenario, now: Scenario) -> None:
-    """LogError where the ego of `now` does not start in a sensible state, or in somebody in whom `was` did not."""
+    """LogError where the ego of `now` starts in an impossible state, or inside an agent that `was` did not touch."""
     start, before, road = now.ego.state(0), was.ego.state(0), now.road
     if road.is_drivable(before.x, before.y) and not road.is_drivable(start.x, start.y):
         raise LogError("the ego would start off the road", remedy="keep ego_start on it")

@@ -175,7 +175,7 @@ def continued(was: Scenario, now: Scenario) -> Tracks:
 
 
 def _straight(row: FloatArray, vx: float, vy: float, t: FloatArray) -> FloatArray:
-    """Samples at `t` `(k,)` of who goes straight through a sample (6,) at a constant velocity; who stands, stands."""
+    """Samples at `t` `(k,)` of an agent that goes straight through a sample (6,) at a constant velocity, or stands."""
     vx, vy = (vx, vy) if hypot(vx, vy) >= STANDING_MPS else (0.0, 0.0)
     one, late = np.ones(len(t)), t - row[0]
     return np.column_stack([t, row[1] + vx * late, row[2] + vy * late, row[3] * one, vx * one, vy * one])

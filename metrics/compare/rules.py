@@ -37,8 +37,8 @@ class Rule:
         metric: A name of the table's column `metric`, which may not rise by more than `max_increase` or fall by more
             than `max_decrease`, in its unit; over the logs its "mean" or "median", or no log ("worst").
         significant: Breaks only where the interval of the mean excludes no change.
-        max_flips: Gates may turn to FAIL so many times, of a pass or of not being asked; `gate`: those on this metric.
-        max_missing: So many drives of the baseline may be missing in the candidate.
+        max_flips: The number of gates that may turn to FAIL from a pass or from not asked; `gate`: on this metric.
+        max_missing: The number of drives of the baseline that may be missing in the candidate.
         mode: Only this mode; `planner`, `tags` likewise.
         optional: No verdict where no log has the metric; else that is INCONCLUSIVE.
         reason: Shown with the verdict.

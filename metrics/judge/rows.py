@@ -26,7 +26,7 @@ _DRIVE = ["log", "planner", "mode"]
 Drive = tuple[str, str, str]
 Values = dict[tuple[str, str, str, str], tuple[float, str]]  # Value and reason by log, planner, mode and metric
 SHARE = "deadline.share"
-MAX_SHARE = 0.01  # So many of a drive's plans may be late
+MAX_SHARE = 0.01  # The share of a drive's plans that may be late
 MISS_COLUMNS = ("log", "planner", "mode", "plans", "misses", "share", "worst_s", "worst_t_s")
 
 

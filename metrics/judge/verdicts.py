@@ -76,7 +76,7 @@ class LogOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a gate says of one planner in one mode, and why.
+    """The outcome of a gate for one planner in one mode, and why.
 
     Attributes:
         gate: The rule.

@@ -1,7 +1,7 @@
 """The paper's planner: route -> candidate lanes -> (path DP, path QP) -> (speed DP, speed QP) -> choice -> trajectory.
 
     path      which side of each obstacle, the smoothest path            stage, bounds, dp, qp, steering, oncoming_lane
-    speed     who goes first, the smoothest speed, how hard to brake     stage, problem, dp, qp, doubt, braking
+    speed     the order of passing, the smoothest speed, the braking     stage, problem, dp, qp, doubt, braking
     scene     what asks to drive slower; the goal; who is passed         caps, goal_window, moving_obstacles
     lane      both stages in one lane and what that costs; passing;      plan, passing, choice
               keep the lane or change, and who would be endangered

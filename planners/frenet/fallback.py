@@ -1,7 +1,7 @@
 """What is driven when a stage fails: the previous plan, else a comfortable stop, else a hard stop.
 
-1. the rest of the previous plan, if it lasts `MIN_REST_S` and meets no one within it
-2. a stop along its path (or straight on where there is none) with comfortable limits, if that meets no one
+1. the rest of the previous plan, if it lasts `MIN_REST_S` without a collision
+2. a stop along its path (or straight on where there is none) with comfortable limits, if that is free of collisions
 3. a stop with the hardest braking
 """
 

@@ -42,7 +42,7 @@ HALVINGS = 4
 JUMP = 0.999
 """Share of a gap that is jumped over, so that rounding does not jump over a touch."""
 PART, SAMPLES = 16, 8
-"""So many points of the path, and samples of a prediction, are looked at together first, in one envelope each."""
+"""Points of the path, and samples of a prediction, in one envelope: envelopes are tested first."""
 ROUNDING_M = 1e-6
 """Envelopes that are this near count as touching, m."""
 KINDS = (DecisionKind.OVERTAKE, DecisionKind.STOP, DecisionKind.FOLLOW, DecisionKind.YIELD)
@@ -335,7 +335,7 @@ def _ego_boxes(way: Way, count: int, rear_to_center: float, radius: float) -> tu
 
 @inner_kernel
 def _envelopes(boxes: FloatArray, every: np.int64, length: float, width: float) -> FloatArray:
-    """Boxes around so many of a sequence each: rows x, y, cos yaw, sin yaw, half length, half width.
+    """Boxes around groups of a sequence: rows x, y, cos yaw, sin yaw, half length, half width.
 
     The sequence has the rows x, y, cos yaw, sin yaw; all are of one size. An envelope heads as its middle one.
     `every` is no literal, since numba would compile this for each of them.

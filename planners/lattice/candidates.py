@@ -48,7 +48,7 @@ from planners.lattice.checks import (
 SIDE_M = 0.1
 """Who is nearer than this beside a track is on it."""
 SHORT = 4.0
-"""A metre short of a stop that the rules demand counts as so many: who rests there should be seen to have stopped."""
+"""Weight of each metre short of a stop that the rules require: the ego should visibly have stopped there."""
 STOP_S = 1.0
 """The ego brakes for a stop that the rules demand so long, s ..."""
 STOP_M = 2.0

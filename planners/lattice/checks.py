@@ -61,7 +61,7 @@ SAID = {
     Fault.CURVATURE: "bends too sharply",
     Fault.LATERAL_ACCELERATION: "lateral acceleration",
     Fault.CORRIDOR: "leaves the road",
-    Fault.COLLISION: "meets somebody",
+    Fault.COLLISION: "meets a road user",
     Fault.STOP_LINE: "passes a place where it must stop",
 }
 """The faults in words."""

@@ -80,7 +80,7 @@ FARKAS = 1e-7
 TO_BOUNDARY = 0.995
 """Share of the way to the boundary that is gone (9)."""
 NEARLY = 1e3
-"""The gap is nearly closed where it is less than so many squares of the accuracy."""
+"""The gap is nearly closed where it is less than this multiple of the accuracy squared."""
 FLOOR = 0.1
 """Products z f are not aimed below this share of what (10) asks for: smaller ones only cost digits."""
 PROXIMAL = 1e-10

@@ -8,7 +8,7 @@ Priority lane: a vehicle on it or on a lane that leads to it, in its direction, 
 
 (1) while the box of a hypothesis touches the zone, where its hypotheses that do weigh `UNLIKELY` together
 (2) on the priority lane itself also from (p_in - front) / v to (p_out - rear) / v: it may be predicted to leave the
-    lane, and does not; one that stands in the zone takes it until it has gone
+    lane, and does not; one that stands in the zone takes it until it has left
 
 but not where a red light holds it on its way there.
 """

@@ -89,7 +89,7 @@ class Zone:
 
     Attributes:
         name: As reasons name it ("crosswalk 3", "lane 17").
-        by: Who goes first.
+        by: The road user with priority.
         s_in: Station that the front reaches it at, m; `s_out` that the rear leaves it at.
         holds: Stations that the front does not pass while it waits, in driving order: the first that is ahead counts.
     """

@@ -298,7 +298,7 @@ def _engine(name: str, address: str | None, workers: int | None) -> Engine:
 
 
 def _evaluated(evaluate: Callable[..., Results], location: OutputLocation, *, quiet: bool, verbose: bool) -> Results:
-    """The run, with progress on stderr; the results of each log are sent to a URL as they come."""
+    """The run, with progress on stderr; the results of each log are sent to a URL when they are complete."""
     from replay.cli.progress import progress
     from replay.run.pool import freeze_gc
 

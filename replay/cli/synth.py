@@ -162,9 +162,9 @@ them first; NAME is a suite, a family or a group. The same name gives the same b
 
 A log is called `family@parameter=number,...`. Its metadata hold the family, all parameters, where the numbers are from,
 and under `expected_decisions` what a planner may decide about which agent. The logged driver brakes with at most 3 m/s2
-and 2 m/s3, and touches no one: in cells where that is not enough, which the grids of UN R157 and Euro NCAP have, the
-ego's log ends before the contact, and `logged_driver_would_meet` names the agent. Whether a contact could have been
-avoided, the reference drivers say (`reference_cc`: the careful driver of UN R157), not the planner under test.
+and 2 m/s3, and avoids all collisions. In cells where that is not enough (the grids of UN R157 and Euro NCAP have them),
+the ego's log ends before the contact, and `logged_driver_would_meet` names the agent. The reference drivers decide
+whether a contact could have been avoided (`reference_cc`: the careful driver of UN R157), not the planner under test.
 
 What is ours where a publication is silent, and what is left out, stands at the head of the family's module in
 `logs/catalogue`. The logs' numbers are facts taken from the named repositories; the protocols, the regulation's text
@@ -173,7 +173,7 @@ and the standard were not read.
 `python -m studies.catalogue -o OUT --suite full` drives a suite and draws, per family and cell, what became
 of it beside the careful driver.
 """
-SUITES_SAID = """A suite is the first so many cells of one order of all (seed {seed}), so that a smaller one is part of
+SUITES_SAID = """A suite is a prefix of one order of all cells (seed {seed}), so that a smaller one is part of
 a larger. Each family gives a cell first, then about as many as the root of how many it has, each the farthest in its
 grid from those before it (`logs/catalogue/suites.py`)."""
 ABOUT: Mapping[str, str] = {
@@ -184,7 +184,7 @@ ABOUT: Mapping[str, str] = {
     "fronts, clutter. The logs hold detections; tracks are made of them where they are read.",
     "euro_ncap": "An ego that keeps its speed would meet the target 6 s after the start (CCRb, which brakes: later). "
     "Not here: reversing (CPRA), pedestrians at turns (CPTA), the head-on lane change (CCFhol).",
-    "unece_r157": "Automated lane keeping at up to 60 km/h. Cells that no one can avoid are part of it.",
+    "unece_r157": "Automated lane keeping at up to 60 km/h. Unavoidable cells are part of it.",
     "iso3888": "The lanes between the cones as one lane; wider in the gaps, where the standard has no bound.",
     "faults": "Logs with faults of perception (scene 0 the crossing pedestrian, 1 a lead, 2 a cut-in), of the ego's "
     "start, and of lanes.",

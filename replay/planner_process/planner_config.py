@@ -29,7 +29,7 @@ def is_foreign(spec: str) -> bool:
 
 
 def is_apart(spec: str, apart: PlannerProcessConfig) -> bool:
-    """Whether a planner runs in a process of its own; a name that is none at all does not."""
+    """Whether a planner runs in a process of its own; an invalid name does not."""
     named = all(spec.partition(":")) or (not is_built_in(spec) and spec in PLANNER.entries())
     return is_foreign(spec) or (not is_built_in(spec) and named and not apart.trust)
 

@@ -79,7 +79,7 @@ TABLES: Mapping[str, Table] = {
         (*_columns(("schema_version", "count", "of all these tables; not in a log's folder")), *_METRICS),
     ),
     "verdicts.parquet": Table(
-        "A row per gate, log, planner and mode: what this log says of the gate.",
+        "A row per gate, log, planner and mode: the gate's outcome on this log.",
         True,
         (
             *_columns(("gate", "text", "the rule as text: `collision_at_fault.count <= 0`")),

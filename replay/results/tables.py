@@ -170,9 +170,7 @@ def check_ours(out: Path) -> None:
     """ConfigError where a folder holds anything that no run wrote."""
     foreign = [entry.name for entry in sorted(out.iterdir()) if not is_ours(entry)]
     if foreign:
-        raise ConfigError(
-            f"{out}: contains {foreign[0]}, which is no result of replan; give --out a new or empty folder"
-        )
+        raise ConfigError(f"{out}: contains {foreign[0]}, not a replan result; give --out a new or empty folder")
 
 
 def clear_partial(out: Path) -> None:

@@ -327,7 +327,7 @@ def _log_summary(log: LogResult) -> dict[str, Any]:
 
 
 def _verdict_summary(verdict: Verdict) -> dict[str, Any]:
-    """A verdict without what it says of each log, which is in verdicts.parquet; NaN is null."""
+    """A verdict without its rows by log, which are in verdicts.parquet; NaN is null."""
     record: dict[str, Any] = {"rule": str(verdict.gate)}
     for key, value in asdict(verdict).items():
         if key != "logs":

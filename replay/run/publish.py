@@ -109,9 +109,7 @@ def _begun(url: str, folder: Path, *, resume: bool) -> OutputLocation:
     if not any(file.name == "run.toml" for file in files):
         foreign += files
     if foreign:
-        raise ConfigError(
-            f"{url}: contains {foreign[0].name}, which is no result of replan; give --out a new or empty place"
-        )
+        raise ConfigError(f"{url}: contains {foreign[0].name}, not a replan result; give --out a new or empty place")
     whole = [file for file in logs if file.name.partition("/")[0] in cards] if resume else []
     kept = [*whole, *(file for file in files if resume and file.name == "run.toml")]
     if kept:

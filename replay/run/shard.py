@@ -4,10 +4,9 @@ The i-th of n shards (from 1) has the logs i, i + n, i + 2n, ... of the selectio
 of their names and those of a suite with its families mixed, so that logs of one kind, which take about as long, are
 dealt out evenly; and a log's shard depends on nothing but its place.
 
-A shard measures and does not judge: what a gate says of a part (a mean, a share, the logs that are missing) it need not
-say of all. Its folder holds, beside what every result folder does, `shard.json`: which part it is, what all the logs
-are, the gates, and what came of the logs that have no folder. The tables of all are made as `--resume` makes them, of
-the folders of the logs.
+A shard measures and does not judge: a gate's outcome on a part (a mean, a share, missing logs) need not hold for all.
+Its folder also holds `shard.json`: the number of the shard, all logs of the run, the gates, and the failures of logs
+without a folder. The tables of all shards are made from the folders of the logs, as by `--resume`.
 """
 
 from __future__ import annotations

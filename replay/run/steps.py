@@ -25,7 +25,7 @@ from replay.results.tables import write_file
 
 NAME = "frames.parquet"
 SPOOL_BYTES = 16 * 2**20
-"""So many bytes of steps wait in memory; more in the file."""
+"""The greatest number of bytes of steps in memory; more wait in the file."""
 GROUP_ROWS = 1 << 18
 """Rows that are in memory at once, and that a reader of a part takes at least."""
 

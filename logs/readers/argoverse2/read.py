@@ -317,7 +317,7 @@ def road_of_json(path: Path, origin: FloatArray, notes: list[str]) -> Road:
         if not lanes:
             raise LogError("the map has no lanes that can be used")
         walks = [_crosswalk(each, origin) for each in found.get("pedestrian_crossings", {}).values()]
-        notes.append("The map has no right of way, stop lines or traffic lights: who goes first is not known.")
+        notes.append("The map has no right of way, stop lines or traffic lights: priority is not known.")
         return Road(lanes, drives_on_right=keeps_right, crosswalks=tuple(walk for walk in walks if walk is not None))
 
 

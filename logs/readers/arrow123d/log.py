@@ -360,7 +360,7 @@ def kinds_of(label_class: str, labels: IntArray, length: FloatArray, notes: list
         names = list(AV2_CATEGORIES.values())
         return tuple(names[i] if 0 <= i < len(names) else _OBJECT for i in labels)
     if key not in KINDS:
-        notes.append(f"The labels '{key[:60]}' are not known: what the road users are is told from their lengths.")
+        notes.append(f"The labels '{key[:60]}' are not known: the kinds of road users are derived from their lengths.")
         sized = [_OBJECT, _PEDESTRIAN, _BICYCLE, _CAR, _TRUCK]
         return tuple(sized[int(np.searchsorted([0.0, 1.2, 2.7, LONG_M], size))] for size in length)
     by_number = {number: kind for kind, numbers in KINDS[key].items() for number in numbers}

@@ -129,7 +129,7 @@ def _road(objects: MapObjects, origin: FloatArray, near: FloatArray | None, note
     zones = [(f, _ring(f, origin)) for _, f, _ in objects.of(STOP_ZONE) if _is_near(f.get("outline"), near)]
     lines = stop_lines(zones, lanes, notes)
     if any(len(lane.successors) > 1 for lane in lanes.values()):
-        notes.append("The map has no right of way: who goes first where lanes meet is not known.")
+        notes.append("The map has no right of way: priority where lanes meet is not known.")
     return Road(lanes, drives_on_right=keeps_right, stop_lines=lines, crosswalks=walks)
 
 

@@ -112,7 +112,7 @@ STOP_SIGNS = frozenset({"206", "R1-1"})
 YIELD_SIGNS = frozenset({"205", "R1-2"})
 PRIORITY_SIGNS = frozenset({"301", "306"})
 READ_SIGNS = STOP_SIGNS | YIELD_SIGNS | PRIORITY_SIGNS
-"""Signs of Germany (and of the format's no-man's-land) and of the USA that say who goes first."""
+"""Signs of Germany (and of the format's no-man's-land) and of the USA for priority."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Stop:
-    """A lanelet's stop line: its ends `(2, 2)`, m, or None (at the lanelet's end), and whom it obeys."""
+    """A lanelet's stop line: its ends `(2, 2)`, m, or None (at the lanelet's end), and its lights and signs."""
 
     ends: FloatArray | None
     lights: tuple[int, ...]
@@ -167,7 +167,7 @@ class Incoming:
 class Intersection:
     """An intersection; `crossings` are lanelets on which pedestrians cross.
 
-    The references "isLeftOf" are not read: files use them in both senses, so sides are told by geometry.
+    The references "isLeftOf" are not read: files use them in both senses, so sides follow from the geometry.
     """
 
     id: int

@@ -281,7 +281,7 @@ def _duration(driven: Trajectory, tracks: Tracks, goal: Goal | None) -> tuple[fl
 
 
 def _tags(document: Document) -> tuple[str, ...]:
-    """The word "commonroad", the kind of source where it can be told, and the file's own tags."""
+    """The word "commonroad", the kind of source where it is known, and the file's own tags."""
     text = f"{document.source} {document.benchmark}".lower()
     words: tuple[str, ...] = ()
     for name, how, signs in _SOURCES:

@@ -12,7 +12,7 @@ than the farthest incoming ends; a lane that both incomings lead to is behind th
 
 (1) whose sign ranks lower: stop or yield < none < priority road;
 (2) else, where neither incoming has a light and their headings differ by 30 to 135 degrees: whose carriageway has fewer
-    lanes, as nobody lets multi-lane roads wait without a sign; else, where traffic keeps right, to whose right the
+    lanes, since multi-lane roads do not wait without a sign; else, where traffic keeps right, to whose right the
     other one comes from (Vienna Convention on Road Traffic, 18.4 a). Where no sign is there at all this is an
     assumption, and noted;
 (3) else, if it turns left and the other one comes from opposite (more than 135 degrees) and goes straight or right;
@@ -114,7 +114,7 @@ def _names(document: Document, chains: Iterable[tuple[int, ...]]) -> dict[tuple[
 
 
 def _left_out(document: Document, heads: Heads) -> Iterator[str]:
-    """What the file says of lights and the scenario does not."""
+    """What the file has on lights and the scenario has not."""
     known = {light.id for light in document.lights}
     unused = known - {i for chain in heads.values() for i in chain}
     if unused:

@@ -70,7 +70,7 @@ def lanes_of(strips: Sequence[Strip], notes: list[str]) -> tuple[dict[int, Lane]
 def crossable(mark: str, *, left: bool) -> bool:
     """Whether a marking to the left or right may be crossed; of a double line the near one counts.
 
-    Their names list the lines from left to right; what is no line, or not known, may be crossed.
+    Their names list the lines from left to right; no line or an unknown one may be crossed.
     """
     lines = [part for part in mark.split("_") if part in ("SOLID", "DASH", "DASHED")]
     return not lines or lines[-1 if left else 0] != "SOLID"

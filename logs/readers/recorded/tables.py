@@ -19,7 +19,7 @@ from logs.kernel import FloatArray, IntArray
 METADATA = b"metadata"
 """Key of a 123D file's schema under which its metadata are, as msgpack."""
 LARGEST_BYTES = 4_000_000_000
-"""Of a table in memory: a longer log than that is none (ten hours of 100 boxes at 10 Hz take 1.5 GB)."""
+"""Limit of a table in memory (ten hours of 100 boxes at 10 Hz take 1.5 GB)."""
 LARGEST = 1e8
 """A length, speed or place beyond this, in m and s, is none."""
 COPY_AGAIN = "copy the log again from its source"

@@ -379,14 +379,14 @@ def begin_of(ego: EgoLog, v: FloatArray) -> int:
 
 EGO_WINDOW_S = 0.6
 LEAST = 3.0
-"""A window is at least so many usual intervals long."""
+"""The shortest window, in usual intervals."""
 PARABOLA = 5
 STANDS_MPS = 0.05
 """Speeds below are a stand: what a standing car's localisation moves."""
 SLOW_MPS = 0.5
 """Below, the heading says nothing of the curvature: the last one holds."""
 AGENT_WINDOW_S, OBJECT_WINDOW_S = 0.5, 1.0
-"""For the boxes of others (10 Hz): outlines of clusters jump by decimetres, and what is no road user hardly moves."""
+"""For the boxes of others (10 Hz): outlines of clusters jump by decimetres, and static objects hardly move."""
 
 
 def window_of(t: FloatArray, wanted: float) -> float:

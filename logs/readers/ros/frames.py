@@ -146,7 +146,7 @@ topic's median are stale."""
 SAID_S = 0.1
 """Offsets from here on are reported."""
 DROPOUT_S, DROPOUT_INTERVALS = 0.3, 5.0
-"""A gap counts as a drop-out from so many s on, if it is also so many times the usual interval."""
+"""A gap is a drop-out if it exceeds both this time (s) and this multiple of the usual interval."""
 _DROPOUTS_SHOWN = 3
 
 

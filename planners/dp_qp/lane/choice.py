@@ -1,11 +1,11 @@
 """Cross-lane choice: keep the lane or change, by cost with hysteresis and a safety protocol (paper, section II-F).
 
 The neighbours are looked at where the route asks for a change, a slow agent is ahead, the plan in the lane fails, or a
-change is under way (so that it can be aborted). A neighbour is taken where it is cheaper by `hysteresis_s` and no one
+change is under way (so that it can be aborted). A neighbour is taken where it is cheaper by `hysteresis_s` and no agent
 on it is endangered:
 
 (1) gap behind >= MIN_GAP_M + REACTION_S max(0, v_a - v) + max(0, v_a - v)^2 / (2 YIELD_MPS2)      for each follower
-(2) no one beside the ego, from MIN_GAP_M behind its rear to MIN_GAP_M before its front
+(2) no agent beside the ego, from MIN_GAP_M behind its rear to MIN_GAP_M before its front
 (3) those ahead are met in the lane's own S-T graph; the plan must not need hard braking
 
 The plan past who is slower (`passing`) is a candidate like a neighbour: it must be comfortable and cheaper by

@@ -1,7 +1,7 @@
 """The driven lane planned past those who are slower: path and speed found in turns (paper, section II-F, "nudge").
 
 The plan that keeps the lane follows them. A second plan of the same lane passes them where `scene.moving_obstacles`
-says; it is taken where it is worth it and endangers no one (`choice`). Its first turn counts on the speed of a road
+says; it is taken where it is worth it and safe (`choice`). Its first turn counts on the speed of a road
 without them, the next on the speed that the turn before found, at most `TURNS` in one frame; later frames go on from
 the last one's plan. It is a plan only if, by its own speed, it gets past the nearest of them within the predictions.
 
@@ -68,7 +68,7 @@ def passing(
     under_way = bool(names & memory.passed)
     against = worth_passing(keep, past, lane.hysteresis_s, under_way=under_way) if past is not None else "no plan"
     if not under_way and any(t - memory.given_up.get(name, -inf) < lane.dwell_s for name in names):
-        against = "given up a moment ago"
+        against = "abandoned a moment ago"
     going = frozenset() if against else names
     given_up = {**memory.given_up, **{ids[i]: t for i in who if ids[i] in memory.passed - going}}
     memory = replace(after, t=t, passed=going, given_up=given_up)

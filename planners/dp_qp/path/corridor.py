@@ -185,7 +185,7 @@ def for_the_nose(points: FloatArray) -> None:
 
 @inner_kernel
 def towards(points: FloatArray, sides: FloatArray, standing: FloatArray) -> None:
-    """(3), where the sides are within reach and no one stands near the goal."""
+    """(3), where the sides are within reach and no agent stands near the goal."""
     if sides.shape[1] == 0:
         return
     s, lower, upper = points[S], points[LOWER], points[UPPER]

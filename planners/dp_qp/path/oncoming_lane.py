@@ -7,7 +7,7 @@ marking between may be crossed and, for the whole stretch from where the ego lea
     there so that the ego would not fit between: behind one who stands there may be more,
 (2) (BACK_M behind the obstacle - s) / max(v, PASSING_MPS) + facing_margin_s <= horizon of the predictions.
 
-Otherwise the ego waits `WAIT_M` before it, from where it can still steer round it. For who goes along the lane
+Otherwise the ego waits `WAIT_M` before it, from where it can still steer round it. For an agent along the lane
 (`scene.moving_obstacles`), (2) asks when the ego will be there by its plan, and the sensor must
 
 (3) see the oncoming lane as far as one who comes at its speed limit must be away to leave (1) true (StVO, 5 (2)).
@@ -80,7 +80,7 @@ def blocking(
 def passed_by_oncoming_lane(
     scene: Scene, blocked: tuple[Occupancy, ...], config: CorridorConfig, stations: FloatArray | None = None
 ) -> frozenset[str]:
-    """Those that the ego may pass by the oncoming lane: no one is predicted there until it is back, and some time more.
+    """The agents that the ego may pass by the oncoming lane: it stays free until the ego is back, and some time more.
 
     The time that this takes is that of an ego at `stations` `(k,)` at the times of the predictions; None: it counts on
     driving at least `PASSING_MPS`. What lasts longer than the predictions is refused. Beside the obstacle it is too

@@ -284,7 +284,7 @@ class PathStage:
         return replace(way, obstacles=obstacles, facing=by_oncoming, wait=wait), since
 
     def _stays(self, scene: Scene, box: Occupancy, since: Mapping[str, float]) -> bool:
-        """Whether an agent will not drive on soon: no vehicle, or one that stood long where no one has to wait."""
+        """Whether an agent will not drive on soon: no vehicle, or one that stood long with nothing to wait for."""
         agents = scene.frame.agents
         if agents.kinds[agents.ids.index(box.agent)] is AgentKind.OBJECT:
             return True

@@ -1,4 +1,4 @@
-"""Who goes along the lane on foot or by bicycle, slower than the ego: where the path must pass them.
+"""Pedestrians and cyclists along the lane, slower than the ego: where the path must pass them.
 
 They move: where they are while the ego passes depends on its speed, and how fast it may pass (`caps.passing_caps`) on
 the room that the path leaves them. So path and speed are found in turns (`lane.passing`). With s(t) the stations of the
@@ -61,7 +61,7 @@ SPARE_S = 1.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassTarget:
-    """Who goes along the lane slower than the ego, and is to be passed.
+    """A road user along the lane, slower than the ego, that is to be passed.
 
     Attributes:
         agent: Index into the frame's agents.

@@ -1,4 +1,4 @@
-"""Speed DP: who goes first, by dynamic programming over the S-T graph (paper, section II-F, Fig. 8).
+"""Speed DP: the order of passing, by dynamic programming over the S-T graph (paper, section II-F, Fig. 8).
 
 Columns every second, rows every half metre; an edge has the speed v = ds / dt and, with the speed and acceleration of
 the best way to its first node, an acceleration and a jerk (as in Apollo's EM planner; with them the problem is not

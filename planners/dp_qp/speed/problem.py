@@ -1,4 +1,4 @@
-"""What is asked of the speed QP: the limit ahead, the speed DP where it decides, references and bounds.
+"""The speed QP's problem: the limit ahead, the speed DP where it decides, references and bounds.
 
 (1) Limit: that of the path with its caps, 0 from `standstill_gap` before the first that stands in the way on, with
     curves and comfortable braking in it (`profiles.limit_profile`)

@@ -172,7 +172,7 @@ def eased(
 ) -> tuple[bool, SpeedProblem, Rows]:
     """Whether braking with a share of the limits keeps the bounds, and the QP for it.
 
-    Of the gap `given` m are given up; the path's end stays. The start is one from which the jerk can stop before
+    The gap may shrink by `given` m; the path's end stays. The start is one from which the jerk can stop before
     reversing, the bounds hold the braking.
     """
     v0 = problem.start[0]

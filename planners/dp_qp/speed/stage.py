@@ -1,4 +1,4 @@
-"""Speed stage: S-T boundaries, caps -> speed DP (who goes first) -> bounds -> speed QP (how hard), and the S-T graph.
+"""Speed stage: S-T boundaries, caps -> speed DP (order of passing) -> bounds -> speed QP (how hard), and the S-T graph.
 
 How far a prediction binds is decided in `doubt`. Who was let go first is still let go first, unless the ego could be
 first with `CHANGE_S` to spare.
@@ -52,7 +52,7 @@ DOUBTED = "that is doubted: comfortable braking is all that is done"
 NO_STOPS = np.empty((0, 2))
 """Where the rules demand none."""
 DRAWN_ROWS = 4
-"""The grid is drawn with every so many rows: a picture does not need more."""
+"""Step between the grid's rows that are drawn: a picture does not need more."""
 
 
 @dataclass(frozen=True)

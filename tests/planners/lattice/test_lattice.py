@@ -268,7 +268,7 @@ def test_where_nothing_can_be_driven_it_brakes_hard_and_counts_why() -> None:
     now = frame(ego, [standing("wall", 12.0, 0.0, width=10.0)])
     plan = lattice(lanes(along_x()), ego).plan(now)
     assert plan.status is PlanStatus.HARD_STOP
-    assert "meets somebody" in plan.reason
+    assert "meets a road user" in plan.reason
     assert candidates(plan).considered == sum(count for _, count in candidates(plan).rejected)
 
 
@@ -285,7 +285,7 @@ def test_it_says_what_it_chose_and_why_not_the_others() -> None:
     kinds = {type(item) for item in plan.internals}
     assert {SlGraph, StGraph, CostTerms, Candidates} <= kinds
     reasons = dict(candidates(plan).rejected)
-    assert reasons["meets somebody"] > 0
+    assert reasons["meets a road user"] > 0
     assert reasons["dearer than the chosen one"] > 0
 
 

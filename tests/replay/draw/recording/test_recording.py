@@ -542,8 +542,8 @@ def test_the_viewer_draws_all_views_without_a_complaint(tmp_path: Path) -> None:
     write_recording(tmp_path / "closed.rrd", done, replace(world, name="".join(sorted(DRAWABLE))), TABLE)
     pictures = [
         Picture(tmp_path / "all.png", 5.5),
-        Picture(tmp_path / "st.png", 5.5, "S-T graph: DP yellow, QP blue, as it then happened pink"),
-        Picture(tmp_path / "later.png", 15.0, "S-T graph: DP yellow, QP blue, as it then happened pink"),
+        Picture(tmp_path / "st.png", 5.5, "S-T graph: DP yellow, QP blue, actual occupancy pink"),
+        Picture(tmp_path / "later.png", 15.0, "S-T graph: DP yellow, QP blue, actual occupancy pink"),
         Picture(tmp_path / "control.png", 15.0, layout="control"),
         Picture(tmp_path / "hidden.png", 15.0, "Steering [rad]"),
     ]

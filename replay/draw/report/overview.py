@@ -186,12 +186,14 @@ def _verdicts(verdicts: pd.DataFrame) -> dict[Key, tuple[str, str]]:
 
 
 def _not_asked(verdicts: pd.DataFrame) -> Iterator[str]:
-    """The rules that do not apply to some drives, those of most drives first, with the commonest reason."""
+    """The gates that were not asked in some drives, those of most drives first, with the commonest reason."""
     drives = verdicts.groupby("gate")["log"].count()
     rows = verdicts[verdicts["outcome"] == Outcome.NOT_ASKED.value].groupby("gate", sort=True)["reason"]
     for gate, reasons in sorted(rows, key=lambda one: (-len(one[1]), one[0])):
         common = Counter(reasons).most_common(1)[0][0]
-        yield f"{gate}: in {len(reasons)} of {counted(int(drives[gate]), 'drive')} ({common})"
+        number = int(drives[gate])
+        where = f": in {len(reasons)} of {counted(number, 'drive')}" if number > 1 else ""
+        yield f"{gate}{where} ({common})"
 
 
 CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)

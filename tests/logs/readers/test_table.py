@@ -207,7 +207,7 @@ def test_rows_of_agents_that_say_nothing_are_refused(key: str, value: Any, said:
 
 
 def test_a_column_by_an_unknown_name_is_refused() -> None:
-    with pytest.raises(LogError, match=r"columns has speed, which is no name here; known: t, .*\bv\b"):
+    with pytest.raises(LogError, match=r"columns has speed, which is not a known name; known: t, .*\bv\b"):
         from_frames(ego(), name="bad", columns={"speed": "v"})
     with pytest.raises(LogError, match=r"no table has the column sped that v is read from"):
         from_frames(ego(), name="bad", columns={"v": "sped"})

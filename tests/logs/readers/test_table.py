@@ -212,7 +212,7 @@ def test_a_column_by_an_unknown_name_is_refused() -> None:
     with pytest.raises(LogError, match=r"no table has the column sped that v is read from"):
         from_frames(ego(), name="bad", columns={"v": "sped"})
     for wrong in ("others.v", "ego.speed"):
-        with pytest.raises(LogError, match=rf"columns has {wrong}, which is no name here; .*ego\.v, agents\.v"):
+        with pytest.raises(LogError, match=rf"columns has {wrong}, which is not a known name; .*ego\.v, agents\.v"):
             from_frames(ego(), agents(), columns={wrong: "v"})
     with pytest.raises(LogError, match=r"no table has the column yaw2 that agents\.yaw is read from"):
         from_frames(ego().rename(columns={"yaw": "yaw2"}), agents(), columns={"yaw": "yaw2", "agents.yaw": "yaw2"})

@@ -151,7 +151,7 @@ def test_one_run_at_a_time_and_nothing_of_others_is_touched(bucket: Any, logs: P
     bucket.pipe("fleet/out/thesis.tex", b"years")
     refused = replan("evaluate", str(logs), *QUICK, "-o", "s3://fleet/out")
     assert refused.exit_code == 2
-    assert "contains thesis.tex, which is no result of replan" in refused.stderr
+    assert "contains thesis.tex, not a replan result" in refused.stderr
     assert bucket.find("fleet/out") == ["fleet/out/thesis.tex"]
 
 

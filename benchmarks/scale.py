@@ -2,7 +2,7 @@
 
 python -m benchmarks.scale curve       a quarter of the suite "smoke" by 0, 1, 2 workers and on Ray (docs/scale.md)
 python -m benchmarks.scale overhead    a task that does nothing and returns the folder of a log
-python -m benchmarks.scale end         `judge_and_write` on so many logs: seconds and peak memory of this process
+python -m benchmarks.scale end         `judge_and_write` on N logs: seconds and peak memory of this process
 python -m benchmarks.scale share [LOG ...]   metrics' and reference drives' part of the CPU; no LOG: the built-in suite
 """
 
@@ -136,7 +136,7 @@ def overhead() -> None:
 
 
 def end() -> None:
-    """The end of a run of so many logs, made of one that was driven."""
+    """The end of a run of N logs, copied from one that was driven."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         write_scenario(out / "log.mcap", scenario("paper/free_road"))

@@ -53,13 +53,13 @@ def stamp(kernel: Any) -> str:
 
 def _parts(function: FunctionType, seen: set[Any]) -> Iterator[str]:
     """A function's code, and what its global names stand for; kernels in `seen` are left out, and added to it."""
-    yield f"{function.__module__}.{function.__qualname__} {_said(function.__defaults__)}"  # it is loaded from there
-    yield from (_said(each) for each in _hinted(function.__annotations__, function.__globals__))
+    yield f"{function.__module__}.{function.__qualname__} {_spelled(function.__defaults__)}"  # it is loaded from there
+    yield from (_spelled(each) for each in _hinted(function.__annotations__, function.__globals__))
     for code in _codes(function.__code__):
-        yield f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {[_said(c) for c in code.co_consts]}"
+        yield f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {[_spelled(c) for c in code.co_consts]}"
         for value in _named(code, function.__globals__):
             if not isinstance(value, Dispatcher):
-                yield _said(value)
+                yield _spelled(value)
             elif value not in seen:
                 seen.add(value)
                 yield from _parts(value.py_func, seen)
@@ -85,19 +85,19 @@ def _named(code: CodeType, names: dict[str, Any]) -> Iterator[Any]:
 def _hinted(hints: dict[str, Any], names: dict[str, Any]) -> Iterator[type]:
     """The classes that annotations name: a kernel's machine code has the places of their fields."""
     for hint in hints.values():
-        said = getattr(hint, "__forward_arg__", hint)
-        found = [names.get(word) for word in _WORD.findall(said)] if isinstance(said, str) else [said]
+        text = getattr(hint, "__forward_arg__", hint)
+        found = [names.get(word) for word in _WORD.findall(text)] if isinstance(text, str) else [text]
         yield from (each for each in found if isinstance(each, type))
 
 
-def _said(value: Any) -> str:
+def _spelled(value: Any) -> str:
     """A value in words that change where it does, and are the same in every process."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, frozenset):
-        return f"frozenset {sorted(map(_said, value))}"
+        return f"frozenset {sorted(map(_spelled, value))}"
     if isinstance(value, tuple):
-        return f"{getattr(value, '_fields', '')}({', '.join(map(_said, value))})"
+        return f"{getattr(value, '_fields', '')}({', '.join(map(_spelled, value))})"
     if isinstance(value, Enum):  # also of whole numbers
         return f"{type(value).__qualname__}.{value.name} {value.value!r}"
     if isinstance(value, type):
@@ -110,12 +110,12 @@ def _said(value: Any) -> str:
 def _held(cls: type) -> str:
     """What a class of constants or a named tuple holds, in words; "": it is another."""
     if issubclass(cls, Enum):
-        return str([_said(member) for member in cls])
+        return str([_spelled(member) for member in cls])
     fields = getattr(cls, "_fields", None)
     if fields is None:
         return ""
     within = _hinted(getattr(cls, "__annotations__", {}), vars(sys.modules[cls.__module__]))
-    return f"{fields} {_said(tuple(cls._field_defaults.values()))} {[*map(_said, within)]}"  # type: ignore[attr-defined]
+    return f"{fields} {_spelled(tuple(cls._field_defaults.values()))} {[*map(_spelled, within)]}"  # type: ignore[attr-defined]
 
 
 class KernelIndex(IndexDataCacheFile):

@@ -178,7 +178,7 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
     if passive.meets < 0:
         marginal = passive.least < MARGINAL_M
         by = f", by {passive.least:.1f} m, marginal" if marginal else ""
-        reason = f"at constant speed the ego meets no one{by}"
+        reason = f"at constant speed the ego has no collision{by}"
         return Verdict(name, Outcome.NOT_APPLICABLE, reason, margin=passive.least, marginal=marginal)
     found = course.drive(driver, about=passive.agent)
     agent, margin, end = passive.agent if found.meets < 0 else found.agent, found.least, found.meets

@@ -222,7 +222,7 @@ def _contact_times(
 ) -> tuple[FloatArray, IntArray]:
     """Per step the least time to contact of a wanted agent below the horizon (NaN: none) and its index (-1)."""
     pose, steps = others.pose, others.there.shape[1]
-    least, whom = np.full(steps, np.nan), np.full(steps, -1, np.int64)
+    least, nearest = np.full(steps, np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
         x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
         rear_x, rear_y, best = x - car.axle * cos(yaw), y - car.axle * sin(yaw), horizon
@@ -236,8 +236,8 @@ def _contact_times(
                 continue
             found = contact_time((x, y, yaw, vx, vy), car, others, i, k)
             if found < best:
-                best, least[k], whom[k] = found, found, i
-    return least, whom
+                best, least[k], nearest[k] = found, found, i
+    return least, nearest
 
 
 def _collision(trace: Trace, scenario: Scenario, *, fault_only: bool) -> Measured:
@@ -328,14 +328,16 @@ def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured
     ego, car, wanted = ego_boxes(trace.ego, scenario), car_of(scenario), _wanted(trace, vulnerable_only)
     if not wanted.any():
         return Unavailable(f"no {'pedestrian or rider' if vulnerable_only else 'other road user'} in the scene")
-    least, whom = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
+    least, nearest = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
     for steps, seen, others in pieces(trace.agents, trace.ego.t):
         least[steps], row = _contact_times(ego[:, steps], car, others, wanted[seen], TTC_HORIZON_S)
-        whom[steps] = named(seen, row)
+        nearest[steps] = named(seen, row)
     for contact in contacts(trace, scenario):
         if contact.at_fault and wanted[contact.agent]:
-            least[contact.step], whom[contact.step] = 0.0, contact.agent
-    return Series(trace.ego.t, least, labels_of(trace, whom), f"never on a course to touch within {TTC_HORIZON_S:g} s")
+            least[contact.step], nearest[contact.step] = 0.0, contact.agent
+    return Series(
+        trace.ego.t, least, labels_of(trace, nearest), f"never on a course to touch within {TTC_HORIZON_S:g} s"
+    )
 
 
 def _integrated(series: Series) -> tuple[float, int]:

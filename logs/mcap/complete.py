@@ -21,7 +21,6 @@ from dataclasses import replace
 from math import ceil
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from logs.errors import LogError
 from logs.kernel import TIE, FloatArray
@@ -120,6 +119,8 @@ def road_along(ego: Trajectory, notes: list[str]) -> Road:
 
 def passed_width(road: Road, tracks: Tracks, notes: list[str]) -> Road:
     """The road (3) with the width (6) of its lane, and its note; the same road where too few drive beside it."""
+    from scipy.spatial import cKDTree  # here: reading a log with lanes starts without SciPy
+
     (lane,) = road.lanes.values()
     middle, across = 0.5 * (lane.left + lane.right), lane.left - lane.right
     across /= np.hypot(*across.T)[:, None]

@@ -30,14 +30,14 @@ from logs.states import Trajectory
 from logs.vehicle import VehicleParameters
 
 STEADY, STEADY_MPS = 3, 5.0
-"""The group of who goes at one speed, which is more than this, m/s: fast ones are in sight for a few frames only, and
-what is no road user does not move along a line."""
+"""The group of road users at one speed above this, m/s. They are in sight for a few frames only, and clutter does not
+move along a line."""
 LEAST_TIME, LEAST_COUNT = frozen([0.7, 0.7, 1.5, 0.25]), frozen([5, 5, 10, 4])
 LEAST_SCORE, LEAST_SEEN = frozen([2.5, 2.0, 0.0, 1.2]), frozen([0.3, 0.3, 0.6, 0.15])
-"""By group: less time, s, fewer detections, or a smaller sum of scores is no evidence: clutter lives 0.1 to 0.5 s. And
-the share of the frames in which who moves is detected at least (measured: 0.93 close by to 0.69 at 90 m)."""
+"""By group: less time, s, fewer detections, or a smaller sum of scores is no evidence: clutter lasts 0.1 to 0.5 s;
+and the least share of frames in which a moving one is detected (measured: 0.93 close by to 0.69 at 90 m)."""
 SURE_SCORE = 1.2
-"""With so many times `LEAST_SCORE` the time does not count: some are there only when the log begins or ends."""
+"""Above this multiple of `LEAST_SCORE` the time does not count: some are there only at the ends of the log."""
 SIDEWAYS_RAD, SIDEWAYS_MPS, SIDEWAYS_COUNT = np.radians(35.0), 2.0, 2
 """A vehicle that moves so far off its axis is parts of several: yaw is exact to 3 to 4 degrees."""
 SAME_PART, SAME_SHARE = 0.3, 0.33

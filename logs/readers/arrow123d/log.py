@@ -14,8 +14,8 @@ begins at the second frame, so that every state has something before it.
 `route_position.arrow` is the ego's own future path, and `custom.*` are the data set's own words: neither is read.
 
 Labels. The files store a number in the data set's own enumeration, and the dotted path of its class (`KINDS` has the
-classes of py123d 0.1.0 to 0.7.0, by the last part of that path). The class is never imported. The kinds of a class that
-is not known are told from the lengths.
+classes of py123d 0.1.0 to 0.7.0, by the last part of that path). The class is never imported. The kinds of an
+unknown class follow from the lengths.
 """
 
 from __future__ import annotations

@@ -45,12 +45,12 @@ Measured = dict[str, list[float]]
 
 
 class Version:
-    """A checkout, measured by a process that answers a line with a line."""
+    """A checkout, measured by its own copy of this file in a process that answers a line with a line."""
 
     def __init__(self, checkout: Path) -> None:
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
         self._process = subprocess.Popen(
-            [sys.executable, __file__, "--serve"],
+            [sys.executable, str(checkout / "benchmarks" / "versions.py"), "--serve"],
             env={**os.environ, **threads, "PYTHONPATH": str(checkout)},
             cwd=checkout,
             stdin=subprocess.PIPE,

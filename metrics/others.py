@@ -83,6 +83,18 @@ def each(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, Others, int]]:
         yield from ((begin + row, others, row) for row in range(len(agents)))
 
 
+def in_spans(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, slice, Others]]:
+    """Each track that has a sample among the increasing times `t` `(k,)`: its steps from first to last, and it there.
+
+    A static one is there at all of them.
+    """
+    begins, ends = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
+    low, high = np.searchsorted(t, begins - 1e-9), np.searchsorted(t, ends + 1e-9, side="right")
+    low, high = np.where(tracks.static, 0, low), np.where(tracks.static, len(t), high)
+    for i in np.flatnonzero(low < high).tolist():
+        yield i, slice(low[i], high[i]), some_at(tracks, np.array([i]), t[low[i] : high[i]])
+
+
 def nearest(
     tracks: Tracks, t: FloatArray, ask: Callable[[slice, Others], tuple[FloatArray, IntArray]]
 ) -> tuple[FloatArray, IntArray]:

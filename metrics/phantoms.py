@@ -18,7 +18,7 @@ from logs.scenario import Scenario, Tracks
 from logs.shapes import overlap
 from metrics.boxes import ego_boxes
 from metrics.once import once
-from metrics.others import each, name_of
+from metrics.others import in_spans, name_of
 
 AROUND_S = 1.0  # Before and after: more than `logs.observed.MAX_GAP_S`, so it is a gap of any track
 GRID_S = 0.05
@@ -47,16 +47,17 @@ def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
     t = np.union1d(ego.t, np.arange(ego.t[0], ego.t[-1], GRID_S))
     boxes, car = ego_boxes(ego.resampled(t), scenario), scenario.vehicle
     found = []
-    for i, others, row in each(tracks, t):
-        size, pose = others.size[row], others.pose[:3, row]
+    for i, steps, others in in_spans(tracks, t):
+        size, pose, ego_box = others.size[0], others.pose[:3, 0], boxes[:3, steps]
         reach = 0.5 * (np.hypot(car.length, car.width) + np.hypot(*size))
-        inside = others.there[row] & (np.hypot(pose[0] - boxes[0], pose[1] - boxes[1]) <= reach)
+        inside = others.there[0] & (np.hypot(pose[0] - ego_box[0], pose[1] - ego_box[1]) <= reach)
         for k in np.flatnonzero(inside):
-            (x1, y1, yaw1), (x2, y2, yaw2) = boxes[:3, k], pose[:, k]
+            (x1, y1, yaw1), (x2, y2, yaw2) = ego_box[:, k], pose[:, k]
             inside[k] = overlap(x1, y1, yaw1, car.length - 2.0 * DEEP_M, car.width - 2.0 * DEEP_M, x2, y2, yaw2, *size)
         sampled = np.empty(0) if tracks.static[i] else tracks.t[tracks.samples(i)]
-        for a, b in _runs(inside, t):
-            before, after = sampled[sampled <= t[a] - AROUND_S], sampled[sampled >= t[b] + AROUND_S]
+        seen = t[steps]
+        for a, b in _runs(inside, seen):
+            before, after = sampled[sampled <= seen[a] - AROUND_S], sampled[sampled >= seen[b] + AROUND_S]
             begin, end = (float(before[-1]) if len(before) else -inf), (float(after[0]) if len(after) else inf)
             found.append(Phantom(tracks.ids[i], name_of(tracks, i), begin, end))
     return tuple(dict.fromkeys(found))

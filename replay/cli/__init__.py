@@ -11,6 +11,7 @@ results.py     look at results: view
 compare.py     run against run: compare, baseline
 plot.py        pictures of a drive: plot
 explain.py     a drive in words: explain
+mine.py        what happened in logs: mine, query, cut, suite, coverage
 frame.py       plan one frame again: frame
 about.py       what replan knows: list, metrics
 chosen.py      the drive that plot, explain, frame and view show
@@ -20,7 +21,7 @@ ending.py      the end of a run: reports, exit code
 app.py         what the commands share
 """
 
-from replay.cli import evaluate, shards, report, logs, results, compare, plot, explain, frame, about, warmup  # isort: skip  # the order of the help
+from replay.cli import evaluate, shards, report, logs, results, compare, plot, explain, frame, mine, about, warmup  # isort: skip  # the order of the help
 from replay.cli.app import app, bug
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "frame",
     "logs",
     "main",
+    "mine",
     "plot",
     "report",
     "results",

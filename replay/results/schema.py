@@ -15,6 +15,7 @@ SCHEMA_VERSION = 1
 """Of the tables and of the JSON files; counts up when a column changes its meaning or goes, not when one is added."""
 
 _TYPES = {"text": pa.large_string(), "number": pa.float64(), "count": pa.int64(), "yes/no": pa.bool_()}
+_TYPES["list"] = pa.list_(pa.large_string())
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Column:
 
     Attributes:
         name: With its unit as the last part where it is a quantity of one unit.
-        kind: "text", "number" (NaN where there is none), "count", "yes/no"; in JSON also "list".
+        kind: "text", "number" (NaN where there is none), "count", "yes/no", "list" (of texts).
         meaning: What it says.
     """
 
@@ -132,6 +133,47 @@ TABLES: Mapping[str, Table] = {
             ("unit", "text", "`m`, `s`, `rad`, `x` (a factor), `1` (a count or a share)"),
             ("text", "text", "in words, with the figures"),
             ("effect", "text", "what it does to which metric"),
+        ),
+    ),
+    "events.parquet": Table(
+        "Written by `replan mine`: a row per event, sorted by log and begin.",
+        True,
+        _columns(
+            ("log", "text", "name of the log"),
+            ("kind", "text", "of event: docs/events.md"),
+            ("t_from_s", "number", "begin, s since the log's start"),
+            ("t_to_s", "number", "end, s since the log's start"),
+            ("agents", "list", "ids of the road users that took part, the main one first"),
+            ("agent_kind", "text", "of the main one (`car`, `pedestrian` ...); `none`: the ego alone"),
+            ("road", "text", "where the ego was: `roundabout`, `junction`, `curve`, `straight`, `no lanes`"),
+            ("speed", "text", "range of the ego's speed at the begin"),
+            ("v_mps", "number", "the ego's speed at the begin, m/s"),
+            ("x_m", "number", "where the ego's rear axle was at the begin, m; y_m likewise"),
+            ("y_m", "number", "see x_m"),
+            ("value", "number", "what the kind measures, in `unit`; NaN: nothing"),
+            ("unit", "text", "SI; `1`: a number"),
+            ("what", "text", "more in words (the side, the stop line); may be empty"),
+            ("planner", "text", "whose plans the event is about; empty: of the log alone"),
+        ),
+    ),
+    "logs.parquet": Table(
+        "Written by `replan mine`: a row per log.",
+        True,
+        _columns(
+            ("log", "text", "name; of logs that share one: with `@` and 8 digits of the hash"),
+            ("source", "text", "the path as it was named, or the catalogue's name"),
+            ("sha256", "text", "of the log's bytes; empty for the catalogue, and where it could not be read"),
+            ("duration_s", "number", "how long it lasts, s"),
+            ("driven_m", "number", "the way that the ego drove, m"),
+            ("agents", "count", "other road users"),
+            ("lanes", "yes/no", "whether the log has lanes"),
+            ("family", "text", "of the catalogue, or what the log says; may be empty"),
+            ("dataset", "text", "where the log is from; may be empty"),
+            ("tags", "list", "words by which gates and reports group"),
+            ("place", "text", "as the log's metadata says; may be empty"),
+            ("weather", "text", "as the log's metadata says; may be empty"),
+            ("not_asked", "list", "kinds of events that were not looked for, with the reason"),
+            ("error", "text", "why the log could not be mined; empty: it was"),
         ),
     ),
     "timings.parquet": Table(
@@ -244,6 +286,11 @@ FRAMES: Mapping[str, Table] = {
     ),
 }
 """What `Results` has besides, made of summary.json and the traces."""
+
+
+def names_of(file: str) -> list[str]:
+    """The columns of a table, in their order."""
+    return [column.name for column in TABLES[file].columns]
 
 
 def arrow(file: str, table: pd.DataFrame) -> pa.Table:

@@ -63,8 +63,10 @@ TABLES = (
     "run.toml",
     ORIGIN,
 )
+MINED = ("events.parquet", "logs.parquet", "mined.json", "coverage.csv", "coverage.png")
+"""What `replan mine` and `replan coverage` write."""
 REPORTS = ("report.md", "junit.xml", "report.html")
-FILES = (*TABLES, *REPORTS)
+FILES = (*TABLES, *MINED, *REPORTS)
 """What stands in a result folder beside the folders of the logs."""
 KEYS = ["log", "planner", "mode", "metric"]
 TIMING_COLUMNS = ["log", "planner", "mode", "t_s", "stage", "seconds"]

@@ -60,7 +60,7 @@ from replay.run.origin import write_origin
 from replay.run.pool import WorkerLost
 from replay.run.resume import finished, stamp_of
 from replay.run.shard import Shard, write_card
-from replay.run.sources import LogSource, Selection, builtin_suite, named_suite, select
+from replay.run.sources import LogSource, Selection, builtin_suite, named_suite, select, suite_file
 
 
 def evaluate_logs(
@@ -253,6 +253,8 @@ def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None
 def _selected(logs: Sequence[Path | str], run: RunConfig, window: float | None, suite: str | None) -> Selection:
     if run.log.map and not Path(run.log.map).is_file():
         raise ConfigError(f"{run.log.map}: no such map")
+    if suite is not None and suite.endswith(".toml") and not logs:
+        logs, suite = suite_file(Path(suite)), None
     if suite is None and logs:
         return select(logs, run.log, window)
     if window is not None or run.log != LogSettings():

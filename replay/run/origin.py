@@ -60,7 +60,7 @@ def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenar
 def _local(out: Path, source: str, digest: str, settings: LogSettings) -> LogSource:
     """The first place where the log is; where only others are, the first of them."""
     places = list(dict.fromkeys(Path(os.path.normpath(place / local_path(source))) for place in _directories(out)))
-    there = [LogSource(str(place), place, settings) for place in places if place.is_file()]
+    there = [LogSource(str(place), place, settings) for place in places if place.exists()]
     if not there:
         where = " nor at ".join(map(str, places))
         raise ConfigError(f"{source}: the log of these results is not at {where}; put it back there")

@@ -17,7 +17,7 @@ from pathlib import Path
 from logs.catalogue import CATALOGUE, FAMILY, scenario
 from logs.catalogue.suites import suite
 from logs.errors import ConfigError, LogError
-from logs.files import check_regular
+from logs.files import check_regular, read_toml
 from logs.maps import map_files
 from logs.readers import (
     FORMATS,
@@ -51,6 +51,8 @@ _OTHER_BYTES_PER_S = 50e3
 LOOKED_INTO = (".xml", ".bag", ".db3", ".yaml", ".mcap")
 """Files of which readers look at the begin to claim a log; of others the name says it."""
 HEAD_BYTES = 4096
+SUITE_HEADER = "# A suite of logs, written by `replan suite`; give it to --suite. Paths are relative to this file."
+"""First line of a suite's file."""
 
 
 @dataclass(frozen=True)
@@ -168,6 +170,19 @@ def builtin_suite() -> Selection:
 def named_suite(name: str) -> Selection:
     """A suite of the catalogue, or all cells of one of its families or groups; ConfigError: nothing is called so."""
     return Selection(tuple(LogSource(label) for label in suite(name)))
+
+
+def suite_file(path: Path) -> list[Path | str]:
+    """The logs that a suite's file names: TOML with one key, `logs`, a list of paths, URLs or names of the catalogue.
+
+    Raises:
+        ConfigError: It cannot be read, or has other keys.
+    """
+    table = read_toml(path)
+    logs = table.get("logs")
+    if set(table) != {"logs"} or not isinstance(logs, list) or not all(isinstance(log, str) for log in logs):
+        raise ConfigError(f"{path}: a suite has one key, logs, a list of paths (replan suite writes such a file)")
+    return [log if url_of(log) else path.parent / log for log in logs]
 
 
 def select(paths: Sequence[Path | str], settings: LogSettings | None = None, window: float | None = None) -> Selection:

@@ -1,0 +1,259 @@
+"""`replan mine | query | cut | suite | coverage`: find, in hours of logs, the moments that matter."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from logs.errors import ConfigError
+from replay.cli.app import (
+    Begin,
+    Ego,
+    End,
+    Json,
+    Map,
+    Quiet,
+    Repair,
+    Set,
+    Suite,
+    Workers,
+    app,
+    cores,
+    handle_errors,
+    log_table,
+    option,
+    run_config,
+    say,
+    say_error,
+    say_json,
+)
+
+if TYPE_CHECKING:
+    from replay.mine.mine import MinedLog
+    from replay.run.sources import Selection
+
+Mined = Annotated[Path, typer.Argument(help="A folder that replan mine wrote.", metavar="RUN")]
+Run = Annotated[Path, typer.Argument(help="A folder that replan mine or replan evaluate wrote.", metavar="RUN")]
+
+
+def _selection(logs: list[Path] | None, suite: str | None, run_log: object) -> Selection:
+    """The logs, or those of a suite."""
+    from logs.readers import LogSettings
+    from replay.run.sources import builtin_suite, named_suite, select, suite_file
+
+    assert isinstance(run_log, LogSettings)
+    if suite is not None and suite.endswith(".toml") and not logs:
+        return select(suite_file(Path(suite)), run_log)
+    if suite is None:
+        return select(logs, run_log) if logs else builtin_suite()
+    if logs:
+        raise ConfigError(f"--suite {suite} are logs by themselves: leave out other logs")
+    return named_suite(suite)
+
+
+@app.command()
+def mine(
+    logs: Annotated[list[Path] | None, typer.Argument(help="Logs of any format, or folders of them.")] = None,
+    out: Annotated[Path | None, option(None, "Result folder. Default: results/run-NNN.", "--out", "-o")] = None,
+    kind: Annotated[
+        list[str] | None, option(None, "A kind of your own, module:NAME; repeatable.", "--kind", metavar="NAME")
+    ] = None,
+    planner: Annotated[
+        list[str] | None,
+        option(
+            None,
+            "Also find where this planner's plans differ from the drive, fall back or flip.",
+            "--planner",
+            "-p",
+            complete="planner",
+        ),
+    ] = None,
+    suite: Suite = None,
+    ego: Ego = None,
+    road_map: Map = None,
+    begin: Begin = None,
+    end: End = None,
+    repair: Repair = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file of a run; options win over it.")] = None,
+    settings: Set = None,
+    workers: Workers = None,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print docs/events.md.")] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find what happened in logs, without driving: cut-ins, crossings, hard braking, near misses and more.
+
+    Writes events.parquet, logs.parquet and health.parquet (docs/results.md). Exit code 3: a log could not be read; the
+    others were.
+
+    [bold]Examples[/bold]
+
+      replan mine my_bags/ -o results/mined
+      replan mine my_bags/ -o results/mined -p dp_qp
+      replan query results/mined "SELECT kind, count(*) FROM events GROUP BY kind"
+    """  # fmt: skip
+    with handle_errors():
+        if markdown:
+            from replay.mine.page import page
+
+            say(page())
+            return
+        from replay.cli.progress import sign_of_life
+        from replay.mine.mine import mine as mine_logs
+        from replay.mine.mine import summary, write
+
+        planners = list(dict.fromkeys(planner or []))
+        options = {"log": log_table(ego, road_map, begin, end, repair), "planners": planners or None}
+        run = run_config(config, options, settings or ())
+        if planners:
+            from replay.run.checks import checked
+
+            run, _ = checked(run)
+        selection = _selection(logs, suite, run.log)
+        done: list[MinedLog] = []
+
+        def ended(log: MinedLog) -> None:
+            done.append(log)
+            for line in log.failures:
+                say_error(line)
+
+        def progress() -> str:
+            return f"mined {len(done)} of {len(selection.sources)} logs"
+
+        count = cores() if workers is None else workers
+        kinds = tuple(kind or ())
+        with sign_of_life(lambda line: None if quiet else say(line, err=True), progress):
+            mined = mine_logs(selection, run, kinds=kinds, planners=planners, workers=count, on_log=ended)
+        folder = write(mined, run, kinds, planners, out)
+        if as_json:
+            say_json({"folder": str(folder), "logs": mined.logs, "events": mined.events, "failures": mined.failures})
+        elif not quiet:
+            say("\n".join([*summary(mined), str(folder)]))
+        raise typer.Exit(3 if mined.failures else 0)
+
+
+@app.command()
+def query(
+    run: Run,
+    sql: Annotated[str, typer.Argument(help="One SELECT.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write the rows to FILE.csv, .parquet or .json.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    r"""Ask a result folder in SQL: events, metrics, verdicts, frames, health and more as views, read only.
+
+    The views and their columns: docs/results.md. Needs DuckDB: pip install 'replan\[improve]'.
+
+    [bold]Examples[/bold]
+
+      replan query results/mined "SELECT log, t_from_s FROM events WHERE kind = 'cut_in' AND value < 10"
+      replan query results/run-001 "SELECT log, value FROM metrics WHERE metric = 'ttc.min' ORDER BY value" -o ttc.csv
+    """
+    with handle_errors():
+        from replay.mine.query import query as ask
+        from replay.mine.query import write_rows
+
+        rows = ask(run, sql)
+        if out is not None:
+            write_rows(rows, out)
+            say(out)
+        elif as_json:
+            say_json(rows)
+        else:
+            say(rows.to_string(index=False, max_colwidth=80) if len(rows) else "no rows")
+
+
+@app.command()
+def cut(
+    run: Run,
+    where: Annotated[str, typer.Option("--where", help="Condition in SQL over the view's columns.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the logs.")],
+    table: Annotated[str, typer.Option("--table", help="The view.")] = "events",
+    before: Annotated[float, typer.Option(help="Seconds before each moment.", min=0.0)] = 5.0,
+    after: Annotated[float, typer.Option(help="Seconds after it.", min=0.0)] = 8.0,
+) -> None:
+    """Write a log of its own of each moment that a condition selects, ready for replan evaluate.
+
+    [bold]Examples[/bold]
+
+      replan cut results/mined --where "kind = 'pedestrian_crossing'" --before 5 --after 8 -o moments
+      replan cut results/run-001 --table verdicts --where "outcome = 'fail'" -o failures
+    """
+    with handle_errors():
+        from replay.mine.cut import cut_logs, moments
+
+        for file in cut_logs(run, moments(run, where, table, before, after), out):
+            say(file)
+
+
+@app.command()
+def suite(
+    run: Mined,
+    out: Annotated[Path, typer.Option("--out", "-o", help="The FILE.toml to write.")],
+) -> None:
+    """Choose the fewest mined logs that have all kinds of events, roads, road users and speeds found.
+
+    [bold]Examples[/bold]
+
+      replan suite results/mined -o suite.toml
+      replan evaluate --suite suite.toml
+    """
+    with handle_errors():
+        from logs.names import counted
+        from replay.mine.mine import read_mined
+        from replay.mine.query import check_mined
+        from replay.mine.suite import suite_of, write_suite
+        from replay.run.origin import begun_in
+
+        check_mined(run)
+        mined = read_mined(run)
+        chosen = suite_of(mined)
+        write_suite(chosen, out, begun_in(run, [one.source for one in chosen]))
+        cells = sum(one.adds for one in chosen)
+        say(f"{out}: {counted(len(chosen), 'log')} of {len(mined.logs)} with all {counted(cells, 'cell')}")
+
+
+@app.command()
+def coverage(
+    run: Mined,
+    against: Annotated[
+        Path | None, typer.Option(help="Compare with another mined folder. Default: the catalogue.", metavar="RUN")
+    ] = None,
+    workers: Workers = None,
+    as_json: Json = False,
+) -> None:
+    """List which cells of event, road, road user and speed mined logs have, and which they lack.
+
+    Writes coverage.csv and coverage.png into the folder. By default the families of the catalogue are mined for
+    comparison, so that a gap names a family that fills it (replan synth FAMILY).
+    """
+    with handle_errors():
+        from replay.cli.progress import sign_of_life
+        from replay.mine.coverage import cells, gaps, lines, table, write_coverage
+        from replay.mine.query import check_mined
+
+        check_mined(run)
+        from replay.mine.mine import mine as mine_logs
+        from replay.mine.mine import read_mined
+
+        mined = read_mined(run)
+        if against is None:
+            from replay.config import RunConfig
+            from replay.mine.coverage import catalogue
+
+            count = cores() if workers is None else workers
+            with sign_of_life(lambda line: say(line, err=True), lambda: "mining the catalogue"):
+                other = mine_logs(catalogue(), RunConfig(), workers=count).events
+        else:
+            check_mined(against)
+            other = read_mined(against).events
+        have = cells(mined.events)
+        missing = gaps(have, cells(other))
+        write_coverage(run, mined.events, table(have, missing))
+        if as_json:
+            say_json(table(have, missing))
+        else:
+            say("\n".join(lines(have, missing, "the catalogue" if against is None else str(against))))

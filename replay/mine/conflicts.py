@@ -1,0 +1,202 @@
+"""Events of two who want the same place: near misses, and who lets whom go first.
+
+A road user and the ego conflict where their boxes take the same place at different times, the ego's at step i and the
+other's at step j of the grid; for vehicles with headings that differ by 30 degrees or more. With the pair of least time
+
+(1) PET = |t_j - t_i|
+
+and who was there first goes first. The second one has yielded if it slowed down before the first one was there, and at
+the speed that it had before it slowed down it would have come less than `CLOSE_S` after the first one, or before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import hypot, inf
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.scenario import AgentKind
+from logs.shapes import clearance, overlap, time_to_contact
+from logs.states import wrap
+from metrics.boxes import NO_TTC_MPS, Car, is_behind
+from metrics.encounters import CROSSING_RAD
+from metrics.encounters import SERIOUS_S as PET_S
+from metrics.once import once
+from metrics.safety import TAU_S as TTC_S
+from replay.mine.driven_log import DrivenLog, Neighbour, runs, steps
+from replay.mine.ego_and_road import HARD_MPS2
+from replay.mine.events import Event, EventKind
+
+NEAR_S, NEAR_M = 2.0, 1.0
+"""A course to touch was a near miss where they come this near within this time after it, or where one brakes hard."""
+WINDOW_S = 10.0
+"""Two who come to a place at times farther apart do not meet."""
+CLOSE_S = 1.0
+BEFORE_S = 10.0
+"""Who yields slows down within this before the other one is there."""
+SLOWED_MPS, SLOWED = 1.0, 0.3
+"""By how much, and by which part of the speed that it had, a road user that yields slows down at least."""
+MOVES_MPS = 0.5
+
+
+def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
+    for one in log.neighbours:
+        found = _contact_times(log.boxes, log.car, one.pose, one.k, np.array(one.size), TTC_S)
+        for first, last in runs(found < TTC_S, one.k, hole=steps(0.5)):
+            until = min(last + steps(NEAR_S), len(one.k) - 1)
+            after = slice(first, until + 1)
+            braked = min(float(np.nanmin(log.accel[one.k[after]], initial=0.0)), float(one.accel[after].min()))
+            if braked <= -HARD_MPS2 or _clearance(log, one, first, until) < NEAR_M:
+                least = float(found[first : last + 1].min())
+                yield Event(float(log.t[one.k[first]]), float(log.t[one.k[last]]), least, (one.id,))
+
+
+def _clearance(log: DrivenLog, one: Neighbour, first: int, last: int) -> float:
+    """Least distance of the two boxes from one place to another, m."""
+    pairs = zip(
+        log.boxes[:3, one.k[first : last + 1]].T.tolist(), one.pose[:3, first : last + 1].T.tolist(), strict=True
+    )
+    length, width = log.car.length, log.car.width
+    return min(clearance(x, y, yaw, length, width, u, v, turned, *one.size) for (x, y, yaw), (u, v, turned) in pairs)
+
+
+def _near_miss_pet(log: DrivenLog) -> Iterator[Event]:
+    for one, i, j in _conflicts(log):
+        pet = abs(float(log.t[j] - log.t[i]))
+        moving = abs(float(log.ego.v[i])) > MOVES_MPS
+        if pet <= PET_S and moving:
+            who = "the ego was there first" if i <= j else "the ego was there second"
+            yield Event(float(log.t[min(i, j)]), float(log.t[max(i, j)]), pet, (one.id,), who)
+
+
+def _ego_yields(log: DrivenLog) -> Iterator[Event]:
+    for one, i, j in _conflicts(log):
+        slowed = _slowed(log.ego.v, log.station, j, i) if j < i else -1
+        if slowed >= 0:
+            yield Event(float(log.t[slowed]), float(log.t[i]), float(log.t[i] - log.t[j]), (one.id,))
+
+
+def _ego_is_yielded_to(log: DrivenLog) -> Iterator[Event]:
+    for one, i, j in _conflicts(log):
+        at = int(np.searchsorted(one.k, j))
+        whole = one.k[at] - one.k[0] == at  # seen without a gap until then
+        if i >= j or not whole:
+            continue
+        way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(one.pose[:2], axis=1)))]
+        first = int(np.searchsorted(one.k, i))
+        slowed = _slowed(one.speed, way, min(first, at), at)
+        if slowed >= 0:
+            yield Event(float(log.t[one.k[slowed]]), float(log.t[j]), float(log.t[j] - log.t[i]), (one.id,))
+
+
+def _slowed(v: FloatArray, way: FloatArray, first: int, at: int) -> int:
+    """The step at which the second one begins to slow down for the first one, -1 where it does not.
+
+    Args:
+        v: `(n,)` its speed, m/s.
+        way: `(n,)` how far it has come, m.
+        first: The step at which the first one is at the place.
+        at: The step at which the second one is there.
+    """
+    begin = max(first - steps(BEFORE_S), 0)
+    if first <= begin:
+        return -1
+    before = v[begin : first + 1]
+    fastest = begin + int(len(before) - 1 - np.argmax(before[::-1]))
+    least = float(v[fastest : at + 1].min())
+    speed = float(v[fastest])
+    if speed < MOVES_MPS or speed - least < max(SLOWED_MPS, SLOWED * speed):
+        return -1
+    undisturbed = fastest + float(way[at] - way[fastest]) / speed / 0.1  # in steps
+    return fastest if undisturbed < first + steps(CLOSE_S) else -1
+
+
+@once
+def _conflicts(log: DrivenLog) -> tuple[tuple[Neighbour, int, int], ...]:
+    """Each road user that the ego conflicts with, the ego's step and the other's of least PET."""
+    found = []
+    size = np.array([log.car.length, log.car.width])
+    low, high = log.boxes[:2].min(axis=1) - 10.0, log.boxes[:2].max(axis=1) + 10.0
+    for one in log.neighbours:
+        moves = one.speed > MOVES_MPS
+        if not moves.any():
+            continue
+        near: BoolArray = ((one.pose[:2] >= low[:, None]) & (one.pose[:2] <= high[:, None])).all(axis=0)
+        angle = 0.0 if one.kind is AgentKind.PEDESTRIAN else CROSSING_RAD
+        use = near & moves
+        pose = np.ascontiguousarray(one.pose[:, use])
+        i, j = _least_encroachment(log.boxes, size, pose, one.k[use], np.array(one.size), angle, steps(WINDOW_S))
+        if i >= 0:
+            found.append((one, i, j))
+    return tuple(found)
+
+
+@kernel
+def _least_encroachment(
+    ego: FloatArray, car: FloatArray, pose: FloatArray, k: IntArray, size: FloatArray, angle: float, window: int
+) -> tuple[int, int]:
+    """(1): the ego's step i and the other's step j of the least |i - j| <= window, the first of equals; -1: none."""
+    best, found_i, found_j = window + 1, -1, -1
+    reach = 0.5 * (hypot(car[0], car[1]) + hypot(size[0], size[1]))
+    for m in range(len(k)):
+        j = k[m]
+        for i in range(max(j - best + 1, 0), min(j + best, ego.shape[1])):
+            if abs(i - j) >= best or hypot(pose[0, m] - ego[0, i], pose[1, m] - ego[1, i]) > reach:
+                continue
+            if abs(wrap(pose[2, m] - ego[2, i])) >= angle and overlap(
+                ego[0, i], ego[1, i], ego[2, i], car[0], car[1], pose[0, m], pose[1, m], pose[2, m], size[0], size[1]
+            ):
+                best, found_i, found_j = abs(i - j), i, j
+    return found_i, found_j
+
+
+@kernel
+def _contact_times(
+    ego: FloatArray, car: Car, pose: FloatArray, k: IntArray, size: FloatArray, horizon: float
+) -> FloatArray:
+    """Time to collision `(m,)` with one road user as `metrics.safety` defines it, s; inf beyond the horizon."""
+    out = np.full(len(k), inf)
+    reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
+    for m in range(len(k)):
+        x, y, yaw, vx, vy = ego[0, k[m]], ego[1, k[m]], ego[2, k[m]], ego[3, k[m]], ego[4, k[m]]
+        if hypot(vx, vy) <= NO_TTC_MPS:
+            continue
+        rear_x, rear_y = x - car.axle * np.cos(yaw), y - car.axle * np.sin(yaw)
+        away = hypot(pose[0, m] - x, pose[1, m] - y)
+        closing = hypot(pose[3, m] - vx, pose[4, m] - vy)
+        if away - reach > horizon * closing or is_behind(rear_x, rear_y, yaw, pose[0, m], pose[1, m]):
+            continue
+        out[m] = time_to_contact(
+            x, y, yaw, car.length, car.width, vx, vy, pose[0, m], pose[1, m], pose[2, m], size[0], size[1],
+            pose[3, m], pose[4, m],
+        )  # fmt: skip
+    return out
+
+
+CONFLICTS = (
+    EventKind(
+        "near_miss_ttc", _near_miss_ttc,
+        f"The time to collision is below {TTC_S} s (as the metric ttc defines it), and until {NEAR_S:g} s later the two"
+        f" come within {NEAR_M:g} m, or one of them brakes with {HARD_MPS2:g} m/s2 or more.",
+        "least TTC", "s",
+        "criticality metrics catalogue, Westhofen et al. 2023",
+    ),
+    EventKind(
+        "near_miss_pet", _near_miss_pet,
+        f"The ego, moving, and another road user take the same place within {PET_S:g} s. From the first to the second.",
+        "PET", "s", "Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); the bound is that of the metric pet",
+    ),
+    EventKind(
+        "ego_yields", _ego_yields,
+        f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more before another road user takes a place on"
+        f" its way, and comes there up to {WINDOW_S:g} s later; at the speed before it would have come before the other"
+        f" or less than {CLOSE_S:g} s after. From when it begins to slow down until it is there.",
+        "PET", "s", "",
+    ),
+    EventKind(
+        "ego_is_yielded_to", _ego_is_yielded_to,
+        "The same with the roles exchanged: another road user slows down, and the ego goes first.", "PET", "s", "",
+    ),
+)  # fmt: skip

@@ -1,0 +1,102 @@
+"""Coverage: which cells a set of logs has. A cell is an event's kind, road, kind of road user and range of speed.
+
+All cells that could be there are not known; so the gaps of a set are the cells of another one that it lacks, by default
+those of the catalogue, whose families can be synthesised: a gap names the family that fills it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from logs.catalogue import families
+from logs.names import counted
+from replay.mine.mine import ALONE, FASTER, ROADS, SPEEDS
+from replay.results.tables import write_file
+from replay.run.sources import LogSource, Selection
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CELL = ("kind", "road", "agent_kind", "speed")
+_ORDER = {
+    "road": list(ROADS),
+    "agent_kind": ["car", "truck", "bus", "motorcycle", "bicycle", "pedestrian", "object", ALONE],
+    "speed": [*(name for _, name in SPEEDS), FASTER],
+}
+_TITLES = {"road": "road", "agent_kind": "main road user", "speed": "speed of the ego"}
+
+
+def cells(events: pd.DataFrame) -> pd.DataFrame:
+    """The cells of some events, a row each: `CELL`, how many events and logs, and the log with most of them."""
+    rows = []
+    for key, group in events.groupby(list(CELL), sort=True):
+        counts = group["log"].value_counts()
+        most = sorted(counts[counts == counts.max()].index)[0]
+        rows.append((*key, len(group), group["log"].nunique(), most))
+    return pd.DataFrame(rows, columns=[*CELL, "events", "logs", "example"])
+
+
+def gaps(have: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
+    """The cells of `other` that `have` lacks, as `cells` has them; `example` is a log of the other set."""
+    joined = other.merge(have[list(CELL)], on=list(CELL), how="left", indicator=True)
+    return joined[joined["_merge"] == "left_only"].drop(columns="_merge").reset_index(drop=True)
+
+
+def table(have: pd.DataFrame, missing: pd.DataFrame) -> pd.DataFrame:
+    """Both as one table, as coverage.csv has it: `covered` says which is which."""
+    parts = [have.assign(covered=True), missing.assign(covered=False)]
+    return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)
+
+
+def figure(events: pd.DataFrame, title: str) -> Figure:
+    """How many events of each kind there are, by road, by kind of road user and by speed."""
+    import matplotlib as mpl
+    import numpy as np
+
+    from replay.draw.report.figures import STYLE, empty_figure
+
+    kinds = sorted(events["kind"].unique())
+    with mpl.rc_context({**STYLE, "axes.grid": False}):
+        drawn = empty_figure(13.0, 1.6 + 0.27 * max(len(kinds), 1))
+        axes = drawn.subplots(1, len(_ORDER), sharey=True, width_ratios=[len(each) for each in _ORDER.values()])
+        for place, (column, names) in zip(axes, _ORDER.items(), strict=True):
+            counts = pd.crosstab(events["kind"], events[column]).reindex(index=kinds, columns=names, fill_value=0)
+            values = counts.to_numpy(float)
+            most = np.log1p(max(values.max(initial=0.0), 30.0))
+            place.imshow(np.log1p(values), cmap="Blues", aspect="auto", vmin=0.0, vmax=most)
+            for i, j in np.argwhere(values > 0).tolist():
+                dark = np.log1p(values[i, j]) > 0.6 * most
+                place.text(j, i, f"{values[i, j]:.0f}", ha="center", va="center", color="white" if dark else "black")
+            place.set_xticks(range(len(names)), names, rotation=40, ha="right")
+            place.set_yticks(range(len(kinds)), kinds)
+            place.set_title(_TITLES[column])
+        drawn.suptitle(title)
+    return drawn
+
+
+def catalogue() -> Selection:
+    """Every family of the catalogue, at its defaults."""
+    return Selection(tuple(LogSource(name) for name in families()))
+
+
+def write_coverage(out: Path, events: pd.DataFrame, rows: pd.DataFrame) -> None:
+    """coverage.csv and coverage.png in a folder of mined logs; OutputError."""
+    write_file(out / "coverage.csv", lambda partial: rows.to_csv(partial, index=False, lineterminator="\n"))
+    from replay.draw.report.figures import save
+
+    title = f"{counted(len(events), 'event')} in {counted(events['log'].nunique(), 'log')}"
+    save(figure(events, title), out / "coverage.png")
+
+
+def lines(have: pd.DataFrame, missing: pd.DataFrame, source: str) -> list[str]:
+    """The cells in words: how many there are, and the gaps by kind with a log of `source` that fills each."""
+    found = [f"{counted(len(have), 'cell')} covered; {counted(len(missing), 'cell')} of {source} not"]
+    for kind, group in missing.groupby("kind", sort=True):
+        examples: Sequence[str] = list(dict.fromkeys(group["example"]))
+        shown = ", ".join(examples[:3]) + (f" and {len(examples) - 3} more" if len(examples) > 3 else "")
+        found.append(f"    {kind}: {counted(len(group), 'cell')}, for example in {shown}")
+    return found

@@ -1,0 +1,217 @@
+"""A log laid out for mining: the recorded drive on a grid, and the other road users in the frame of its path.
+
+The path is the way that the recorded rear axle took, as a reference line (straight on before its begin and beyond its
+end). It holds the log's future: mining looks back at a whole log, no planner sees it. With a road user's box centre at
+(s, l) on that path and its heading turned by d against it:
+
+(1) half_s = (|cos d| length + |sin d| width) / 2     half_l = (|sin d| length + |cos d| width) / 2
+(2) rear, front = s -+ half_s     low, high = l -+ half_l
+(3) the band: |l| <= half of the ego's width; a box reaches into it where low < half and high > -half
+
+A road user is looked at where it is within `NEAR_M` of the ego, at the steps of the grid at which the log knows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.road import ReferenceLine, line_frame, line_project, thinned
+from logs.scenario import AgentKind, Scenario
+from logs.states import Trajectory, wrap
+from metrics.boxes import Car, car_of, ego_boxes
+from metrics.metric import changed
+from metrics.others import GRID_S, in_spans
+from metrics.phantoms import phantoms, without_phantoms
+
+NEAR_M = 80.0
+SEARCH_M, FOLLOW_M = 120.0, 15.0
+"""A foot is looked for so far from the ego's station at first, and from the foot before it after that."""
+SHORT_M = 2.0
+"""An ego that goes a shorter way stands: its path is straight along its heading."""
+FELT_S = 0.5
+"""The ego's acceleration is the change of its speed over this."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Neighbour:
+    """One road user at the m steps of the grid at which it is near the ego.
+
+    Attributes:
+        index: Of its track.
+        id: Of its track.
+        kind: What it is.
+        k: `(m,)` the steps, increasing.
+        pose: `(5, m)` x, y (box centre, m), yaw (rad), vx, vy (m/s), world.
+        accel: `(m,)` rate of its speed, m/s2.
+        size: Length and width, m.
+        s: `(m,)` station of its box centre on the ego's path, m; `l` its offset, positive to the left.
+        along: `(m,)` cosine of the angle between its heading and the path.
+        half_s: `(m,)` (1), m; `half_l` likewise.
+    """
+
+    index: int
+    id: str
+    kind: AgentKind
+    k: IntArray
+    pose: FloatArray
+    accel: FloatArray
+    size: tuple[float, float]
+    s: FloatArray
+    l: FloatArray  # noqa: E741
+    along: FloatArray
+    half_s: FloatArray
+    half_l: FloatArray
+
+    @property
+    def speed(self) -> FloatArray:
+        """`(m,)` m/s."""
+        return np.hypot(self.pose[3], self.pose[4])
+
+    def reaches_into(self, half: float) -> BoolArray:
+        """`(m,)` (3)."""
+        return (self.l - self.half_l < half) & (self.l + self.half_l > -half)
+
+
+class DrivenLog:
+    """A log on a grid of `metrics.others.GRID_S`.
+
+    Args:
+        scenario: As it was read; road users in whom the recorded ego stood are left out.
+
+    Attributes:
+        scenario: The log.
+        t: `(n,)` s since the scenario's start.
+        ego: The drive at `t`.
+        boxes: `(5, n)` the ego's box centre, heading and velocity vector (`metrics.boxes.ego_boxes`).
+        car: The ego's box.
+        half: Half of the ego's width, m.
+        path: The way of the rear axle.
+        station: `(n,)` of the rear axle on it, m.
+        front: `(n,)` station of the front bumper, m; `back` of the rear bumper.
+        neighbours: Those who come near, in the order of their tracks.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        first, last = float(scenario.ego.t[0]), float(scenario.ego.t[-1])
+        self.t = first + GRID_S * np.arange(int((last - first) / GRID_S + 1e-6) + 1)
+        self.ego: Trajectory = scenario.ego.resampled(self.t)
+        self.boxes, self.car = ego_boxes(self.ego, scenario), car_of(scenario)
+        self.half = 0.5 * self.car.width
+        way = np.r_[0.0, np.cumsum(np.hypot(np.diff(self.ego.x), np.diff(self.ego.y)))]
+        points = thinned(np.column_stack([self.ego.x, self.ego.y]), 1.0)
+        if way[-1] < SHORT_M or len(points) < 2:
+            ahead = SHORT_M * np.array([np.cos(self.ego.yaw[0]), np.sin(self.ego.yaw[0])])
+            points = np.vstack([points[0], points[0] + ahead])
+        self.path = ReferenceLine.through(points)
+        self.station = _own_stations(self.path.s, self.path.coef, self.ego.x, self.ego.y)
+        self.front = self.station + self.car.front
+        self.back = self.front - self.car.length
+        self.neighbours = tuple(self._near())
+
+    @cached_property
+    def accel(self) -> FloatArray:
+        """Change of the ego's speed over `FELT_S` `(n,)`, m/s2; NaN in the first `FELT_S`."""
+        return changed(self.t, self.ego.v, FELT_S)
+
+    @cached_property
+    def lead(self) -> tuple[IntArray, FloatArray]:
+        """Per step the place in `neighbours` of whoever is nearest ahead in the band (-1), and the gap, m (NaN).
+
+        Who comes towards the ego is no lead.
+        """
+        who, gap = np.full(len(self.t), -1, np.int64), np.full(len(self.t), np.inf)
+        for place, one in enumerate(self.neighbours):
+            mine = self.gap_to(one)
+            closer = one.reaches_into(self.half) & (one.along > 0.0) & (mine > -0.5 * self.car.length)
+            closer &= mine < gap[one.k]
+            who[one.k[closer]], gap[one.k[closer]] = place, mine[closer]
+        return who, np.where(who >= 0, np.maximum(gap, 0.0), np.nan)
+
+    def gap_to(self, one: Neighbour) -> FloatArray:
+        """`(m,)` way along the path from the ego's front bumper to a road user's nearest part ahead, m."""
+        return one.s - one.half_s - self.front[one.k]
+
+    def reached(self, s: FloatArray) -> FloatArray:
+        """When the ego's front bumper comes to stations `(m,)`, s; NaN where it was beyond at first, or never comes."""
+        front = np.maximum.accumulate(self.front)
+        at = np.searchsorted(front, s)
+        inside = (at > 0) & (at < len(front))
+        return np.where(inside, self.t[np.minimum(at, len(self.t) - 1)], np.nan)
+
+    def _near(self) -> Iterator[Neighbour]:
+        """The road users that come within `NEAR_M`."""
+        tracks = without_phantoms(self.scenario.tracks, phantoms(self.scenario))
+        for i, span, others in in_spans(tracks, self.t):
+            x, y = others.pose[:2, 0]
+            near = np.hypot(x - self.boxes[0, span], y - self.boxes[1, span]) <= NEAR_M
+            near &= others.there[0]
+            if not near.any():
+                continue
+            k, pose = np.flatnonzero(near) + span.start, np.ascontiguousarray(others.pose[:, 0, near])
+            frame = _on_path(self.path.s, self.path.coef, k, self.station[k], pose)
+            along, aside = np.cos(frame[2]), np.abs(np.sin(frame[2]))
+            length, width = others.size[0].tolist()
+            half_s, half_l = np.abs(along) * length + aside * width, aside * length + np.abs(along) * width
+            yield Neighbour(
+                i, tracks.ids[i], tracks.kinds[i], k, pose, others.accel[0, near], (length, width), frame[0], frame[1],
+                along, 0.5 * half_s, 0.5 * half_l,
+            )  # fmt: skip
+
+
+def runs(marked: BoolArray, k: IntArray | None = None, least: int = 1, hole: int = 0) -> Iterator[tuple[int, int]]:
+    """First and last place of each unbroken run of marked places, of at least `least` of them.
+
+    Args:
+        marked: `(m,)`.
+        k: `(m,)` the steps of the places: a run ends where a step is missing. None: none is.
+        least: How many places a run has.
+        hole: So many places on end that are not marked do not end a run.
+    """
+    flags = np.array(marked, np.bool_)
+    broken = np.zeros(len(flags), np.bool_) if k is None else np.r_[False, np.diff(k) > 1]
+    if hole:
+        for first, last in list(runs(~flags, k)):
+            whole = first > 0 and last < len(flags) - 1 and not broken[first] and not broken[last + 1]
+            flags[first : last + 1] |= whole and last - first < hole
+    begins = np.flatnonzero(flags & (~np.r_[False, flags[:-1]] | broken))
+    ends = np.flatnonzero(flags & (~np.r_[flags[1:], False] | np.r_[broken[1:], True]))
+    for first, last in zip(begins.tolist(), ends.tolist(), strict=True):
+        if last - first + 1 >= least:
+            yield first, last
+
+
+def steps(seconds: float) -> int:
+    """How many steps of the grid a time is."""
+    return round(seconds / GRID_S)
+
+
+@kernel
+def _own_stations(knots: FloatArray, coef: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Stations `(n,)` of the rear axle, each looked for near the one before."""
+    out, s = np.empty(len(x)), 0.0
+    for i in range(len(x)):
+        s, _ = line_project(knots, coef, x[i], y[i], s, 10.0)
+        out[i] = s
+    return out
+
+
+@kernel
+def _on_path(knots: FloatArray, coef: FloatArray, k: IntArray, station: FloatArray, pose: FloatArray) -> FloatArray:
+    """Station, offset and heading against the path `(3, m)` of poses `(5, m)` at the steps `k` `(m,)`."""
+    out, s = np.empty((3, len(k))), 0.0
+    for i in range(len(k)):
+        fresh = i == 0 or k[i] > k[i - 1] + 1
+        guess, window = (station[i], SEARCH_M) if fresh else (s, FOLLOW_M)
+        s, l = line_project(knots, coef, pose[0, i], pose[1, i], guess, window)  # noqa: E741
+        out[0, i], out[1, i] = s, l
+        out[2, i] = wrap(pose[2, i] - line_frame(knots, coef, s)[2])
+    return out
+
+
+__all__ = ["GRID_S", "Car", "DrivenLog", "Neighbour", "runs", "steps"]

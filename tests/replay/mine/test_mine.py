@@ -1,0 +1,198 @@
+"""`replan mine | query | cut | suite | coverage`: tables, moments as logs, refusals in one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import one_error, replan
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logs.catalogue import scenario
+from logs.mcap import write_scenario
+from logs.readers import read_log
+from replay.mine.coverage import CELL, cells, gaps
+from replay.mine.events import Event, EventKind
+from replay.mine.mine import EVENTS, HEALTH, LOGS
+from replay.mine.suite import smallest_cover
+
+pytest.importorskip("duckdb")
+NAMES = ("everyday/cut_in", "everyday/crosswalk", "paper/free_road")
+BRISK = EventKind("brisk", lambda log: [Event(0.0, 1.0, float(log.ego.v.max()))], "Always.", "speed", "m/s")
+BROKEN = EventKind("broken", lambda log: 1 / 0, "Never.")  # type: ignore[arg-type, return-value]
+UNREAL = EventKind("unreal", lambda log: [Event(5.0, 1.0, 0.0)], "Ends before it begins.")
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("logs")
+    for name in NAMES:
+        write_scenario(folder / f"{name.replace('/', '_')}.mcap", scenario(name))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def mined(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("mined") / "run"
+    assert replan("mine", logs, "-o", out, "--workers", 0).exit_code == 0
+    return out
+
+
+def test_the_tables_do_not_depend_on_the_workers(logs: Path, mined: Path, tmp_path: Path) -> None:
+    replan("mine", logs, "-o", tmp_path / "two", "--workers", 2)
+    for name in (EVENTS, LOGS, HEALTH):
+        assert (tmp_path / "two" / name).read_bytes() == (mined / name).read_bytes()
+
+
+def test_what_was_not_looked_for_is_named(mined: Path) -> None:
+    table = pd.read_parquet(mined / LOGS).set_index("log")
+    assert any(line.startswith("red_light: ") for line in table.loc["paper/free_road", "not_asked"])
+    events = pd.read_parquet(mined / EVENTS)
+    assert set(events["kind"]) >= {"cut_in", "pedestrian_crossing", "crosswalk"}
+    assert (events["t_from_s"] <= events["t_to_s"]).all()
+
+
+def test_a_log_that_cannot_be_read_costs_itself(logs: Path, tmp_path: Path) -> None:
+    (tmp_path / "bad.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(40))
+    result = replan("mine", tmp_path / "bad.mcap", logs, "-o", tmp_path / "out", "--workers", 0)
+    assert result.exit_code == 3 and "bad.mcap" in one_error(result)
+    table = pd.read_parquet(tmp_path / "out" / LOGS)
+    assert len(table) == len(NAMES) + 1 and (table["error"] != "").sum() == 1
+
+
+def test_a_kind_of_ones_own_is_found_and_a_broken_one_costs_itself(logs: Path, tmp_path: Path) -> None:
+    own = [word for name in ("BRISK", "BROKEN", "UNREAL") for word in ("--kind", f"{__name__}:{name}")]
+    result = replan("mine", logs / "paper_free_road.mcap", "-o", tmp_path / "out", "--workers", 0, *own)
+    assert result.exit_code == 3
+    assert "event kind 'broken': raised by code that the run names: ZeroDivisionError" in result.stderr
+    assert "event kind 'unreal'" in result.stderr
+    events = pd.read_parquet(tmp_path / "out" / EVENTS)
+    assert events["kind"].tolist() == ["brisk"] and events["unit"].tolist() == ["m/s"]
+    assert "no event kind is called 'nix'" in one_error(replan("mine", logs, "--kind", "nix"))
+
+
+def test_a_planner_adds_where_its_plans_differ(logs: Path, tmp_path: Path) -> None:
+    replan("mine", logs / "everyday_cut_in.mcap", "-o", tmp_path / "out", "--workers", 0, "-p", "constant_speed")
+    events = pd.read_parquet(tmp_path / "out" / EVENTS)
+    assert set(events.query("planner != ''")["kind"]) <= {
+        "plan_differs",
+        "plan_flips",
+        "plan_falls_back",
+    }
+    assert (events["planner"] == "constant_speed").any()
+
+
+def test_a_query_gives_rows_in_each_form(mined: Path, tmp_path: Path) -> None:
+    sql = "SELECT kind, count(*) AS n FROM events GROUP BY kind ORDER BY kind"
+    rows = json.loads(replan("query", mined, sql, "--json").stdout)
+    expected = pd.read_parquet(mined / EVENTS)["kind"].value_counts().sort_index()
+    assert {row["kind"]: row["n"] for row in rows} == expected.to_dict()
+    for ending, read in ((".csv", pd.read_csv), (".parquet", pd.read_parquet), (".json", pd.read_json)):
+        replan("query", mined, sql, "-o", tmp_path / f"rows{ending}")
+        assert read(tmp_path / f"rows{ending}")["n"].tolist() == expected.tolist()
+    assert "rows.txt: name a file that ends in" in one_error(replan("query", mined, sql, "-o", tmp_path / "rows.txt"))
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "COPY events TO '{secret}'", "DROP TABLE events", "SELECT 1; SELECT 2", "ATTACH '{secret}.db'",
+        "INSTALL httpfs",
+        "SET enable_external_access = true", "SELECT * FROM read_csv('{secret}')", "SELECT * FROM '{secret}'",
+        "SELECT * FROM glob('{folder}/*')", "SELECT * FROM read_text('{secret}')", "PRAGMA database_list",
+        "CREATE TABLE x AS SELECT * FROM events", "SELECT * FROM sqlite_scan('{secret}', 'x')", "SELECT getenv('HOME')",
+        "EXPORT DATABASE '{folder}/db'", "LOAD '{secret}'", "SELECT", "SELECT * FROM evnts", "SELECT nix FROM events",
+    ],
+)  # fmt: skip
+def test_a_hostile_query_is_one_line_and_reaches_no_file(mined: Path, tmp_path: Path, sql: str) -> None:
+    secret = tmp_path / "secret.csv"
+    secret.write_text("key\nhunter2\n", encoding="utf-8")
+    before = sorted(tmp_path.iterdir())
+    result = replan("query", mined, sql.format(secret=secret, folder=tmp_path))
+    assert result.exit_code == 2
+    assert "hunter2" not in one_error(result) + result.stdout
+    assert sorted(tmp_path.iterdir()) == before and secret.read_text(encoding="utf-8") == "key\nhunter2\n"
+
+
+def test_the_tables_of_a_run_are_views_too(tmp_path: Path) -> None:
+    words = ("--suite", "paper/free_road", "--planner", "constant_speed", "--mode", "closed", "--no-recording")
+    replan("evaluate", *words, "--out", tmp_path / "run", "--workers", 0)
+    sql = "SELECT count(*) AS n FROM metrics JOIN drives USING (log, planner, mode) WHERE metric = 'ttc.min'"
+    assert json.loads(replan("query", tmp_path / "run", sql, "--json").stdout) == [{"n": 1}]
+    assert "The views are metrics, verdicts" in one_error(replan("query", tmp_path / "run", "SELECT * FROM events"))
+    cut = replan(
+        "cut",
+        tmp_path / "run",
+        "--table",
+        "metrics",
+        "--where",
+        "metric = 'lon_accel.max_abs'",
+        "-o",
+        tmp_path / "cuts",
+    )
+    assert cut.exit_code == 0 and len(list((tmp_path / "cuts").iterdir())) == 1
+
+
+def test_a_cut_is_the_log_at_that_moment_with_its_origin(logs: Path, mined: Path, tmp_path: Path) -> None:
+    words = ("--where", "kind = 'cut_in'", "--before", 2, "--after", 3, "-o", tmp_path / "cuts")
+    assert replan("cut", mined, *words).exit_code == 0
+    (file,) = (tmp_path / "cuts").iterdir()
+    part, whole = read_log(file), read_log(logs / "everyday_cut_in.mcap")
+    event = pd.read_parquet(mined / EVENTS).query("kind == 'cut_in'").iloc[0]
+    begin = event["t_from_s"] - 2.0
+    assert part.metadata["cut.of"] == whole.name and "cut_in" in part.tags
+    assert part.duration == pytest.approx(event["t_to_s"] + 3.0 - begin, abs=0.2)
+    at = np.linspace(0.5, part.ego.t[-1] - 0.5, 7)
+    assert np.interp(at, part.ego.t, part.ego.x) == pytest.approx(
+        np.interp(at + begin, whole.ego.t, whole.ego.x), abs=0.05
+    )
+    assert "exists already" in one_error(replan("cut", mined, *words))
+    nothing = replan("cut", mined, "--where", "kind = 'nix'", "-o", tmp_path / "none")
+    assert "nothing to cut" in one_error(nothing) and not (tmp_path / "none").exists()
+
+
+def test_a_suite_can_be_evaluated_and_a_foreign_file_is_refused(mined: Path, tmp_path: Path) -> None:
+    file = tmp_path / "suite.toml"
+    assert replan("suite", mined, "-o", file).exit_code == 0
+    quick = ("--planner", "constant_speed", "--mode", "closed", "--no-recording", "--workers", 0)
+    replan("evaluate", "--suite", file, "--out", tmp_path / "run", *quick)
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text(encoding="utf-8"))
+    assert {log["log"] for log in summary["logs"]} == {"everyday/cut_in", "everyday/crosswalk"}
+    file.write_text("logs = 3\n", encoding="utf-8")
+    assert "a suite has one key, logs" in one_error(replan("evaluate", "--suite", file, "--out", tmp_path / "no"))
+    assert "holds no mined logs" in one_error(replan("suite", tmp_path / "run", "-o", file))
+
+
+def test_coverage_names_what_the_other_set_has(mined: Path, logs: Path, tmp_path: Path) -> None:
+    replan("mine", logs / "everyday_crosswalk.mcap", "-o", tmp_path / "few", "--workers", 0)
+    result = replan("coverage", tmp_path / "few", "--against", mined)
+    assert "cut_in" in result.stdout and "everyday/cut_in" in result.stdout
+    table = pd.read_csv(tmp_path / "few" / "coverage.csv")
+    assert set(table[~table["covered"]]["kind"]) >= {"cut_in"}
+    assert (tmp_path / "few" / "coverage.png").stat().st_size > 5_000
+
+
+CELLS = st.frozensets(st.tuples(st.sampled_from("abcd"), st.sampled_from("xyz")), max_size=6)
+
+
+@given(st.dictionaries(st.sampled_from("pqrstu"), CELLS, min_size=1))
+def test_a_cover_has_all_cells_and_each_log_of_it_adds_one(sets: dict[str, frozenset[tuple[str, ...]]]) -> None:
+    chosen = smallest_cover(sets, dict.fromkeys(sets, 1.0))
+    seen: set[tuple[str, ...]] = set()
+    for log in chosen:
+        assert sets[log] - seen
+        seen |= sets[log]
+    assert seen == set().union(*sets.values())
+    assert chosen == smallest_cover(dict(reversed(sets.items())), dict.fromkeys(sets, 1.0))
+
+
+@given(st.lists(st.tuples(*(st.sampled_from("ab") for _ in CELL), st.sampled_from("pq")), max_size=12))
+def test_a_set_lacks_nothing_that_it_has(rows: list[tuple[str, ...]]) -> None:
+    events = pd.DataFrame(rows, columns=[*CELL, "log"])
+    have = cells(events)
+    assert have["events"].sum() == len(events) and gaps(have, have).empty
+    assert len(gaps(cells(events.iloc[:0]), have)) == len(have)

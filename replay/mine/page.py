@@ -35,7 +35,12 @@ def _creeps(log):
 CREEPS = replan.EventKind("creeps", _creeps, "The ego drives below 1 m/s for 3 s.", "greatest speed", "m/s")
 ```
 
-`replan mine LOGS --kind my_kinds:CREEPS`, or an entry point of the group `replan.events`.
+It is named on the command line, or found by an entry point of the group `replan.events`:
+
+```sh
+replan synth everyday/crosswalk -o my_logs
+replan mine my_logs --kind my_kinds:CREEPS -o results/mined
+```
 """
 
 

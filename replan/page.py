@@ -27,7 +27,7 @@ SECTIONS = {
     "DecisionKind",
     "What a metric is": "Metric Series Reduction Unavailable Mode",
     "What else can be added (docs/extend.md)": "Vehicle Controller Command Traffic World LaneMap Reader Chart Subject "
-    "Family",
+    "Family Event EventKind",
     "Errors": "ReplanError ConfigError LogError PlannerError OutputError",
 }
 

@@ -76,19 +76,8 @@ def sight(tracks: Tracks, ego: Trajectory) -> Sight:
         who = np.array([place[agents.ids[i]] for i in near], np.int64)
         boxes = np.column_stack([agents.x, agents.y, agents.yaw, agents.length, agents.width])[near]
         hidden = _hidden(own.x, own.y, boxes, _VEHICLES[agents.codes[near]])
-        parts.append(
-            np.column_stack(
-                [
-                    np.full(len(near), k),
-                    who,
-                    boxes[:, :3],
-                    agents.vx[near],
-                    agents.vy[near],
-                    np.hypot(dx, dy)[near],
-                    hidden,
-                ]
-            )
-        )
+        columns = np.full(len(near), k), who, boxes[:, :3], agents.vx[near], agents.vy[near], np.hypot(dx, dy)[near]
+        parts.append(np.column_stack([*columns, hidden]))
     rows = np.vstack(parts)
     x, y, yaw, vx, vy, far = rows[:, 2:8].T
     frame, agent = rows[:, :2].T.astype(np.int64)
@@ -115,10 +104,11 @@ def detected(tracks: Tracks, ego: Trajectory, seed: int) -> Detections:
     """What a detector on the ego reports of these road users; another seed is another drive of the same scene."""
     rng = np.random.default_rng(seed)
     seen = sight(tracks, ego)
-    parts = [_of_agent(tracks, i, seen, rng) for i in range(len(tracks))]
-    parts += [_twins(np.vstack([*parts, np.empty((0, _WIDTH))]), rng)]
-    parts += [_clutter(seen.frames, ego, rng), _ghosts(seen.frames, ego, rng)]
-    rows = np.vstack(parts)
+    boxes = np.vstack([np.empty((0, _WIDTH)), *(_of_agent(tracks, i, seen, rng) for i in range(len(tracks)))])
+    twins = boxes[rng.random(len(boxes)) < TWINS].copy()  # second, weaker boxes of some
+    twins[:, 2:4] += rng.normal(0.0, 0.5, (len(twins), 2))
+    twins[:, 7] = np.minimum(twins[:, 7], 0.25)
+    rows = np.vstack([boxes, twins, _clutter(seen.frames, ego, rng), _ghosts(seen.frames, ego, rng)])
     rows = rng.permutation(rows)
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     frame, codes = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
@@ -179,14 +169,6 @@ def _noticed(far: FloatArray, rng: np.random.Generator) -> BoolArray:
         elif end == 0.0 and rng.random() < begins[k]:
             end = SHORT_END if rng.random() < SHORT_GAPS else LONG_END
         out[k] = end == 0.0
-    return out
-
-
-def _twins(boxes: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Second, weaker boxes of some."""
-    out = boxes[rng.random(len(boxes)) < TWINS].copy()
-    out[:, 2:4] += rng.normal(0.0, 0.5, (len(out), 2))
-    out[:, 7] = np.minimum(out[:, 7], 0.25)
     return out
 
 

@@ -39,6 +39,23 @@ class Ahead:
     stop: bool = False
 
 
+Reaction = Callable[[float, float], Ahead | None]
+"""What a driver reacts to at time t, s, with the rear axle at station s, m; None: nothing."""
+
+
+def waiting(line: float, short: float, begin: float, end: float, front: float) -> Reaction:
+    """The reaction of a driver who waits `short` m before station `line`, m, from time `begin` to `end`, s.
+
+    `front` is the distance from the rear axle to the front bumper, m; a driver who is past the line does not wait.
+    """
+
+    def ahead(t: float, s: float) -> Ahead | None:
+        gap = line - short - (s + front)
+        return Ahead(gap, stop=True) if begin <= t < end and gap > -short else None
+
+    return ahead
+
+
 def _wish(v: float, cruise: float, ahead: Ahead | None, thw: float) -> float:
     """(1) to (4) without the bound on jerk, m/s2."""
     a = 0.8 * (cruise - v)
@@ -58,7 +75,7 @@ def drive(
     speed: float,
     cruise: float | Callable[[float], float],
     duration: float,
-    ahead: Callable[[float, float], Ahead | None] = lambda t, s: None,
+    ahead: Reaction = lambda t, s: None,
     thw: float = 1.6,
 ) -> Trajectory:
     """The ego log, sampled at 10 Hz.
@@ -69,7 +86,7 @@ def drive(
         speed: At t = 0, m/s.
         cruise: Wanted speed, m/s; or by the station of the rear axle.
         duration: s; a multiple of 0.1.
-        ahead: What is to be minded at time t with the rear axle at station s.
+        ahead: What the driver reacts to.
         thw: Wanted time headway, s.
 
     Raises:

@@ -17,7 +17,7 @@ from math import copysign, pi
 
 import numpy as np
 
-from logs.catalogue.driver import Ahead
+from logs.catalogue.driver import Ahead, waiting
 from logs.catalogue.family import Family
 from logs.catalogue.junctions import junction
 from logs.catalogue.protocols import (
@@ -71,7 +71,7 @@ def _along(p: Mapping[str, float], target: Target) -> Scenario:
 
     path = straight(p)
     road = one_lane(path, v, sidewalk=SIDEWALK_M)
-    return tested(p, path, road, [other], ahead, {target.id: (*FOLLOWS, DecisionKind.NUDGE_LEFT)})
+    return tested(p, path, road, [other], {target.id: (*FOLLOWS, DecisionKind.NUDGE_LEFT)}, ahead)
 
 
 def _head_on(p: Mapping[str, float], target: Target) -> Scenario:
@@ -88,7 +88,7 @@ def _head_on(p: Mapping[str, float], target: Target) -> Scenario:
 
     path = straight(p)
     kinds = (*WAITS, DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
-    return tested(p, path, two_way(path, v), [other], ahead, {target.id: kinds})
+    return tested(p, path, two_way(path, v), [other], {target.id: kinds}, ahead)
 
 
 def _at_junction(p: Mapping[str, float], target: Target, *, turn: float) -> Scenario:
@@ -111,14 +111,9 @@ def _at_junction(p: Mapping[str, float], target: Target, *, turn: float) -> Scen
     middle = cross - car.axle_to_center
     other = moving(target.id, target.kind, target.size, t, x, y, yaw=yaw)
     passes = TTC_S + (0.5 * target.size[0] + HALF_LANE) / u
-
-    def ahead(time: float, s: float) -> Ahead | None:
-        gap = cross - HALF_LANE - STOP_M - (s + car.axle_to_front)
-        return Ahead(gap, stop=True) if p["reaction_s"] <= time < passes and gap > -STOP_M else None
-
-    start = middle - v * TTC_S
-    beyond = place.end + 15.0
-    return tested(p, place.path, place.road, [other], ahead, {target.id: WAITS}, beyond=beyond, start=start)
+    ahead = waiting(cross - HALF_LANE, STOP_M, p["reaction_s"], passes, car.axle_to_front)
+    start, beyond = middle - v * TTC_S, place.end + 15.0
+    return tested(p, place.path, place.road, [other], {target.id: WAITS}, ahead, beyond=beyond, start=start)
 
 
 ALONG: Mapping[str, float] = {

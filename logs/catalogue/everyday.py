@@ -57,20 +57,13 @@ def _follow(p: Mapping[str, float]) -> Scenario:
 
 
 FOLLOW = Family(
-    "everyday/follow",
-    "follow a lead that slows by 5 m/s and speeds up again",
+    "everyday/follow", "follow a lead that slows by 5 m/s and speeds up again",
     {
-        "ego_speed_mps": 13.9,
-        "headway_s": 1.6,
-        "lead_change_mps": 5.0,
-        "lead_accel_mps2": 1.0,
-        "hold_s": 5.0,
-        "limit_above_mps": 2.8,
-        "duration_s": 28.0,
+        "ego_speed_mps": 13.9, "headway_s": 1.6, "lead_change_mps": 5.0, "lead_accel_mps2": 1.0, "hold_s": 5.0,
+        "limit_above_mps": 2.8, "duration_s": 28.0,
     },
-    ("everyday", "follow"),
-    _follow,
-)
+    ("everyday", "follow"), _follow,
+)  # fmt: skip
 
 
 def _cut_in(p: Mapping[str, float]) -> Scenario:
@@ -99,20 +92,13 @@ def _cut_in(p: Mapping[str, float]) -> Scenario:
 
 
 CUT_IN = Family(
-    "everyday/cut_in",
-    "a slower car cuts in from the neighbour lane",
+    "everyday/cut_in", "a slower car cuts in from the neighbour lane",
     {
-        "ego_speed_mps": 16.7,
-        "gap_m": 25.0,
-        "relative_speed_mps": -5.0,
-        "cut_in_start_s": 4.0,
-        "cut_in_duration_s": 3.5,
-        "reaction_s": 0.4,
-        "duration_s": 22.0,
+        "ego_speed_mps": 16.7, "gap_m": 25.0, "relative_speed_mps": -5.0, "cut_in_start_s": 4.0,
+        "cut_in_duration_s": 3.5, "reaction_s": 0.4, "duration_s": 22.0,
     },
-    ("everyday", "cut_in"),
-    _cut_in,
-)
+    ("everyday", "cut_in"), _cut_in,
+)  # fmt: skip
 
 
 def _nudge(p: Mapping[str, float]) -> Scenario:
@@ -132,12 +118,10 @@ def _nudge(p: Mapping[str, float]) -> Scenario:
 
 
 NUDGE = Family(
-    "everyday/nudge",
-    "a parked car reaches into the lane from the right",
+    "everyday/nudge", "a parked car reaches into the lane from the right",
     {"ego_speed_mps": 10.0, "distance_m": 80.0, "intrusion_m": 0.7, "clearance_m": 0.6, "shift_m": 30.0},
-    ("everyday", "static"),
-    _nudge,
-)
+    ("everyday", "static"), _nudge,
+)  # fmt: skip
 
 
 def _cyclist(p: Mapping[str, float]) -> Scenario:
@@ -165,20 +149,11 @@ def _cyclist(p: Mapping[str, float]) -> Scenario:
 
 
 CYCLIST = Family(
-    "everyday/cyclist",
-    "a cyclist rides in the lane, a car comes on the facing one: pass them after it",
+    "everyday/cyclist", "a cyclist rides in the lane, a car comes on the facing one: pass them after it",
     {
-        "ego_speed_mps": 10.0,
-        "cyclist_speed_mps": 4.0,
-        "distance_m": 45.0,
-        "offset_m": -1.0,
-        "clearance_m": 1.5,
-        "shift_m": 40.0,
-        "room_m": 2.0,
-        "oncoming_m": 90.0,
-        "oncoming_speed_mps": 10.0,
+        "ego_speed_mps": 10.0, "cyclist_speed_mps": 4.0, "distance_m": 45.0, "offset_m": -1.0, "clearance_m": 1.5,
+        "shift_m": 40.0, "room_m": 2.0, "oncoming_m": 90.0, "oncoming_speed_mps": 10.0,
     },
-    ("everyday", "cyclist"),
-    _cyclist,
-)
+    ("everyday", "cyclist"), _cyclist,
+)  # fmt: skip
 FAMILIES = (FOLLOW, CUT_IN, NUDGE, CYCLIST)

@@ -35,9 +35,9 @@ class Family:
         parameters: Defaults by name, units in the names.
         tags: Words by which gates and reports group.
         build: All parameters -> Scenario; raises ValueError where they make no sense.
-        grid: Values by parameter, as published: their product are the family's cells; empty: one cell, the defaults.
-        source: Where the numbers are from.
-        holds: All parameters -> whether a cell of the product is one (its target is slower than the ego, say).
+        grid: Values by parameter, as published: their product is the family's cells; empty: one cell, the defaults.
+        source: Where the numbers come from.
+        holds: All parameters -> whether the grid contains this cell of the product (the ego is faster than its target).
     """
 
     name: str
@@ -62,7 +62,11 @@ class Family:
 
     def named(self, changed: Mapping[str, float]) -> str:
         """The name of a variant, from which `logs.catalogue.scenario` builds it: every number in full."""
-        variant = ",".join(f"{name}={_number(value)}" for name, value in sorted(changed.items()))
+        words = []
+        for name, value in sorted(changed.items()):
+            short = f"{value:g}"
+            words.append(f"{name}={short if float(short) == value else repr(float(value))}")
+        variant = ",".join(words)
         return f"{self.name}@{variant}" if variant else self.name
 
     def scenario(self, **overrides: float) -> Scenario:
@@ -86,9 +90,6 @@ class Family:
         touched = touches(scenario)
         if touched is not None:
             raise ConfigError(f"{self.name}: with these parameters the logged driver touches {touched}")
-        return self._signed(scenario, parameters, changed)
-
-    def _signed(self, scenario: Scenario, parameters: Mapping[str, float], changed: Mapping[str, float]) -> Scenario:
         metadata = {
             "generator": "replan catalogue",
             "generator_version": VERSION,
@@ -115,12 +116,6 @@ def expects(**kinds: tuple[DecisionKind, ...]) -> dict[str, str]:
     }
 
 
-def _number(value: float) -> str:
-    """As short as it can be read back."""
-    short = f"{value:g}"
-    return short if float(short) == value else repr(float(value))
-
-
 def touches(scenario: Scenario) -> str | None:
     """The first agent that the logged ego touches, or None."""
     found = _contact(scenario)
@@ -140,9 +135,9 @@ def before_contact(scenario: Scenario) -> Scenario:
     if step == 0:
         raise ValueError(f"{who} is in the ego at the start")
     t = scenario.ego.t
-    said = {"logged_driver_would_meet": who, "logged_driver_would_meet_s": repr(float(t[step]))}
+    meeting = {"logged_driver_would_meet": who, "logged_driver_would_meet_s": repr(float(t[step]))}
     ego = scenario.ego.between(float(t[0]), float(t[step - 1]))
-    return replace(scenario, ego=ego, metadata={**scenario.metadata, **said})
+    return replace(scenario, ego=ego, metadata={**scenario.metadata, **meeting})
 
 
 def _contact(scenario: Scenario) -> tuple[int, str] | None:

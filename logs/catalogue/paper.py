@@ -11,11 +11,10 @@ from math import radians
 
 import numpy as np
 
-from logs.catalogue.driver import Ahead, drive
+from logs.catalogue.driver import drive, waiting
 from logs.catalogue.family import Family, expects
 from logs.catalogue.roads import curve, one_lane, two_lanes, weaving
 from logs.catalogue.scene import (
-    ADULT,
     BEYOND_M,
     CAR,
     HALF_LANE,
@@ -23,15 +22,13 @@ from logs.catalogue.scene import (
     START_M,
     WAITS,
     bypass,
+    crossing_pedestrian,
     finished,
-    grid,
-    moving,
     parked,
     straight_path,
     tenths,
-    walked,
 )
-from logs.scenario import AgentKind, Scenario
+from logs.scenario import Scenario
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
 
@@ -50,12 +47,10 @@ def _free_road(p: Mapping[str, float]) -> Scenario:
 
 
 FREE_ROAD = Family(
-    "paper/free_road",
-    "S-curve left then right, no obstacle: tracking",
+    "paper/free_road", "S-curve left then right, no obstacle: tracking",
     {"ego_speed_mps": 12.0, "radius_m": 50.0, "turn_deg": 60.0, "clothoid_m": 20.0, "straight_m": 60.0},
-    ("paper", "free"),
-    _free_road,
-)
+    ("paper", "free"), _free_road,
+)  # fmt: skip
 
 
 def _static_obstacles(p: Mapping[str, float]) -> Scenario:
@@ -90,34 +85,19 @@ STATIC_OBSTACLES = Family(
     "paper/static_obstacles",
     "parked cars reach into the lane from the right, from the left and from the right: bypass left and right",
     {
-        "ego_speed_mps": 8.0,
-        "first_m": 60.0,
-        "spacing_m": 50.0,
-        "intrusion_right_m": 1.0,
-        "intrusion_left_m": 0.85,
+        "ego_speed_mps": 8.0, "first_m": 60.0, "spacing_m": 50.0, "intrusion_right_m": 1.0, "intrusion_left_m": 0.85,
         "clearance_m": 0.7,
     },
-    ("paper", "static"),
-    _static_obstacles,
-)
+    ("paper", "static"), _static_obstacles,
+)  # fmt: skip
 
 
 def _crossing_pedestrian(p: Mapping[str, float]) -> Scenario:
-    v, walk, duration = p["ego_speed_mps"], p["pedestrian_speed_mps"], p["duration_s"]
-    car = VehicleParameters()
-    y0, y1 = -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
-    x = START_M + car.axle_to_front + v * p["walk_start_s"] + p["distance_m"]
-    t = grid(duration)
-    y = y0 + (y1 - y0) * walked(t - p["walk_start_s"], y1 - y0, walk)
-    pedestrian = moving("pedestrian", AgentKind.PEDESTRIAN, ADULT, t, np.full(len(t), x), y, yaw=0.5 * np.pi)
-    off_lane = float(t[np.argmax(y > HALF_LANE + 0.5 * max(ADULT))])
-    noticed = p["walk_start_s"] + p["reaction_s"]
-
-    def ahead(time: float, s: float) -> Ahead | None:
-        gap = x - p["stop_distance_m"] - (s + car.axle_to_front)
-        return Ahead(gap, stop=True) if noticed <= time < off_lane and gap > -p["stop_distance_m"] else None
-
+    v, duration, front = p["ego_speed_mps"], p["duration_s"], VehicleParameters().axle_to_front
+    x = START_M + front + v * p["walk_start_s"] + p["distance_m"]
+    pedestrian, off_lane = crossing_pedestrian(p, x)
     path = straight_path(v, duration)
+    ahead = waiting(x, p["stop_distance_m"], p["walk_start_s"] + p["reaction_s"], off_lane, front)
     driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
     metadata = {**expects(pedestrian=WAITS), "pedestrian_off_lane_s": repr(off_lane)}
     return finished(path, driven, [pedestrian], one_lane(path, v, sidewalk=SIDEWALK_M), duration, metadata=metadata)
@@ -127,17 +107,9 @@ CROSSING_PEDESTRIAN = Family(
     "paper/crossing_pedestrian",
     "a pedestrian crosses from the right, leaves the lane and stands still: brake, then drive on",
     {
-        "ego_speed_mps": 10.0,
-        "pedestrian_speed_mps": 0.85,
-        "walk_start_s": 5.0,
-        "distance_m": 33.0,
-        "kerb_distance_m": 0.6,
-        "rest_distance_m": 2.5,
-        "stop_distance_m": 3.0,
-        "reaction_s": 0.4,
-        "duration_s": 26.0,
+        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 0.85, "walk_start_s": 5.0, "distance_m": 33.0,
+        "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4, "duration_s": 26.0,
     },
-    ("paper", "pedestrian"),
-    _crossing_pedestrian,
-)
+    ("paper", "pedestrian"), _crossing_pedestrian,
+)  # fmt: skip
 FAMILIES = (FREE_ROAD, STATIC_OBSTACLES, CROSSING_PEDESTRIAN)

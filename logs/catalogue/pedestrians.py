@@ -1,11 +1,11 @@
 """Pedestrians who do more than cross: turn back, hesitate, run out, jaywalk, come in groups, along, from both sides.
 
 One straight lane with sidewalks along x. A walk is a sum of legs, each at its own speed with ramps of 0.4 s
-(`paper.walked`); where one leg begins as the other slows down, the speed changes without a stop. `distance_m` is from
-the front bumper of an ego that kept its speed to the walker's line, at the time when he sets off towards the lane.
+(`scene.walked`); where one leg begins as the other slows down, the speed changes without a stop. `distance_m` is from
+the front bumper of an ego that kept its speed to the walker's line, at the time when they set off towards the lane.
 
-The logged driver knows nothing beforehand: `reaction_s` after the walker has set off he brakes towards
-`stop_distance_m` before him, and drives on when the last has left the lane.
+The logged driver knows nothing beforehand: `reaction_s` after the walker has set off they brake towards
+`stop_distance_m` before the walker, and drive on when the last walker has left the lane.
 
 Metadata: `pedestrian_sets_off_s`, when the first sets off onto the lane (for the last time), and
 `pedestrian_off_lane_s`, when the last has left it. Sources: Euro NCAP CPNCO and CPLA for running out and walking along;
@@ -20,7 +20,7 @@ from math import copysign, cos, inf, pi, radians, sin, sqrt
 
 import numpy as np
 
-from logs.catalogue.driver import Ahead, drive
+from logs.catalogue.driver import Ahead, Reaction, drive, waiting
 from logs.catalogue.family import Family, expects
 from logs.catalogue.roads import one_lane
 from logs.catalogue.scene import (
@@ -49,7 +49,7 @@ from logs.vehicle import VehicleParameters
 RAMP_S = 0.4
 CHILD = (0.711, 0.298)
 SLOWING_MPS2, SLOW_BEFORE_M = 1.2, 8.0
-"""How the driver slows down towards the parked cars, and how far before them he wants to be slow: he lags behind."""
+"""How the driver slows down towards the parked cars, and how far before them to be slow (the speed lags behind)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,25 +124,19 @@ def _driven(
     *, cars: Sequence[Agent] = (), cruise: Callable[[float], float] | None = None, noticed: float | None = None,
 ) -> Scenario:  # fmt: skip
     """The scenario with a driver who waits before x until all are off the lane."""
-    v, duration, front = p["ego_speed_mps"], p["duration_s"], VehicleParameters().axle_to_front
-    clear, short = off_lane(walkers), p["stop_distance_m"]
-    minded = sets_off + p["reaction_s"] if noticed is None else noticed
-
-    def ahead(time: float, s: float) -> Ahead | None:
-        gap = x - short - (s + front)
-        return Ahead(gap, stop=True) if minded <= time < clear and gap > -short else None
-
-    return _crossed(p, [*walkers, *cars], sets_off, clear, ahead, duration, cruise or (lambda s: v), WAITS)
+    begin, clear = sets_off + p["reaction_s"] if noticed is None else noticed, off_lane(walkers)
+    ahead = waiting(x, p["stop_distance_m"], begin, clear, VehicleParameters().axle_to_front)
+    return _crossed(p, [*walkers, *cars], sets_off, clear, ahead, cruise=cruise)
 
 
 def _crossed(
     p: Mapping[str, float], agents: Sequence[Agent], sets_off: float, clear: float,
-    ahead: Callable[[float, float], Ahead | None], duration: float, cruise: Callable[[float], float],
-    kinds: tuple[DecisionKind, ...],
+    ahead: Reaction, *, cruise: Callable[[float], float] | None = None, kinds: tuple[DecisionKind, ...] = WAITS,
 ) -> Scenario:  # fmt: skip
-    v = p["ego_speed_mps"]
+    """The scenario of a driver who reacts to `ahead`; `cruise` None: the ego's speed at the start."""
+    v, duration = p["ego_speed_mps"], p["duration_s"]
     path = straight_path(v, duration)
-    driven = drive(path, start=START_M, speed=v, cruise=cruise, duration=duration, ahead=ahead)
+    driven = drive(path, start=START_M, speed=v, cruise=cruise or v, duration=duration, ahead=ahead)
     metadata = {
         **expects(**{one.id: kinds for one in agents if one.kind is AgentKind.PEDESTRIAN}),
         "pedestrian_sets_off_s": repr(sets_off),
@@ -165,21 +159,12 @@ TURNS_BACK = Family(
     "pedestrian/turns_back",
     "a pedestrian walks onto the lane, stands there, and walks back: wait, do not creep, then drive on",
     {
-        "ego_speed_mps": 10.0,
-        "pedestrian_speed_mps": 1.2,
-        "return_speed_mps": 1.5,
-        "stop_lateral_m": 0.0,
-        "dwell_s": 2.5,
-        "walk_start_s": 3.0,
-        "distance_m": 33.0,
-        "kerb_distance_m": 0.6,
-        "stop_distance_m": 3.0,
-        "reaction_s": 0.4,
-        "duration_s": 22.0,
+        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.2, "return_speed_mps": 1.5, "stop_lateral_m": 0.0,
+        "dwell_s": 2.5, "walk_start_s": 3.0, "distance_m": 33.0, "kerb_distance_m": 0.6, "stop_distance_m": 3.0,
+        "reaction_s": 0.4, "duration_s": 22.0,
     },
-    ("pedestrian",),
-    _turns_back,
-)
+    ("pedestrian",), _turns_back,
+)  # fmt: skip
 
 
 def _hesitates(p: Mapping[str, float]) -> Scenario:
@@ -192,25 +177,14 @@ def _hesitates(p: Mapping[str, float]) -> Scenario:
 
 
 HESITATES = Family(
-    "pedestrian/hesitates",
-    "a pedestrian comes to the kerb, stops there, and then crosses after all",
+    "pedestrian/hesitates", "a pedestrian comes to the kerb, stops there, and then crosses after all",
     {
-        "ego_speed_mps": 8.3,
-        "approach_m": 2.0,
-        "approach_speed_mps": 1.4,
-        "pedestrian_speed_mps": 1.4,
-        "dwell_s": 2.0,
-        "walk_start_s": 1.0,
-        "distance_m": 20.0,
-        "kerb_distance_m": 0.6,
-        "rest_distance_m": 2.5,
-        "stop_distance_m": 3.0,
-        "reaction_s": 0.4,
-        "duration_s": 22.0,
+        "ego_speed_mps": 8.3, "approach_m": 2.0, "approach_speed_mps": 1.4, "pedestrian_speed_mps": 1.4, "dwell_s": 2.0,
+        "walk_start_s": 1.0, "distance_m": 20.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0,
+        "reaction_s": 0.4, "duration_s": 22.0,
     },
-    ("pedestrian",),
-    _hesitates,
-)
+    ("pedestrian",), _hesitates,
+)  # fmt: skip
 
 
 def _runs_out(p: Mapping[str, float]) -> Scenario:
@@ -233,23 +207,14 @@ def _runs_out(p: Mapping[str, float]) -> Scenario:
 
 
 RUNS_OUT = Family(
-    "pedestrian/runs_out",
-    "a child runs out from behind parked cars (CPNCO): be slow where the view is blocked",
+    "pedestrian/runs_out", "a child runs out from behind parked cars (CPNCO): be slow where the view is blocked",
     {
-        "ego_speed_mps": 8.3,
-        "pedestrian_speed_mps": 1.39,
-        "passing_speed_mps": 4.0,
-        "start_lateral_m": 4.0,
-        "walk_start_s": 3.0,
-        "distance_m": 25.6,
-        "rest_distance_m": 2.5,
-        "stop_distance_m": 3.0,
-        "reaction_s": 0.4,
+        "ego_speed_mps": 8.3, "pedestrian_speed_mps": 1.39, "passing_speed_mps": 4.0, "start_lateral_m": 4.0,
+        "walk_start_s": 3.0, "distance_m": 25.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4,
         "duration_s": 22.0,
     },
-    ("pedestrian", "occlusion"),
-    _runs_out,
-)
+    ("pedestrian", "occlusion"), _runs_out,
+)  # fmt: skip
 
 
 def _jaywalker(p: Mapping[str, float]) -> Scenario:
@@ -269,59 +234,32 @@ JAYWALKER = Family(
     "pedestrian/jaywalker",
     "a pedestrian walks diagonally over the lane and hurries halfway (above 90 degrees: towards the car)",
     {
-        "ego_speed_mps": 10.0,
-        "pedestrian_speed_mps": 1.4,
-        "hurry_speed_mps": 2.2,
-        "angle_deg": 45.0,
-        "step_lateral_m": -0.5,
-        "walk_start_s": 3.0,
-        "distance_m": 26.0,
-        "kerb_distance_m": 0.6,
-        "rest_distance_m": 2.5,
-        "stop_distance_m": 3.0,
-        "reaction_s": 0.4,
-        "duration_s": 21.0,
+        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.4, "hurry_speed_mps": 2.2, "angle_deg": 45.0,
+        "step_lateral_m": -0.5, "walk_start_s": 3.0, "distance_m": 26.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0, "reaction_s": 0.4, "duration_s": 21.0,
     },
-    ("pedestrian",),
-    _jaywalker,
-)
+    ("pedestrian",), _jaywalker,
+)  # fmt: skip
 
 
 def _group(p: Mapping[str, float]) -> Scenario:
     y0, y1 = _kerbs(p)
     t, begin = grid(p["duration_s"]), p["walk_start_s"]
     x = _station(p, begin)
-    walkers = [
-        walker(
-            f"pedestrian_{k + 1}",
-            t,
-            (x + k * p["beside_m"], y0),
-            (Leg(begin + k * p["between_s"], y1 - y0, p["pedestrian_speed_mps"]),),
-        )
-        for k in range(3)
-    ]
+    legs = [Leg(begin + k * p["between_s"], y1 - y0, p["pedestrian_speed_mps"]) for k in range(3)]
+    walkers = [walker(f"pedestrian_{k + 1}", t, (x + k * p["beside_m"], y0), [leg]) for k, leg in enumerate(legs)]
     return _driven(p, walkers, x, begin)
 
 
 GROUP = Family(
-    "pedestrian/group",
-    "three pedestrians cross one after the other: drive on after the last",
+    "pedestrian/group", "three pedestrians cross one after the other: drive on after the last",
     {
-        "ego_speed_mps": 10.0,
-        "pedestrian_speed_mps": 1.2,
-        "between_s": 0.5,
-        "beside_m": 0.8,
-        "walk_start_s": 3.0,
-        "distance_m": 31.0,
-        "kerb_distance_m": 0.6,
-        "rest_distance_m": 2.5,
-        "stop_distance_m": 3.0,
-        "reaction_s": 0.4,
+        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.2, "between_s": 0.5, "beside_m": 0.8, "walk_start_s": 3.0,
+        "distance_m": 31.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4,
         "duration_s": 22.0,
     },
-    ("pedestrian",),
-    _group,
-)
+    ("pedestrian",), _group,
+)  # fmt: skip
 
 
 def _along(p: Mapping[str, float]) -> Scenario:
@@ -339,43 +277,27 @@ def _along(p: Mapping[str, float]) -> Scenario:
         gap = float(np.interp(time, t, x)) - 0.5 * max(ADULT) - p["stop_distance_m"] - (s + front)
         return Ahead(gap, v) if p["reaction_s"] <= time < clear else None
 
-    kinds = (DecisionKind.FOLLOW, *WAITS)
-    return _crossed(p, [one], 0.0, clear, ahead, duration, lambda s: p["ego_speed_mps"], kinds)
+    return _crossed(p, [one], 0.0, clear, ahead, kinds=(DecisionKind.FOLLOW, *WAITS))
 
 
 ALONG = Family(
-    "pedestrian/along",
-    "a pedestrian walks along the lane ahead (CPLA) and leaves it: follow them, then drive on",
+    "pedestrian/along", "a pedestrian walks along the lane ahead (CPLA) and leaves it: follow them, then drive on",
     {
-        "ego_speed_mps": 10.0,
-        "pedestrian_speed_mps": 1.39,
-        "lateral_m": 0.0,
-        "distance_m": 45.0,
-        "leave_s": 10.0,
-        "rest_distance_m": 1.0,
-        "stop_distance_m": 1.0,
-        "reaction_s": 0.4,
-        "duration_s": 22.0,
+        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.39, "lateral_m": 0.0, "distance_m": 45.0, "leave_s": 10.0,
+        "rest_distance_m": 1.0, "stop_distance_m": 1.0, "reaction_s": 0.4, "duration_s": 22.0,
     },
-    ("pedestrian",),
-    _along,
-)
+    ("pedestrian",), _along,
+)  # fmt: skip
 
 
 def _both_sides(p: Mapping[str, float]) -> Scenario:
     y0, y1 = _kerbs(p)
     t, sets_off = grid(p["duration_s"]), min(p["right_start_s"], p["left_start_s"])
     x = _station(p, sets_off)
-    walkers = [
-        walker(
-            name,
-            t,
-            (x + beyond, copysign(y0, side)),
-            (Leg(p[f"{name}_start_s"], y1 - y0, p[f"{name}_speed_mps"]),),
-            towards=-0.5 * pi * side,
-        )
-        for name, side, beyond in (("right", -1.0, 0.0), ("left", 1.0, p["beside_m"]))
-    ]
+    walkers = []
+    for name, side, beyond in (("right", -1.0, 0.0), ("left", 1.0, p["beside_m"])):
+        leg = Leg(p[f"{name}_start_s"], y1 - y0, p[f"{name}_speed_mps"])
+        walkers.append(walker(name, t, (x + beyond, copysign(y0, side)), [leg], towards=-0.5 * pi * side))
     return _driven(p, walkers, x, sets_off)
 
 
@@ -383,20 +305,10 @@ BOTH_SIDES = Family(
     "pedestrian/both_sides",
     "two pedestrians cross from both sides, each at a time of its own: drive on after the last",
     {
-        "ego_speed_mps": 10.0,
-        "right_speed_mps": 1.4,
-        "left_speed_mps": 1.2,
-        "right_start_s": 3.0,
-        "left_start_s": 4.5,
-        "beside_m": 1.2,
-        "distance_m": 31.0,
-        "kerb_distance_m": 0.6,
-        "rest_distance_m": 2.5,
-        "stop_distance_m": 3.0,
-        "reaction_s": 0.4,
-        "duration_s": 22.0,
+        "ego_speed_mps": 10.0, "right_speed_mps": 1.4, "left_speed_mps": 1.2, "right_start_s": 3.0, "left_start_s": 4.5,
+        "beside_m": 1.2, "distance_m": 31.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0,
+        "reaction_s": 0.4, "duration_s": 22.0,
     },
-    ("pedestrian",),
-    _both_sides,
-)
+    ("pedestrian",), _both_sides,
+)  # fmt: skip
 FAMILIES = (TURNS_BACK, HESITATES, RUNS_OUT, JAYWALKER, GROUP, ALONG, BOTH_SIDES)

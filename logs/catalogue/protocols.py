@@ -12,13 +12,13 @@ The target crosses along y with a ramp of its run-up, so that with the ego's fro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import copysign, pi
 
 import numpy as np
 
-from logs.catalogue.driver import Ahead, drive
+from logs.catalogue.driver import Ahead, Reaction, drive, waiting
 from logs.catalogue.family import before_contact, expects
 from logs.catalogue.pedestrians import CHILD
 from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, one_lane, two_way
@@ -77,8 +77,8 @@ def speeds(first: int, last: int, step: int = 5) -> tuple[float, ...]:
 
 def tested(
     p: Mapping[str, float], path: Path, road: Road, agents: Sequence[Agent],
-    ahead: Callable[[float, float], Ahead | None], expected: Mapping[str, tuple[DecisionKind, ...]],
-    *, beyond: float | None = None, start: float = START_M,
+    expected: Mapping[str, tuple[DecisionKind, ...]], ahead: Reaction = lambda t, s: None, *,
+    beyond: float | None = None, start: float = START_M,
 ) -> Scenario:  # fmt: skip
     """The scenario of an ego with `ego_kmh` that starts at station `start`.
 
@@ -87,8 +87,8 @@ def tested(
         path: Of the rear axle.
         road: Around it.
         agents: All others.
-        ahead: What the logged driver reacts to.
         expected: Accepted decisions by agent.
+        ahead: What the logged driver reacts to.
         beyond: Station at which the goal begins; None: nothing leads past the target, the goal is the path's end, which
             is so far that a drive lasts as long as the log does.
         start: Of the rear axle, m.
@@ -137,29 +137,16 @@ def crossing(p: Mapping[str, float], target: Target, *, far: bool = False, hidde
     crosser = moving(target.id, target.kind, target.size, t, np.full(len(t), line), y, yaw=copysign(0.5 * pi, -side))
     reach = 0.5 * target.size[0]
     on = np.flatnonzero(np.abs(y) <= HALF_LANE + reach)
-    parked_cars, shows = _hiding(p, hidden, line, y, reach, car)
-    noticed = max(off, float(t[shows])) + p["reaction_s"]
+    hiding, noticed = [], max(off, float(t[0])) + p["reaction_s"]
+    if hidden:
+        edge = -(0.5 * car.width + BESIDE_M) if hidden == "cpnco" else -p["hidden_m"]
+        hiding = list(obstruction(line, edge))[: 2 if hidden == "cpnco" else 1]
+        noticed = max(off, float(t[np.argmax(y + reach > edge)])) + p["reaction_s"]
     clear = float(t[min(on[-1] + 1, len(t) - 1)])
-
-    def ahead(time: float, s: float) -> Ahead | None:
-        gap = line - STOP_M - (s + car.axle_to_front)
-        return Ahead(gap, stop=True) if noticed <= time < clear and gap > -STOP_M else None
-
+    ahead = waiting(line, STOP_M, noticed, clear, car.axle_to_front)
     path = straight(p)
     road = two_way(path, v) if far else one_lane(path, v, sidewalk=SIDEWALK_M)
-    agents = [crosser, *parked_cars]
-    return tested(p, path, road, agents, ahead, {target.id: WAITS}, beyond=line + BEYOND_LINE_M)
-
-
-def _hiding(
-    p: Mapping[str, float], hidden: str, line: float, y: FloatArray, reach: float, car: VehicleParameters
-) -> tuple[tuple[Agent, ...], int]:
-    """The parked cars, and the sample at which the target comes out from behind them."""
-    if not hidden:
-        return (), 0
-    side = -(0.5 * car.width + BESIDE_M) if hidden == "cpnco" else -p["hidden_m"]
-    both = obstruction(line, side)
-    return both if hidden == "cpnco" else both[:1], int(np.argmax(y + reach > side))
+    return tested(p, path, road, [crosser, *hiding], {target.id: WAITS}, ahead, beyond=line + BEYOND_LINE_M)
 
 
 LEAD: Mapping[str, float] = {
@@ -218,4 +205,4 @@ def lead(p: Mapping[str, float], target: Target, y: float) -> Scenario:
         return None if time < shows + p["reaction_s"] else Ahead(distance, now, stop=now == 0.0)
 
     path = straight(p)
-    return tested(p, path, one_lane(path, v, sidewalk=SIDEWALK_M), [other], ahead, {target.id: FOLLOWS})
+    return tested(p, path, one_lane(path, v, sidewalk=SIDEWALK_M), [other], {target.id: FOLLOWS}, ahead)

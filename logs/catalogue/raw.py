@@ -73,16 +73,12 @@ def _crossing(p: Parameters) -> Scenario:
         _along("walker_1", AgentKind.PEDESTRIAN, ADULT, t, x - 20.0, -6.0, 1.3),
         _along("walker_2", AgentKind.PEDESTRIAN, ADULT, t, x + 40.0, 6.2, -1.1),
     ]  # fmt: skip
-    everyone = _joined(whole.tracks, tracks(bystanders))
-    return replace(whole, tracks=everyone, duration=p["duration_s"], goal=_goal(straight, whole.ego))
-
-
-def _joined(one: Tracks, two: Tracks) -> Tracks:
-    """The road users of both."""
+    one, two = whole.tracks, tracks(bystanders)
     names = ("length", "width", "static", "t", "x", "y", "yaw", "vx", "vy")
     columns = {name: np.r_[getattr(one, name), getattr(two, name)] for name in names}
     offsets = np.r_[one.offsets, one.offsets[-1] + two.offsets[1:]]
-    return Tracks((*one.ids, *two.ids), (*one.kinds, *two.kinds), offsets=offsets, **columns)
+    everyone = Tracks((*one.ids, *two.ids), (*one.kinds, *two.kinds), offsets=offsets, **columns)
+    return replace(whole, tracks=everyone, duration=p["duration_s"], goal=_goal(straight, whole.ego))
 
 
 def _queue(p: Parameters) -> Scenario:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -80,14 +79,9 @@ def curve(*pieces: tuple[float, float, float]) -> Path:
         kappa[on] = first + slope * u[on]
         yaw[on] = turned + (first + 0.5 * slope * u[on]) * u[on]
         turned += 0.5 * (first + last) * length
-    return _integrated(fine, yaw, kappa)
-
-
-def _integrated(fine: FloatArray, yaw: FloatArray, kappa: FloatArray) -> Path:
-    """(2): `fine` holds each step's ends and its middle."""
     columns = []
-    for rate in (np.cos(yaw), np.sin(yaw)):
-        step = (fine[2::2] - fine[:-2:2]) * (rate[:-2:2] + 4.0 * rate[1::2] + rate[2::2]) / 6.0
+    for rate in (np.cos(yaw), np.sin(yaw)):  # `fine` holds each step's ends and its middle
+        step = (fine[2::2] - fine[:-2:2]) * (rate[:-2:2] + 4.0 * rate[1::2] + rate[2::2]) / 6.0  # (2)
         columns.append(np.r_[0.0, np.cumsum(step)])
     return Path(fine[::2], columns[0], columns[1], yaw[::2], kappa[::2])
 
@@ -109,50 +103,36 @@ def weaving(length: float, shifts: Sequence[tuple[float, float, float]]) -> Path
 
 
 def lane_beside(
-    path: Path,
-    lane_id: int,
-    *,
-    left: float = 0.0,
-    width: float = LANE_WIDTH_M,
-    speed_limit: float,
-    left_neighbour: int | None = None,
-    right_neighbour: int | None = None,
-    drivable: bool = True,
-    kind: str = "urban",
-) -> Lane:
+    path: Path, lane_id: int, *, speed_limit: float, left: float = 0.0, width: float = LANE_WIDTH_M,
+    left_neighbour: int | None = None, right_neighbour: int | None = None,
+) -> Lane:  # fmt: skip
     """A lane along the whole path, its middle `left` m to the left of it; cross-sections about every 2 m."""
     stations = np.linspace(0.0, path.length, round(path.length / 2.0) + 1)
     return Lane(
-        lane_id,
-        path.beside(stations, left + 0.5 * width),
-        path.beside(stations, left - 0.5 * width),
-        left_neighbour=left_neighbour,
-        right_neighbour=right_neighbour,
-        left_crossable=left_neighbour is not None,
-        right_crossable=right_neighbour is not None,
-        speed_limit=speed_limit,
-        drivable=drivable,
-        kind=kind,
-    )
+        lane_id, path.beside(stations, left + 0.5 * width), path.beside(stations, left - 0.5 * width),
+        left_neighbour=left_neighbour, right_neighbour=right_neighbour, left_crossable=left_neighbour is not None,
+        right_crossable=right_neighbour is not None, speed_limit=speed_limit, kind="urban",
+    )  # fmt: skip
 
 
 def one_lane(path: Path, speed_limit: float, *, sidewalk: float = 0.0) -> Road:
     """One lane, with sidewalks of this width (m) on both sides where it is positive."""
     lanes = [lane_beside(path, 1, speed_limit=speed_limit)]
-    if sidewalk > 0.0:
-        side = 0.5 * (LANE_WIDTH_M + sidewalk)
-        walk = partial(lane_beside, path, width=sidewalk, speed_limit=speed_limit, drivable=False, kind="sidewalk")
-        lanes += [walk(2, left=side), walk(3, left=-side)]
+    side = 0.5 * (LANE_WIDTH_M + sidewalk)
+    for lane_id, left in ((2, side), (3, -side)) if sidewalk > 0.0 else ():
+        walk = lane_beside(path, lane_id, left=left, width=sidewalk, speed_limit=speed_limit)
+        lanes.append(replace(walk, drivable=False, kind="sidewalk"))
     return Road({lane.id: lane for lane in lanes}, default_speed_limit=speed_limit)
 
 
 def two_lanes(path: Path, speed_limit: float, *, ego_on_right: bool) -> Road:
     """Two lanes in one direction; the ego's is lane 1 and lies on the path, lane 2 beside it."""
-    left = LANE_WIDTH_M if ego_on_right else -LANE_WIDTH_M
-    beside = "left_neighbour" if ego_on_right else "right_neighbour"
-    behind = "right_neighbour" if ego_on_right else "left_neighbour"
-    own = lane_beside(path, 1, speed_limit=speed_limit, **{beside: 2})  # type: ignore[arg-type]
-    other = lane_beside(path, 2, left=left, speed_limit=speed_limit, **{behind: 1})  # type: ignore[arg-type]
+    if ego_on_right:
+        own = lane_beside(path, 1, speed_limit=speed_limit, left_neighbour=2)
+        other = lane_beside(path, 2, left=LANE_WIDTH_M, speed_limit=speed_limit, right_neighbour=1)
+    else:
+        own = lane_beside(path, 1, speed_limit=speed_limit, right_neighbour=2)
+        other = lane_beside(path, 2, left=-LANE_WIDTH_M, speed_limit=speed_limit, left_neighbour=1)
     return Road({1: own, 2: other}, default_speed_limit=speed_limit)
 
 

@@ -15,10 +15,9 @@ import numpy as np
 
 from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.family import Family, expects
-from logs.catalogue.junctions import Junction, junction
+from logs.catalogue.junctions import junction
 from logs.catalogue.roads import lane_beside, one_lane
 from logs.catalogue.scene import (
-    ADULT,
     BEYOND_M,
     CAR,
     HALF_LANE,
@@ -26,14 +25,12 @@ from logs.catalogue.scene import (
     SPARE_S,
     START_M,
     WAITS,
-    Agent,
+    crossing_pedestrian,
     finished,
     grid,
     moving,
     straight_path,
-    walked,
 )
-from logs.kernel import FloatArray
 from logs.road import Road
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.scenario import AgentKind, Scenario
@@ -79,24 +76,17 @@ def _traffic_light(p: Mapping[str, float]) -> Scenario:
 
 
 TRAFFIC_LIGHT = Family(
-    "everyday/traffic_light",
-    "a red light ahead that turns green: stop at the line, then drive on",
+    "everyday/traffic_light", "a red light ahead that turns green: stop at the line, then drive on",
     {"ego_speed_mps": 13.9, "distance_m": 120.0, "green_s": 18.0, "reaction_s": 0.6, "duration_s": 34.0},
-    ("everyday", "rules", "light"),
-    _traffic_light,
-)
+    ("everyday", "rules", "light"), _traffic_light,
+)  # fmt: skip
 
 
 def _crosswalk(p: Mapping[str, float]) -> Scenario:
     v, duration, car = p["ego_speed_mps"], p["duration_s"], VehicleParameters()
     near = START_M + car.axle_to_front + p["distance_m"]
     far = near + p["crosswalk_width_m"]
-    y0, y1 = -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
-    t = grid(duration)
-    y = y0 + (y1 - y0) * walked(t - p["walk_start_s"], y1 - y0, p["pedestrian_speed_mps"])
-    x = np.full(len(t), 0.5 * (near + far))
-    pedestrian = moving("pedestrian", AgentKind.PEDESTRIAN, ADULT, t, x, y, yaw=0.5 * np.pi)
-    off_lane = float(t[np.argmax(y > HALF_LANE + 0.5 * max(ADULT))])
+    pedestrian, off_lane = crossing_pedestrian(p, 0.5 * (near + far))
 
     def ahead(time: float, s: float) -> Ahead | None:
         return None if time >= off_lane + p["reaction_s"] else stopping(near, v, car, s)
@@ -113,19 +103,11 @@ CROSSWALK = Family(
     "everyday/crosswalk",
     "a pedestrian waits at a crosswalk and crosses when the car has slowed down: let them go first",
     {
-        "ego_speed_mps": 10.0,
-        "distance_m": 80.0,
-        "crosswalk_width_m": 3.0,
-        "pedestrian_speed_mps": 1.2,
-        "walk_start_s": 6.0,
-        "kerb_distance_m": 0.6,
-        "rest_distance_m": 2.5,
-        "reaction_s": 0.4,
-        "duration_s": 28.0,
+        "ego_speed_mps": 10.0, "distance_m": 80.0, "crosswalk_width_m": 3.0, "pedestrian_speed_mps": 1.2,
+        "walk_start_s": 6.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "reaction_s": 0.4, "duration_s": 28.0,
     },
-    ("everyday", "rules", "pedestrian"),
-    _crosswalk,
-)
+    ("everyday", "rules", "pedestrian"), _crosswalk,
+)  # fmt: skip
 
 
 def _junction(p: Mapping[str, float]) -> Scenario:
@@ -133,8 +115,14 @@ def _junction(p: Mapping[str, float]) -> Scenario:
     reach = max(v, p["main_speed_mps"]) * (duration + SPARE_S) + BEYOND_M
     begin = START_M + car.axle_to_front + p["distance_m"]
     place = junction(begin, reach, reach, turn=p["turn"], speed_limit=p["main_speed_mps"])
-    t = grid(duration)
-    cars, passing = _on_the_main_road(place, t, p)
+    t, (x, y) = grid(duration), place.center
+    cars, passing = [], []
+    for k, name in enumerate(("left_1", "right_1", "left_2", "right_2")):  # on the main road, from both sides in turn
+        at, side = p["first_s"] + k * p["between_s"], copysign(1.0, -(k % 2) + 0.5)
+        way = y - side * p["main_speed_mps"] * (t - at)
+        lane = np.full(len(t), x - side * HALF_LANE)
+        cars.append(moving(name, AgentKind.CAR, CAR, t, lane, way, yaw=-side * 0.5 * np.pi))
+        passing.append(at)
 
     def ahead(time: float, s: float) -> Ahead | None:
         there = time + max(0.0, begin - s - car.axle_to_front) / v
@@ -155,36 +143,13 @@ def _junction(p: Mapping[str, float]) -> Scenario:
     return finished(place.path, driven, cars, place.road, duration, begin=last - 10.0, metadata=metadata)
 
 
-def _on_the_main_road(place: Junction, t: FloatArray, p: Mapping[str, float]) -> tuple[list[Agent], list[float]]:
-    """Two cars from the left and two from the right, in turn; and when each passes the middle of the junction."""
-    cars, passing = [], []
-    x, y = place.center
-    for k, name in enumerate(("left_1", "right_1", "left_2", "right_2")):
-        at, side = p["first_s"] + k * p["between_s"], copysign(1.0, -(k % 2) + 0.5)
-        way = y - side * p["main_speed_mps"] * (t - at)
-        lane = np.full(len(t), x - side * HALF_LANE)
-        cars.append(moving(name, AgentKind.CAR, CAR, t, lane, way, yaw=-side * 0.5 * np.pi))
-        passing.append(at)
-    return cars, passing
-
-
 JUNCTION = Family(
     "everyday/junction",
     "out of a side road over a main road: let both sides pass, then cross (turn 0), or turn left (1) or right (-1)",
     {
-        "ego_speed_mps": 8.3,
-        "distance_m": 50.0,
-        "turn": 0.0,
-        "main_speed_mps": 13.9,
-        "first_s": 6.0,
-        "between_s": 2.5,
-        "gap_s": 5.0,
-        "behind_s": 0.6,
-        "lateral_mps2": 1.3,
-        "reaction_s": 0.4,
-        "duration_s": 32.0,
+        "ego_speed_mps": 8.3, "distance_m": 50.0, "turn": 0.0, "main_speed_mps": 13.9, "first_s": 6.0, "between_s": 2.5,
+        "gap_s": 5.0, "behind_s": 0.6, "lateral_mps2": 1.3, "reaction_s": 0.4, "duration_s": 32.0,
     },
-    ("everyday", "rules", "junction"),
-    _junction,
-)
+    ("everyday", "rules", "junction"), _junction,
+)  # fmt: skip
 FAMILIES = (TRAFFIC_LIGHT, CROSSWALK, JUNCTION)

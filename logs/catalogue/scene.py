@@ -78,21 +78,11 @@ def tracks(agents: Sequence[Agent]) -> Tracks:
     """All of them as Tracks."""
     if not agents:
         return Tracks.empty()
-    t, x, y, yaw, vx, vy = np.vstack([agent.samples for agent in agents]).T
-    return Tracks(
-        tuple(agent.id for agent in agents),
-        tuple(agent.kind for agent in agents),
-        np.array([agent.size[0] for agent in agents]),
-        np.array([agent.size[1] for agent in agents]),
-        np.array([agent.static for agent in agents]),
-        np.cumsum([0, *(len(agent.samples) for agent in agents)]),
-        t,
-        x,
-        y,
-        yaw,
-        vx,
-        vy,
-    )
+    ids, kinds = tuple(agent.id for agent in agents), tuple(agent.kind for agent in agents)
+    length, width = np.array([agent.size for agent in agents]).T
+    static = np.array([agent.static for agent in agents])
+    offsets = np.cumsum([0, *(len(agent.samples) for agent in agents)])
+    return Tracks(ids, kinds, length, width, static, offsets, *np.vstack([agent.samples for agent in agents]).T)
 
 
 def grid(duration: float) -> FloatArray:
@@ -103,11 +93,6 @@ def grid(duration: float) -> FloatArray:
 def tenths(seconds: float) -> float:
     """The next multiple of the sample time, s."""
     return round(ceil(seconds / SAMPLE_S - 1e-9) * SAMPLE_S, 9)
-
-
-def goal_at_end(path: Path, begin: float, *, right: float, left: float) -> Goal:
-    """The strip of road from station `begin` to 40 m further."""
-    return Goal((stretch(path, begin, begin + 40.0, right=right, left=left),))
 
 
 def bypass(edge: float, clearance: float, width: float) -> float:
@@ -125,6 +110,15 @@ def walked(t: FloatArray, distance: float, speed: float, ramp: float = 0.4) -> F
     even = np.clip(t - ramp, 0.0, whole - 2.0 * ramp)
     share: FloatArray = (0.5 * up**2 / ramp + even + down - 0.5 * down**2 / ramp) * speed / distance
     return share
+
+
+def crossing_pedestrian(p: Mapping[str, float], x: float) -> tuple[Agent, float]:
+    """A pedestrian who crosses the lane at `x` from the right, and the first sample at which they have left it, s."""
+    y0, y1 = -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
+    t = grid(p["duration_s"])
+    y = y0 + (y1 - y0) * walked(t - p["walk_start_s"], y1 - y0, p["pedestrian_speed_mps"])
+    agent = moving("pedestrian", AgentKind.PEDESTRIAN, ADULT, t, np.full(len(t), x), y, yaw=0.5 * np.pi)
+    return agent, float(t[np.argmax(y > HALF_LANE + 0.5 * max(ADULT))])
 
 
 def straight_path(speed: float, duration: float) -> Path:
@@ -149,5 +143,6 @@ def finished(
         left: See there.
         metadata: The accepted decisions, and what else is known.
     """
-    goal = goal_at_end(path, float(driven.x[-1]) - 10.0 if begin is None else begin, right=right, left=left)
+    first = float(driven.x[-1]) - 10.0 if begin is None else begin
+    goal = Goal((stretch(path, first, first + 40.0, right=right, left=left),))
     return Scenario("", driven, tracks(agents), road, duration + SPARE_S, goal, metadata=dict(metadata or {}))

@@ -78,30 +78,27 @@ def ordered(seed: int = SEED) -> Iterator[str]:
     """All cells of all families in the order of the module docstring, as names."""
     turns = zip_longest(*(sorted(group, key=lambda one: _draw(seed, one.name)) for group in groups().values()))
     families = [family for family in chain.from_iterable(turns) if family is not None]
-    return (name for _, _, name in merge(*(_timed(turn, family, seed) for turn, family in enumerate(families))))
 
+    def placed(turn: int, family: Family) -> Iterator[tuple[float, int, str]]:
+        rate = sqrt(sum(1 for _ in family.cells()))
+        return ((k / rate, turn, name) for k, name in enumerate(spread(family, seed)))  # (1)
 
-def _timed(turn: int, family: Family, seed: int) -> Iterator[tuple[float, int, str]]:
-    """The cells of a family with their places (1) in the order of all."""
-    rate = sqrt(sum(1 for _ in family.cells()))
-    return ((k / rate, turn, name) for k, name in enumerate(spread(family, seed)))
+    return (name for _, _, name in merge(*(placed(turn, family) for turn, family in enumerate(families))))
 
 
 def spread(family: Family, seed: int = SEED) -> Iterator[str]:
     """The cells of a family, each farthest from those before it; of several the first by draw."""
-    cells = sorted((family.named(cell) for cell in family.cells()), key=lambda name: _draw(seed, name))
     by_name = {family.named(cell): cell for cell in family.cells()}
-    places = np.array([_place(family, by_name[name]) for name in cells]).reshape(len(cells), -1)
+    cells = sorted(by_name, key=lambda name: _draw(seed, name))
+    places = np.empty((len(cells), len(family.grid)))
+    for column, (key, values) in enumerate(family.grid.items()):
+        places[:, column] = [values.index(by_name[name][key]) / max(len(values) - 1, 1) for name in cells]
     far = np.full(len(cells), np.inf)
     for _ in cells:
         k = int(np.argmax(far))
         yield cells[k]
         far = np.minimum(far, ((places - places[k]) ** 2).sum(axis=1))
         far[k] = -1.0
-
-
-def _place(family: Family, cell: Mapping[str, float]) -> list[float]:
-    return [values.index(cell[key]) / max(len(values) - 1, 1) for key, values in family.grid.items()]
 
 
 def _draw(seed: int, name: str) -> bytes:

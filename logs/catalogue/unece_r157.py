@@ -9,7 +9,7 @@ goes in 0.4 s, and an acceleration lasts until the ego's speed at the begin, or 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from math import pi
 
@@ -52,7 +52,7 @@ def _free(p: Mapping[str, float]) -> Scenario:
     kappa, way = p["kappa_per_m"], START_M + p["ego_kmh"] * KMH * (p["duration_s"] + SPARE_S) + BEYOND_M
     path = curve((START_M + 20.0, 0.0, 0.0), (20.0, 0.0, kappa), (way, kappa, kappa))
     end = START_M + p["ego_kmh"] * KMH * p["duration_s"] - 5.0
-    return tested(p, path, one_lane(path, p["ego_kmh"] * KMH), [], lambda t, s: None, {}, beyond=end)
+    return tested(p, path, one_lane(path, p["ego_kmh"] * KMH), [], {}, beyond=end)
 
 
 def _swerves(p: Mapping[str, float]) -> Scenario:
@@ -66,7 +66,7 @@ def _swerves(p: Mapping[str, float]) -> Scenario:
     path = straight(p)
     road = one_lane(path, v)
     end = START_M + v * p["duration_s"] - 5.0
-    return tested(p, path, road, [other], lambda time, s: None, {"car": FOLLOWS}, beyond=end)
+    return tested(p, path, road, [other], {"car": FOLLOWS}, beyond=end)
 
 
 def _alongside(p: Mapping[str, float]) -> Scenario:
@@ -78,7 +78,7 @@ def _alongside(p: Mapping[str, float]) -> Scenario:
     path = straight(p)
     road, end = two_lanes(path, v, ego_on_right=True), START_M + v * p["duration_s"] - 5.0
     kinds = tuple(DecisionKind)
-    return tested(p, path, road, [other], lambda time, s: None, {"car": kinds}, beyond=end)
+    return tested(p, path, road, [other], {"car": kinds}, beyond=end)
 
 
 def _blocked(p: Mapping[str, float]) -> Scenario:
@@ -94,7 +94,7 @@ def _blocked(p: Mapping[str, float]) -> Scenario:
     around = (*FOLLOWS, DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT, DecisionKind.OVERTAKE)
     kinds = tuple(DecisionKind) if beside else around
     stopped = parked("car", x, p["lateral_m"])
-    return tested(p, path, one_lane(path, v), [stopped], ahead, {"car": kinds})
+    return tested(p, path, one_lane(path, v), [stopped], {"car": kinds}, ahead)
 
 
 def _braking(p: Mapping[str, float]) -> Scenario:
@@ -124,7 +124,7 @@ def _cut_in(p: Mapping[str, float]) -> Scenario:
 
     path = straight(p)
     road = two_lanes(path, v, ego_on_right=False)
-    return tested(p, path, road, [cutter], ahead, {"cutter": (*FOLLOWS, DecisionKind.NUDGE_RIGHT)})
+    return tested(p, path, road, [cutter], {"cutter": (*FOLLOWS, DecisionKind.NUDGE_RIGHT)}, ahead)
 
 
 def _forward(p: Mapping[str, float]) -> bool:
@@ -159,48 +159,49 @@ def _cut_out(p: Mapping[str, float]) -> Scenario:
 
     path = straight(p)
     road = two_lanes(path, v, ego_on_right=True)
-    return tested(p, path, road, agents, ahead, {"stopped": (*FOLLOWS, DecisionKind.NUDGE_LEFT)})
+    return tested(p, path, road, agents, {"stopped": (*FOLLOWS, DecisionKind.NUDGE_LEFT)}, ahead)
 
 
 BASE: Mapping[str, float] = {"ego_kmh": 60.0, "reaction_s": 0.4, "duration_s": 18.0}
 CHANGES: Mapping[str, float] = {
     **BASE, "headway_s": HEADWAY_S, "brake_s": TRIGGER_S, "brake_mps2": 6.0, "change_kmh": -60.0, "lateral_m": 0.0,
 }  # fmt: skip
-_own = partial(Family, source=SOURCE)
 
 
-def _tags(number: str) -> tuple[str, ...]:
-    return ("unece_r157", f"r157_{number}")
+def _family(
+    number: str, name: str, summary: str, parameters: Mapping[str, float],
+    build: Callable[[Mapping[str, float]], Scenario], grid: Mapping[str, tuple[float, ...]],
+    holds: Callable[[Mapping[str, float]], bool] = lambda p: True,
+) -> Family:  # fmt: skip
+    tags = ("unece_r157", f"r157_{number}")
+    return Family(f"unece_r157/{name}", f"{number}: {summary}", parameters, tags, build, grid, SOURCE, holds)
 
 
 FAMILIES = (
-    _own("unece_r157/free", "4.1_1: lane keeping, straight on or in a curve",
-         {**BASE, "kappa_per_m": 0.0}, _tags("4.1_1"), _free,
-         {**EGO, "kappa_per_m": (-0.004, -0.001, 0.0, 0.001, 0.004)}),
-    _own("unece_r157/swerving_lead", "4.1_2: the car ahead swings in its lane",
-         {**BASE, "swing_m": 1.5, "lateral_mps2": 0.3, "headway_s": 2.0}, _tags("4.1_2"), _swerves, EGO),
-    _own("unece_r157/alongside", "4.1_3: a car beside the ego, near the marking",
-         {**BASE, "offset_m": 0.0, "from_marking_m": 0.3}, _tags("4.1_3"), _alongside,
-         {**EGO, "offset_m": (-5.0, -2.5, 0.0, 2.5, 5.0)}),
-    _own("unece_r157/blocking_obstacle", "4.2_1: a car stands in the lane",
-         {**BASE, "lateral_m": 0.0}, _tags("4.2_1"), _blocked, EGO),
-    _own("unece_r157/partly_blocking", "4.2_2: a car stands partly in the lane",
-         {**BASE, "lateral_m": 1.0}, _tags("4.2_2"), _blocked,
-         {**EGO, "lateral_m": tuple(0.25 * k for k in range(-8, 9))}),
-    _own("unece_r157/crossing_pedestrian", "4.2_3: a pedestrian crosses from 5 m beside the ego's path",
-         {**CROSSING, "ego_kmh": 60.0, "start_m": 5.0}, _tags("4.2_3"), partial(crossing, target=PEDESTRIAN), EGO),
-    _own("unece_r157/following", "4.3_1: the car ahead becomes slower or faster by 5 m/s",
-         {**CHANGES, "headway_s": 1.6, "brake_mps2": 1.0, "change_kmh": -18.0}, _tags("4.3_1"), _braking,
-         {"ego_kmh": speeds(20, 60), "change_kmh": (-18.0, 18.0)}),
-    _own("unece_r157/braking_lead", "4.3_2: the car ahead brakes to standstill",
-         CHANGES, _tags("4.3_2"), _braking,
-         {**EGO, "brake_mps2": (*(float(k) for k in range(1, 10)), 9.81), "lateral_m": (-1.75, 0.0, 1.75)}),
-    _own("unece_r157/cut_in", "4.4_1: a slower car cuts in",
-         {**BASE, "relative_kmh": -20.0, "gap_m": 30.0, "lateral_mps": 2.0, "accel_mps2": 0.0}, _tags("4.4_1"), _cut_in,
-         {"ego_kmh": speeds(20, 60, 10), "relative_kmh": speeds(-50, -10, 10), "gap_m": speeds(0, 60, 10),
-          "lateral_mps": (0.5, 1.0, 1.5, 2.0, 2.5, 3.0), "accel_mps2": (-3.0, -1.5, 0.0, 1.5, 3.0)}, holds=_forward),
-    _own("unece_r157/cut_out", "4.5_1: the car ahead leaves the lane, in which another stands",
-         {**BASE, "distance_m": 50.0, "lateral_mps": 2.0}, _tags("4.5_1"), _cut_out,
-         {"ego_kmh": speeds(10, 60, 10), "distance_m": speeds(10, 100, 10),
-          "lateral_mps": (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)}, holds=_clears),
+    _family("4.1_1", "free", "lane keeping, straight on or in a curve",
+            {**BASE, "kappa_per_m": 0.0}, _free,
+            {**EGO, "kappa_per_m": (-0.004, -0.001, 0.0, 0.001, 0.004)}),
+    _family("4.1_2", "swerving_lead", "the car ahead swings in its lane",
+            {**BASE, "swing_m": 1.5, "lateral_mps2": 0.3, "headway_s": 2.0}, _swerves, EGO),
+    _family("4.1_3", "alongside", "a car beside the ego, near the marking",
+            {**BASE, "offset_m": 0.0, "from_marking_m": 0.3}, _alongside,
+            {**EGO, "offset_m": (-5.0, -2.5, 0.0, 2.5, 5.0)}),
+    _family("4.2_1", "blocking_obstacle", "a car stands in the lane", {**BASE, "lateral_m": 0.0}, _blocked, EGO),
+    _family("4.2_2", "partly_blocking", "a car stands partly in the lane", {**BASE, "lateral_m": 1.0}, _blocked,
+            {**EGO, "lateral_m": tuple(0.25 * k for k in range(-8, 9))}),
+    _family("4.2_3", "crossing_pedestrian", "a pedestrian crosses from 5 m beside the ego's path",
+            {**CROSSING, "ego_kmh": 60.0, "start_m": 5.0}, partial(crossing, target=PEDESTRIAN), EGO),
+    _family("4.3_1", "following", "the car ahead becomes slower or faster by 5 m/s",
+            {**CHANGES, "headway_s": 1.6, "brake_mps2": 1.0, "change_kmh": -18.0}, _braking,
+            {"ego_kmh": speeds(20, 60), "change_kmh": (-18.0, 18.0)}),
+    _family("4.3_2", "braking_lead", "the car ahead brakes to standstill", CHANGES, _braking,
+            {**EGO, "brake_mps2": (*(float(k) for k in range(1, 10)), 9.81), "lateral_m": (-1.75, 0.0, 1.75)}),
+    _family("4.4_1", "cut_in", "a slower car cuts in",
+            {**BASE, "relative_kmh": -20.0, "gap_m": 30.0, "lateral_mps": 2.0, "accel_mps2": 0.0}, _cut_in,
+            {"ego_kmh": speeds(20, 60, 10), "relative_kmh": speeds(-50, -10, 10), "gap_m": speeds(0, 60, 10),
+             "lateral_mps": (0.5, 1.0, 1.5, 2.0, 2.5, 3.0), "accel_mps2": (-3.0, -1.5, 0.0, 1.5, 3.0)}, holds=_forward),
+    _family("4.5_1", "cut_out", "the car ahead leaves the lane, in which another stands",
+            {**BASE, "distance_m": 50.0, "lateral_mps": 2.0}, _cut_out,
+            {"ego_kmh": speeds(10, 60, 10), "distance_m": speeds(10, 100, 10),
+             "lateral_mps": (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)}, holds=_clears),
 )  # fmt: skip

@@ -167,7 +167,14 @@ def _fill(raw: bytes, streams: dict[str, Stream], metadata: dict[str, dict[str, 
         elif isinstance(record, Metadata):
             metadata[record.name] = record.metadata
         elif isinstance(record, Message):
-            _take(record, channels)
+            stream = channels.get(record.channel_id)
+            if stream is None:
+                raise LogError(f"channel {record.channel_id} is not in the file", remedy=COPY_AGAIN)
+            if record.log_time > LAST_TIME_NS:
+                what = f"log time {record.log_time} ns is beyond any clock"
+                raise LogError(what, topic=stream.topic, remedy=COPY_AGAIN)
+            stream.times.append(record.log_time)
+            stream.payloads.append(record.data)
     if not ended:
         raise LogError("the file has no end of data record", remedy=COPY_AGAIN)
 
@@ -183,16 +190,6 @@ def _stream(channel: Channel, schemas: dict[int, Schema], streams: dict[str, Str
         what = f"two channels with different schemas, {stream.schema} and {parts[0]}"
         raise LogError(what, topic=channel.topic, remedy="keep one of them")
     return stream
-
-
-def _take(message: Message, channels: dict[int, Stream]) -> None:
-    stream = channels.get(message.channel_id)
-    if stream is None:
-        raise LogError(f"channel {message.channel_id} is not in the file", remedy=COPY_AGAIN)
-    if message.log_time > LAST_TIME_NS:
-        raise LogError(f"log time {message.log_time} ns is beyond any clock", topic=stream.topic, remedy=COPY_AGAIN)
-    stream.times.append(message.log_time)
-    stream.payloads.append(message.data)
 
 
 def _records(raw: bytes, streams: dict[str, Stream]) -> Iterator[McapRecord]:

@@ -259,9 +259,9 @@ def _block(kind: type[msgspec.Struct]) -> type[msgspec.Struct]:
     """The Struct of many samples of a kind: their log times, and a list of each of its fields."""
     hints = get_type_hints(kind)
     columns: list[tuple[str, Any]] = [(name, list[hints[name]]) for name in kind.__struct_fields__]  # type: ignore[valid-type]
-    said = {"__doc__": f"Many samples: {kind.__doc__}"}
+    doc = {"__doc__": f"Many samples: {kind.__doc__}"}
     fields_ = [("log_time", list[int]), *columns]
-    return msgspec.defstruct(f"{kind.__name__}Block", fields_, rename=serialised, namespace=said, module=__name__)
+    return msgspec.defstruct(f"{kind.__name__}Block", fields_, rename=serialised, namespace=doc, module=__name__)
 
 
 BLOCKS: dict[type[msgspec.Struct], type[msgspec.Struct]] = {kind: _block(kind) for kind in (Ego, Controls, Tracking)}

@@ -99,8 +99,11 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
         raise LogError(f"the log has no ego: {what}", topic=stream.topic, remedy=remedy)
     if ego_id:
         notes.append(f"The ego is object {ego_id}, as asked.")
-    _check_finite(seen, stream)
     rows = {key: np.array(seen.rows[key]) for key in seen.rows}
+    for key, values in rows.items():
+        for k, column in np.argwhere(~np.isfinite(values[:, 1:4])).tolist():
+            what = f"{('x', 'y', 'yaw')[column]} of moving object {key} is {values[k, 1 + column]}"
+            raise LogError(what, topic=stream.topic, time_ns=stream.times[int(values[k, 0])], remedy=COPY_AGAIN)
     origin = np.round(rows[seen.host][0, 1:3])
     for values in rows.values():
         values[:, 1:3] -= origin
@@ -185,39 +188,22 @@ def _decoded(stream: Stream) -> _Seen:
             what = f"time does not increase, from {seen.times[-1] / 1e9:.3f} s to {time / 1e9:.3f} s"
             remedy = "write each frame once, in order of time"
             raise LogError(what, topic=stream.topic, time_ns=log_time, remedy=remedy)
-        _take(truth, seen)
+        if seen.host is None and truth.HasField("host_vehicle_id"):
+            seen.host = truth.host_vehicle_id.value
+        for item in truth.moving_object:
+            base, key, missing = item.base, item.id.value, (np.nan, np.nan)
+            v, a, p = base.velocity, base.acceleration, base.position
+            velocity = (v.x, v.y) if base.HasField("velocity") else missing
+            acceleration = (a.x, a.y) if base.HasField("acceleration") else missing
+            row = (len(seen.times), p.x, p.y, base.orientation.yaw, *velocity, *acceleration)
+            seen.moving.setdefault(key, item)
+            seen.rows.setdefault(key, []).append(row)
+        for item in truth.stationary_object:
+            seen.standing.setdefault(item.id.value, item)
+        seen.lights = max(seen.lights, len(getattr(truth, "traffic_light", ())))
+        seen.road.add(truth)
         seen.times.append(time)
     return seen
-
-
-def _take(truth: Any, seen: _Seen) -> None:
-    frame = len(seen.times)
-    if seen.host is None and truth.HasField("host_vehicle_id"):
-        seen.host = truth.host_vehicle_id.value
-    for item in truth.moving_object:
-        seen.moving.setdefault(item.id.value, item)
-        seen.rows.setdefault(item.id.value, []).append(_row(frame, item.base))
-    for item in truth.stationary_object:
-        seen.standing.setdefault(item.id.value, item)
-    seen.lights = max(seen.lights, len(getattr(truth, "traffic_light", ())))
-    seen.road.add(truth)
-
-
-def _row(frame: int, base: Any) -> tuple[float, ...]:
-    nan = float("nan")
-    v, a, p = base.velocity, base.acceleration, base.position
-    velocity = (v.x, v.y) if base.HasField("velocity") else (nan, nan)
-    acceleration = (a.x, a.y) if base.HasField("acceleration") else (nan, nan)
-    return (frame, p.x, p.y, base.orientation.yaw, *velocity, *acceleration)
-
-
-def _check_finite(seen: _Seen, stream: Stream) -> None:
-    for key, rows in seen.rows.items():
-        for row in rows:
-            for name, value in zip(("x", "y", "yaw"), row[1:4], strict=True):
-                if not np.isfinite(value):
-                    what = f"{name} of moving object {key} is {value}"
-                    raise LogError(what, topic=stream.topic, time_ns=stream.times[int(row[0])], remedy=COPY_AGAIN)
 
 
 def _vehicle(host: Any, notes: list[str]) -> tuple[VehicleParameters, FloatArray]:
@@ -238,14 +224,8 @@ def _vehicle(host: Any, notes: list[str]) -> tuple[VehicleParameters, FloatArray
         notes.append("The log does not say where the ego's rear axle is: it is placed as in the default car.")
     notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")
     cog = default.cog_to_front * wheelbase / default.wheelbase
-    sizes: dict[str, Any] = {
-        "length": length,
-        "width": width,
-        "wheelbase": wheelbase,
-        "rear_overhang": overhang,
-        "cog_to_front": cog,
-    }
-    return replace(default, **sizes), rear
+    sizes: dict[str, Any] = {"length": length, "width": width, "wheelbase": wheelbase, "rear_overhang": overhang}
+    return replace(default, **sizes, cog_to_front=cog), rear
 
 
 def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) -> Trajectory:
@@ -287,9 +267,8 @@ def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: Flo
         notes.append(f"{left_out} of {len(seen.standing)} stationary objects are not in the way (bridges, kerbs, ...).")
     others = {key: values for key, values in rows.items() if key != seen.host}
     for key, item in standing.items():
-        base = item.base
-        values = [(0.0, base.position.x - origin[0], base.position.y - origin[1], base.orientation.yaw, 0.0, 0.0)]
-        others[key] = np.array(values)
+        place, yaw = item.base.position, item.base.orientation.yaw
+        others[key] = np.array([(0.0, place.x - origin[0], place.y - origin[1], yaw, 0.0, 0.0)])
     if not others:
         return Tracks.empty()
     kinds = [AgentKind.OBJECT if key in standing else _kind(seen.moving[key]) for key in others]
@@ -301,20 +280,9 @@ def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: Flo
     offsets = np.r_[0, np.cumsum([len(values) for values in others.values()])]
     columns = np.vstack([values[:, :6] for values in others.values()])
     length, width = np.array(sizes).T
-    return Tracks(
-        tuple(map(str, others)),
-        tuple(kinds),
-        length,
-        width,
-        np.array([key in standing for key in others]),
-        offsets,
-        t[columns[:, 0].astype(np.int64)],
-        columns[:, 1],
-        columns[:, 2],
-        columns[:, 3],
-        columns[:, 4],
-        columns[:, 5],
-    )
+    static, times = np.array([key in standing for key in others]), t[columns[:, 0].astype(np.int64)]
+    ids = tuple(map(str, others))
+    return Tracks(ids, tuple(kinds), length, width, static, offsets, times, *columns[:, 1:].T)
 
 
 def _road(seen: _Seen, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:

@@ -20,6 +20,7 @@ from logs.road import Lane
 HALF_WIDTH = 1.75
 MAX_GAP = 3.0
 BESIDE = (2.0, 6.0)
+NOT_DRIVEN = {"unknown", "other", "sidewalk", "biking", "border", "curb", "median", "parking"}
 CROSSABLE = {"TYPE_UNKNOWN", "TYPE_OTHER", "TYPE_NO_LINE", "TYPE_DASHED_LINE", "TYPE_BOTTS_DOTS"}
 
 
@@ -42,11 +43,9 @@ class OsiMap:
     def add(self, truth: Any) -> None:
         """Add the road of a ground truth; older descriptors lack the logical lanes."""
         for known, name in (
-            (self.lanes, "lane"),
-            (self.boundaries, "lane_boundary"),
-            (self.logical_lanes, "logical_lane"),
+            (self.lanes, "lane"), (self.boundaries, "lane_boundary"), (self.logical_lanes, "logical_lane"),
             (self.logical_boundaries, "logical_lane_boundary"),
-        ):
+        ):  # fmt: skip
             for message in getattr(truth, name, ()):
                 known.setdefault(message.id.value, message)
 
@@ -88,10 +87,11 @@ def _logical(osi: OsiMap, origin: FloatArray) -> tuple[dict[int, Lane], dict[int
     """Lanes, and the ids that each lists as adjacent."""
     lanes, adjacent = {}, {}
     for key, message in osi.logical_lanes.items():
-        sides = [
-            _chain([osi.logical_boundaries.get(i.value) for i in ids], origin)
-            for ids in (message.left_boundary_id, message.right_boundary_id)
-        ]
+        sides = []
+        for ids in (message.left_boundary_id, message.right_boundary_id):
+            found = [osi.logical_boundaries[i.value] for i in ids if i.value in osi.logical_boundaries]
+            parts = [_points((p.position for p in b.boundary_line), origin) for b in found]
+            sides.append(np.vstack([np.empty((0, 2)), *parts]))
         if min(map(len, sides)) < 2:
             continue
         backward = enum_name(message, "move_direction") == "MOVE_DIRECTION_DECREASING_S"
@@ -100,22 +100,11 @@ def _logical(osi: OsiMap, origin: FloatArray) -> tuple[dict[int, Lane], dict[int
         left, right = paired(*sides)
         onward = message.predecessor_lane if backward else message.successor_lane
         kind = enum_name(message, "type").removeprefix("TYPE_").lower()
-        lanes[key] = Lane(
-            key,
-            left,
-            right,
-            successors=tuple(dict.fromkeys(lane.other_lane_id.value for lane in onward)),
-            drivable=kind not in ("unknown", "other", "sidewalk", "biking", "border", "curb", "median", "parking"),
-            kind=kind,
-        )
+        successors = tuple(dict.fromkeys(lane.other_lane_id.value for lane in onward))
+        lanes[key] = Lane(key, left, right, successors, drivable=kind not in NOT_DRIVEN, kind=kind)
         beside = (*message.left_adjacent_lane, *message.right_adjacent_lane)
         adjacent[key] = [other.other_lane_id.value for other in beside]
     return lanes, adjacent
-
-
-def _chain(boundaries: list[Any], origin: FloatArray) -> FloatArray:
-    parts = [_points((p.position for p in b.boundary_line), origin) for b in boundaries if b is not None]
-    return np.vstack(parts) if parts else np.empty((0, 2))
 
 
 # Classic lanes
@@ -123,8 +112,13 @@ def _chain(boundaries: list[Any], origin: FloatArray) -> FloatArray:
 
 def _classic(osi: OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[int, Lane], dict[int, list[int]]]:
     """Lanes, and the ids that each lists as adjacent."""
-    centers = {key: _center(message, origin) for key, message in osi.lanes.items()}
-    centers = {key: center for key, center in centers.items() if len(center) > 1}
+    centers = {}
+    for key, message in osi.lanes.items():
+        known = message.classification
+        center = _points(known.centerline, origin)
+        turned = known.HasField("centerline_is_driving_direction") and not known.centerline_is_driving_direction
+        if len(center) > 1:  # a line whose direction is not given stays as it is
+            centers[key] = center[::-1] if turned else center
     lanes, assumed = {}, 0
     for key, center in centers.items():
         lane = _bounded(key, osi, center, origin)
@@ -143,14 +137,6 @@ def _classic(osi: OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[in
         onward = tuple(i for i in pairs.get(key, ()) if i in lanes and _goes_on(lane, lanes[i]))
         lanes[key] = replace(lane, successors=onward)
     return lanes, adjacent
-
-
-def _center(message: Any, origin: FloatArray) -> FloatArray:
-    """The centre line in driving direction; where the direction is not given, as it is."""
-    known = message.classification
-    points = _points(known.centerline, origin)
-    turned = known.HasField("centerline_is_driving_direction") and not known.centerline_is_driving_direction
-    return points[::-1] if turned else points
 
 
 def _facts(message: Any) -> dict[str, Any]:
@@ -226,22 +212,17 @@ def _goes_on(lane: Lane, other: Lane) -> bool:
     return begin <= MAX_GAP and begin < end
 
 
-def _middle(line: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The point half-way along a line and its unit tangent."""
-    steps = np.diff(line, axis=0)
-    way = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
-    half = 0.5 * way[-1]
-    i = min(int(np.searchsorted(way, half, side="right")) - 1, len(steps) - 1)
-    tangent = steps[i] / np.hypot(*steps[i])
-    return line[i] + (half - way[i]) * tangent, tangent
-
-
 def _beside(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
     """Lateral offset of `other` at the middle of `line`, positive to the left, and whether it runs the same way.
 
     NaN where the middle has no foot on `other`.
     """
-    point, tangent = _middle(line)
+    steps = np.diff(line, axis=0)
+    way = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
+    half = 0.5 * way[-1]
+    k = min(int(np.searchsorted(way, half, side="right")) - 1, len(steps) - 1)
+    tangent = steps[k] / np.hypot(*steps[k])
+    point = line[k] + (half - way[k]) * tangent
     i, foot = _foot(point, other)
     away = foot - point
     if abs(away @ tangent) > 0.5:
@@ -272,13 +253,11 @@ def _beside_each_other(lanes: dict[int, Lane], adjacent: dict[int, list[int]]) -
         (left, left_same), (right, right_same) = sides[True], sides[False]
         left_opposite, right_opposite = left is not None and not left_same, right is not None and not right_same
         balance += left_opposite - right_opposite
-        out[key] = replace(
-            lane,
-            left_neighbour=left if left_same else None,
-            right_neighbour=right if right_same else None,
-            left_opposite=left_opposite,
-            right_opposite=right_opposite,
-        )
+        beside: dict[str, Any] = {
+            "left_neighbour": left if left_same else None,
+            "right_neighbour": right if right_same else None,
+        }
+        out[key] = replace(lane, **beside, left_opposite=left_opposite, right_opposite=right_opposite)
     return out, balance >= 0
 
 

@@ -24,18 +24,8 @@ def markdown() -> str:
         f"| `{topic}` | {_link(kind)} | {' '.join((kind.__doc__ or '').split())} |"
         for topic, kind in native.TOPICS.items()
     ]
-    head = [
-        "# The native log format",
-        "",
-        _NOTE,
-        "",
-        "```text",
-        (native.__doc__ or "").strip(),
-        "```",
-        "",
-        "## Topics",
-        "",
-    ]
+    described = ["```text", (native.__doc__ or "").strip(), "```"]
+    head = ["# The native log format", "", _NOTE, "", *described, "", "## Topics", ""]
     tables = [line for kind in kinds for line in _table(kind)]
     return "\n".join([*head, "| topic | message | what |", "|---|---|---|", *rows, "", "## Messages", *tables])
 

@@ -54,25 +54,21 @@ def scenario_of(container: Container, ego: str = "") -> Scenario:
     """
     container.whole()
     try:
-        return _scenario(container, ego)
+        with np.errstate(all="ignore"):  # absurd numbers are refused as such, further down
+            if native.SCENARIO_RECORD in container.metadata:
+                if ego:
+                    raise LogError(f"ego {ego} is asked for, but a native log has its ego", remedy="leave ego out")
+                return _native(container)
+            stream = container.of_schema(*osi.SCHEMAS)
+            if stream is not None:
+                return osi.scenario_of(stream, container.path.stem, ego)
     except LogError as error:
         raise error.at(container.path) from None
-
-
-def _scenario(container: Container, ego: str) -> Scenario:
-    with np.errstate(all="ignore"):  # absurd numbers are refused as such, further down
-        if native.SCENARIO_RECORD in container.metadata:
-            if ego:
-                raise LogError(f"ego {ego} is asked for, but a native log has its ego", remedy="leave ego out")
-            return _native(container)
-        stream = container.of_schema(*osi.SCHEMAS)
-        if stream is not None:
-            return osi.scenario_of(stream, container.path.stem, ego)
     held = ", ".join(sorted({s.schema or f"{s.encoding} without schema" for s in container.streams.values()}))
     what = f"neither a native nor an OSI log; it holds {held}"
     if any(s.schema.startswith("replan.") for s in container.streams.values()):
         what = f"a native log without its metadata record {native.SCENARIO_RECORD}"
-    raise LogError(what, remedy=CONVERT)
+    raise LogError(what, file=container.path, remedy=CONVERT)
 
 
 def _native(container: Container) -> Scenario:
@@ -93,15 +89,20 @@ def _native(container: Container) -> Scenario:
     detections, repair = _repaired(streams, start_ns, tracks, extended)
     road = _road(_one(streams, "/road", native.Road), ego, notes)
     lights = _lights(streams.get("/traffic_lights"), start_ns)
-    notes += _dark(road, lights)
+    shown = {light.id for light in lights}
+    lost = sum(line.light is not None and line.light not in shown for line in road.stop_lines)
+    if lost:  # a line is no less there for that
+        notes.append(
+            f"The log does not show the lights of {lost} of {len(road.stop_lines)} stop lines: not known is off."
+        )
     vehicle = _one(streams, "/vehicle", native.Vehicle)
     if vehicle is None:
         notes.append(f"{VEHICLE_ASSUMED}.")
     parameters = {} if vehicle is None else msgspec.structs.asdict(vehicle)
     controls = streams.get("/controls", streams.get("/actuation"))
     noted = _from_record(record, "notes", list[str], [])
-    said = container.metadata.get(native.FREE_RECORD, {})
-    free = {key: text for key, text in said.items() if not key.startswith(FINDING)}
+    free = container.metadata.get(native.FREE_RECORD, {})
+    free = {key: text for key, text in free.items() if not key.startswith(FINDING)}
     driven = {f"trace_{key}": value for key, value in container.metadata.get(native.TRACE_RECORD, {}).items()}
     try:
         return Scenario(
@@ -116,10 +117,7 @@ def _native(container: Container) -> Scenario:
             tags=tuple(_from_record(record, "tags", list[str], [])),
             source=record.get("source", ""),
             licence=record.get("licence", ""),
-            origin=(
-                _from_record(record, "origin_x_m", float, 0.0),
-                _from_record(record, "origin_y_m", float, 0.0),
-            ),
+            origin=(_from_record(record, "origin_x_m", float, 0.0), _from_record(record, "origin_y_m", float, 0.0)),
             start_ns=start_ns,
             metadata={**free, **driven},
             notes=(*noted, *(note for note in notes if note not in noted)),
@@ -158,12 +156,8 @@ def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:
     if topic not in streams or not len(streams[topic]):
         return None
     if len(streams[topic]) > 1:
-        raise LogError(
-            f"{counted(len(streams[topic]), 'message')}, expected one",
-            topic=topic,
-            time_ns=streams[topic].times[1],
-            remedy="keep one of them",
-        )
+        what = f"{counted(len(streams[topic]), 'message')}, expected one"
+        raise LogError(what, topic=topic, time_ns=streams[topic].times[1], remedy="keep one of them")
     return streams[topic].decoded(kind)[0]
 
 
@@ -177,12 +171,10 @@ def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[s
     block = native.BLOCKS[kind]
     if stream.schema != native.schema_name(block):
         stream.check_order(strictly=True)
-        some = stream.decoded(kind)
-        columns = {
-            name: np.array([getattr(message, name) for message in some], dtype=np.float64)
-            for name in kind.__struct_fields__
-        }
-        return {"t": seconds(stream.times, start_ns), **columns}
+        some, columns = stream.decoded(kind), {"t": seconds(stream.times, start_ns)}
+        for name in kind.__struct_fields__:
+            columns[name] = np.array([getattr(message, name) for message in some], dtype=np.float64)
+        return columns
     blocks = stream.decoded(block)
     for time, message in zip(stream.times, blocks, strict=True):
         _equal_lengths(message, stream.topic, time)
@@ -222,9 +214,8 @@ def marked_tracks(
     moving = [streams[topic] for topic in dict.fromkeys(topics[:0:-1]) if len(streams.get(topic, ()))]
     if table is None:
         if moving:
-            raise LogError(
-                "there are agents, but no table of them", topic=who, remedy="name each with its kind, length and width"
-            )
+            what, remedy = "there are agents, but no table of them", "name each with its kind, length and width"
+            raise LogError(what, topic=who, remedy=remedy)
         return Tracks.empty(), np.empty(0, np.bool_)
     _equal_lengths(table, who, streams[who].times[0])
     rows = {name: row for row, name in enumerate(table.id)}
@@ -239,15 +230,10 @@ def marked_tracks(
     *values, extended = (np.array(column, dtype=np.float64)[order] for column in columns)
     try:
         tracks = Tracks(
-            tuple(table.id[i] for i in there),
-            tuple(table.kind[i] for i in there),
-            np.array(table.length)[there],
-            np.array(table.width)[there],
-            np.array(table.static, dtype=np.bool_)[there],
-            offsets,
-            (times - start_ns) / 1e9,
-            *values,
-        )
+            tuple(table.id[i] for i in there), tuple(table.kind[i] for i in there), np.array(table.length)[there],
+            np.array(table.width)[there], np.array(table.static, dtype=np.bool_)[there], offsets,
+            (times - start_ns) / 1e9, *values,
+        )  # fmt: skip
     except ValueError as error:
         raise LogError(str(error), topic=who, remedy=MEND) from None
     return tracks, extended.astype(np.bool_)
@@ -382,15 +368,6 @@ def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
         except ValueError as error:
             raise LogError(str(error), topic=stream.topic, time_ns=time, remedy=MEND) from None
     return tuple(out)
-
-
-def _dark(road: nouns.Road, lights: Sequence[TrafficLight]) -> tuple[str, ...]:
-    """A note on stop lines whose light the log does not show; a line is no less there for that."""
-    shown = {light.id for light in lights}
-    lost = [line.id for line in road.stop_lines if line.light is not None and line.light not in shown]
-    if not lost:
-        return ()
-    return (f"The log does not show the lights of {len(lost)} of {len(road.stop_lines)} stop lines: not known is off.",)
 
 
 def _goal(message: native.Goal | None) -> nouns.Goal | None:

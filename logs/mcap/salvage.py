@@ -10,7 +10,6 @@ file's end; the profile (by which a ROS 2 bag is known) from the header, else fr
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -130,20 +129,15 @@ class _Copy:
             writer.start(self.profile or ("ros2" if encodings & ROS2_SCHEMAS else ""), library="replan salvage")
             for record in self.metadata:
                 writer.add_metadata(record.name, record.metadata)
-            schemas = {0: 0} | {
-                old: writer.register_schema(schema.name, schema.encoding, schema.data)
-                for old, schema in sorted(self.schemas.items())
-            }
-            channels = {
-                old: writer.register_channel(
-                    channel.topic, channel.message_encoding, schemas.get(channel.schema_id, 0), channel.metadata
-                )
-                for old, channel in sorted(self.channels.items())
-            }
+            schemas, channels = {0: 0}, {}
+            for old, schema in sorted(self.schemas.items()):
+                schemas[old] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            for old, each in sorted(self.channels.items()):
+                schema_id = schemas.get(each.schema_id, 0)
+                channels[old] = writer.register_channel(each.topic, each.message_encoding, schema_id, each.metadata)
             for message in self.messages:
-                writer.add_message(
-                    channels[message.channel_id], message.log_time, message.data, message.publish_time, message.sequence
-                )
+                sent = message.log_time, message.data, message.publish_time
+                writer.add_message(channels[message.channel_id], *sent, message.sequence)
             writer.finish()
 
 
@@ -172,10 +166,9 @@ def _walk(raw: bytes, copy: _Copy, report: Salvage) -> None:
     if broken is not None:
         report.lost.append(Lost(broken, len(raw) - broken, last, None))
     _summary(raw, copy)
-    orphans = sum(message.channel_id not in copy.channels for message in copy.messages)
-    copy.messages = [message for message in copy.messages if message.channel_id in copy.channels]
-    report.nameless = orphans
-    report.messages = len(copy.messages)
+    named = [message for message in copy.messages if message.channel_id in copy.channels]
+    report.nameless, report.messages = len(copy.messages) - len(named), len(named)
+    copy.messages = named
 
 
 def _records_at(
@@ -222,21 +215,15 @@ _PASSED = frozenset(Opcode) - frozenset(_KNOWN) - {Opcode.CHUNK}
 
 def _next_chunk(raw: bytes, at: int) -> int:
     """The next byte at which an intact chunk begins; the file's length where there is none."""
+    names = {name.encode() for name in COMPRESSIONS}
     at = raw.find(bytes([Opcode.CHUNK]), at)
-    while at >= 0:
-        if _looks_like_chunk(raw, at) and _records_at(raw, at) is not None:
+    while 0 <= at <= len(raw) - HEAD - 32:
+        place = at + HEAD + 32  # of the name of its compression: cheap to look at, before the chunk is opened
+        (size,) = struct.unpack_from("<I", raw, place - 4)
+        if size <= 4 and raw[place : place + size] in names and _records_at(raw, at) is not None:
             return at
         at = raw.find(bytes([Opcode.CHUNK]), at + 1)
     return len(raw)
-
-
-def _looks_like_chunk(raw: bytes, at: int) -> bool:
-    """Whether the compression of a chunk that would begin there is one; cheap."""
-    place = at + HEAD + 28
-    if place + 4 > len(raw):
-        return False
-    (size,) = struct.unpack_from("<I", raw, place)
-    return size <= 4 and raw[place + 4 : place + 4 + size] in {name.encode() for name in COMPRESSIONS}
 
 
 def _summary(raw: bytes, copy: _Copy) -> None:
@@ -244,19 +231,15 @@ def _summary(raw: bytes, copy: _Copy) -> None:
     footer = len(raw) - BEGIN - HEAD - 20
     if footer < BEGIN or raw[footer] != Opcode.FOOTER:
         return
-    begin, offsets = struct.unpack_from("<QQ", raw, footer + HEAD)
-    for record in _plain(raw, begin, min(offsets or footer, footer)):
-        copy.take(record)
-
-
-def _plain(raw: bytes, at: int, end: int) -> Iterator[McapRecord]:
+    at, offsets = struct.unpack_from("<QQ", raw, footer + HEAD)
+    end = min(offsets or footer, footer)
     while BEGIN <= at < end:
         size = struct.unpack_from("<Q", raw, at + 1)[0] if at + HEAD <= end else end
         if at + HEAD + size > end:
             return
         if raw[at] in (Opcode.SCHEMA, Opcode.CHANNEL):
             try:
-                yield _KNOWN[raw[at]](ReadDataStream(BytesIO(raw[at + HEAD : at + HEAD + size])), size)
+                copy.take(_KNOWN[raw[at]](ReadDataStream(BytesIO(raw[at + HEAD : at + HEAD + size])), size))
             except DAMAGE:
                 return
         at += HEAD + size

@@ -39,13 +39,9 @@ SUMMARY_STEP_S = 2.0
 
 
 def write_trace(
-    path: Path,
-    trace: nouns.Trace,
-    scenario: Scenario,
-    *,
-    internals: Internals = "summary",
+    path: Path, trace: nouns.Trace, scenario: Scenario, *, internals: Internals = "summary",
     beside: Iterable[Entry] = (),
-) -> None:
+) -> None:  # fmt: skip
     """Write a trace as a native log, and messages `beside` it on other topics.
 
     Raises:
@@ -199,19 +195,16 @@ def read_moment(path: Path, t: float) -> tuple[nouns.Trace, Scenario, tuple[noun
     scenario = scenario_of(container)
     try:
         streams, start = container.streams, scenario.start_ns
-        said = tuple(_summaries(streams.get("/plan", _none("/plan")), start))
-        newest = int(np.searchsorted([one.t for one in said], t + 1e-9, side="right")) - 1
-        kept = {streams["/plan"].times[newest]} if newest >= 0 else set()
-        some = {topic: _taken(stream, kept) for topic, stream in streams.items() if topic in ("/plan", "/predictions")}
-        return _trace(container, scenario, _frames(some, start)), scenario, said
+        summaries = tuple(_summaries(streams.get("/plan", _none("/plan")), start))
+        newest = int(np.searchsorted([one.t for one in summaries], t + 1e-9, side="right")) - 1
+        some = {}
+        for topic in ("/plan", "/predictions") if newest >= 0 else ():
+            stream, time = streams.get(topic, _none(topic)), streams["/plan"].times[newest]
+            kept = [i for i, each in enumerate(stream.times) if each == time]
+            some[topic] = replace(stream, times=[time] * len(kept), payloads=[stream.payloads[i] for i in kept])
+        return _trace(container, scenario, _frames(some, start)), scenario, summaries
     except LogError as error:
         raise error.at(path) from None
-
-
-def _taken(stream: Stream, times: set[int]) -> Stream:
-    """The messages of a stream at some times."""
-    kept = [i for i, time in enumerate(stream.times) if time in times]
-    return replace(stream, times=[stream.times[i] for i in kept], payloads=[stream.payloads[i] for i in kept])
 
 
 def _summaries(plans: Stream, start_ns: int) -> Iterator[nouns.PlanSummary]:
@@ -259,10 +252,9 @@ def _perceived(streams: dict[str, Stream], start_ns: int) -> Tracks | None:
     if "/perceived" not in streams:
         return None
     table = streams.get("/perceived/table", streams.get("/agents/table"))
-    if table is None:  # there is no other: nothing was seen
+    if table is None:  # the log has no other road users
         return Tracks.empty()
-    seen = {"/agents/table": table, "/agents": streams["/perceived"]}
-    return tracks_of(seen, start_ns, [])
+    return tracks_of({"/agents/table": table, "/agents": streams["/perceived"]}, start_ns, [])
 
 
 def _none(topic: str) -> Stream:

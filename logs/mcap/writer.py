@@ -76,7 +76,18 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
 
 
 def _add_messages(writer: Any, entries: Iterable[Entry], spool: IO[bytes]) -> None:
-    kinds, places = _spooled(entries, spool)
+    """Add the messages in order; encoded, they wait in the spool until all are known."""
+    encoder = msgspec.json.Encoder(enc_hook=scalar_as_number)
+    kinds: dict[str, type[msgspec.Struct | Message]] = {}
+    places, end = list[tuple[int, str, int, int]](), 0
+    for time, topic, message in entries:
+        data = (
+            message.SerializeToString(deterministic=True) if isinstance(message, Message) else encoder.encode(message)
+        )
+        kinds.setdefault(topic, type(message))
+        places.append((time, topic, end, len(data)))
+        spool.write(data)
+        end += len(data)
     rank = {topic: index for index, topic in enumerate(dict.fromkeys((*native.TOPICS, *kinds)))}
     schemas: dict[type[msgspec.Struct | Message], int] = {}
     channels: dict[str, int] = {}
@@ -91,25 +102,6 @@ def _add_messages(writer: Any, entries: Iterable[Entry], spool: IO[bytes]) -> No
         spool.seek(begin)
         writer.add_message(channels[topic], time, spool.read(size), time, sequence[topic])
         sequence[topic] += 1
-
-
-def _spooled(
-    entries: Iterable[Entry], spool: IO[bytes]
-) -> tuple[dict[str, type[msgspec.Struct | Message]], list[tuple[int, str, int, int]]]:
-    """The kind of each topic, and of each message its log time, topic, and where it is in the spool."""
-    encoder = msgspec.json.Encoder(enc_hook=scalar_as_number)
-    kinds: dict[str, type[msgspec.Struct | Message]] = {}
-    places, end = [], 0
-    for time, topic, message in entries:
-        if isinstance(message, Message):
-            data = message.SerializeToString(deterministic=True)
-        else:
-            data = encoder.encode(message)
-        kinds.setdefault(topic, type(message))
-        places.append((time, topic, end, len(data)))
-        spool.write(data)
-        end += len(data)
-    return kinds, places
 
 
 def _schema(kind: type[msgspec.Struct | Message]) -> tuple[str, str, bytes]:

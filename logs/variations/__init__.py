@@ -30,7 +30,7 @@ from types import MappingProxyType
 
 from logs.errors import ConfigError, unknown_name
 from logs.scenario import Scenario
-from logs.variations import ego, inserted, tracks
+from logs.variations import ego, tracks
 
 VARIED = "varied"
 """Tag of a varied log, and begin of its metadata entries: `varied.of`, `varied.agents` (JSON), `varied.NAME`."""
@@ -96,7 +96,7 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
 
     Args:
         scenario: As it was recorded or synthesised.
-        agents: Ids of those who are varied together; empty: who is inserted.
+        agents: Ids of those who are varied together; empty: who is tracks.
         values: Value by name of `VARIATIONS`.
 
     Raises:
@@ -118,11 +118,11 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
 
 
 def _signed(was: Scenario, now: Scenario, agents: Sequence[str], values: Mapping[str, float]) -> Scenario:
-    said = ", ".join(f"{name} {VARIATIONS[name].shown(value)}" for name, value in values.items())
+    changes = ", ".join(f"{name} {VARIATIONS[name].shown(value)}" for name, value in values.items())
     agents = agents if any(VARIATIONS[name].of != "ego" for name in values) else ()
     about = f" of {', '.join(agents)}" if agents else ""
     notes = (
-        f"Varied from {was.name}: {said}{about}.",
+        f"Varied from {was.name}: {changes}{about}.",
         "Of the ego's log only the start is kept: it was driven in another world and is no reference in this one.",
         "A varied track goes straight on where its recording was cut by the begin or the end of the log.",
     )
@@ -145,11 +145,11 @@ _TABLE = (
     Variation(
         "pedestrian", "m", 1.0, 500.0, nan,
         "an adult crosses the ego's path so far ahead of its start, from the right, and is in its middle when the "
-        "front of an ego that keeps its speed is there", inserted.pedestrian, of=inserted.WALKER,
+        "front of an ego that keeps its speed is there", tracks.pedestrian, of=tracks.WALKER,
     ),
     Variation(
         "standing_car", "m", 1.0, 500.0, nan, "a car stands on the ego's path, its rear so far ahead of the ego's rear "
-        "axle at the start", inserted.standing_car, of=inserted.STANDER,
+        "axle at the start", tracks.standing_car, of=tracks.STANDER,
     ),
     Variation("copy", "s", -LONGEST_S, LONGEST_S, nan, "each agent is followed by a copy so much later", tracks.copied),
     Variation("side", "m", -50.0, 50.0, 0.0, "the agents are so far to the left of their course", tracks.sideways),

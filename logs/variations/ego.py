@@ -12,7 +12,7 @@ from logs.errors import LogError
 from logs.road import ReferenceLine, thinned
 from logs.scenario import Scenario
 from logs.shapes import overlap
-from logs.states import EgoState, Trajectory
+from logs.states import Trajectory
 
 LATERAL_MPS2 = 4.89
 """An ego that would begin in a curve with more has no sensible state (nuPlan's comfort bound)."""
@@ -45,18 +45,14 @@ def ego_start(scenario: Scenario, agents: Sequence[str], value: float) -> Scenar
         x, y, yaw, kappa = start.x + value * cos(start.yaw), start.y + value * sin(start.yaw), start.yaw, 0.0
     else:
         x, y, yaw, kappa = driven_line(scenario).frame(value)
-    return replace(scenario, ego=_one(replace(start, x=x, y=y, yaw=yaw, kappa=kappa, a=0.0)))  # (4)
+    columns = (start.t, x, y, yaw, start.v, 0.0, kappa)
+    return replace(scenario, ego=Trajectory(*(np.array([value]) for value in columns)))  # (4)
 
 
 def ego_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
     """(4) of the package: a factor of the speed."""
-    start = scenario.ego.state(0)
-    return replace(scenario, ego=_one(replace(start, v=value * start.v, a=0.0)))
-
-
-def _one(state: EgoState) -> Trajectory:
-    columns = (state.t, state.x, state.y, state.yaw, state.v, state.a, state.kappa)
-    return Trajectory(*(np.array([value]) for value in columns))
+    start = start_of(scenario.ego)
+    return replace(scenario, ego=replace(start, v=value * start.v, a=np.zeros(1)))
 
 
 def check_start(was: Scenario, now: Scenario) -> None:

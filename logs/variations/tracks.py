@@ -1,18 +1,19 @@
-"""Tracks of a scenario in time, speed and place, removed and copied: (1) to (3) of the package."""
+"""Tracks of a scenario in time, speed and place ((1) to (3) of the package), removed, copied and inserted."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import atan2, cos, hypot, sin
+from math import atan2, cos, hypot, pi, sin
 
 import numpy as np
 
-from logs.agents import AgentKind
+from logs.agents import USUAL_SIZE_M, AgentKind
 from logs.errors import ConfigError, LogError
 from logs.kernel import BoolArray, FloatArray
 from logs.observed import MAX_AGE_S
 from logs.scenario import Scenario, Tracks
+from logs.variations.ego import on_path
 
 STANDING_MPS = 0.2
 """Slower is standing for sure: above what the noise of tracks leaves in smoothed speeds."""
@@ -25,6 +26,15 @@ COURSE_M = 0.3
 BEFORE_S = 2.0
 """So much of a varied log's tracks is kept before its begin and after its end: more than `logs.observed.MAX_GAP_S`."""
 RATE_S = 0.1
+WALKER, STANDER = "inserted pedestrian", "inserted car"
+WALK_MPS = 1.4
+"""Of an adult at a crossing (Fitzpatrick et al., TCRP Report 112, 2006: mean 1.45 m/s)."""
+KERB_M = 6.0
+"""How far beside the ego's path the inserted pedestrian begins and ends to walk: a lane and a half."""
+LEAST_MPS = 3.0
+"""An ego that stands at the start is taken to arrive at this speed."""
+AROUND_S = 60.0
+"""The walker stands at the kerbs so long before and after the log: more than time and speed can take away."""
 COPY = "copy of "
 _COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")
 
@@ -63,15 +73,10 @@ def with_agent(
         raise LogError(f"there is a {name} already")
     columns = {column: np.r_[getattr(tracks, column), samples[:, i]] for i, column in enumerate(_COLUMNS)}
     more = replace(
-        tracks,
-        ids=(*tracks.ids, name),
-        kinds=(*tracks.kinds, kind),
-        length=np.r_[tracks.length, size[0]],
-        width=np.r_[tracks.width, size[1]],
-        static=np.r_[tracks.static, static],
-        offsets=np.r_[tracks.offsets, len(tracks.t) + len(samples)],
-        **columns,
-    )
+        tracks, ids=(*tracks.ids, name), kinds=(*tracks.kinds, kind), length=np.r_[tracks.length, size[0]],
+        width=np.r_[tracks.width, size[1]], static=np.r_[tracks.static, static],
+        offsets=np.r_[tracks.offsets, len(tracks.t) + len(samples)], **columns,
+    )  # fmt: skip
     return replace(scenario, tracks=more)
 
 
@@ -148,10 +153,32 @@ def copied(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
     return scenario
 
 
-def continued(was: Scenario, now: Scenario) -> Tracks:
-    """The tracks of `now`; who was moved in time since `was` is carried on where begin or end of the log cut them.
+def pedestrian(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
+    """With an adult who crosses `value` m ahead."""
+    x, y, yaw = on_path(scenario, value)
+    start, car = scenario.ego.state(0), scenario.vehicle
+    meet = start.t + max(value - car.axle_to_front, 0.0) / max(start.v, LEAST_MPS)
+    t = np.arange(-AROUND_S, scenario.duration + AROUND_S, RATE_S)
+    l = np.clip(WALK_MPS * (t - meet), -KERB_M, KERB_M)  # noqa: E741
+    v = np.where(np.abs(l) < KERB_M, WALK_MPS, 0.0)
+    rows = [t, x - l * sin(yaw), y + l * cos(yaw), np.full(len(t), yaw + 0.5 * pi), -v * sin(yaw), v * cos(yaw)]
+    kind = AgentKind.PEDESTRIAN
+    return with_agent(scenario, WALKER, kind, USUAL_SIZE_M[kind], np.column_stack(rows), static=False)
 
-    `was` holds whoever was inserted; a copy with its original. What lies far outside of the log is cut.
+
+def standing_car(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
+    """With a car that stands `value` m ahead."""
+    kind = AgentKind.CAR
+    size = USUAL_SIZE_M[kind]
+    x, y, yaw = on_path(scenario, value + 0.5 * size[0])
+    return with_agent(scenario, STANDER, kind, size, np.array([[0.0, x, y, yaw, 0.0, 0.0]]), static=True)
+
+
+def continued(was: Scenario, now: Scenario) -> Tracks:
+    """The tracks of `now`; those shifted in time since `was` are extended where the begin or end of the log cut them.
+
+    `was` holds the inserted road users, too; a copy is compared with its original. Samples far outside of the log are
+    cut.
     """
     tracks, end, changed = now.tracks, now.duration, {}
     known = {name: i for i, name in enumerate(was.tracks.ids)}

@@ -14,7 +14,7 @@ tables). Time: integer nanoseconds in logs and loops, seconds since the scenario
     StopLine, Crosswalk, TrafficLight, Colour      where to stop, and for what
     VehicleParameters                              with what
 
-Each is imported when it is first asked for: who needs the errors only, as the command line, need not wait for numba.
+Each is imported when it is first used: the command line, which needs the errors only, does not wait for numba.
 """
 
 from importlib import import_module
@@ -53,53 +53,13 @@ if TYPE_CHECKING:
     from logs.vehicle import VehicleParameters
 
 __all__ = [
-    "AgentKind",
-    "Agents",
-    "Candidates",
-    "Colour",
-    "Command",
-    "ConfigError",
-    "Controls",
-    "Corridor",
-    "CostTerms",
-    "Crosswalk",
-    "Decision",
-    "DecisionKind",
-    "EgoState",
-    "EndReason",
-    "Frame",
-    "Goal",
-    "GraphObstacle",
-    "GridCost",
-    "Lane",
-    "LaneOption",
-    "LogError",
-    "Mode",
-    "Plan",
-    "PlanStart",
-    "PlanStatus",
-    "PlannedFrame",
-    "PlannerContext",
-    "PlannerError",
-    "Predictions",
-    "ReferenceLine",
-    "ReplanError",
-    "Road",
-    "RoadSource",
-    "Scenario",
-    "SlGraph",
-    "SolverReport",
-    "StGraph",
-    "StopLine",
-    "Trace",
-    "TrackingErrors",
-    "Tracks",
-    "TrafficLight",
-    "Trajectory",
-    "VehicleParameters",
-    "Visibility",
-    "wrap",
-]
+    "AgentKind", "Agents", "Candidates", "Colour", "Command", "ConfigError", "Controls", "Corridor", "CostTerms",
+    "Crosswalk", "Decision", "DecisionKind", "EgoState", "EndReason", "Frame", "Goal", "GraphObstacle", "GridCost",
+    "Lane", "LaneOption", "LogError", "Mode", "Plan", "PlanStart", "PlanStatus", "PlannedFrame", "PlannerContext",
+    "PlannerError", "Predictions", "ReferenceLine", "ReplanError", "Road", "RoadSource", "Scenario", "SlGraph",
+    "SolverReport", "StGraph", "StopLine", "Trace", "TrackingErrors", "Tracks", "TrafficLight", "Trajectory",
+    "VehicleParameters", "Visibility", "wrap",
+]  # fmt: skip
 
 _NAMES = {
     "logs.errors": "ConfigError LogError PlannerError ReplanError",
@@ -116,7 +76,7 @@ _FROM = {name: module for module, names in _NAMES.items() for name in names.spli
 
 
 def __getattr__(name: str) -> Any:
-    """A noun, from where it stands."""
+    """A noun, from the module that defines it."""
     if name not in _FROM:
         return replan.own.missing("logs")(name)
     globals()[name] = value = getattr(import_module(_FROM[name]), name)

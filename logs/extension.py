@@ -26,12 +26,12 @@ T = TypeVar("T")
 
 
 def a_callable(thing: object) -> str:
-    """What is wrong with a factory or function; "": nothing."""
+    """Why a thing cannot serve as a factory or function; "": it can."""
     return "" if callable(thing) else f"is a {type(thing).__name__}, which cannot be called"
 
 
 def an_instance(cls: type, called: str) -> Callable[[object], str]:
-    """What is wrong with a value that has to be of a class, which users import as `called`."""
+    """A check that a value is an instance of a class, which users import as `called`."""
     return lambda thing: "" if isinstance(thing, cls) else f"is a {type(thing).__name__}, not a {called}"
 
 
@@ -76,11 +76,20 @@ class Kind(Generic[T]):
         if spec in self.builtin:
             return self.builtin[spec]
         module, name = self.place(spec, also=also)
-        loaded = self._imported(spec, module)
+        _search_here()
+        try:
+            loaded = import_module(module)
+        except (Exception, SystemExit) as error:
+            hint = "; install the package, or run from its folder, or set PYTHONPATH"
+            hint = self._clash(error) or (hint if isinstance(error, ModuleNotFoundError) else "")
+            raise self.error(f"{self.name} '{spec}' cannot be loaded: {raised(error)}{hint}") from error
         try:
             thing: Any = reduce(getattr, name.split("."), loaded)
         except (AttributeError, ImportError) as error:  # ImportError: `replan.own.missing`
-            raise self._absent(spec, name, loaded, error) from None
+            there = [key for key, offered in _offered(loaded) if not self.wrong(offered)]
+            nearest = unknown_name(f"{self.name} in {loaded.__name__}", name, there)
+            hint = self._clash(error) if rival(loaded.__name__) else ""
+            raise self.error(f"{self.name} '{spec}': {nearest}{hint}") from None
         wrong = self.wrong(thing)
         if wrong:
             raise self.error(f"{self.name} '{spec}' {wrong}")
@@ -128,24 +137,8 @@ class Kind(Generic[T]):
             return None
         return Path(found.origin) if found is not None and found.origin and Path(found.origin).is_file() else None
 
-    def _imported(self, spec: str, module: str) -> ModuleType:
-        _search_here()
-        try:
-            return import_module(module)
-        except (Exception, SystemExit) as error:
-            hint = "; install the package, or run from its folder, or set PYTHONPATH"
-            hint = self._clash(error) or (hint if isinstance(error, ModuleNotFoundError) else "")
-            raise self.error(f"{self.name} '{spec}' cannot be loaded: {raised(error)}{hint}") from error
-
-    def _absent(self, spec: str, name: str, module: ModuleType, error: Exception) -> ConfigError | PlannerError:
-        """The error for a module that has no such thing: names the nearest."""
-        there = [key for key, thing in _offered(module) if not self.wrong(thing)]
-        said = self._clash(error) if rival(module.__name__) else ""
-        nearest = unknown_name(f"{self.name} in {module.__name__}", name, there)
-        return self.error(f"{self.name} '{spec}': {nearest}{said}")
-
     def _clash(self, error: BaseException) -> str:
-        """What is to be said where a package of ours was found in place of the user's; "": it was not."""
+        """The hint where a package of replan was found in place of the user's; "": it was not."""
         of = error.name if isinstance(error, ImportError) else getattr(getattr(error, "obj", None), "__name__", "")
         package = str(of).partition(".")[0]
         program = " (or run the planner as a program of its own: exec:COMMAND)" if self.error is PlannerError else ""

@@ -37,11 +37,7 @@ def special_kind(path: Path) -> str:
 
 
 def check_regular(*paths: Path) -> None:
-    """Refuse pipes, sockets and devices, which may block the reader or never end, and links that lead nowhere.
-
-    Raises:
-        LogError: With the file's kind.
-    """
+    """Refuse pipes, sockets and devices, which may block or never end, and broken links: LogError with the kind."""
     for path in paths:
         kind = special_kind(path)
         if kind:

@@ -1,8 +1,8 @@
-"""The frames of a drive while it is driven and after: of a long one, what is large waits in a file.
+"""The frames of a drive, during and after it: the large parts of a long drive are stored in a temporary file.
 
 A plan's trajectory, graphs and costs and the predictions are most of a frame (46 kB of 47 among thirty road users).
-The first `WHOLE` frames are kept as they are; of later ones these go into a file without a name and are read back each
-time they are asked for, equal to the bit. What else metrics look at stays in memory (`light`).
+The first `WHOLE` frames are kept in memory; of later frames these parts go into an unnamed file and are read back at
+each access, equal to the bit. Everything else that metrics read stays in memory (`light`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from logs.trace import Candidates, CostTerms, Graph, PlannedFrame
 WHOLE = 600
 """A minute at 10 Hz: 28 MB among thirty road users."""
 _LARGE = (Graph, CostTerms, Candidates)
-"""What no metric looks at."""
+"""Artefacts that no metric reads."""
 COLUMN = {name: row for row, name in enumerate(TRAJECTORY_COLUMNS)}
 
 
@@ -36,7 +36,7 @@ def _closed(file: IO[bytes]) -> None:
 
 
 class Scratch:
-    """A file without a name, which goes with this."""
+    """An unnamed temporary file, removed together with this object."""
 
     def __init__(self) -> None:
         self._file: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  it goes with this
@@ -44,7 +44,7 @@ class Scratch:
         self._end, self._reads = 0, False
 
     def put(self, data: bytes) -> int:
-        """Where the data are from now on; OSError where there is no room for them."""
+        """Append data and return their offset; OSError where the disk is full."""
         begin = self._end
         if self._reads:
             self._file.seek(begin)
@@ -95,7 +95,7 @@ class Filed(Trajectory):
 
 
 def loaded(path: Trajectory) -> Trajectory:
-    """The trajectory in memory: for who looks at several of its columns."""
+    """The trajectory in memory, for use of several of its columns."""
     return path.loaded if isinstance(path, Filed) else path
 
 
@@ -103,7 +103,7 @@ class FrameStore(Sequence[PlannedFrame]):
     """The frames so far, in order of time.
 
     Args:
-        whole: The number of frames that are kept in memory as they are.
+        whole: Number of frames that are kept in memory.
 
     Raises:
         OutputError: (append) The file cannot be written.
@@ -116,7 +116,7 @@ class FrameStore(Sequence[PlannedFrame]):
         self._file: Scratch | None = None
 
     def append(self, frame: PlannedFrame) -> None:
-        """One more."""
+        """Add a frame."""
         if len(self._frames) < self._whole:
             self._frames.append(frame)
             return
@@ -131,7 +131,7 @@ class FrameStore(Sequence[PlannedFrame]):
 
     @property
     def frames(self) -> Sequence[PlannedFrame]:
-        """These, or a tuple where all are in memory."""
+        """This store, or a tuple where all frames are in memory."""
         return self if self._places else tuple(self._frames)
 
     @property

@@ -157,15 +157,11 @@ class KernelIndex(IndexDataCacheFile):
     def save(self, key: Any, data: Any) -> None:
         """Keep the machine code of one kind of arguments; what is kept of another `stamp` is removed."""
         kept = self._load_index()
-        if not kept:
-            self._clear()
+        for stale in () if kept else Path(self._cache_path).glob(f"{escape(self._base)}.*.nbc"):
+            stale.unlink(missing_ok=True)
         kept[key] = f"{self._base}.{sha256(f'{self._source_stamp} {key!r}'.encode()).hexdigest()[:16]}.nbc"
         self._save_data(kept[key], data)  # type: ignore[no-untyped-call]
         self._save_index(kept)  # type: ignore[no-untyped-call]
-
-    def _clear(self) -> None:
-        for stale in Path(self._cache_path).glob(f"{escape(self._base)}.*.nbc"):
-            stale.unlink(missing_ok=True)
 
     @property
     def _source_stamp(self) -> str:
@@ -204,16 +200,13 @@ _STORED: list[Any] = []
 """Numba's dispatchers of all kernels that are imported and have a place on disk."""
 
 
-def _choose_processor() -> None:
-    """`PORTABLE`, where it may be."""
-    chosen = cast("Any", numba.config)
-    if chosen.CPU_NAME is None and chosen.CPU_FEATURES is None:
-        has = codegen.get_host_cpu_features().split(",")  # type: ignore[no-untyped-call]
-        if PORTABLE_HAS.issubset(has):
-            chosen.CPU_NAME, chosen.CPU_FEATURES = PORTABLE, ""
-
-
-_choose_processor()
+_CONFIG = cast("Any", numba.config)
+if (
+    _CONFIG.CPU_NAME is None
+    and _CONFIG.CPU_FEATURES is None
+    and PORTABLE_HAS.issubset(codegen.get_host_cpu_features().split(","))  # type: ignore[no-untyped-call]
+):
+    _CONFIG.CPU_NAME, _CONFIG.CPU_FEATURES = PORTABLE, ""
 
 
 class _Brought(caching.InTreeCacheLocator):
@@ -247,22 +240,17 @@ def _compiled(function: Callable[P, R], **unlisted: Any) -> Callable[P, R]:
         return cast("Callable[P, R]", njit(**options)(function))
     store = getattr(compiled, "_cache", None)  # not there with NUMBA_DISABLE_JIT
     if store is not None:
-        store._cache_file = KernelIndex(compiled)
-        store.save_overload = _forgiving(store.save_overload)
+        store._cache_file, save = KernelIndex(compiled), store.save_overload
+
+        def save_if_possible(*arguments: Any) -> None:
+            try:
+                save(*arguments)
+            except OSError:  # a full disk costs another compilation, and not the drive
+                say_not_kept()
+
+        store.save_overload = save_if_possible
         _STORED.append(compiled)
     return cast("Callable[P, R]", compiled)
-
-
-def _forgiving(save: Callable[..., None]) -> Callable[..., None]:
-    """Keeps machine code where it can: a full disk costs another compilation, and not the drive."""
-
-    def saved(*arguments: Any) -> None:
-        try:
-            save(*arguments)
-        except OSError:
-            say_not_kept()
-
-    return saved
 
 
 @cache
@@ -303,7 +291,7 @@ def _usable(folder: str) -> None:
     It must be one that can be written, but for a `NUMBA_CACHE_DIR` with kernels: of that, reading is enough (an image
     whose file system is read-only).
     """
-    chosen = cast("Any", numba.config).CACHE_DIR
+    chosen = _CONFIG.CACHE_DIR
     if chosen and Path(folder).is_relative_to(chosen) and next(Path(folder).glob("*.nbi"), None) is not None:
         return
     Path(folder).mkdir(parents=True, exist_ok=True)

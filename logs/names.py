@@ -3,9 +3,8 @@
 A short name is "car 23f7" where the log says "car 23f7a1c8-0d5e-4b8e-9a53-6a3ef1f0c2b4". Sentences and pictures show
 short names. Files, and columns of tables that hold an id, keep the whole id. Only codes are shortened: runs of more
 than `LONGEST` hexadecimal digits and dashes, with a digit (UUIDs, tokens, long numbers), which are an id or a part of
-one
-("copy of 23f7"). The short name of a code is its shortest prefix of at least `LEAST` characters that begins no other
-word. Suffixes are taken where these are shorter by a character or more in the mean.
+one ("copy of 23f7"). The short name of a code is its shortest prefix of at least `LEAST` characters that begins no
+other word. Suffixes are used where they are shorter by a character or more on average.
 """
 
 from __future__ import annotations

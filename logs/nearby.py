@@ -1,9 +1,9 @@
-"""The road users around a span of time: of a long log, who is there then, so that a step does not go over all of it.
+"""The road users around a span of time, so that a step of a long log does not go over all tracks.
 
-A part of some tracks answers what is asked of an instant in its span (`Tracks.perceived`, where a box is) as the whole
-does, to the bit: of who is in it, it has all samples within the span, one beyond, and before it those of `BACK_S`, at
-least `OWN`. `BACK_S` is longer than a sample stands for its agent (`logs.observed.MAX_GAP_S`) and trends reach back
-(`logs.scenario.TREND_S`) together.
+For every instant in its span a part of the tracks gives the same results as the whole (`Tracks.perceived`, places of
+boxes), to the bit. It holds the samples within the span, one after it, and those of `BACK_S` before it, at least `OWN`
+of each track. `BACK_S` is longer than the time for which a sample counts (`logs.observed.MAX_GAP_S`) plus the time over
+which trends are taken (`logs.scenario.TREND_S`).
 """
 
 from __future__ import annotations
@@ -23,24 +23,20 @@ from logs.scenario import Tracks
 BACK_S = 15.0
 OWN = INTERVALS + 3
 SPAN_S = 10.0
-"""A part is made for so long at least."""
+"""Shortest span of a part."""
 FEW_SAMPLES = 20_000
 """Thirty road users for a minute at 10 Hz."""
 
 
 class Spans:
-    """Finds who is there, by the first and the last sample of each track.
-
-    Args:
-        tracks: Of which parts are taken.
-    """
+    """Finds the tracks that are present in a span, by their first and last samples."""
 
     def __init__(self, tracks: Tracks) -> None:
         self._tracks = tracks
         self._first, self._last = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
 
     def within(self, first: float, last: float) -> tuple[IntArray, IntArray, IntArray]:
-        """Who is in the part for the times from `first` to `last`, s, and from which to before which sample `(k,)`."""
+        """The tracks `(k,)` in the part from `first` to `last`, s, and their sample ranges: from, to (exclusive)."""
         tracks = self._tracks
         there = (self._first <= last + 1e-6) & (self._last >= first - BACK_S)
         who = np.flatnonzero(there | tracks.static)
@@ -55,10 +51,10 @@ class Spans:
 
 
 class NearbyTracks:
-    """Parts of the tracks that are asked for, each kept for as long as it will do.
+    """Returns parts of tracks, and keeps the last one for as long as it covers the span.
 
     Args:
-        few: Tracks with no more samples than this are their own part.
+        few: Tracks with no more samples than this are returned whole.
     """
 
     def __init__(self, few: int = FEW_SAMPLES) -> None:
@@ -68,7 +64,7 @@ class NearbyTracks:
         self._from, self._until = np.inf, -np.inf
 
     def of(self, tracks: Tracks, first: float, last: float) -> Tracks:
-        """The tracks, or a part of them that answers for the times from `first` to `last`, s."""
+        """The tracks, or a part of them that is exact for the times from `first` to `last`, s."""
         if len(tracks.t) <= self._few:
             return tracks
         if tracks is not self._whole:
@@ -81,11 +77,11 @@ class NearbyTracks:
 
 @dataclass(frozen=True, eq=False)
 class Part(Tracks):
-    """Samples of some tracks, with what can only be said of all of them.
+    """Samples of some tracks, with the properties that depend on whole tracks.
 
     Attributes:
-        source: The tracks.
-        at: `(m,)` which of its samples.
+        source: The whole tracks.
+        at: `(m,)` indices of the samples in `source`.
     """
 
     source: Tracks = field(kw_only=True)
@@ -105,10 +101,10 @@ class Part(Tracks):
 
 @dataclass(frozen=True, eq=False)
 class Recent(Tracks):
-    """Tracks as they are around now.
+    """The recent part of tracks.
 
     Attributes:
-        all_of_them: Makes the whole that they are a part of.
+        all_of_them: Builds the whole tracks.
     """
 
     all_of_them: Callable[[], Tracks] = field(kw_only=True)

@@ -1,8 +1,8 @@
-"""Files by URL (`s3://`, `gs://`, ... whatever fsspec knows), by one door: listed, fetched, written.
+"""Files at URLs (`s3://`, `gs://`, and all others that fsspec knows): list, fetch, write.
 
-A URL stands where a path may, also as a `Path`, which has lost a slash ("s3:/bucket/key"); `file://` is a local path.
-Who may read is what the environment says (as fsspec documents it: AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL ...); no
-credential is an option or stands in a file of a run.
+A URL may take the place of a path, also as a `Path`, which loses a slash ("s3:/bucket/key"); `file://` is a local path.
+Credentials come from the environment as fsspec documents (AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL ...); they are never
+options, and never stored in a file of a run.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from logs.errors import ConfigError, LogError, OutputError, ReplanError
 
 _URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.IGNORECASE | re.DOTALL)  # a drive of Windows has one letter
 _VERSIONS = ("ETag", "etag", "md5Hash", "LastModified", "last_modified", "mtime", "created")
-"""What file systems call what changes with the content, the surest first."""
+"""Keys under which file systems state a version of the content, the most reliable first."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class RemoteFile:
 
 
 def url_of(place: Path | str) -> str:
-    """The URL that a place is; "" where it is a local path."""
+    """The URL of a place; "" where it is a local path."""
     found = _URL.fullmatch(str(place).replace("\\", "/"))
     return f"{found[1].lower()}://{found[2]}".rstrip("/") if found and found[1].lower() != "file" else ""
 
@@ -54,7 +54,11 @@ def local_path(place: Path | str) -> Path:
 
 
 def listed(url: str) -> tuple[RemoteFile, ...]:
-    """The file at a URL, or all files under it, sorted; none: nothing is there. ConfigError: it cannot be asked."""
+    """The file at a URL, or all files under it, sorted; empty where nothing exists.
+
+    Raises:
+        ConfigError: The URL cannot be listed.
+    """
     with _asked(url, ConfigError):
         system, path = _system(url)
         system.invalidate_cache()
@@ -80,19 +84,21 @@ def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
         found: list[bytes | Exception] = system.cat_ranges(
             [system._strip_protocol(file.url) for file in files], [0] * len(ends), ends
         )
-    return [_head(file, head) for file, head in zip(files, found, strict=True)]
-
-
-def _head(file: RemoteFile, found: bytes | Exception) -> bytes:
-    """What was found, unless it is what was raised."""
-    with _asked(file.url, ConfigError):
-        if isinstance(found, Exception):
-            raise found
-        return found
+    out = []
+    for file, head in zip(files, found, strict=True):
+        with _asked(file.url, ConfigError):
+            if isinstance(head, Exception):
+                raise head
+            out.append(head)
+    return out
 
 
 def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
-    """Files under their names into a local folder; LogError where one is gone, changed, or has no room."""
+    """Copy files under their names into a local folder.
+
+    Raises:
+        LogError: A file is gone or has changed, or the disk has too little space.
+    """
     need, free = sum(file.size for file in files), shutil.disk_usage(folder).free
     if need > free:
         what = f"{need / 1e6:.0f} MB are to be fetched, {free / 1e6:.0f} MB are free in {folder.parent}"
@@ -108,7 +114,7 @@ def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
 
 
 def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
-    """What has the bytes of a file from a place up to another; LogError where they cannot be had."""
+    """A function that returns the bytes of a file from one offset up to another; it raises LogError where it fails."""
 
     def fetched(begin: int, end: int) -> bytes:
         with _asked(file.url, LogError):
@@ -120,14 +126,14 @@ def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
 
 
 def put(content: Path, url: str) -> None:
-    """A local file to a URL; OutputError."""
+    """Copy a local file to a URL; OutputError where it cannot be written."""
     with _asked(url, OutputError):
         system, path = _system(url)
         system.put_file(str(content), path)
 
 
 def put_new(content: bytes, url: str) -> bool:
-    """Bytes to a URL where nothing is; whether nothing was. ConfigError: it cannot be written there."""
+    """Write bytes to a URL unless a file exists there; returns whether it wrote. ConfigError: it cannot write there."""
     with _asked(url, ConfigError):
         system, path = _system(url)
         try:
@@ -138,7 +144,7 @@ def put_new(content: bytes, url: str) -> bool:
 
 
 def content(url: str) -> bytes:
-    """What is at a URL; ConfigError."""
+    """The content of the file at a URL; ConfigError where it cannot be read."""
     with _asked(url, ConfigError):
         system, path = _system(url)
         found: bytes = system.cat_file(path)
@@ -146,7 +152,7 @@ def content(url: str) -> bytes:
 
 
 def remove(urls: Sequence[str]) -> None:
-    """Files away; OutputError."""
+    """Remove files; OutputError where one cannot be removed."""
     for url in urls:
         with _asked(url, OutputError):
             system, path = _system(url)
@@ -154,32 +160,32 @@ def remove(urls: Sequence[str]) -> None:
 
 
 class Near:
-    """What is at a place, on this machine: a local path as it is, of a URL a copy that goes with this object.
+    """A local path for a path or URL; the local copy of a URL is removed together with this object.
 
     Args:
         place: Path or URL.
-        but: Files of a folder that are not copied, by their ending (".rrd").
+        but: Endings of files of a folder that are not copied (".rrd").
 
     Attributes:
-        path: Where it is.
-        place: Path or URL, for people.
+        path: The local path.
+        place: Path or URL, for messages.
 
     Raises:
-        ConfigError: Nothing is at the URL.
+        ConfigError: Nothing exists at the URL.
         LogError: It cannot be fetched.
     """
 
     def __init__(self, place: Path | str, but: tuple[str, ...] = ()) -> None:
         url, self.path = url_of(place), local_path(place)
         self.place = url or str(self.path)
-        self._removed: Callable[[], object] = _nothing
+        self._remove: Callable[[], object] | None = None
         if not url:
             return
         files = listed(url)
         if not files:
             raise ConfigError(f"{url}: nothing is there")
         scratch = tempfile.mkdtemp(prefix="replan-")
-        self._removed = weakref.finalize(self, shutil.rmtree, scratch, ignore_errors=True)
+        self._remove = weakref.finalize(self, shutil.rmtree, scratch, ignore_errors=True)
         self.path = Path(scratch, Path(url).name)
         if files[0].url == url:
             fetch(files, self.path.parent)
@@ -188,17 +194,14 @@ class Near:
             fetch([file for file in files if not file.name.endswith(but)], self.path)
 
     def close(self) -> None:
-        """The copy goes now."""
-        self._removed()
-
-
-def _nothing() -> None:
-    """Where there is no copy."""
+        """Remove the copy now."""
+        if self._remove is not None:
+            self._remove()
 
 
 @contextmanager
 def here(place: Path | str) -> Iterator[Path]:
-    """`Near.path` for as long."""
+    """`Near.path` within a `with` block."""
     with closing(Near(place)) as near:
         yield near.path
 
@@ -218,7 +221,7 @@ def _system(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def _asked(url: str, kind: type[ReplanError]) -> Iterator[None]:
-    """What a file system raises, of whatever kind its library has, as one line."""
+    """Turn any error of a file system's library into one line of kind `kind`."""
     try:
         yield
     except (ReplanError, FileExistsError):

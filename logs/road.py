@@ -217,7 +217,9 @@ class Goal:
             regions = () if anywhere else tuple(region for one in self.alternatives for region in one.regions)
             object.__setattr__(self, "regions", regions)
             for name in ("t", "v", "yaw"):
-                object.__setattr__(self, name, _hull([getattr(one, name) for one in self.alternatives]))
+                bounds = [getattr(one, name) for one in self.alternatives]
+                hull = None if None in bounds else (min(b[0] for b in bounds), max(b[1] for b in bounds))
+                object.__setattr__(self, name, hull)
         object.__setattr__(self, "regions", tuple(frozen(region) for region in self.regions))
 
     @classmethod
@@ -249,14 +251,6 @@ class Goal:
         if self.yaw is not None and not _in_arc(yaw, *self.yaw):
             return False
         return self.holds_place(x, y)
-
-
-def _hull(intervals: Sequence[tuple[float, float] | None]) -> tuple[float, float] | None:
-    """The smallest interval that holds all; None (free) where one of them is free."""
-    bounds = [interval for interval in intervals if interval is not None]
-    if not bounds or len(bounds) < len(intervals):
-        return None
-    return min(b[0] for b in bounds), max(b[1] for b in bounds)
 
 
 def nearest(points: FloatArray, x: float, y: float) -> int:

@@ -22,7 +22,7 @@ from math import atan2, cos, hypot, inf, pi, sin
 
 import numpy as np
 
-from logs.kernel import TIE, BoolArray, FloatArray, inner_kernel, kernel
+from logs.kernel import TIE, BoolArray, FloatArray, kernel
 from logs.road import Goal, Lane, Road, inside, nearest
 from logs.shapes import point_segment
 from logs.states import EgoState, wrap
@@ -58,8 +58,12 @@ def start_lanes(road: Road, ego: EgoState) -> tuple[int, ...]:
         aligned = [lane.id for lane in ranked if abs(_turn(lane, ego)) < 1.0]
         return tuple(aligned) or (ranked[0].id,)
     drivable = [lane for lane in road.lanes.values() if lane.drivable] or list(road.lanes.values())
-    nearest = min(drivable, key=lambda lane: (_level(_distance(lane, ego) + 5.0 * abs(_turn(lane, ego))), lane.id))
-    return (nearest.id,)
+
+    def away(lane: Lane) -> float:
+        distance = float(np.hypot(*(lane.center[nearest(lane.center, ego.x, ego.y)] - (ego.x, ego.y))))
+        return _level(distance + 5.0 * abs(_turn(lane, ego)))
+
+    return (min(drivable, key=lambda lane: (away(lane), lane.id)).id,)
 
 
 def find_route(road: Road, ego: EgoState, goal: Goal | None) -> Route:
@@ -93,8 +97,11 @@ def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
     """The cost to go of every lane from which the goal can be reached: (1); {} without a goal."""
     into: dict[int, list[tuple[int, float]]] = {}
     for lane in road.lanes.values():
-        if lane.drivable:
-            for step, price in _steps(road, lane):
+        onward = [(i, lane.length) for i in lane.successors]
+        beside = [(lane.left_neighbour, lane.left_crossable), (lane.right_neighbour, lane.right_crossable)]
+        sideways = [(i, LANE_CHANGE_M) for i, crossable in beside if i is not None and crossable]
+        for step, price in onward + sideways if lane.drivable else ():
+            if step in road.lanes and road.lanes[step].drivable:
                 into.setdefault(step, []).append((lane.id, price))
     best: dict[int, CostToGo] = {}
     queue: list[tuple[float, int, int, int, float]]
@@ -105,8 +112,8 @@ def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
             continue
         best[lane_id] = CostToGo(cost, changes, None if after == lane_id else after)
         for before, price in into.get(lane_id, ()):
-            sideways = lane_id not in road.lanes[before].successors
-            heapq.heappush(queue, (_level(cost + price), changes + sideways, before, lane_id, cost + price))  # (1)
+            changed = lane_id not in road.lanes[before].successors
+            heapq.heappush(queue, (_level(cost + price), changes + changed, before, lane_id, cost + price))  # (1)
     return best
 
 
@@ -133,21 +140,18 @@ def _runs_through(lane: Lane, region: FloatArray) -> bool:
 
 @kernel
 def _any_within(x: FloatArray, y: FloatArray, polygon: FloatArray) -> bool:
-    """Whether one of the points `(n,)` lies in a polygon `(k, 2)`, as `_within` has it."""
-    for i in range(len(x)):  # noqa: SIM110  # kernels have no generators
-        if _within(x[i], y[i], polygon):
+    """Whether one of the points `(n,)` lies in a polygon `(k, 2)`, farther than `TIE` from its edge.
+
+    Lanes that end at a goal share that edge.
+    """
+    for i in range(len(x)):
+        apart = inside(x[i], y[i], polygon)
+        for k in range(len(polygon)):
+            a, b = polygon[k - 1], polygon[k]
+            apart = apart and point_segment(x[i], y[i], a[0], a[1], b[0], b[1]) > TIE
+        if apart:
             return True
     return False
-
-
-@inner_kernel
-def _within(x: float, y: float, polygon: FloatArray) -> bool:
-    """Whether a point lies in a polygon, farther than `TIE` from its edge: lanes that end at a goal share that edge."""
-    for i in range(len(polygon)):
-        a, b = polygon[i - 1], polygon[i]
-        if point_segment(x, y, a[0], a[1], b[0], b[1]) <= TIE:
-            return False
-    return inside(x, y, polygon)
 
 
 def straight_on(road: Road, lane_id: int) -> int | None:
@@ -156,15 +160,8 @@ def straight_on(road: Road, lane_id: int) -> int | None:
     onward = [road.lanes[i] for i in lane.successors if i in road.lanes and road.lanes[i].drivable]
     if not onward:
         return None
-    heading = _heading(lane.center[-2], lane.center[-1])
-    return min(onward, key=lambda after: (_level(abs(_bend(after, heading))), after.id)).id
-
-
-def _steps(road: Road, lane: Lane) -> list[tuple[int, float]]:
-    onward = [(i, lane.length) for i in lane.successors]
-    beside = [(lane.left_neighbour, lane.left_crossable), (lane.right_neighbour, lane.right_crossable)]
-    sideways = [(i, LANE_CHANGE_M) for i, crossable in beside if i is not None and crossable]
-    return [(i, price) for i, price in onward + sideways if i in road.lanes and road.lanes[i].drivable]
+    heading = _heading(lane, -2)
+    return min(onward, key=lambda after: (_level(abs(wrap(_heading(after, -2) - heading))), after.id)).id
 
 
 def _level(value: float) -> float:
@@ -172,26 +169,16 @@ def _level(value: float) -> float:
     return TIE * round(value / TIE)
 
 
-def _heading(start: np.ndarray, end: np.ndarray) -> float:
+def _heading(lane: Lane, i: int) -> float:
+    """Direction of the piece of the centre line that begins at point `i`, rad."""
+    start, end = lane.center[i], lane.center[i + 1]
     return atan2(end[1] - start[1], end[0] - start[0])
 
 
-def _bend(lane: Lane, heading: float) -> float:
-    return wrap(_heading(lane.center[-2], lane.center[-1]) - heading)
-
-
-def _nearest_vertex(lane: Lane, ego: EgoState) -> int:
-    return nearest(lane.center, ego.x, ego.y)
-
-
 def _turn(lane: Lane, ego: EgoState) -> float:
-    i = min(_nearest_vertex(lane, ego), len(lane.center) - 2)
-    return wrap(_heading(lane.center[i], lane.center[i + 1]) - ego.yaw)
-
-
-def _distance(lane: Lane, ego: EgoState) -> float:
-    i = _nearest_vertex(lane, ego)
-    return float(np.hypot(*(lane.center[i] - (ego.x, ego.y))))
+    """Heading of the lane at the ego, relative to the ego's, rad."""
+    i = min(nearest(lane.center, ego.x, ego.y), len(lane.center) - 2)
+    return wrap(_heading(lane, i) - ego.yaw)
 
 
 ASKEW_RAD = 0.25 * pi

@@ -32,7 +32,6 @@ EGO_POSE, CENTRE = "ego_pose", "box centre"
 __all__ = ["CENTRE", "EGO_POSE", "FINDING", "AgentKind", "Agents", "Scenario", "Tracks"]
 _TURNING = among(*(kind for kind in AgentKind if kind is not AgentKind.PEDESTRIAN))
 _NOT_ASKED = frozen(np.empty(0))
-_State = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 @kernel
@@ -203,20 +202,7 @@ class Tracks:
     def empty(cls) -> Tracks:
         """No road users."""
         none = np.empty(0)
-        return cls(
-            (),
-            (),
-            none,
-            none,
-            np.empty(0, np.bool_),
-            np.zeros(1, np.int64),
-            none,
-            none,
-            none,
-            none,
-            none,
-            none,
-        )
+        return cls((), (), none, none, np.empty(0, np.bool_), np.zeros(1, np.int64), *[none] * 6)
 
     @property
     def whole(self) -> Tracks:
@@ -232,15 +218,10 @@ class Tracks:
         owner = np.repeat(np.arange(len(self)), np.diff(self.offsets))
         sizes = np.bincount(owner[keep], minlength=len(self))
         left = np.flatnonzero(sizes)
-        return Tracks(
-            tuple(self.ids[i] for i in left),
-            tuple(self.kinds[i] for i in left),
-            self.length[left],
-            self.width[left],
-            self.static[left],
-            np.r_[0, np.cumsum(sizes[left])],
-            *(getattr(self, name)[keep] for name in ("t", "x", "y", "yaw", "vx", "vy")),
-        )
+        ids, kinds = tuple(self.ids[i] for i in left), tuple(self.kinds[i] for i in left)
+        columns = (getattr(self, name)[keep] for name in ("t", "x", "y", "yaw", "vx", "vy"))
+        offsets = np.r_[0, np.cumsum(sizes[left])]
+        return Tracks(ids, kinds, self.length[left], self.width[left], self.static[left], offsets, *columns)
 
     def only(self, ids: Collection[str]) -> Tracks:
         """The tracks of these road users, whole."""
@@ -319,7 +300,10 @@ class Tracks:
         x, y, yaw, vx, vy, accel = (values[at] + u * (values[after] - values[at]) for values in columns)
         speed = np.hypot(vx, vy)
         trends = _trends(seen, at, self.offsets, self.t, self.yaw, self.x, self.y, self.vx, self.vy, speed)
-        return self._agents(seen, (x, y, yaw, vx, vy), trends[0], accel)
+        return Agents(
+            tuple(self.ids[i] for i in seen), tuple(self.kinds[i] for i in seen), self.length[seen], self.width[seen],
+            x, y, yaw, vx, vy, yaw_rate=self._turns[seen] * trends[0], accel=np.where(self.static[seen], 0.0, accel),
+        )  # fmt: skip
 
     def ids_at(self, time: float) -> tuple[str, ...]:
         """Of `truth(time)`, the names alone."""
@@ -336,27 +320,11 @@ class Tracks:
         """Vectors vx and vy `(k,)` of the tracks `seen` at their samples `at`: logged, else backward differences."""
         before = np.maximum(at - 1, self.offsets[seen])
         span = self.t[at] - self.t[before]
-        differences = [
-            np.divide(values[at] - values[before], span, out=np.zeros(len(at)), where=span > 0.0)
-            for values in (self.x, self.y)
-        ]
-        moves = ~self.static[seen]
-        return (
-            np.where(np.isfinite(self.vx[at]), self.vx[at], differences[0]) * moves,
-            np.where(np.isfinite(self.vy[at]), self.vy[at], differences[1]) * moves,
-        )
-
-    def _agents(self, seen: IntArray, state: _State, yaw_rate: FloatArray, accel: FloatArray) -> Agents:
-        """The tracks `seen` at x, y, yaw, vx, vy."""
-        return Agents(
-            tuple(self.ids[i] for i in seen),
-            tuple(self.kinds[i] for i in seen),
-            self.length[seen],
-            self.width[seen],
-            *state,
-            yaw_rate=self._turns[seen] * yaw_rate,
-            accel=np.where(self.static[seen], 0.0, accel),
-        )
+        found = []
+        for values, logged in ((self.x, self.vx[at]), (self.y, self.vy[at])):
+            step = np.divide(values[at] - values[before], span, out=np.zeros(len(at)), where=span > 0.0)
+            found.append(np.where(np.isfinite(logged), logged, step) * ~self.static[seen])
+        return found[0], found[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -418,9 +386,8 @@ class Scenario:
         if len({light.id for light in self.lights}) < len(self.lights):
             raise ValueError("two traffic lights have the same id")
         if not all(-np.inf < first <= last < np.inf for first, last in self.traffic or ()):
-            raise ValueError(
-                f"traffic was observed in {self.traffic}: each span needs a finite begin and end, in order"
-            )
+            what = f"traffic was observed in {self.traffic}: each span needs a finite begin and end, in order"
+            raise ValueError(what)
 
     def in_vehicle(self, vehicle: VehicleParameters) -> Scenario:
         """The scenario with another ego vehicle: the rear axle stays, or the box centre if the log's poses are such."""

@@ -119,7 +119,10 @@ class Trajectory:
         if still >= 0:
             raise ValueError(f"time does not increase after {rows[0, still]} s")
         if turns:
-            _check_angles(rows)
+            k = int(np.argmax(np.abs(rows[YAW_ROW])))
+            if not abs(rows[YAW_ROW, k]) <= MOST_RAD:  # unwrapping would turn it into any angle
+                where = f"at index {k} (t = {rows[0, k]:g} s)"
+                raise ValueError(f"yaw is {rows[YAW_ROW, k]:g} rad {where}, beyond {MOST_RAD:g} rad")
             rows[YAW_ROW] = np.unwrap(rows[YAW_ROW])
         for name, row in zip(TRAJECTORY_COLUMNS, frozen(rows), strict=True):
             object.__setattr__(self, name, row)
@@ -159,18 +162,8 @@ class Trajectory:
 TRAJECTORY_COLUMNS = tuple(field.name for field in fields(Trajectory))
 YAW_ROW = TRAJECTORY_COLUMNS.index("yaw")
 
-
 MOST_RAD = 1e9
 """A double beyond it holds an angle to no better than 1e-7 rad: no heading."""
-
-
-def _check_angles(rows: FloatArray) -> None:
-    """Refuse headings that unwrapping would turn into any angle."""
-    k = int(np.argmax(np.abs(rows[YAW_ROW])))
-    if not abs(rows[YAW_ROW, k]) <= MOST_RAD:
-        raise ValueError(
-            f"yaw is {rows[YAW_ROW, k]:g} rad at index {k} (t = {rows[0, k]:g} s), beyond {MOST_RAD:g} rad"
-        )
 
 
 @kernel

@@ -87,7 +87,7 @@ class ScenarioSummary:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """What a log holds; `scenario` is None and `error` says why where it cannot be evaluated; `read` is it whole."""
+    """What a log holds; `read` is the log. Where it cannot be evaluated, `scenario` is None and `error` says why."""
 
     path: Path
     profile: str
@@ -101,7 +101,11 @@ class LogSummary:
     def lines(self) -> list[str]:
         """The summary as text, one line each."""
         out = [f"{self.path.name}: {self.profile}, {self.size_bytes / 1024:.0f} KiB"]
-        out += [_topic_line(topic) for topic in self.topics]
+        for topic in self.topics:
+            line = f"  {topic.topic}: {topic.messages} x {topic.schema or 'no schema'} ({topic.encoding})"
+            if topic.first_ns is not None and topic.last_ns is not None:
+                line += f", {topic.first_ns / 1e9:.3f} to {topic.last_ns / 1e9:.3f} s"
+            out.append(line)
         if self.scenario is not None:
             out += _scenario_lines(self.scenario)
         out += [f"{'yes' if e.possible else 'no ':3}  {e.name}: {e.reason}" for e in self.evaluations]
@@ -122,22 +126,19 @@ def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
         scenario = read_log(path, settings)
     except LogError as refusal:
         error = refusal if refusal.file is not None else refusal.at(path)
+    has_vehicle = False
+    if scenario is not None and not any(note.startswith(VEHICLE_ASSUMED) for note in scenario.notes):
+        in_log = any(topic.topic == "/vehicle" for topic in contents.topics)
+        has_vehicle = in_log or scenario.vehicle != VehicleParameters()
     return LogSummary(
         path,
         contents.profile or (reader.summary if reader is not None else ""),
         sum(file.stat().st_size for file in files if file.is_file()),
         contents.topics,
         None if scenario is None else _scenario(scenario),
-        () if scenario is None else evaluations(scenario, has_vehicle=_tells_vehicle(scenario, contents)),
+        () if scenario is None else evaluations(scenario, has_vehicle=has_vehicle),
         error,
         scenario,
-    )
-
-
-def _tells_vehicle(scenario: Scenario, contents: Contents) -> bool:
-    assumed = any(note.startswith(VEHICLE_ASSUMED) for note in scenario.notes)  # of a converted log, too
-    return not assumed and (
-        scenario.vehicle != VehicleParameters() or any(topic.topic == "/vehicle" for topic in contents.topics)
     )
 
 
@@ -146,57 +147,38 @@ def _scenario(scenario: Scenario) -> ScenarioSummary:
     span = float(ego.t[-1] - ego.t[0])
     kinds = Counter(kind.value for kind, static in zip(tracks.kinds, tracks.static, strict=True) if not static)
     return ScenarioSummary(
-        name=scenario.name,
-        source=scenario.source,
-        licence=scenario.licence,
-        tags=scenario.tags,
-        duration=scenario.duration,
-        traffic=scenario.traffic_spans,
-        ego_samples=len(ego),
+        name=scenario.name, source=scenario.source, licence=scenario.licence, tags=scenario.tags,
+        duration=scenario.duration, traffic=scenario.traffic_spans, ego_samples=len(ego),
         ego_span=(float(ego.t[0]), float(ego.t[-1])),
         ego_rate=(len(ego) - 1) / span if span > 0.0 else float("nan"),
-        ego_speed=(float(ego.v.min()), float(ego.v.max())),
-        agents=dict(kinds.most_common()),
-        obstacles=int(tracks.static.sum()),
-        road=_road(scenario.road),
-        lights=len(scenario.lights),
+        ego_speed=(float(ego.v.min()), float(ego.v.max())), agents=dict(kinds.most_common()),
+        obstacles=int(tracks.static.sum()), road=_road(scenario.road), lights=len(scenario.lights),
         goal=None if scenario.goal is None else _goal(scenario.goal),
-        controls=0 if scenario.controls is None else len(scenario.controls),
-        metadata=scenario.metadata,
+        controls=0 if scenario.controls is None else len(scenario.controls), metadata=scenario.metadata,
         notes=scenario.notes,
-    )
+    )  # fmt: skip
 
 
 def _road(road: Road) -> RoadSummary:
     lanes = road.lanes.values()
     return RoadSummary(
-        road.source.value,
-        len(lanes),
-        sum(lane.drivable for lane in lanes),
-        sum(lane.length for lane in lanes) / 1000.0,
-        sum(not np.isfinite(lane.speed_limit) for lane in lanes),
-        road.default_speed_limit,
-        len(road.stop_lines),
-        sum(line.light is not None for line in road.stop_lines),
-        sum(line.must_stop for line in road.stop_lines),
-        len(road.crosswalks),
-        sum(bool(lane.yields_to) for lane in lanes),
-    )
+        source=road.source.value, lanes=len(lanes), drivable=sum(lane.drivable for lane in lanes),
+        length_km=sum(lane.length for lane in lanes) / 1000.0,
+        without_speed_limit=sum(not np.isfinite(lane.speed_limit) for lane in lanes),
+        default_speed_limit=road.default_speed_limit, stop_lines=len(road.stop_lines),
+        with_light=sum(line.light is not None for line in road.stop_lines),
+        must_stop=sum(line.must_stop for line in road.stop_lines), crosswalks=len(road.crosswalks),
+        giving_way=sum(bool(lane.yields_to) for lane in lanes),
+    )  # fmt: skip
 
 
 def _goal(goal: Goal) -> str:
     if goal.alternatives:
         return "; or ".join(map(_goal, goal.alternatives))
     parts = [f"in {len(goal.regions)} region(s)" if goal.regions else "at any place"]
-    parts += [
-        f"{word} {interval[0]:g} to {interval[1]:g} {unit}"
-        for word, interval, unit in (
-            ("time", goal.t, "s"),
-            ("speed", goal.v, "m/s"),
-            ("heading", goal.yaw, "rad"),
-        )
-        if interval is not None
-    ]
+    for word, interval, unit in (("time", goal.t, "s"), ("speed", goal.v, "m/s"), ("heading", goal.yaw, "rad")):
+        if interval is not None:
+            parts.append(f"{word} {interval[0]:g} to {interval[1]:g} {unit}")
     return ", ".join(parts)
 
 
@@ -214,28 +196,19 @@ def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, .
     met = known_s >= ENOUGH * scenario.duration
     if known_s < scenario.duration - MAX_AGE_S:
         others += f"; traffic is recorded {described(recorded)} of {scenario.duration:.1f} s"
+    limits = f"{unlimited} of {len(road.lanes)} lanes have none: {road.default_speed_limit:.1f} m/s is assumed there"
+    vehicle = "the log's vehicle" if has_vehicle else "vehicle partly or all assumed"
+    controls = scenario.controls is not None
     return (
         Evaluation("open loop against the driven ego", len(ego) > 1, compared),
         Evaluation("closed loop", scenario.duration > 0.0, lasting),
         Evaluation("collisions, gaps, time to collision", len(tracks) > 0 and met, others),
         Evaluation("goal reached", scenario.goal is not None, "named in the log" if scenario.goal else "no goal"),
         Evaluation("off road, lane keeping", lanes, road.source.value),
-        Evaluation(
-            "speed limits",
-            lanes and unlimited < len(road.lanes),
-            f"{unlimited} of {len(road.lanes)} lanes have none: {road.default_speed_limit:.1f} m/s is assumed there"
-            if lanes
-            else "no lanes",
-        ),
+        Evaluation("speed limits", lanes and unlimited < len(road.lanes), limits if lanes else "no lanes"),
         Evaluation("lights, stop signs, crosswalks, right of way", *_rules(scenario)),
-        Evaluation(
-            "tracking", scenario.duration > 0.0, "the log's vehicle" if has_vehicle else "vehicle partly or all assumed"
-        ),
-        Evaluation(
-            "steering and pedals against the log",
-            scenario.controls is not None,
-            "logged" if scenario.controls is not None else "no /controls",
-        ),
+        Evaluation("tracking", scenario.duration > 0.0, vehicle),
+        Evaluation("steering and pedals against the log", controls, "logged" if controls else "no /controls"),
     )
 
 
@@ -248,16 +221,9 @@ def _rules(scenario: Scenario) -> tuple[bool, str]:
         "crosswalk": len(road.crosswalks),
         "lane": sum(bool(lane.yields_to) for lane in road.lanes.values()),
     }
-    said = {"stop line": " with a light", "lane": " giving way"}
-    held = ", ".join(f"{counted(count, name)}{said.get(name, '')}" for name, count in counts.items() if count)
+    detail = {"stop line": " with a light", "lane": " giving way"}
+    held = ", ".join(f"{counted(count, name)}{detail.get(name, '')}" for name, count in counts.items() if count)
     return bool(held), held or "the log names none"
-
-
-def _topic_line(topic: TopicSummary) -> str:
-    line = f"  {topic.topic}: {topic.messages} x {topic.schema or 'no schema'} ({topic.encoding})"
-    if topic.first_ns is None or topic.last_ns is None:
-        return line
-    return f"{line}, {topic.first_ns / 1e9:.3f} to {topic.last_ns / 1e9:.3f} s"
 
 
 def _scenario_lines(scenario: ScenarioSummary) -> list[str]:

@@ -344,13 +344,10 @@ class PlannedFrame:
     @classmethod
     def of(cls, frame: Frame, plan: Plan) -> PlannedFrame:
         """The plan for a frame, as it is kept (`Plan.recorded`), with what a trace keeps of the frame."""
-        return cls(frame.t, plan, frame.agents.ids, _thinned(frame.predictions), frame.visibility)
-
-
-def _thinned(predictions: Predictions) -> Predictions:
-    some, kept = predictions, kept_samples(predictions.t)
-    x, y, yaw = frozen(np.array([some.x[:, kept], some.y[:, kept], some.yaw[:, kept]]))  # once: they are not copied
-    return type(some)(some.t[kept], some.agent, some.probability, x, y, yaw, some.method)
+        some, kept = frame.predictions, kept_samples(frame.predictions.t)
+        x, y, yaw = frozen(np.array([some.x[:, kept], some.y[:, kept], some.yaw[:, kept]]))  # once: they are not copied
+        thinned = type(some)(some.t[kept], some.agent, some.probability, x, y, yaw, some.method)
+        return cls(frame.t, plan, frame.agents.ids, thinned, frame.visibility)
 
 
 def kept_samples(t: FloatArray, step: float = KEPT_STEP_S) -> slice | IntArray:

@@ -28,6 +28,7 @@ from logs.states import Controls, OnboardPlan, Trajectory
 MIRRORED = "~mirrored"
 _FLIP = np.array([1.0, -1.0])
 Boxes = TypeVar("Boxes", Tracks, Detections)
+Placed = TypeVar("Placed", Tracks, Detections, Trajectory)
 _Points = Callable[[FloatArray], FloatArray]
 
 
@@ -156,7 +157,8 @@ def mirrored(scenario: Scenario) -> Scenario:
     goal, controls, name = scenario.goal, scenario.controls, scenario.name
     metadata = dict(scenario.metadata)
     if "expected_decisions" in metadata:
-        metadata["expected_decisions"] = _swapped(metadata["expected_decisions"])
+        text = metadata["expected_decisions"].replace("nudge left", "nudge\0").replace("nudge right", "nudge left")
+        metadata["expected_decisions"] = text.replace("nudge\0", "nudge right")
     return replace(
         scenario,
         name=name.removesuffix(MIRRORED) if name.endswith(MIRRORED) else name + MIRRORED,
@@ -190,23 +192,19 @@ def _turn(angle: float) -> FloatArray:
 
 def _placed(scenario: Scenario, points: _Points) -> Scenario:
     """The scenario with all its points `(k, 2)` elsewhere, and nothing else changed."""
-    ego, road, goal = scenario.ego, scenario.road, scenario.goal
+    goal = scenario.goal
 
-    def boxes(one: Boxes) -> Boxes:
-        box_x, box_y = points(np.column_stack([one.x, one.y])).T
-        return replace(one, x=box_x, y=box_y)
+    def elsewhere(one: Placed) -> Placed:
+        x, y = points(np.column_stack([one.x, one.y])).T
+        return replace(one, x=x, y=y)
 
-    def driven(one: Trajectory) -> Trajectory:
-        own_x, own_y = points(np.column_stack([one.x, one.y])).T
-        return replace(one, x=own_x, y=own_y)
-
-    elsewhere = _with_boxes(scenario, boxes)
+    boxes = _with_boxes(scenario, elsewhere)  # before the ego: the order in which `jittered` draws
     return replace(
         scenario,
-        ego=driven(ego),
-        onboard=_with_trajectories(scenario.onboard, driven),
-        **elsewhere,
-        road=placed_road(road, points),
+        ego=elsewhere(scenario.ego),
+        onboard=_with_trajectories(scenario.onboard, elsewhere),
+        **boxes,
+        road=placed_road(scenario.road, points),
         goal=None if goal is None else goal.changed(lambda one: replace(one, regions=tuple(map(points, one.regions)))),
     )
 
@@ -234,10 +232,6 @@ def placed_road(road: Road, points: _Points) -> Road:
         stop_lines=tuple(replace(line, points=points(line.points)) for line in road.stop_lines),
         crosswalks=tuple(replace(each, polygon=points(each.polygon)) for each in road.crosswalks),
     )
-
-
-def _swapped(text: str) -> str:
-    return text.replace("nudge left", "nudge\0").replace("nudge right", "nudge left").replace("nudge\0", "nudge right")
 
 
 def _mirrored_road(road: Road) -> Road:

@@ -102,7 +102,13 @@ class VehicleParameters:
                 raise ValueError(f"vehicle {name} must be positive, got {getattr(self, name)}")
         if not 0.0 <= self.rear_overhang <= self.length - self.wheelbase:
             raise ValueError("vehicle rear_overhang must lie between 0 and length - wheelbase")
-        _check_motor(self)
+        n = len(self.motor_speed)
+        if (len(self.motor_torque), len(self.motor_overrun)) != (n, n) or bool(self.gears) != bool(n):
+            raise ValueError("vehicle gears, motor_speed, motor_torque and motor_overrun: tell all of them or none")
+        if n and (n < 2 or not all(a < b for a, b in zip((0.0, *self.motor_speed), self.motor_speed, strict=False))):
+            raise ValueError("vehicle motor_speed must have at least two values, positive and increasing")
+        if min((*self.gears, 1.0)) <= 0.0 or min((*self.motor_torque, *self.motor_overrun, 0.0)) < 0.0:
+            raise ValueError("vehicle gears must be positive, motor_torque and motor_overrun not negative")
 
     @property
     def axle_to_front(self) -> float:
@@ -129,17 +135,6 @@ class VehicleParameters:
         ratio = self.mass / mass
         scaled = {name: ratio * getattr(self, name) for name in ("max_accel", "max_power", "max_decel", "drag")}
         return replace(self, mass=mass, **scaled)
-
-
-def _check_motor(p: VehicleParameters) -> None:
-    """Raise ValueError where the motor's columns do not fit each other."""
-    n = len(p.motor_speed)
-    if (len(p.motor_torque), len(p.motor_overrun)) != (n, n) or bool(p.gears) != bool(n):
-        raise ValueError("vehicle gears, motor_speed, motor_torque and motor_overrun: tell all of them or none")
-    if n and (n < 2 or not all(a < b for a, b in zip((0.0, *p.motor_speed), p.motor_speed, strict=False))):
-        raise ValueError("vehicle motor_speed must have at least two values, positive and increasing")
-    if min((*p.gears, 1.0)) <= 0.0 or min((*p.motor_torque, *p.motor_overrun, 0.0)) < 0.0:
-        raise ValueError("vehicle gears must be positive, motor_torque and motor_overrun not negative")
 
 
 def vehicle_names() -> tuple[str, ...]:

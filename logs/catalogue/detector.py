@@ -22,7 +22,7 @@ from logs.states import Trajectory
 STEP_S = 0.1
 AHEAD_M, ASIDE_M = 50.0, 25.0
 FAR_M, SEEN = (0.0, 10.0, 20.0, 30.0, 40.0, 90.0), (0.95, 0.93, 0.89, 0.82, 0.76, 0.69)
-"""Share of the frames in which who is there is seen, by distance."""
+"""Share of the frames in which a road user is seen, by distance."""
 SHORT_GAPS, SHORT_END, LONG_END = 0.75, 0.6, 0.12
 """Three gaps in four end with probability 0.6 a frame, the others 0.12: half last one frame, 1 % more than 26."""
 DRIFT_KEPT = 0.95
@@ -64,7 +64,7 @@ class Sight:
 
 
 def sight(tracks: Tracks, ego: Trajectory) -> Sight:
-    """Who is within range of the ego, every `STEP_S` of its drive."""
+    """The road users within range of the ego, every `STEP_S` of its drive."""
     frames = np.round(np.arange(ego.t[0], ego.t[-1] + 1e-6, STEP_S), 6)
     place = {name: i for i, name in enumerate(tracks.ids)}
     parts = []
@@ -101,7 +101,7 @@ def _hidden(x: float, y: float, boxes: FloatArray, opaque: BoolArray) -> BoolArr
 
 
 def detected(tracks: Tracks, ego: Trajectory, seed: int) -> Detections:
-    """What a detector on the ego reports of these road users; another seed is another drive of the same scene."""
+    """The detections of these road users by a detector on the ego; another seed is another drive of the same scene."""
     rng = np.random.default_rng(seed)
     seen = sight(tracks, ego)
     boxes = np.vstack([np.empty((0, _WIDTH)), *(_of_agent(tracks, i, seen, rng) for i in range(len(tracks)))])
@@ -158,7 +158,7 @@ def _drift(n: int, deviation: float, rng: np.random.Generator) -> FloatArray:
 
 
 def _noticed(far: FloatArray, rng: np.random.Generator) -> BoolArray:
-    """In which of its frames who is so `far` `(n,)` away is seen: the gaps have the measured lengths."""
+    """The frames `(n,)` in which a road user at distances `far` `(n,)` is seen: the gaps have the measured lengths."""
     share = np.interp(far, FAR_M, SEEN)
     mean = SHORT_GAPS / SHORT_END + (1.0 - SHORT_GAPS) / LONG_END
     begins = (1.0 - share) / share / mean
@@ -173,7 +173,7 @@ def _noticed(far: FloatArray, rng: np.random.Generator) -> BoolArray:
 
 
 def _clutter(frames: FloatArray, ego: Trajectory, rng: np.random.Generator) -> FloatArray:
-    """Boxes of nothing, for a frame or a few."""
+    """False boxes that last for a frame or a few."""
     parts: list[FloatArray] = [np.empty((0, _WIDTH))]
     for first in rng.integers(0, len(frames), rng.poisson(CLUTTER * len(frames))).tolist():
         last = min(first + int(rng.geometric(CLUTTER_END)), len(frames))
@@ -182,7 +182,7 @@ def _clutter(frames: FloatArray, ego: Trajectory, rng: np.random.Generator) -> F
 
 
 def _ghosts(frames: FloatArray, ego: Trajectory, rng: np.random.Generator) -> FloatArray:
-    """Boxes of nothing that last for seconds."""
+    """False boxes that last for seconds."""
     parts: list[FloatArray] = [np.empty((0, _WIDTH))]
     for first in rng.integers(0, len(frames), rng.poisson(STEP_S * len(frames) / GHOST_EVERY_S)).tolist():
         last = min(first + round(rng.uniform(*GHOST_S) / STEP_S), len(frames))

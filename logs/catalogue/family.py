@@ -126,7 +126,7 @@ def before_contact(scenario: Scenario) -> Scenario:
     """The scenario with an ego log that ends before the first contact, which the metadata name; as it is without one.
 
     Raises:
-        ValueError: Someone is touched at the start.
+        ValueError: The ego touches an agent at the start.
     """
     found = _contact(scenario)
     if found is None:

@@ -41,7 +41,7 @@ def _scene(p: Mapping[str, float], fault: Callable[[Tracks, Mapping[str, float]]
 
 
 def _kept(tracks: Tracks, keep: BoolArray) -> Tracks:
-    """Raises ValueError where someone has no sample left."""
+    """The tracks with some of their samples; ValueError where a track has none left."""
     left = tracks.taken(keep)
     if len(left) < len(tracks):
         raise ValueError("nothing is left of a track")

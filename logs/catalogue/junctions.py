@@ -5,7 +5,7 @@
     1 ---+--- 3        inner lanes: 10 a + b leads from lane a to lane b
        6 | 7
 
-Traffic keeps right. Whoever is on the side road gives way to the main road, and turning left to the oncoming.
+Traffic keeps right. Drivers on the side road give way to the main road, and drivers who turn left to oncoming traffic.
 """
 
 from __future__ import annotations

@@ -116,7 +116,7 @@ def _parked(p: Parameters) -> Scenario:
 
 
 def _rider(p: Parameters) -> Scenario:
-    """Someone rides towards the ego in the lane beside; the detector takes them for a pedestrian; cars come, too."""
+    """A rider comes towards the ego in the lane beside, detected as a pedestrian; cars come, too."""
     t = grid(p["duration_s"])
     rider = _along("rider", AgentKind.PEDESTRIAN, BICYCLE, t, p["distance_m"], p["offset_m"], -p["rider_speed_mps"])
     cars = [_along(f"oncoming_{k}", AgentKind.CAR, CAR, t, 160.0 + 60.0 * k, LANE_WIDTH_M, -8.0) for k in range(2)]

@@ -1,10 +1,10 @@
 """Names of road users: whether a log's ids are identities, and those that a repaired and a causal track share.
 
-(1) a causal track is the repaired one to whose box its own was nearest in most frames so far, within `NEAR_M`; one that
-    was near none is no road user
-(2) a repaired track has the name of the causal one that was it in most frames; others of the same road user, after it
-    was lost for a while, keep their own names. A repaired track that was never tracked has a name of its own, and so
-    has who never moves
+(1) a causal track belongs to the repaired track whose box was nearest to its own in most frames so far, within
+    `NEAR_M`; a causal track that was near none is not a road user
+(2) a repaired track gets the name of the causal track that belonged to it in most frames; other causal tracks of the
+    same road user, after a loss, keep their own names. A repaired track that was never tracked gets a new name, and so
+    does a road user who never moves
 """
 
 from __future__ import annotations
@@ -63,13 +63,13 @@ def no_identities(ids: Sequence[str], t: FloatArray, x: FloatArray, y: FloatArra
 
 
 class Owners:
-    """Finds whose each causal track is (1), frame by frame in order of time."""
+    """Assigns causal tracks to the tracks of a log (1), frame by frame in order of time."""
 
     def __init__(self) -> None:
         self.votes: dict[str, Counter[str]] = defaultdict(Counter)
 
     def of(self, known: Agents, log: Agents) -> list[str]:
-        """The name in the log of each agent that is known, "" of none; both are of one time."""
+        """The name in the log of each known agent, "" where none belongs; both are states at the same time."""
         away = np.hypot(known.x[:, None] - log.x, known.y[:, None] - log.y)
         for name, row in zip(known.ids, away if len(log) else (), strict=bool(len(log))):
             nearest = int(np.argmin(row))
@@ -78,7 +78,7 @@ class Owners:
         return [self.owner(name) for name in known.ids]
 
     def owner(self, name: str) -> str:
-        """Of a causal track; of two that are equal the first."""
+        """The owner of a causal track; the first of several with equal votes."""
         votes = self.votes[name]
         return max(votes, key=votes.__getitem__, default="")
 

@@ -12,7 +12,7 @@ from planners.dp_qp.config import DpQpConfig
 from planners.dp_qp.lane.choice import choose, hopeless, worth_looking
 from planners.dp_qp.lane.passing import PassMemory, passing
 from planners.dp_qp.lane.plan import LaneMemory, LanePlan, LanePlanner
-from planners.frenet.fallback import along, fall_back
+from planners.frenet.fallback import Stops, along, fall_back
 from planners.frenet.lane_sequence import LaneSequence, LaneSequences
 from planners.frenet.scene import start_of
 
@@ -56,8 +56,8 @@ class DpQp:
         path, speed = chosen.path.path, chosen.speed
         if path is None or speed is None or speed.profile is None:
             qp, reason = self._config.speed.qp, chosen.path.reason or (speed.reason if speed else "")
-            limits = qp.comfort, qp.emergency
-            return fall_back(frame, start, start_kind, path, reason, internals, self._vehicle, limits, qp.knots)
+            stops = Stops(qp.comfort, qp.emergency, qp.knots)
+            return fall_back(frame, start, start_kind, path, reason, internals, self._vehicle, stops)
         status = PlanStatus.HARD_STOP if speed.unavoidable else PlanStatus.PLANNED
         return Plan(along(path, speed.profile, frame.t), status, speed.reason, start_kind, internals)
 

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,16 +45,25 @@ def _driven(
     return out
 
 
+class Stops(NamedTuple):
+    """Limits of a comfortable and of the hardest stop, and for how many steps of `STEP_S` a stop is planned."""
+
+    comfortable: SpeedLimits = COMFORT
+    hardest: SpeedLimits = EMERGENCY
+    knots: int = HORIZON_KNOTS
+
+
+USUAL_STOPS = Stops()
+
+
 def fall_back(
     frame: Frame, start: EgoState, start_kind: PlanStart, path: Path | None, reason: str,
-    artefacts: Sequence[Artefact], vehicle: VehicleParameters,
-    limits: tuple[SpeedLimits, SpeedLimits] = (COMFORT, EMERGENCY), knots: int = HORIZON_KNOTS,
+    artefacts: Sequence[Artefact], vehicle: VehicleParameters, stops: Stops = USUAL_STOPS,
 ) -> Plan:  # fmt: skip
-    """The fallback ladder of the module docstring; `path` is this frame's, if there is one.
-
-    `limits` are those of a comfortable and of the hardest stop.
-    """
-    rest = _rest(frame)
+    """The fallback ladder of the module docstring; `path` is this frame's, if there is one."""
+    rest, old = None, frame.previous.trajectory if frame.previous is not None else None
+    if old is not None and old.t[-1] - frame.t >= MIN_REST_S and old.t[0] <= frame.t:
+        rest = old.resampled(np.r_[frame.t, old.t[old.t > frame.t + 1e-6]])
     if rest is not None and not meets(rest, frame, vehicle):
         return Plan(rest, PlanStatus.PREVIOUS, reason, PlanStart.PREVIOUS_PLAN, artefacts)
     stitched = rest is not None and start_kind is PlanStart.PREVIOUS_PLAN and rest.v[0] > 0.5
@@ -63,10 +73,10 @@ def fall_back(
         x, y = start.x + sigma * np.cos(start.yaw), start.y + sigma * np.sin(start.yaw)
         path = Path(sigma, x, y, still + start.yaw, still, sigma)
     status = PlanStatus.COMFORTABLE_STOP
-    for each in limits:
-        profile = braking(max(start.v, 0.0), start.a, each.decel_mps2, each.jerk_mps3, STEP_S, knots)
+    for limits in (stops.comfortable, stops.hardest):
+        profile = braking(max(start.v, 0.0), start.a, limits.decel_mps2, limits.jerk_mps3, STEP_S, stops.knots)
         stop = along(path, profile, frame.t)
-        if each is limits[-1] or not meets(stop, frame, vehicle):
+        if limits is stops.hardest or not meets(stop, frame, vehicle):
             break
         status = PlanStatus.HARD_STOP
     return Plan(stop, status, reason, start_kind, artefacts)
@@ -92,16 +102,6 @@ def _meets(ego: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, sizes
             if overlap(cx, cy, ego[2, k], car[1], car[2], x[i, k], y[i, k], yaw[i, k], sizes[0, i], sizes[1, i]):
                 return True
     return False
-
-
-def _rest(frame: Frame) -> Trajectory | None:
-    """What is left of the previous plan from the frame's time on, if it is long enough."""
-    if frame.previous is None:
-        return None
-    old = frame.previous.trajectory
-    if old.t[-1] - frame.t < MIN_REST_S or old.t[0] > frame.t:
-        return None
-    return old.resampled(np.r_[frame.t, old.t[old.t > frame.t + 1e-6]])
 
 
 def _path_of(trajectory: Trajectory) -> Path | None:

@@ -248,7 +248,11 @@ def _blended(group: list[Lane], ego: EgoState | None) -> FloatArray:
     if len(group) == 1:
         return group[0].center
     u = np.linspace(0.0, 1.0, max(2, floor(group[0].length + TIE) + 1))
-    first, last = (_resampled(lane.center, u) for lane in (group[0], group[-1]))
+    resampled = []
+    for points in (group[0].center, group[-1].center):
+        chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+        resampled.append(np.column_stack([np.interp(u * chord[-1], chord, points[:, k]) for k in (0, 1)]))
+    first, last = resampled
     begin = 0.0
     if ego is not None:
         begin = float(u[nearest(first, ego.x, ego.y)])
@@ -257,11 +261,6 @@ def _blended(group: list[Lane], ego: EgoState | None) -> FloatArray:
     w = np.clip((u - begin) / max(end - begin, 1e-9), 0.0, 1.0)
     w = w * w * w * (10.0 - 15.0 * w + 6.0 * w * w)
     return (1.0 - w)[:, None] * first + w[:, None] * last
-
-
-def _resampled(points: FloatArray, u: FloatArray) -> FloatArray:
-    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
-    return np.column_stack([np.interp(u * chord[-1], chord, points[:, k]) for k in (0, 1)])
 
 
 @inner_kernel

@@ -52,7 +52,7 @@ class Fault(IntEnum):
     STOP_LINE = 10
 
 
-SAID = {
+REASONS = {
     Fault.BACKWARDS: "drives backwards",
     Fault.TOO_FAST: "above the speed limit",
     Fault.ACCELERATION: "accelerates too hard",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from logs.frame import Frame, PlannerContext
-from logs.kernel import FloatArray, IntArray
+from logs.kernel import FloatArray
 from logs.states import Trajectory
 from logs.trace import (
     Artefact,
@@ -31,8 +31,8 @@ from planners.frenet.scene import RouteTracker, Scene
 from planners.frenet.st_boundaries import StGraphConfig, decide_speed, outlines, st_boundaries
 from planners.lattice.candidates import COST_PARTS, LatticeConfig, Sampler, ego_frenet, futures_of
 from planners.lattice.checks import (
+    REASONS,
     REST_MPS,
-    SAID,
     Body,
     Ego,
     Futures,
@@ -79,8 +79,15 @@ class Lattice:
         stops = on_reference(demanded, scene.s, self._vehicle)
         pairs = self._sampler.pairs(ego, futures, stops)
         self._lap("candidates")
-        chosen, faults = self._choose(ego, futures, pairs)
-        counted = _counted(pairs, faults, chosen)
+        car, line = self._vehicle, self._tracker.reference.line
+        order = np.argsort(np.round(pairs.costs.sum(axis=0), 9), kind="stable")
+        room = Room(line.s, line.coef, self._sampler.left, self._sampler.right)
+        body = Body(car.axle_to_center, car.length, car.width, car.max_kappa, self._config.lat_accel_mps2)
+        chosen, faults = first_feasible(pairs, order, ego, room, futures, body)
+        dearer = len(pairs.row) - int(faults.sum()) - 1 if chosen >= 0 else 0
+        counts = [(why, int((pairs.faults + faults)[fault])) for fault, why in REASONS.items()]
+        counts = [count for count in (*counts, ("dearer than the chosen one", dearer)) if count[1]]
+        counted = Candidates("lattice", len(pairs.row) + int(pairs.faults.sum()), tuple(counts))
         self._lap("choice")
         if chosen < 0:
             reason = "no candidate can be driven: " + ", ".join(f"{n} {why}" for why, n in counted.rejected)
@@ -95,23 +102,6 @@ class Lattice:
             return (*shown, *(stop.decision for stop in stops), counted)
 
         return Plan(trajectory(frame.t, at), start=start_kind, internals=Internals((), internals))
-
-    def _choose(self, ego: Ego, futures: Futures, pairs: Pairs) -> tuple[int, IntArray]:
-        """The first pair without a fault, -1 where there is none, and the faults of those before it."""
-        car, line = self._vehicle, self._tracker.reference.line
-        order = np.argsort(np.round(pairs.costs.sum(axis=0), 9), kind="stable")
-        room = Room(line.s, line.coef, self._sampler.left, self._sampler.right)
-        body = Body(car.axle_to_center, car.length, car.width, car.max_kappa, self._config.lat_accel_mps2)
-        return first_feasible(pairs, order, ego, room, futures, body)
-
-
-def _counted(pairs: Pairs, faults: IntArray, chosen: int) -> Candidates:
-    """How many pairs there were, and why the others were not taken."""
-    rejected = pairs.faults + faults
-    dearer = len(pairs.row) - int(faults.sum()) - 1 if chosen >= 0 else 0
-    counts = [(why, int(rejected[fault])) for fault, why in SAID.items()]
-    counts.append(("dearer than the chosen one", dearer))
-    return Candidates("lattice", len(pairs.row) + int(pairs.faults.sum()), tuple(count for count in counts if count[1]))
 
 
 def trajectory(t: float, at: FloatArray) -> Trajectory:

@@ -251,7 +251,10 @@ class Rulebook:
             if not against or (not late and self._has_waited(zone, against, visit)):
                 visit.taken.add(zone.name)
                 return None
-            until, why = self._release(zone, visit, taken, sooner), _said(against[0], visit.scene, t_in, t_out)
+            until, why = (
+                self._release(zone, visit, taken, sooner),
+                _describe_claim(against[0], visit.scene, t_in, t_out),
+            )
         for hold in zone.holds if why else ():
             room = hold - visit.scene.front
             if room >= 0.0 and (visit.hard if held or late else visit.soft) <= room:
@@ -367,7 +370,7 @@ def _when(motion: FloatArray, distance: float) -> float:
     return STEP_S * (k - 1 + (distance - float(motion[0, k - 1])) / step)
 
 
-def _said(window: Window, scene: Scene, t_in: float, t_out: float) -> str:
+def _describe_claim(window: Window, scene: Scene, t_in: float, t_out: float) -> str:
     """Which agent goes first, and why."""
     end, out = (f"to {t:.1f} s" if isfinite(t) else "on" for t in (window.end, t_out))
     return (

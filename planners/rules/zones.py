@@ -188,7 +188,10 @@ def _near(line: ReferenceLine, polygon: FloatArray, half: float) -> tuple[float,
 
 def _priorities(road: Road, reference: ReferencePath, width: float) -> Iterator[Zone]:
     yielding = [road.lanes[i] for i in reference.lanes if road.lanes[i].yields_to]
-    before = _predecessors(road) if yielding else {}
+    before: dict[int, list[int]] = {}
+    for lane in road.lanes.values() if yielding else ():
+        for after in lane.successors:
+            before.setdefault(after, []).append(lane.id)
     for lane in yielding:
         for other in lane.yields_to:
             if other in road.lanes and other not in reference.lanes:
@@ -242,14 +245,6 @@ def _conflict(line: ReferenceLine, lane: Lane, other: Lane, width: float) -> Zon
     merges = hypot(*(lane.center[-1] - other.center[-1])) < MERGED_M
     ends = (float(p[theirs[0]]), float(p[theirs[-1]])) if len(theirs) else (0.0, float(chord[-1]))
     return Zone(f"lane {other.id}", Priority(other, {}, *ends, boxes, merges), float(s[first]), float(s[last]))
-
-
-def _predecessors(road: Road) -> dict[int, list[int]]:
-    before: dict[int, list[int]] = {}
-    for lane in road.lanes.values():
-        for after in lane.successors:
-            before.setdefault(after, []).append(lane.id)
-    return before
 
 
 def _feeds(road: Road, lane: int, before: Mapping[int, list[int]], own: Iterable[int]) -> dict[int, tuple[int, ...]]:

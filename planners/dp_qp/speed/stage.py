@@ -258,8 +258,12 @@ class SpeedStage:
             reason = f"{reason}; {DOUBTED}" if is_doubted else reason
             decisions.append(replace(decision, kind=kind, reason=reason))
         profile, was_run = solved.profile, len(drawn.cost) > 0
+        grid = None
+        if was_run:  # every so many rows are enough to be drawn
+            times, stations = DT_S * np.arange(len(drawn.cost)), DS_M * np.arange(0, len(drawn.cost[0]), DRAWN_ROWS)
+            grid = GridCost(times, stations, drawn.cost[:, ::DRAWN_ROWS], drawn.chosen // DRAWN_ROWS)
         graph = StGraph(
-            _thinned(drawn.cost, drawn.chosen) if was_run else None,
+            grid,
             Corridor(self._times, problem.lower, problem.upper),
             np.column_stack([self._times, drawn.s_dp]) if was_run else np.empty((0, 2)),
             np.column_stack([self._times, profile[0]]) if profile is not None else np.empty((0, 2)),
@@ -282,10 +286,3 @@ def _ignored(blocks: StBoundaries, scene: Scene) -> tuple[Decision, ...]:
         )
         for who, lower, share in zip(blocks.agent, blocks.lower, blocks.probability, strict=True)
     )  # fmt: skip
-
-
-def _thinned(cost: FloatArray, chosen: IntArray) -> GridCost:
-    """The grid for the record, every fourth row."""
-    times = DT_S * np.arange(len(cost))
-    rows = DS_M * DRAWN_ROWS * np.arange(len(cost[0, ::DRAWN_ROWS]))
-    return GridCost(times, rows, cost[:, ::DRAWN_ROWS], chosen // DRAWN_ROWS)

@@ -19,7 +19,7 @@ from replay.results.tables import next_free
 from replay.run.sources import LogSource
 from replay.vary import surface
 from replay.vary.axes import Question, question
-from replay.vary.encounters import encounters, listing, nearest_agent, prepared
+from replay.vary.encounters import conflicting_agent, encounters, listing, prepared
 
 
 def variations() -> Iterator[str]:
@@ -57,12 +57,12 @@ def agents(scenario: Scenario) -> list[str]:
 
 
 def asked(scenario: Scenario, words: Sequence[str], named: Sequence[str], resolution: float | None) -> Question:
-    """The question, with the nearest agent where one is needed and none is named; ConfigError as `question`.
+    """The question, with the agent in conflict where one is needed and none is named; ConfigError as `question`.
 
     An agent is named by the whole id or by the short name.
     """
     found = question(words, [*map(scenario.short_names.whole, named)], resolution)
-    return found if named or not found.varies_agents else replace(found, agents=(nearest_agent(scenario),))
+    return found if named or not found.varies_agents else replace(found, agents=(conflicting_agent(scenario),))
 
 
 def vary(

@@ -1,19 +1,29 @@
-"""The agents of a log by how near they come to the ego, so that a user finds which to vary."""
+"""The agents of a log by how near they come to the ego, and who is in conflict with it: which to vary.
+
+(1) PET = |t_j - t_i|, the least over the ego's boxes i and an agent's boxes j that overlap (`metrics.encounters`), of
+    pedestrians, and of others whose headings differ by 30 degrees or more: who follows does not cross
+(2) TTC = least time until the boxes touch at constant velocity vectors (`logs.shapes`), within `SOON_S`; of agents
+    ahead of an ego that drives
+(3) conflict = min(PET, TTC), s; NaN where an agent neither takes a place of the ego's way nor is on a course to it
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import hypot
+from math import cos, hypot, inf, isnan, nan, sin
 
 import numpy as np
 
+from logs.agents import AgentKind
 from logs.errors import ConfigError
+from logs.kernel import FloatArray
 from logs.names import ShortNames
 from logs.scenario import Scenario
-from logs.shapes import clearance
+from logs.shapes import clearance, time_to_contact
 from logs.states import Trajectory
-from metrics.boxes import ego_boxes
-from metrics.others import others_at
+from metrics.boxes import NO_TTC_MPS, Car, car_of, ego_boxes
+from metrics.encounters import CROSSING_RAD, encroachment, may_meet
+from metrics.others import Others, others_at
 from metrics.phantoms import phantoms, without_phantoms
 from replay.loop.planning import goal_of
 from replay.loop.reference_drives import reference_drives
@@ -23,6 +33,8 @@ SEEN_S = 1.0
 """An agent that is tracked for a shorter time is not proposed: most often it is a flicker."""
 GOING_M = 1.0
 """An agent that goes a shorter way stands: another time or speed changes nothing."""
+SOON_S = 10.0
+"""The horizon of `metrics.safety.TTC`."""
 SHOWN = 40
 
 
@@ -37,6 +49,7 @@ class Encounter:
         way: From the first place to the last, m.
         least: Least distance between both boxes, m; negative where they overlap.
         at: When, s.
+        conflict: (3) of the module, s; NaN: none.
     """
 
     agent: str
@@ -46,6 +59,7 @@ class Encounter:
     way: float
     least: float
     at: float
+    conflict: float = nan
 
 
 def prepared(scenario: Scenario) -> Scenario:
@@ -70,7 +84,7 @@ def encounters(scenario: Scenario) -> tuple[Encounter, ...]:
     ego, tracks = _drive(scenario), scenario.tracks
     t = np.arange(ego.t[0], ego.t[-1] + 1e-9, GRID_S)
     others, boxes, car = others_at(tracks, t), ego_boxes(ego.resampled(t), scenario), scenario.vehicle
-    found = []
+    found, own_box = [], car_of(scenario)
     for i in np.flatnonzero(others.there.any(axis=1)).tolist():
         there = np.flatnonzero(others.there[i])
         length, width = others.size[i].tolist()
@@ -85,38 +99,61 @@ def encounters(scenario: Scenario) -> tuple[Encounter, ...]:
         best, own = int(np.argmin(gaps)), tracks.samples(i)
         way = hypot(tracks.x[own][-1] - tracks.x[own][0], tracks.y[own][-1] - tracks.y[own][0])
         begin, end = (float(ego.t[0]), scenario.duration) if tracks.static[i] else tracks.t[own][[0, -1]].tolist()
-        found.append(
-            Encounter(tracks.ids[i], tracks.kinds[i].value, begin, end, way, float(gaps[best]), float(t[near[best]]))
-        )
+        walks = tracks.kinds[i] is AgentKind.PEDESTRIAN
+        conflict = _conflict(boxes, t, own_box, others, i, 0.0 if walks else CROSSING_RAD)
+        least, at = float(gaps[best]), float(t[near[best]])
+        found.append(Encounter(tracks.ids[i], tracks.kinds[i].value, begin, end, way, least, at, conflict))
     return tuple(sorted(found, key=lambda one: (one.least, one.agent)))
+
+
+def _conflict(boxes: FloatArray, t: FloatArray, car: Car, others: Others, i: int, angle: float) -> float:
+    """(3) of the ego's boxes at times t and the agent in row i, whose heading must differ by `angle` to cross."""
+    pose, (length, width), least = others.pose[:, i], others.size[i].tolist(), inf
+    mine, theirs = may_meet(boxes, car, others, i)
+    if len(mine) and len(theirs) and np.ptp(pose[0, theirs]) + np.ptp(pose[1, theirs]) > 0.0:
+        steps = encroachment(boxes, mine, pose, theirs, np.array([car[1:3], others.size[i]]), angle)[:2]
+        least = min((GRID_S * float(k) for k in steps[steps >= 0]), default=inf)  # (1)
+    speed, reach = np.hypot(boxes[3], boxes[4]), 0.5 * (hypot(car.length, car.width) + hypot(length, width))
+    away = np.hypot(pose[0] - boxes[0], pose[1] - boxes[1]) - reach
+    soon = away <= min(least, SOON_S) * (speed + np.hypot(pose[3], pose[4]))
+    for k in np.flatnonzero(others.there[i] & (speed > NO_TTC_MPS) & soon).tolist():
+        x, y, yaw, vx, vy = boxes[:5, k].tolist()
+        x2, y2, yaw2, vx2, vy2 = pose[:5, k].tolist()
+        if (x2 - x) * cos(yaw) + (y2 - y) * sin(yaw) + car.axle < 0.0:
+            continue  # behind the rear axle
+        contact = time_to_contact(x, y, yaw, car.length, car.width, vx, vy, x2, y2, yaw2, length, width, vx2, vy2)
+        least = min(least, contact) if contact <= SOON_S else least  # (2)
+    return float(least) if least < inf else nan
 
 
 def _drive(scenario: Scenario) -> Trajectory:
     return scenario.ego if len(scenario.ego) > 1 else next(reference_drives(scenario)).ego
 
 
-def nearest_agent(scenario: Scenario) -> str:
-    """The agent that comes nearest to the ego, of those that move; where none moves, of all.
+def conflicting_agent(scenario: Scenario) -> str:
+    """The agent in the conflict of the drive: the least (3) of those that move, of equals the nearest.
+
+    Where none that moves has a conflict, the nearest of those that move; where none moves, the same of all.
 
     Raises:
         ConfigError: There is no agent.
     """
     seen = [one for one in encounters(scenario) if one.t_to - one.t_from >= SEEN_S]
-    going = [one for one in seen if one.way >= GOING_M]
     if not seen:
         raise ConfigError(f"{scenario.name}: there is no agent to vary; vary the ego's start, or insert an agent")
-    return (going or seen)[0].agent
+    going = [one for one in seen if one.way >= GOING_M] or seen
+    return min(going, key=lambda one: inf if isnan(one.conflict) else one.conflict).agent
 
 
 def listing(found: tuple[Encounter, ...], short: ShortNames) -> list[str]:
     """A line per road user, the nearest `SHOWN` first."""
     width = max([len(short(one.agent)) for one in found[:SHOWN]], default=5)
-    lines = [f"{'agent':{width}}  kind        from     to    way  nearest     at"]
+    lines = [f"{'agent':{width}}  kind        from     to    way  nearest     at  conflict"]
     lines += [
         f"{short(one.agent):{width}}  {one.kind:10} {one.t_from:5.1f}  {one.t_to:5.1f}  {one.way:5.1f}"
-        f"  {one.least:7.2f}  {one.at:5.1f}"
+        f"  {one.least:7.2f}  {one.at:5.1f}  {'none' if isnan(one.conflict) else f'{one.conflict:.1f}':>8}"
         for one in found[:SHOWN]
     ]
-    lines[0] += "   [s, s, m, m, s]"
+    lines[0] += "   [s, s, m, m, s, s]"
     more = len(found) - SHOWN
     return lines + ([f"and {more} that come less near"] if more > 0 else [])

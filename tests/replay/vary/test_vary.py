@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from command_line import replan
@@ -15,13 +16,14 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, ConfigError, Goal, Scenario
 from logs.mcap import write_scenario
+from logs.readers import LogSettings
 from metrics.judge import worst
 from metrics.judge.gates import Outcome
 from replay.config import RunConfig
 from replay.run import evaluate_logs
 from replay.vary import VaryResult, command, encounters, prepared, question, vary
 from replay.vary.bisection import Bracket, bisected, brackets
-from replay.vary.encounters import nearest_agent
+from replay.vary.encounters import conflicting_agent
 
 RUN = RunConfig(planners=("constant_speed",), recording=False, internals="none")
 GATES = """
@@ -154,9 +156,33 @@ def test_who_comes_nearest() -> None:
     beside = 5.0 - 0.5 * (made.vehicle.width + 1.8)
     assert found["17"].least == pytest.approx(beside) and (found["17"].t_from, found["17"].t_to) == (0.0, 2.9)
     assert found["far"].way == 20.0 and list(found) == ["blink", "17", "far"]
-    assert nearest_agent(made) == "far"  # the only one who goes anywhere
+    assert conflicting_agent(made) == "far"  # the only one who goes anywhere
     with pytest.raises(ConfigError, match="there is no agent to vary"):
-        nearest_agent(replace(made, tracks=tracks()))
+        conflicting_agent(replace(made, tracks=tracks()))
+
+
+def test_who_crosses_is_in_conflict_and_not_the_nearer_bystander() -> None:
+    t = [0.1 * k for k in range(30)]
+    walk = [-6.0 + 3.0 * time for time in t]
+    crosses = track("crosses", t, [14.0] * 30, walk, kind=AgentKind.PEDESTRIAN, width=0.5, length=0.5, vx=0.0, vy=3.0)
+    strolls = track("strolls", t, [10.0 + time for time in t], [2.0] * 30, kind=AgentKind.PEDESTRIAN, width=0.5,
+                    length=0.5, vx=1.0, vy=0.0)  # fmt: skip
+    made = prepared(replace(log(), tracks=tracks(crosses, strolls)))
+    found = {one.agent: one for one in encounters(made)}
+    front, beside = made.vehicle.axle_to_front, 0.5 * made.vehicle.width
+    assert np.isnan(found["strolls"].conflict) and 0.0 < found["strolls"].least < beside + 2.0
+    meets = (14.0 - 0.25 - front) / 8.0  # they are on the lane's middle then: contact at constant velocity
+    assert 0.0 <= found["crosses"].conflict <= meets + 0.1
+    assert conflicting_agent(made) == "crosses"
+
+
+def test_the_conflict_of_a_recorded_drive_is_the_pedestrian_who_crosses(shared_data: Path) -> None:
+    made = command.opened(str(shared_data / "tartu" / "ros2" / "pedestrian_crossing_10"), LogSettings())
+    by_agent = {one.agent: one for one in encounters(made)}
+    agent = conflicting_agent(made)
+    assert by_agent[agent].kind == "pedestrian" and by_agent[agent].conflict < 4.0
+    nearest = next(one for one in by_agent.values() if one.way >= 1.0 and one.t_to - one.t_from >= 1.0)
+    assert nearest.kind == "car" and nearest.least < by_agent[agent].least
 
 
 def test_a_log_without_a_goal_keeps_the_place_where_its_drive_ended() -> None:

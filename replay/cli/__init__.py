@@ -3,6 +3,7 @@
 Commands by subject:
 
 evaluate.py    drive: evaluate, vary, paper, calibrate
+search.py      search: falsify, tune
 shards.py      put the shards of a run together: merge
 report.py      write the reports of results: report
 logs.py        read and write logs: synth, convert, repair, inspect, salvage, export
@@ -21,7 +22,7 @@ ending.py      the end of a run: reports, exit code
 app.py         what the commands share
 """
 
-from replay.cli import evaluate, shards, report, logs, results, compare, plot, explain, frame, mine, about, warmup  # isort: skip  # the order of the help
+from replay.cli import evaluate, search, shards, report, logs, results, compare, plot, explain, frame, mine, about, warmup  # isort: skip  # the order of the help
 from replay.cli.app import app, bug
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "plot",
     "report",
     "results",
+    "search",
     "shards",
     "warmup",
 ]

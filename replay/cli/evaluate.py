@@ -181,7 +181,7 @@ def evaluate(
             raise ConfigError("--shard drives a part of the logs only: give --baseline to replan merge")
         before = None if baseline is None else load_baseline(baseline, run, run.gates_path, out)
         part = None if shard is None else Shard.parsed(shard)
-        driven_on = _engine(engine, address, workers)
+        driven_on = engine_of(engine, address, workers)
         with output_location(out, resume=resume) as location:
             result = _evaluated(
                 partial(
@@ -280,7 +280,7 @@ def vary(
         raise typer.Exit(result.exit_code)
 
 
-def _engine(name: str, address: str | None, workers: int | None) -> Engine:
+def engine_of(name: str, address: str | None, workers: int | None) -> Engine:
     """Where the logs are driven."""
     from replay.run.engine import Local
 

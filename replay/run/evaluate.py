@@ -100,7 +100,7 @@ def evaluate_logs(
         OutputError: The disk is full; finished logs are kept for `resume`.
     """
     run, engine = run or RunConfig(), engine or Local(workers)
-    whole = _selected(logs, run, window, suite)
+    whole = selected(logs, run, window, suite)
     selection = whole if shard is None else shard.part(whole)
     gates = gates_of(run, run.gates_path)
     if run.loop.apart.batch:
@@ -250,7 +250,8 @@ def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None
     return 4 if Outcome.INCONCLUSIVE in asked or not asked else 0
 
 
-def _selected(logs: Sequence[Path | str], run: RunConfig, window: float | None, suite: str | None) -> Selection:
+def selected(logs: Sequence[Path | str], run: RunConfig, window: float | None, suite: str | None) -> Selection:
+    """The logs of a run, arguments as of `evaluate_logs`; ConfigError where there are none, or they do not fit."""
     if run.log.map and not Path(run.log.map).is_file():
         raise ConfigError(f"{run.log.map}: no such map")
     if suite is not None and suite.endswith(".toml") and not logs:

@@ -1,0 +1,209 @@
+"""What is varied, from where to where, and how large a step is: the axes of a distance from what was recorded.
+
+(1) u_i = (value_i - origin_i) / scale_i
+(2) distance = sqrt(sum of u_i^2)
+
+The origin is the recorded value: the neutral value of a variation, the default of a family's parameter. An agent that
+was not recorded (`pedestrian`, `standing_car`, `copy`) has none: its origin is the end HIGH of the range.
+
+The scales are about what differs between two drives on two days (`SCALES`, docs/falsify.md):
+
+    time, copy and *_s      1 s: a driver who notices late and reacts (UN R157, Annex 4, Appendix 3: 0.4 s + 0.75 s)
+    speed, speeds           0.2 of the recorded one: of adults who cross, from the mean of 1.45 m/s to the 15th
+                            percentile of 1.15 m/s (Fitzpatrick et al., TCRP Report 112, 2006)
+    ego_speed, ego speeds   0.1 of the recorded one: what a speedometer may show too much (UN R39, without its 4 km/h)
+    side, lateral ways      0.375 m: the wandering zone in a lane of UN R157's careful driver
+    ego_start, other ways   5 m: the length of a car
+    pedestrian, standing_car  10 m: what an ego at 36 km/h drives in 1 s
+    *_mps2                  1 m/s2: of lifting the foot from the accelerator
+    *_deg                   10 degrees;  *_percent  25, the step of Euro NCAP's overlaps
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from logs.catalogue.family import Family
+from logs.errors import ConfigError, unknown_name
+from logs.kernel import FloatArray
+from logs.variations import VARIATIONS
+
+FORM = "write it as NAME=LOW:HIGH, for example time=-3:3"
+TIME_S, SPEED, EGO_SPEED, LATERAL_M, ALONG_M, AHEAD_M = 1.0, 0.2, 0.1, 0.375, 5.0, 10.0
+ACCEL_MPS2, ANGLE_DEG, PERCENT = 1.0, 10.0, 25.0
+SCALES: Mapping[str, float] = {
+    "time": TIME_S,
+    "copy": TIME_S,
+    "speed": SPEED,
+    "side": LATERAL_M,
+    "ego_start": ALONG_M,
+    "ego_speed": EGO_SPEED,
+    "pedestrian": AHEAD_M,
+    "standing_car": AHEAD_M,
+}
+"""Of the variations, by name."""
+_LATERAL = ("lateral", "offset", "side", "intrusion", "kerb", "clearance", "room", "marking", "width", "swing")
+"""Words in the names of parameters that are ways across the lane."""
+_BY_ENDING = {"s": TIME_S, "mps2": ACCEL_MPS2, "deg": ANGLE_DEG, "percent": PERCENT}
+DEFAULT_RANGES: Mapping[str, tuple[float, float]] = {"time": (-3.0, 3.0), "speed": (0.5, 2.0), "ego_speed": (0.7, 1.3)}
+"""What is varied of a log where no axis is named; without agents `ego_speed` alone."""
+MOST_AXES = 8
+"""With more, 200 drives say little."""
+
+
+@dataclass(frozen=True)
+class SearchAxis:
+    """One direction of a search.
+
+    Attributes:
+        name: Of a variation or of a family's parameter.
+        low: Least value; `high` the greatest.
+        origin: The recorded value.
+        scale: (1), in the unit of the value, positive.
+        unit: "1" for a factor.
+        is_variation: Whether the name is in `VARIATIONS`; else it is a parameter of a family.
+    """
+
+    name: str
+    low: float
+    high: float
+    origin: float
+    scale: float
+    unit: str
+    is_variation: bool
+
+    @property
+    def label(self) -> str:
+        """The name with its unit."""
+        return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
+
+    def shown(self, value: float) -> str:
+        """The name with a value and its unit: "time -1.25 s"."""
+        return f"{self.name} {value:.6g}" + ("" if self.unit == "1" else f" {self.unit}")
+
+
+def box_of(axes: Sequence[SearchAxis]) -> FloatArray:
+    """Least and greatest (1) of each axis `(2, n)`."""
+    ends = [[(end - axis.origin) / axis.scale for end in (axis.low, axis.high)] for axis in axes]
+    return np.array(ends).T
+
+
+def values_at(axes: Sequence[SearchAxis], point: Sequence[float]) -> dict[str, float]:
+    """The values (1) of a point `(n,)`, within the ranges, by name."""
+    return {
+        axis.name: min(max(round(axis.origin + axis.scale * u, 9), axis.low), axis.high)
+        for axis, u in zip(axes, point, strict=True)
+    }
+
+
+def search_axes(
+    words: Sequence[str], scales: Sequence[str], family: Family | None, *, with_agents: bool
+) -> tuple[SearchAxis, ...]:
+    """The axes that the words of `--axis` and `--scale` name; without words those of the subject.
+
+    Args:
+        words: "NAME=LOW:HIGH" each.
+        scales: "NAME=VALUE" each: another scale of a named axis.
+        family: The family that is searched, whose parameters may be axes; None: a log.
+        with_agents: Whether the scenario has agents to vary.
+
+    Raises:
+        ConfigError: A word is not of this form, a name is unknown, twice there or has no order or no scale, a range
+            does not hold the recorded value or is out of bounds, or there are too many axes.
+    """
+    ranges = dict(_range(word) for word in words)
+    if len(ranges) < len(words):
+        raise ConfigError(f"--axis: an axis is named twice: {', '.join(words)}")
+    given = dict(_scale(word) for word in scales)
+    ranges = ranges or _default_ranges(family, with_agents=with_agents)
+    for name in given:
+        if name not in ranges:
+            raise unknown_name("axis (of --scale)", name, ranges)
+    if len(ranges) > MOST_AXES:
+        raise ConfigError(f"--axis: {len(ranges)} axes; at most {MOST_AXES} can be searched at once")
+    return tuple(_axis(name, *ends, given.get(name), family) for name, ends in ranges.items())
+
+
+def _default_ranges(family: Family | None, *, with_agents: bool) -> dict[str, tuple[float, float]]:
+    """Those of the family's published grid, as far as they are more than a choice; else `DEFAULT_RANGES`."""
+    grid = {} if family is None else family.grid
+    wide = {
+        name: (min(*values, family.parameters[name]), max(*values, family.parameters[name]))
+        for name, values in grid.items()
+        if family is not None and len(values) > 1 and _parameter_scale(name, family.parameters[name]) is not None
+    }
+    usual = {name: ends for name, ends in DEFAULT_RANGES.items() if with_agents or VARIATIONS[name].of == "ego"}
+    return wide or usual
+
+
+def _axis(name: str, low: float, high: float, scale: float | None, family: Family | None) -> SearchAxis:
+    """One axis; ConfigError as `search_axes`."""
+    parameters: Mapping[str, float] = {} if family is None else family.parameters
+    if name in parameters:
+        origin, unit = parameters[name], _unit(name)
+        usual = _parameter_scale(name, origin)
+        if scale is None and usual is None:
+            raise ConfigError(f"--axis {name}: it has no scale by its name; say how large a step is: --scale {name}=1")
+    elif name in VARIATIONS:
+        variation = VARIATIONS[name]
+        if variation.is_choice:
+            raise ConfigError(f"--axis {name}: is a choice and has no distance; use replan vary --vary {name}=0:1:2")
+        for value in (low, high):
+            variation.check(value)
+        origin, unit = (variation.neutral if isfinite(variation.neutral) else high), variation.unit
+        usual = SCALES[name]
+    else:
+        raise unknown_name("axis", name, [*VARIATIONS, *parameters])
+    if not low <= origin <= high:
+        raise ConfigError(f"--axis {name}={low:g}:{high:g}: does not hold the recorded value, {origin:g}")
+    step = scale if scale is not None else usual
+    assert step is not None
+    return SearchAxis(name, low, high, origin, step, unit, name not in parameters)
+
+
+def _range(word: str) -> tuple[str, tuple[float, float]]:
+    name, _, text = word.partition("=")
+    ends = _numbers(text.split(":"))
+    if len(ends) != 2 or not ends[0] < ends[1]:
+        raise ConfigError(f"--axis {word}: {FORM}; LOW below HIGH")
+    return name, (ends[0], ends[1])
+
+
+def _scale(word: str) -> tuple[str, float]:
+    name, _, text = word.partition("=")
+    found = _numbers([text])
+    if not found or not found[0] > 0.0:
+        raise ConfigError(f"--scale {word}: write it as NAME=VALUE with a positive value")
+    return name, found[0]
+
+
+def _numbers(words: Iterable[str]) -> list[float]:
+    """The finite numbers that words spell; none where one of them spells none."""
+    try:
+        found = [float(word) for word in words]
+    except ValueError:
+        return []
+    return found if all(map(isfinite, found)) else []
+
+
+def _parameter_scale(name: str, default: float) -> float | None:
+    """The scale of a family's parameter by the words of its name; None: they say nothing."""
+    *words, ending = name.split("_")
+    if ending in ("mps", "kmh"):
+        share = EGO_SPEED if "ego" in words else SPEED
+        return share * abs(default) if default else {"mps": 1.0, "kmh": 3.6}[ending]
+    if ending == "m":
+        return LATERAL_M if any(word in _LATERAL for word in words) else ALONG_M
+    return _BY_ENDING.get(ending) if words else None
+
+
+def _unit(name: str) -> str:
+    """The unit at the end of a parameter's name."""
+    ending = name.rpartition("_")[2]
+    return {"mps": "m/s", "kmh": "km/h", "mps2": "m/s2", "percent": "%"}.get(
+        ending, ending if ending in ("s", "m", "deg") else "1"
+    )

@@ -1,0 +1,328 @@
+"""A falsification: the mildest variation in which a planner fails and the reference driver does not, and its files.
+
+    OUT/falsify.json         what was asked for, what was found, the sentences that are printed
+    OUT/study.jsonl          the trials, a line each; `--resume` goes on from it
+    OUT/trials.parquet, .csv the same as a table
+    OUT/falsify.png          the trials over the two axes that the case moves most
+    OUT/case.mcap            the mildest failing case as a native log; OUT/case/ its results with a recording
+
+The same subject, configuration and seed give the same bytes at any number of workers (the folder `case` holds times).
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from math import inf, isfinite
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from logs.errors import ConfigError, LogError
+from logs.mcap import write_scenario
+from logs.names import counted
+from logs.readers.base import LogSettings
+from metrics.judge import CAREFUL
+from replay.config import RunConfig, dump_run
+from replay.draw.report.figures import save
+from replay.results.tables import PARTIAL, write_file, write_json, write_parquet
+from replay.results.version import replan_version
+from replay.run import evaluate_logs
+from replay.run.checks import checked
+from replay.run.evaluate import gates_of
+from replay.run.lock import held
+from replay.run.resume import stamp_of
+from replay.search.axes import SearchAxis, box_of, values_at
+from replay.search.cases import BOTH, ERROR, FAIL, Case, judged
+from replay.search.figures import falsify_figure
+from replay.search.mildest import Mildest, Point, Scored, cma_class, norm, search
+from replay.search.study import Study
+from replay.search.subject import Subject
+
+KIND = "falsify"
+RESOLUTION = 0.02
+"""Of the distance: a fiftieth of a scale."""
+BUDGET = 200
+WORDS = {"fail": "fail", BOTH: "fail, as does the reference driver", ERROR: "cannot be made or driven"}
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is asked for.
+
+    Attributes:
+        subject: The log or family.
+        axes: What is varied.
+        run: Planner (one) and settings; only the closed loop is run.
+        against: "careful", or another planner.
+        budget: The most drives of the search.
+        seed: Another seed, other points.
+        resolution: Of the distance.
+    """
+
+    subject: Subject
+    axes: tuple[SearchAxis, ...]
+    run: RunConfig
+    against: str = CAREFUL
+    budget: int = BUDGET
+    seed: int = 0
+    resolution: float = RESOLUTION
+
+    @property
+    def planner(self) -> str:
+        """The planner that is searched."""
+        return self.run.planners[0]
+
+    @cached_property
+    def driven(self) -> RunConfig:
+        """What is driven of each case."""
+        planners = self.run.planners if self.against == CAREFUL else (*self.run.planners, self.against)
+        return replace(
+            self.run, planners=planners, mode="closed", log=LogSettings(), deadline_s=0.0, ensemble=0, repeat_s=0.0,
+            recording=False, internals="none",
+        )  # fmt: skip
+
+    def head(self) -> dict[str, Any]:
+        """What makes two falsifications the same, but for the budget and the resolution."""
+        stamp = stamp_of(self.driven)
+        return {
+            "study": KIND,
+            "replan": stamp.replan,
+            "code": stamp.code[:12],
+            "log": self.subject.name,
+            "agents": list(self.subject.agents),
+            "against": self.against,
+            "seed": self.seed,
+            "axes": [asdict(axis) for axis in self.axes],
+            "run": dump_run(self.driven),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Falsified:
+    """The end of a falsification.
+
+    Attributes:
+        out: The folder.
+        question: What was asked for.
+        found: The mildest point.
+        table: A row per trial.
+        case: The row of the mildest one; empty: none.
+    """
+
+    out: Path
+    question: Question
+    found: Mildest
+    table: pd.DataFrame
+    case: Mapping[str, Any]
+
+    @property
+    def exit_code(self) -> int:
+        """1: falsified; 0: not."""
+        return 0 if self.found.point is None else 1
+
+    def lines(self) -> list[str]:
+        """What is said of it, a sentence each."""
+        asked, found = self.question, self.found
+        counts = Counter(self.table["outcome"])
+        drives = ", ".join(f"{n} {WORDS.get(name, name)}" for name, n in counts.most_common())
+        tried = f"{counted(len(self.table), 'drive')}: {drives}."
+        if found.point is None:
+            over = ", ".join(f"{axis.name} {axis.low:g} to {axis.high:g}" for axis in asked.axes)
+            return [
+                f"No case found in which {asked.planner} fails and {asked_of(asked.against)} does not ({over}).",
+                tried,
+            ]
+        moved = [axis.shown(self.case[axis.name]) for axis, u in zip(asked.axes, found.point, strict=True) if u]
+        place = f"at {', '.join(moved)}" if moved else "as recorded"
+        said = [
+            f"{asked.planner} fails at distance {found.distance:.3f} from {asked.subject.name}, {place}, and"
+            f" {asked_of(asked.against)} does not: {self.case['gates']}."
+        ]
+        if isfinite(found.passes):
+            gap = found.distance - found.passes
+            less = f"at distance {found.passes:.3f} ({gap:.3f} less)"
+            said.append(f"On the line to the recorded case it does not fail so {less}.")
+        return [*said, tried]
+
+    def next_steps(self) -> list[str]:
+        """Commands that show the case; none where there is none."""
+        if self.found.point is None:
+            return []
+        again = f"replan evaluate {self.out / 'case.mcap'} --mode closed --planner {self.question.planner}"
+        return [f"drive it again: {again}", f"look at it: replan view {self.out / 'case'}"]
+
+
+def asked_of(against: str) -> str:
+    """The reference driver in words."""
+    return "the careful driver" if against == CAREFUL else against
+
+
+def falsify(
+    question: Question,
+    out: Path,
+    *,
+    workers: int = 0,
+    resume: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+) -> Falsified:
+    """Search, and write what was found into `out`.
+
+    Args:
+        question: What is asked for.
+        out: A folder that is new, empty, or holds an earlier falsification, which is replaced or resumed.
+        workers: Processes; 0: this one.
+        resume: Go on with the falsification that `out` holds.
+        say: Called with a line after each batch.
+
+    Raises:
+        ConfigError: A wrong setting, a folder that is not ours to write, nothing to resume, or cmaes is not installed.
+        LogError: The recorded case could not be driven.
+        PlannerError: The planner cannot be loaded.
+    """
+    if len(question.run.planners) != 1:
+        raise ConfigError(f"a falsification is of one planner, got {', '.join(question.run.planners)}")
+    if question.against == question.planner:
+        raise ConfigError(f"--against {question.against}: is the planner itself")
+    cma_class(question.budget)
+    _, failures = checked(question.driven)
+    if failures:
+        raise ConfigError(failures[0].message)
+    with held(out):
+        study = Study(out, question.head(), resume=resume)
+        trials = Drives(question, out, study, workers, say)
+        found = search(
+            box_of(question.axes), trials, budget=question.budget, seed=question.seed, resolution=question.resolution
+        )
+        result = Falsified(out, question, found, _table(trials.rows), trials.row_of(found.point))
+        _write(result, workers)
+    return result
+
+
+class Drives:
+    """Evaluates points batch by batch (`replay.search.mildest.Evaluate`), and keeps their rows."""
+
+    def __init__(self, question: Question, out: Path, study: Study, workers: int, say: Callable[[str], None]) -> None:
+        self._question, self._study, self._workers, self._say = question, study, workers, say
+        self._gates = gates_of(question.driven, question.driven.gates_path).gates
+        self._scratch = out / f"{PARTIAL}batch"
+        self._farthest = norm(abs(box_of(question.axes)).max(axis=0))
+        self.rows: list[dict[str, Any]] = []
+
+    def __call__(self, points: Sequence[Point], part: str) -> list[Scored]:
+        """As `replay.search.mildest.Evaluate`; points that the study holds are not driven again."""
+        new = [point for point in points if self._study.known(_key(point)) is None]
+        if new:
+            self._study.add(self._row(point, part, case) for point, case in zip(new, self._driven(new), strict=True))
+        rows = [self._study.known(_key(point)) or {} for point in points]
+        self.rows += [{"trial": len(self.rows) + k, **row} for k, row in enumerate(rows)]
+        self._check_recorded()
+        least = min((row["distance"] for row in self.rows if row["outcome"] == FAIL), default=inf)
+        best = f"mildest failure at distance {least:.3f}" if least < inf else "no failure that counts yet"
+        self._say(f"{part}: {len(self.rows)} of at most {counted(self._question.budget, 'drive')}, {best}")
+        return [Scored(row["score"], row["outcome"] == FAIL) for row in rows]
+
+    def row_of(self, point: Point | None) -> Mapping[str, Any]:
+        """The row of a point; empty for None."""
+        return {} if point is None else next(row for row in self.rows if row["key"] == _key(point))
+
+    def _check_recorded(self) -> None:
+        first = self.rows[0]
+        if first["outcome"] == ERROR:
+            raise LogError(f"the recorded case could not be driven: {first['why']}", file=self._question.subject.name)
+
+    def _row(self, point: Point, part: str, case: Case) -> dict[str, Any]:
+        distance = norm(point)
+        return {
+            "key": _key(point),
+            "part": part,
+            **values_at(self._question.axes, point),
+            "distance": distance,
+            "outcome": case.outcome,
+            "score": case.score(distance / self._farthest),
+            "robustness": case.robustness if isfinite(case.robustness) else None,
+            "gates": "; ".join(case.gates),
+            "why": case.why,
+            "end": case.end,
+        }
+
+    def _driven(self, points: Sequence[Point]) -> list[Case]:
+        """What came of points that are driven now."""
+        asked = self._question
+        shutil.rmtree(self._scratch, ignore_errors=True)
+        (self._scratch / "logs").mkdir(parents=True)
+        try:
+            made = [self._log(point, k) for k, point in enumerate(points)]
+            logs = [log for log in made if isinstance(log, Path)]
+            if not logs:
+                return [Case(ERROR, why=str(why)) for why in made]
+            results = evaluate_logs(logs, asked.driven, self._scratch / "results", workers=self._workers)
+            names = dict(zip(results.logs["source"], results.logs["log"], strict=True))
+            return [
+                judged(results, names[str(log)], self._gates, asked.planner, asked.against)
+                if isinstance(log, Path)
+                else Case(ERROR, why=log)
+                for log in made
+            ]
+        finally:
+            shutil.rmtree(self._scratch, ignore_errors=True)
+
+    def _log(self, point: Point, k: int) -> Path | str:
+        """The file of a point's scenario, or why there is none."""
+        asked, path = self._question, self._scratch / "logs" / f"{k}.mcap"
+        try:
+            write_scenario(path, asked.subject.at(asked.axes, values_at(asked.axes, point)))
+        except LogError as error:
+            return str(error)
+        return path
+
+
+def _key(point: Point) -> str:
+    return " ".join(f"{u:.10g}" for u in point)
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    table = pd.DataFrame(rows).drop(columns="key")
+    return table.astype({"robustness": float})
+
+
+def _write(result: Falsified, workers: int) -> None:
+    out, asked, found = result.out, result.question, result.found
+    write_parquet(out / "trials.parquet", result.table)
+    write_file(out / "trials.csv", lambda partial: result.table.to_csv(partial, index=False, lineterminator="\n"))
+    save(
+        falsify_figure(result.table, asked.axes, result.case, f"{asked.subject.name}: {asked.planner}"),
+        out / "falsify.png",
+    )
+    for old in ("case.mcap", "case"):
+        path = out / old
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    if found.point is not None:
+        write_scenario(out / "case.mcap", asked.subject.at(asked.axes, values_at(asked.axes, found.point)))
+        shown = replace(asked.driven, recording=True, internals="summary")
+        evaluate_logs([out / "case.mcap"], shown, out / "case", workers=min(workers, 1))
+    card = {
+        "replan": replan_version(),
+        **{key: value for key, value in asked.head().items() if key not in ("study", "replan", "code", "run")},
+        "planner": asked.planner,
+        "budget": asked.budget,
+        "resolution": asked.resolution,
+        "falsified": found.point is not None,
+        "distance": _finite(found.distance),
+        "passes_at": _finite(found.passes),
+        "case": {axis.name: result.case[axis.name] for axis in asked.axes} if result.case else None,
+        "gates": result.case.get("gates", "").split("; ") if result.case else [],
+        "drives": len(result.table),
+        "outcomes": dict(Counter(result.table["outcome"])),
+        "said": result.lines(),
+        "exit_code": result.exit_code,
+    }
+    write_json(out / "falsify.json", card)
+
+
+def _finite(value: float) -> float | None:
+    return value if isfinite(value) else None

@@ -1,0 +1,152 @@
+"""By how much a run is better than the one with the defaults, log by log, and whether that is more than chance.
+
+For a log i and an objective j, a row of the table of metrics whose direction says which way is better:
+
+(1) gain_ij = +-(value_ij - default_ij) / scale_j    0 where the difference is rounding (`metrics.compare`, (1)), and
+                                                     where one of both runs has no value
+(2) scale_j = mean over the training logs of |default_ij|; 1 where that is 0
+(3) objective_j = mean over the training logs of gain_ij, which is maximised
+(4) feasible: no more failed verdicts and failed drives on the training logs than with the defaults
+(5) chosen = the feasible trial with the greatest sum over j of (3), if that is above 0; of equals the first. It is on
+    the Pareto front
+(6) better = over the held-out logs, the 95 % interval of the mean of sum over j of gain_ij is above 0: a paired
+    percentile bootstrap over logs, seeded, of `LEAST_LOGS` logs at least (`metrics.compare`, (5) and (6))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite, nan
+
+import numpy as np
+
+from logs.errors import ConfigError, unknown_name
+from logs.kernel import FloatArray
+from logs.trace import Mode
+from metrics import Metric
+from metrics.compare.tables import MIN_SIGNIFICANT, intervals, noise
+from metrics.judge.gates import Outcome
+from replay.results.load import Results
+
+LEAST_LOGS = MIN_SIGNIFICANT
+DEFAULT_OBJECTIVES = ("plan_score.mean", "lon_jerk_state.p95")
+"""Progress, safety and rules of the plans as NAVSIM weighs them (EPDMS), and comfort as it is driven."""
+
+
+@dataclass(frozen=True, slots=True)
+class Objective:
+    """One number per log: a row of the table of metrics.
+
+    Attributes:
+        metric: Its name in the table ("ttc.min").
+        mode: The loop: the closed one, where the metric is defined there.
+        sign: 1 where higher is better, -1 where lower is.
+    """
+
+    metric: str
+    mode: str
+    sign: float
+
+
+def objectives(names: Sequence[str], metrics: Mapping[str, Metric]) -> tuple[Objective, ...]:
+    """The objectives of these names.
+
+    Raises:
+        ConfigError: No metric has a row of this name, or it has no better way; a name is there twice.
+    """
+    known = dict(_rows(metrics))
+    found = []
+    for name in names:
+        if name not in known:
+            raise unknown_name("metric (of --objective)", name, known)
+        if known[name] is None:
+            raise ConfigError(f"--objective {name}: neither more nor less of it is better; replan metrics lists others")
+        found.append(known[name])
+    if len(set(names)) < len(names):
+        raise ConfigError(f"--objective: a metric is named twice: {', '.join(names)}")
+    return tuple(one for one in found if one is not None)
+
+
+def _rows(metrics: Mapping[str, Metric]) -> list[tuple[str, Objective | None]]:
+    """The names of all rows of the table, and the objective that each is; None: it has no direction."""
+    rows: list[tuple[str, Objective | None]] = []
+    for metric in metrics.values():
+        mode = (Mode.CLOSED if Mode.CLOSED in metric.modes else Mode.OPEN).value
+        for part in metric.parts or ("",):
+            for reduction in metric.reductions:
+                name = ".".join(filter(None, (metric.name, part, reduction.name)))
+                sign = {"higher": 1.0, "lower": -1.0}.get(reduction.direction or metric.direction)
+                rows.append((name, None if sign is None else Objective(name, mode, sign)))
+    return rows
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What counts of a run.
+
+    Attributes:
+        values: `(j, n)` by objective and log, NaN where there is none.
+        failed: Failed verdicts and failed drives, all logs together.
+    """
+
+    values: FloatArray
+    failed: int
+
+
+def measured(results: Results, logs: Sequence[str], asked: Sequence[Objective]) -> Measured:
+    """A run on these logs, in this order."""
+    table = results.metrics
+    table = table[(table["planner"] == results.run.planners[0]) & table["available"].astype(bool)]
+    keys = zip(table["log"], table["metric"], table["mode"], strict=True)
+    known = dict(zip(keys, table["value"], strict=True))
+    values = [[float(known.get((log, one.metric, one.mode), nan)) for log in logs] for one in asked]
+    broken = int((results.verdicts["outcome"] == Outcome.FAIL.value).sum())
+    return Measured(np.array(values, dtype=float).reshape(len(asked), len(logs)), broken + len(results.failures))
+
+
+def scales(default: FloatArray) -> FloatArray:
+    """(2) of the defaults' values `(j, n)`."""
+    found = [float(np.mean(np.abs(row[np.isfinite(row)]))) if np.isfinite(row).any() else 0.0 for row in default]
+    return np.array([scale if scale > 0.0 else 1.0 for scale in found])
+
+
+def gains(values: FloatArray, default: FloatArray, scale: FloatArray, asked: Sequence[Objective]) -> FloatArray:
+    """(1) of values `(j, n)` against the defaults'."""
+    signs = np.array([one.sign for one in asked])[:, None]
+    with np.errstate(invalid="ignore"):
+        moved = np.where(noise(default, values), 0.0, values - default)
+    return np.nan_to_num(signs * moved / scale[:, None], nan=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Better:
+    """(6): mean, interval and number of logs, and what they say."""
+
+    mean: float
+    low: float
+    high: float
+    logs: int
+
+    @property
+    def holds(self) -> bool:
+        """Whether the gain is more than chance."""
+        return isfinite(self.low) and self.low > 0.0 and self.logs >= LEAST_LOGS
+
+    def __str__(self) -> str:
+        """One sentence."""
+        word = "more than chance" if self.holds else "not more than chance"
+        interval = f"[{self.low:+.4f}, {self.high:+.4f}]"
+        return f"mean gain {self.mean:+.4f}, 95 % interval {interval}, over {self.logs} held-out logs: {word}"
+
+
+def better(gain: FloatArray) -> Better:
+    """(6) of the gains `(j, n)` on the held-out logs."""
+    total = gain.sum(axis=0)
+    low, high = intervals(total[None, :])
+    return Better(float(total.mean()), float(low[0]), float(high[0]), len(total))
+
+
+def is_dominated(one: FloatArray, others: FloatArray) -> bool:
+    """Whether one of the others `(m, j)` is at least as good in each objective, and better in one."""
+    return bool(((others >= one).all(axis=1) & (others > one).any(axis=1)).any())

@@ -1,0 +1,89 @@
+"""The file of a study: JSON lines, the head first (what is asked for), then a line per trial.
+
+The file is written whole after each batch under another name and renamed, so that an interruption leaves it as it was
+after the batch before. A search is deterministic: with `--resume` it asks for the same trials again, and those that the
+file holds are not driven a second time. So it ends with the same bytes as one that was never interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from logs.errors import ConfigError
+from replay.results.tables import LOCK, clear_partial, write_text
+from replay.run.resume import changes
+
+FILE = "study.jsonl"
+
+
+class Study:
+    """The trials of a study, by key.
+
+    Args:
+        out: The folder, which is held (`replay.run.lock`).
+        head: What is asked for, as JSON has it: a study with another head is another study.
+        resume: Take what the file there holds; else an earlier study of this kind is removed from the folder.
+
+    Raises:
+        ConfigError: The folder holds something else, or nothing that could be resumed.
+    """
+
+    def __init__(self, out: Path, head: Mapping[str, Any], *, resume: bool) -> None:
+        self._path, self._head, self._rows = out / FILE, dict(head), list[dict[str, Any]]()
+        earlier = _read(self._path) if self._path.is_file() else None
+        entries = [entry for entry in out.iterdir() if entry.name != LOCK]
+        if entries and (earlier is None or earlier[0].get("study") != head["study"]):
+            raise ConfigError(f"{out}: holds no study of `replan {head['study']}`; give --out a new or empty folder")
+        if resume:
+            self._rows = _resumed(out, earlier, self._head)
+            clear_partial(out)
+        else:
+            for entry in entries:
+                shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+        self._known = {row["key"]: row for row in self._rows}
+        self.resumed = len(self._rows)
+        self._write()
+
+    def known(self, key: str) -> dict[str, Any] | None:
+        """The row of a trial, where the file holds it."""
+        return self._known.get(key)
+
+    def add(self, rows: Iterable[dict[str, Any]]) -> None:
+        """Add trials (each with its `key`), and write the file."""
+        for row in rows:
+            self._rows.append(row)
+            self._known[row["key"]] = row
+        self._write()
+
+    def _write(self) -> None:
+        lines = [json.dumps(row, ensure_ascii=False, allow_nan=False) for row in (self._head, *self._rows)]
+        write_text(self._path, "\n".join(lines) + "\n")
+
+
+def _read(path: Path) -> list[dict[str, Any]]:
+    """Head and rows.
+
+    Raises:
+        ConfigError: It is no such file.
+    """
+    try:
+        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: cannot be read as a study: {error}; remove the file to start over") from None
+    if not rows or not all(isinstance(row, dict) for row in rows) or not all("key" in row for row in rows[1:]):
+        raise ConfigError(f"{path}: contains no study; remove the file to start over")
+    return rows
+
+
+def _resumed(out: Path, earlier: list[dict[str, Any]] | None, head: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The rows of an interrupted study of the same head."""
+    if earlier is None:
+        raise ConfigError(f"{out}: holds no study to resume; leave out --resume to start one")
+    changed = changes(earlier[0], json.loads(json.dumps(head)))
+    if changed:
+        raise ConfigError(f"{out}: was begun otherwise: {changed}; give the same options, or leave out --resume")
+    return earlier[1:]

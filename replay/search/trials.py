@@ -1,0 +1,166 @@
+"""The trials of a tuning: which settings to try next, by optuna, and what came of each.
+
+Trials are asked for one after the other, of optuna's multi-objective TPE (Ozaki et al., J. Artif. Intell. Res. 73,
+2022), with the gates as a constraint ((4) of `replay.search.gains`). So the trials depend on the seed and on what came
+of those before, and on nothing else. The first one is the default, where it lies in the space. Settings that are
+refused together are a trial that failed.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from hashlib import sha256
+from typing import Any
+
+from logs.errors import ConfigError
+from replay.config import RunConfig, RunMode, dump_run
+from replay.run.resume import stamp_of
+from replay.search.gains import Measured, Objective, gains, scales
+from replay.search.space import Setting, Value
+
+KIND = "tune"
+TRIALS, SHARE = 50, 0.3
+STARTUP = 10
+"""Trials at random before TPE has enough to go by (optuna's default)."""
+Values = dict[tuple[str, ...], Value]
+"""Values of settings by their path."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What is asked for.
+
+    Attributes:
+        run: Planner (one) and settings with which the search begins: the defaults.
+        settings: What is searched.
+        objectives: What is to become better.
+        trials: How many settings are tried.
+        seed: Another seed, other trials.
+        share: Of the logs that are held out.
+    """
+
+    run: RunConfig
+    settings: tuple[Setting, ...]
+    objectives: tuple[Objective, ...]
+    trials: int = TRIALS
+    seed: int = 0
+    share: float = SHARE
+
+    @cached_property
+    def driven(self) -> RunConfig:
+        """The defaults as they are driven: the loops that an objective asks for, nothing drawn."""
+        mode: RunMode = "both" if any(one.mode == "open" for one in self.objectives) else "closed"
+        return replace(self.run, mode=mode, recording=False, internals="none", deadline_s=0.0, ensemble=0)
+
+    def head(self, logs: Mapping[str, str]) -> dict[str, Any]:
+        """What makes two tunings the same but for the number of trials; `logs` are the identities by name."""
+        stamp = stamp_of(self.driven)
+        return {
+            "study": KIND,
+            "replan": stamp.replan,
+            "code": stamp.code[:12],
+            "seed": self.seed,
+            "share": self.share,
+            "objectives": [one.metric for one in self.objectives],
+            "settings": {one.key: repr(one) for one in self.settings},
+            "logs": {name: sha256(identity.encode()).hexdigest()[:16] for name, identity in logs.items()},
+            "run": dump_run(self.driven),
+        }
+
+
+def optuna_module() -> Any:
+    """optuna, silent; ConfigError where it is not installed."""
+    try:
+        import optuna
+    except ImportError:
+        raise ConfigError("replan tune needs optuna: pip install 'replan[improve]'") from None
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return optuna
+
+
+class Trials:
+    """optuna's study: what to try next, and what came of it."""
+
+    def __init__(self, plan: Plan, default: Measured) -> None:
+        self._plan, self._default, self._scale = plan, default, scales(default.values)
+        self._optuna = optuna_module()
+        with _quiet():
+            sampler = self._optuna.samplers.TPESampler(
+                seed=plan.seed, n_startup_trials=STARTUP, multivariate=True,
+                constraints_func=lambda trial: (trial.user_attrs["violation"],),
+            )  # fmt: skip
+            self._study: Any = self._optuna.create_study(
+                directions=["maximize"] * len(plan.objectives), sampler=sampler
+            )
+        self._distributions = {one.key: self._distribution(one) for one in plan.settings}
+        self._trial: Any = None
+        values = {one.key: one.default for one in plan.settings}
+        if all(_contains(one) for one in plan.settings):
+            self._study.enqueue_trial(values)
+
+    def _distribution(self, setting: Setting) -> Any:
+        kinds = self._optuna.distributions
+        if setting.choices:
+            return kinds.CategoricalDistribution(setting.choices)
+        assert setting.low is not None and setting.high is not None
+        if setting.is_whole:
+            step = int(setting.step or 1)
+            return kinds.IntDistribution(int(setting.low), int(setting.high), log=setting.log, step=step)
+        return kinds.FloatDistribution(float(setting.low), float(setting.high), log=setting.log, step=setting.step)
+
+    def ask(self) -> Values:
+        """The settings of the next trial."""
+        with _quiet():
+            self._trial = self._study.ask(self._distributions)
+        return {one.path: self._trial.params[one.key] for one in self._plan.settings}
+
+    def tell(self, row: Mapping[str, Any]) -> None:
+        """What came of the trial that was asked for."""
+        with _quiet():
+            if row["refused"]:
+                self._study.tell(self._trial, state=self._optuna.trial.TrialState.FAIL)
+                return
+            self._trial.set_user_attr("violation", float(row["failed"] - self._default.failed))
+            self._study.tell(self._trial, [row[f"gain {one.metric}"] for one in self._plan.objectives])
+
+    def row(self, values: Values, found: Measured) -> dict[str, Any]:
+        """The row of a trial."""
+        mean = gains(found.values, self._default.values, self._scale, self._plan.objectives).mean(axis=1)
+        return {
+            **self._named(values),
+            **{f"gain {one.metric}": float(gain) for one, gain in zip(self._plan.objectives, mean, strict=True)},
+            "total": float(mean.sum()),
+            "failed": found.failed,
+            "feasible": found.failed <= self._default.failed,
+            "refused": "",
+        }
+
+    def refused(self, values: Values, why: str) -> dict[str, Any]:
+        """The row of settings that are refused together."""
+        none = {f"gain {one.metric}": None for one in self._plan.objectives}
+        return {**self._named(values), **none, "total": None, "failed": None, "feasible": False, "refused": why}
+
+    def _named(self, values: Values) -> dict[str, Value]:
+        return {one.key: values[one.path] for one in self._plan.settings}
+
+
+def _quiet() -> warnings.catch_warnings[None]:
+    """Without optuna's remarks about what it may change in a later version."""
+    return warnings.catch_warnings(action="ignore")
+
+
+def _contains(setting: Setting) -> bool:
+    """Whether the default lies in the range."""
+    if setting.choices:
+        return setting.default in setting.choices
+    assert setting.low is not None and setting.high is not None and isinstance(setting.default, int | float)
+    steps = (setting.default - setting.low) / setting.step if setting.step else 0.0
+    return setting.low <= setting.default <= setting.high and abs(steps - round(steps)) < 1e-9
+
+
+def key_of(values: Values) -> str:
+    """The key of a trial in the file of the study."""
+    return "; ".join(f"{'.'.join(path)} = {value!r}" for path, value in values.items())

@@ -1,0 +1,371 @@
+"""A tuning: settings that are better than the defaults, judged on logs that were not searched, and its files.
+
+    OUT/tune.json            what was asked for, what was found, the sentences that are printed
+    OUT/study.jsonl          the trials, a line each; `--resume` goes on from it
+    OUT/trials.parquet, .csv the same as a table; OUT/pareto.csv, .png those that no other trial beats
+    OUT/best.toml            the chosen settings, for `--config`
+    OUT/training/            results with the defaults on the training logs
+    OUT/held_out/default/, OUT/held_out/chosen/      results on the held-out logs, as `replan compare` takes them
+
+Trials are asked for one after the other (`replay.search.trials`), and the logs of a trial are driven beside each other:
+the same logs, space and seed give the same trials at any number of workers.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import tomli_w
+
+from logs.errors import ConfigError
+from logs.mcap import write_scenario
+from logs.names import counted
+from metrics.compare import Comparison
+from metrics.judge.aggregate import LogLabels
+from replay.compare import compare_runs
+from replay.config import RunConfig
+from replay.draw.report.figures import save
+from replay.results.load import Results
+from replay.results.tables import PARTIAL, write_file, write_json, write_parquet, write_text
+from replay.results.version import replan_version
+from replay.run import evaluate_logs
+from replay.run.checks import checked
+from replay.run.engine import Engine, Local
+from replay.run.lock import held
+from replay.run.resume import identity_of
+from replay.run.sources import Selection
+from replay.search.figures import pareto_figure
+from replay.search.gains import (
+    LEAST_LOGS,
+    Better,
+    Measured,
+    better,
+    gains,
+    is_dominated,
+    measured,
+    scales,
+)
+from replay.search.space import Setting, Value, chosen_table, listed, with_values
+from replay.search.split import held_out, stratum
+from replay.search.study import Study
+from replay.search.trials import Plan, Trials, Values, key_of, optuna_module
+
+
+@dataclass(frozen=True, eq=False)
+class Logs:
+    """The logs of a tuning: where each is, by name, and which are held out."""
+
+    places: Mapping[str, Path | str]
+    identities: Mapping[str, str]
+    strata: Mapping[str, str]
+    held: frozenset[str]
+
+    @property
+    def training(self) -> tuple[str, ...]:
+        """Names, sorted."""
+        return tuple(sorted(name for name in self.places if name not in self.held))
+
+    @property
+    def held_out(self) -> tuple[str, ...]:
+        """Names, sorted."""
+        return tuple(sorted(self.held))
+
+    def at(self, names: Sequence[str]) -> list[Path | str]:
+        """Where logs are."""
+        return [self.places[name] for name in names]
+
+
+@dataclass(frozen=True, eq=False)
+class Tuned:
+    """The end of a tuning.
+
+    Attributes:
+        out: The folder.
+        plan: What was asked for.
+        logs: The logs and their sets.
+        table: A row per trial.
+        chosen: The row of the chosen trial; empty: none is better than the defaults.
+        values: The chosen settings; empty likewise.
+        better: On the held-out logs; None likewise.
+        comparison: Of the chosen settings with the defaults there; None likewise.
+    """
+
+    out: Path
+    plan: Plan
+    logs: Logs
+    table: pd.DataFrame
+    chosen: Mapping[str, Any]
+    values: Values
+    better: Better | None
+    comparison: Comparison | None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the chosen settings are better on the held-out logs, and break no rule of comparison."""
+        if self.better is None or self.comparison is None:
+            return False
+        return self.better.holds and self.comparison.exit_code != 1
+
+    @property
+    def exit_code(self) -> int:
+        """0: better; 1: not."""
+        return 0 if self.passed else 1
+
+    def lines(self) -> list[str]:
+        """What is said of it, a sentence each."""
+        feasible = int(self.table["feasible"].sum())
+        refused = int((self.table["refused"] != "").sum())
+        tried = f"{counted(len(self.table), 'trial')} on {counted(len(self.logs.training), 'training log')}"
+        aside = f", {refused} refused by the configuration" if refused else ""
+        said = [f"{tried}: {feasible} feasible{aside}."]
+        if self.better is None or self.comparison is None:
+            return [*said, "FAIL: no feasible trial is better than the defaults on the training logs."]
+        gain = float(self.chosen["total"])
+        said.append(
+            f"Chosen is trial {self.chosen['trial']}: {listed(self.plan.settings, self.values)}; gain {gain:+.4f}."
+        )
+        said.append(f"Held out: {self.better}.")
+        broken = [verdict for verdict in self.comparison.verdicts if verdict.outcome.value == "fail"]
+        said += [f"Broken: {verdict.rule}: {verdict.reason}." for verdict in broken]
+        if self.passed:
+            said.append(
+                "PASS: the chosen settings are better on the held-out logs, and no rule of comparison is broken."
+            )
+        elif not self.better.holds:
+            said.append("FAIL: they are not better on the held-out logs.")
+        else:
+            said.append("FAIL: they break a rule of comparison on the held-out logs.")
+        return said
+
+
+def tune(
+    plan: Plan,
+    selection: Selection,
+    out: Path,
+    *,
+    engine: Engine | None = None,
+    resume: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+) -> Tuned:
+    """Search, judge on the held-out logs, and write all of it into `out`.
+
+    Args:
+        plan: What is asked for.
+        selection: The logs.
+        out: A folder that is new, empty, or holds an earlier tuning, which is replaced or resumed.
+        engine: Where the logs are driven; None: this process.
+        resume: Go on with the tuning that `out` holds.
+        say: Called with a line after each trial.
+
+    Raises:
+        ConfigError: A wrong setting, too few logs, no point of the space is accepted, a folder that is not ours to
+            write, nothing to resume, or optuna is not installed.
+        LogError: A log cannot be read.
+        PlannerError: The planner cannot be loaded.
+    """
+    if len(plan.run.planners) != 1:
+        raise ConfigError(f"a tuning is of one planner, got {', '.join(plan.run.planners)}")
+    optuna_module()
+    checked(plan.driven)
+    engine = engine or Local()
+    with held(out):
+        logs = _sorted_logs(selection, out, plan.share)
+        study = Study(out, plan.head(logs.identities), resume=resume)
+        _write_synthesised(selection, logs)
+        return _tuned(plan, logs, study, _Driver(out, engine, resume), say)
+
+
+# logs -------------------------------------------------------------------------------------------------------------
+
+
+def _sorted_logs(selection: Selection, out: Path, share: float) -> Logs:
+    """The logs, read once for their names and strata.
+
+    Raises:
+        ConfigError: Two have one name, or too few are left on one side.
+        LogError: One cannot be read.
+    """
+    labels: dict[str, LogLabels] = {}
+    places: dict[str, Path | str] = {}
+    identities: dict[str, str] = {}
+    for source in selection.sources:
+        with source.fetched() as near:
+            scenario = near.read()
+        name = scenario.name
+        if name in labels:
+            raise ConfigError(f"two logs are called '{name}' ({places[name]}, {source.label}); leave one of them out")
+        labels[name] = LogLabels(scenario.family, scenario.dataset, scenario.tags)
+        places[name] = source.path or (source.label if source.remote else _synthesised(out, name))
+        identities[name] = identity_of(source)
+    held = held_out(labels, share)
+    logs = Logs(places, identities, {name: stratum(one) for name, one in labels.items()}, held)
+    if len(held) < LEAST_LOGS:
+        raise ConfigError(
+            f"--held-out {share:g} of {counted(len(labels), 'log')} holds out {len(held)}, and on fewer than"
+            f" {LEAST_LOGS} no difference is more than chance: name more logs, or hold out more of them"
+        )
+    if not logs.training:
+        raise ConfigError(f"--held-out {share:g} of {counted(len(labels), 'log')} leaves none to search on")
+    return logs
+
+
+def _synthesised(out: Path, name: str) -> Path:
+    return out / "logs" / f"{sha256(name.encode()).hexdigest()[:16]}.mcap"
+
+
+def _write_synthesised(selection: Selection, logs: Logs) -> None:
+    """Logs of the catalogue as files."""
+    for source in selection.sources:
+        if source.path is None and not source.remote:
+            scenario = source.read()
+            file = Path(logs.places[scenario.name])
+            file.parent.mkdir(exist_ok=True)
+            write_scenario(file, scenario)
+
+
+@dataclass(frozen=True)
+class _Driver:
+    """Drives logs into folders of a tuning."""
+
+    out: Path
+    engine: Engine
+    resume: bool
+
+    def kept(self, logs: Sequence[Path | str], run: RunConfig, folder: str) -> Results:
+        """A run that stays; what an interrupted tuning has finished of it is taken as it is."""
+        place = self.out / folder
+        place.parent.mkdir(parents=True, exist_ok=True)
+        return evaluate_logs(
+            logs, run, place, engine=self.engine, resume=self.resume and (place / "run.toml").is_file()
+        )
+
+    def passing(self, logs: Sequence[Path | str], run: RunConfig, asked: Callable[[Results], Measured]) -> Measured:
+        """What is asked of a run whose files do not stay."""
+        scratch = self.out / f"{PARTIAL}trial"
+        shutil.rmtree(scratch, ignore_errors=True)
+        try:
+            return asked(evaluate_logs(logs, run, scratch, engine=self.engine))
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+# trials -----------------------------------------------------------------------------------------------------------
+
+
+def _tuned(plan: Plan, logs: Logs, study: Study, driver: _Driver, say: Callable[[str], None]) -> Tuned:
+    say(f"{counted(len(logs.training), 'training log')}, {len(logs.held)} held out; first the defaults")
+    names, where = logs.training, logs.at(logs.training)
+    default = measured(driver.kept(where, plan.driven, "training"), names, plan.objectives)
+    search = Trials(plan, default)
+
+    def drive(values: Values) -> dict[str, Any]:
+        try:
+            run = with_values(plan.driven, values)
+            checked(run)
+        except ConfigError as error:
+            return search.refused(values, str(error))
+        return search.row(values, driver.passing(where, run, lambda results: measured(results, names, plan.objectives)))
+
+    rows: list[dict[str, Any]] = []
+    for trial in range(plan.trials):
+        values = search.ask()
+        key = key_of(values)
+        row = study.known(key)
+        if row is None:
+            row = drive(values)
+            study.add([{"key": key, **row}])
+        search.tell(row)
+        rows.append({"trial": trial, **{name: cell for name, cell in row.items() if name != "key"}})
+        best = max((one["total"] for one in rows if one["feasible"]), default=None)
+        what = "no feasible one yet" if best is None else f"best gain {best:+.4f}"
+        say(f"{trial + 1} of {counted(plan.trials, 'trial')}, {what}")
+    if all(row["refused"] for row in rows):
+        raise ConfigError(f"no trial of {len(rows)} is accepted by the configuration: {rows[0]['refused']}")
+    table = _table(rows, plan)
+    result = _judged(plan, logs, table, scales(default.values), driver, say)
+    _write(result, default)
+    return result
+
+
+def _table(rows: Sequence[Mapping[str, Any]], plan: Plan) -> pd.DataFrame:
+    """A row per trial, those on the Pareto front marked."""
+    table = pd.DataFrame(rows)
+    columns = [f"gain {one.metric}" for one in plan.objectives]
+    table = table.astype({**dict.fromkeys([*columns, "total", "failed"], float), "feasible": bool})
+    points = table.loc[table["feasible"], columns].to_numpy(float)
+    front = [not is_dominated(point, points) for point in points]
+    table["pareto"] = False
+    table.loc[table["feasible"], "pareto"] = front
+    return table
+
+
+# the end ----------------------------------------------------------------------------------------------------------
+
+
+def _judged(
+    plan: Plan, logs: Logs, table: pd.DataFrame, scale: np.ndarray, driver: _Driver, say: Callable[[str], None]
+) -> Tuned:
+    """Choose, and drive the held-out logs with the chosen settings and the defaults."""
+    good = table[table["feasible"] & (table["total"] > 0.0)]
+    if good.empty:
+        return Tuned(driver.out, plan, logs, table, {}, {}, None, None)
+    chosen = {str(name): cell for name, cell in good.iloc[int(np.argmax(good["total"]))].items()}
+    values: Values = {one.path: _plain(chosen[one.key], one) for one in plan.settings}
+    say(f"trial {chosen['trial']} is chosen; now the held-out logs")
+    where = logs.at(logs.held_out)
+    default = driver.kept(where, plan.driven, "held_out/default")
+    tuned = driver.kept(where, with_values(plan.driven, values), "held_out/chosen")
+    before, now = (measured(one, logs.held_out, plan.objectives) for one in (default, tuned))
+    gain = gains(now.values, before.values, scale, plan.objectives)
+    comparison = compare_runs(default, tuned, gates=plan.run.gates_path, partings=0)
+    return Tuned(driver.out, plan, logs, table, chosen, values, better(gain), comparison)
+
+
+def _plain(value: Any, setting: Setting) -> Value:
+    """A cell of the table as the setting has it."""
+    plain = value.item() if hasattr(value, "item") else value
+    return int(plain) if setting.is_whole else plain
+
+
+def _write(result: Tuned, default: Measured) -> None:
+    out, plan, table = result.out, result.plan, result.table
+    write_parquet(out / "trials.parquet", table)
+    write_file(out / "trials.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+    front = table[table["pareto"]].sort_values("total", ascending=False, kind="stable")
+    write_file(out / "pareto.csv", lambda partial: front.to_csv(partial, index=False, lineterminator="\n"))
+    title = f"{plan.run.planners[0]}: {counted(len(table), 'trial')} on {counted(len(result.logs.training), 'log')}"
+    save(pareto_figure(table, [one.metric for one in plan.objectives], result.chosen, title), out / "pareto.png")
+    chosen = with_values(plan.run, result.values)
+    note = "the chosen settings" if result.passed else "NOT better than the defaults on the held-out logs"
+    write_text(out / "best.toml", f"# Written by `replan tune`: {note}.\n{tomli_w.dumps(chosen_table(chosen))}")
+    card = {
+        "replan": replan_version(),
+        "planner": plan.run.planners[0],
+        "objectives": [one.metric for one in plan.objectives],
+        "seed": plan.seed,
+        "trials": len(table),
+        "training": list(result.logs.training),
+        "held_out": list(result.logs.held_out),
+        "strata": dict(result.logs.strata),
+        "failed_by_default": default.failed,
+        "chosen": {one.key: result.values[one.path] for one in plan.settings} if result.values else None,
+        "gain": None if result.better is None else {
+            "mean": result.better.mean,
+            "interval": [_finite(result.better.low), _finite(result.better.high)],
+            "logs": result.better.logs,
+        },
+        "said": result.lines(),
+        "exit_code": result.exit_code,
+    }  # fmt: skip
+    write_json(out / "tune.json", card)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

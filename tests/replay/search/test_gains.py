@@ -1,0 +1,60 @@
+"""Gains against the defaults: directions, missing values, and chance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logs import ConfigError
+from metrics import METRICS
+from replay.search.gains import LEAST_LOGS, Objective, better, gains, is_dominated, objectives, scales
+
+TWO = (Objective("up", "closed", 1.0), Objective("down", "closed", -1.0))
+
+
+def test_a_gain_is_the_better_way_in_parts_of_the_defaults() -> None:
+    default = np.array([[2.0, 4.0, np.nan], [1.0, 0.0, 5.0]])
+    values = np.array([[3.0, 1.0, 9.0], [np.nan, 2.0, 5.0 + 1e-12]])
+    assert scales(default).tolist() == [3.0, 2.0]
+    expected = [[1.0 / 3.0, -1.0, 0.0], [0.0, -1.0, 0.0]]
+    np.testing.assert_allclose(gains(values, default, scales(default), TWO), expected)
+    assert scales(np.array([[0.0, 0.0], [np.nan, np.nan]])).tolist() == [1.0, 1.0]
+
+
+@given(st.integers(0, 10_000), st.floats(0.5, 3.0))
+def test_a_gain_on_every_log_is_better_and_its_mirror_is_not(seed: int, gain: float) -> None:
+    drawn = gain * np.random.default_rng(seed).uniform(0.5, 1.5, (1, 8))
+    assert better(drawn).holds and not better(-drawn).holds
+    assert not better(drawn[:, : LEAST_LOGS - 1]).holds
+
+
+def test_noise_is_not_better_but_by_chance() -> None:
+    rng = np.random.default_rng(3)
+    held = [better(rng.normal(0.0, 1.0, (2, 20))).holds for _ in range(200)]
+    assert sum(held) <= 12  # 2.5 % of 200 are 5; more than 12 come once in a thousand times
+    assert not better(np.zeros((2, 20))).holds
+
+
+def test_what_no_other_beats() -> None:
+    points = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5], [0.4, 0.4]])
+    assert [is_dominated(point, points) for point in points] == [False, False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["ttc.mn"], "did you mean 'ttc.min'"),
+        (["speed.mean"], "neither more nor less of it is better"),
+        (["ttc.min", "ttc.min"], "named twice"),
+    ],
+)
+def test_wrong_objectives_are_refused(names: list[str], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        objectives(names, METRICS)
+
+
+def test_an_objective_has_the_loop_in_which_it_is_defined() -> None:
+    found = objectives(["ttc.min", "ade.3s.mean"], METRICS)
+    assert [(one.mode, one.sign) for one in found] == [("closed", 1.0), ("open", -1.0)]

@@ -1,0 +1,143 @@
+"""`replan tune`: planted better settings are found, noise is not; trials, files, resume, and wrong words."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import gates as write_gates
+from command_line import one_error, replan
+from handmade import drive, lanes_along, scenario, square, straight
+
+from logs import Goal
+from logs.mcap import write_scenario
+from replay.config import RunConfig, load_run
+from replay.search.gains import Measured, Objective
+from replay.search.space import Setting
+from replay.search.study import FILE
+from replay.search.trials import Plan, Trials, Values
+
+pytest.importorskip("optuna", reason="the extra improve is not installed: pip install 'replan[improve]'")
+SAME = ("tune.json", "study.jsonl", "trials.parquet", "trials.csv", "pareto.csv", "pareto.png", "best.toml")
+SPEED, IDLE = ("planner", "wishful:Wishful", "speed_mps"), ("planner", "wishful:Wishful", "idle")
+ONE = (Objective("down.mean", "closed", -1.0),)
+
+
+def tried(
+    values: Callable[[Values], float], failed: Callable[[Values], int] = lambda v: 0, *, count: int = 40, seed: int = 0
+) -> list[dict[str, object]]:
+    """The rows of trials of a function of the settings, without a drive."""
+    settings = (Setting(SPEED, 8.0, 2.0, 12.0), Setting(IDLE, 0.5, 0.1, 10.0, log=True))
+    default = Measured(np.full((1, 3), values({SPEED: 8.0, IDLE: 0.5})), failed({SPEED: 8.0, IDLE: 0.5}))
+    trials = Trials(Plan(RunConfig(planners=("idm",)), settings, ONE, seed=seed), default)
+    rows = []
+    for _ in range(count):
+        asked = trials.ask()
+        rows.append(trials.row(asked, Measured(np.full((1, 3), values(asked)), failed(asked))))
+        trials.tell(rows[-1])
+    return rows
+
+
+def miss(values: Values) -> float:
+    return abs(float(values[SPEED]) - 5.0)
+
+
+def test_the_first_trial_is_the_default_and_the_seed_decides_the_rest() -> None:
+    one, again, other = tried(miss, count=14), tried(miss, count=14), tried(miss, count=14, seed=1)
+    first = ".".join(SPEED[:1]) + f'."{SPEED[1]}".{SPEED[2]}'
+    assert one[0][first] == 8.0 and one[0]["total"] == 0.0
+    assert one == again and one[1:] != other[1:]
+
+
+def test_better_settings_are_found_and_those_that_fail_more_are_not_feasible() -> None:
+    rows = tried(miss, lambda values: int(float(values[SPEED]) < 6.0))
+    totals = [float(str(row["total"])) for row in rows if row["feasible"]]
+    assert max(totals) > 0.6  # 5 m/s would be 1, 6 m/s is 2/3: 1 - 1/3
+    assert all((row["failed"] == 1) != row["feasible"] for row in rows)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve logs of 2 s, on each of which another speed is driven."""
+    out = tmp_path_factory.mktemp("tune")
+    (out / "logs").mkdir()
+    for k in range(12):
+        ego = drive(straight, 6.0 + 0.3 * k, 2.0)
+        made = scenario(ego, road=lanes_along(ego), goal=Goal((square(2.0 * ego.v[0], 0.0, 4.0),)))
+        write_scenario(out / "logs" / f"{k}.mcap", replace(made, name=f"made/{k}"))
+    write_gates(out / "gates.toml", 'metric = "collision_at_fault.count"\nmode = "closed"\nmax = 0')
+    write_space(out / "space.toml", "speed_mps = { low = 5.0, high = 10.0 }", "idle = { low = 0.0, high = 1.0 }")
+    return out
+
+
+def write_space(path: Path, *lines: str) -> None:
+    path.write_text("\n".join(f'planner."wishful:Wishful".{line}' for line in lines), encoding="utf-8")
+
+
+def words(folder: Path, out: Path, *more: object) -> Sequence[object]:
+    return (
+        "tune", "-p", "wishful:Wishful", "--set", "loop.apart.trust=true", "--set", "repeat_s=0", folder / "logs",
+        "--space", folder / "space.toml", "--gates", folder / "gates.toml", "--metric", "wishful:WISH",
+        "--metric", "wishful:NOISE", "--held-out", 0.5, "--workers", 0, "-o", out, *more,
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_planted_better_settings_are_found_and_hold_on_held_out_logs(folder: Path, tmp_path: Path) -> None:
+    objective = ("--objective", "wish.mean", "--trials", 4)
+    result = replan(*words(folder, tmp_path / "out", *objective))
+    assert result.exit_code == 0, result.output
+    card = json.loads((tmp_path / "out" / "tune.json").read_text(encoding="utf-8"))
+    assert len(card["held_out"]) == len(card["training"]) == 6 and card["said"][-1].startswith("PASS")
+    assert card["gain"]["interval"][0] > 0.0 and f"{card['gain']['mean']:+.4f}" in result.stdout
+    best = load_run(tmp_path / "out" / "best.toml")
+    speed = best.planner["wishful:Wishful"]["speed_mps"]
+    assert 5.9 < speed < 8.0 and card["chosen"]['planner."wishful:Wishful".speed_mps'] == speed
+    table = pd.read_parquet(tmp_path / "out" / "trials.parquet")
+    assert table["pareto"].sum() == 1 and table.loc[table["pareto"], "total"].item() == table["total"].max()
+
+
+@pytest.mark.slow
+def test_pure_noise_fails_and_an_interrupted_search_ends_with_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+    noise = ("--objective", "noise.mean", "--trials", 2)
+    result = replan(*words(folder, tmp_path / "out", *noise))
+    assert result.exit_code == 1, result.output
+    assert "FAIL: no feasible trial is better than the defaults" in result.stdout
+    assert load_run(tmp_path / "out" / "best.toml").planners == ("wishful:Wishful",)
+    lines = (tmp_path / "out" / FILE).read_text(encoding="utf-8").splitlines(keepends=True)
+    out = tmp_path / "resumed"
+    out.mkdir()
+    (out / FILE).write_text("".join(lines[:2]), encoding="utf-8")
+    assert replan(*words(folder, out, *noise, "--resume", "--workers", 1)).exit_code == 1
+    for name in SAME:
+        assert (out / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (("--objective", "noise.men"), "did you mean 'noise.mean'"),
+        (("--held-out", 0.0), "holds out 0, and on fewer than 6 no difference is more than chance"),
+        (("--held-out", 1.0), "leaves none to search on"),
+        (("--resume",), "holds no study to resume"),
+        (("--space", "nowhere.toml"), "nowhere.toml"),
+    ],
+)
+def test_wrong_words_are_one_line_and_leave_nothing(
+    folder: Path, tmp_path: Path, more: tuple[object, ...], said: str
+) -> None:
+    result = replan(*words(folder, tmp_path / "out", *more))
+    assert result.exit_code == 2 and said in one_error(result)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_space_that_the_planner_refuses_is_refused_before_anything_is_driven(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "space.toml").write_text("planner.idm.time_gap_s = { low = -1.0, high = 2.0 }", encoding="utf-8")
+    result = replan(*words(folder, tmp_path / "out", "--space", tmp_path / "space.toml", "-p", "idm"))
+    assert result.exit_code == 2 and "planner.idm.time_gap_s = -1.0 is refused" in one_error(result)
+    assert not (tmp_path / "out").exists()

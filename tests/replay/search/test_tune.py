@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -116,6 +117,32 @@ def test_pure_noise_fails_and_an_interrupted_search_ends_with_the_same_bytes(fol
     assert replan(*words(folder, out, *noise, "--resume", "--workers", 1)).exit_code == 1
     for name in SAME:
         assert (out / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
+
+
+@pytest.mark.slow
+def test_a_space_of_which_no_point_is_accepted_is_one_line_and_its_trials_are_kept(
+    folder: Path, tmp_path: Path
+) -> None:
+    """Both ends are multiples of the control period, and what lies between them is none."""
+    (tmp_path / "space.toml").write_text("loop.plan_period_s = { low = 0.2, high = 0.4 }", encoding="utf-8")
+    asked = ("--space", tmp_path / "space.toml", "--objective", "wish.mean", "--trials", 3)
+    result = replan(*words(folder, tmp_path / "out", *asked))
+    said = one_error(result)
+    assert result.exit_code == 2 and "no trial of 3 is accepted by the configuration" in said
+    assert "must be a multiple of" in said
+    assert len((tmp_path / "out" / FILE).read_text(encoding="utf-8").splitlines()) == 4
+
+
+def test_without_optuna_or_cmaes_one_line_says_how_to_install_them(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    monkeypatch.setitem(sys.modules, "cmaes", None)
+    falsify = ("falsify", "paper/crossing_pedestrian", "-p", "idm", "-o", tmp_path / "out")
+    for asked in (words(folder, tmp_path / "out", "--objective", "wish.mean"), falsify):
+        result = replan(*asked)
+        assert result.exit_code == 2 and "pip install 'replan[improve]'" in one_error(result)
+        assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

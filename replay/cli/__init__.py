@@ -22,7 +22,8 @@ ending.py      the end of a run: reports, exit code
 app.py         what the commands share
 """
 
-from replay.cli import evaluate, search, shards, report, logs, results, compare, plot, explain, frame, mine, about, warmup  # isort: skip  # the order of the help
+from replay.cli import evaluate, search, shards, report, logs, results, compare  # isort: skip  # the order of the help
+from replay.cli import plot, explain, frame, mine, about, warmup  # isort: skip
 from replay.cli.app import app, bug
 
 __all__ = [

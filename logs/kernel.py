@@ -157,11 +157,15 @@ class KernelIndex(IndexDataCacheFile):
     def save(self, key: Any, data: Any) -> None:
         """Keep the machine code of one kind of arguments; what is kept of another `stamp` is removed."""
         kept = self._load_index()
-        for stale in () if kept else Path(self._cache_path).glob(f"{escape(self._base)}.*.nbc"):
-            stale.unlink(missing_ok=True)
+        if not kept:
+            self._clear()
         kept[key] = f"{self._base}.{sha256(f'{self._source_stamp} {key!r}'.encode()).hexdigest()[:16]}.nbc"
         self._save_data(kept[key], data)  # type: ignore[no-untyped-call]
         self._save_index(kept)  # type: ignore[no-untyped-call]
+
+    def _clear(self) -> None:
+        for stale in Path(self._cache_path).glob(f"{escape(self._base)}.*.nbc"):
+            stale.unlink(missing_ok=True)
 
     @property
     def _source_stamp(self) -> str:

@@ -187,4 +187,4 @@ def is_ours(entry: Path) -> bool:
         return entry.read_text(encoding="utf-8", errors="replace").startswith(HEADER)
     if entry.is_dir():
         return entry.name.startswith(PARTIAL) or (entry / LOG_CARD).is_file()
-    return entry.name in (*FILES, LOCK)
+    return entry.name.removeprefix(PARTIAL) in (*FILES, LOCK)

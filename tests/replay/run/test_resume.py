@@ -123,8 +123,9 @@ def begun(logs: Path, tmp_path: Path) -> Path:
     result = evaluate_logs([logs], QUICK, out)
     folder = out / result.logs.iloc[-1].folder
     folder.rename(out / ".partial-0123-4567")
-    for name in ("metrics.parquet", "metrics.csv", "timings.parquet", "summary.json"):
+    for name in ("metrics.parquet", "metrics.csv", "summary.json"):
         (out / name).unlink()
+    (out / "timings.parquet").rename(out / ".partial-timings.parquet")
     return out
 
 

@@ -82,10 +82,10 @@ def read_map(path: Path, settings: LogSettings | None = None) -> MapFile:
 
 @lru_cache(maxsize=2)
 def _read(
-    reader: MapReader, path: Path, stamps: tuple[tuple[Path, int, int], ...], said: tuple[tuple[str, str], ...]
+    reader: MapReader, path: Path, stamps: tuple[tuple[Path, int, int], ...], settings: tuple[tuple[str, str], ...]
 ) -> MapFile:
-    """Once for all logs and windows on it, as long as its files and what the settings say are the same."""
-    return reader.read(path, dict(said))
+    """The map, read once for all logs and windows on it as long as its files and the settings are the same."""
+    return reader.read(path, dict(settings))
 
 
 def with_map(scenario: Scenario, settings: LogSettings) -> Scenario:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from logs.readers.base import itself
 from logs.road import Road
 
 
@@ -28,10 +29,6 @@ class MapFile:
     side_known: bool = True
 
 
-def _itself(path: Path) -> tuple[Path, ...]:
-    return (path,)
-
-
 @dataclass(frozen=True)
 class MapReader:
     """One format of maps.
@@ -49,5 +46,5 @@ class MapReader:
     looks_for: str
     claims: Callable[[Path], bool]
     read: Callable[[Path, Mapping[str, str]], MapFile]
-    files: Callable[[Path], tuple[Path, ...]] = _itself
+    files: Callable[[Path], tuple[Path, ...]] = itself
     settings: tuple[str, ...] = ()

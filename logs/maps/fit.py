@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import LogError
-from logs.kernel import BoolArray, FloatArray
+from logs.kernel import BoolArray
 from logs.maps.base import MapFile
 from logs.mcap.complete import ASSUMED, NO_LANES, assumed_limit
 from logs.road import Lane, Road, RoadSource
@@ -38,10 +38,8 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
     """
     origin = np.array(scenario.origin)
     road = placed_road(found.road, lambda points: points - origin)
-    x, y, yaw = _driven(scenario.ego)
     drivable = [lane for lane in road.lanes.values() if lane.drivable]
-    on, along = _shares(drivable, x, y, yaw)
-    _check(found, path, np.column_stack([x, y]), drivable, on, along)
+    on = _check_fit(found, path, drivable, scenario.ego)
     road, lights = _named(road, found.aliases, {light.id for light in scenario.lights})
     own = scenario.road
     notes = [note for note in scenario.notes if not note.startswith(NO_LANES)]
@@ -55,7 +53,12 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
         road = replace(road, drives_on_right=kept)
         side = "right" if kept else "left"
         notes.append(f"{path.name} does not show on which side traffic drives: the {side} is assumed.")
-    road = _limited(road, drivable, scenario.ego, path.name, notes)
+    missing = sum(not isfinite(lane.speed_limit) for lane in drivable)
+    if missing:
+        limit = assumed_limit(scenario.ego)
+        which = f"{missing} of the {len(drivable)} drivable lanes of {path.name}"
+        notes.append(f"{which} have no speed limit: {limit:.1f} m/s is assumed ({ASSUMED}).")
+        road = replace(road, default_speed_limit=limit)
     lost = len(scenario.lights) - len(lights)
     if lost:
         notes.append(f"{lost} traffic lights of the log are left out: no stop line of {path.name} names them.")
@@ -68,37 +71,26 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
     )
 
 
-def _driven(ego: Trajectory) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Columns x, y, yaw `(k,)` of the path by (1): the states at which another `STEP_M` has been driven."""
+def _check_fit(found: MapFile, path: Path, lanes: list[Lane], ego: Trajectory) -> BoolArray:
+    """Which points of the path (1) lie on the lanes; a map that is elsewhere or the wrong way round is refused."""
     driven = np.r_[0.0, np.cumsum(np.hypot(np.diff(ego.x), np.diff(ego.y)))]
     at = np.unique(np.searchsorted(driven, np.arange(0.0, driven[-1] + 1e-9, STEP_M)))
-    return ego.x[at], ego.y[at], ego.yaw[at]
-
-
-def _shares(lanes: list[Lane], x: FloatArray, y: FloatArray, yaw: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Which points `(k,)` lie on one of the lanes, and which drive along one."""
+    x, y, yaw = ego.x[at], ego.y[at], ego.yaw[at]
     on, along = np.zeros(len(x), np.bool_), np.zeros(len(x), np.bool_)
     road = Road({lane.id: lane for lane in lanes})
     for k in range(len(x)):
         there = road.lanes_at(float(x[k]), float(y[k]))
         on[k] = bool(there)
         along[k] = any(on_lane(lane, x[k : k + 1], y[k : k + 1], yaw[k : k + 1])[0] for lane in there)
-    return on, along
-
-
-def _check(
-    found: MapFile,
-    path: Path,
-    places: FloatArray,
-    lanes: list[Lane],
-    on: BoolArray,
-    along: BoolArray,
-) -> None:
-    """Refuse a map that is elsewhere or the wrong way round."""
     if on.mean() < LEAST_SHARE:
+        from scipy.spatial import cKDTree  # here: it takes long to load
+
+        tree = cKDTree(np.vstack([lane.polygon for lane in lanes]))
+        away = np.asarray(tree.query(np.column_stack([x, y]))[0])
         raise LogError(
             f"the map {path} does not fit the drive: {100.0 * on.mean():.0f} % of the driven path lies on its drivable"
-            f" lanes, at least {100.0 * LEAST_SHARE:.0f} % must; {_away(places, lanes)} (coordinates: {found.frame})",
+            f" lanes, at least {100.0 * LEAST_SHARE:.0f} % must; the nearest lane is {away.min():.0f} m away at the"
+            f" nearest, {away.max():.0f} m at the farthest (coordinates: {found.frame})",
             remedy="give the map of that place, or name the origin of its coordinates as [log] map_origin",
         )
     share = float(along.sum() / on.sum())
@@ -108,14 +100,7 @@ def _check(
             f" them, at least {100.0 * LEAST_SHARE:.0f} % must: most of it is against or across their direction",
             remedy="correct the directions of its lanes, or the log's headings",
         )
-
-
-def _away(places: FloatArray, lanes: list[Lane]) -> str:
-    """How far the drive is from the nearest lane where it is nearest and where it is farthest."""
-    from scipy.spatial import cKDTree  # here: it takes long to load
-
-    away = np.asarray(cKDTree(np.vstack([lane.polygon for lane in lanes])).query(places)[0])
-    return f"the nearest lane is {away.min():.0f} m away at the nearest, {away.max():.0f} m at the farthest"
+    return on
 
 
 def _named(road: Road, aliases: Mapping[int, tuple[int, ...]], shown: set[int]) -> tuple[Road, set[int]]:
@@ -129,14 +114,3 @@ def _named(road: Road, aliases: Mapping[int, tuple[int, ...]], shown: set[int]) 
         for line in road.stop_lines
     )
     return replace(road, stop_lines=lines), {line.light for line in lines if line.light is not None} & shown
-
-
-def _limited(road: Road, drivable: list[Lane], ego: Trajectory, name: str, notes: list[str]) -> Road:
-    """The road with the assumed limit where lanes have none."""
-    missing = sum(not isfinite(lane.speed_limit) for lane in drivable)
-    if not missing:
-        return road
-    limit = assumed_limit(ego)
-    which = f"{missing} of the {len(drivable)} drivable lanes of {name}"
-    notes.append(f"{which} have no speed limit: {limit:.1f} m/s is assumed ({ASSUMED}).")
-    return replace(road, default_speed_limit=limit)

@@ -12,7 +12,7 @@ Plane coordinates, the first of these that the map and the settings give:
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from logs.maps.base import MapFile, MapReader
 from logs.maps.lanelet2_lanes import lanes_of, rules_of, strips_of
 from logs.maps.osm import Element, Osm, read_osm, real
 from logs.maps.projections import UTM_SCALE, Projection, on_earth, projection_named
-from logs.road import Lane, Road
+from logs.road import Road
 
 PROJECTOR_INFO = "map_projector_info.yaml"
 NEAR_NULL_DEG = 0.1
@@ -39,32 +39,28 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
     Raises:
         LogError: It is no such map, has no lane, or its points have no place.
     """
-    osm = read_osm(path)
+    osm, notes = read_osm(path), list[str]()
     try:
-        return _map(osm, path, settings)
+        nodes, frame, xy = _placed(osm, path, settings)
+        rows = {node.id: k for k, node in enumerate(nodes)}
+        strips = strips_of(osm, rows, xy, notes)
+        lanes = lanes_of(osm, strips, np.column_stack([xy, [_height(node) for node in nodes]]), notes)
+        if not any(lane.drivable for lane in lanes.values()):
+            raise LogError("no lanelet on which a car may drive", remedy="give a map of lanelets with subtype road")
+        rules = rules_of(osm, strips, lanes, rows, xy, notes)
+        # one drives on the right where more lanes have the opposite direction on their left
+        votes = [lane.left_opposite for lane in lanes.values() if lane.left_opposite != lane.right_opposite]
+        road = Road(
+            {i: replace(lane, yields_to=rules.yields.get(i, ())) for i, lane in lanes.items()},
+            drives_on_right=sum(votes) * 2 >= len(votes),
+            stop_lines=rules.stop_lines,
+            crosswalks=rules.crosswalks,
+        )
+        return MapFile(road, frame, (*notes, *_left_out(osm)), rules.aliases, bool(votes))
     except LogError as error:
         raise error if error.file is not None else error.at(path) from None
     except (ValueError, OverflowError) as error:
         raise LogError(str(error), file=path) from None
-
-
-def _map(osm: Osm, path: Path, settings: Mapping[str, str]) -> MapFile:
-    notes: list[str] = []
-    nodes, frame, xy = _placed(osm, path, settings)
-    rows = {node.id: k for k, node in enumerate(nodes)}
-    strips = strips_of(osm, rows, xy, notes)
-    lanes = lanes_of(osm, strips, np.column_stack([xy, [_height(node) for node in nodes]]), notes)
-    if not any(lane.drivable for lane in lanes.values()):
-        raise LogError("no lanelet on which a car may drive", remedy="give a map of lanelets with subtype road")
-    rules = rules_of(osm, strips, lanes, rows, xy, notes)
-    side = _drives_on_right(lanes.values())
-    road = Road(
-        {i: replace(lane, yields_to=rules.yields.get(i, ())) for i, lane in lanes.items()},
-        drives_on_right=side is not False,
-        stop_lines=rules.stop_lines,
-        crosswalks=rules.crosswalks,
-    )
-    return MapFile(road, frame, (*notes, *_left_out(osm)), rules.aliases, side is not None)
 
 
 def _placed(osm: Osm, path: Path, settings: Mapping[str, str]) -> tuple[list[Element], str, FloatArray]:
@@ -83,23 +79,19 @@ def _placed(osm: Osm, path: Path, settings: Mapping[str, str]) -> tuple[list[Ele
             f"{len(nodes) - len(places)} of {len(nodes)} points have neither local_x and local_y nor lat and lon",
             remedy="give every point its place",
         )
-    projection, why = _projection(places[0], path, settings)
+    (lat, lon), info = places[0], path.with_name(PROJECTOR_INFO)
+    if settings.get("map_origin"):
+        projection, why = projection_named(settings["map_origin"]), "as [log] map_origin says"
+    elif info.is_file():
+        projection, why = _projector_info(info), f"as {info.name} says"
+    elif abs(lat) < NEAR_NULL_DEG and abs(lon) < NEAR_NULL_DEG:
+        projection, why = Projection("tmerc", (0.0, 0.0)), "assumed"
+    else:
+        projection, why = Projection("mgrs"), "assumed: the map does not say"
     xy = projection(np.array([on_earth(*place) for place in places]))
     if not (np.abs(xy) < LARGEST_M).all():
         raise LogError(f"points have no place under {projection}", topic="[log] map_origin", remedy="name its origin")
     return nodes, f"{projection} ({why})", xy
-
-
-def _projection(first: tuple[float, float], path: Path, settings: Mapping[str, str]) -> tuple[Projection, str]:
-    """The projection by (1), (3) to (5), and who says so."""
-    if settings.get("map_origin"):
-        return projection_named(settings["map_origin"]), "as [log] map_origin says"
-    info = path.with_name(PROJECTOR_INFO)
-    if info.is_file():
-        return _projector_info(info), f"as {info.name} says"
-    if abs(first[0]) < NEAR_NULL_DEG and abs(first[1]) < NEAR_NULL_DEG:
-        return Projection("tmerc", (0.0, 0.0)), "assumed"
-    return Projection("mgrs"), "assumed: the map does not say"
 
 
 def _projector_info(path: Path) -> Projection:
@@ -109,16 +101,16 @@ def _projector_info(path: Path) -> Projection:
     except (OSError, UnicodeDecodeError) as error:
         raise LogError(f"cannot be read: {error}", file=path) from None
     pairs = (line.split("#")[0].partition(":") for line in lines)
-    said = {key.strip(): value.strip(" '\"\t") for key, _, value in pairs}
-    kind = said.get("projector_type", "")
+    values = {key.strip(): value.strip(" '\"\t") for key, _, value in pairs}
+    kind = values.get("projector_type", "")
     if kind == "MGRS":
-        return projection_named(said.get("mgrs_grid", "") or "mgrs")
+        return projection_named(values.get("mgrs_grid", "") or "mgrs")
     if kind not in _AUTOWARE:
         remedy = f"known are MGRS, {', '.join(_AUTOWARE)}; or set [log] map_origin"
         what = f"projector_type is {kind!r}, and the points have no local_x and local_y"
         raise LogError(what, file=path, remedy=remedy)
-    place = on_earth(real(said.get("latitude", ""), "latitude"), real(said.get("longitude", ""), "longitude"))
-    scale = real(said.get("scale_factor", str(UTM_SCALE)), "scale_factor")
+    place = on_earth(*(real(values.get(key, ""), key) for key in ("latitude", "longitude")))
+    scale = real(values.get("scale_factor", str(UTM_SCALE)), "scale_factor")
     return Projection(_AUTOWARE[kind], place, scale=scale)
 
 
@@ -129,12 +121,6 @@ def _height(node: Element) -> float:
     except ValueError:
         return 0.0
     return height if abs(height) < 1e5 else 0.0
-
-
-def _drives_on_right(lanes: Iterable[Lane]) -> bool | None:
-    """Whether more lanes have the opposite direction on their left; None where no lane has it beside it."""
-    votes = [lane.left_opposite for lane in lanes if lane.left_opposite != lane.right_opposite]
-    return sum(votes) * 2 >= len(votes) if votes else None
 
 
 def _left_out(osm: Osm) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Lanelets -> lanes: boundaries that face each other, who follows and who is beside, who may drive and cross where.
+"""Lanelets -> lanes: boundaries that face each other, successors and neighbours, where cars may drive and cross.
 
 Source: Lanelet2, "LaneletAndAreaTagging.md", "LinestringTagging.md" and "GenericTrafficRules.cpp" (Poggenhans et al.,
 ITSC 2018); `speed_limit` in km/h where it has no unit. A lanelet's boundaries are turned
@@ -26,8 +26,8 @@ the way into this one. An element that no lanelet names belongs to the lanelets 
 the middle. The light of a stop line has the id of the regulatory element, as in Autoware's messages; other numbers by
 which it may be known (its ways, `traffic_light_id`) are its aliases.
 
-Who yields waits for the lanelets with right of way which it meets; where those named are the ones before the junction,
-for the ones that follow on them.
+A lanelet that yields waits for the lanelets with right of way that it meets; where the element names the lanelets
+before the junction, those that follow on them count.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray, kernel
 from logs.maps.osm import Element, Osm
 from logs.readers.commonroad.rules import CAR_WIDTH_M
+from logs.readers.recorded.strips import predecessors, resampled
 from logs.road import Lane
 from logs.rules import Crosswalk, StopLine
 
@@ -280,20 +281,14 @@ class _Beside:
         key = self.ends[bound[0]], self.ends[bound[-1]], strip.drivable
         for other in getattr(self, across)[key]:
             points = getattr(other, across).points
-            if other.id != strip.id and (points == bound or self._alike(points, bound)):
-                return int(other.id)
+            if other.id == strip.id:
+                continue
+            if points != bound:
+                one, two = (resampled(self.xy[list(line)], 9) for line in (points, bound))
+                if not np.hypot(*(one - two).T).max() < ALIKE_M:
+                    continue
+            return int(other.id)
         return None
-
-    def _alike(self, one: Points, other: Points) -> bool:
-        lines = [_at_parts(self.xy[list(points)]) for points in (one, other)]
-        return bool(np.hypot(*(lines[0] - lines[1]).T).max() < ALIKE_M)
-
-
-def _at_parts(line: FloatArray) -> FloatArray:
-    """A polyline at its parts 0, 1/8 ... 1."""
-    s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
-    at = s[-1] * np.arange(9) / 8
-    return np.column_stack([np.interp(at, s, line[:, 0]), np.interp(at, s, line[:, 1])])
 
 
 def lanes_of(osm: Osm, strips: Sequence[Strip], xyz: FloatArray, notes: list[str]) -> dict[int, Lane]:
@@ -301,7 +296,8 @@ def lanes_of(osm: Osm, strips: Sequence[Strip], xyz: FloatArray, notes: list[str
     unread: Counter[str] = Counter()
     beside, lanes = _Beside.of(strips, xyz), {}
     for strip in strips:
-        left, right = paired(beside.xy[list(strip.left.points)], beside.xy[list(strip.right.points)])
+        left, right = (beside.xy[list(bound.points)] for bound in (strip.left, strip.right))
+        left, right = paired(left, right)
         if len(left) < 2 or max(np.ptp(line, axis=0).max() for line in (left, right)) > LONGEST_M:
             unread[f"lanelets without length or longer than {LONGEST_M / 1000.0:g} km"] += 1
             continue
@@ -329,9 +325,9 @@ def lanes_of(osm: Osm, strips: Sequence[Strip], xyz: FloatArray, notes: list[str
 
 def crossable(bound: Bound, *, near: int) -> bool:
     """Whether a car on the lane may cross its boundary; `near`: which part of a double marking is the lane's own."""
-    said = next((bound.tags[key] for key in _keys("lane_change") if key in bound.tags), None)
-    if said is not None:
-        return said in ("yes", "true", "1")
+    allowed = next((bound.tags[key] for key in _keys("lane_change") if key in bound.tags), None)
+    if allowed is not None:
+        return allowed in ("yes", "true", "1")
     parts = bound.tags.get("subtype", "").split("_")
     if bound.tags.get("type") in ("line_thin", "line_thick"):
         return (parts[::-1] if bound.against else parts)[near] == "dashed"
@@ -346,18 +342,17 @@ def _keys(key: str) -> tuple[str, ...]:
 def _limit(osm: Osm, strip: Strip, unread: Counter[str]) -> float:
     """The speed limit of a lanelet, m/s: the lowest of its speed limit signs, else its tag; NaN where it has none."""
     signs = [osm.relations[ref] for ref in strip.rules if ref in osm.relations]
-    texts = [text for sign in signs if sign.tags.get("subtype") == "speed_limit" for text in _sign_texts(osm, sign)]
+    texts: list[str] = []
+    for sign in signs:
+        if sign.tags.get("subtype") == "speed_limit":
+            ways = (osm.ways[ref].tags for ref in sign.named("refers") if ref in osm.ways)
+            own = [sign.tags[key] for key in ("sign_type", "speed_limit") if key in sign.tags]
+            texts += own or [tags["subtype"] for tags in ways if "subtype" in tags]
     texts = texts or [strip.tags[key] for key in _keys("speed_limit") if key in strip.tags][:1]
     limits = [speed_in(text) for text in texts]
     unread["speed limits that are no number with a unit"] += sum(not isfinite(limit) for limit in limits)
     unread += Counter()
     return min(filter(isfinite, limits), default=nan)
-
-
-def _sign_texts(osm: Osm, sign: Element) -> list[str]:
-    texts = [sign.tags[key] for key in ("sign_type", "speed_limit") if key in sign.tags]
-    ways = (osm.ways[ref] for ref in sign.named("refers") if ref in osm.ways)
-    return texts or [way.tags["subtype"] for way in ways if "subtype" in way.tags]
 
 
 def speed_in(text: str) -> float:
@@ -373,7 +368,7 @@ AT_BEGIN_M = 1.5
 """A stop line nearer to a lane's begin lies across the lanes before."""
 SPACING_M = 0.5
 ASIDE_M = 1.0
-"""So much longer are lines to each side, and lanes at their ends, to find who crosses where no lanelet names them."""
+"""Lines are longer by this to each side, and lanes at their ends, to find crossings where no lanelet names a line."""
 _STOP = ("stop", "stop_sign", "de206", "206", "usR1-1", "R1-1")
 _YIELD = ("yield", "give_way", "de205", "205", "usR1-2", "R1-2")
 _READ = ("traffic_light", "traffic_sign", "right_of_way", "all_way_stop", "speed_limit", "crosswalk", "road_marking")
@@ -419,10 +414,7 @@ def rules_of(
     notes: list[str],
 ) -> Rules:  # fmt: skip
     """The rules; `rows` and `xy`: the map's points by node."""
-    before, by_rule = defaultdict[int, list[int]](list), defaultdict[int, list[int]](list)
-    for lane in lanes.values():
-        for after in lane.successors:
-            before[after].append(lane.id)
+    before, by_rule = predecessors(lanes), defaultdict[int, list[int]](list)
     for strip in strips:
         for rule in strip.rules:
             if strip.id in lanes:
@@ -432,31 +424,40 @@ def rules_of(
     unread = Counter(e.tags.get("subtype", "without subtype") for e in elements)
     for subtype in _READ:
         del unread[subtype]
-    stop_lines, lost = _stop_lines(held, elements, notes)
+    stop_lines: list[StopLine] = []
+    lost = unnamed = 0
+    for element in elements:
+        for owners, ways, light, must_stop in _demands(held, element):
+            placed = list(_placed(held, owners, ways))
+            unnamed += not owners
+            lost += not placed
+            for number, line in enumerate(placed, start=len(stop_lines) + 1):
+                stop_lines.append(replace(line, id=number, light=light, must_stop=must_stop))
+    if unnamed:
+        notes.append(f"{unnamed} regulatory elements with a stop line are named by no lanelet: placed by their lines.")
     if lost:
         notes.append(f"{lost} stop lines of regulatory elements lie across no lane: left out.")
     if unread:
         listed = ", ".join(f"{count} {name}" for name, count in sorted(unread.items()))
         notes.append(f"Regulatory elements that are not read: {listed}.")
-    return Rules(stop_lines, _crosswalks(held, elements), _yields(held, elements), _aliases(held, elements))
+    by_kind = defaultdict[str, list[Element]](list)
+    for element in elements:
+        by_kind[element.tags.get("subtype", "")].append(element)
+    yields = defaultdict[int, set[int]](set)
+    for element in by_kind["right_of_way"]:
+        for one, first in product(held.lanelets(element, "yield"), held.lanelets(element, "right_of_way")):
+            for lane, other in _meeting(lanes, one, first):
+                yields[lane].add(other)
+    aliases = {}
+    for element in by_kind["traffic_light"]:
+        ways = list(element.named("refers", "ref_line", "light_bulbs"))
+        tags = (held.tag(ref, "traffic_light_id")[:18] for ref in ways)
+        aliases[element.id] = tuple(dict.fromkeys([*ways, *(int(text) for text in tags if text.isdecimal())]))
+    waiting = {lane: tuple(sorted(others)) for lane, others in yields.items()}
+    return Rules(tuple(stop_lines), _crosswalks(held, by_kind["crosswalk"]), waiting, aliases)
 
 
 # stop lines ---------------------------------------------------------------------------------------------------------
-
-
-def _stop_lines(held: _Map, elements: Sequence[Element], notes: list[str]) -> tuple[tuple[StopLine, ...], int]:
-    found: list[StopLine] = []
-    lost = unnamed = 0
-    for element in elements:
-        for owners, ways, light, must_stop in _demands(held, element):
-            before = len(found)
-            unnamed += not owners
-            for line in _placed(held, owners, ways):
-                found.append(replace(line, id=len(found) + 1, light=light, must_stop=must_stop))
-            lost += len(found) == before
-    if unnamed:
-        notes.append(f"{unnamed} regulatory elements with a stop line are named by no lanelet: placed by their lines.")
-    return tuple(found), lost
 
 
 def _demands(held: _Map, element: Element) -> Iterator[tuple[Sequence[int], list[int], int | None, bool]]:
@@ -543,29 +544,18 @@ def crossings(first: FloatArray, last: FloatArray, line: FloatArray) -> FloatArr
         return u[(np.minimum(u, w) >= -1e-9) & (np.maximum(u, w) <= 1.0 + 1e-9)]
 
 
-# crosswalks, right of way, lights -----------------------------------------------------------------------------------
+# crosswalks, right of way -------------------------------------------------------------------------------------------
 
 
 def _crosswalks(held: _Map, elements: Iterable[Element]) -> tuple[Crosswalk, ...]:
     """The lanelets of that subtype; the outline of an Autoware crosswalk where the map gives it."""
     outlines = {lane.id: lane.polygon for lane in held.lanes.values() if lane.kind == "crosswalk"}
     for element in elements:
-        if element.tags.get("subtype") == "crosswalk":
-            drawn = [line for ref in element.named("crosswalk_polygon") if (line := held.line(ref)) is not None]
-            owners = [lane for lane in held.lanelets(element, "refers") if lane in outlines]
-            if len(drawn) == 1 and len(drawn[0]) > 2 and len(owners) == 1:
-                outlines[owners[0]] = drawn[0]
+        drawn = [line for ref in element.named("crosswalk_polygon") if (line := held.line(ref)) is not None]
+        owners = [lane for lane in held.lanelets(element, "refers") if lane in outlines]
+        if len(drawn) == 1 and len(drawn[0]) > 2 and len(owners) == 1:
+            outlines[owners[0]] = drawn[0]
     return tuple(Crosswalk(name, outline) for name, outline in outlines.items())
-
-
-def _yields(held: _Map, elements: Iterable[Element]) -> dict[int, tuple[int, ...]]:
-    found: defaultdict[int, set[int]] = defaultdict(set)
-    for element in elements:
-        if element.tags.get("subtype") == "right_of_way":
-            for one, first in product(held.lanelets(element, "yield"), held.lanelets(element, "right_of_way")):
-                for lane, other in _meeting(held.lanes, one, first):
-                    found[lane].add(other)
-    return {lane: tuple(sorted(others)) for lane, others in found.items()}
 
 
 def _meeting(lanes: Mapping[int, Lane], one: int, first: int) -> Iterator[tuple[int, int]]:
@@ -585,13 +575,3 @@ def meet(one: Lane, other: Lane) -> bool:
     lines = (divided(lane.center, SPACING_M, LONGEST_M / SPACING_M) for lane in (one, other))
     away = np.asarray(cKDTree(next(lines)).query(next(lines))[0])
     return bool(away.min() < CAR_WIDTH_M)
-
-
-def _aliases(held: _Map, elements: Iterable[Element]) -> dict[int, tuple[int, ...]]:
-    found = {}
-    for element in elements:
-        if element.tags.get("subtype") == "traffic_light":
-            ways = list(element.named("refers", "ref_line", "light_bulbs"))
-            tags = (held.tag(ref, "traffic_light_id")[:18] for ref in ways)
-            found[element.id] = tuple(dict.fromkeys([*ways, *(int(text) for text in tags if text.isdecimal())]))
-    return found

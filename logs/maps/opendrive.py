@@ -18,7 +18,6 @@ from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser
 import numpy as np
 
 from logs.errors import LogError
-from logs.kernel import FloatArray
 from logs.maps.base import MapFile, MapReader
 from logs.road import Lane, Road
 
@@ -38,32 +37,23 @@ _UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """A lane of a lane section: pyxodr's lane, and the road's and section's XML."""
+    """A lane of a lane section: pyxodr's lane, and the road's and section's XML.
+
+    Attributes:
+        place: Its OpenDRIVE id: from the middle outwards, negative on the right of the reference line.
+        on_right: Whether traffic keeps right there.
+        against: Whether it is driven against the reference line.
+        drivable: Whether cars drive there.
+    """
 
     number: int
     lane: Any
     road: Element
     section: Element
-
-    @property
-    def place(self) -> int:
-        """Its OpenDRIVE id: from the middle outwards, negative on the right of the reference line."""
-        return int(self.lane.id)
-
-    @property
-    def on_right(self) -> bool:
-        """Whether traffic keeps right there."""
-        return bool(self.lane.traffic_orientation.name == "RIGHT")
-
-    @property
-    def against(self) -> bool:
-        """Whether it is driven against the reference line."""
-        return (self.place < 0) != self.on_right
-
-    @property
-    def drivable(self) -> bool:
-        """Whether cars drive there."""
-        return self.lane.type in _DRIVABLE
+    place: int
+    on_right: bool
+    against: bool
+    drivable: bool
 
 
 def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:
@@ -150,13 +140,14 @@ def _pieces(roads: Sequence[Any], root: Element) -> Iterator[_Piece]:
         element = elements[str(road.id)]
         for section, part in zip(road.lane_sections, element.findall("lanes/laneSection"), strict=True):
             for lane in sorted(section.lanes, key=lambda lane: -int(lane.id)):
-                if lane.type is not None and _apart(lane).max() > NARROWEST_M:
+                if lane.type is None:
+                    continue
+                width = np.hypot(*(lane.lane_reference_line[:, :2] - lane.boundary_line[:, :2]).T)
+                if width.max() > NARROWEST_M:
                     number += 1
-                    yield _Piece(number, lane, element, part)
-
-
-def _apart(lane: Any) -> FloatArray:
-    return np.hypot(*(lane.lane_reference_line[:, :2] - lane.boundary_line[:, :2]).T)
+                    place, on_right = int(lane.id), bool(lane.traffic_orientation.name == "RIGHT")
+                    against = (place < 0) != on_right
+                    yield _Piece(number, lane, element, part, place, on_right, against, lane.type in _DRIVABLE)
 
 
 def _lanes(pieces: Sequence[_Piece]) -> Iterator[tuple[int, Lane]]:
@@ -172,13 +163,16 @@ def _lanes(pieces: Sequence[_Piece]) -> Iterator[tuple[int, Lane]]:
         middle = by_place.get((id(piece.section), piece.place - step or -step))
         on_left, on_right = (middle, beside) if piece.on_right else (beside, middle)
         near, far = _crossable(piece, inner=True), _crossable(piece, inner=False)
+        ends = piece.lane.predecessor_data if piece.against else piece.lane.successor_data
+        after = [(by_lane[lane], contact.name == "END") for lane, contact in ends if lane in by_lane]
+        after = [(each, at_end) for each, at_end in after if each.drivable == piece.drivable]
         yield (
             piece.number,
             Lane(
                 piece.number,
                 left[rows],
                 right[rows],
-                successors=tuple(sorted(_after(piece, by_lane))),
+                successors=tuple(sorted(each.number for each, at_end in after if at_end == each.against)),
                 left_neighbour=_same(piece, on_left),
                 right_neighbour=_same(piece, on_right),
                 left_opposite=_opposite(piece, on_left),
@@ -190,14 +184,6 @@ def _lanes(pieces: Sequence[_Piece]) -> Iterator[tuple[int, Lane]]:
                 kind=str(piece.lane.type),
             ),
         )
-
-
-def _after(piece: _Piece, by_lane: Mapping[Any, _Piece]) -> Iterator[int]:
-    """The lanes that go on where a lane ends in the direction of traffic."""
-    for lane, contact in piece.lane.predecessor_data if piece.against else piece.lane.successor_data:
-        other = by_lane.get(lane)
-        if other is not None and (contact.name == "END") == other.against and other.drivable == piece.drivable:
-            yield other.number
 
 
 def _same(piece: _Piece, other: _Piece | None) -> int | None:

@@ -79,7 +79,15 @@ class _Target:
             if tag != "osm":
                 raise LogError(f"root element is <{tag}>", remedy="give a Lanelet2 map (<osm>)")
         if tag in self.kinds:
-            self._begin(tag, attrib)
+            self.open = Element(whole(attrib.get("id"), f"{tag}@id"))
+            if attrib.get("action") == "delete" or attrib.get("visible") == "false":
+                return
+            if self.open.id in self.kinds[tag]:
+                raise LogError(f"two elements <{tag}> have the id {self.open.id}", remedy="number them anew")
+            if "lat" in attrib and "lon" in attrib:
+                place = f"{tag} {self.open.id}"
+                self.open.place = real(attrib["lat"], place), real(attrib["lon"], place)
+            self.kinds[tag][self.open.id] = self.open
         elif self.open is None:
             return
         elif tag == "tag":
@@ -92,17 +100,6 @@ class _Target:
         elif tag == "member":
             ref = whole(attrib.get("ref"), "member@ref")
             self.open.members.append(Member(attrib.get("type", ""), attrib.get("role", ""), ref))
-
-    def _begin(self, tag: str, attrib: dict[str, str]) -> None:
-        self.open = Element(whole(attrib.get("id"), f"{tag}@id"))
-        if attrib.get("action") == "delete" or attrib.get("visible") == "false":
-            return
-        if self.open.id in self.kinds[tag]:
-            raise LogError(f"two elements <{tag}> have the id {self.open.id}", remedy="number them anew")
-        if "lat" in attrib and "lon" in attrib:
-            place = f"{tag} {self.open.id}"
-            self.open.place = real(attrib["lat"], place), real(attrib["lon"], place)
-        self.kinds[tag][self.open.id] = self.open
 
     def end(self, tag: str) -> None:
         if tag in self.kinds:
@@ -119,7 +116,7 @@ def read_osm(path: Path) -> Osm:
     """Read a file.
 
     Raises:
-        LogError: It cannot be read, is not OSM XML, has a document type declaration, or what must be a number is none.
+        LogError: It cannot be read, is not OSM XML, has a document type declaration, or a number cannot be parsed.
     """
     parser = XMLParser(target=_Target())
     try:
@@ -140,7 +137,7 @@ def read_osm(path: Path) -> Osm:
 
 
 def whole(text: str | None, place: str) -> int:
-    """The id in a text; LogError where it is no whole number of 62 bits."""
+    """The id in a text; LogError where it is not a whole number of 62 bits."""
     try:
         value = int(text or "")
     except ValueError:
@@ -151,7 +148,7 @@ def whole(text: str | None, place: str) -> int:
 
 
 def real(text: str, place: str) -> float:
-    """The number in a text; LogError where it is none, or none that can be a coordinate."""
+    """The number in a text; LogError where it cannot be parsed or cannot be a coordinate."""
     try:
         value = float(text)
     except ValueError:

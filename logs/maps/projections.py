@@ -124,20 +124,15 @@ class Projection:
         zone = int(self.square[:-3]) if self.square else utm_zone(*first)
         north = self.square[-3] >= "N" if self.square else first[0] >= 0.0
         plane = utm(points, zone, north=north)
-        if self.kind == "mgrs":
-            return plane - _corner(plane[0], zone, self.square)
-        return plane - utm(zero, zone, north=north) if self.origin is not None else plane
-
-
-def _corner(point: FloatArray, zone: int, square: str) -> FloatArray:
-    """The south-west corner of an MGRS square (5), m; without a name that of the square that holds the point."""
-    corner = SQUARE_M * np.floor(point / SQUARE_M)
-    if not square:
-        return np.asarray(corner)
-    row = _ROWS.index(square[-1]) - (5 if zone % 2 == 0 else 0)
-    cycles = round((float(corner[1]) / SQUARE_M - row) / len(_ROWS))
-    east = 1 + _COLUMNS[(zone - 1) % 3].index(square[-2])
-    return SQUARE_M * np.array([east, row + cycles * len(_ROWS)])
+        if self.kind != "mgrs":
+            return plane - utm(zero, zone, north=north) if self.origin is not None else plane
+        corner = SQUARE_M * np.floor(plane[0] / SQUARE_M)  # (5), of the square that holds the first point
+        if self.square:
+            row = _ROWS.index(self.square[-1]) - (5 if zone % 2 == 0 else 0)
+            cycles = round((float(corner[1]) / SQUARE_M - row) / len(_ROWS))
+            east = 1 + _COLUMNS[(zone - 1) % 3].index(self.square[-2])
+            corner = SQUARE_M * np.array([east, row + cycles * len(_ROWS)])
+        return plane - corner
 
 
 _PLACE = re.compile(r"(?:(utm|tmerc|enu)\s+)?(-?\d+(?:\.\d*)?)\s*,\s*(-?\d+(?:\.\d*)?)")
@@ -162,7 +157,7 @@ def projection_named(text: str) -> Projection:
 
 
 def on_earth(lat: float, lon: float) -> tuple[float, float]:
-    """A latitude and longitude, degrees; LogError where there are none such."""
+    """The latitude and longitude, degrees; LogError where they are out of range."""
     if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
         raise LogError(f"no place on earth: latitude {lat}, longitude {lon}", remedy="give degrees")
     return lat, lon

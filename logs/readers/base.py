@@ -87,8 +87,8 @@ def beside(folder: Path, names: Sequence[str]) -> Path | None:
     """The optional file of a log's folder that has one of the `names`; None where none is there.
 
     Raises:
-        LogError: What is called so is no file, several are there, or a name differs from these by case only: what it
-            holds would silently be left out.
+        LogError: The entry is not a file, several of the names exist, or a name differs from these by case only (its
+            content would silently be left out).
     """
     try:
         held = {entry.name for entry in folder.iterdir()}
@@ -138,7 +138,8 @@ def _nothing(path: Path) -> Contents:
     return Contents()
 
 
-def _itself(path: Path) -> tuple[Path, ...]:
+def itself(path: Path) -> tuple[Path, ...]:
+    """The files of a log that is one file."""
     return (path,)
 
 
@@ -154,7 +155,7 @@ class Reader:
         name: As in `replan convert NAME` and in messages.
         summary: What it is, in one line.
         looks_for: What is looked for in a folder, in words ("*.bag").
-        suffixes: Of its files (".bag"): one that has such a name and is claimed by no reader is named as left out.
+        suffixes: Of its files (".bag"): a file with such a suffix that no reader claims is reported as left out.
         claims: Whether a path, file or folder, is a log of this format; cheap, raises nothing on any bytes.
         read: The scenario; raises LogError, and nothing else, on any bytes.
         files: The files of a log, in a fixed order: what its identity is hashed from.
@@ -170,7 +171,7 @@ class Reader:
     suffixes: tuple[str, ...]
     claims: Callable[[Path], bool]
     read: Callable[[Path, LogSettings], Scenario]
-    files: Callable[[Path], tuple[Path, ...]] = _itself
+    files: Callable[[Path], tuple[Path, ...]] = itself
     span: Callable[[Path], tuple[float, float] | None] = _unknown_span
     contents: Callable[[Path], Contents] = _nothing
     settings: tuple[str, ...] = ()

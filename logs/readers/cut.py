@@ -1,8 +1,8 @@
 """A part of a scenario by time, and times in whole nanoseconds.
 
 The begin of a part becomes t = 0, and what lies outside is left out. The ego begins and ends there exactly,
-interpolated. Tracks keep the samples from `HISTORY_S` before the begin, so that it is known who was there and how they
-moved, to the first after the end, if that is no later than `HISTORY_S` behind it. Lights keep what they showed at the
+interpolated. Tracks keep the samples from `HISTORY_S` before the begin, so that it is known which agents were there and
+how they moved, to the first after the end, if that is at most `HISTORY_S` later. Lights keep what they showed at the
 begin. Detections are kept from `DETECTED_S` before the begin, as long as a tracker remembers.
 
 Native MCAP holds whole nanoseconds. Every scenario has such times, so that a log and its conversion are the same bit

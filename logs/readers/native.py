@@ -67,7 +67,7 @@ READER = Reader(
 LENGTH = 4
 """Bytes of a message's length."""
 MOST_BYTES = 2**28
-"""A message larger than this is none."""
+"""Limit of the size of a message."""
 GROUND_TRUTH, SENSOR_VIEW = "osi3.GroundTruth", "osi3.SensorView"
 NAMED = {"_gt_": GROUND_TRUTH, "_sv_": SENSOR_VIEW}
 """Message by the part of the file's name."""

@@ -65,8 +65,8 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
     road, notes = scenario.road, [*scenario.notes, *left_out]
     if road.source is RoadSource.DRIVEN_PATH and scenario.repair is None:
         road = passed_width(road, tracks, notes)
-    said = " ".join((f"The road users are made of {len(found)} detections. {reason}", *made.summary()))
-    return replace(scenario, tracks=tracks, road=road, detections=None, repair=made, notes=(*notes, said))
+    notes.append(" ".join((f"The road users are made of {len(found)} detections. {reason}", *made.summary())))
+    return replace(scenario, tracks=tracks, road=road, detections=None, repair=made, notes=tuple(notes))
 
 
 def named(scenario: Scenario) -> Scenario:

@@ -195,7 +195,7 @@ class _Table:
         return found[0], UNITS[units[0] if units else TIMES.get(ours, "")]
 
     def _unit(self, ours: str, unit: str, header: str) -> str:
-        """A unit as `UNITS` spells it; LogError where it is none, or not one of such a column."""
+        """A unit as `UNITS` spells it; LogError where it is unknown, or measures something else than the column."""
         plain = SPELLINGS.get(unit, SPELLINGS.get(unit.lower(), unit if unit in UNITS else unit.lower()))
         known = DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
         if plain not in known:
@@ -288,7 +288,7 @@ def _with_suffix(headers: Sequence[tuple[str, Any]], ours: str) -> Iterator[tupl
 
 
 def _check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame | None]) -> None:
-    """Refuse names that are none of ours or of no table: what they were meant for would be derived or left out."""
+    """Refuse unknown names, and names of columns that no table has: the values would silently be derived."""
     known = (*TIMES, *_COLUMNS)
     held = [_Table(frame, name, columns) for name, frame in frames.items() if frame is not None and len(frame)]
     for key, given in columns.items():
@@ -340,7 +340,7 @@ def _tracks(
 
 
 def _check_agents(table: _Table) -> None:
-    """Refuse rows without an id or a place, and sizes that are none."""
+    """Refuse rows without an id or a position, and sizes that are not positive."""
     nameless = table.column("id")[0].isna()
     if nameless.any():
         raise LogError(f"row {int(nameless.argmax())} has no id", topic="agents", remedy="name every agent")
@@ -407,7 +407,7 @@ def _sizes(
 def _file(folder: Path, name: str) -> Path | None:
     """The table `name` of a log's folder; None where there is none. LogError as `beside`.
 
-    Other files of that name are refused where there is none that is read: what they hold would silently be left out.
+    A file of that name with another suffix is refused, as its content would silently be left out.
     """
     path = beside(folder, [f"{name}{suffix}" for suffix in SUFFIXES])
     others = sorted(each.name for each in folder.iterdir() if each.name.casefold().partition(".")[0] == name)

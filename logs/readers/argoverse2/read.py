@@ -35,19 +35,17 @@ from logs.observed import of_stream
 from logs.readers.argoverse2 import POSES, scenario_id
 from logs.readers.arrow123d.log import AV2_CATEGORIES
 from logs.readers.base import Contents, LogSettings, TopicSummary, beside
-from logs.readers.quaternions import heading, product, rotated
+from logs.readers.quaternions import heading, is_unit, product, rotated, unit_of_wxyz
 from logs.readers.recorded.boxes import (
     Boxes,
     car_of,
     driven,
     from_second,
-    is_unit,
+    from_start,
     kept,
+    nearest,
     ordered,
-    since,
-    states_at,
     tracks_of,
-    unit,
 )
 from logs.readers.recorded.strips import LARGEST_M, Strip, lanes_of
 from logs.readers.recorded.tables import ipc_table, numbers, parquet_table, reading, whole, words
@@ -119,7 +117,7 @@ def poses_of(folder: Path) -> tuple[IntArray, FloatArray, FloatArray]:
         if not (np.isfinite(place).all() and np.isfinite(turn).all()):
             k = int(np.argmin(np.isfinite(np.hstack([place, turn])).all(axis=1)))
             raise LogError("a pose of the ego is not finite", time_ns=int(times[k]))
-        return times, place, unit(turn)
+        return times, place, unit_of_wxyz(turn)
 
 
 def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
@@ -137,13 +135,10 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
         drive = driven(t[apart], place[apart, 0], place[apart, 1], heading(turn[apart]), notes)
         relative = (frames - times[0]) / 1e9
         index = from_second(kept(drive.t, relative), drive.t, relative[:1], notes)
-        ego = states_at(drive, index)
         if not settings.car:
             notes.append("The ego is a Ford Fusion, 4.87 x 2.13 m with mirrors, as the log has no sizes of it.")
         vehicle = car_of({**FORD_FUSION, **settings.car}, notes)
-    start, origin = float(ego.t[0]), np.round([ego.x[0], ego.y[0]])
-    ego = replace(ego, t=since(start, ego.t), x=ego.x - origin[0], y=ego.y - origin[1])
-    boxes = replace(boxes, t=since(start, boxes.t), x=boxes.x - origin[0], y=boxes.y - origin[1])
+        ego, boxes, origin = from_start(drive, index, boxes)
     tracks = tracks_of(ordered(boxes, notes), notes)
     return Scenario(
         name=folder.name,
@@ -159,7 +154,7 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
         start_ns=int(times[np.flatnonzero(apart)[index[0]]]),
         metadata={"log_id": folder.name},
         notes=tuple(notes),
-        traffic=of_stream((frames - times[0]) / 1e9 - start),
+        traffic=of_stream(relative - float(drive.t[index[0]])),
     )
 
 
@@ -167,20 +162,17 @@ def _boxes(
     folder: Path, times: IntArray, place: FloatArray, turn: FloatArray, notes: list[str]
 ) -> tuple[Boxes, IntArray]:
     """All boxes in the city's frame (1), s since the first pose, and the times of the frames, ns."""
-    path, none = beside(folder, ("annotations.feather",)) or annotations_of(folder), np.empty(0)
+    path = beside(folder, ("annotations.feather",)) or annotations_of(folder)
     if path is None:
         notes.append("The log has no annotations: there are no other road users.")
-        return Boxes((), (), none, none.astype(np.int64), *(none,) * 7), none.astype(np.int64)
+        return Boxes.empty(), np.empty(0, np.int64)
     table = ipc_table(path, ("timestamp_ns", "track_uuid", "category", *SIZE, *TURN, *PLACE))
     with reading(path):
         (owner, names), (category, categories) = words(table, "track_uuid"), words(table, "category")
         stamps = whole(table, "timestamp_ns")
-        local, length, width = (numbers(table, name) for name in ("tx_m", *SIZE))
-        local = np.column_stack([local, numbers(table, "ty_m"), numbers(table, "tz_m")])
-        part = np.column_stack([numbers(table, name) for name in TURN])
-        after = np.clip(np.searchsorted(times, stamps), 0, len(times) - 1)
-        earlier = np.maximum(after - 1, 0)
-        at = np.where(np.abs(times[earlier] - stamps) < np.abs(times[after] - stamps), earlier, after)
+        length, width = (numbers(table, name) for name in SIZE)
+        local, part = (np.column_stack([numbers(table, name) for name in names]) for names in (PLACE, TURN))
+        at = nearest(times, stamps)
         near = np.abs(times[at] - stamps) <= POSE_APART_NS
         if len(stamps) and not near.any():
             spans = [f"{some.min() / 1e9:.3f} to {some.max() / 1e9:.3f} s" for some in (stamps, times)]
@@ -195,7 +187,7 @@ def _boxes(
         keep = usable & (np.array([name != EGO_CATEGORY for name in categories], dtype=bool)[category])
         at = at[keep]
         centre = place[at] + rotated(turn[at], local[keep])
-        yaw = heading(product(turn[at], unit(part[keep])))
+        yaw = heading(product(turn[at], unit_of_wxyz(part[keep])))
         t, unknown = (stamps[keep] - times[0]) / 1e9, np.full(len(at), np.nan)
         if foreign:
             notes.append(f"Categories that are not known are taken as objects: {', '.join(foreign)[:200]}.")
@@ -240,7 +232,14 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
         if (np.abs(step) > MOST_STEPS).any():
             raise LogError(f"a time step is beyond {MOST_STEPS}")
         state = np.column_stack([numbers(table, name) for name in STATE])
-        its = _ego_rows(owner, names, step, state, settings.ego or EGO)
+        name = settings.ego or EGO
+        if name not in names:
+            some = ", ".join(names[:8]) or "none"
+            raise LogError(f"there is no track '{name}'", topic="track_id", remedy=f"name the ego; there are {some}")
+        its = np.flatnonzero(owner == names.index(name))
+        its = its[np.unique(step[its], return_index=True)[1]]
+        if not np.isfinite(state[its, :3]).all():
+            raise LogError(f"a pose of track '{name}' is not finite")
         origin = np.round(state[its[0], :2])
         state[:, :2] -= origin
         t = (step - step[its[0]]) / RATE_HZ
@@ -272,22 +271,10 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
         licence=LICENCE,
         origin=(float(origin[0]), float(origin[1])),
         start_ns=round(1e9 * int(step[its[0]] - step.min()) / RATE_HZ),
-        metadata={"scenario_id": scenario_id(path), "ego": settings.ego or EGO},
+        metadata={"scenario_id": scenario_id(path), "ego": name},
         notes=tuple(notes),
         traffic=of_stream(t),
     )
-
-
-def _ego_rows(owner: IntArray, names: list[str], step: IntArray, state: FloatArray, ego: str) -> IntArray:
-    """The rows of the ego by time."""
-    if ego not in names:
-        some = ", ".join(names[:8]) or "none"
-        raise LogError(f"there is no track '{ego}'", topic="track_id", remedy=f"name the ego; there are {some}")
-    rows = np.flatnonzero(owner == names.index(ego))
-    rows = rows[np.unique(step[rows], return_index=True)[1]]
-    if not np.isfinite(state[rows, :3]).all():
-        raise LogError(f"a pose of track '{ego}' is not finite")
-    return rows
 
 
 # Maps
@@ -300,25 +287,24 @@ def map_beside(folder: Path, name: str = "*") -> Path | None:
 
 
 def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:
-    """The road in a map, with an assumed speed limit; along the driven path where there is no map."""
+    """The road in a map relative to `origin` `(2,)`, with an assumed speed limit; without a map along the driven path.
+
+    Raises:
+        LogError: The file is no such map, or has no lanes.
+    """
     if path is None:
         return road_along(ego, notes)
-    road = road_of_json(path, origin, notes)
-    limit = assumed_limit(ego)
-    notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed ({ASSUMED}).")
-    return replace(road, default_speed_limit=limit)
-
-
-def road_of_json(path: Path, origin: FloatArray, notes: list[str]) -> Road:
-    """The road in a map file, relative to `origin` `(2,)`; LogError where it is no such map or has no lanes."""
     with reading(path):
         found = msgspec.json.decode(path.read_bytes())
         lanes, keeps_right = lanes_of([_strip(each, origin) for each in found["lane_segments"].values()], notes)
         if not lanes:
             raise LogError("the map has no lanes that can be used")
         walks = [_crosswalk(each, origin) for each in found.get("pedestrian_crossings", {}).values()]
-        notes.append("The map has no right of way, stop lines or traffic lights: priority is not known.")
-        return Road(lanes, drives_on_right=keeps_right, crosswalks=tuple(walk for walk in walks if walk is not None))
+        road = Road(lanes, drives_on_right=keeps_right, crosswalks=tuple(walk for walk in walks if walk is not None))
+    notes.append("The map has no right of way, stop lines or traffic lights: priority is not known.")
+    limit = assumed_limit(ego)
+    notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed ({ASSUMED}).")
+    return replace(road, default_speed_limit=limit)
 
 
 def _strip(lane: Mapping[str, Any], origin: FloatArray) -> Strip:

@@ -21,7 +21,7 @@ unknown class follow from the lengths.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,20 +34,17 @@ from logs.mcap.complete import completed
 from logs.observed import of_stream
 from logs.readers.arrow123d.map import LIGHTS, map_of, road_of
 from logs.readers.base import Contents, TopicSummary, beside
-from logs.readers.quaternions import heading, rotated
+from logs.readers.quaternions import heading, is_unit, rotated, unit_of_wxyz
 from logs.readers.recorded.boxes import (
     Boxes,
     car_of,
     driven,
     from_second,
+    from_start,
     held_curvature,
-    is_unit,
     kept,
     ordered,
-    since,
-    states_at,
     tracks_of,
-    unit,
 )
 from logs.readers.recorded.tables import Lists, ipc_table, metadata_of, reading, vectors, whole
 from logs.scenario import Scenario
@@ -119,7 +116,7 @@ class EgoRows:
     about: Mapping[Any, Any]
 
     def part(self, name: str) -> FloatArray:
-        """Where a part of the vehicle is in the IMU's frame `(3,)`, m; ValueError where that is not said."""
+        """The position of a part of the vehicle in the IMU's frame `(3,)`, m; ValueError where the log lacks it."""
         place = np.asarray(self.about.get(name, ()), dtype=np.float64)
         if place.shape != (7,) or not np.isfinite(place).all():
             raise ValueError(f"the vehicle has no {name}")
@@ -139,15 +136,13 @@ def read_123d(folder: Path) -> Scenario:
         drive, given = _ego(rows, notes)
         vehicle = _vehicle(rows, notes)
     boxes, own, seen = _boxes(folder, int(rows.time_us[0]), notes)
-    index = kept(drive.t, (frames_us - rows.time_us[0]) / 1e6)
+    frames = (frames_us - rows.time_us[0]) / 1e6
+    index = kept(drive.t, frames)
     if not (given and own):
-        index = from_second(index, drive.t, (frames_us[:1] - rows.time_us[0]) / 1e6, notes)
-    ego = states_at(drive, index)
-    start, start_us = float(ego.t[0]), int(rows.time_us[index[0]])
-    origin = np.round([ego.x[0], ego.y[0]])
-    ego = replace(ego, t=since(start, ego.t), x=ego.x - origin[0], y=ego.y - origin[1])
-    shown = replace(boxes, t=since(start, boxes.t), x=boxes.x - origin[0], y=boxes.y - origin[1])
-    tracks = tracks_of(shown, notes)
+        index = from_second(index, drive.t, frames[:1], notes)
+    ego, boxes, origin = from_start(drive, index, boxes)
+    start, start_us = float(drive.t[index[0]]), int(rows.time_us[index[0]])
+    tracks = tracks_of(boxes, notes)
     road, lights = road_of(folder, about, ego, (float(origin[0]), float(origin[1])), start_us, notes)
     if (folder / "route_position.arrow").exists():
         notes.append("route_position is the ego's own later path: not read.")
@@ -238,7 +233,7 @@ def read_ego(folder: Path) -> EgoRows:
         name = f"{EGO}.dynamic_state_se3"
         there = name in table.schema.names
         dynamic = vectors(table[name], 9)[at] if there else np.full((len(at), 9), np.nan)
-        return EgoRows(times, poses[:, :3], unit(poses[:, 3:]), dynamic, metadata_of(table))
+        return EgoRows(times, poses[:, :3], unit_of_wxyz(poses[:, 3:]), dynamic, metadata_of(table))
 
 
 # Ego
@@ -304,10 +299,10 @@ def _vehicle(rows: EgoRows, notes: list[str]) -> VehicleParameters:
 
 def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool, FloatArray]:
     """All boxes, s since `first_us`, whether their velocities are the log's own, and the times of their frames."""
-    path, none = beside(folder, (f"{BOXES}.arrow",)), np.empty(0)
+    path = beside(folder, (f"{BOXES}.arrow",))
     if path is None:
         notes.append("The log has no boxes: there are no other road users.")
-        return Boxes((), (), none, none.astype(np.int64), *(none,) * 7), True, none
+        return Boxes.empty(), True, np.empty(0)
     columns = [f"{BOXES}.{name}" for name in ("timestamp_us", "bounding_box_se3", "track_token", "label")]
     table = ipc_table(path, columns)
     with reading(path):
@@ -329,7 +324,7 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool, 
         parts = np.split(box[order, 7], np.unique(owner[order], return_index=True)[1][1:])
         size[there] = [np.median(lengths) for lengths in parts]
         kinds = kinds_of(str(metadata_of(table).get("box_detection_label_class") or ""), label, size, notes)
-        place, yaw = box[:, :2], heading(unit(box[:, 3:7]))
+        place, yaw = box[:, :2], heading(unit_of_wxyz(box[:, 3:7]))
         x, y, length, width, vx, vy = *place.T, *box[:, 7:9].T, *velocity[:, :2].T
         found = Boxes(tuple(names), kinds, t, owner, x, y, yaw, length, width, vx, vy)
         return ordered(found, notes), own, frames

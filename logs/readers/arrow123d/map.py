@@ -31,7 +31,7 @@ from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap.complete import ASSUMED, assumed_limit, road_along
 from logs.readers.base import beside
-from logs.readers.recorded.strips import LARGEST_M, LONGEST_M, Strip, dense, lanes_of
+from logs.readers.recorded.strips import LARGEST_M, LONGEST_M, Strip, dense, lanes_of, predecessors
 from logs.readers.recorded.tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, unpacked, whole
 from logs.road import Lane, Road, inside
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
@@ -84,11 +84,30 @@ def road_of_map(
         LogError: The file is no such map, or has no lanes that can be used.
     """
     notes = notes if notes is not None else []
-    objects = read_objects(path)
+    objects, zero = read_objects(path), np.asarray(origin, dtype=np.float64)
     if not objects.of(LANE):
         raise LogError("the map has no lanes", topic=path.name, remedy="choose another map")
     with reading(path):
-        return _road(objects, np.asarray(origin, dtype=np.float64), near, notes)
+        chosen = [(i, f) for i, f, _ in objects.of(LANE) if _is_near(f.get("left_boundary"), near)]
+        if len(chosen) < len(objects.of(LANE)):
+            notes.append(
+                f"Of the map's {len(objects.of(LANE))} lanes those within {REACH_M:.0f} m are read: {len(chosen)}."
+            )
+        marks = _marks(objects, chosen, near, notes)
+        turned = _connectors_turned(objects.about, notes)
+        lanes, keeps_right = lanes_of([_strip(i, f, zero, marks, turned=turned) for i, f in chosen], notes)
+        if not lanes:
+            raise LogError("the map has no lanes here that can be used", remedy="choose another map")
+        if str(objects.about.get("location") or "").lower().startswith(KEEPS_LEFT):
+            keeps_right = False
+            notes.append("Traffic drives on the left in Singapore.")
+        outlines = ((i, _ring(f, zero)) for i, f, _ in objects.of(CROSSWALK) if _is_near(f.get("outline"), near))
+        walks = tuple(Crosswalk(i, ring) for i, ring in outlines if len(ring) >= 3)
+        zones = [(f, _ring(f, zero)) for _, f, _ in objects.of(STOP_ZONE) if _is_near(f.get("outline"), near)]
+        lines = stop_lines(zones, lanes, notes)
+        if any(len(lane.successors) > 1 for lane in lanes.values()):
+            notes.append("The map has no right of way: priority where lanes meet is not known.")
+        return Road(lanes, drives_on_right=keeps_right, stop_lines=lines, crosswalks=walks)
 
 
 def read_objects(path: Path) -> MapObjects:
@@ -107,30 +126,6 @@ def read_objects(path: Path) -> MapObjects:
             if len({i for i, _, _ in some}) < len(some):
                 raise LogError(f"two objects of layer {layer} have the same id", remedy=COPY_AGAIN)
         return MapObjects(layers, metadata_of(table))
-
-
-def _road(objects: MapObjects, origin: FloatArray, near: FloatArray | None, notes: list[str]) -> Road:
-    chosen = [(i, f) for i, f, _ in objects.of(LANE) if _is_near(f.get("left_boundary"), near)]
-    if len(chosen) < len(objects.of(LANE)):
-        notes.append(
-            f"Of the map's {len(objects.of(LANE))} lanes those within {REACH_M:.0f} m are read: {len(chosen)}."
-        )
-    marks = _marks(objects, chosen, near, notes)
-    turned = _connectors_turned(objects.about, notes)
-    strips = [_strip(i, f, origin, marks, turned=turned) for i, f in chosen]
-    lanes, keeps_right = lanes_of(strips, notes)
-    if not lanes:
-        raise LogError("the map has no lanes here that can be used", remedy="choose another map")
-    if str(objects.about.get("location") or "").lower().startswith(KEEPS_LEFT):
-        keeps_right = False
-        notes.append("Traffic drives on the left in Singapore.")
-    outlines = ((i, _ring(f, origin)) for i, f, _ in objects.of(CROSSWALK) if _is_near(f.get("outline"), near))
-    walks = tuple(Crosswalk(i, ring) for i, ring in outlines if len(ring) >= 3)
-    zones = [(f, _ring(f, origin)) for _, f, _ in objects.of(STOP_ZONE) if _is_near(f.get("outline"), near)]
-    lines = stop_lines(zones, lanes, notes)
-    if any(len(lane.successors) > 1 for lane in lanes.values()):
-        notes.append("The map has no right of way: priority where lanes meet is not known.")
-    return Road(lanes, drives_on_right=keeps_right, stop_lines=lines, crosswalks=walks)
 
 
 def _is_near(points: Any, near: FloatArray | None) -> bool:
@@ -249,15 +244,6 @@ def _marks_nearby(lines: Sequence[tuple[FloatArray, int]], sides: Mapping[Any, F
 # Stop lines
 
 
-def before(lanes: Mapping[int, Lane]) -> dict[int, list[int]]:
-    """The lanes before each lane."""
-    out: dict[int, list[int]] = {}
-    for lane in lanes.values():
-        for after in lane.successors:
-            out.setdefault(after, []).append(lane.id)
-    return out
-
-
 def ends_at(lane: Lane, part: float) -> FloatArray:
     """The two ends `(2, 2)` of a line across a lane at a part of its length, 0 to 1."""
     way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))] / lane.length
@@ -268,7 +254,7 @@ def stop_lines(
     zones: Sequence[tuple[Mapping[str, Any], FloatArray]], lanes: Mapping[int, Lane], notes: list[str]
 ) -> tuple[StopLine, ...]:
     """The stop lines of stop zones (module docstring); a zone that lies on none of its lanes gives none."""
-    feeding, found, lost = before(lanes), list[StopLine](), 0
+    feeding, found, lost = predecessors(lanes), list[StopLine](), 0
     for f, ring in zones:
         named = [lanes[i] for i in _ids(f.get("lane_ids")) if i in lanes]
         placed = [place for lane in named for place in _places(lane, ring, lanes, feeding)] if len(ring) > 2 else []
@@ -408,7 +394,7 @@ def _observed_lights(folder: Path, start_us: int, notes: list[str]) -> tuple[Tra
 
 def _lit(road: Road, lights: tuple[TrafficLight, ...], notes: list[str]) -> tuple[Road, tuple[TrafficLight, ...]]:
     """The road with a stop line for each light that no stop zone names: at the ends of the lanes before its lane."""
-    named, feeding = {line.light for line in road.stop_lines}, before(road.lanes)
+    named, feeding = {line.light for line in road.stop_lines}, predecessors(road.lanes)
     lines, lost = list(road.stop_lines), 0
     number = max((line.id for line in lines), default=-1) + 1
     for light in lights:

@@ -32,7 +32,7 @@ LARGEST = 1e9
 
 
 def number(text: str | None, place: str) -> float:
-    """The number in a text; LogError where it is none, or none that can be meant."""
+    """The number in a text; LogError where the text is not a number, or the number is implausible."""
     try:
         value = float(text or "")
     except ValueError:
@@ -170,7 +170,6 @@ class Intersection:
     The references "isLeftOf" are not read: files use them in both senses, so sides follow from the geometry.
     """
 
-    id: int
     incomings: tuple[Incoming, ...]
     crossings: tuple[int, ...]
 
@@ -232,7 +231,7 @@ def intersection_of(element: Element) -> Intersection:
         for e in element.findall("incoming")
     )
     crossings = tuple(i for e in element.findall("crossing") for i in references(e, "crossingLanelet", place))
-    return Intersection(name, incomings, crossings)
+    return Intersection(incomings, crossings)
 
 
 VERSIONS = ("2018b", "2020a")
@@ -293,7 +292,7 @@ class GoalState:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One planning problem: the initial state `(6,)` (`STATE_COLUMNS`), its yaw rate, the goals."""
+    """One planning problem: the initial state `(6,)` (columns as in `Obstacle`), its yaw rate, the goals."""
 
     id: int
     start: FloatArray
@@ -501,7 +500,7 @@ def _position(state: Element, place: str) -> tuple[float, float]:
 
 
 def _state(element: Element, place: str, *, needs_yaw: bool) -> tuple[float, ...]:
-    """One row of `STATE_COLUMNS`."""
+    """One row of the states of an `Obstacle`."""
     step = middle(element, "time", place)
     yaw = middle(element, "orientation", place)
     if step != step:

@@ -24,7 +24,7 @@ from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.observed import Spans, inferred
 from logs.readers.commonroad.document import Document, Obstacle, Problem, parse
-from logs.readers.commonroad.road import Asked, road_of
+from logs.readers.commonroad.road import road_of
 from logs.readers.commonroad.rules import lights_of, with_rules
 from logs.readers.commonroad.tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
 from logs.road import Goal, Road
@@ -152,10 +152,8 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
     obstacle, vehicle = chosen.obstacle, VehicleParameters()
     if obstacle is not None:
         obstacle, cut = trimmed(obstacle, document.dt)
-        vehicle = sized(obstacle)
+        vehicle, first = sized(obstacle), obstacle.states[0]
         notes += cut
-    if obstacle is not None:
-        first = obstacle.states[0]
     else:
         assert chosen.problem is not None
         first = chosen.problem.start
@@ -166,7 +164,7 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
     driven_before = np.array([states[-1, [1, 2, 4]] for states in known if len(states)]).reshape(-1, 3)
     driven_before = driven_before[np.isfinite(driven_before).all(axis=1)]
     tracks = tracks_of(document, velocity, without=without, start=start, origin=origin)
-    road, assumed = road_of(document, origin, driven_before, _wanted(chosen.problem))
+    road, assumed = road_of(document, origin, driven_before, chosen.problem)
     road, heads, ruled = with_rules(document, road, origin)
     driven, how = _ego(obstacle, chosen.problem, document.dt, vehicle, origin)
     goal, unknown = _goal(chosen.problem, road, start, document.dt, origin)
@@ -197,19 +195,6 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
         notes=tuple(notes),
         lights=lights_of(document, heads, start, duration),
         traffic=traffic,
-    )
-
-
-def _wanted(problem: Problem | None) -> Asked | None:
-    """What the goals ask of the speed, where all of them do."""
-    speeds = [goal.v for goal in problem.goals if goal.v is not None] if problem is not None else []
-    if problem is None or not speeds or len(speeds) < len(problem.goals):
-        return None
-    regions = [region for goal in problem.goals for region in goal.regions]
-    places = [np.vstack([r, 0.5 * (r + np.roll(r, 1, axis=0)), r.mean(axis=0)]) for r in regions]
-    least, most = min(v[0] for v in speeds), max(v[1] for v in speeds)
-    return Asked(
-        (least, most), np.vstack([np.empty((0, 2)), *places]), tuple(i for g in problem.goals for i in g.lanelets)
     )
 
 

@@ -13,14 +13,14 @@ A limit that the file does not give is assumed, and the scenario says so:
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import ceil
 
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.readers.commonroad.document import Document, Lanelet
+from logs.readers.commonroad.document import Document, Lanelet, Problem
+from logs.readers.recorded.strips import resampled
 from logs.road import Lane, Road
 
 NOT_DRIVABLE = {"sidewalk", "crosswalk", "bicycleLane", "shoulder", "busLane", "busStop", "border", "restricted"}
@@ -40,24 +40,8 @@ _MORE = 1.25
 """A goal's least speed times this is the most that (3) makes of it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Asked:
-    """What the goal asks: a speed between two, m/s, at places `(k, 2)` in file coordinates or on lanelets."""
-
-    speeds: tuple[float, float]
-    places: FloatArray
-    lanelets: tuple[int, ...]
-
-    def of(self, lanes: Sequence[Lane], road: Road) -> bool:
-        """Whether the goal lies on one of these lanes of a road in file coordinates less its origin."""
-        ids = {lane.id for lane in lanes}
-        return bool(ids & set(self.lanelets)) or any(
-            lane.id in ids for x, y in self.places for lane in road.lanes_at(float(x), float(y))
-        )
-
-
 def road_of(
-    document: Document, origin: tuple[float, float], driven: FloatArray, asked: Asked | None
+    document: Document, origin: tuple[float, float], driven: FloatArray, problem: Problem | None
 ) -> tuple[Road, tuple[str, ...]]:
     """The road, and what was assumed.
 
@@ -65,7 +49,7 @@ def road_of(
         document: The file.
         origin: Subtracted from all points, m.
         driven: Positions and speeds of the traffic at the start `(m, 3)`, file coordinates, m and m/s: see (2).
-        asked: What the goal asks: see (3).
+        problem: The planning problem, whose goals may ask for a speed: see (3).
     """
     lanes, notes = {}, []
     for lanelet in document.lanelets:
@@ -78,10 +62,28 @@ def road_of(
     if uneven:
         notes.append(f"{uneven} lanelets have boundaries of unequal point counts: resampled by arc length")
     road = Road(lanes, drives_on_right=document.country not in LEFT_HAND_COUNTRIES)
-    notes += _odd_limits(road)
-    if asked is not None:
-        asked = replace(asked, places=asked.places - origin)
-    return _with_defaults(document, road, driven - (*origin, 0.0), asked, notes)
+    low, high = _PLAUSIBLE
+    odd: defaultdict[float, int] = defaultdict(int)
+    for lane in road.lanes.values():
+        if lane.drivable and not (np.isnan(lane.speed_limit) or low <= lane.speed_limit <= high):
+            odd[lane.speed_limit] += 1
+    notes += [f"speed limit of {limit:g} m/s on {count} lanes is kept as given" for limit, count in odd.items()]
+    speeds, on_goal = _goal_speeds(problem, road, origin)
+    return _with_defaults(document, road, driven - (*origin, 0.0), speeds, on_goal, notes)
+
+
+def _goal_speeds(
+    problem: Problem | None, road: Road, origin: tuple[float, float]
+) -> tuple[tuple[float, float] | None, set[int]]:
+    """The least and the greatest speed for which the goals ask, if all of them do, and the lanes on which they lie."""
+    speeds = [goal.v for goal in problem.goals if goal.v is not None] if problem is not None else []
+    if problem is None or not speeds or len(speeds) < len(problem.goals):
+        return None, set()
+    lanes = {i for goal in problem.goals for i in goal.lanelets}
+    for region in (region for goal in problem.goals for region in goal.regions):
+        places = np.vstack([region, 0.5 * (region + np.roll(region, 1, axis=0)), region.mean(axis=0)]) - origin
+        lanes |= {lane.id for x, y in places for lane in road.lanes_at(float(x), float(y))}
+    return (min(v[0] for v in speeds), max(v[1] for v in speeds)), lanes
 
 
 def _lane(lanelet: Lanelet, left: FloatArray, right: FloatArray) -> Lane:
@@ -121,7 +123,7 @@ def _repaired(lanelet: Lanelet) -> tuple[FloatArray, FloatArray] | None:
         return None
     if len(left) != len(right):
         count = max(len(left), len(right))
-        left, right = _resampled(left, count), _resampled(right, count)
+        left, right = resampled(left, count), resampled(right, count)
     center = 0.5 * (left + right)
     keep = np.r_[True, np.hypot(*np.diff(center, axis=0).T) > 1e-3]
     if keep.sum() < 2:
@@ -129,60 +131,36 @@ def _repaired(lanelet: Lanelet) -> tuple[FloatArray, FloatArray] | None:
     return left[keep], right[keep]
 
 
-def _resampled(points: FloatArray, count: int) -> FloatArray:
-    """A polyline `(n, 2)` at `count` points, equally spaced in arc length."""
-    s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
-    at = np.linspace(0.0, s[-1], count)
-    return np.column_stack([np.interp(at, s, points[:, 0]), np.interp(at, s, points[:, 1])])
-
-
-def _odd_limits(road: Road) -> list[str]:
-    """Limits that are kept though they can hardly be meant."""
-    low, high = _PLAUSIBLE
-    odd: defaultdict[float, int] = defaultdict(int)
-    for lane in road.lanes.values():
-        if lane.drivable and not (np.isnan(lane.speed_limit) or low <= lane.speed_limit <= high):
-            odd[lane.speed_limit] += 1
-    return [f"speed limit of {limit:g} m/s on {count} lanes is kept as given" for limit, count in odd.items()]
-
-
-def _group(lane: Lane, document: Document) -> str:
-    """The kind of road that decides (1): the scenario's own tag "highway" beats a lanelet's "urban"."""
-    kinds = set(lane.kind.split("+"))
-    for kind in _DEFAULTS:
-        if kind in kinds:
-            return kind
-    return "highway" if _HIGHWAY & (kinds | set(document.tags)) else "urban"
-
-
 def _with_defaults(
-    document: Document, road: Road, driven: FloatArray, asked: Asked | None, notes: Sequence[str]
-) -> tuple[Road, tuple[str, ...]]:
+    document: Document, road: Road, driven: FloatArray, asked: tuple[float, float] | None, on_goal: set[int],
+    notes: list[str],
+) -> tuple[Road, tuple[str, ...]]:  # fmt: skip
     """The road with (1) to (3): the commonest default is the road's, others stand on their lanes."""
     missing: defaultdict[str, list[Lane]] = defaultdict(list)
     drivable = [lane for lane in road.lanes.values() if lane.drivable]
     for lane in drivable:
         if np.isnan(lane.speed_limit):
-            missing[_group(lane, document)].append(lane)
-    assumed, lines = {}, list(notes)
+            kinds = set(lane.kind.split("+"))  # the scenario's own tag "highway" beats a lanelet's "urban"
+            usual = "highway" if _HIGHWAY & (kinds | set(document.tags)) else "urban"
+            missing[next((kind for kind in _DEFAULTS if kind in kinds), usual)].append(lane)
+    if not missing:
+        return road, tuple(notes)
+    assumed = {}
     for group, lanes in sorted(missing.items(), key=lambda item: (-len(item[1]), item[0])):
         ids, moving = {lane.id for lane in lanes}, driven[driven[:, 2] > 2.0]
         speeds = np.array([v for x, y, v in moving if any(lane.id in ids for lane in road.lanes_at(x, y))])
         assumed[group], why = _assumed(group, document.country, speeds)
-        if asked is not None and asked.speeds[0] > assumed[group] and asked.of(lanes, road):
-            least, most = asked.speeds
+        if asked is not None and asked[0] > assumed[group] and ids & on_goal:
+            least, most = asked
             assumed[group] = _rounded_up(min(0.5 * (least + most), _MORE * least))
             why = f"the goal asks for {least:.0f} m/s, above the {why.rstrip(',')}:"
         limit = f"{assumed[group]:.2f} m/s ({assumed[group] / KPH:.0f} km/h)"
-        lines.append(f"speed limit missing on {len(lanes)} of {len(drivable)} lanes: {why} {limit} assumed")
-    if not missing:
-        return road, tuple(lines)
+        notes.append(f"speed limit missing on {len(lanes)} of {len(drivable)} lanes: {why} {limit} assumed")
     default = next(iter(assumed.values()))
     changed = {lane.id: assumed[g] for g, lanes in missing.items() for lane in lanes if assumed[g] != default}
-    lanes_by_id = {i: replace(lane, speed_limit=changed.get(i, lane.speed_limit)) for i, lane in road.lanes.items()}
-    return replace(road, lanes=lanes_by_id, default_speed_limit=default, assumed_limits=frozenset(changed)), tuple(
-        lines
-    )
+    by_id = {i: replace(lane, speed_limit=changed.get(i, lane.speed_limit)) for i, lane in road.lanes.items()}
+    road = replace(road, lanes=by_id, default_speed_limit=default, assumed_limits=frozenset(changed))
+    return road, tuple(notes)
 
 
 def _assumed(group: str, country: str, speeds: FloatArray) -> tuple[float, str]:

@@ -4,7 +4,7 @@ An occupancy set says where a road user may be at a time step: polygons that gro
 size, so each set becomes boxes of its own, which stand from its time until that of the next set (or over its interval).
 They are objects: replayed by time, never reacting, with no speed. The initial state is the first set.
 
-A polygon is covered from outside, so that whoever touches the set touches a box:
+A polygon is covered from outside, so that a vehicle that touches the set touches a box:
 
 (1) box = the smallest rectangle along one of the edges of the polygon's convex hull (one of these has the least area)
 (2) excess = (area of the box - area of the polygon) / length of the box, m: how much wider than the polygon it is

@@ -22,7 +22,7 @@ slope of heading over distance, and acceleration, where it is not stored, that o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from math import radians
 from typing import NamedTuple
@@ -129,7 +129,11 @@ def tracks_of(
         if o.id == without:
             continue
         if o.sets and not o.static:
-            found += _set_rows(o, start)
+            for name, first, last, box in standing(o.sets):  # each box for as long as its set stands
+                if last > start:
+                    pose = (box.x, box.y, box.yaw, 0.0, 0.0)
+                    states = np.array([(max(first, start), *pose), (last, *pose)])
+                    found.append(_Row(f"{o.id} {name}", AgentKind.OBJECT, box.length, box.width, False, states))
         elif o.static or later.any():
             v = np.zeros((1, 2)) if o.static else velocity[o.id][later]
             states = np.column_stack([(o.states if o.static else o.states[later])[:, :4], v])
@@ -153,15 +157,6 @@ class _Row(NamedTuple):
     width: float
     static: bool
     states: FloatArray
-
-
-def _set_rows(obstacle: Obstacle, start: float) -> Iterator[_Row]:
-    """The boxes of an obstacle's occupancy set from the step `start` on, each for as long as its set stands."""
-    for name, first, last, box in standing(obstacle.sets):
-        if last > start:
-            pose = (box.x, box.y, box.yaw, 0.0, 0.0)
-            states = np.array([(max(first, start), *pose), (last, *pose)])
-            yield _Row(f"{obstacle.id} {name}", AgentKind.OBJECT, box.length, box.width, static=False, states=states)
 
 
 def sized(obstacle: Obstacle) -> VehicleParameters:

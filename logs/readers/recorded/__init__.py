@@ -2,7 +2,6 @@
 
 Modules:
     tables.py   Arrow files and their columns as arrays
-    poses.py    quaternions; the ego's states from recorded poses
-    boxes.py    boxes by frame -> tracks; the ego's vehicle
+    boxes.py    boxes by frame -> tracks; the ego's states from recorded poses, and its vehicle
     strips.py   lanes between two lines, their neighbours and markings
 """

@@ -52,12 +52,16 @@ class Boxes:
     vx: FloatArray
     vy: FloatArray
 
+    @classmethod
+    def empty(cls) -> Boxes:
+        """No boxes."""
+        none = np.empty(0)
+        return cls((), (), none, np.empty(0, np.int64), *(none,) * 7)
+
     def taken(self, rows: Any) -> Boxes:
         """Only these rows."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in _COLUMNS})
-
-
-_COLUMNS = ("t", "owner", "x", "y", "yaw", "length", "width", "vx", "vy")
+        names = ("t", "owner", "x", "y", "yaw", "length", "width", "vx", "vy")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 def ordered(boxes: Boxes, notes: list[str]) -> Boxes:
@@ -135,8 +139,6 @@ def car_of(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
 WINDOW_S = 0.5
 """With less the acceleration is noise (Argoverse 2: 99th percentile 8.6 m/s2 at 0.1 s, 3.1 at 0.5 s, as driven)."""
 ENOUGH = 5
-ROUNDED = 0.01
-"""Unit quaternions may be off by so much."""
 SPAN_S = 0.3
 ROLLING_MPS = 0.5
 STILL_M, STILL_S = 0.05, 0.3
@@ -145,22 +147,6 @@ STATE_S = 0.1
 """Ego states are kept at the frames of the boxes and, where these are at half of this rate or less, so often."""
 APART_S = 0.03
 """Two states are not nearer than this."""
-
-
-def is_unit(q: FloatArray) -> BoolArray:
-    """Which quaternions `(n, 4)` have unit length, but for rounding."""
-    return np.asarray(np.abs(np.sqrt((q * q).sum(axis=1)) - 1.0) < ROUNDED)
-
-
-def unit(q: FloatArray) -> FloatArray:
-    """Unit quaternions (x, y, z, w) of stored ones (w, x, y, z), `(n, 4)`.
-
-    Raises:
-        ValueError: The length of one differs from 1 by more than rounding.
-    """
-    if not is_unit(q).all():
-        raise ValueError("an orientation is not a quaternion of unit length")
-    return np.roll(q / np.sqrt((q * q).sum(axis=1, keepdims=True)), -1, axis=1)
 
 
 def fitted(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -197,6 +183,13 @@ def fitted(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     return first, second
 
 
+def nearest(times: Any, wanted: Any) -> IntArray:
+    """The row of rising `times` `(n,)` that is nearest to each of `wanted` `(k,)`; of two the later one."""
+    after = np.clip(np.searchsorted(times, wanted), 0, len(times) - 1)
+    earlier = np.maximum(after - 1, 0)
+    return np.where(np.abs(times[earlier] - wanted) < np.abs(times[after] - wanted), earlier, after)
+
+
 def kept(times: FloatArray, frames: FloatArray) -> IntArray:
     """Which states to keep, from the first frame (s) to the last: the nearest to each, others every `STATE_S` between.
 
@@ -204,12 +197,8 @@ def kept(times: FloatArray, frames: FloatArray) -> IntArray:
     """
     if not len(frames):
         frames = times[[0, -1]]
-    after = np.clip(np.searchsorted(times, frames), 0, len(times) - 1)
-    earlier = np.maximum(after - 1, 0)
-    nearer = np.abs(times[earlier] - frames) < np.abs(times[after] - frames)
-    chosen = set(np.where(nearer, earlier, after).tolist())
     out: list[int] = []
-    for i in sorted(chosen):
+    for i in sorted(set(nearest(times, frames).tolist())):
         while out and times[i] - times[out[-1]] >= 2.0 * STATE_S - 1e-6:
             j = int(np.searchsorted(times, times[out[-1]] + STATE_S - 1e-6))
             if j >= i or times[i] - times[j] < 0.5 * STATE_S:
@@ -229,9 +218,16 @@ def from_second(index: IntArray, times: FloatArray, first: FloatArray, notes: li
     return index[begin:]
 
 
-def since(start: float, t: FloatArray) -> FloatArray:
-    """Times since `start`, s, in whole nanoseconds, as logs keep them."""
-    return np.asarray(np.rint(1e9 * (t - start)) / 1e9)
+def from_start(whole: Trajectory, index: IntArray, boxes: Boxes) -> tuple[Trajectory, Boxes, FloatArray]:
+    """The states at `index` and the boxes, both from the first of these states on, and its rounded place `(2,)`.
+
+    Times are in whole nanoseconds, as logs keep them.
+    """
+    ego = Trajectory(*(getattr(whole, name)[index] for name in ("t", "x", "y", "yaw", "v", "a", "kappa")))
+    start, origin = float(ego.t[0]), np.round([ego.x[0], ego.y[0]])
+    ego_t, boxes_t = (np.asarray(np.rint(1e9 * (t - start)) / 1e9) for t in (ego.t, boxes.t))
+    ego = replace(ego, t=ego_t, x=ego.x - origin[0], y=ego.y - origin[1])
+    return ego, replace(boxes, t=boxes_t, x=boxes.x - origin[0], y=boxes.y - origin[1]), origin
 
 
 def held_curvature(rate: FloatArray, v: FloatArray) -> FloatArray:
@@ -270,9 +266,3 @@ def driven(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: 
         columns["v"] = np.where(still, 0.0, v)
         columns["a"] = np.where(still | np.isnan(a), 0.0, a)
     return completed(columns, notes)
-
-
-def states_at(whole: Trajectory, index: IntArray) -> Trajectory:
-    """The states at `index`."""
-    names = ("t", "x", "y", "yaw", "v", "a", "kappa")
-    return Trajectory(*(getattr(whole, name)[index] for name in names))

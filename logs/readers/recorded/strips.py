@@ -7,7 +7,7 @@ drives on the left where oncoming lanes are to the right more often.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,9 +17,9 @@ from logs.mcap.osi_lanes import paired
 from logs.road import Lane
 
 LARGEST_M = 1e7
-"""A coordinate beyond this is none: UTM northings end at 1e7."""
+"""A larger coordinate is not valid: UTM northings end at 1e7."""
 SHORTEST_M, LONGEST_M = 0.01, 1e5
-"""Of a boundary: others are none."""
+"""Limits of the length of a boundary; a shorter or longer line is not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +116,21 @@ def _same_way(lane: Lane, other: Lane) -> bool:
 
 def dense(line: FloatArray, step: float) -> FloatArray:
     """A polyline `(n, 2)` with points at most `step` apart, m, equally spaced in arc length."""
-    way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
-    at = np.linspace(0.0, way[-1], max(2, 1 + int(np.ceil(way[-1] / step))))
-    return np.column_stack([np.interp(at, way, line[:, k]) for k in (0, 1)])
+    length = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))][-1]
+    return resampled(line, max(2, 1 + int(np.ceil(length / step))))
+
+
+def resampled(line: FloatArray, count: int) -> FloatArray:
+    """A polyline `(n, 2)` at `count` points, equally spaced in arc length."""
+    s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    at = np.linspace(0.0, s[-1], count)
+    return np.column_stack([np.interp(at, s, line[:, k]) for k in (0, 1)])
+
+
+def predecessors(lanes: Mapping[int, Lane]) -> dict[int, list[int]]:
+    """The lanes before each lane."""
+    out: dict[int, list[int]] = {}
+    for lane in lanes.values():
+        for after in lane.successors:
+            out.setdefault(after, []).append(lane.id)
+    return out

@@ -21,7 +21,7 @@ METADATA = b"metadata"
 LARGEST_BYTES = 4_000_000_000
 """Limit of a table in memory (ten hours of 100 boxes at 10 Hz take 1.5 GB)."""
 LARGEST = 1e8
-"""A length, speed or place beyond this, in m and s, is none."""
+"""A larger length, speed or position, in m and s, is not valid and read as NaN."""
 COPY_AGAIN = "copy the log again from its source"
 _WRONG = (
     pa.ArrowException, msgspec.MsgspecError, OSError, EOFError, MemoryError, ValueError, TypeError, KeyError,

@@ -124,7 +124,7 @@ class Bag:
         except LogError:
             raise
         except DAMAGE as error:
-            what = f"the file is damaged{'' if last is None else ' after this time'} ({_said(error)})"
+            what = f"the file is damaged{'' if last is None else ' after this time'} ({_describe(error)})"
             raise LogError(what, topic=topic.name, time_ns=last, remedy=COPY_AGAIN) from None
 
 
@@ -139,7 +139,7 @@ def opened(path: Path) -> Iterator[Bag]:
         reader: Any = Reader2(path) if is_ros2 else Reader1(path)
         reader.open()
     except DAMAGE as error:
-        raise LogError(f"the bag cannot be opened ({_said(error)})", file=path, remedy=COPY_AGAIN) from None
+        raise LogError(f"the bag cannot be opened ({_describe(error)})", file=path, remedy=COPY_AGAIN) from None
     try:
         _check_chunks(reader, path)
         yield Bag(_topics(reader.connections), reader.start_time, reader.end_time - 1, is_ros2, reader.messages)
@@ -201,7 +201,7 @@ def _parsed(definition: Any, topic: Topic) -> Types:
             out |= get_types_from_idl(part)
         return out
     except DAMAGE as error:
-        what = f"the definition of {topic.kind} in the file cannot be used ({_said(error)})"
+        what = f"the definition of {topic.kind} in the file cannot be used ({_describe(error)})"
         raise LogError(what, topic=topic.name, remedy=COPY_AGAIN) from None
 
 
@@ -217,5 +217,5 @@ def _known(is_ros2: bool) -> Types:
     return types
 
 
-def _said(error: BaseException) -> str:
+def _describe(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())[:300]

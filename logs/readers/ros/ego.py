@@ -29,11 +29,12 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
 from logs.readers.base import LogSettings
+from logs.readers.quaternions import unit_or_identity
 from logs.readers.recorded.boxes import stands
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic
 from logs.readers.ros.fields import Wanted
-from logs.readers.ros.frames import HELD, Clock, Frames, Poses, clock_of, said, times_of, unit
+from logs.readers.ros.frames import HELD, Clock, Frames, Poses, clock_of, describe_timing, times_of
 from logs.readers.ros.schemas import STAMP
 
 NONE = "-"
@@ -149,7 +150,7 @@ def _edge(rows: list[tuple[float, ...]], static: bool) -> Edge:
     good = np.isfinite(pose).all(axis=1)
     order = np.argsort(log[good], kind="stable")[-1 if static else 0 :]
     log, stamps, pose = log[good][order], stamps[good][order], pose[good][order]
-    return Edge(log, stamps, pose[:, :3], unit(pose[:, 3:]), static)
+    return Edge(log, stamps, pose[:, :3], unit_or_identity(pose[:, 3:]), static)
 
 
 def _poses(part: Part, topic: Topic, path: str) -> tuple[str, str, Edge, FloatArray]:
@@ -220,7 +221,7 @@ def read_ego(part: Part) -> EgoLog:
     source = "/tf"
     steps = " -> ".join([map_frame, *(c if down else p for p, c, down in chain)])
     notes.append(f"The ego is frame '{base}' ({why}), its pose by transforms: {steps}.")
-    notes += said(source, fastest.log, fastest.stamps, int(fastest.log[0]))
+    notes += describe_timing(source, fastest.log, fastest.stamps, int(fastest.log[0]))
     frames = _frames(edges, clock, notes)
     t = frames.times(map_frame, base)
     if len(t) < LEAST_POSES:
@@ -256,7 +257,7 @@ def _from_topic(part: Part, found: _Found, edges: Edges) -> EgoLog:
     several = f" (of {len(others)} such topics the one with most messages)" if len(others) > 1 else ""
     notes.append(f"The ego's pose is that of {topic.name}{several}, frame '{frame}'.")
     clock = clock_of(edge.log, edge.stamps, settings.clock)
-    notes += said(topic.name, edge.log, edge.stamps, int(edge.log[0]))
+    notes += describe_timing(topic.name, edge.log, edge.stamps, int(edge.log[0]))
     t, keep = times_of(topic.name, edge.log, edge.stamps, clock, notes)
     poses, speed = Poses(t, edge.p[keep], edge.q[keep]), speed[keep]
     base = settings.frames.get("base", child or "base_link")
@@ -343,7 +344,8 @@ def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[
     seconds = (ego.poses.t - ego.poses.t[0]) / 1e9
     x, y = ego.poses.p[:, 0], ego.poses.p[:, 1]
     yaw = np.unwrap(ego.poses.yaw)
-    window = np.full(len(seconds), window_of(seconds, EGO_WINDOW_S))
+    usual = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
+    window = np.full(len(seconds), max(EGO_WINDOW_S, LEAST * usual))
     values = np.array([x - x[0], y - y[0], yaw])
     rate, change = rates(seconds, values, np.zeros(len(seconds), np.int64), window, parabola=True)
     cos, sin = np.cos(yaw), np.sin(yaw)
@@ -387,11 +389,6 @@ SLOW_MPS = 0.5
 """Below, the heading says nothing of the curvature: the last one holds."""
 AGENT_WINDOW_S, OBJECT_WINDOW_S = 0.5, 1.0
 """For the boxes of others (10 Hz): outlines of clusters jump by decimetres, and static objects hardly move."""
-
-
-def window_of(t: FloatArray, wanted: float) -> float:
-    """The window's length for samples at `t` `(n,)`, s."""
-    return max(wanted, LEAST * float(np.median(np.diff(t)))) if len(t) > 1 else wanted
 
 
 def spread(t: FloatArray, first: IntArray, window: FloatArray) -> FloatArray:

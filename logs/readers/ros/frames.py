@@ -25,7 +25,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
-from logs.readers.quaternions import heading, product, rotated
+from logs.readers.quaternions import heading, product, rotated, unit_or_identity
 
 HELD, BETWEEN = "held", "between"
 
@@ -58,12 +58,6 @@ def inverse(a: Poses) -> Poses:
     return Poses(a.t, -rotated(q, a.p), q)
 
 
-def unit(q: FloatArray) -> FloatArray:
-    """Quaternions of length 1; those that are 0 turn nothing, as senders who leave them out mean it."""
-    size = np.linalg.norm(q, axis=1, keepdims=True)
-    return np.where(size > 1e-9, q / np.where(size > 1e-9, size, 1.0), np.array([0.0, 0.0, 0.0, 1.0]))
-
-
 def sampled(poses: Poses, t: IntArray, how: str) -> Poses:
     """The pose at other times `(m,)` ns; before the first sample it is the first, after the last the last."""
     before = np.clip(np.searchsorted(poses.t, t, side="right") - 1, 0, len(poses) - 1)
@@ -74,7 +68,7 @@ def sampled(poses: Poses, t: IntArray, how: str) -> Poses:
     u = np.clip(np.divide(t - poses.t[before], span, out=np.zeros(len(t)), where=span > 0.0), 0.0, 1.0)[:, None]
     p = poses.p[before] + u * (poses.p[after] - poses.p[before])
     near = np.where(np.sum(poses.q[before] * poses.q[after], axis=1, keepdims=True) < 0.0, -1.0, 1.0)
-    return Poses(t, p, unit((1.0 - u) * poses.q[before] + u * near * poses.q[after]))
+    return Poses(t, p, unit_or_identity((1.0 - u) * poses.q[before] + u * near * poses.q[after]))
 
 
 class Frames:
@@ -143,8 +137,8 @@ class Frames:
 OTHER_CLOCK_S = 1.0
 """Topics whose median offset differs by more from the ego's are stamped by another clock; messages by more from their
 topic's median are stale."""
-SAID_S = 0.1
-"""Offsets from here on are reported."""
+REPORTED_S = 0.1
+"""Larger offsets are reported."""
 DROPOUT_S, DROPOUT_INTERVALS = 0.3, 5.0
 """A gap is a drop-out if it exceeds both this time (s) and this multiple of the usual interval."""
 _DROPOUTS_SHOWN = 3
@@ -170,11 +164,6 @@ class Clock:
 LOG_CLOCK = Clock(np.empty(0, np.int64), np.empty(0, np.int64))
 
 
-def offsets(log: IntArray, stamps: IntArray) -> FloatArray:
-    """How much later than stamped the messages were recorded `(n,)`, s."""
-    return (log - stamps) / 1e9
-
-
 def stamped(stamps: IntArray) -> bool:
     """Whether all messages of a topic have a stamp."""
     return bool(len(stamps) and (stamps > 0).all())
@@ -198,7 +187,7 @@ def times_of(topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: l
     if not len(clock.log) or not stamped(stamps):
         times = clock(log)
     else:
-        late = offsets(clock(log), stamps)
+        late = (clock(log) - stamps) / 1e9  # how much later than stamped they were recorded, s
         usual = float(np.median(late))
         near = np.flatnonzero(np.abs(late - usual) <= OTHER_CLOCK_S)
         if abs(usual) > OTHER_CLOCK_S or not len(near):
@@ -220,13 +209,13 @@ def times_of(topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: l
     return times[order][last], keep[order][last]
 
 
-def said(topic: str, log: IntArray, stamps: IntArray, start_ns: int) -> list[str]:
-    """Sentences on a topic's clock and its drop-outs; none where there is nothing to say."""
+def describe_timing(topic: str, log: IntArray, stamps: IntArray, start_ns: int) -> list[str]:
+    """Sentences on a topic's delays and drop-outs; none where there are neither."""
     out = []
     if stamped(stamps):
-        late = offsets(log, stamps)
+        late = (log - stamps) / 1e9
         usual, worst = float(np.median(late)), float(late[np.argmax(np.abs(late))])
-        if max(abs(usual), abs(worst)) > SAID_S:
+        if max(abs(usual), abs(worst)) > REPORTED_S:
             out.append(f"{topic} is recorded {usual:.3f} s after its stamps (median), at most {worst:.3f} s.")
     if len(log) > 2:
         apart = np.diff(log) / 1e9

@@ -17,19 +17,19 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.kernel import BoolArray, FloatArray, IntArray
-from logs.readers.quaternions import heading, rotated
+from logs.readers.quaternions import heading, rotated, unit_or_identity
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic
 from logs.readers.ros.ego import Part, rates
 from logs.readers.ros.fields import Wanted
-from logs.readers.ros.frames import BETWEEN, Frames, Poses, composed, unit
+from logs.readers.ros.frames import BETWEEN, Frames, Poses, composed
 from logs.readers.ros.schemas import ObjectSchema
 from logs.readers.ros.tracks import MOVES_MPS, Samples, firsts, identified
 
 MOTION_S = 0.5
 """Displacement over at most this is compared with the velocity."""
 MISFIT = 0.5
-"""A median difference of more than this share of the speed is no velocity."""
+"""Logged velocities whose median difference exceeds this share of the speed are not used."""
 LEAST_SIZE_M = 0.1
 
 
@@ -92,7 +92,7 @@ def _first(bag: Bag, topic: Topic, prefix: str, paths: str) -> str:
 
 def samples_of(
     messages: Messages, schema: ObjectSchema, chosen: IntArray, t: IntArray, frames: Frames, frame: str,
-    said: list[str], said_of_ids: list[str],
+    notes: list[str], id_notes: list[str],
 ) -> Samples:  # fmt: skip
     """The objects of the messages `chosen` `(k,)` at times t `(k,)` ns, in the map frame `frame` by (1)."""
     items = [messages.items[i] for i in chosen]
@@ -101,48 +101,61 @@ def samples_of(
     if not rows:
         none = np.empty(0)
         return Samples(owner, [], [], none, none, none, none, none, none, none, np.empty(0, np.bool_), none)
-    columns = list(zip(*rows, strict=True))
-    first = messages.names["pose"]
-    values = np.array(columns[first : first + 7], dtype=np.float64).T
-    poses = Poses(t[owner], values[:, :3], unit(values[:, 3:]))
+    held = _Fields(list(zip(*rows, strict=True)), messages.names)
+    values = held.numbers("pose", 7)
+    poses = Poses(t[owner], values[:, :3], unit_or_identity(values[:, 3:]))
     turn = _turns([messages.frames[i] for i in chosen], owner, t, frames, frame)
     world = poses if turn is None else composed(turn, poses)
-    kinds, in_the_way = _kinds(columns, messages.names, len(rows), schema)
-    length, width, moved, yaw, turned = _sizes(columns, messages.names, schema, world, turn, kinds)
-    velocity = _velocity(columns, messages.names, len(rows))
-    ids = list(columns[messages.names["id"]]) if "id" in messages.names else []
-    names = [each.hex() if isinstance(each, bytes) else str(each) for each in ids] or [""] * len(rows)
-    out = Samples(
-        owner, names, kinds, moved[:, 0], moved[:, 1], yaw, velocity[:, 0], velocity[:, 1], length, width, turned,
-        _scores(columns, messages.names, len(rows)),
-    )  # fmt: skip
-    return _with_velocities(out, velocity, world, turn, schema, t, (said, said_of_ids), in_the_way)
-
-
-def _with_velocities(
-    out: Samples, velocity: FloatArray, world: Poses, turn: Poses | None, schema: ObjectSchema, t: IntArray,
-    notes: tuple[list[str], list[str]], in_the_way: BoolArray,
-) -> Samples:  # fmt: skip
-    said, said_of_ids = notes
-    by_frame = {"object": rotated(world.q, velocity), "frame": velocity if turn is None else rotated(turn.q, velocity)}
+    kinds, in_the_way = _kinds(held, schema)
+    length, width, moved, yaw, turned = _sizes(held, schema, world, turn, kinds)
+    velocity = held.numbers("twist", 3) if "twist" in held else np.full((len(rows), 3), np.nan)
+    if "trusted" in held:
+        velocity[~np.array(held.column("trusted"), np.bool_)] = np.nan
+    if not np.nan_to_num(velocity).any():  # all of the log's are 0: it has none
+        velocity[:] = np.nan
     finite = np.logical_and.reduce(np.isfinite(np.column_stack([velocity[:, :2], world.p])), axis=1)
-    usable = np.isfinite(out.x) & np.isfinite(out.y) & np.isfinite(out.yaw)
-    left_out = int((~in_the_way).sum()), int((~usable).sum())
-    if left_out[0]:
-        said.append(f"{left_out[0]} samples are of what can be driven over or under, and left out.")
-    if left_out[1]:
-        said.append(f"{left_out[1]} samples have no finite pose and are left out.")
-    filled = [np.where(finite[:, None], by_frame[name][:, :2], np.nan) for name in ("object", "frame")]
+    by_frame = rotated(world.q, velocity), velocity if turn is None else rotated(turn.q, velocity)
+    in_object, in_frame = (np.where(finite[:, None], each[:, :2], np.nan) for each in by_frame)
+    ids = list(held.column("id")) if "id" in held else []
+    names = [each.hex() if isinstance(each, bytes) else str(each) for each in ids] or [""] * len(rows)
+    usable = np.isfinite(moved).all(axis=1) & np.isfinite(yaw)
+    if not in_the_way.all():
+        notes.append(f"{(~in_the_way).sum()} samples are of what can be driven over or under, and left out.")
+    if not usable.all():
+        notes.append(f"{(~usable).sum()} samples have no finite pose and are left out.")
     keep = np.flatnonzero(usable & in_the_way)
-    both = replace(out, vx=filled[0][:, 0], vy=filled[0][:, 1]).taken(keep)
-    other = filled[1][keep]
-    if np.isfinite(both.vx).any():
-        both = identified(both, t, said_of_ids)
-    chosen = _frame_of_twist(both, other, schema, t, said)
-    if chosen is None:
-        nan = np.full(len(both), np.nan)
-        return replace(both, vx=nan, vy=nan)
-    return both if chosen == "object" else replace(both, vx=other[:, 0], vy=other[:, 1])
+    out = Samples(
+        owner, names, kinds, moved[:, 0], moved[:, 1], yaw, in_object[:, 0], in_object[:, 1], length, width, turned,
+        _scores(held),
+    ).taken(keep)  # fmt: skip
+    if np.isfinite(out.vx).any():
+        out = identified(out, t, id_notes)
+    by = _frame_of_twist(out, in_frame[keep], schema, t, notes)
+    if by == "object":
+        return out
+    vx, vy = in_frame[keep].T if by == "frame" else np.full((2, len(out)), np.nan)
+    return replace(out, vx=vx, vy=vy)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fields:
+    """The wanted fields of all objects as columns; `names`: the first column of each group."""
+
+    columns: list[tuple[Any, ...]]
+    names: dict[str, int]
+
+    def __len__(self) -> int:
+        return len(self.columns[0])
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.names
+
+    def column(self, name: str, number: int = 0) -> tuple[Any, ...]:
+        return self.columns[self.names[name] + number]
+
+    def numbers(self, name: str, count: int) -> FloatArray:
+        """The columns of a group `(n, count)`."""
+        return np.array([self.column(name, k) for k in range(count)], dtype=np.float64).T
 
 
 def _turns(used: list[str], owner: IntArray, t: IntArray, frames: Frames, frame: str) -> Poses | None:
@@ -157,14 +170,12 @@ def _turns(used: list[str], owner: IntArray, t: IntArray, frames: Frames, frame:
     return Poses(t[owner], p[owner], q[owner])
 
 
-def _kinds(
-    columns: list[tuple[Any, ...]], names: dict[str, int], n: int, schema: ObjectSchema
-) -> tuple[list[AgentKind], BoolArray]:
+def _kinds(held: _Fields, schema: ObjectSchema) -> tuple[list[AgentKind], BoolArray]:
     """The kinds, and whether they are in the way."""
-    if "classes" in names:
-        best = [max(each, key=lambda c: c[1])[0] if each else "" for each in columns[names["classes"]]]
+    if "classes" in held:
+        best = [max(each, key=lambda c: c[1])[0] if each else "" for each in held.column("classes")]
     else:
-        best = list(columns[names["label"]])
+        best = list(held.column("label"))
     table = schemas.AUTOWARE_LABELS if schema.classes == "classification" else schemas.DERIVED_LABELS
     kinds = {
         label: schemas.kind_of_word(label) if isinstance(label, str) else table.get(label, AgentKind.OBJECT)
@@ -175,20 +186,17 @@ def _kinds(
 
 
 def _sizes(
-    columns: list[tuple[Any, ...]], names: dict[str, int], schema: ObjectSchema, world: Poses, turn: Poses | None,
-    kinds: list[AgentKind],
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:  # fmt: skip
+    held: _Fields, schema: ObjectSchema, world: Poses, turn: Poses | None, kinds: list[AgentKind]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:
     """Lengths, widths, centres `(m, 2)`, headings, and whether the box is a rectangle around an outline."""
     n = len(kinds)
-    size = np.full((n, 2), np.nan)
-    if "size" in names:
-        size = np.array(columns[names["size"] : names["size"] + 2], dtype=np.float64).T
-    if "solid" in names:
-        size = _solids(columns[names["solid"]], columns[names["solid"] + 1])
+    size = held.numbers("size", 2) if "size" in held else np.full((n, 2), np.nan)
+    if "solid" in held:
+        size = _solids(held.column("solid"), held.column("solid", 1))
     centre, yaw, turned = world.p[:, :2].copy(), heading(world.q), np.zeros(n, np.bool_)
-    if "outline" in names:
-        outlines = columns[names["outline"]]
-        shapes = columns[names["shape"]] if "shape" in names else [2 if k is AgentKind.OBJECT else 0 for k in kinds]
+    if "outline" in held:
+        outlines = held.column("outline")
+        shapes = held.column("shape") if "shape" in held else [2 if k is AgentKind.OBJECT else 0 for k in kinds]
         some = np.array([i for i in range(n) if shapes[i] == 2 and len(outlines[i]) > 2], np.int64)
         if len(some):
             centre[some], yaw[some], size[some] = _around([outlines[i] for i in some], some, schema, world, turn)
@@ -226,34 +234,22 @@ def _solids(types: tuple[Any, ...], dimensions: tuple[Any, ...]) -> FloatArray:
     return out
 
 
-def _scores(columns: list[tuple[Any, ...]], names: dict[str, int], n: int) -> FloatArray:
+def _scores(held: _Fields) -> FloatArray:
     """How sure the detector was `(n,)`; NaN where the type has no such field, or it holds 0 or no probability."""
-    found = np.full(n, np.nan)
-    if "existence" in names:
-        found = np.array(columns[names["existence"]], dtype=np.float64)
-    elif "classes" in names:
-        found = np.array([max((c[1] for c in each), default=np.nan) for each in columns[names["classes"]]], np.float64)
+    found = np.full(len(held), np.nan)
+    if "existence" in held:
+        found = np.array(held.column("existence"), dtype=np.float64)
+    elif "classes" in held:
+        found = np.array([max((c[1] for c in each), default=np.nan) for each in held.column("classes")], np.float64)
     return np.where((found > 0.0) & (found <= 1.0), found, np.nan)
 
 
-def _velocity(columns: list[tuple[Any, ...]], names: dict[str, int], n: int) -> FloatArray:
-    """The velocity as logged `(n, 3)`; NaN where there is none, or it is not trusted, or all of the log's are 0."""
-    if "twist" not in names:
-        return np.full((n, 3), np.nan)
-    velocity = np.array(columns[names["twist"] : names["twist"] + 3], dtype=np.float64).T
-    if "trusted" in names:
-        velocity[~np.array(columns[names["trusted"]], np.bool_)] = np.nan
-    if not np.nan_to_num(velocity).any():
-        velocity[:] = np.nan
-    return velocity
-
-
 def _frame_of_twist(
-    samples: Samples, in_frame: FloatArray, schema: ObjectSchema, t: IntArray, said: list[str]
+    samples: Samples, in_frame: FloatArray, schema: ObjectSchema, t: IntArray, notes: list[str]
 ) -> str | None:
-    """The frame of the velocities by (2): "object" (those of `samples`) or "frame" `(m, 2)`; None: they are none."""
+    """The frame of the velocities by (2): "object" (those of `samples`) or "frame" `(m, 2)`; None: unused."""
     if not np.isfinite(samples.vx).any():
-        said.append("The log has no velocities of objects.")
+        notes.append("The log has no velocities of objects.")
         return None
     codes = np.unique(np.array(samples.names, dtype=object).astype(str), return_inverse=True)[1]
     seconds = (t - t[0])[samples.message] / 1e9
@@ -272,13 +268,13 @@ def _frame_of_twist(
     best = min(fits, key=lambda name: (round(fits[name], 2), name != schema.twist_frame))
     words = {"object": "object's own frame", "frame": "message's frame"}
     if fits[best] > MISFIT:
-        said.append(
+        notes.append(
             f"The logged velocities of objects do not fit their displacement (median difference {fits[best]:.0%} of the"
             " speed) and are not used."
         )
         return None
     if schema.twist_frame == "log" or best != schema.twist_frame:
-        said.append(
+        notes.append(
             f"Velocities of objects are in the {words[best]}: they fit the displacement within {fits[best]:.0%}."
         )
     return best

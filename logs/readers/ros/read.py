@@ -26,12 +26,13 @@ from logs.mcap.complete import derived_acceleration, derived_curvature, road_alo
 from logs.observed import Spans, of_stream
 from logs.readers.base import LogSettings
 from logs.readers.cut import HISTORY_S
+from logs.readers.quaternions import unit_or_identity
 from logs.readers.recorded.boxes import car_of
 from logs.readers.repaired import REACH_S, reason_to_repair
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic, opened
 from logs.readers.ros.ego import POSITION, EgoLog, Part, at_poses, begin_of, read_ego, signal, states
-from logs.readers.ros.frames import HELD, Poses, composed, said, times_of, unit
+from logs.readers.ros.frames import HELD, Poses, composed, describe_timing, times_of
 from logs.readers.ros.objects import read_messages, samples_of
 from logs.readers.ros.schemas import STAMP
 from logs.readers.ros.tracks import identified, tracks_of, without_ego
@@ -54,7 +55,10 @@ def read_bag(path: Path, settings: LogSettings) -> Scenario:
     Raises:
         LogError: The bag is damaged or does not say where the ego is; the line says what it holds.
     """
-    _check_roles(settings)
+    for key, roles in ROLES.items():
+        wrong = sorted(set(getattr(settings, key)) - set(roles))
+        if wrong:
+            raise LogError(f"{key} has no {wrong[0]}", topic="[log]", remedy=f"its keys are {', '.join(roles)}")
     with np.errstate(all="ignore"), opened(path) as bag:
         try:
             return _scenario(path, bag, settings)
@@ -67,13 +71,6 @@ ROLES = {
     "frames": ("map", "base"),
 }
 """What the settings can name."""
-
-
-def _check_roles(settings: LogSettings) -> None:
-    for key, roles in ROLES.items():
-        wrong = sorted(set(getattr(settings, key)) - set(roles))
-        if wrong:
-            raise LogError(f"{key} has no {wrong[0]}", topic="[log]", remedy=f"its keys are {', '.join(roles)}")
 
 
 def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
@@ -202,13 +199,11 @@ def _tracks(
     if not len(messages.log):
         notes.append(f"{topic.name} has no messages in this part.")
         return Tracks.empty(), None, ()
-    notes += said(topic.name, messages.log, messages.stamps, part.bag.start_ns)
+    notes += describe_timing(topic.name, messages.log, messages.stamps, part.bag.start_ns)
     t, chosen = times_of(topic.name, messages.log, messages.stamps, ego.clock, notes)
-    said_of_tracks: list[str] = []
+    id_notes: list[str] = []
     try:
-        samples = samples_of(
-            messages, schemas.OBJECTS[topic.kind], chosen, t, ego.frames, ego.map, notes, said_of_tracks
-        )
+        samples = samples_of(messages, schemas.OBJECTS[topic.kind], chosen, t, ego.frames, ego.map, notes, id_notes)
     except LogError as error:
         remedy = "name the log's own frames under log.frames, or leave the objects out by log.topics.agents = '-'"
         raise LogError(error.what, topic=topic.name, remedy=remedy) from None
@@ -216,8 +211,8 @@ def _tracks(
     found = replace(samples, x=x, y=y).detections(since)
     if reason_to_repair(part.settings.repair, found):
         return Tracks.empty(), found, of_stream(since)
-    samples = identified(samples, t, said_of_tracks)
-    notes += said_of_tracks
+    samples = identified(samples, t, id_notes)
+    notes += id_notes
     tracks = tracks_of(replace(samples, x=x, y=y), since, notes)
     ahead = vehicle.axle_to_center
     x = driven.x + ahead * np.array([cos(yaw) for yaw in driven.yaw])
@@ -245,7 +240,7 @@ def lights(part: Part, ego: EgoLog, t0: int) -> tuple[TrafficLight, ...]:
     fields = (*schema.ids, *((lamp[1],) if schema.lamps else (schema.colour, schema.words)))
     log, stamps, rows = part.read(topic, ((schema.items, fields),), stamp)
     t, keep = times_of(topic.name, log, stamps, ego.clock, notes)
-    notes += said(topic.name, log, stamps, int(log[0])) if len(log) else []
+    notes += describe_timing(topic.name, log, stamps, int(log[0])) if len(log) else []
     items = [rows[k][2] for k in keep]
     place = next((i for i in range(len(schema.ids)) if any(each[i] for some in items for each in some)), 0)
     shown: dict[int, list[tuple[int, Colour]]] = {}
@@ -305,7 +300,7 @@ def goal(part: Part, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle: Ve
     k = known[-1] if known else good[0]
     row = rows[k]
     values = np.array([row[3:]], dtype=np.float64)
-    pose = Poses(log[k : k + 1], values[:, :3], unit(values[:, 3:]))
+    pose = Poses(log[k : k + 1], values[:, :3], unit_or_identity(values[:, 3:]))
     frame = row[2].lstrip("/")
     if frame not in (ego.map, ""):
         pose = composed(ego.frames.poses(ego.map, frame, ego.clock(log[k : k + 1]), HELD), pose)
@@ -353,7 +348,7 @@ def onboard(part: Part, ego: EgoLog, t0: int, origin: FloatArray) -> tuple[Onboa
         planned = _plan(rows[k], time, t0, ego, origin)
         if planned is not None:
             plans[when] = OnboardPlan((when - t0) / 1e9, planned)
-    notes += said(topic.name, log, stamps, int(log[0])) if len(log) else []
+    notes += describe_timing(topic.name, log, stamps, int(log[0])) if len(log) else []
     if rows:
         several = f" (of {len(topics)} such topics)" if len(topics) > 1 else ""
         timed = "by their speeds" if not any(p[0] or p[1] for p in rows[0][3]) else "by their own times"
@@ -368,7 +363,7 @@ def _plan(row: tuple[object, ...], time: int, t0: int, ego: EgoLog, origin: Floa
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
         return None
-    pose = Poses(np.full(len(values), time), values[:, 2:5], unit(values[:, 5:9]))
+    pose = Poses(np.full(len(values), time), values[:, 2:5], unit_or_identity(values[:, 5:9]))
     frame = str(row[2]).lstrip("/")
     if frame not in (ego.map, ""):
         pose = composed(ego.frames.poses(ego.map, frame, pose.t, HELD), pose)

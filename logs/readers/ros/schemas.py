@@ -30,7 +30,7 @@ WORDS = (
     ("truck", TRUCK), ("lorry", TRUCK), ("trailer", TRUCK), ("construction_vehicle", TRUCK), ("bus", BUS),
     ("tram", BUS), ("train", BUS), ("car", CAR), ("van", CAR), ("taxi", CAR), ("vehicle", CAR),
 )  # fmt: skip
-"""A label is the first kind whose word it contains; "cart" and the like are said, all others are objects."""
+"""A label has the kind of the first word that it contains; labels with none of the words are objects."""
 NO_CARS = ("cart", "cardboard", "carton")
 
 

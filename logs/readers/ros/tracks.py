@@ -33,7 +33,7 @@ NOISE_M = {
 }  # fmt: skip
 NOISE_OTHERS_M, NOISES = 0.1, 2.0
 """Noise of box centres (root mean square in the 13 drives of Tartu); a derived velocity counts from so many times the
-standard deviation that follows on: who was seen twice 0.1 s apart is not yet known to move."""
+standard deviation that follows on: an object that was seen twice 0.1 s apart is not yet known to move."""
 MOVES_MPS = 1.0
 """Only objects that are faster tell their front and the frame of their velocities."""
 EGO_WITHIN_M, EGO_LEAST_S = 1.0, 1.0
@@ -78,7 +78,7 @@ class Samples:
         return Detections(t[self.message], t, tuple(self.ids), codes_of(tuple(self.kinds)), *columns)
 
 
-def identified(samples: Samples, t: IntArray, said: list[str]) -> Samples:
+def identified(samples: Samples, t: IntArray, notes: list[str]) -> Samples:
     """The samples with names that are identities, each once a frame; t `(k,)` ns are the times of the messages."""
     if samples.names is not None:
         return samples
@@ -89,7 +89,7 @@ def identified(samples: Samples, t: IntArray, said: list[str]) -> Samples:
     names = joined(samples.message, seconds, samples.x, samples.y, samples.kinds, sizes)
     why = "are no identities (they jump)" if with_ids else "are not there"
     count = int(names.max(initial=0))
-    said.append(f"Ids of objects {why}: objects are joined from frame to frame by position, to {count} tracks.")
+    notes.append(f"Ids of objects {why}: objects are joined from frame to frame by position, to {count} tracks.")
     return replace(samples, names=[str(name) for name in names])
 
 
@@ -99,7 +99,7 @@ def firsts(codes: IntArray) -> IntArray:
     return np.repeat(starts, np.diff(np.append(starts, len(codes))))
 
 
-def tracks_of(samples: Samples, t: FloatArray, said: list[str]) -> Tracks:
+def tracks_of(samples: Samples, t: FloatArray, notes: list[str]) -> Tracks:
     """The samples as tracks; t `(k,)` s are the times of their messages."""
     if not len(samples):
         return Tracks.empty()
@@ -110,7 +110,7 @@ def tracks_of(samples: Samples, t: FloatArray, said: list[str]) -> Tracks:
     order = np.lexsort((samples.message, codes))
     twice = np.r_[False, (np.diff(codes[order]) == 0) & (np.diff(samples.message[order]) == 0)]
     if twice.any():
-        said.append(f"{int(twice.sum())} samples repeat an id within a frame: the first counts.")
+        notes.append(f"{int(twice.sum())} samples repeat an id within a frame: the first counts.")
     order = order[~twice]
     some, codes = samples.taken(order), codes[order]
     first = firsts(codes)
@@ -119,9 +119,9 @@ def tracks_of(samples: Samples, t: FloatArray, said: list[str]) -> Tracks:
     parts = [slice(*ends) for ends in pairwise(offsets)]
     kinds = tuple(Counter(some.kinds[part]).most_common(1)[0][0] for part in parts)
     yaw, length, width = _aligned(some, parts)
-    yaw = _one_front(yaw, some, seconds, parts, kinds, said)
-    sizes = _median_sizes(length, width, kinds, parts, said)
-    vx, vy = _filled(some, seconds, first, kinds, np.diff(offsets), said)
+    yaw = _one_front(yaw, some, seconds, parts, kinds, notes)
+    sizes = _median_sizes(length, width, kinds, parts, notes)
+    vx, vy = _filled(some, seconds, first, kinds, np.diff(offsets), notes)
     return Tracks(
         tuple(names[order[offsets[:-1]]].tolist()), kinds, *sizes, np.zeros(len(parts), np.bool_), offsets, seconds,
         some.x, some.y, yaw, vx, vy,
@@ -142,7 +142,7 @@ def _aligned(samples: Samples, parts: list[slice]) -> tuple[FloatArray, FloatArr
 
 
 def _one_front(
-    yaw: FloatArray, samples: Samples, t: FloatArray, parts: list[slice], kinds: tuple[AgentKind, ...], said: list[str]
+    yaw: FloatArray, samples: Samples, t: FloatArray, parts: list[slice], kinds: tuple[AgentKind, ...], notes: list[str]
 ) -> FloatArray:
     """Headings of boxes whose front and back change places, so that none turns round from one sample to the next.
 
@@ -165,12 +165,12 @@ def _one_front(
         out[part] = own + (np.pi if backward else 0.0)
         turned += int(min((half % 2).sum(), len(half) - (half % 2).sum()))
     if turned:
-        said.append(f"{turned} samples of objects have front and back exchanged and are turned round.")
+        notes.append(f"{turned} samples of objects have front and back exchanged and are turned round.")
     return out
 
 
 def _median_sizes(
-    length: FloatArray, width: FloatArray, kinds: tuple[AgentKind, ...], parts: list[slice], said: list[str]
+    length: FloatArray, width: FloatArray, kinds: tuple[AgentKind, ...], parts: list[slice], notes: list[str]
 ) -> tuple[FloatArray, FloatArray]:
     out, assumed, varied = np.empty((2, len(parts))), 0, 0
     for k, part in enumerate(parts):
@@ -180,14 +180,14 @@ def _median_sizes(
             assumed += not len(values)
             varied += bool(len(values) and np.ptp(values) > 0.01)
     if assumed:
-        said.append("Some objects have no size: that of their kind is assumed.")
+        notes.append("Some objects have no size: that of their kind is assumed.")
     if varied:
-        said.append("An agent's box is the median of its sizes, its kind the one that it had most often.")
+        notes.append("An agent's box is the median of its sizes, its kind the one that it had most often.")
     return out[0], out[1]
 
 
 def _filled(
-    samples: Samples, t: FloatArray, first: IntArray, kinds: tuple[AgentKind, ...], counts: IntArray, said: list[str]
+    samples: Samples, t: FloatArray, first: IntArray, kinds: tuple[AgentKind, ...], counts: IntArray, notes: list[str]
 ) -> tuple[FloatArray, FloatArray]:
     """The logged velocities, and where there are none the motion over a backward window; a first sample has none."""
     missing = ~(np.isfinite(samples.vx) & np.isfinite(samples.vy))
@@ -199,7 +199,7 @@ def _filled(
     noise = np.repeat([NOISE_M.get(kind, NOISE_OTHERS_M) for kind in kinds], counts)
     explained = NOISES * noise >= np.hypot(*found) * spread(t, first, np.repeat(windows, counts))
     found = np.where(explained, 0.0, found)
-    said.append(
+    notes.append(
         f"Velocities of objects ({missing.mean():.0%} of the samples) are derived from their positions in the last"
         f" {AGENT_WINDOW_S} s, of what is no road user in the last {OBJECT_WINDOW_S:g} s; what the noise of positions"
         " explains is a stand."
@@ -207,7 +207,7 @@ def _filled(
     return np.where(missing, found[0], samples.vx), np.where(missing, found[1], samples.vy)
 
 
-def without_ego(tracks: Tracks, t: FloatArray, x: FloatArray, y: FloatArray, said: list[str]) -> Tracks:
+def without_ego(tracks: Tracks, t: FloatArray, x: FloatArray, y: FloatArray, notes: list[str]) -> Tracks:
     """The tracks but for one that is the ego's own box; x, y `(n,)` are the ego's box centre at t, s."""
     if not len(tracks) or np.hypot(x - x[0], y - y[0]).max() < 10.0 * EGO_WITHIN_M:
         return tracks
@@ -222,7 +222,7 @@ def without_ego(tracks: Tracks, t: FloatArray, x: FloatArray, y: FloatArray, sai
         travelled = np.ptp(np.interp(own[inside], t, x)) + np.ptp(np.interp(own[inside], t, y))
         if away.max() < EGO_WITHIN_M and travelled > 5.0 * EGO_WITHIN_M:
             keep[part] = False
-            said.append(f"Object {tracks.ids[i]} is the ego itself and is left out.")
+            notes.append(f"Object {tracks.ids[i]} is the ego itself and is left out.")
     return tracks if keep.all() else tracks.taken(keep)
 
 
@@ -245,12 +245,20 @@ _FAR = 1e6
 
 @dataclass
 class _Known:
-    """Objects so far: name, kind, and their last samples."""
+    """An object so far: its name and kind, the size with which it began, and its last samples (t, x, y)."""
 
-    name: list[int] = field(default_factory=list)
-    kind: list[AgentKind] = field(default_factory=list)
-    past: list[list[tuple[float, float, float]]] = field(default_factory=list)
-    size: list[FloatArray] = field(default_factory=list)
+    name: int
+    kind: AgentKind
+    size: FloatArray
+    past: list[tuple[float, float, float]] = field(default_factory=list)
+
+    def expected(self, now: float) -> tuple[float, float]:
+        """Where it should be: its last place, carried on with the velocity over its last samples."""
+        (t0, x0, y0), (t1, x1, y1) = self.past[0], self.past[-1]
+        if t1 <= t0:
+            return x1, y1
+        ahead = (now - t1) / (t1 - t0)
+        return x1 + ahead * (x1 - x0), y1 + ahead * (y1 - y0)
 
 
 def joined(
@@ -261,73 +269,45 @@ def joined(
     `sizes` `(m, 2)`: length and width of outlines, NaN of what has a box.
     """
     names = np.empty(len(frame), np.int64)
-    known, count = _Known(), 0
+    known: list[_Known] = []
+    count = 0
     for part in np.split(np.arange(len(frame)), np.flatnonzero(np.diff(frame)) + 1):
         if not len(part):
             continue
         now = float(t[part[0]])
-        known = _kept(known, now)
+        known = [each for each in known if now - each.past[-1][0] <= LOST_S]
         found = _assigned(known, now, x[part], y[part], [kinds[i] for i in part], sizes[part])
         for i, k in zip(part, found, strict=True):
             if k < 0:
-                k, count = len(known.name), count + 1
-                known.name.append(count)
-                known.kind.append(kinds[i])
-                known.past.append([])
-                known.size.append(sizes[i])
-            names[i] = known.name[k]
-            known.kind[k] = kinds[i]
-            known.past[k] = [*known.past[k][1 - MEMORY :], (now, float(x[i]), float(y[i]))]
+                k, count = len(known), count + 1
+                known.append(_Known(count, kinds[i], sizes[i]))
+            each = known[k]
+            names[i], each.kind = each.name, kinds[i]
+            each.past = [*each.past[1 - MEMORY :], (now, float(x[i]), float(y[i]))]
     return names
 
 
-def _kept(known: _Known, now: float) -> _Known:
-    stay = [k for k, past in enumerate(known.past) if now - past[-1][0] <= LOST_S]
-    return _Known(
-        [known.name[k] for k in stay],
-        [known.kind[k] for k in stay],
-        [known.past[k] for k in stay],
-        [known.size[k] for k in stay],
-    )
-
-
 def _assigned(
-    known: _Known, now: float, x: FloatArray, y: FloatArray, kinds: list[AgentKind], sizes: FloatArray
+    known: list[_Known], now: float, x: FloatArray, y: FloatArray, kinds: list[AgentKind], sizes: FloatArray
 ) -> list[int]:
     """Which known object each of a frame's is; -1: none."""
     out = [-1] * len(x)
-    if not known.name:
+    if not known:
         return out
-    where = np.array([_expected(past, now) for past in known.past])
-    reach = np.array(
-        [
-            REACH_M.get(kind, REACH_OTHERS_M)
-            + (0.0 if len(past) > 1 else UNKNOWN_MPS.get(kind, UNKNOWN_OTHERS_MPS) * (now - past[-1][0]))
-            for kind, past in zip(known.kind, known.past, strict=True)
-        ]
-    )
+    where, reach = np.array([each.expected(now) for each in known]), np.empty(len(known))
+    for k, each in enumerate(known):
+        reach[k] = REACH_M.get(each.kind, REACH_OTHERS_M)
+        if len(each.past) == 1:
+            reach[k] += UNKNOWN_MPS.get(each.kind, UNKNOWN_OTHERS_MPS) * (now - each.past[-1][0])
     away = np.hypot(where[:, 0, None] - x, where[:, 1, None] - y)
     near = np.nonzero(away <= reach[:, None])
-    other = codes_of(tuple(known.kind))[near[0]] != codes_of(tuple(kinds))[near[1]]
-    alike = _alike(np.sort(np.array(known.size))[near[0]], np.sort(sizes)[near[1]])
+    other = codes_of(tuple(each.kind for each in known))[near[0]] != codes_of(tuple(kinds))[near[1]]
+    a, b = np.sort(np.array([each.size for each in known]))[near[0]], np.sort(sizes)[near[1]]
+    apart = np.abs(a - b)  # NaN, a size that is not known, may be that of any object
+    alike = ~((apart > OTHER_SIZE_M) & (apart > OTHER_SIZE * np.maximum(a, b))).any(axis=-1)
     cost = np.full(away.shape, _FAR)
     cost[near] = np.where(alike, away[near] + OTHER_KIND_M * other, _FAR)
-    for k, i in zip(*linear_sum_assignment(cost), strict=True):
-        if cost[k, i] < _FAR:
-            out[i] = int(k)
+    for row, column in zip(*linear_sum_assignment(cost), strict=True):
+        if cost[row, column] < _FAR:
+            out[column] = int(row)
     return out
-
-
-def _alike(a: FloatArray, b: FloatArray) -> BoolArray:
-    """Whether sizes `(..., 2)` may be those of one object; unknown ones may."""
-    apart = np.abs(a - b)
-    return np.asarray(~((apart > OTHER_SIZE_M) & (apart > OTHER_SIZE * np.maximum(a, b))).any(axis=-1), np.bool_)
-
-
-def _expected(past: list[tuple[float, float, float]], now: float) -> tuple[float, float]:
-    """Where an object should be: its last place, carried on with the velocity over its last samples."""
-    (t0, x0, y0), (t1, x1, y1) = past[0], past[-1]
-    if t1 <= t0:
-        return x1, y1
-    ahead = (now - t1) / (t1 - t0)
-    return x1 + ahead * (x1 - x0), y1 + ahead * (y1 - y0)

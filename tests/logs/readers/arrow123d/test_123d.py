@@ -22,8 +22,8 @@ from logs.readers import read_log, reader_of
 from logs.readers.arrow123d import READER
 from logs.readers.arrow123d.log import BOXES, read_ego, read_frames
 from logs.readers.arrow123d.map import LANE, read_objects, road_of_map
-from logs.readers.quaternions import heading, product, rotated
-from logs.readers.recorded.boxes import fitted, kept, unit
+from logs.readers.quaternions import heading, product, rotated, unit_of_wxyz
+from logs.readers.recorded.boxes import fitted, kept
 from logs.readers.recorded.strips import crossable
 from logs.readers.recorded.tables import Lists, array_of, ipc_table, metadata_of, vectors
 from replay.run.sources import select
@@ -51,7 +51,7 @@ def test_turning_twice_is_turning_by_the_product(numbers: list[float], place: li
     q, r = np.array([numbers[:4]]), np.array([numbers[4:]])
     if min(np.abs(q).max(), np.abs(r).max()) < 1e-2:
         return
-    q, r = (unit(each / np.sqrt((each * each).sum())) for each in (q, r))
+    q, r = (unit_of_wxyz(each / np.sqrt((each * each).sum())) for each in (q, r))
     b = np.array([place])
     assert rotated(q, rotated(r, b)) == pytest.approx(rotated(product(q, r), b), abs=1e-9)
     ahead = rotated(q, np.array([[1.0, 0.0, 0.0]]))[0]

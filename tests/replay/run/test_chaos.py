@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,7 +18,9 @@ from short_logs import identical, short
 
 from logs.mcap import write_scenario
 
-SEED, ROUNDS = 5, 14
+SEED = 5
+BLOWS = ("worker", "run", "interrupt", "disk", "worker", "run", "interrupt")
+BEFORE_OR_AFTER = (-signal.SIGINT, -signal.SIGTERM)  # Python itself ends: the run has not begun, or has ended
 COMMAND = (sys.executable, "-m", "replan", "evaluate", "logs", "-p", "constant_speed", "-p", "idm", "--workers", "2")
 TABLES = ("metrics.parquet", "metrics.csv", "verdicts.parquet", "groups.parquet", "health.parquet", "junit.xml")
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform != "linux", reason="children are read from /proc")]
@@ -27,10 +28,10 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform != "linux", reas
 
 @pytest.fixture
 def here(tmp_path: Path) -> Path:
-    """Ten logs, and three that are damaged: cut, of nothing but noise, and with a hole."""
+    """Six logs, and three that are damaged: cut, of nothing but noise, and with a hole."""
     folder = tmp_path / "logs"
     folder.mkdir()
-    for i in range(10):
+    for i in range(6):
         write_scenario(folder / f"{i}.mcap", short(f"test/{i}", v=8.0 + i, parked=i % 2 == 0))
     whole, rng = (folder / "3.mcap").read_bytes(), random.Random(SEED)
     (folder / "cut.mcap").write_bytes(whole[: len(whole) // 2])
@@ -59,7 +60,7 @@ def workers_of(pid: int) -> list[int]:
 def disturbed(here: Path, what: str, rng: random.Random) -> tuple[int, str]:
     """One attempt to end the run, and how it ended: exit code and errors."""
     run = started(here, "--out", "out", "--resume", room=rng.randrange(500, 40_000) if what == "disk" else -1)
-    ends = time.monotonic() + rng.uniform(0.5, 12.0)
+    ends = time.monotonic() + rng.uniform(0.5, 8.0)
     while what in ("worker", "run", "interrupt") and run.poll() is None and time.monotonic() < ends:
         time.sleep(0.02)
     if run.poll() is None:
@@ -78,15 +79,12 @@ def test_whatever_is_killed_or_full_the_tables_are_those_of_an_undisturbed_run(h
     calm = started(here, "--out", "calm")
     _, errors = calm.communicate(timeout=300)
     assert calm.returncode == 3 and errors.count("\nerror:") == 3, errors  # the three damaged logs
-    rng, codes = random.Random(SEED), Counter[tuple[str, int]]()
-    for _ in range(ROUNDS):
-        what = rng.choice(("worker", "run", "interrupt", "disk"))
+    rng = random.Random(SEED)
+    for what in BLOWS:
         code, errors = disturbed(here, what, rng)
-        codes[what, code] += 1
         assert "Traceback" not in errors, errors
-        assert code in {"run": (-9, 3), "interrupt": (130, 3)}.get(what, (3,)), (what, code, errors)
+        assert code in {"run": (-9, 3), "interrupt": (130, 3, *BEFORE_OR_AFTER)}.get(what, (3,)), (what, code, errors)
         assert not list((here / "out").glob("*/.partial-*")), what
-    assert len({what for what, _ in codes}) == 4, codes
     last = started(here, "--out", "out", "--resume")
     _, errors = last.communicate(timeout=300)
     assert last.returncode == 3, errors

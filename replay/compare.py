@@ -32,6 +32,7 @@ from replay.explain.first_difference import first_difference
 from replay.results.load import RECORDINGS, Results, loaded
 from replay.results.schema import SCHEMA_VERSION
 from replay.results.tables import LOG_CARD, write_file
+from replay.settings import flat
 
 MOST_PARTINGS = 20
 """In more drives it is not looked for where they part: the worst first."""
@@ -100,15 +101,8 @@ def _facts(results: Results) -> dict[str, str]:
     if card is not None:
         facts["code (SHA-256)"] = str(json.loads(card.read_text(encoding="utf-8")).get("code", ""))[:12]
     run = read_toml(results.path / "run.toml")
-    return facts | dict(_flat({key: value for key, value in run.items() if key not in NOT_INPUTS}))
-
-
-def _flat(table: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, str]]:
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{where}{key}.")
-        else:
-            yield f"{where}{key}", str(value)
+    inputs = {key: value for key, value in run.items() if key not in NOT_INPUTS}
+    return facts | {key: str(value) for key, value in flat(inputs)}
 
 
 # the file ---------------------------------------------------------------------------------------------------------

@@ -184,6 +184,15 @@ def merged(table: Table, changes: Table) -> dict[str, Any]:
     return result
 
 
+def flat(table: Table, where: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted keys and values of a table, sub-tables included."""
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{where}{key}.")
+        else:
+            yield f"{where}{key}", value
+
+
 def set_table(words: Iterable[str]) -> dict[str, Any]:
     """The table that words "KEY=VALUE" spell: the key dotted as in TOML, the value as TOML has it, or else plain text.
 

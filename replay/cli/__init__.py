@@ -3,6 +3,7 @@
 Commands by subject:
 
 evaluate.py    drive: evaluate, vary, paper, calibrate
+diagnose.py    why drives fail: diagnose
 search.py      search: falsify, tune
 shards.py      put the shards of a run together: merge
 report.py      write the reports of results: report
@@ -22,7 +23,7 @@ ending.py      the end of a run: reports, exit code
 app.py         what the commands share
 """
 
-from replay.cli import evaluate, search, shards, report, logs, results, compare  # isort: skip  # the order of the help
+from replay.cli import evaluate, diagnose, search, shards, report, logs, results, compare  # isort: skip  # the order of the help
 from replay.cli import plot, explain, frame, mine, about, warmup  # isort: skip
 from replay.cli.app import app, bug
 
@@ -30,6 +31,7 @@ __all__ = [
     "about",
     "app",
     "compare",
+    "diagnose",
     "evaluate",
     "explain",
     "frame",

@@ -17,6 +17,7 @@ def report(
     baseline: Annotated[
         Path | None, typer.Option(help="Compare with this: a folder of results, or a file of `replan baseline`.")
     ] = None,
+    diagnosis: Annotated[Path | None, typer.Option(help="Folder that `replan diagnose` wrote of this run.")] = None,
     gates: Annotated[
         Path | None, typer.Option(help="TOML file with the \\[\\[compare]] rules. Default: the packaged ones.")
     ] = None,
@@ -39,6 +40,7 @@ def report(
     with handle_errors():
         from logs.remote import url_of
         from replay.compare import compare_runs, read_run
+        from replay.diagnose.diagnose import read_diagnosis
         from replay.draw.report.overview import overview
         from replay.draw.report.write import write_reports
         from replay.results.load import load
@@ -49,7 +51,8 @@ def report(
         found = load(results)
         comparison = None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
         folder = out or found.path
-        written = write_reports(found, overview(found, comparison), folder)
+        why = None if diagnosis is None else read_diagnosis(diagnosis)
+        written = write_reports(found, overview(found, comparison, why), folder)
         for name in REPORTS:
             say(folder / name)
         for line in written.broken:

@@ -119,11 +119,11 @@ def falsify(
         axes = search_axes(axis or [], scale or [], subject.family, with_agents=len(subject.scenario.tracks) > 0)
         agents = agents_of(subject, axes, agent or [])
         question = Question(subject.of(agents), axes, run, against, budget, seed, resolution)
-        with _kept(out, resume=resume) as folder:
+        with kept(out, resume=resume) as folder:
             folder = next_free() if folder is None else folder
             count = cores() if workers is None else workers
-            _say(f"varied: {', '.join(axis.name for axis in axes)}{_of(subject.of(agents).short_agents)}", quiet=quiet)
-            result = falsified(question, folder, workers=count, resume=resume, say=lambda line: _say(line, quiet=quiet))
+            tell(f"varied: {', '.join(axis.name for axis in axes)}{_of(subject.of(agents).short_agents)}", quiet=quiet)
+            result = falsified(question, folder, workers=count, resume=resume, say=lambda line: tell(line, quiet=quiet))
         if as_json:
             say_json({"results": result.out, "exit_code": result.exit_code, "distance": result.found.distance,
                       "case": result.case, "said": result.lines()})  # fmt: skip
@@ -136,13 +136,14 @@ def _of(agents: tuple[str, ...]) -> str:
     return f" of {', '.join(agents)}" if agents else ""
 
 
-def _say(line: str, *, quiet: bool) -> None:
+def tell(line: str, *, quiet: bool) -> None:
+    """Print a line of progress to stderr."""
     if not quiet:
         say(line, err=True)
 
 
 @contextmanager
-def _kept(out: Path | None, *, resume: bool) -> Iterator[Path | None]:
+def kept(out: Path | None, *, resume: bool) -> Iterator[Path | None]:
     """The folder; Ctrl-C and SIGTERM say how to continue."""
     if resume and out is None:
         raise ConfigError("name the folder of the search to be resumed with --out")
@@ -226,10 +227,10 @@ def tune(
         plan = Plan(run, load_space(space, run), asked, trials, seed, held_out)
         selection = selected(logs or [], run, None, suite)
         driven_on = engine_of(engine, address, workers)
-        with _kept(out, resume=resume) as folder:
+        with kept(out, resume=resume) as folder:
             folder = next_free() if folder is None else folder
             result = tuned(plan, selection, folder, engine=driven_on, resume=resume,
-                           say=lambda line: _say(line, quiet=quiet))  # fmt: skip
+                           say=lambda line: tell(line, quiet=quiet))  # fmt: skip
         if as_json:
             say_json({"results": result.out, "exit_code": result.exit_code, "chosen": result.chosen,
                       "said": result.lines()})  # fmt: skip

@@ -7,11 +7,10 @@ metadata ("cut.of", "cut.from_s", "cut.to_s", and the kinds of its events in "cu
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -22,11 +21,10 @@ from logs.readers.cut import in_nanoseconds
 from logs.road import Goal
 from logs.scenario import Scenario
 from metrics.boxes import ego_boxes
-from replay.config import RunConfig, load_run
+from replay.config import load_run
 from replay.mine.query import query, views
 from replay.results.tables import safe_name
-from replay.run.origin import log_of
-from replay.run.sources import LogSource
+from replay.run.origin import scenario_of
 
 TIMES = (("t_from_s", "t_to_s"), ("time_s", "time_s"), ("t_s", "t_s"))
 LEAST_S = 0.5
@@ -94,7 +92,7 @@ def cut_logs(folder: Path, found: Sequence[Moment], out: Path) -> Iterator[Path]
         LogError: A log cannot be read.
         OutputError: A file cannot be written.
     """
-    run = load_run(folder / "run.toml")
+    settings = load_run(folder / "run.toml").log
     logs = views(folder)["logs"]().set_index("log")
     names = [f"{safe_name(one.log)}_{max(one.begin, 0.0):.1f}s.mcap" for one in found]
     taken = [name for name in names if (out / name).exists()]
@@ -105,7 +103,7 @@ def cut_logs(folder: Path, found: Sequence[Moment], out: Path) -> Iterator[Path]
     scenario: Scenario | None = None
     for last, one, name in zip([None, *found], found, names, strict=False):
         if scenario is None or last is None or last.log != one.log:
-            scenario = _read(folder, dict(logs.loc[one.log]), run)
+            scenario = scenario_of(folder, logs.loc[one.log].to_dict(), settings)
         part = _part(scenario, one)
         write_scenario(out / name, part)
         yield out / name
@@ -133,13 +131,3 @@ def _reaches(part: Scenario, goal: Goal) -> bool:
     """Whether the recorded ego is in the goal at some step."""
     x, y = ego_boxes(part.ego, part)[:2]
     return any(map(goal.reached, part.ego.t, x, y, part.ego.yaw, part.ego.v))
-
-
-def _read(folder: Path, row: Mapping[Any, Any], run: RunConfig) -> Scenario:
-    """A log of the results, from where it was read."""
-    own = folder / str(row.get("folder", "")) / "log.mcap"
-    if str(row.get("folder", "")) and own.is_file():
-        return LogSource(str(own), own).read()
-    if not str(row["sha256"]):
-        return LogSource(str(row["source"])).read()
-    return log_of(folder, str(row["source"]), str(row["sha256"]), run.log)

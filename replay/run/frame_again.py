@@ -9,7 +9,6 @@ from typing import Any
 
 from logs.errors import ConfigError, PlannerError, ReplanError, of_users, raised
 from logs.frame import Frame
-from logs.mcap import read_scenario
 from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Plan, PlannedFrame, SolverReport
@@ -27,7 +26,7 @@ from replay.planner_process.stopwatch import Stopwatch
 from replay.results.load import DriveResult
 from replay.run.frame_dump import FrameDump
 from replay.run.one_log import LOOPS
-from replay.run.origin import log_of
+from replay.run.origin import scenario_of
 
 SAME_TIME_S = 1e-6
 
@@ -155,12 +154,8 @@ def _scenario(drive: DriveResult, run: RunConfig) -> Scenario:
     Raises:
         ConfigError: It is not there any more, or another.
     """
-    row = drive.result.logs.set_index("log").loc[drive.log]
-    path = drive.result.path / str(row["folder"]) / "log.mcap"
-    if path.is_file():
-        scenario = read_scenario(path)
-    else:
-        scenario = log_of(drive.result.path, str(row["source"]), str(row["sha256"]), run.log)
+    row = drive.result.logs.set_index("log").loc[drive.log].to_dict()
+    scenario = scenario_of(drive.result.path, row, run.log)
     return scenario.in_vehicle(run.driven(scenario.vehicle))
 
 

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from logs.errors import ConfigError
+from logs.mcap import read_scenario
 from logs.readers import LogSettings
 from logs.remote import local_path, url_of
 from logs.scenario import Scenario
@@ -34,6 +36,21 @@ def begun_in(out: Path, sources: Iterable[str]) -> Path:
     logs = [local_path(source) for source in sources if not url_of(source)]
     seen = (place for place in _directories(out) if any((place / log).exists() for log in logs))
     return Path(os.path.normpath(next(seen, Path.cwd())))
+
+
+def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Scenario:
+    """The log of a row of `Results.logs`: the copy in the results where there is one, else from where it was read.
+
+    Raises:
+        ConfigError: It is not where it was, or another.
+        LogError: It cannot be read.
+    """
+    folder = str(row.get("folder", ""))
+    if folder and (out / folder / "log.mcap").is_file():
+        return read_scenario(out / folder / "log.mcap")
+    if not str(row["sha256"]):
+        return LogSource(str(row["source"])).read()
+    return log_of(out, str(row["source"]), str(row["sha256"]), settings)
 
 
 def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenario:

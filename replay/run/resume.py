@@ -31,6 +31,7 @@ from replay.results.tables import FILES, LOG_CARD, PARTIAL, check_ours, clear_pa
 from replay.results.version import replan_version
 from replay.run.checks import KINDS
 from replay.run.sources import LogSource
+from replay.settings import flat
 
 START_OVER = "leave out --resume to start over"
 
@@ -120,18 +121,10 @@ def _check_run(out: Path, run: RunConfig) -> None:
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any], besides: str = "") -> str:
     """In which keys but `besides` two configurations differ, in words; "": in none."""
-    was, now = dict(_flat(before)), dict(_flat(now))
+    was, now = dict(flat(before)), dict(flat(now))
     changed = [key for key in dict.fromkeys([*was, *now]) if was.get(key) != now.get(key) and key != besides]
     said = ", ".join(f"{key} was {_said(was, key)}, is {_said(now, key)}" for key in changed[:3])
     return f"{said} and {len(changed) - 3} more" if len(changed) > 3 else said
-
-
-def _flat(table: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{where}{key}.")
-        else:
-            yield f"{where}{key}", value
 
 
 def _said(table: Mapping[str, Any], key: str) -> str:

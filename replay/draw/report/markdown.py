@@ -72,6 +72,8 @@ def _parts(over: Overview, links: Iterable[str] | None) -> Iterator[str]:
         yield ", ".join(f"[{_text(link)}]({quote(link)})" for link in links)
     yield _list(f"Could not be evaluated ({len(over.failures)})", over.failures)
     yield from _gates(over)
+    if over.diagnosis is not None:
+        yield _list(f"Why {over.diagnosis['planner']} fails", [line.strip() for line in over.diagnosis["said"]])
     if over.comparison is not None:
         yield from _comparison(over.comparison)
     yield from _shares(over)

@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
+from typing import Any
 
 from metrics.compare import Comparison
 from metrics.judge.aggregate import BOTH, SUITE
@@ -300,6 +301,7 @@ class Overview:
         failures: Logs and planners that could not be evaluated.
         worst: The drive to look at first.
         comparison: The comparison with a baseline, if there is one.
+        diagnosis: Why drives fail, where `replan diagnose` was run: what its diagnosis.json holds.
         broken: Charts that could not be drawn, a sentence each; known after the page is written.
     """
 
@@ -325,6 +327,7 @@ class Overview:
     failures: tuple[str, ...]
     worst: DriveRow | None
     comparison: Comparison | None
+    diagnosis: Mapping[str, Any] | None = None
     broken: tuple[str, ...] = ()
 
     @property

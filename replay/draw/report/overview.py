@@ -55,12 +55,15 @@ Key = tuple[str, str]
 """Log and planner."""
 
 
-def overview(results: Results, comparison: Comparison | None = None) -> Overview:
+def overview(
+    results: Results, comparison: Comparison | None = None, diagnosis: Mapping[str, Any] | None = None
+) -> Overview:
     """The overview of a finished run.
 
     Args:
         results: Of `replay.results.load.load`.
         comparison: With a baseline: outcome and exit code are then the worst of both.
+        diagnosis: Of the run, as its diagnosis.json has it.
     """
     code = combined((results.exit_code, comparison.exit_code if comparison else 0))
     found = results.metrics[results.metrics["available"].astype(bool)]
@@ -106,6 +109,7 @@ def overview(results: Results, comparison: Comparison | None = None) -> Overview
         ),
         worst=_worst(gates, drives),
         comparison=comparison,
+        diagnosis=diagnosis,
     )
 
 

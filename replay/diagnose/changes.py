@@ -1,0 +1,144 @@
+"""The changes with which failing drives are driven again: rows of TOML tables, ours in `changes.toml`.
+
+[[change]]
+name = "no_delay"                           # of its folder
+words = "without delay"                     # completes "passes ..."
+cause = "latency"                           # what it points to
+rank = "ideal"                              # one of RANKS
+default = ["loop.plan_delay_s"]             # keys that are set to their defaults
+set.loop = { traffic = "time" }             # keys that are set
+planner = "dp_qp"                           # only for this planner; left out: for all
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from logs.errors import ConfigError, PlannerError
+from logs.files import read_toml
+from logs.readers import LogSettings
+from replay.config import RunConfig, dump_run
+from replay.results.tables import safe_name
+from replay.run.checks import checked
+from replay.settings import flat, merged, strict
+
+BUILT_IN = Path(__file__).with_name("changes.toml")
+RANKS = ("default", "ideal", "limits", "planner")
+"""In this order a cause is looked for: what was set otherwise before what could be better."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A row of the table; the keys are those of the file."""
+
+    name: str
+    words: str
+    cause: str
+    rank: str
+    default: tuple[str, ...] = ()
+    set: Mapping[str, Any] = field(default_factory=dict)
+    planner: str = ""
+
+    def __post_init__(self) -> None:
+        if self.rank not in RANKS:
+            raise ConfigError(f"change '{self.name}': rank is one of {', '.join(RANKS)}, got '{self.rank}'")
+        if not self.name or safe_name(self.name) != self.name:
+            raise ConfigError(f"change '{self.name}': the name has to do for a folder: letters, digits and _")
+        if not (self.default or self.set):
+            raise ConfigError(f"change '{self.name}': needs default or set")
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedRun:
+    """A change of a run.
+
+    Attributes:
+        change: The row.
+        run: The run with it, resolved.
+        keys: Keys and values in which it differs from the run.
+    """
+
+    change: Change
+    run: RunConfig
+    keys: frozenset[tuple[str, str]]
+
+    def is_part_of(self, other: ChangedRun) -> bool:
+        """Whether the other changes all that this one does, and more."""
+        return self.keys < other.keys
+
+
+def load_changes(path: Path | None = None) -> tuple[Change, ...]:
+    """Our changes, and those of a file.
+
+    Raises:
+        ConfigError: It cannot be read, a row is wrong, or two have one name.
+    """
+    rows: list[Change] = []
+    for file in filter(None, (BUILT_IN, path)):
+        table = read_toml(file)
+        found = table.get("change")
+        if set(table) != {"change"} or not isinstance(found, list):
+            raise ConfigError(f"{file}: holds rows [[change]] and nothing else")
+        try:
+            rows += [strict(Change, row, "change") for row in found]
+        except ConfigError as error:
+            raise ConfigError(f"{file}: {error}") from None
+    names = [row.name for row in rows]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"{path}: two changes are called '{twice}'; rename yours")
+    return tuple(rows)
+
+
+def driven(run: RunConfig, planner: str) -> RunConfig:
+    """What is driven of a run: the closed loop of one planner, the plans' inside kept for its first difference."""
+    return replace(
+        run, planners=(planner,), planner={planner: run.planner.get(planner, {})}, mode="closed", log=LogSettings(),
+        deadline_s=0.0, ensemble=0, repeat_s=0.0, recording=False, foxglove=False, internals="summary",
+    )  # fmt: skip
+
+
+def changed_runs(changes: Sequence[Change], run: RunConfig) -> tuple[tuple[ChangedRun, ...], dict[str, str]]:
+    """The changes of a run of one planner that make it another run, each once, and why others cannot be applied."""
+    run = checked(run)[0]
+    table = dump_run(run)
+    base = dict(flat(tomllib.loads(table)))
+    found: list[ChangedRun] = []
+    refused: dict[str, str] = {}
+    for change in changes:
+        if change.planner and change.planner != run.planners[0]:
+            continue
+        try:
+            made = checked(strict(RunConfig, _changed(tomllib.loads(table), change)))[0]
+        except (ConfigError, PlannerError) as error:
+            refused[change.name] = str(error)
+            continue
+        keys = frozenset(_differences(base, dict(flat(tomllib.loads(dump_run(made))))))
+        if keys and all(keys != other.keys for other in found):
+            found.append(ChangedRun(change, made, keys))
+    return tuple(found), refused
+
+
+def _differences(base: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Keys and new values as text; a key that is no more has none."""
+    for key in dict.fromkeys([*base, *now]):
+        if base.get(key) != now.get(key):
+            yield key, repr(now.get(key))
+
+
+def _changed(table: dict[str, Any], change: Change) -> dict[str, Any]:
+    for key in change.default:
+        _remove(table, key.split("."))
+    return merged(table, change.set)
+
+
+def _remove(table: dict[str, Any], path: Sequence[str]) -> None:
+    """Without a key: its default holds."""
+    *tables, last = path
+    for name in tables:
+        table = table.get(name, {})
+    table.pop(last, None)

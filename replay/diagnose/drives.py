@@ -1,0 +1,137 @@
+"""Failing drives, driven again with changes and judged by the gates of their run.
+
+A drive passes with a change where no gate fails and none that it failed before is inconclusive. The gates ask the
+same of every change: a drive with the others' true futures is judged as any other, and another planner as the one that
+failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from logs.errors import LogError
+from metrics.judge import REFERENCE, Outcome, judge, outcomes
+from metrics.judge.gates import Gate, Gates
+from metrics.judge.rows import with_asked
+from metrics.reference_drivers import APPLIES, AVOIDS
+from replay.config import RunConfig
+from replay.explain.first_difference import first_difference
+from replay.results.load import DriveResult, Results
+from replay.run.evaluate import evaluate_logs, gates_of
+
+MODE = "closed"
+INCONCLUSIVE = Outcome.INCONCLUSIVE.value
+COLUMNS = ("drive", "gate", "outcome", "value", "time_s", "reason")
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """Logs that were driven by one planner.
+
+    Attributes:
+        results: The run.
+        names: Name of each log in the run, by its file's name.
+        planner: Who drove.
+        gates: By which they are judged, by their rules as text.
+        outcomes: A row per drive and gate: `COLUMNS`; `drive` is the name of the log's file.
+    """
+
+    results: Results
+    names: Mapping[str, str]
+    planner: str
+    gates: Mapping[str, Gate]
+    outcomes: pd.DataFrame
+
+    def of(self, file: Path) -> pd.DataFrame:
+        """The rows of a drive."""
+        return self.outcomes[self.outcomes["drive"] == file.name]
+
+    def drive(self, file: Path) -> DriveResult:
+        """The drive of a log's file; ConfigError where there is none."""
+        return self.results.drive(self.names[file.name], self.planner, MODE)
+
+    def ended(self, file: Path) -> str:
+        """How it ended; why it was not driven."""
+        name = self.names.get(file.name, file.name)
+        rows = self.results.drives
+        mine = rows[(rows["log"] == name) & (rows["planner"] == self.planner)]
+        if len(mine):
+            return str(mine["end"].iloc[0])
+        failures = self.results.failures
+        said = failures.loc[failures["log"].isin([name, str(file)]), "message"]
+        return str(said.iloc[0]) if len(said) else "not driven"
+
+    def value(self, file: Path, metric: str) -> float:
+        """A value of the drive; NaN: it has none."""
+        rows = self.drive(file).metrics
+        mine = rows[(rows["metric"] == metric) & rows["available"]]["value"]
+        return float(mine.iloc[0]) if len(mine) else nan
+
+    def about(self, file: Path, metric: str) -> str:
+        """What kind of road user or thing the value of a metric is about: "pedestrian"; "" where it is not known."""
+        rows = self.drive(file).metrics
+        about = rows.loc[rows["metric"] == metric, "about"].dropna()
+        return str(about.iloc[0]).partition(" ")[0] if len(about) else ""
+
+    def avoidable(self, file: Path) -> bool:
+        """Whether the careful driver of UN R157 avoids the drive's contact, or there is none."""
+        applies, avoids = (self.value(file, f"reference_cc.{one.name}") for one in (APPLIES, AVOIDS))
+        return not applies > 0.0 or avoids > 0.0
+
+
+def drive_again(files: Sequence[Path], run: RunConfig, planner: str, out: Path, *, workers: int) -> Driven:
+    """Drive logs, and judge them by the gates that are asked of `planner`; errors as `evaluate_logs`."""
+    return as_driven(evaluate_logs(list(files), run, out, workers=workers), planner)
+
+
+def as_driven(results: Results, planner: str) -> Driven:
+    """Results of one planner, judged by the gates that are asked of `planner`."""
+    run = results.run
+    files = (Path(source).name for source in results.logs["source"])
+    names = dict(zip(files, results.logs["log"], strict=True))
+    gates = gates_of(run, run.gates_path)
+    asked = tuple(replace(gate, planner=None) for gate in gates.gates if gate.planner in (None, planner))
+    rules = {str(gate): gate for gate in asked}
+    return Driven(results, names, run.planners[0], rules, judged(results, names, replace(gates, gates=asked)))
+
+
+def judged(results: Results, names: Mapping[str, str], rules: Gates) -> pd.DataFrame:
+    """The outcomes of a run of one planner, as of any planner that is no oracle."""
+    planner = results.run.planners[0]
+    crashes = results.failures.dropna(subset=["planner", "mode"])
+    columns = (crashes[name].astype(str) for name in ("log", "planner", "mode", "message"))
+    crashed = {(log, who, mode): why for log, who, mode, why in zip(*columns, strict=True)}
+    table = with_asked(results.metrics.assign(oracle=False), rules, results.labels)
+    unread = dict.fromkeys(results.unread, "not read")
+    rows = outcomes(judge(rules, table, results.labels, failed=unread, crashed=crashed))
+    rows = rows[(rows["planner"] == planner) & (rows["mode"] != REFERENCE)]
+    drive = rows["log"].map({name: file for file, name in names.items()})
+    return rows.assign(drive=drive)[list(COLUMNS)]
+
+
+def failed_gates(rows: pd.DataFrame) -> tuple[str, ...]:
+    """The gates that a drive fails, in the order of the gates."""
+    return tuple(rows.loc[rows["outcome"] == Outcome.FAIL.value, "gate"])
+
+
+def passes(before: Sequence[str], rows: pd.DataFrame) -> bool:
+    """Whether a drive fails no gate, and those that it failed before have an answer."""
+    now = dict(zip(rows["gate"], rows["outcome"], strict=True))
+    answered = all(now.get(gate, INCONCLUSIVE) != INCONCLUSIVE for gate in before)
+    return answered and Outcome.FAIL.value not in now.values()
+
+
+def parting(one: DriveResult, two: DriveResult) -> dict[str, Any]:
+    """Where a drive parts from another: time (s), stage and what differs; empty where it does not."""
+    try:
+        found = first_difference(one.trace, two.trace)
+    except LogError as error:
+        return {"stage": "not known", "what": f"a trace cannot be read: {error}"}
+    return {} if found is None else {"t_s": float(np.round(found.t, 9)), "stage": found.stage, "what": found.what}

@@ -1,0 +1,157 @@
+"""Does `replan diagnose` find a planted cause?
+
+python -m studies.diagnosis -o OUT [--suite NAME] [--most N] [--only NAME ...] [--planner NAME] [--workers N]
+
+One fault (`PLANTS`) is planted in a run over a suite of the catalogue. The failing drives that pass without it fail for
+it; at most N of them, evenly drawn from their sorted names, are diagnosed twice: with all changes, where a change back
+to the defaults undoes the fault; and "hidden", without those changes, where only ideal parts, wider limits and other
+planners can show it. A diagnosis is right where it names the planted cause, and wrong where it names another one; "not
+found" is neither.
+
+    OUT/diagnosis.csv     a row per fault: failing drives, right, not found, wrong; the same hidden
+    OUT/sound/, OUT/NAME/run/, OUT/NAME/all/, OUT/NAME/hidden/    the runs and the diagnoses
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from logs.agents import AgentKind, among
+from logs.errors import ReplanError
+from logs.frame import Predictions
+from logs.kernel import FloatArray
+from logs.scenario import Agents
+from replay.config import load_run
+from replay.diagnose.causes import NOT_FOUND
+from replay.diagnose.changes import load_changes
+from replay.diagnose.diagnose import Diagnosis, diagnose, question
+from replay.prediction import LaneMap
+from replay.prediction.lane_following import everybody
+from replay.results.load import Results
+from replay.results.tables import write_file
+from replay.run import evaluate_logs
+
+
+def frozen(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+    """As `lane_following`, but pedestrians stay where they are."""
+    found = everybody(agents, t, lanes)
+    walks = among(AgentKind.PEDESTRIAN)[agents.codes][found.agent]
+    x, y = (np.where(walks[:, None], column[:, :1], column) for column in (found.x, found.y))
+    return replace(found, x=x, y=y)
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A fault: the cause that a diagnosis has to name, and the settings of the run with it."""
+
+    cause: str
+    table: Mapping[str, Any]
+
+
+def _limits(decel: float) -> dict[str, float]:
+    return {"accel_mps2": 1.8, "decel_mps2": decel, "jerk_mps3": 1.0}
+
+
+PLANTS = {
+    "frozen pedestrians": Plant("prediction", {"loop": {"prediction": "studies.diagnosis:frozen"}}),
+    "late by 0.3 s": Plant("latency", {"loop": {"plan_delay_s": 0.3}}),
+    "slow actuators": Plant(
+        "control", {"loop": {"plant": {"brake_lag": 0.8, "brake_delay": 0.4, "throttle_lag": 0.8, "steer_lag": 0.4}}}
+    ),
+    "weak braking": Plant(
+        "comfort bound",
+        {"planner": {
+            "dp_qp": {"speed": {"qp": {"comfort": _limits(1.0), "emergency": _limits(1.5)}}},
+            "idm": {"decel_mps2": 1.0, "hardest_mps2": 1.5, "jerk_mps3": 1.0},
+        }},
+    ),
+    "noisy perception": Plant(
+        "perception",
+        {"loop": {"perception": "sensor", "sensor": {
+            "range_m": 25.0, "position_noise_m": 0.6, "velocity_noise_mps": 1.0, "latency_s": 0.4, "dropout": 0.3,
+        }}},
+    ),
+}  # fmt: skip
+"""By name."""
+COLUMNS = (
+    "fault",
+    "cause",
+    "drives",
+    "right",
+    "not_found",
+    "wrong",
+    "hidden_right",
+    "hidden_not_found",
+    "hidden_wrong",
+)
+
+
+def failing(results: Results) -> set[str]:
+    """Logs whose drives fail a gate."""
+    return set(results.verdicts.loc[results.verdicts["outcome"] == "fail", "log"])
+
+
+def counts(found: Diagnosis, cause: str) -> tuple[int, int, int]:
+    """How many drives are said right, not found and wrong; a cause among several is wrong."""
+    said = Counter("right" if one.cause.name == cause else one.cause.name for one in found.drives)
+    not_found = said[NOT_FOUND]
+    return said["right"], not_found, said.total() - said["right"] - not_found
+
+
+def row(name: str, asked: argparse.Namespace, sound: Results) -> dict[str, Any]:
+    """What came of a fault: `COLUMNS`."""
+    plant, folder, planner, workers = PLANTS[name], asked.out / name.replace(" ", "_"), asked.planner, asked.workers
+    folder.mkdir(parents=True, exist_ok=True)
+    planners = {key: table for key, table in plant.table.get("planner", {}).items() if key == planner}
+    run = load_run(None, {**plant.table, "planner": planners, **_asked(planner)})
+    faulty = evaluate_logs(run=run, out=folder / "run", workers=workers, suite=asked.suite)
+    mine = sorted(failing(faulty) - failing(sound))
+    mine = mine[:: -(-len(mine) // asked.most)] if mine else mine
+    found: list[int] = []
+    for kind in ("all", "hidden") if mine else ():
+        changes = [change for change in load_changes() if kind == "all" or change.rank != "default"]
+        result = diagnose(question(faulty, None, mine, changes), folder / kind, workers=workers)
+        sys.stdout.write("\n".join([f"{name}, {kind}", *result.lines()]) + "\n")
+        found += counts(result, plant.cause)
+    return dict(zip(COLUMNS, (name, plant.cause, len(mine), *(found or [0] * 6)), strict=True))
+
+
+def _asked(planner: str) -> dict[str, Any]:
+    return {"planners": [planner], "mode": "closed", "recording": False}
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("-o", "--out", type=Path, required=True)
+    parser.add_argument("--suite", default="full")
+    parser.add_argument("--most", type=int, default=12)
+    parser.add_argument("--only", nargs="+", choices=list(PLANTS), default=list(PLANTS))
+    parser.add_argument("--planner", default="dp_qp")
+    parser.add_argument("--workers", type=int, default=1)
+    asked = parser.parse_args(words)
+    rows = []
+    try:
+        run = load_run(None, _asked(asked.planner))
+        sound = evaluate_logs(run=run, out=asked.out / "sound", workers=asked.workers, suite=asked.suite)
+        for name in asked.only:
+            rows.append(row(name, asked, sound))
+            sys.stdout.write(f"{rows[-1]}\n\n")
+            sys.stdout.flush()
+    except ReplanError as error:
+        sys.exit(f"error: {error}")
+    table = pd.DataFrame(rows, columns=list(COLUMNS))
+    write_file(asked.out / "diagnosis.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""`replan diagnose`: planted causes, the files, resume, and wrong words."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from command_line import gates as write_gates
+from command_line import one_error, replan
+from short_logs import free_and_blocked
+
+from logs.mcap import write_scenario
+from replay.search.study import FILE
+
+SAME = ("diagnosis.json", "diagnosis.md", "diagnosis.csv", "changes.csv", FILE)
+COLLISION = 'metric = "collision_at_fault.count"\nmode = "closed"\nmax = 0'
+WEAK = "[planner.idm]\ndecel_mps2 = 0.3\nhardest_mps2 = 0.5\n"
+"""Brakes so weakly that it meets the car that stands in its way."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of `idm` with weak brakes over a free road and a blocked one."""
+    out = tmp_path_factory.mktemp("diagnose")
+    (out / "logs").mkdir()
+    for name, log in zip(("free", "blocked"), free_and_blocked(), strict=True):
+        write_scenario(out / "logs" / f"{name}.mcap", log)
+    write_gates(out / "gates.toml", COLLISION)
+    (out / "weak.toml").write_text(WEAK, encoding="utf-8")
+    ran = replan(
+        "evaluate", out / "logs", "-p", "idm", "--config", out / "weak.toml", "--gates", out / "gates.toml",
+        "--no-recording", "--workers", 0, "-o", out / "run",
+    )  # fmt: skip
+    assert ran.exit_code == 1, ran.output
+    return out
+
+
+@pytest.fixture(scope="module")
+def found(folder: Path) -> Path:
+    result = replan("diagnose", folder / "run", "-o", folder / "out", "--workers", 0)
+    assert result.exit_code == 0, result.output
+    return folder / "out"
+
+
+def card(out: Path) -> dict[str, object]:
+    read: dict[str, object] = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    return read
+
+
+@pytest.mark.slow
+def test_the_planted_cause_is_named_and_the_table_holds_what_is_said(found: Path) -> None:
+    said = card(found)
+    drives = pd.read_csv(found / "diagnosis.csv")
+    assert drives["log"].tolist() == ["test/blocked"] and drives["cause"].tolist() == ["comfort bound"]
+    table = pd.read_csv(found / "changes.csv").set_index("change")
+    assert table.loc["default_limits_idm", "passes"] and not table.loc["perfect_car", "passes"]
+    assert not table.loc["true_futures", "passes"], "who stands is predicted to stand"
+    assert drives.loc[0, "passes_with"].split() == table.index[table["passes"]].tolist()
+    assert drives.loc[0, "parts_s"] == table.loc["default_limits_idm", "parts_s"]
+    lines = said["said"]
+    assert isinstance(lines, list)
+    assert lines[0].startswith("1 of 1 failing drive: comfort bound; passes with the planner's default limits")
+    assert "collision_at_fault.count <= 0" in lines[0]
+    assert (found / "changes" / "default_limits_idm" / "metrics.parquet").is_file()
+
+
+@pytest.mark.slow
+def test_an_interrupted_diagnosis_that_is_resumed_has_the_same_bytes(folder: Path, found: Path) -> None:
+    shutil.copytree(found, folder / "cut")
+    rows = (folder / "cut" / FILE).read_text(encoding="utf-8").splitlines()
+    (folder / "cut" / FILE).write_text("\n".join(rows[:4]) + "\n", encoding="utf-8")
+    result = replan("diagnose", folder / "run", "-o", folder / "cut", "--resume", "--workers", 1)
+    assert result.exit_code == 0, result.output
+    for name in SAME:
+        was, now = ((out / name).read_text(encoding="utf-8") for out in (found, folder / "cut"))
+        assert was.replace(str(found), "") == now.replace(str(folder / "cut"), ""), name
+
+
+@pytest.mark.slow
+def test_the_smallest_change_passes_and_what_it_breaks_is_counted(folder: Path) -> None:
+    space = folder / "space.toml"
+    space.write_text("planner.idm.hardest_mps2 = { low = 0.2, high = 8.5 }\n", encoding="utf-8")
+    result = replan("diagnose", folder / "run", "--space", space, "-o", folder / "remedy", "--workers", 0, "--json")
+    (remedy,) = json.loads(result.stdout)["remedies"]
+    assert remedy["mended"] == ["test/blocked"] and remedy["broken"] == [] and remedy["drives"] == 2
+    again = replan(
+        "evaluate", folder / "logs", "-p", "idm", "--config", folder / "weak.toml", "--gates", folder / "gates.toml",
+        "--set", f"planner.idm.hardest_mps2={remedy['now']}", "--no-recording", "--workers", 0, "-o", folder / "again",
+    )  # fmt: skip
+    assert again.exit_code == 0, again.output
+
+
+@pytest.mark.slow
+def test_a_run_in_which_no_drive_fails_says_so(folder: Path) -> None:
+    result = replan("diagnose", folder / "run", "--log", "test/free", "-o", folder / "none", "--workers", 0)
+    assert result.exit_code == 0 and "No drive of idm fails" in result.stdout
+
+
+@pytest.mark.slow
+def test_the_report_shows_the_diagnosis_and_links_its_drives(folder: Path, found: Path) -> None:
+    result = replan("report", folder / "run", "--diagnosis", found, "-o", folder / "reports")
+    assert result.exit_code == 0, result.output
+    page, text = ((folder / "reports" / name).read_text(encoding="utf-8") for name in ("report.html", "report.md"))
+    for line in page, text:
+        assert "Why idm fails" in line and "comfort bound" in line
+    (anchor,) = set(re.findall(r'<td><a href="#([^"]+)">test/blocked</a>', page))
+    assert f'id="{anchor}"' in page
+    wrong = replan("report", folder / "run", "--diagnosis", folder)
+    assert wrong.exit_code == 2 and "replan diagnose RUN" in one_error(wrong)
+
+
+def test_wrong_words_are_one_line(folder: Path, tmp_path: Path) -> None:
+    for words, said in (
+        (("--log", "test/blockd"), "test/blocked"),
+        (("--planner", "dp_qp"), "idm"),
+        (("--changes", tmp_path / "no.toml"), "no.toml"),
+        (("--resume",), "--out"),
+    ):
+        result = replan("diagnose", folder / "run", *words)
+        assert result.exit_code == 2 and said in one_error(result), words
+    assert "no results" in one_error(replan("diagnose", tmp_path))
+    (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
+    result = replan("diagnose", folder / "run", "-o", tmp_path)
+    assert result.exit_code == 2 and one_error(result) and (tmp_path / "mine.txt").is_file()

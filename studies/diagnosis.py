@@ -4,9 +4,9 @@ python -m studies.diagnosis -o OUT [--suite NAME] [--most N] [--only NAME ...] [
 
 One fault (`PLANTS`) is planted in a run over a suite of the catalogue. The failing drives that pass without it fail for
 it; at most N of them, evenly drawn from their sorted names, are diagnosed twice: with all changes, where a change back
-to the defaults undoes the fault; and "hidden", without those changes, where only ideal parts, wider limits and other
-planners can show it. A diagnosis is right where it names the planted cause, and wrong where it names another one; "not
-found" is neither.
+to the defaults undoes the fault; and "hidden", without those changes, where only ideal parts (no latency is one, too),
+wider limits and other planners can show it. A diagnosis is right where it names the planted cause, and wrong where it
+names another one; "not found" is neither.
 
     OUT/diagnosis.csv     a row per fault: failing drives, right, not found, wrong; the same hidden
     OUT/sound/, OUT/NAME/run/, OUT/NAME/all/, OUT/NAME/hidden/    the runs and the diagnoses
@@ -82,6 +82,8 @@ PLANTS = {
     ),
 }  # fmt: skip
 """By name."""
+IDEAL = "no_latency"
+"""A change to a default that is an ideal part as well."""
 COLUMNS = (
     "fault",
     "cause",
@@ -117,8 +119,8 @@ def row(name: str, asked: argparse.Namespace, sound: Results) -> dict[str, Any]:
     mine = sorted(failing(faulty) - failing(sound))
     mine = mine[:: -(-len(mine) // asked.most)] if mine else mine
     found: list[int] = []
-    for kind in ("all", "hidden") if mine else ():
-        changes = [change for change in load_changes() if kind == "all" or change.rank != "default"]
+    hidden = [change for change in load_changes() if change.rank != "default" or change.name == IDEAL]
+    for kind, changes in (("all", load_changes()), ("hidden", hidden)) if mine else ():
         result = diagnose(question(faulty, None, mine, changes), folder / kind, workers=workers)
         sys.stdout.write("\n".join([f"{name}, {kind}", *result.lines()]) + "\n")
         found += counts(result, plant.cause)

@@ -316,12 +316,21 @@ def _largest(one: FloatArray, two: FloatArray, place: Callable[[int], str], unit
 
 
 def _curve(one: FloatArray, two: FloatArray, value: str, at: str) -> _Found:
-    """Curves `(n, 2)` of a value, m, over a time or station, formatted by `at`."""
-    if one.shape != two.shape:
-        counts = " -> ".join(f"{len(curve)} knots" if len(curve) else "none" for curve in (one, two))
-        yield inf, partial(str, f"{value}: {counts}")
+    """Curves `(n, 2)` of a value, m, over a time or station, formatted by `at`: where both are, then their ends."""
+    if not len(one) or not len(two):
+        if len(one) != len(two):
+            yield inf, partial(str, f"{value}: {'none' if len(two) == 0 else 'there now'}")
+        return
+    if one.shape == two.shape:
+        x, before, now = one[:, 0], one[:, 1], two[:, 1]
     else:
-        yield from _largest(one[:, 1], two[:, 1], lambda i: f"{value} at {at.format(float(f'{one[i, 0]:.4g}'))}", "m")
+        x = one[(one[:, 0] >= two[0, 0]) & (one[:, 0] <= two[-1, 0]), 0]
+        before, now = (np.interp(x, *curve.T) for curve in (one, two))
+    found = list(_largest(before, now, lambda i: f"{value} at {at.format(float(f'{x[i]:.4g}'))}", "m"))
+    yield from found
+    if one.shape != two.shape and not any(size > TOLERANCE for size, _ in found):
+        ends = " -> ".join(at.format(float(f"{curve[-1, 0]:.4g}")) for curve in (one, two))
+        yield inf, partial(str, f"{value} ends at {ends}")
 
 
 def _numbers(what: str, one: float, two: float, unit: str) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from planners.dp_qp.scene.caps import (
 from planners.dp_qp.scene.goal_window import HURRIED_GAP_S
 from planners.dp_qp.speed import doubt
 from planners.dp_qp.speed.braking import RESERVE, Asked, BrakingLadder, Case, SolvedSpeed
-from planners.dp_qp.speed.dp import DS_M, DT_S, SpeedDpConfig
+from planners.dp_qp.speed.dp import COLLISION, DS_M, DT_S, SpeedDpConfig
 from planners.dp_qp.speed.problem import PathLimits, Posed, Settings, Taken, build_problem
 from planners.dp_qp.speed.qp import TOLERANCE, SpeedQpConfig
 from planners.frenet.path import Path
@@ -49,6 +50,18 @@ from planners.piecewise_jerk.solvers import DEFAULT
 CHANGE_S = 0.5
 """So much later the ego could still be first, where it now waits, s."""
 DOUBTED = "that is doubted: comfortable braking is all that is done"
+
+
+class _Order(NamedTuple):
+    """An order of passing between which the speed DP decides: its name, and the bound (m) that leaves it alone."""
+
+    word: str
+    bound: float
+
+
+ORDERS = {DecisionKind.YIELD: _Order("yielding", 1e6), DecisionKind.OVERTAKE: _Order("going first", -1e6)}
+COLLIDES = 0.01 * COLLISION
+"""A way of the DP that costs more is inside a blocked interval."""
 NO_STOPS = np.empty((0, 2))
 """Where the rules demand none."""
 DRAWN_ROWS = 4
@@ -251,11 +264,14 @@ class SpeedStage:
         drawn, decisions = self._posed(way, blocks, planned.may_overtake, is_drawn=True), []
         doubted = np.isin(blocks.agent, planned.sure, invert=True)
         decided = decide_speed(blocks, scene, np.interp(blocks.t, self._times, drawn.s_dp))
-        for decision, may, is_doubted in zip(decided, planned.may_overtake, doubted, strict=True):
+        for i, (decision, may) in enumerate(zip(decided, planned.may_overtake, strict=True)):
             kind, reason = decision.kind, decision.reason
             if kind is DecisionKind.OVERTAKE and not may:
                 kind, reason = DecisionKind.YIELD, f"{reason}; the ego cannot be there first"
-            reason = f"{reason}; {DOUBTED}" if is_doubted else reason
+            reason = f"{reason}; {DOUBTED}" if doubted[i] else reason
+            if kind in ORDERS:
+                known = {decision.kind: float(drawn.cost[-1].min())} if len(drawn.cost) else {}
+                reason = f"{reason}; {self._orders(way, planned, i, kind, known)}"
             decisions.append(replace(decision, kind=kind, reason=reason))
         profile, was_run = solved.profile, len(drawn.cost) > 0
         grid = None
@@ -274,6 +290,30 @@ class SpeedStage:
         costs = self._ladder.program.costs
         asked_qps = (part for each in solved.asked for part in (costs(each.result.x, each.problem), each.result.report))
         return (graph, *decisions, *asked_qps, *ignored, *asked, *way.decisions)
+
+    def _orders(
+        self, way: _Way, planned: _Planned, i: int, kind: DecisionKind, known: Mapping[DecisionKind, float]
+    ) -> str:
+        """By how much the solution stays clear of a boundary, and what each order costs in the speed DP."""
+        blocks, profile, costs = planned.blocks, planned.solved.profile, dict(known)
+        took = np.isfinite(blocks.lower[i])
+        for order in ORDERS.keys() - known.keys():
+            lower, upper = blocks.lower.copy(), blocks.upper.copy()
+            (upper if order is DecisionKind.YIELD else lower)[i, took] = ORDERS[order].bound
+            cost = self._posed(way, replace(blocks, lower=lower, upper=upper), planned.may_overtake).cost
+            costs[order] = float(cost[-1].min())
+        words = [
+            f"{ORDERS[order].word} {_cost(costs[order])}" for order in sorted(ORDERS, key=lambda one: one is not kind)
+        ]
+        if profile is not None:
+            s = np.interp(blocks.t[took], self._times, profile[0])
+            keeps = (blocks.lower[i, took] - s if kind is DecisionKind.YIELD else s - blocks.upper[i, took]).min()
+            words.insert(0, f"keeps {keeps:.1f} m")
+        return ", ".join(words)
+
+
+def _cost(value: float) -> str:
+    return f"costs {value:.1f}" if value < COLLIDES else "would collide"
 
 
 def _ignored(blocks: StBoundaries, scene: Scene) -> tuple[Decision, ...]:

@@ -133,6 +133,10 @@ PLANTED: dict[str, tuple[str, Callable[[PlannedFrame], PlannedFrame], str]] = {
     "a decision": ("speed DP", inside(Decision, _ignored), "car 12: follow -> ignore"),
     "the speed": ("speed QP", inside(StGraph, lambda g: replace(g, qp=raised(g.qp, 40, 1, -2.0))), "station at 4 s"),
     "the plan": ("plan", _plan(x=lambda p: p.x + np.linspace(0.0, 1.0, len(p))), "x in 8 s"),
+    "a shorter path": ("path QP", inside(SlGraph, lambda g: replace(g, qp=g.qp[:-3])), "lateral offset ends at"),
+    "a shorter, other path": (
+        "path QP", inside(SlGraph, lambda g: replace(g, qp=raised(g.qp, 9, 1, 0.3)[:-3])), "offset at station",
+    ),
     "its status": ("plan", lambda f: replace(f, plan=replace(f.plan, status=PlanStatus.HARD_STOP)), "hard stop"),
 }  # fmt: skip
 

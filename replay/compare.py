@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import nan
 from pathlib import Path
@@ -23,12 +23,14 @@ from logs.files import check_named, read_toml
 from logs.mcap import read_trace
 from logs.mcap.container import read_container
 from logs.remote import Near
+from logs.trace import Trace
 from metrics import COLUMNS, METRICS, load_metric
 from metrics.compare import DRIVE, PARTING_COLUMNS, Comparison, Side, compare
 from metrics.compare.rules import Rule, judged, load_rules
 from metrics.judge import REFERENCE
 from metrics.judge.gates import load_gates
-from replay.explain.first_difference import first_difference
+from replay.explain.first_difference import FirstDifference, first_difference
+from replay.explain.parting import planners_part
 from replay.results.load import RECORDINGS, Results, loaded
 from replay.results.schema import SCHEMA_VERSION
 from replay.results.tables import LOG_CARD, write_file
@@ -231,7 +233,8 @@ def _with_partings(
             continue
         looked += 1
         if looked <= most:
-            rows += [(log, planner, mode, *found) for found in _parted(files)]
+            part = first_difference if names[0] == names[-1] else planners_part
+            rows += [(log, planner, mode, *found) for found in _parted(files, part)]
     kinds = {"t_s": float}
     table = pd.DataFrame(rows, columns=list(PARTING_COLUMNS)).astype(kinds)
     return replace(comparison, partings=table, not_looked_at=max(looked - most, 0))
@@ -246,9 +249,11 @@ def view_command(run: Run, log: str, planner: str, mode: str) -> str:
     return f"replan view {recording if recording.is_file() else drive.trace_file}"
 
 
-def _parted(files: Sequence[Path]) -> Iterator[tuple[float, str, str]]:
+def _parted(
+    files: Sequence[Path], part: Callable[[Trace, Trace], FirstDifference | None]
+) -> Iterator[tuple[float, str, str]]:
     try:
-        found = first_difference(*(read_trace(file)[0] for file in files))
+        found = part(*(read_trace(file)[0] for file in files))
     except LogError as error:
         yield nan, UNKNOWN, f"a trace cannot be read: {error}"
         return

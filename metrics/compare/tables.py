@@ -151,6 +151,23 @@ class Comparison:
             return 1
         return 4 if self.pairs.empty or Outcome.INCONCLUSIVE in found else 0
 
+    @property
+    def by_loop(self) -> tuple[str, ...]:
+        """A sentence for each loop, the closed one first: drives with flips to PASS alone, to FAIL alone, and both."""
+        said = []
+        flips = self.flips[~self.flips["marginal"].astype(bool)]
+        for mode in sorted(set(self.pairs["mode"])):
+            mine = flips[flips["mode"] == mode]
+            better, worse = (
+                set(mine.loc[mine["after"] == word, DRIVE].itertuples(index=False, name=None))
+                for word in (Outcome.PASS.value, Outcome.FAIL.value)
+            )
+            mixed = f", {len(better & worse)} both" if better & worse else ""
+            drives = len(self.pairs.loc[self.pairs["mode"] == mode, DRIVE].drop_duplicates())
+            counts = f"{len(better - worse)} better, {len(worse - better)} worse{mixed}"
+            said.append(f"{mode.capitalize()} loop, by gates: {counts}, of {drives} drives.")
+        return tuple(said)
+
     def regressions(self, most: int, each: int = 2) -> pd.DataFrame:
         """The worst pairs, at most `each` of one drive: one bad drive does not hide the others."""
         worse = self.pairs[self.pairs["worse"] > 0.0]

@@ -118,8 +118,7 @@ class Found:
         time_s: When; NaN: not known.
         beyond: How far beyond its bound the first of them is; NaN likewise.
         cause: The cause; "fails no more": not the run's drive.
-        parts: Where the drive with the change that points to the cause parts from it: t_s, stage, what; empty where
-            that is another planner.
+        parts: Where the drive with the change that points to the cause parts from it: t_s, stage, what.
         because: Why the planner slowed down there, in its explanation's words.
         passing: Names of all changes with which it passes.
     """
@@ -300,8 +299,7 @@ class _Trials:
         answers = {run.change.name: self.drive(run, ())["drives"][name] for run in runs}
         passing = tuple(change for change, answer in answers.items() if answer["passes"])
         cause = cause_of(runs, passing, base["fragile"], avoidable=base["avoidable"])
-        pointing = [run.change for run in runs if run.change.name in cause.changes and run.change.rank != "planner"]
-        parts = answers[pointing[0].name]["parts"] if pointing else {}  # two planners part at once: it says nothing
+        parts = answers[cause.changes[0]]["parts"] if cause.changes else {}
         time, beyond = (nan if base[key] is None else base[key] for key in ("time_s", "beyond"))
         because = self._because(name, parts.get("t_s", time))
         return Found(name, tuple(base["gates"]), base["about"], time, beyond, cause, parts, because, passing)

@@ -23,6 +23,7 @@ from metrics.judge.rows import with_asked
 from metrics.reference_drivers import APPLIES, AVOIDS
 from replay.config import RunConfig
 from replay.explain.first_difference import first_difference
+from replay.explain.parting import planners_part
 from replay.results.load import DriveResult, Results
 from replay.run.evaluate import evaluate_logs, gates_of
 
@@ -130,8 +131,9 @@ def passes(before: Sequence[str], rows: pd.DataFrame) -> bool:
 
 def parting(one: DriveResult, two: DriveResult) -> dict[str, Any]:
     """Where a drive parts from another: time (s), stage and what differs; empty where it does not."""
+    part = first_difference if one.planner == two.planner else planners_part
     try:
-        found = first_difference(one.trace, two.trace)
+        found = part(one.trace, two.trace)
     except LogError as error:
         return {"stage": "not known", "what": f"a trace cannot be read: {error}"}
     return {} if found is None else {"t_s": float(np.round(found.t, 9)), "stage": found.stage, "what": found.what}

@@ -92,7 +92,7 @@ def _flips(comparison: Comparison) -> Iterator[RenderableType]:
     if flips.empty:
         yield from _titled("Flips", Text("none: no verdict changed"))
         return
-    rank = 2 - 2 * (flips["after"] == "fail") - (flips["before"] == "fail")
+    rank = 4 - 4 * (flips["after"] == "fail") - 2 * (flips["before"] == "fail") + (flips["mode"] == "open")
     order = rank.sort_values(kind="stable").index
     table = grid("log", "loop", "gate", "before", "after", "value", "at")
     for row in _rows(flips.loc[order].head(MOST_FLIPS)):
@@ -104,7 +104,7 @@ def _flips(comparison: Comparison) -> Iterator[RenderableType]:
         table.add_row(Text(row.log), row.mode, Text(row.gate), row.before, after, values, _time(row.time_s))
     count = {word: int((flips["after"] == word).sum()) for word in ("fail", "pass")}
     title = f"Flips: {count['fail']} to FAIL, {count['pass']} to pass, {len(flips) - sum(count.values())} others"
-    yield from _titled(title, table, *_more(len(flips), MOST_FLIPS))
+    yield from _titled(title, table, *_more(len(flips), MOST_FLIPS), *map(Text, comparison.by_loop))
 
 
 def _extremes(title: str, pairs: pd.DataFrame, command: str) -> Iterator[RenderableType]:
@@ -202,4 +202,5 @@ def document(comparison: Comparison) -> dict[str, Any]:
     """The whole comparison for JSON; of the pairs only those that differ."""
     changed = comparison.pairs[comparison.pairs["delta"] != 0.0]
     content = {item.name: getattr(comparison, item.name) for item in fields(comparison)}
-    return {"outcome": OUTCOMES[comparison.exit_code], "exit_code": comparison.exit_code, **content, "pairs": changed}
+    head = {"outcome": OUTCOMES[comparison.exit_code], "exit_code": comparison.exit_code}
+    return {**head, **content, "pairs": changed, "by_loop": comparison.by_loop}

@@ -193,6 +193,7 @@ def _comparison(found: Comparison) -> Iterator[str]:
     yield _list("Only in the candidate", found.only_in_candidate, level=3)
     yield _frame("Flips", found.flips, ("log", "planner", "mode", "gate", "before", "after", "time_s", "reason"))
     names = ("log", "planner", "mode", "metric", "unit", "baseline", "candidate", "worse", "time_s", "reason")
+    yield " ".join(found.by_loop)
     yield _frame("Worst regressions", found.regressions(MAX_COMPARED), names)
     yield _frame("Greatest improvements", found.improvements(MAX_COMPARED), names)
     sure = found.groups[found.groups["significant"].astype(bool)] if len(found.groups) else found.groups

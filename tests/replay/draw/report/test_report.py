@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 
 from logs.mcap import write_scenario
 from logs.names import visible_name
-from metrics.compare.tables import GROUP_COLUMNS, PAIR_COLUMNS, Comparison, RuleVerdict
+from metrics.compare.tables import FLIP_COLUMNS, GROUP_COLUMNS, PAIR_COLUMNS, Comparison, RuleVerdict
 from metrics.judge.gates import Outcome
 from replay.cli import app
 from replay.config import RunConfig
@@ -310,7 +310,7 @@ def test_a_comparison_is_reported_and_counts(results: Results) -> None:
         columns=list(PAIR_COLUMNS),
     )
     verdicts = (RuleVerdict("no flips", Outcome.FAIL, "2 flips | of 3"),)
-    groups, flips = pd.DataFrame(columns=list(GROUP_COLUMNS)), pd.DataFrame()
+    groups, flips = pd.DataFrame(columns=list(GROUP_COLUMNS)), pd.DataFrame(columns=list(FLIP_COLUMNS))
     found = Comparison("main", "mine", ("code: 1 -> 2",), (), (), pairs, flips, groups, verdicts=verdicts)
     text = markdown(overview(results, found))
     assert "main -> mine" in text and "code: 1 -> 2" in text

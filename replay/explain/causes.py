@@ -240,7 +240,7 @@ def _stops(case: _Case) -> Iterator[Cause]:
             places[name] = _crossed(line, case.way, front)
     for name, place in (places | _drawn(case)).items():
         need = case.held.need(place)
-        if place <= case.held.reach and (case.held.stands or need <= MOST_MPS2):
+        if place <= case.held.reach and (case.held.drives_off or need <= MOST_MPS2):
             yield case.cause(CauseKind.STOP, place, need, name)
 
 
@@ -277,7 +277,7 @@ def _crossed(line: StopLine, way: Way, front: float) -> float:
 def _limit_and_curve(case: _Case) -> Iterator[Cause]:
     """(3) and (4): of the speeds allowed along the way, the one that requires the hardest braking."""
     held, way = case.held, case.way
-    if held.stands:
+    if held.drives_off:
         return
     limit, bend = way.limit, np.abs(way.kappa)
     ahead = np.maximum(way.s - held.s_from, max(held.v * SOON_S, 1e-3))
@@ -297,7 +297,7 @@ def _limit_and_curve(case: _Case) -> Iterator[Cause]:
 def _goal_and_end(case: _Case) -> Iterator[Cause]:
     """(5) and (6)."""
     goal, way, held, car = case.scenario.goal, case.way, case.held, case.scenario.vehicle
-    if held.stands:
+    if held.drives_off:
         return
     rests, inside = case.course.v_end < STANDING_MPS, list[int]()
     if goal is not None and goal.regions:
@@ -348,7 +348,7 @@ def _passed_or_begun(case: _Case) -> list[Cause]:
     ]
     path, held = case.plan.trajectory, case.held
     t, a = path.t - path.t[0], float(path.a[0])
-    if not passed and a <= BRAKES_MPS2 and case.course.t_hardest == 0.0 and held.t_from == 0.0 and not held.stands:
+    if not passed and a <= BRAKES_MPS2 and case.course.t_hardest == 0.0 and held.t_from == 0.0 and not held.drives_off:
         over = np.flatnonzero(path.a > BRAKES_MPS2)
         if len(over) and path.v[over[0]] > STANDING_MPS:
             return [Cause(CauseKind.BEGUN, hold_mps=held.v, time_s=float(t[over[0]]), value=a)]

@@ -4,7 +4,8 @@ With the time t from the frame and the arc length s along the plan's path, m, th
 
 (1) t_b    = the first time at which the plan brakes by `BRAKES_MPS2` or more while it moves
 (2) s_h(t) = s(t) for t <= t_b,  s(t_b) + v(t_b) (t - t_b) after it
-(3) s_h(t) = t^2 START_MPS2 / 2 up to `START_TO_MPS`, then at that speed: of a plan that stands, as if it drove off now
+(3) s_h(t) = v_0 t + t^2 START_MPS2 / 2 up to `START_TO_MPS`, then at that speed: of a plan that stands or crawls, as if
+    it drove off now
 
 A plan that stops has a path that ends before its reason to stop. The way goes on from there along the reference line of
 the lane that the ego is in (the one nearest to the goal), at the lateral offset of the end of the path; it goes
@@ -31,8 +32,10 @@ from planners.frenet.reference_path import ReferencePath
 BRAKES_MPS2 = -0.3
 """A plan brakes where its acceleration is at most this: less is no discomfort (ISO 2631-1: below 0.315 m/s2)."""
 STANDING_MPS = 0.1
+CRAWL_MPS = 2.0
+"""A plan that stays below this speed and neither speeds up nor brakes crawls: as fast as a pedestrian walks."""
 START_MPS2, START_TO_MPS = 1.0, 5.0
-"""How an ego that stands is assumed to drive off (3)."""
+"""How an ego that stands or crawls is assumed to drive off (3)."""
 STEP_S = 0.1
 LOOK_S = 12.0
 """The plan is held for this long: half as long again as the default horizon of predictions."""
@@ -50,6 +53,7 @@ class Action(Enum):
     """What a plan does within the next second."""
 
     STANDS = "stands"
+    CRAWLS = "crawls"
     SLOWS = "slows down"
     SPEEDS = "speeds up"
     HOLDS = "holds its speed"
@@ -82,9 +86,14 @@ class Course:
     t_brakes: float
 
     @property
+    def is_slow(self) -> bool:
+        """Whether it stands or crawls."""
+        return self.action in (Action.STANDS, Action.CRAWLS)
+
+    @property
     def is_asked(self) -> bool:
-        """Whether there is something to explain: it brakes at some time as it drives forward, or stands."""
-        return self.action is Action.STANDS or bool(np.isfinite(self.t_brakes))
+        """Whether there is something to explain: it brakes at some time as it drives forward, or stands, or crawls."""
+        return self.is_slow or bool(np.isfinite(self.t_brakes))
 
     @classmethod
     def of(cls, plan: Plan) -> Course:
@@ -100,6 +109,8 @@ class Course:
             action = Action.SLOWS if accel < BRAKES_MPS2 else Action.SPEEDS if accel > -BRAKES_MPS2 else Action.HOLDS
         slowest, hardest = int(np.argmin(path.v)), int(np.argmin(path.a))
         braking = np.flatnonzero((path.a <= BRAKES_MPS2) & (path.v > STANDING_MPS))
+        if action is Action.HOLDS and not len(braking) and path.v.min() >= 0.0 and path.v.max() < CRAWL_MPS:
+            action = Action.CRAWLS
         return cls(
             action, float(path.v[0]), float(path.v[-1]), float(path.v[slowest]), float(t[-1]), float(t[slowest]),
             float(path.a[hardest]), float(t[hardest]), float(t[braking[0]]) if len(braking) else np.nan,
@@ -114,10 +125,10 @@ class Held:
         t: `(n,)` s from the frame, every `STEP_S` for `LOOK_S`.
         s: `(n,)` arc length, m; up to `t_from` that of the plan.
         planned: `(n,)` the plan's own arc length, m; after its end that of its end.
-        t_from: t_b, s; 0 for a plan that stands.
+        t_from: t_b, s; 0 for a plan that stands or crawls.
         s_from: Arc length at `t_from`, m.
-        v: The speed that is held, m/s; of a plan that stands, the speed that it would drive off to.
-        stands: Whether it is (3).
+        v: The speed that is held, m/s; of a plan that stands or crawls, the speed that it would drive off to.
+        drives_off: Whether it is (3).
     """
 
     t: FloatArray
@@ -126,17 +137,20 @@ class Held:
     t_from: float
     s_from: float
     v: float
-    stands: bool
+    drives_off: bool
 
     @classmethod
     def of(cls, plan: Plan, course: Course) -> Held:
-        """Hold a plan that brakes or stands."""
+        """Hold a plan that brakes, stands or crawls."""
         path, t = plan.trajectory, STEP_S * np.arange(round(LOOK_S / STEP_S) + 1)
         own, sigma = path.t - path.t[0], arc_lengths(path.x, path.y)
         planned = np.interp(t, own, sigma)
-        if course.action is Action.STANDS:
-            ramp = START_TO_MPS / START_MPS2
-            s = np.where(t < ramp, 0.5 * START_MPS2 * t**2, START_TO_MPS * (t - 0.5 * ramp))  # (3)
+        if course.is_slow:
+            v0 = course.v_start if course.action is Action.CRAWLS else 0.0
+            ramp = (START_TO_MPS - v0) / START_MPS2
+            s = np.where(
+                t < ramp, v0 * t + 0.5 * START_MPS2 * t**2, START_TO_MPS * t - 0.5 * START_MPS2 * ramp**2
+            )  # (3)
             return cls(t, s, planned, 0.0, 0.0, START_TO_MPS, True)
         begin = course.t_brakes
         s_from, v = float(np.interp(begin, own, sigma)), max(float(np.interp(begin, own, path.v)), 0.0)
@@ -150,13 +164,13 @@ class Held:
     @property
     def reach(self) -> float:
         """How far ahead causes are looked for, m."""
-        far = 0.0 if self.stands else self.s_from + 0.5 * self.v**2 / EASE_MPS2
+        far = 0.0 if self.drives_off else self.s_from + 0.5 * self.v**2 / EASE_MPS2
         return max(float(self.s[-1]), far)
 
     def need(self, ahead: float) -> float:
         """The least constant deceleration to stop within `ahead` m of the plan's start, m/s2; NaN if it stands."""
         room = ahead - self.s_from
-        return self.v**2 / (2.0 * room) if room > 0.0 and not self.stands else np.nan
+        return self.v**2 / (2.0 * room) if room > 0.0 and not self.drives_off else np.nan
 
 
 def arc_lengths(x: FloatArray, y: FloatArray) -> FloatArray:

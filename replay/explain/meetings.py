@@ -142,7 +142,7 @@ def _meeting(held: Held, way: Way, agents: Agents, taken: _Taken, car: VehiclePa
         met = np.flatnonzero(here & (held.s > lower - GAP_M) & (held.s < upper))  # (1)
         close = np.flatnonzero(here & (held.s > lower - HEADWAY_S * held.v) & (held.s < upper))  # (2)
         left = np.where(held.planned <= lower, lower - held.planned, np.nan)
-    follows = taken.along > ALONG * speed and speed > STANDING_MPS and not held.stands
+    follows = taken.along > ALONG * speed and speed > STANDING_MPS and not held.drives_off
     k = int(met[0]) if len(met) else int(close[0]) if len(close) and follows else -1
     if len(met) and _is_behind(way, held.s[k], taken.pose[:, k], car):
         return None
@@ -157,7 +157,7 @@ def _meeting(held: Held, way: Way, agents: Agents, taken: _Taken, car: VehiclePa
 
 def _need(held: Held, lower: FloatArray, first: int) -> float:
     """(3) from the step `first` on."""
-    if held.stands:
+    if held.drives_off:
         return nan
     k = np.flatnonzero(np.isfinite(lower) & (np.arange(len(lower)) >= first) & (held.t > held.t_from))
     ahead, T = lower[k] - held.s_from, held.t[k] - held.t_from

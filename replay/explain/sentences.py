@@ -23,7 +23,7 @@ NAMES = {
 
 
 def sentences(account: Account) -> list[str]:
-    """Why a plan slows down or stands, the first cause first; empty if it does neither and is no fallback."""
+    """Why a plan slows down, stands or crawls, the first cause first; empty if it does not and is no fallback."""
     failed = [cause for cause in account.causes if cause.kind is CauseKind.FALLBACK]
     rest = conflicts(account)
     lines = [f"Fallback: {_join(cause.who, cause.reason)}." for cause in failed]
@@ -75,6 +75,8 @@ def _opening(account: Account) -> str:
     course = account.course
     if course.action is Action.STANDS:
         return "Stands"
+    if course.action is Action.CRAWLS:
+        return "Crawls"
     if course.action is Action.SLOWS:
         return "Slows down"
     return "Slows down " + (
@@ -98,7 +100,9 @@ def _nothing_found(account: Account, cause: Cause) -> str:
 
 
 def _held(account: Account, cause: Cause) -> str:
-    return "driving off" if account.course.action is Action.STANDS else f"at {cause.hold_mps:.1f} m/s"
+    if account.course.is_slow:
+        return "driving off" if account.course.action is Action.STANDS else "speeding up"
+    return f"at {cause.hold_mps:.1f} m/s"
 
 
 def _numbers(account: Account, cause: Cause) -> str:

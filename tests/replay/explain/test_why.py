@@ -111,6 +111,10 @@ def check_opening(sentence: str, plan: Plan, account: Account) -> None:
         assert sentence.startswith("Stands")
         assert path.v[path.t <= path.t[0] + 1.0].max() < 0.1 + 1e-9
         return
+    if account.course.action is Action.CRAWLS:
+        assert sentence.startswith("Crawls")
+        assert path.v.min() >= 0.0 and path.v.max() < 2.0 and path.a.min() > -0.31
+        return
     later = re.match(r"Slows down from t = ([\d.]+) s on", sentence)
     assert sentence.startswith("Slows down")
     at_first = sentence.startswith("Slows down at first")

@@ -39,7 +39,7 @@ from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from metrics import metric
-from metrics.metric import Measure, Measured, Metric, Reduction, Series, Unavailable
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.once import last
 from metrics.safety import TTC
 
@@ -47,7 +47,7 @@ WINDOW_S = 0.1
 CAUSE_S, CAUSE_TTC_S = 2.0, 4.0  # Braking is about who had the least TTC in this time before, if below the second
 NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4  # Below 5 samples nuPlan's polynomials are not defined
 R79_STEP_S, R79_MEAN_S, R79_CUT_HZ, R79_ORDER = 0.01, 0.5, 0.5, 4
-R79_JERK_MPS3 = 5.0
+R79_BOUNDS = ("m/s3", -5.0, 5.0)
 NUPLAN_BOUNDS = {
     "lon_accel": ("m/s2", -4.05, 2.40),
     "lat_accel": ("m/s2", -4.89, 4.89),
@@ -140,18 +140,17 @@ def _sampled(trace: Trace, step: float) -> Trajectory:
     return trace.ego.resampled(first + step * np.arange(int((length + 1e-9) / step) + 1))
 
 
-def _bounded(
-    name: str, measure: Measure, bounds: tuple[str, float, float], more: tuple[Reduction, ...], meaning: str,
-    formula: str, source: str, parameters: tuple[str, ...], needs: str, version: int = 1,
-) -> Metric:  # fmt: skip
-    """A signal of the drive with its time out of bounds."""
+def _asked(bounds: tuple[str, float, float]) -> str:
+    """The bounds as a parameter."""
     unit, low, high = bounds
-    asked = f"bounds {low:g} to {high:g} {unit}" if low != -high else f"bound {high:g} {unit}"
-    return Metric(
-        name, unit, "lower", (Mode.CLOSED,), measure,
-        (metric.MAX_ABS, *more, metric.time_outside(low, high, "time_out_of_bounds"), metric.worst_episode(low, high)),
-        meaning, source, version, formula=formula, parameters=(asked, *parameters), needs=needs,
-    )  # fmt: skip
+    return f"bounds {low:g} to {high:g} {unit}" if low != -high else f"bound {high:g} {unit}"
+
+
+def _outside(bounds: tuple[str, float, float], *more: Reduction) -> tuple[Reduction, ...]:
+    """The greatest value, more of the signal, and its time out of bounds."""
+    _, low, high = bounds
+    outside = metric.time_outside(low, high, "time_out_of_bounds"), metric.worst_episode(low, high)
+    return metric.MAX_ABS, *more, *outside
 
 
 def _state(
@@ -159,10 +158,10 @@ def _state(
     source: str = "bounds: nuPlan devkit e9241677, ego_is_comfortable", more: tuple[Reduction, ...] = (), *,
     caused: bool = False,
 ) -> Metric:  # fmt: skip
-    window, reductions = (f"W {WINDOW_S} s",), (metric.P95, metric.P99, *more)
     measure = partial(_with_cause, signal, bounds) if caused else partial(_driven, signal)
-    return _bounded(
-        name, measure, bounds, reductions, meaning, formula, source, window, f"a drive of {WINDOW_S} s", 2,
+    return Metric(
+        name, bounds[0], "lower", (Mode.CLOSED,), measure, _outside(bounds, metric.P95, metric.P99, *more), meaning,
+        source, 2, formula=formula, parameters=(_asked(bounds), f"W {WINDOW_S} s"), needs=f"a drive of {WINDOW_S} s",
     )  # fmt: skip
 
 
@@ -179,8 +178,7 @@ LON_JERK_STATE = _state(
     "Backward difference of the state's acceleration.", "(a(t) - a(t - W)) / W", caused=True,
 )  # fmt: skip
 LAT_JERK_STATE = _state(
-    "lat_jerk_state", lambda drive: metric.changed(drive.t, lat_accel(drive), WINDOW_S),
-    ("m/s3", -R79_JERK_MPS3, R79_JERK_MPS3),
+    "lat_jerk_state", lambda drive: metric.changed(drive.t, lat_accel(drive), WINDOW_S), R79_BOUNDS,
     "Backward difference of the lateral acceleration.", "(v^2 kappa (t) - v^2 kappa (t - W)) / W",
     "bound: UN R79, there on a filtered signal",
 )  # fmt: skip
@@ -198,11 +196,12 @@ YAW_ACCEL = _state(
     "(yaw(t) - 2 yaw(t - W) + yaw(t - 2 W)) / W^2",
 )  # fmt: skip
 NUPLAN = tuple(
-    _bounded(
-        f"{kind}_nuplan", partial(_filtered, signal, NUPLAN_STEP_S, NUPLAN_LEAST_S), NUPLAN_BOUNDS[kind], (),
-        f"{what}, as nuPlan filters it{aside}.", formula,
-        "nuPlan devkit e9241677, ego_is_comfortable; there at the ego's centre", (f"step {NUPLAN_STEP_S} s",),
-        f"a drive of {NUPLAN_LEAST_S} s",
+    Metric(
+        f"{kind}_nuplan", NUPLAN_BOUNDS[kind][0], "lower", (Mode.CLOSED,),
+        partial(_filtered, signal, NUPLAN_STEP_S, NUPLAN_LEAST_S), _outside(NUPLAN_BOUNDS[kind]),
+        f"{what}, as nuPlan filters it{aside}.",
+        "nuPlan devkit e9241677, ego_is_comfortable; there at the ego's centre", formula=formula,
+        parameters=(_asked(NUPLAN_BOUNDS[kind]), f"step {NUPLAN_STEP_S} s"), needs=f"a drive of {NUPLAN_LEAST_S} s",
     )
     for kind, what, aside, signal, formula in (
         ("lon_accel", "Acceleration along the body", "", lambda drive: _savgol(drive.a, 8, 2), "SG(8, 2) of a"),
@@ -217,9 +216,10 @@ NUPLAN = tuple(
         ("yaw_accel", "Yaw acceleration", "", lambda drive: _derived(drive.yaw, 5, 3, 2, drive), "SG''(5, 3) of yaw"),
     )
 )  # fmt: skip
-LAT_JERK_R79 = _bounded(
-    "lat_jerk_r79", partial(_filtered, r79_jerk, R79_STEP_S, R79_MEAN_S), ("m/s3", -R79_JERK_MPS3, R79_JERK_MPS3), (),
-    "Lateral jerk as UN R79 measures it: low-pass, derivative, moving mean.",
-    "mean over 0.5 s of dB/dt = (B(t) - B(t - 0.5 s)) / 0.5 s, B = Butterworth low-pass of v^2 kappa",
-    "UN R79 (read at second hand)", ("order 4", "cut-off 0.5 Hz", "rate 100 Hz"), "a drive of 0.5 s",
+LAT_JERK_R79 = Metric(
+    "lat_jerk_r79", "m/s3", "lower", (Mode.CLOSED,), partial(_filtered, r79_jerk, R79_STEP_S, R79_MEAN_S),
+    _outside(R79_BOUNDS), "Lateral jerk as UN R79 measures it: low-pass, derivative, moving mean.",
+    "UN R79 (read at second hand)",
+    formula="mean over 0.5 s of dB/dt = (B(t) - B(t - 0.5 s)) / 0.5 s, B = Butterworth low-pass of v^2 kappa",
+    parameters=(_asked(R79_BOUNDS), "order 4", "cut-off 0.5 Hz", "rate 100 Hz"), needs="a drive of 0.5 s",
 )  # fmt: skip

@@ -31,7 +31,7 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
 from logs.observed import described, within
-from logs.rules import Colour, TrafficLight
+from logs.rules import Colour
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
 from metrics import metric
@@ -97,20 +97,16 @@ def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> M
     needed, known, lacking = np.zeros(len(x), np.bool_), np.ones(len(x), np.bool_), set[int]()
     for line in lines:
         near = points_inside(scenario.road.lanes[line.lane].polygon, x, y)
-        shown = _shown(lights.get(line.light or 0), trace.ego.t)
+        light, shown = lights.get(line.light or 0), np.zeros(len(x), np.bool_)
+        if light is not None:
+            lit = np.array([colour is not Colour.OFF for colour in light.colours])
+            at = np.searchsorted(light.t, trace.ego.t + 1e-9, side="right") - 1
+            shown = (at >= 0) & (lit[np.maximum(at, 0)] | (not lit.any()))
         lacking |= {line.light or 0} if (near & ~shown).any() else set()
         needed, known = needed | near, known & (shown | ~near)
     if not needed.any():
         return Unavailable("no stop line with a traffic light lies on the driven way")
     return _found(trace, known, f"traffic light {', '.join(map(str, sorted(lacking)))} is not observed", needed)
-
-
-def _shown(light: TrafficLight | None, t: FloatArray) -> BoolArray:
-    if light is None:
-        return np.zeros(len(t), np.bool_)
-    lit = np.array([colour is not Colour.OFF for colour in light.colours])
-    at = np.searchsorted(light.t, t + 1e-9, side="right") - 1
-    return (at >= 0) & (lit[np.maximum(at, 0)] | (not lit.any()))
 
 
 def _share(series: Series, *, of_way: bool = False) -> tuple[float, int]:

@@ -49,7 +49,7 @@ from logs.shapes import corners
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from metrics.boxes import STANDING_MPS, Car, car_of
-from metrics.metric import MAX, MIN, Direction, Measured, Metric, Reduction, Series, time_below, time_outside
+from metrics.metric import MAX, MIN, Measured, Metric, Series, time_below, time_outside
 from metrics.once import once
 from metrics.others import GRID_S, Others, labels_of, nearest
 from metrics.safety import CATALOGUE
@@ -240,8 +240,9 @@ def _margin(ahead: Ahead, scenario: Scenario) -> FloatArray:
 
 
 def _measured(
-    trace: Trace, scenario: Scenario, *, value: Callable[[Ahead, Scenario], FloatArray], missing: str, vehicles: bool
-) -> Measured:
+    trace: Trace, scenario: Scenario, *, value: Callable[[Ahead, Scenario], FloatArray], missing: str = _ALONE,
+    vehicles: bool = False,
+) -> Measured:  # fmt: skip
     ahead = ahead_of(trace, scenario)
     found = value(ahead, scenario)
     if vehicles:
@@ -251,64 +252,70 @@ def _measured(
     return Series(ahead.t, found, labels_of(trace, ahead.agent), missing)
 
 
-def _metric(
-    name: str, unit: str, direction: Direction, value: Callable[[Ahead, Scenario], FloatArray],
-    reductions: tuple[Reduction, ...], meaning: str, formula: str, source: str, *parameters: str,
-    needs: str = "a lead in the ego's path", missing: str = _ALONE, vehicles: bool = False,
-) -> Metric:  # fmt: skip
-    measure = partial(_measured, value=value, missing=missing, vehicles=vehicles)
-    path = (f"path: the arc of the ego's curvature, {LOOK_M:g} m ahead, at most a quarter turn", f"every {GRID_S:g} s")
-    return Metric(
-        name, unit, direction, (Mode.CLOSED,), measure, reductions, meaning, source, formula=formula,
-        parameters=(*parameters, *path), needs=needs,
-    )  # fmt: skip
-
-
+_PATH = (f"path: the arc of the ego's curvature, {LOOK_M:g} m ahead, at most a quarter turn", f"every {GRID_S:g} s")
+_LEAD = "a lead in the ego's path"
 FOLLOWING = (
-    _metric(
-        "headway", "m", "higher", lambda ahead, scenario: ahead.gap, (MIN,),
-        "Gap along the ego's path from its front bumper to the lead.", "s_lead - s_front", CATALOGUE,
+    Metric(
+        "headway", "m", "higher", (Mode.CLOSED,), partial(_measured, value=lambda ahead, scenario: ahead.gap), (MIN,),
+        "Gap along the ego's path from its front bumper to the lead.", CATALOGUE,
+        formula="s_lead - s_front", parameters=_PATH, needs=_LEAD,
     ),
-    _metric(
-        "thw", "s", "higher",
-        lambda ahead, scenario: _quotient(ahead.gap, ahead.v, ahead.v > STANDING_MPS),
+    Metric(
+        "thw", "s", "higher", (Mode.CLOSED,),
+        partial(
+            _measured, value=lambda ahead, scenario: _quotient(ahead.gap, ahead.v, ahead.v > STANDING_MPS),
+            missing=f"{_ALONE} while it drove",
+        ),
         (MIN, time_below(SHORT_THW_S, "time_below_900ms")),
-        "Time headway: until the ego's front is where the lead's rear is now, at constant speed.", "gap / v",
-        CATALOGUE, f"bound {SHORT_THW_S:g} s (fined in Germany)",
-        needs="a lead in the path of an ego that drives", missing=f"{_ALONE} while it drove",
+        "Time headway: until the ego's front is where the lead's rear is now, at constant speed.", CATALOGUE,
+        formula="gap / v", parameters=(f"bound {SHORT_THW_S:g} s (fined in Germany)", *_PATH),
+        needs="a lead in the path of an ego that drives",
     ),
-    _metric(
-        "drac", "m/s2", "lower",
-        lambda ahead, scenario: _quotient(np.maximum(ahead.v - ahead.u, 0.0) ** 2, 2.0 * ahead.gap, ahead.gap > 0.0),
-        (MAX,), "Deceleration rate to avoid a crash with a lead that holds its speed.",
-        "(v - u)^2 / (2 gap) where v > u, else 0", CATALOGUE,
+    Metric(
+        "drac", "m/s2", "lower", (Mode.CLOSED,),
+        partial(_measured, value=lambda ahead, scenario: _quotient(
+            np.maximum(ahead.v - ahead.u, 0.0) ** 2, 2.0 * ahead.gap, ahead.gap > 0.0
+        )), (MAX,),
+        "Deceleration rate to avoid a crash with a lead that holds its speed.", CATALOGUE,
+        formula="(v - u)^2 / (2 gap) where v > u, else 0", parameters=_PATH, needs=_LEAD,
     ),
-    _metric(
-        "required_decel", "m/s2", "lower", _required, (MAX, time_outside(-np.inf, EMERGENCY_MPS2, "time_in_emergency")),
+    Metric(
+        "required_decel", "m/s2", "lower", (Mode.CLOSED,), partial(_measured, value=_required),
+        (MAX, time_outside(-np.inf, EMERGENCY_MPS2, "time_in_emergency")),
         "Least constant deceleration that avoids a lead that goes on braking as it does until it stands.",
-        "b_o + (v - u)^2 / (2 gap) where the speeds meet before the lead stands, else v^2 / (2 (gap + u^2 / (2 b_o)))",
-        f"{CATALOGUE}; emergency: UN R157", f"emergency above {EMERGENCY_MPS2:g} m/s2",
+        f"{CATALOGUE}; emergency: UN R157",
+        formula="b_o + (v - u)^2 / (2 gap) where the speeds meet before the lead stands, else"
+        " v^2 / (2 (gap + u^2 / (2 b_o)))",
+        parameters=(f"emergency above {EMERGENCY_MPS2:g} m/s2", *_PATH), needs=_LEAD,
     ),
-    _metric(
-        "btn", "1", "lower", lambda ahead, scenario: _required(ahead, scenario) / scenario.vehicle.max_decel,
+    Metric(
+        "btn", "1", "lower", (Mode.CLOSED,),
+        partial(_measured, value=lambda ahead, scenario: _required(ahead, scenario) / scenario.vehicle.max_decel),
         (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
         "Brake threat number: required over greatest deceleration; above 1 braking alone does not suffice.",
-        "a_req / a_max", CATALOGUE, "a_max: the vehicle's max_decel",
+        CATALOGUE, formula="a_req / a_max", parameters=("a_max: the vehicle's max_decel", *_PATH), needs=_LEAD,
     ),
-    _metric(
-        "stn", "1", "lower",
-        lambda ahead, scenario: required_lateral(ahead, 0.5 * scenario.vehicle.width) / STEER_MPS2,
+    Metric(
+        "stn", "1", "lower", (Mode.CLOSED,),
+        partial(_measured, value=lambda ahead, scenario: (
+            required_lateral(ahead, 0.5 * scenario.vehicle.width) / STEER_MPS2
+        )),
         (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
         "Steer threat number: lateral acceleration that is required to pass the lead, over what is available.",
-        "2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 / a_lat,max, T = gap / (v - u)",
-        "commonroad-crime 0.4.5", f"a_lat,max {STEER_MPS2:g} m/s2",
+        "commonroad-crime 0.4.5",
+        formula="2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 / a_lat,max, T = gap / (v - u)",
+        parameters=(f"a_lat,max {STEER_MPS2:g} m/s2", *_PATH), needs=_LEAD,
     ),
-    _metric(
-        "following_gap", "m", "higher", _margin, (MIN, time_below(0.0, "time_too_near")),
-        "Gap to the vehicle that the ego follows, less the minimum following gap of UN R157.",
-        "gap - max(v t_front(v), 2 m)", "UN R157, 5.2.3.3",
-        "t_front 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6 s at 7.2, 10, 20, 30, 40, 50, 60 km/h, linear between, 1.6 s beyond",
+    Metric(
+        "following_gap", "m", "higher", (Mode.CLOSED,),
+        partial(_measured, value=_margin, missing="the ego followed no vehicle", vehicles=True),
+        (MIN, time_below(0.0, "time_too_near")),
+        "Gap to the vehicle that the ego follows, less the minimum following gap of UN R157.", "UN R157, 5.2.3.3",
+        formula="gap - max(v t_front(v), 2 m)",
+        parameters=(
+            "t_front 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6 s at 7.2, 10, 20, 30, 40, 50, 60 km/h, linear between, 1.6 s"
+            " beyond", *_PATH,
+        ),
         needs="a vehicle that drives on in the ego's path, or stands where the ego stands",
-        missing="the ego followed no vehicle", vehicles=True,
     ),
 )  # fmt: skip

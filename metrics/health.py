@@ -40,7 +40,6 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
-from itertools import takewhile
 from math import isfinite
 
 import numpy as np
@@ -415,7 +414,9 @@ def _near(places: FloatArray) -> Iterator[tuple[int, int]]:
     """Pairs of places `(2, n)`, sorted by x, that are within `TWIN_M`."""
     x, y = places
     for i in range(len(x)):
-        for j in takewhile(lambda j, i=i: x[j] - x[i] < TWIN_M, range(i + 1, len(x))):  # type: ignore[misc]
+        for j in range(i + 1, len(x)):
+            if x[j] - x[i] >= TWIN_M:
+                break
             if np.hypot(x[j] - x[i], y[j] - y[i]) < TWIN_M:
                 yield i, j
 

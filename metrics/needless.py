@@ -108,7 +108,9 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
     goal, early = scenario.goal, np.zeros(len(s), np.bool_)
     if goal is not None and goal.t is not None:  # at its speed it would be there before the goal's time
         early = s + np.maximum(ego.v, STANDS_MPS) * (goal.t[0] - ego.t) > route_of(scenario).length
-    slow, stand, steer = (_lasting(ego.t, flags) for flags in (slow | early, stand | early, steer))
+    flags = np.stack([slow | early, stand | early, steer])
+    since = np.maximum.accumulate(np.where(flags, ego.t, -np.inf), axis=1)
+    slow, stand, steer = ego.t - since <= AFTER_S + 1e-9
     off = np.abs(l) > ASIDE_M
     caps, end = _caps(line, scenario), np.searchsorted(line.s, s + _look(ego.v, 0.0), side="right")
     first = np.clip(np.searchsorted(line.s, s) - 1, 0, len(caps) - 1)
@@ -121,12 +123,6 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
 def _look(v: FloatArray, u: FloatArray | float) -> FloatArray:
     """(1), at most `FARTHEST_M`."""
     return np.minimum(NEAR_M + HEADWAY_S * v + np.maximum(v - u, 0.0) ** 2 / (2.0 * EASE_MPS2), FARTHEST_M)
-
-
-def _lasting(t: FloatArray, flags: BoolArray) -> BoolArray:
-    """Where a flag is set, or was within `AFTER_S`."""
-    since = np.maximum.accumulate(np.where(flags, t, -np.inf))
-    return np.asarray(t - since <= AFTER_S + 1e-9)
 
 
 def _by_agents(
@@ -280,24 +276,20 @@ def hard_episodes(ego: Trajectory) -> list[int]:
 
 def had_cause(trace: Trace, scenario: Scenario, begin: float) -> bool:
     """(6) of an episode that begins at a time, s."""
-    car, t = car_of(scenario), begin + GRID_S * np.arange(round(CAUSE_S / GRID_S) + 1)
-    wider = car._replace(width=car.width + 2.0 * CAUSE_M)
-    return bool(_comes(_way(trace.ego, begin), wider, others_at(trace.agents, t)))
-
-
-def _way(ego: Trajectory, begin: float) -> FloatArray:
-    """Rows x, y, yaw `(3, n)` of the rear axle along the strip of (6)."""
-    drive = ego.resampled(np.r_[begin, ego.t[ego.t > begin]])
+    drive = trace.ego.resampled(np.r_[begin, trace.ego.t[trace.ego.t > begin]])
     s = np.r_[0.0, np.cumsum(np.hypot(np.diff(drive.x), np.diff(drive.y)))]
     at = np.arange(0.0, max(float(drive.v[0]), 0.0) * CAUSE_S + SPACING_M, SPACING_M)
     beyond = np.maximum(at - s[-1], 0.0)
     x, y, yaw = (np.interp(at, s, column) for column in (drive.x, drive.y, drive.yaw))
-    return np.stack([x + beyond * np.cos(yaw), y + beyond * np.sin(yaw), yaw])
+    way = np.stack([x + beyond * np.cos(yaw), y + beyond * np.sin(yaw), yaw])
+    car, t = car_of(scenario), begin + GRID_S * np.arange(round(CAUSE_S / GRID_S) + 1)
+    wider = car._replace(width=car.width + 2.0 * CAUSE_M)
+    return bool(_comes(way, wider, others_at(trace.agents, t)))
 
 
 @kernel
 def _comes(way: FloatArray, car: Car, others: Others) -> bool:
-    """Whether any of the boxes `(n, k)` overlaps the ego's anywhere on the way."""
+    """Whether any of the boxes `(n, k)` overlaps the ego's anywhere on the way of its rear axle: x, y, yaw `(3, m)`."""
     for j in range(way.shape[1]):
         x, y, yaw = way[0, j] + car.axle * cos(way[2, j]), way[1, j] + car.axle * sin(way[2, j]), way[2, j]
         for i in range(others.there.shape[0]):

@@ -13,7 +13,6 @@ from math import inf
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
 from logs.scenario import Scenario, Tracks
 from logs.shapes import overlap
 from metrics.boxes import ego_boxes
@@ -54,20 +53,15 @@ def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
         for k in np.flatnonzero(inside):
             (x1, y1, yaw1), (x2, y2, yaw2) = ego_box[:, k], pose[:, k]
             inside[k] = overlap(x1, y1, yaw1, car.length - 2.0 * DEEP_M, car.width - 2.0 * DEEP_M, x2, y2, yaw2, *size)
+        if not inside.any():
+            continue
         sampled = np.empty(0) if tracks.static[i] else tracks.t[tracks.samples(i)]
-        seen = t[steps]
-        for a, b in _runs(inside, seen):
-            before, after = sampled[sampled <= seen[a] - AROUND_S], sampled[sampled >= seen[b] + AROUND_S]
+        seen = t[steps][inside]
+        for run in np.split(seen, np.flatnonzero(np.diff(seen) > 2.0 * AROUND_S) + 1):  # margins that meet are one run
+            before, after = sampled[sampled <= run[0] - AROUND_S], sampled[sampled >= run[-1] + AROUND_S]
             begin, end = (float(before[-1]) if len(before) else -inf), (float(after[0]) if len(after) else inf)
             found.append(Phantom(tracks.ids[i], name_of(tracks, i), begin, end))
     return tuple(dict.fromkeys(found))
-
-
-def _runs(flags: BoolArray, t: FloatArray) -> list[tuple[int, int]]:
-    """First and last step of each run of flags; runs whose margins meet are one."""
-    steps = np.flatnonzero(flags)
-    runs = np.split(steps, np.flatnonzero(np.diff(t[steps]) > 2.0 * AROUND_S) + 1) if len(steps) else []
-    return [(int(run[0]), int(run[-1])) for run in runs]
 
 
 def without_phantoms(tracks: Tracks, found: tuple[Phantom, ...]) -> Tracks:

@@ -39,7 +39,7 @@ from logs.trace import Mode, Trace
 from metrics import comfort, metric, plans, safety
 from metrics.boxes import NO_TTC_MPS, Car, apart, car_of, contact_time, is_behind, touches
 from metrics.lanes import keeps_lane
-from metrics.metric import Direction, Measure, Measured, Metric, Reduction, Series, Unavailable
+from metrics.metric import Measured, Metric, Series, Unavailable
 from metrics.once import once
 from metrics.others import Others, labels_of, named, some_at, there_between
 from metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
@@ -223,69 +223,65 @@ def _score(trace: Trace, scenario: Scenario) -> Measured:
     return Series(t, multiplier * (weights * np.nan_to_num(parts)).sum(axis=0) / weights.sum(axis=0))
 
 
-_BOTH, _CLOSED = (Mode.OPEN, Mode.CLOSED), (Mode.CLOSED,)
+_BOTH = (Mode.OPEN, Mode.CLOSED)
 _FOLLOWED = (f"horizon {HORIZON_S:g} s", f"step {STEP_S:g} s")
 _NAVSIM = "after NAVSIM 0a380a90, pdm_scorer"
 
 
-def _metric(
-    name: str, unit: str, measure: Measure, reductions: tuple[Reduction, ...], meaning: str, formula: str,
-    *, modes: tuple[Mode, ...] = _BOTH, needs: str = "plans", better: Direction = "lower", version: int = 1,
-) -> Metric:  # fmt: skip
-    return Metric(
-        name, unit, better, modes, measure, reductions, meaning, _NAVSIM, version, formula=formula,
-        parameters=_FOLLOWED, needs=needs,
-    )  # fmt: skip
-
-
-PLAN_COLLISION = _metric(
-    "plan_collision", "s", partial(_followed_by, "contact", about="contact_agent", missing=_NO_CONTACT),
-    (metric.HAVING, metric.MIN),
+PLAN_COLLISION = Metric(
+    "plan_collision", "s", "higher", _BOTH,
+    partial(_followed_by, "contact", about="contact_agent", missing=_NO_CONTACT), (metric.HAVING, metric.MIN),
     "Time until a plan has a contact at fault with a road user as it then moved; fault as in collision_at_fault.",
-    "least t - t_i with a contact at fault", better="higher", version=2,
+    _NAVSIM, 2, formula="least t - t_i with a contact at fault", parameters=_FOLLOWED, needs="plans",
 )  # fmt: skip
-PLAN_OFF_ROAD = _metric(
-    "plan_off_road", "m", lambda trace, scenario: (
+PLAN_OFF_ROAD = Metric(
+    "plan_off_road", "m", "lower", _BOTH, lambda trace, scenario: (
         lanes if isinstance(lanes := safety.known_lanes(scenario), Unavailable) else _series("off", trace, scenario)
     ), (metric.MAX, metric.share_beyond(safety.OFF_ROAD_M, "share_beyond_30cm")),
-    "How much farther off the drivable lanes than at its start a plan leads.",
-    "max over t of off(t) - off(t_i), off the greatest distance of a corner to the lanes",
-    needs="plans, lanes in the log",
+    "How much farther off the drivable lanes than at its start a plan leads.", _NAVSIM,
+    formula="max over t of off(t) - off(t_i), off the greatest distance of a corner to the lanes",
+    parameters=_FOLLOWED, needs="plans, lanes in the log",
 )  # fmt: skip
-PLAN_TTC = _metric(
-    "plan_ttc", "s", partial(_followed_by, "ttc", about="ttc_agent", missing="no plan is on a course to touch anyone"),
+PLAN_TTC = Metric(
+    "plan_ttc", "s", "higher", _BOTH,
+    partial(_followed_by, "ttc", about="ttc_agent", missing="no plan is on a course to touch anyone"),
     (metric.MIN, metric.share_while(lambda ttc: ttc <= safety.CLOSE_S, "share_below_950ms")),
-    "Least time to contact along a plan, as ttc; 0 where the plan has a contact at fault.",
-    "min over t of the time to contact at constant velocity vectors", better="higher",
+    "Least time to contact along a plan, as ttc; 0 where the plan has a contact at fault.", _NAVSIM,
+    formula="min over t of the time to contact at constant velocity vectors", parameters=_FOLLOWED, needs="plans",
 )  # fmt: skip
-PLAN_COMFORT = _metric(
-    "plan_comfort", "1", _comfort, (metric.MEAN, metric.P95, metric.share_beyond(1.0, "share_above_1")),
-    "The worst of nuPlan's six comfort signals of a plan, over its bound.", "max over t and q of q / bound(q)",
+PLAN_COMFORT = Metric(
+    "plan_comfort", "1", "lower", _BOTH, _comfort,
+    (metric.MEAN, metric.P95, metric.share_beyond(1.0, "share_above_1")),
+    "The worst of nuPlan's six comfort signals of a plan, over its bound.", _NAVSIM,
+    formula="max over t and q of q / bound(q)", parameters=_FOLLOWED, needs="plans",
 )  # fmt: skip
-PLAN_PROGRESS = _metric(
-    "plan_progress", "1", partial(_followed_by, "progress"), (metric.MEAN, metric.MIN),
-    "Planned distance over the greater of planned and then driven distance.", "s / max(s, d); 1 up to 5 m",
-    better="higher",
+PLAN_PROGRESS = Metric(
+    "plan_progress", "1", "higher", _BOTH, partial(_followed_by, "progress"), (metric.MEAN, metric.MIN),
+    "Planned distance over the greater of planned and then driven distance.", _NAVSIM,
+    formula="s / max(s, d); 1 up to 5 m", parameters=_FOLLOWED, needs="plans",
 )  # fmt: skip
-PLAN_KEPT = _metric(
-    "plan_kept", "m", partial(_followed_by, "kept", missing=_NOT_DRIVEN),
+PLAN_KEPT = Metric(
+    "plan_kept", "m", "lower", (Mode.CLOSED,), partial(_followed_by, "kept", missing=_NOT_DRIVEN),
     (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(5.0, "share_beyond_5m")),
-    "Greatest distance of a plan's states from where the ego then was.", "max over t of |p_i(t) - p(t)|", modes=_CLOSED,
+    "Greatest distance of a plan's states from where the ego then was.", _NAVSIM,
+    formula="max over t of |p_i(t) - p(t)|", parameters=_FOLLOWED, needs="plans",
 )  # fmt: skip
-PLAN_KEPT_LATERAL = _metric(
-    "plan_kept_lateral", "m", partial(_followed_by, "kept_lateral", missing=_NOT_DRIVEN),
+PLAN_KEPT_LATERAL = Metric(
+    "plan_kept_lateral", "m", "lower", (Mode.CLOSED,), partial(_followed_by, "kept_lateral", missing=_NOT_DRIVEN),
     (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(2.0, "share_beyond_2m")),
-    "Greatest lateral distance of a plan's states from where the ego then was.",
-    "max over t of |p_i(t) - p(t)| across the ego's heading", modes=_CLOSED,
+    "Greatest lateral distance of a plan's states from where the ego then was.", _NAVSIM,
+    formula="max over t of |p_i(t) - p(t)| across the ego's heading", parameters=_FOLLOWED, needs="plans",
 )  # fmt: skip
-PLAN_SCORE = _metric(
-    "plan_score", "1", _score, (metric.MEAN, metric.MIN),
-    "NAVSIM's EPDMS of each plan, without direction, lights and lane keeping.",
-    "contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14", better="higher",
+PLAN_SCORE = Metric(
+    "plan_score", "1", "higher", _BOTH, _score, (metric.MEAN, metric.MIN),
+    "NAVSIM's EPDMS of each plan, without direction, lights and lane keeping.", _NAVSIM,
+    formula="contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14",
+    parameters=_FOLLOWED, needs="plans",
 )  # fmt: skip
 PLAN_LON_ACCEL, PLAN_LAT_ACCEL, PLAN_LON_JERK = (
-    _metric(
-        f"plan_{name}", unit, partial(_series, name), (metric.MEAN, metric.P95, metric.MAX), meaning, formula, version=2
+    Metric(
+        f"plan_{name}", unit, "lower", _BOTH, partial(_series, name), (metric.MEAN, metric.P95, metric.MAX), meaning,
+        _NAVSIM, 2, formula=formula, parameters=_FOLLOWED, needs="plans",
     )
     for name, unit, meaning, formula in (
         ("lon_accel", "m/s2", "Largest planned acceleration or braking.", "max |a|"),

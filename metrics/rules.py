@@ -49,7 +49,7 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.road import inside
 from logs.route import ASIDE_M, BEHIND_M, on_lane
-from logs.rules import RED, Crosswalk, StopLine
+from logs.rules import RED, StopLine
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
@@ -140,25 +140,20 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
     walkers = np.flatnonzero([kind is AgentKind.PEDESTRIAN for kind in trace.agents.kinds])
     ego, t = ego_boxes(trace.ego, scenario), trace.ego.t
     for crosswalk in scenario.road.crosswalks if len(walkers) else ():
-        for first, last in _passages(crosswalk, ego, car_of(scenario)):
-            way = np.ascontiguousarray(ego[:2, first : last + 1])
-            seen = np.intersect1d(walkers, there_between(trace.agents, t[first], t[last]))
-            others = some_at(trace.agents, seen, t[first : last + 1])
+        over = _over(ego, car_of(scenario), crosswalk.polygon)
+        change = np.flatnonzero(np.diff(np.r_[False, over, False].astype(int))).tolist()
+        for first, end in zip(change[::2], change[1::2], strict=True):
+            if first == 0:  # a passage that is under way at the start
+                continue
+            way = np.ascontiguousarray(ego[:2, first:end])
+            seen = np.intersect1d(walkers, there_between(trace.agents, t[first], t[end - 1]))
+            others = some_at(trace.agents, seen, t[first:end])
             for row, i in enumerate(seen.tolist()):
                 on = _on_half(others.pose[:2, row], way, crosswalk.polygon)
-                on &= others.there[row] & (np.abs(trace.ego.v[first : last + 1]) > REST_MPS)
+                on &= others.there[row] & (np.abs(trace.ego.v[first:end]) > REST_MPS)
                 if on.any():
                     events.append((first + int(np.argmax(on)), f"crosswalk {crosswalk.id}: {name_of(trace.agents, i)}"))
     return counted(trace.ego.t, events)
-
-
-def _passages(crosswalk: Crosswalk, ego: FloatArray, car: Car) -> Iterator[tuple[int, int]]:
-    """First and last step of each passage over a crosswalk; one that is under way at the start is left out."""
-    on = _over(ego, car, crosswalk.polygon)
-    change = np.flatnonzero(np.diff(np.r_[False, on, False].astype(int)))
-    for first, end in zip(change[::2], change[1::2], strict=True):
-        if first > 0:
-            yield int(first), int(end) - 1
 
 
 @kernel

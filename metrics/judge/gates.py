@@ -180,13 +180,24 @@ def read_tables(
     tables = content.get(kind, [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise ConfigError(f"{source}: holds no [[{kind}]]: {kind} is no list of tables")
+    rows = [
+        ".".join(filter(None, (metric.name, part, reduction.name)))
+        for metric in metrics.values()
+        for part in metric.parts or ("",)
+        for reduction in metric.reductions
+    ]
     found = []
     for i, table in enumerate(tables, 1):
         names = [table[key] for key in ("metric", "gate") if isinstance(table.get(key), str)]
         place = f"{source}: {kind} {i}" + "".join(f" ({name})" for name in names)
         _known_only(table, tuple(field.name for field in fields(rule)), place)
         for name in names:
-            _check_metric(name, place, metrics)
+            words = name.split(".")
+            open_part = (
+                len(words) == 3 and f"{words[0]}.*.{words[2]}" in rows
+            )  # "qp_iterations.*.max": any word will do
+            if name not in rows and not open_part:
+                raise ConfigError(f"{place}: no metric has this name{meant(name, rows)}")
         try:
             found.append(msgspec.convert(table, rule))
         except msgspec.ValidationError as error:
@@ -198,23 +209,6 @@ def _known_only(table: Mapping[str, Any], keys: Sequence[str], place: str) -> No
     for key in table:
         if key not in keys:
             raise ConfigError(f"{place}: unknown key {key!r}{meant(key, keys)}; known: {', '.join(keys)}")
-
-
-def _check_metric(name: str, place: str, metrics: Mapping[str, Metric]) -> None:
-    """Raise unless the table can hold a row of this name; of open parts ("qp_iterations.*.max") any word will do.
-
-    Raises:
-        ConfigError: It cannot.
-    """
-    names = [
-        ".".join(filter(None, (metric.name, part, reduction.name)))
-        for metric in metrics.values()
-        for part in metric.parts or ("",)
-        for reduction in metric.reductions
-    ]
-    words = name.split(".")
-    if name not in names and not (len(words) == 3 and f"{words[0]}.*.{words[2]}" in names):
-        raise ConfigError(f"{place}: no metric has this name{meant(name, names)}")
 
 
 def unit_of(unit: str) -> str:

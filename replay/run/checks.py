@@ -63,7 +63,12 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
     _check_others(run)
     if run.foxglove:
         import replay.draw.foxglove  # noqa: F401  # its package is there, or this says so before anything is driven
-    _check_tables(run)
+    named = {*PLANNERS, *ORACLES, *PLANNER.entries(), *run.planners}
+    for name, table in run.planner.items():  # of all planners, be they driven or not
+        if name not in named and ":" not in name:
+            raise unknown_name("planner (in the configuration)", name, named)
+        if name in PLANNERS or name in ORACLES:
+            planner_keywords(name, table)
     if run.charts:
         from replay.draw.charts.layout import CHART  # that imports what reads results, and they this
 
@@ -180,13 +185,3 @@ def _built(kind: str, name: str) -> Iterator[None]:
         if of_users(error):
             raise ConfigError(f"{kind} '{name}' cannot be built: {raised(error)}") from error
         raise
-
-
-def _check_tables(run: RunConfig) -> None:
-    """Refuse a table of a planner that is not there, or that this planner does not take, be it driven or not."""
-    named = {*PLANNERS, *ORACLES, *PLANNER.entries(), *run.planners}
-    for name, table in run.planner.items():
-        if name not in named and ":" not in name:
-            raise unknown_name("planner (in the configuration)", name, named)
-        if name in PLANNERS or name in ORACLES:
-            planner_keywords(name, table)

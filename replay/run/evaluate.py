@@ -301,18 +301,16 @@ def _evaluated(
 
 def _distinct(results: Sequence[LogResult]) -> tuple[LogResult, ...]:
     """The results with different names: logs that share one get the hash of their content behind it."""
-    names = Counter(result.name for result in results)
-    return tuple(_renamed(result) if names[result.name] > 1 and result.digest else result for result in results)
-
-
-def _renamed(result: LogResult) -> LogResult:
-    name = f"{result.name}@{result.digest[:8]}"
-    return replace(
-        result,
-        name=name,
-        drives=tuple(replace(drive, log=name) for drive in result.drives),
-        failures=tuple(replace(failure, log=name) for failure in result.failures),
-    )
+    names, distinct = Counter(result.name for result in results), []
+    for result in results:
+        if names[result.name] > 1 and result.digest:
+            name = f"{result.name}@{result.digest[:8]}"
+            drives = tuple(replace(drive, log=name) for drive in result.drives)
+            failures = tuple(replace(failure, log=name) for failure in result.failures)
+            distinct.append(replace(result, name=name, drives=drives, failures=failures))
+        else:
+            distinct.append(result)
+    return tuple(distinct)
 
 
 def _log_summary(log: LogResult) -> dict[str, Any]:

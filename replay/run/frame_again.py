@@ -13,7 +13,6 @@ from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Plan, PlannedFrame, SolverReport
 from planners.piecewise_jerk.solvers import Asked, watched
-from replay.config import RunConfig
 from replay.drive import Drive
 from replay.explain.causes import Explainer
 from replay.explain.explanation import Explanation, lines_of
@@ -88,7 +87,9 @@ def planned_again(drive: DriveResult, at: float, planner: str | None = None, *, 
     for spec in (drive.planner, planner or drive.planner):
         if is_foreign(spec) or spec in ORACLES:
             raise ConfigError(f"planner '{spec}': a frame is planned again only by Python planners that know no log")
-    scenario, table = _scenario(drive, run), run.planner.get(drive.planner, {})
+    row = drive.result.logs.set_index("log").loc[drive.log].to_dict()
+    scenario = scenario_of(drive.result.path, row, run.log)
+    scenario, table = scenario.in_vehicle(run.driven(scenario.vehicle)), run.planner.get(drive.planner, {})
     watch, made = _driven(drive, scenario, recorded.t, debug=debug and planner is None)
     if planner is not None:
         return _by_another(drive, scenario, watch, planner, debug=debug)
@@ -146,17 +147,6 @@ def _same(plan: Plan, recorded: Plan) -> bool:
     new, old = plan.trajectory, recorded.trajectory
     rows = [int(abs(new.t - t).argmin()) for t in old.t]
     return all((getattr(new, name)[rows] == getattr(old, name)).all() for name in ("x", "y", "yaw", "v", "a"))
-
-
-def _scenario(drive: DriveResult, run: RunConfig) -> Scenario:
-    """The log of a drive as it was driven: from the results where it is there, else from where it was read.
-
-    Raises:
-        ConfigError: It is not there any more, or another.
-    """
-    row = drive.result.logs.set_index("log").loc[drive.log].to_dict()
-    scenario = scenario_of(drive.result.path, row, run.log)
-    return scenario.in_vehicle(run.driven(scenario.vehicle))
 
 
 def report_of(again: PlannedAgain) -> Iterator[str]:

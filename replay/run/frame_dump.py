@@ -44,8 +44,6 @@ class Problem(msgspec.Struct):
         start: `(3,)`.
         references: `(2, n)` row by row.
         lower: `(4 + k, n)` row by row; `upper` likewise.
-        upper: See there.
-        x: The answer.
     """
 
     report: SolverReport
@@ -63,9 +61,7 @@ class File(msgspec.Struct):
 
     Attributes:
         version: Of this format.
-        log: Name; `planner` and its table, as in a run's configuration.
-        planner: See there.
-        config: See there.
+        log: Name; `planner` and `config` (its table) are as in a run's configuration.
         context: What the planner was built with.
         frames: In order of time; the last is the one that is asked about.
         plan: Of the last frame, with its inside.
@@ -84,17 +80,7 @@ class File(msgspec.Struct):
 
 @dataclass(frozen=True, eq=False)
 class FrameDump:
-    """A dump as objects: attributes as of `File`.
-
-    Attributes:
-        log: See there.
-        planner: See there.
-        config: See there.
-        context: See there; its clock measures nothing.
-        frames: See there.
-        plan: See there.
-        problems: See there; with the curves that answered them.
-    """
+    """A dump as objects, with the attributes of `File`; the clock of the context measures nothing."""
 
     log: str
     planner: str

@@ -72,7 +72,10 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
         OutputError: The disk is full.
     """
     found, out = _parts([Path(folder) for folder in folders]), Path(out)
-    _check_outside(found, out)
+    for part in found:
+        theirs, ours = part.folder.resolve(), out.resolve()
+        if theirs.is_relative_to(ours) or ours.is_relative_to(theirs):
+            raise ConfigError(f"{out}: the shard {part.folder} lies there; give -o another folder")
     text = (found[0].folder / "run.toml").read_text(encoding="utf-8")
     run = replace(load_run(found[0].folder / "run.toml"), gates=str(read_toml(found[0].folder / "run.toml")["gates"]))
     with gates_in(found[0].folder) as path:
@@ -82,7 +85,9 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
         write_text(out / "run.toml", text)
         write_origin(out, begun_in(found[0].folder, (result.source for result in found[0].results)))
         _copy_folders(found, out)
-        return judge_and_write(out, run, _selection(found), _results(found), gates, found[0].failures)
+        results = _results(found)
+        sources = tuple(LogSource(result.source) for result in results)  # by label alone: no log is read any more
+        return judge_and_write(out, run, Selection(sources, found[0].dropped), results, gates, found[0].failures)
 
 
 @contextmanager
@@ -102,7 +107,13 @@ def _parts(folders: Sequence[Path]) -> tuple[Part, ...]:
     found = sorted((_part(folder) for folder in folders), key=lambda one: (one.shard.number, str(one.folder)))
     for other in found[1:]:
         _check_same(found[0], other)
-    _check_all(found)
+    of, numbers = found[0].shard.of, Counter(part.shard.number for part in found)
+    twice = [part for part in found if numbers[part.shard.number] > 1]
+    if twice:
+        raise ConfigError(f"{twice[0].folder} and {twice[1].folder} are both shard {twice[0].shard}")
+    missing = [str(Shard(number, of)) for number in range(1, of + 1) if number not in numbers]
+    if missing:
+        raise ConfigError(f"shards are missing: {', '.join(missing)}; given are {len(found)} of {of}")
     run = load_run(found[0].folder / "run.toml")
     for planner in run.planners:
         planner_factory(planner)  # says what is not installed
@@ -173,25 +184,8 @@ def _check_same(one: Part, other: Part) -> None:
         raise ConfigError(f"{both}: their gates are not the same")
 
 
-def _check_all(found: Sequence[Part]) -> None:
-    """Refuse shards that overlap or leave something out."""
-    of, numbers = found[0].shard.of, Counter(part.shard.number for part in found)
-    twice = [part for part in found if numbers[part.shard.number] > 1]
-    if twice:
-        raise ConfigError(f"{twice[0].folder} and {twice[1].folder} are both shard {twice[0].shard}")
-    missing = [str(Shard(number, of)) for number in range(1, of + 1) if number not in numbers]
-    if missing:
-        raise ConfigError(f"shards are missing: {', '.join(missing)}; given are {len(found)} of {of}")
-
-
 def _said(stamp: Stamp) -> str:
     return f"replan {stamp.replan}, code {stamp.code[:8]}"
-
-
-def _selection(found: Sequence[Part]) -> Selection:
-    """The logs of the run in their order, by label alone: the logs themselves are not needed any more."""
-    sources = (LogSource(result.source) for result in _results(found))
-    return Selection(tuple(sources), found[0].dropped)
 
 
 def _results(found: Sequence[Part]) -> tuple[LogResult, ...]:
@@ -202,14 +196,6 @@ def _results(found: Sequence[Part]) -> tuple[LogResult, ...]:
         for place, result in zip(part.shard.places(len(part.inputs)), part.results, strict=True)
     }
     return tuple(placed[place] for place in range(len(placed)))
-
-
-def _check_outside(found: Sequence[Part], out: Path) -> None:
-    """Refuse a result folder that is one of the shards, or in one, or holds one."""
-    for part in found:
-        theirs, ours = part.folder.resolve(), out.resolve()
-        if theirs.is_relative_to(ours) or ours.is_relative_to(theirs):
-            raise ConfigError(f"{out}: the shard {part.folder} lies there; give -o another folder")
 
 
 def _copy_folders(found: Sequence[Part], out: Path) -> None:

@@ -86,7 +86,10 @@ class OnRay:
     @contextmanager
     def _connected(self, run: RunConfig) -> Iterator[Any]:
         """Ray, with a connection for the time of the run; one that the caller had is used as it is."""
-        ray = _ray()
+        try:
+            import ray
+        except ImportError:
+            raise ConfigError("--engine ray needs Ray: pip install 'replan[ray]'") from None
         if ray.is_initialized():
             yield ray
             return
@@ -179,14 +182,6 @@ def _check_answers(address: str) -> None:
         socket.create_connection((host, int(port)), CONNECT_S).close()
     except OSError as error:
         raise ConfigError(f"--address {address}: no connection: {error.strerror or error}; {BEGIN}") from None
-
-
-def _ray() -> Any:
-    try:
-        import ray
-    except ImportError:
-        raise ConfigError("--engine ray needs Ray: pip install 'replan[ray]'") from None
-    return ray
 
 
 def _answer(ray: Any, reference: Any) -> tuple[Any, Any] | WorkerLost:

@@ -224,7 +224,13 @@ def _drive_one(
     _tidy(drive.trace)
     steps.add(drive.trace.planner, mode.value, tuple(found.values()))
     progress.tables.append(table)
-    progress.timings.append(_timings(drive))
+    timings = {
+        "log": drive.trace.scenario, "planner": drive.trace.planner, "mode": drive.trace.mode.value,
+        "t_s": [lap.t for lap in drive.timings],
+        "stage": [lap.stage for lap in drive.timings],
+        "seconds": [lap.seconds for lap in drive.timings],
+    }  # fmt: skip
+    progress.timings.append(pd.DataFrame(timings, columns=TIMING_COLUMNS))
     with progress.attempt(planner, mode):
         shown = steps.table([found[name] for name in SHOWN if name in found])
         _write_drive(file, drive, scenario, table, shown, run)
@@ -320,10 +326,3 @@ def _record(trace: Trace, scenario: Scenario, files: tuple[str, ...]) -> DriveRe
         notes=tuple(map(scenario.short_names, trace.notes)),
         files=files,
     )
-
-
-def _timings(drive: Drive) -> pd.DataFrame:
-    trace, laps = drive.trace, drive.timings
-    named = {"log": trace.scenario, "planner": trace.planner, "mode": trace.mode.value}
-    columns = {"t_s": [lap.t for lap in laps], "stage": [lap.stage for lap in laps]}
-    return pd.DataFrame({**named, **columns, "seconds": [lap.seconds for lap in laps]}, columns=TIMING_COLUMNS)

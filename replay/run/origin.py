@@ -66,22 +66,20 @@ def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenar
         ConfigError: It is not where it was, or another.
         LogError: It cannot be read.
     """
-    found = select([source], settings).sources[0] if url_of(source) else _local(out, source, digest, settings)
+    if url_of(source):
+        found = select([source], settings).sources[0]
+    else:
+        places = list(dict.fromkeys(Path(os.path.normpath(place / local_path(source))) for place in _directories(out)))
+        there = [LogSource(str(place), place, settings) for place in places if place.exists()]
+        if not there:
+            where = " nor at ".join(map(str, places))
+            raise ConfigError(f"{source}: the log of these results is not at {where}; put it back there")
+        found = next((one for one in there if one.path and log_hash(one.path, settings) == digest), there[0])
     with found.fetched() as near:
         assert near.path is not None
         if log_hash(near.path, settings) != digest:
             raise ConfigError(f"{found.label}: is not the log of these results any more, its bytes are others")
         return near.read()
-
-
-def _local(out: Path, source: str, digest: str, settings: LogSettings) -> LogSource:
-    """The first place where the log is; where only others are, the first of them."""
-    places = list(dict.fromkeys(Path(os.path.normpath(place / local_path(source))) for place in _directories(out)))
-    there = [LogSource(str(place), place, settings) for place in places if place.exists()]
-    if not there:
-        where = " nor at ".join(map(str, places))
-        raise ConfigError(f"{source}: the log of these results is not at {where}; put it back there")
-    return next((one for one in there if one.path and log_hash(one.path, settings) == digest), there[0])
 
 
 def _directories(out: Path) -> list[Path]:

@@ -45,7 +45,12 @@ class _Worker(Generic[T, R]):
             result: R = self.pipe.recv()
         except (EOFError, ConnectionError):
             self.process.join()
-            return WorkerLost(_cause(self.process.exitcode or 0))
+            code = self.process.exitcode or 0
+            if code >= 0:
+                return WorkerLost(f"its worker process ended with code {code} (its message is above)")
+            name = signal.Signals(-code).name
+            hint = "; the system may be out of memory: try fewer --workers" if name == "SIGKILL" else ""
+            return WorkerLost(f"its worker process was killed ({name}){hint}")
         return result
 
 
@@ -141,11 +146,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         wait([parent.sentinel])
         os._exit(1)
-
-
-def _cause(exitcode: int) -> str:
-    if exitcode < 0:
-        name = signal.Signals(-exitcode).name
-        hint = "; the system may be out of memory: try fewer --workers" if name == "SIGKILL" else ""
-        return f"its worker process was killed ({name}){hint}"
-    return f"its worker process ended with code {exitcode} (its message is above)"

@@ -50,24 +50,19 @@ def stamp_of(run: RunConfig) -> Stamp:
 
 def _files_of(run: RunConfig) -> Iterator[Path]:
     """The files of all that is not ours: modules ("module:NAME", entry points), and what commands name."""
-    yield from (file for name in run.planners for file in _of_planner(name))
+    for name in run.planners:
+        if name.startswith("exec:"):
+            words = command_of(name)
+            found = [Path(shutil.which(words[0]) or words[0]), *map(Path, words[1:])]
+            yield from (file for file in found if file.is_file())
+        elif name not in ORACLES and not name.startswith("tcp:") and (file := PLANNER.file(name)) is not None:
+            yield file
     named: list[tuple[Kind[Any], str]] = [(METRIC, name) for name in run.metrics]
     named += [(READER, name) for name in (*READER.entries(), run.log.reader) if name]
     named += [(kind, getattr(run.loop, key)) for key, (kind, _) in KINDS.items()]
     for kind, name in named:
-        file = None if name in kind.besides else kind.file(name)
-        yield from () if file is None else (file,)
-
-
-def _of_planner(name: str) -> list[Path]:
-    if name in ORACLES or name.startswith("tcp:"):
-        return []
-    if not name.startswith("exec:"):
-        file = PLANNER.file(name)
-        return [] if file is None else [file]
-    words = command_of(name)
-    found = [Path(shutil.which(words[0]) or words[0]), *map(Path, words[1:])]
-    return [file for file in found if file.is_file()]
+        if name not in kind.besides and (file := kind.file(name)) is not None:
+            yield file
 
 
 def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Stamp) -> dict[int, LogResult]:
@@ -79,7 +74,11 @@ def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Sta
     check_ours(out)
     folders = [folder for folder in sorted(out.iterdir()) if (folder / LOG_CARD).is_file()]
     if folders or (out / "run.toml").is_file():
-        _check_run(out, run)
+        changed = changes(read_toml(out / "run.toml"), tomllib.loads(dump_run(run)), besides="gates")
+        if changed:
+            raise ConfigError(
+                f"{out}: was begun with another configuration: {changed}; give the same options, or {START_OVER}"
+            )
     found = {folder: load_result(folder) for folder in folders if not folder.name.startswith(PARTIAL)}
     inputs = {identity_of(source): index for index, source in enumerate(sources)}
     results: dict[int, LogResult] = {}
@@ -108,15 +107,6 @@ def identity_of(source: LogSource) -> str:
         return source.identity()
     except LogError:
         return source.label
-
-
-def _check_run(out: Path, run: RunConfig) -> None:
-    """Refuse another configuration; the gates may be others."""
-    changed = changes(read_toml(out / "run.toml"), tomllib.loads(dump_run(run)), besides="gates")
-    if changed:
-        raise ConfigError(
-            f"{out}: was begun with another configuration: {changed}; give the same options, or {START_OVER}"
-        )
 
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any], besides: str = "") -> str:

@@ -287,18 +287,14 @@ def _logs(path: Path, settings: LogSettings) -> Iterator[tuple[Path, str]]:
         yield path, ""
     elif path.is_dir():
         for log, reader in logs_in(path, settings):
-            yield log, _objection(log, path) or ("" if reader else "no reader claims it")
+            reason = "" if reader else "no reader claims it"
+            if any(part.startswith(".") for part in log.relative_to(path).parts):
+                reason = "hidden"
+            elif (log.parent / LOG_CARD).exists():
+                reason = "a result of an earlier run (name it to evaluate it)"
+            yield log, reason
     else:
         raise ConfigError(str(foreign(path)))
-
-
-def _objection(file: Path, folder: Path) -> str:
-    """Why a file found in a folder is no input."""
-    if any(part.startswith(".") for part in file.relative_to(folder).parts):
-        return "hidden"
-    if (file.parent / LOG_CARD).exists():
-        return "a result of an earlier run (name it to evaluate it)"
-    return ""
 
 
 def _files(reader: Reader, log: Path) -> tuple[Path, ...]:

@@ -37,16 +37,12 @@ def _line(road: Road, start: EgoState, goal: Goal | None) -> ReferenceLine:
 
 def verdicts(scenario: Scenario) -> tuple[Verdict, ...]:
     """What each reference driver makes of a scenario, from the ego's first state on."""
-    return _verdicts(scenario, reference_line(scenario))
-
-
-def _verdicts(scenario: Scenario, line: ReferenceLine) -> tuple[Verdict, ...]:
+    line = reference_line(scenario)
     return tuple(driver(scenario, line, None) for driver in DRIVERS.values())
 
 
 def with_avoidability(scenario: Scenario) -> Scenario:
     """The scenario with the verdicts on it in its metadata, in place of those that it has."""
     said = {key: text for key, text in scenario.metadata.items() if not key.startswith(FINDING)}
-    line = reference_line(scenario)
-    entries = {key: text for verdict in _verdicts(scenario, line) for key, text in metadata_of(verdict).items()}
+    entries = {key: text for verdict in verdicts(scenario) for key, text in metadata_of(verdict).items()}
     return replace(scenario, metadata={**said, **entries})

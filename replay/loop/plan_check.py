@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.frame import Frame
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.kernel import FloatArray, kernel
 from logs.states import EgoState, Trajectory, wrap
 from logs.trace import Plan, PlanStart, PlanStatus
 from replay.planner_process.schema import LONGEST_REASON, MOST_POINTS, shortened
@@ -64,11 +64,14 @@ def checked(plan: Plan, frame: Frame) -> Plan:
             plan = replace(
                 plan, trajectory=trajectory, status=status, reason="; ".join(filter(None, [plan.reason, lie]))
             )
-        fault = _impossible(off)
+        if off.fastest > POSSIBLE_MPS:  # (6)
+            fault = f"it asks for {off.fastest:.0f} m/s"
+        elif off.hardest > POSSIBLE_MPS2:
+            fault = f"it asks for an acceleration of {off.hardest:.0f} m/s2"
     if not fault:
         return plan
-    start = PlanStart.EGO if _rest(frame) is None else PlanStart.PREVIOUS_PLAN
-    return replace(plan, trajectory=_goes_on(frame), status=PlanStatus.REFUSED, reason=fault, start=start)
+    instead, start = _instead(frame)
+    return replace(plan, trajectory=instead, status=PlanStatus.REFUSED, reason=fault, start=start)
 
 
 def _start_fault(trajectory: Trajectory, frame: Frame) -> str:
@@ -164,32 +167,20 @@ def _contradiction(off: Off) -> str:
     return f"its acceleration is {off.accel:.1f} m/s off its speed over 0.5 s" if off.accel > ACCEL_MPS else ""
 
 
-def _impossible(off: Off) -> str:
-    """How a plan breaks (6), empty where it does not."""
-    if off.fastest > POSSIBLE_MPS:
-        return f"it asks for {off.fastest:.0f} m/s"
-    return f"it asks for an acceleration of {off.hardest:.0f} m/s2" if off.hardest > POSSIBLE_MPS2 else ""
-
-
-def _steps(plan: Trajectory) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Duration, length and direction of each step `(n - 1,)`, and whether it is long enough to have one."""
-    dx, dy = np.diff(plan.x), np.diff(plan.y)
-    d = np.hypot(dx, dy)
-    return np.diff(plan.t), d, np.asarray(np.arctan2(dy, dx)), np.asarray(d >= STEP_M)
-
-
 def of_positions(plan: Trajectory) -> Trajectory:
     """The plan with heading, speed, acceleration and curvature of its positions `(n,)`; the first speed is its own.
 
     Each sample has the mean of the steps beside it; a step below `STEP_M` has the direction of the one before, the
     first ones the plan's own heading; whether it reverses is what the plan's speed says.
     """
-    dt, d, way, moved = _steps(plan)
+    dx, dy = np.diff(plan.x), np.diff(plan.y)
+    d, way = np.hypot(dx, dy), np.arctan2(dy, dx)
+    moved = d >= STEP_M
     sign = np.where(0.5 * (plan.v[1:] + plan.v[:-1]) < 0.0, -1.0, 1.0)
     heading = np.where(sign < 0.0, way + np.pi, way)
     last = np.maximum.accumulate(np.where(moved, np.arange(len(d)), -1))
     heading = np.unwrap(np.where(last >= 0, heading[np.maximum(last, 0)], plan.yaw[0]))
-    speed = sign * d / dt
+    speed = sign * d / np.diff(plan.t)
     yaw = np.r_[heading[0], heading[:-1] + 0.5 * np.diff(heading), heading[-1]]
     v = np.r_[plan.v[0], 0.5 * (speed[1:] + speed[:-1]), speed[-1]]
     turn, length = np.diff(heading), 0.5 * (d[1:] + d[:-1]) * sign[1:]
@@ -198,23 +189,16 @@ def of_positions(plan: Trajectory) -> Trajectory:
     return Trajectory(plan.t, plan.x, plan.y, yaw, v, np.gradient(v, plan.t), kappa)
 
 
-def _rest(frame: Frame) -> Trajectory | None:
-    """What is left of the plan being driven, where that is `REST_S` or more."""
-    if frame.previous is None or frame.previous.trajectory.t[-1] < frame.t + REST_S:
-        return None
-    old = frame.previous.trajectory
-    return old.resampled(np.r_[frame.t, old.t[old.t > frame.t + 1e-9]])
+def _instead(frame: Frame) -> tuple[Trajectory, PlanStart]:
+    """What is driven in place of a plan that was refused, and where it starts.
 
-
-def _goes_on(frame: Frame) -> Trajectory:
-    """What is driven in place of a plan that was refused."""
-    rest = _rest(frame)
-    return _braking(frame.ego) if rest is None else rest
-
-
-def _braking(ego: EgoState) -> Trajectory:
-    """The ego's arc, braked with `BRAKE_MPS2` to a standstill, for 3 s."""
-    after = 0.1 * np.arange(31)
+    What is left of the plan being driven, where that is `REST_S` or more; else the ego's arc, braked with `BRAKE_MPS2`
+    to a standstill, for 3 s.
+    """
+    if frame.previous is not None and frame.previous.trajectory.t[-1] >= frame.t + REST_S:
+        old = frame.previous.trajectory
+        return old.resampled(np.r_[frame.t, old.t[old.t > frame.t + 1e-9]]), PlanStart.PREVIOUS_PLAN
+    ego, after = frame.ego, 0.1 * np.arange(31)
     speed = np.maximum(abs(ego.v) - BRAKE_MPS2 * after, 0.0) * np.sign(ego.v)
     slowing = np.minimum(after, abs(ego.v) / BRAKE_MPS2)
     way = np.sign(ego.v) * (abs(ego.v) * slowing - 0.5 * BRAKE_MPS2 * slowing**2)
@@ -222,4 +206,5 @@ def _braking(ego: EgoState) -> Trajectory:
     chord = way * np.sinc(half_turn / np.pi)
     x, y = ego.x + chord * np.cos(ego.yaw + half_turn), ego.y + chord * np.sin(ego.yaw + half_turn)
     a = np.where(np.abs(speed) > 0.0, -BRAKE_MPS2 * np.sign(ego.v), 0.0)
-    return Trajectory(ego.t + after, x, y, ego.yaw + 2.0 * half_turn, speed, a, np.full(len(after), ego.kappa))
+    yaw, kappa = ego.yaw + 2.0 * half_turn, np.full(len(after), ego.kappa)
+    return Trajectory(ego.t + after, x, y, yaw, speed, a, kappa), PlanStart.EGO

@@ -116,12 +116,7 @@ class PlanPeriod:
             self._run(self._controller, self._vehicle, path, rows, first, count, self._period)
             return
         for k in range(first, first + count):
-            self._step(plan, path, rows, k)
-
-    def _step(self, plan: Plan, path: PlanPath, rows: FloatArray, k: int) -> None:
-        """One step through the methods of controller and vehicle."""
-        state = self._vehicle.state
-        command = self._controller.control(state, plan)
-        rows[k, COMMAND] = command.steer, command.throttle, command.brake
-        compared(path.times, path.knots, rows, k)
-        write_state(rows, k + 1, self._vehicle.step(command, self._period), self._vehicle.actuation)
+            command = self._controller.control(self._vehicle.state, plan)
+            rows[k, COMMAND] = command.steer, command.throttle, command.brake
+            compared(path.times, path.knots, rows, k)
+            write_state(rows, k + 1, self._vehicle.step(command, self._period), self._vehicle.actuation)

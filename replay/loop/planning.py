@@ -11,7 +11,7 @@ import numpy as np
 
 from logs.errors import ConfigError, PlannerError, ReplanError, raised
 from logs.frame import Frame, PlannerContext
-from logs.road import Goal, Road, RoadSource
+from logs.road import Goal, RoadSource
 from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import EgoState
@@ -80,7 +80,9 @@ class Planning:
         self._name = f"planner '{spec}' on {scenario.name}"
         self._watch = Stopwatch()
         period = config.plan_period_ns / 1e9
-        self.context = PlannerContext(_own(scenario.road), goal, scenario.vehicle, period, start, self._watch.lap)
+        lanes = {i: replace(lane) for i, lane in scenario.road.lanes.items()}
+        road = replace(scenario.road, lanes=lanes)  # drives share no objects that a planner could change
+        self.context = PlannerContext(road, goal, scenario.vehicle, period, start, self._watch.lap)
         self._planner = self._built(spec, self.context, scenario, planner_config, config.apart)
 
     @property
@@ -139,11 +141,6 @@ class Planning:
 
 Seat = Callable[..., Planning]
 """Builds a `Planning` from its arguments."""
-
-
-def _own(road: Road) -> Road:
-    """A copy of the road for one planner, so that drives share no objects that a planner could change."""
-    return replace(road, lanes={i: replace(lane) for i, lane in road.lanes.items()})
 
 
 def _fault(plan: object, frame: Frame) -> str:

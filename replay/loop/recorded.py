@@ -64,7 +64,13 @@ class Recorded:
         static = {name for name, still in zip(world.tracks.ids, world.tracks.static, strict=True) if still}
         logged = set(log.ids)
         others = [i for i, name in enumerate(now.ids) if name in static or name not in logged]
-        return _joined(shown, now.some(np.array(others, np.int64))) if others else shown, None
+        if not others:
+            return shown, None
+        more = now.some(_rows(others))
+        shown = shown.some(_rows(i for i, name in enumerate(shown.ids) if name not in more.ids))
+        columns = np.array([np.r_[getattr(shown, name), getattr(more, name)] for name in NUMBERS])
+        codes = frozen(np.r_[shown.codes, more.codes], np.int64)
+        return Agents.of_rows((*shown.ids, *more.ids), (*shown.kinds, *more.kinds), columns, codes), None
 
 
 def _rows(places: Iterable[int]) -> IntArray:
@@ -83,11 +89,3 @@ def _displaced(known: Agents, whose: list[str], now: Agents, log: Agents) -> Age
         columns[NUMBERS.index(name), both] += wrapped(change) if name == "yaw" else change
     some = known.some(_rows(kept))
     return Agents.of_rows(some.ids, some.kinds, columns, some.codes)
-
-
-def _joined(known: Agents, more: Agents) -> Agents:
-    """Both; of one name those of the world."""
-    known = known.some(_rows(i for i, name in enumerate(known.ids) if name not in more.ids))
-    columns = np.array([np.r_[getattr(known, name), getattr(more, name)] for name in NUMBERS])
-    codes = frozen(np.r_[known.codes, more.codes], np.int64)
-    return Agents.of_rows((*known.ids, *more.ids), (*known.kinds, *more.kinds), columns, codes)

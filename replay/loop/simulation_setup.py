@@ -88,7 +88,7 @@ class SimulationSetup:
             steps_per_plan=config.plan_period_ns // config.control_period_ns,
             period=period,
             end=end,
-            assumptions=(*_notes(scenario), *_vehicle_notes(config), *TRAFFIC_NOTES.get(config.traffic, ())),
+            assumptions=(*_notes(scenario, config), *TRAFFIC_NOTES.get(config.traffic, ())),
         )
 
     @property
@@ -135,21 +135,8 @@ def controller_of(
     return controller
 
 
-def _vehicle_notes(config: LoopConfig) -> list[str]:
-    """What the user must know of a vehicle that is not as planner and controller believe."""
-    notes = []
-    if config.vehicle == "perfect":
-        notes.append("the vehicle follows its plans exactly: no controller drives it")
-    if config.plan_delay_s:
-        notes.append(f"each plan but the first is driven from {config.plan_delay_s:g} s after its frame on")
-    if config.plant:
-        said = ", ".join(f"{key} = {value}" for key, value in config.plant.items())
-        notes.append(f"the vehicle model differs from what planner and controller believe: {said}")
-    return notes
-
-
-def _notes(scenario: Scenario) -> list[str]:
-    """What the user must know of the start and the road."""
+def _notes(scenario: Scenario, config: LoopConfig) -> list[str]:
+    """What the user must know of the start, the road and the vehicle."""
     notes = []
     first = scenario.ego.state(0)
     if first.v < 0.0:
@@ -158,4 +145,11 @@ def _notes(scenario: Scenario) -> list[str]:
         notes.append("the log has no lanes: whether the ego leaves the road is not judged")
     elif not scenario.road.is_drivable(*box_center(first, scenario.vehicle)):
         notes.append("the ego starts off the lanes: leaving the road is judged from when it has been on them")
+    if config.vehicle == "perfect":
+        notes.append("the vehicle follows its plans exactly: no controller drives it")
+    if config.plan_delay_s:
+        notes.append(f"each plan but the first is driven from {config.plan_delay_s:g} s after its frame on")
+    if config.plant:
+        said = ", ".join(f"{key} = {value}" for key, value in config.plant.items())
+        notes.append(f"the vehicle model differs from what planner and controller believe: {said}")
     return notes

@@ -21,7 +21,7 @@ from logs.trace import EndReason
 from metrics.cut_in import LOOK_BACK_S
 from metrics.others import name_of
 from metrics.phantoms import phantoms, without_phantoms
-from metrics.safety import Contact, classify
+from metrics.safety import classify
 from replay.vehicle.trace_rows import state_at
 from replay.world import AgentBoxes, EgoBox, agent_boxes, box_center, ego_box, touched
 
@@ -146,7 +146,9 @@ class Termination:
 
     def __init__(self, scenario: Scenario, goal: Goal | None, start: EgoState) -> None:
         self._scenario, self._car = scenario, ego_box(scenario.vehicle)
-        self._goal = goal if goal is not None and _asks(goal) else None
+        if goal is not None and not goal.regions and goal.t is None and goal.v is None and goal.yaw is None:
+            goal = None  # it asks for nothing: such a goal is never reached, since it always is
+        self._goal = goal
         self._near = _surrounding(self._goal)
         self._phantoms = phantoms(scenario)
         self._monitor = OffRoadMonitor(scenario.road)
@@ -176,31 +178,23 @@ class Termination:
         return None
 
     def _judged(self, rows: FloatArray, k: int, off: float, touching: Tracks | None) -> Ended | None:
+        if touching is not None:
+            real, driven = without_phantoms(touching.whole, self._phantoms), rows[: k + 1]
+            recent = driven[driven[:, 0] >= rows[k, 0] - LOOK_BACK_S]  # earlier touches would have ended the drive
+            found = classify(Trajectory(*recent[:, : len(TRAJECTORY_COLUMNS)].T), real, self._scenario)
+            worst = max(found, key=lambda touch: touch.at_fault, default=None)
+            if worst is not None:
+                name = name_of(real, worst.agent)
+                if worst.at_fault:
+                    return Ended(k, EndReason.COLLISION, name)
+                return Ended(k, EndReason.REPLAY_CONTACT, f"{name}: {worst.kind.value}")
         ego = state_at(rows, k)
-        worst, name = self._worst(rows[: k + 1], touching) if touching is not None else (None, "")
-        if worst is not None and worst.at_fault:
-            return Ended(k, EndReason.COLLISION, name)
-        if worst is not None:
-            return Ended(k, EndReason.REPLAY_CONTACT, f"{name}: {worst.kind.value}")
         x, y = box_center(ego, self._scenario.vehicle)
         if self._goal is not None and self._goal.reached(ego.t, x, y, ego.yaw, ego.v):
             return Ended(k, EndReason.GOAL, "")
         if off > CRACK_M:
             return Ended(k, EndReason.OFF_ROAD, f"box centre {off:.1f} m off the lanes at ({x:.1f}, {y:.1f})")
         return None
-
-    def _worst(self, rows: FloatArray, tracks: Tracks) -> tuple[Contact | None, str]:
-        """The worst touch at the last row of a drive, with the agent's name; earlier ones would have ended it."""
-        recent = rows[rows[:, 0] >= rows[-1, 0] - LOOK_BACK_S]
-        real = without_phantoms(tracks.whole, self._phantoms)
-        found = classify(Trajectory(*recent[:, : len(TRAJECTORY_COLUMNS)].T), real, self._scenario)
-        worst = max(found, key=lambda touch: touch.at_fault, default=None)
-        return worst, "" if worst is None else name_of(real, worst.agent)
-
-
-def _asks(goal: Goal) -> bool:
-    """Whether a goal asks for anything: one that does not is never reached, since it always is."""
-    return bool(goal.regions) or not (goal.t is None and goal.v is None and goal.yaw is None)
 
 
 def _surrounding(goal: Goal | None) -> tuple[float, float, float, float]:

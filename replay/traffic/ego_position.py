@@ -48,7 +48,10 @@ class ReplayedByEgoPosition:
                 remedy="take traffic 'time' or 'reactive'",
             )
         self._line = ReferenceLine.through(points)
-        self._log_t, self._log_s = log.t, self._stations(log.x, log.y)
+        stations = [0.0]
+        for x, y in zip(log.x[1:], log.y[1:], strict=True):
+            stations.append(self._line.project(x, y, stations[-1])[0])
+        self._log_t, self._log_s = log.t, np.maximum.accumulate(np.maximum(stations, 0.0))  # not decreasing
         self._replay = PhaseReplay(scenario.tracks)
         self._phase, self._delay, self._stood = float(log.t[0]), 0.0, 0.0
         self._station, self._next, self._tracks = 0.0, float("-inf"), Tracks.empty()
@@ -72,13 +75,6 @@ class ReplayedByEgoPosition:
             self._tracks = self._replay.tracks(np.full(len(self._replay.log), -np.inf))
         return self._tracks
 
-    def _stations(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Stations of the log's samples, not decreasing."""
-        found = [0.0]
-        for px, py in zip(x[1:], y[1:], strict=True):
-            found.append(self._line.project(px, py, found[-1])[0])
-        return np.maximum.accumulate(np.maximum(found, 0.0))
-
     def _advance(self, ego: EgoState) -> None:
         """Advance the phase by one period."""
         self._station = self._line.project(ego.x, ego.y, self._station)[0]
@@ -87,7 +83,9 @@ class ReplayedByEgoPosition:
         most = FASTEST * PERIOD_S
         if self._stood > STUCK_S + 1e-9 or ahead >= self._log_s[-1]:
             self._phase += PERIOD_S  # (3)
-            self._delay = max(self._delay, self._phase - self._latest(self._station))
+            k = int(np.searchsorted(self._log_s, self._station + NEAR_M, side="right")) - 1
+            latest = float(self._log_t[max(k, 0)])  # at which the logged ego was no farther
+            self._delay = max(self._delay, self._phase - latest)
         else:
             self._phase += min(max(self._earliest(ahead) + self._delay - self._phase, 0.0), most)  # (1), (2)
 
@@ -100,11 +98,6 @@ class ReplayedByEgoPosition:
         span = self._log_s[k] - self._log_s[k - 1]
         u = min((s - self._log_s[k - 1]) / span, 1.0) if span > 0.0 else 1.0
         return float(self._log_t[k - 1] + u * (self._log_t[k] - self._log_t[k - 1]))
-
-    def _latest(self, s: float) -> float:
-        """The last log time at which the logged ego was no farther than `s` + `NEAR_M`, s."""
-        k = int(np.searchsorted(self._log_s, s + NEAR_M, side="right")) - 1
-        return float(self._log_t[max(k, 0)])
 
     def _add(self, t: float, rate: float) -> None:
         who = there_between(self._replay.log, self._phase, self._phase)

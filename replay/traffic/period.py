@@ -125,14 +125,11 @@ class Coming:
         if count > self._count:
             new, self._count = self._order[self._count : count], count
             self.all.phase[new] = t
-            self._take(np.sort(np.r_[self.who[~self._gone(t)], new]))
-
-    def _gone(self, t: float) -> BoolArray:
-        """Which agents have left for good at `t` `(k,)`."""
-        now, tracks = self.now, self.agents.tracks
-        waits = now.late & (now.phase <= tracks.t[tracks.first] + 1e-9)
-        over = now.late | (self.agents.left < t - 1e-9)
-        return np.asarray(~(now.there | tracks.static | waits) & over)
+            now, tracks = self.now, self.agents.tracks
+            waits = now.late & (now.phase <= tracks.t[tracks.first] + 1e-9)
+            over = now.late | (self.agents.left < t - 1e-9)
+            gone = ~(now.there | tracks.static | waits) & over  # for good
+            self._take(np.sort(np.r_[self.who[~gone], new]))
 
     def _take(self, who: IntArray) -> None:
         self.who, self.now, self.agents = who, self._states.some(who), self._every.some(who)

@@ -76,7 +76,7 @@ class PhaseReplay:
 
     def __init__(self, log: Tracks, extended: Tracks | None = None) -> None:
         path, self._own = extended or log, log
-        owner, last = _owners(path), np.arange(len(path.t))
+        owner, last = np.repeat(np.arange(len(path)), np.diff(path.offsets)), np.arange(len(path.t))
         vx, vy = path.velocity(owner, last) if len(log) else (path.vx, path.vy)
         self.logged = logged_tracks(path, vx, vy)
         x, y, yaw, vx, vy = self.logged.columns
@@ -139,21 +139,15 @@ class PhaseReplay:
         wanted = since < np.inf
         for k, row in enumerate(self._rows):
             mine = wanted[row.who] & row.there & (row.t >= since[row.who] - 1e-9)
-            self._append(row, np.flatnonzero(mine & ~self._taken[row.who] if k < self._seen else mine))
+            which = np.flatnonzero(mine & ~self._taken[row.who] if k < self._seen else mine)
+            first, self._count = self._count, self._count + len(which)
+            while self._count > len(self._who):
+                twice = (np.concatenate([old, np.empty_like(old)]) for old in (self._who, self._played))
+                self._who, self._played = twice
+            self._who[first : self._count] = row.who[which]
+            self._played[first : self._count, 0] = row.t
+            self._played[first : self._count, 1:] = row.pose[:, which].T
         self._rows, self._seen, self._taken = self._rows[-1:], 1, wanted
-
-    def _append(self, row: Row, which: IntArray) -> None:
-        first, self._count = self._count, self._count + len(which)
-        while self._count > len(self._who):
-            self._who, self._played = (np.concatenate([old, np.empty_like(old)]) for old in (self._who, self._played))
-        self._who[first : self._count] = row.who[which]
-        self._played[first : self._count, 0] = row.t
-        self._played[first : self._count, 1:] = row.pose[:, which].T
-
-
-def _owners(log: Tracks) -> IntArray:
-    """The track `(samples,)` of each sample."""
-    return np.repeat(np.arange(len(log)), np.diff(log.offsets))
 
 
 @kernel

@@ -168,7 +168,9 @@ class Reactive:
     def _let_in(self, t: float, box: Ego, coming: BoolArray) -> None:
         """Let in the agents `coming` whose place is free."""
         now, agents = self._coming.now, self._coming.agents
-        blocked = coming & agents.reacts & self._in_place(box, coming)
+        scene = scene_of(agents, now, box)
+        occupied = taken(scene.boxes, coming, scene.present & ~scene.as_logged)  # by an agent that is off its log
+        blocked = coming & agents.reacts & occupied
         begins = agents.tracks.t[agents.tracks.first]
         self._delay(blocked, begins)
         now.phase[blocked] = begins[blocked]
@@ -190,22 +192,13 @@ class Reactive:
 
     def _box(self, ego: EgoState) -> Ego:
         """The ego for kernels."""
+        log, as_logged = self._log_ego, False
+        if log.t[0] - 1e-6 <= ego.t <= log.t[-1] + 1e-6:
+            then = log.at(ego.t)
+            as_logged = hypot(then.x - ego.x, then.y - ego.y) <= EGO_M
         x, y = box_center(ego, self._vehicle)
         size = float(self._vehicle.length), float(self._vehicle.width)
-        return x, y, ego.yaw, *size, ego.v * cos(ego.yaw), ego.v * sin(ego.yaw), ego.a, self._as_logged(ego)
-
-    def _as_logged(self, ego: EgoState) -> bool:
-        """Whether the ego is where the log has it."""
-        log, t = self._log_ego, ego.t
-        if not log.t[0] - 1e-6 <= t <= log.t[-1] + 1e-6:
-            return False
-        then = log.at(t)
-        return hypot(then.x - ego.x, then.y - ego.y) <= EGO_M
-
-    def _in_place(self, box: Ego, coming: BoolArray) -> BoolArray:
-        """Which agents' places are taken by an agent that is off its log."""
-        scene = scene_of(self._coming.agents, self._coming.now, box)
-        return taken(scene.boxes, coming, scene.present & ~scene.as_logged)
+        return x, y, ego.yaw, *size, ego.v * cos(ego.yaw), ego.v * sin(ego.yaw), ego.a, as_logged
 
 
 def extended(log: Tracks, lanes: LaneMap) -> Tracks:

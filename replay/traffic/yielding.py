@@ -15,7 +15,6 @@ drives on.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from math import cos, hypot, sin, sqrt
 from typing import NamedTuple
 
@@ -57,18 +56,16 @@ class Yielding:
     def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray, lanes: LaneMap) -> None:
         self._road, self._car, self._tracks, self._lanes = scenario.road, scenario.vehicle, paths, lanes
         self._paths = paths_along(paths)
-        self._ways = [way for i in np.flatnonzero(reacts).tolist() for way in self._ways_of(i)]
+        self._ways: list[Way] = []
+        for i in np.flatnonzero(reacts).tolist():
+            mine = paths.samples(i)
+            for lane in scenario.road.lanes.values():
+                first = tuple(k for k in lane.yields_to if k in scenario.road.lanes)
+                on = on_lane(lane, paths.x[mine], paths.y[mine], paths.yaw[mine]) if first else np.zeros(1, np.bool_)
+                if on.any():
+                    self._ways.append(Way(i, first, float(paths.t[mine][on].max())))
         self._owner = np.array([way.owner for way in self._ways], np.int64)
         self._until = np.array([way.until for way in self._ways])
-
-    def _ways_of(self, i: int) -> Iterator[Way]:
-        paths, lanes = self._tracks, self._road.lanes
-        mine = paths.samples(i)
-        for lane in lanes.values():
-            first = tuple(k for k in lane.yields_to if k in lanes)
-            on = on_lane(lane, paths.x[mine], paths.y[mine], paths.yaw[mine]) if first else np.zeros(1, np.bool_)
-            if on.any():
-                yield Way(i, first, float(paths.t[mine][on].max()))
 
     def gaps(self, ego: EgoState, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray) -> FloatArray:
         """Distance of the tracks `who` (those `whose`) to where they must wait for the ego `(k,)`, m; inf: no wait."""

@@ -85,7 +85,12 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
         write_text(out / "run.toml", text)
         write_origin(out, begun_in(found[0].folder, (result.source for result in found[0].results)))
         _copy_folders(found, out)
-        results = _results(found)
+        placed = {
+            place: result
+            for part in found
+            for place, result in zip(part.shard.places(len(part.inputs)), part.results, strict=True)
+        }
+        results = tuple(placed[place] for place in range(len(placed)))
         sources = tuple(LogSource(result.source) for result in results)  # by label alone: no log is read any more
         return judge_and_write(out, run, Selection(sources, found[0].dropped), results, gates, found[0].failures)
 
@@ -186,16 +191,6 @@ def _check_same(one: Part, other: Part) -> None:
 
 def _said(stamp: Stamp) -> str:
     return f"replan {stamp.replan}, code {stamp.code[:8]}"
-
-
-def _results(found: Sequence[Part]) -> tuple[LogResult, ...]:
-    """What came of all logs, in their order."""
-    placed = {
-        place: result
-        for part in found
-        for place, result in zip(part.shard.places(len(part.inputs)), part.results, strict=True)
-    }
-    return tuple(placed[place] for place in range(len(placed)))
 
 
 def _copy_folders(found: Sequence[Part], out: Path) -> None:

@@ -77,7 +77,8 @@ class Sensor:
     def _tracked(self, made: list[Measurement], now: float) -> Agents:
         """Each agent's newest measurement, carried on to `now` with its velocity.
 
-        The age counts from the first measurement since the agent was last lost; of the first frame's it is not known.
+        The age counts from the first measurement since the agent was last lost; that of agents in the first frame is
+        not known.
         """
         newest: dict[str, tuple[Measurement, int]] = {}
         for measurement in made:

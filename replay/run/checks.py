@@ -164,7 +164,7 @@ def _check_others(run: RunConfig) -> None:
 
 
 def _refusal(make: Callable[[Any], object], factory: Any) -> BaseException | None:
-    """What the user's code raises as who refuses a setting does."""
+    """The error with which the user's code refuses a setting; None where it raises none, or one of another kind."""
     try:
         make(factory)
     except ConfigError:

@@ -238,7 +238,7 @@ def _drive_one(
 
 
 def _tidy(trace: Trace) -> None:
-    """After a stage of a long drive."""
+    """Give memory back after a stage of a long drive."""
     if isinstance(trace.frames, FrameStore):
         trim_memory()
 

@@ -13,6 +13,7 @@ The same run gives the same diagnosis at any number of workers.
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -482,7 +483,11 @@ def _page(result: Diagnosis) -> Iterator[str]:
     yield "\n## Look at it\n"
     for some in result.clusters():
         name = some[0].log
-        yield f"- {some[0].cause.name}: `replan explain {asked.results.path} --log {name}`"
-        for change in some[0].cause.changes:
-            place = result.out / "changes"
-            yield f"  against `replan compare {place / AS_IT_WAS} {place / change}`"
+        words = ["explain", str(asked.results.path), "--log", name, "--planner", asked.planner]
+        yield f"- {some[0].cause.name}: `replan {shlex.join(words)}`"
+        for run in result.runs:
+            if run.change.name in some[0].cause.changes:
+                place = result.out / "changes"
+                words = ["compare", str(place / AS_IT_WAS), str(place / run.change.name)]
+                words += ["-p", asked.planner, "-p", run.run.planners[0]]
+                yield f"  - {run.change.words}: `replan {shlex.join(words)}`"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import shutil
 from pathlib import Path
 
@@ -66,6 +67,14 @@ def test_the_planted_cause_is_named_and_the_table_holds_what_is_said(found: Path
     assert lines[0].startswith("1 of 1 failing drive: comfort bound; passes with the planner's default limits")
     assert "collision_at_fault.count <= 0" in lines[0]
     assert (found / "changes" / "default_limits_idm" / "metrics.parquet").is_file()
+
+
+@pytest.mark.slow
+def test_every_command_of_the_page_runs(found: Path) -> None:
+    commands = re.findall(r"`replan ([^`]+)`", (found / "diagnosis.md").read_text(encoding="utf-8"))
+    assert [command.split()[0] for command in commands] == ["explain", "compare"]
+    for command in commands:
+        assert replan(*shlex.split(command)).exit_code in (0, 1), command
 
 
 @pytest.mark.slow

@@ -6,9 +6,9 @@ One fault (`PLANTS`) is planted in a run over a suite of the catalogue. The fail
 it; at most N of them, evenly drawn from their sorted names, are diagnosed twice: with all changes, where a change back
 to the defaults undoes the fault; and "hidden", without those changes, where only ideal parts (no latency is one, too),
 wider limits and other planners can show it. A diagnosis is right where it names the planted cause, and wrong where it
-names another one; "not found" is neither.
+does not; it may name it among others, or say "not found".
 
-    OUT/diagnosis.csv     a row per fault: failing drives, right, not found, wrong; the same hidden
+    OUT/diagnosis.csv     a row per fault: failing drives, and how many have each of `ANSWERS`; the same hidden
     OUT/sound/, OUT/NAME/run/, OUT/NAME/all/, OUT/NAME/hidden/    the runs and the diagnoses
 """
 
@@ -84,17 +84,8 @@ PLANTS = {
 """By name."""
 IDEAL = "no_latency"
 """A change to a default that is an ideal part as well."""
-COLUMNS = (
-    "fault",
-    "cause",
-    "drives",
-    "right",
-    "not_found",
-    "wrong",
-    "hidden_right",
-    "hidden_not_found",
-    "hidden_wrong",
-)
+ANSWERS = ("right", "among", "not_found", "wrong")
+COLUMNS = ("fault", "cause", "drives", *ANSWERS, *(f"hidden_{name}" for name in ANSWERS))
 
 
 def failing(results: Results) -> set[str]:
@@ -102,11 +93,14 @@ def failing(results: Results) -> set[str]:
     return set(results.verdicts.loc[results.verdicts["outcome"] == "fail", "log"])
 
 
-def counts(found: Diagnosis, cause: str) -> tuple[int, int, int]:
-    """How many drives are said right, not found and wrong; a cause among several is wrong."""
-    said = Counter("right" if one.cause.name == cause else one.cause.name for one in found.drives)
-    not_found = said[NOT_FOUND]
-    return said["right"], not_found, said.total() - said["right"] - not_found
+def counts(found: Diagnosis, cause: str) -> list[int]:
+    """How many drives have each of `ANSWERS`."""
+    said: Counter[str] = Counter()
+    for one in found.drives:
+        causes = one.cause.name.split(" or ")
+        known = ("right" if len(causes) == 1 else "among") if cause in causes else "wrong"
+        said["not_found" if one.cause.name == NOT_FOUND else known] += 1
+    return [said[name] for name in ANSWERS]
 
 
 def row(name: str, asked: argparse.Namespace, sound: Results) -> dict[str, Any]:
@@ -124,7 +118,7 @@ def row(name: str, asked: argparse.Namespace, sound: Results) -> dict[str, Any]:
         result = diagnose(question(faulty, None, mine, changes), folder / kind, workers=workers)
         sys.stdout.write("\n".join([f"{name}, {kind}", *result.lines()]) + "\n")
         found += counts(result, plant.cause)
-    return dict(zip(COLUMNS, (name, plant.cause, len(mine), *(found or [0] * 6)), strict=True))
+    return dict(zip(COLUMNS, (name, plant.cause, len(mine), *(found or [0] * 2 * len(ANSWERS))), strict=True))
 
 
 def _asked(planner: str) -> dict[str, Any]:

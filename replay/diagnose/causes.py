@@ -1,6 +1,6 @@
 """From the changes with which a failing drive passes to its cause.
 
-(1) a change counts     the drive passes with it, and with no other change that is a part of it
+(1) a change counts     the drive passes with it, and with no part of it that points to another cause
 (2) cause               what the changes that count point to, those of the first rank of `RANKS` in which one counts;
                         "prediction or control" where they point to several
 (3) fragile             it passes with a perturbation that should change nothing (`replay.run.perturb`): then no change
@@ -48,7 +48,11 @@ def cause_of(
     if fragile:
         return Cause(NOT_FOUND, fragile=tuple(fragile))  # (3)
     passed = [run for run in runs if run.change.name in passing]
-    counts = [run.change for run in passed if not any(other.is_part_of(run) for other in passed)]  # (1)
+    counts = [
+        run.change
+        for run in passed
+        if not any(part.is_part_of(run) and part.change.cause != run.change.cause for part in passed)
+    ]  # (1)
     for rank in RANKS:
         found = [change for change in counts if change.rank == rank]
         if found:

@@ -16,6 +16,7 @@ from hashlib import sha256
 from math import inf
 from pathlib import Path
 from time import perf_counter
+from typing import NamedTuple
 
 import pandas as pd
 
@@ -180,12 +181,13 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
             scenario, tables = with_references(scenario, run.drive_loop)
             progress.tables += tables
     with closing(StepsFile(folder)) as steps:
-        for planner, mode, place in _places(run):
-            with progress.attempt(planner, mode):
-                stem = mode.value if len(run.planners) == 1 else f"{mode.value}.{safe_name(planner)}"
-                trace = _drive_one(scenario, planner, mode, run, place, folder / stem, progress, steps)
+        for place in _places(run):
+            with progress.attempt(place.planner, place.mode):
+                loop = place.mode.value
+                stem = loop if len(run.planners) == 1 else f"{loop}.{safe_name(place.planner)}"
+                trace = _drive_one(scenario, place, run, folder / stem, progress, steps)
                 if trace.end is EndReason.PLANNER_FAILURE:
-                    progress.failures.append(Failure(progress.log, trace.detail, planner, mode.value))
+                    progress.failures.append(Failure(progress.log, trace.detail, place.planner, loop))
                 files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
                 progress.drives.append(_record(trace, scenario, files))
                 del trace  # before the next one is driven: of an hour it is large
@@ -194,35 +196,35 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
         progress.tables += late_follower(progress.tables, scenario, run.drive_loop)
 
 
-def _places(run: RunConfig, member: int = 0) -> Iterator[tuple[str, Mode, DriveKey]]:
-    """Planner and loop of each drive of a log, or of a member of its ensemble."""
+class _Place(NamedTuple):
+    """A drive of a log, or of a member of its ensemble: the planner, the loop, and which of the drives it is."""
+
+    planner: str
+    mode: Mode
+    key: DriveKey
+
+
+def _places(run: RunConfig, member: int = 0) -> Iterator[_Place]:
     for i, planner in enumerate(run.planners):
         for j, mode in enumerate(run.modes):
-            yield planner, mode, DriveKey(member, i, j)
+            yield _Place(planner, mode, DriveKey(member, i, j))
 
 
 def _drive_one(
-    scenario: Scenario,
-    planner: str,
-    mode: Mode,
-    run: RunConfig,
-    place: DriveKey,
-    file: Path,
-    progress: _Progress,
-    steps: StepsFile,
+    scenario: Scenario, place: _Place, run: RunConfig, file: Path, progress: _Progress, steps: StepsFile
 ) -> Trace:
     """Drive, measure and write one planner in one loop; `file` is without its suffix."""
-    drive = _probed(_driven(scenario, planner, mode, run, place, keep=run.keep_internals), scenario, mode, run, place)
+    drive = _probed(_driven(scenario, place, run, keep=run.keep_internals), scenario, place, run)
     found: dict[str, Steps] = {}
 
     def put(name: str, series: metrics.Series) -> None:
         found[name] = steps.put(name, series)
 
-    broken = progress.broken(planner, mode)
+    broken = progress.broken(place.planner, place.mode)
     _tidy(drive.trace)
     table = metrics.evaluate(drive.trace, scenario, metrics=all_metrics(run), broken=broken, found=put)
     _tidy(drive.trace)
-    steps.add(drive.trace.planner, mode.value, tuple(found.values()))
+    steps.add(drive.trace.planner, place.mode.value, tuple(found.values()))
     progress.tables.append(table)
     timings = {
         "log": drive.trace.scenario, "planner": drive.trace.planner, "mode": drive.trace.mode.value,
@@ -231,7 +233,7 @@ def _drive_one(
         "seconds": [lap.seconds for lap in drive.timings],
     }  # fmt: skip
     progress.timings.append(pd.DataFrame(timings, columns=TIMING_COLUMNS))
-    with progress.attempt(planner, mode):
+    with progress.attempt(place.planner, place.mode):
         shown = steps.table([found[name] for name in SHOWN if name in found])
         _write_drive(file, drive, scenario, table, shown, run)
     return drive.trace
@@ -243,37 +245,28 @@ def _tidy(trace: Trace) -> None:
         trim_memory()
 
 
-def _driven(
-    scenario: Scenario,
-    planner: str,
-    mode: Mode,
-    run: RunConfig,
-    place: DriveKey,
-    *,
-    keep: bool,
-    until_s: float = inf,
-) -> Drive:
-    table = run.planner.get(planner, {})
-    keywords = table if is_apart(planner, run.loop.apart) else planner_keywords(planner, table)
-    return LOOPS[mode](
+def _driven(scenario: Scenario, place: _Place, run: RunConfig, *, keep: bool, until_s: float = inf) -> Drive:
+    table = run.planner.get(place.planner, {})
+    keywords = table if is_apart(place.planner, run.loop.apart) else planner_keywords(place.planner, table)
+    return LOOPS[place.mode](
         scenario,
-        planner,
+        place.planner,
         planner_config=keywords,
         config=run.drive_loop,
         keep_internals=keep,
         until_s=until_s,
-        seat=partial(Planning, place=place),
+        seat=partial(Planning, place=place.key),
     )
 
 
-def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig, place: DriveKey) -> Drive:
+def _probed(drive: Drive, scenario: Scenario, place: _Place, run: RunConfig) -> Drive:
     """The drive, marked where its planner is the user's own and is not deterministic (`RunConfig.repeat_s`)."""
     planner, until_s = drive.trace.planner, float(scenario.ego.t[0]) + run.repeat_s
     if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:
         return drive
     try:
-        second = replace(place, again=True)
-        again = _driven(scenario, planner, mode, run, second, keep=False, until_s=until_s).trace
+        second = place._replace(key=replace(place.key, again=True))
+        again = _driven(scenario, second, run, keep=False, until_s=until_s).trace
     except PlannerError as error:
         note = f"{NOT_DETERMINISTIC}{planner}, driven twice: it can be built only once: {error}"
         return replace(drive, trace=replace(drive.trace, notes=(*drive.trace.notes, note)))
@@ -288,10 +281,10 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
     tables: list[pd.DataFrame] = []
     if Mode.CLOSED in run.modes:
         other, tables = with_references(other, run.drive_loop)
-    for planner, mode, place in _places(run, member):
-        with progress.attempt(planner, mode):
-            drive = _driven(other, planner, mode, run, place, keep=bool(run.metrics))
-            noted = progress.broken(planner, mode)
+    for place in _places(run, member):
+        with progress.attempt(place.planner, place.mode):
+            drive = _driven(other, place, run, keep=bool(run.metrics))
+            noted = progress.broken(place.planner, place.mode)
             tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
     tables += late_follower(tables, other, run.drive_loop)
     progress.members.extend(table.assign(member=member, perturbation=name) for table in tables)

@@ -7,7 +7,7 @@ A panel without a finite value is left out.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -112,12 +112,8 @@ class Panel:
 
 def _shown(*panels: Panel) -> list[Panel]:
     """The panels with their curves that have a finite value; no panel without any."""
-    kept = ((panel, tuple(curve for curve in panel.curves if len(curve.known))) for panel in panels)
-    return [
-        Panel(panel.name, panel.title, curves, panel.least, panel.about, panel.floor, panel.most)
-        for panel, curves in kept
-        if curves
-    ]
+    kept = (replace(panel, curves=tuple(curve for curve in panel.curves if len(curve.known))) for panel in panels)
+    return [panel for panel in kept if panel.curves]
 
 
 def _columns(some: object | None, *curves: tuple[str, str, str, int, float]) -> tuple[Curve, ...]:
@@ -225,17 +221,14 @@ def _plan_curves(trace: Trace, column: str) -> list[Curve]:
             values[start:stop] = np.interp(t[start:stop], path.t, getattr(path, column))
         return [Curve("plan", "plan", t, values, YELLOW)]
     end = trace.ego.t[-1]
-
-    def older(lag: float) -> FloatArray:
+    curves = []
+    for lag, colour in ((1.0, YELLOW), (3.0, VIOLET)):
         plans = ((frame.t + lag, loaded(frame.plan.trajectory)) for frame in trace.frames)
         found = [(t, np.interp(t, p.t, getattr(p, column))) for t, p in plans if t <= min(p.t[-1], end) + 1e-9]
-        return np.array(found, dtype=np.float64).reshape(-1, 2)
-
-    return [
-        Curve(f"plan_{lag:.0f}s", f"plan {lag:.0f} s before", some[:, 0], some[:, 1], colour, 1.2)
-        for lag, colour in ((1.0, YELLOW), (3.0, VIOLET))
-        for some in (older(lag),)
-    ]
+        older = np.array(found, dtype=np.float64).reshape(-1, 2)
+        name = f"plan_{lag:.0f}s", f"plan {lag:.0f} s before"
+        curves.append(Curve(*name, older[:, 0], older[:, 1], colour, 1.2))
+    return curves
 
 
 def stage_panel(timings: Sequence[StageTime], names: dict[str, str]) -> list[Panel]:
@@ -252,11 +245,6 @@ def stage_panel(timings: Sequence[StageTime], names: dict[str, str]) -> list[Pan
 # charts -----------------------------------------------------------------------------------------------------------
 
 
-def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
-    """The panels of the charts of a drive."""
-    return _shown(*(_closed(trace, steps) if trace.mode is Mode.CLOSED else _open(trace, steps)))
-
-
 def _measured(steps: Steps, legend: str, metric: str, *, gaps: bool = False, spiky: bool = False) -> Curve:
     """A metric step by step, without steps that have no value; with `gaps` where none is known for over a second."""
     t, values = steps(metric)
@@ -268,10 +256,26 @@ def _measured(steps: Steps, legend: str, metric: str, *, gaps: bool = False, spi
     return Curve(metric, legend, t, values, spiky=spiky)
 
 
-def _closed(trace: Trace, steps: Steps) -> list[Panel]:
-    """Closed loop; the speed of the plan in force is the ego's minus the tracking error."""
-    ego, errors, done, asked = trace.ego, trace.tracking, trace.actuation, trace.commands
-    measured, named = partial(_measured, steps), partial(_named, errors)
+def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
+    """The panels of the charts of a drive.
+
+    Open loop: each plan is one step. Closed loop: the speed of the plan in force is the ego's minus the tracking error.
+    """
+    ego, measured = trace.ego, partial(_measured, steps)
+    if trace.mode is Mode.OPEN:
+        away = tuple(measured(f"within {part}", f"ade.{part}") for part in ("1s", "3s", "5s"))
+        planned = measured("along", "plan_lon_accel"), measured("across", "plan_lat_accel")
+        jerk = (measured("along", "plan_lon_jerk", spiky=True),)
+        change = (measured("from plan to plan", "plan_change"),)
+        return _shown(
+            Panel("speed", "Speed of the log [m/s]", (Curve("log", "log", ego.t, ego.v),), 2.0, (), -0.5),
+            Panel("displacement", "Mean distance of plan and log [m]", away, 0.5, ("ade", "fde"), 0.0),
+            Panel("acceleration", "Largest acceleration of each plan [m/s²]", planned, 1.0, ("plan_l",), 0.0),
+            Panel("jerk", "Largest jerk of each plan [m/s³]", jerk, 2.0, ("plan_lon_jerk",), 0.0),
+            Panel("change", "Change from plan to plan [m]", change, 0.2, ("plan_change",), 0.0),
+        )
+    errors, done, asked = trace.tracking, trace.actuation, trace.commands
+    named = partial(_named, errors)
     plan = [Curve("plan", "plan", errors.t, np.interp(errors.t, ego.t, ego.v) - errors.speed)] if errors else []
     accelerations = measured("along", "lon_accel"), measured("across", "lat_accel")
     jerks = measured("along", JERK, spiky=True), measured("across", "lat_jerk_state", spiky=True)
@@ -279,7 +283,7 @@ def _closed(trace: Trace, steps: Steps) -> list[Panel]:
     ttc = (measured("TTC", "ttc", gaps=True),)
     steers = (("done", done), ("asked", asked))
     steer = tuple(Curve(word, word, some.t, some.steer) for word, some in steers if some)
-    return [
+    return _shown(
         Panel("speed", "Speed [m/s]", (Curve("ego", "ego", ego.t, ego.v), *plan), 2.0, ("speed",), -0.5),
         Panel("acceleration", "Acceleration [m/s²]", accelerations, 1.0, ("lon_accel", "lat_accel")),
         Panel("jerk", "Jerk [m/s³]", jerks, 2.0, ("lon_jerk", "lat_jerk", "jerk")),
@@ -293,25 +297,9 @@ def _closed(trace: Trace, steps: Steps) -> list[Panel]:
         Panel("tracking_speed", "Tracking error of the speed [m/s]", named("speed"), 0.2, ("tracking_speed",)),
         Panel("tracking_heading", "Tracking error of the heading [rad]", named("heading"), 0.02,
               ("tracking_heading",)),
-    ]  # fmt: skip
+    )  # fmt: skip
 
 
 def _named(some: object | None, *columns: str) -> tuple[Curve, ...]:
     """Curves of columns by their own names."""
     return _columns(some, *((name, name, name, BLUE, 1.5) for name in columns))
-
-
-def _open(trace: Trace, steps: Steps) -> list[Panel]:
-    """Open loop: each plan is one step."""
-    ego, measured = trace.ego, partial(_measured, steps)
-    errors = tuple(measured(f"within {part}", f"ade.{part}") for part in ("1s", "3s", "5s"))
-    planned = measured("along", "plan_lon_accel"), measured("across", "plan_lat_accel")
-    jerk = (measured("along", "plan_lon_jerk", spiky=True),)
-    change = (measured("from plan to plan", "plan_change"),)
-    return [
-        Panel("speed", "Speed of the log [m/s]", (Curve("log", "log", ego.t, ego.v),), 2.0, (), -0.5),
-        Panel("displacement", "Mean distance of plan and log [m]", errors, 0.5, ("ade", "fde"), 0.0),
-        Panel("acceleration", "Largest acceleration of each plan [m/s²]", planned, 1.0, ("plan_l",), 0.0),
-        Panel("jerk", "Largest jerk of each plan [m/s³]", jerk, 2.0, ("plan_lon_jerk",), 0.0),
-        Panel("change", "Change from plan to plan [m]", change, 0.2, ("plan_change",), 0.0),
-    ]

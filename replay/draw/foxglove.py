@@ -27,8 +27,7 @@ from logs.kernel import FloatArray
 from logs.mcap.trace import driven_scenario
 from logs.mcap.writer import Entry, log_times
 from logs.names import ShortNames
-from logs.road import Road
-from logs.rules import Colour, StopLine
+from logs.rules import Colour
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Trace, kept_samples
@@ -72,8 +71,8 @@ def scenario_channels(scenario: Scenario) -> Iterator[Entry]:
     Raises:
         LogError: A log time is before the epoch.
     """
-    start, road = scenario.start_ns, scenario.road
-    yield start, "/foxglove/road", _scene(start, [*_lanes(road, start), *_areas(scenario, start)])
+    start = scenario.start_ns
+    yield start, "/foxglove/road", _scene(start, list(_road(scenario, start)))
     yield from _stop_lines(scenario)
     yield from _others(scenario)
     yield from _ego(scenario.ego, scenario.vehicle, start)
@@ -96,9 +95,9 @@ def trace_channels(trace: Trace, scenario: Scenario) -> Iterator[Entry]:
         yield time, "/foxglove/plan_line", _scene(time, [_entity("plan", time, [line])])
 
 
-def _lanes(road: Road, time: int) -> Iterator[SceneEntity]:
-    """Each lane by its boundaries: white, grey if they may be crossed, yellow to opposite lanes."""
-    for lane in road.lanes.values():
+def _road(scenario: Scenario, time: int) -> Iterator[SceneEntity]:
+    """Lanes by boundaries (white, grey if they may be crossed, yellow to opposite lanes), crosswalks and the goal."""
+    for lane in scenario.road.lanes.values():
         lines = []
         for side in ("left", "right"):
             inner = colours.MARKING if getattr(lane, f"{side}_crossable") else colours.EDGE
@@ -106,10 +105,6 @@ def _lanes(road: Road, time: int) -> Iterator[SceneEntity]:
             lines.append(_line(getattr(lane, side), colour if lane.drivable else colours.FAINT))
         known = {"kind": lane.kind, "speed_limit_mps": f"{lane.speed_limit:.2f}"}
         yield _entity(f"lane {lane.id}", time, lines, known)
-
-
-def _areas(scenario: Scenario, time: int) -> Iterator[SceneEntity]:
-    """Crosswalks and the goal, outlined."""
     for crosswalk in scenario.road.crosswalks:
         yield _entity(f"crosswalk {crosswalk.id}", time, [_line(crosswalk.polygon, colours.EDGE, closed=True)])
     regions = scenario.goal.regions if scenario.goal else ()
@@ -125,17 +120,13 @@ def _stop_lines(scenario: Scenario) -> Iterator[Entry]:
     lights = {light.id: light for light in scenario.lights}
     changes = np.unique(np.concatenate([[0.0], *(light.t for light in scenario.lights)]))
     for t, time in zip(changes.tolist(), log_times(changes, scenario.start_ns, topic), strict=True):
-        shown = {key: light.at(t) for key, light in lights.items()}
-        entities = [
-            _entity(f"stop line {line.id}", time, [_line(line.points, _stop_colour(line, shown))]) for line in lines
-        ]
+        entities = []
+        for line in lines:
+            colour = STOP_SIGN if line.must_stop else colours.EDGE
+            if line.light is not None:
+                colour = LIGHTS[lights[line.light].at(t) if line.light in lights else Colour.OFF]
+            entities.append(_entity(f"stop line {line.id}", time, [_line(line.points, colour)]))
         yield time, topic, _scene(time, entities)
-
-
-def _stop_colour(line: StopLine, shown: dict[int, Colour]) -> int:
-    if line.light is None:
-        return STOP_SIGN if line.must_stop else colours.EDGE
-    return LIGHTS[shown.get(line.light, Colour.OFF)]
 
 
 def _others(scenario: Scenario) -> Iterator[Entry]:

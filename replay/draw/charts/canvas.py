@@ -132,21 +132,16 @@ def simplified(points: FloatArray, tolerance: float = KEPT_PX) -> IntArray:
         start = np.cumsum(inner) - inner
         owner = np.repeat(np.arange(len(begin)), inner)
         at = np.arange(len(owner)) + (begin + 1 - start)[owner]
-        distance = _distances(points[at], points[begin][owner], points[end][owner])
+        from_begin, chord = points[at] - points[begin][owner], points[end][owner] - points[begin][owner]
+        length = np.hypot(chord[:, 0], chord[:, 1])
+        across = np.abs(chord[:, 0] * from_begin[:, 1] - chord[:, 1] * from_begin[:, 0])
+        distance = np.hypot(from_begin[:, 0], from_begin[:, 1])  # where begin and end coincide
+        np.divide(across, length, out=distance, where=length > 0.0)
         worst = np.maximum.reduceat(distance, start)
         hits = np.flatnonzero(distance == worst[owner])
         split, bent = at[hits[np.searchsorted(hits, start)]], worst > tolerance
         kept.append(split[bent])
         begin, end = np.r_[begin[bent], split[bent]], np.r_[split[bent], end[bent]]
-
-
-def _distances(points: FloatArray, begin: FloatArray, end: FloatArray) -> FloatArray:
-    """Of points `(n, 2)` to the lines through begin and end; to the point where these coincide."""
-    chord, away = end - begin, points - begin
-    length = np.hypot(chord[:, 0], chord[:, 1])
-    across = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
-    near = np.hypot(away[:, 0], away[:, 1])
-    return np.divide(across, length, out=near, where=length > 0.0)
 
 
 AROUND_PX = 12.0
@@ -163,12 +158,8 @@ def cut_line(points: FloatArray, width: float, height: float) -> list[FloatArray
 
 def cut_outline(points: FloatArray, width: float, height: float) -> FloatArray:
     """An outline `(n, 2)` cut at a plot area and a little around it (Sutherland and Hodgman 1974)."""
-    for axis, bound, sign in (
-        (0, -AROUND_PX, 1),
-        (0, width + AROUND_PX, -1),
-        (1, -AROUND_PX, 1),
-        (1, height + AROUND_PX, -1),
-    ):
+    x, y = (-AROUND_PX, width + AROUND_PX), (-AROUND_PX, height + AROUND_PX)
+    for axis, bound, sign in ((0, x[0], 1), (0, x[1], -1), (1, y[0], 1), (1, y[1], -1)):
         inside = sign * (points[:, axis] - bound)
         if (inside >= 0.0).all():
             continue

@@ -10,7 +10,7 @@ from replay.draw.charts.axes import Plane
 from replay.draw.charts.canvas import Chart, legend, line, polyline, rect, text
 from replay.draw.charts.moment import Violation
 from replay.draw.charts.subject import Subject
-from replay.draw.curves import Panel, chart_panels
+from replay.draw.curves import chart_panels
 
 WIDTH_PX, HEIGHT_PX = 440.0, 168.0
 KINDS = ("a", "b", "c")
@@ -22,27 +22,26 @@ BOLD_PX = 6.8
 
 def curves(subject: Subject) -> list[Chart]:
     """All panels of a drive that have something to show."""
-    return [_drawn(subject, panel) for panel in chart_panels(subject.trace, subject.drive.steps)]
-
-
-def _drawn(subject: Subject, panel: Panel) -> Chart:
-    plane = Plane(subject.span, panel.range, WIDTH_PX, HEIGHT_PX)
-    shown = list(zip(panel.curves, KINDS, strict=False))
-    lines = "".join(polyline(plane.at_x(curve.t), plane.at_y(curve.values), kind) for curve, kind in shown)
-    broken = [some for some in subject.violations if some.series.startswith(panel.about) and panel.about]
-    shade, words = _shaded(plane, broken)
-    inside = shade + lines + now_line(plane, subject.moment.t)
-    title, largest = panel.title, float(np.abs(panel.values).max())
-    if any(curve.spiky for curve in panel.curves) and largest > 1.2 * max(map(abs, panel.range)):
-        title += f", up to {largest:.0f} in single steps"
-    head = text(2.0, 13.0, title, "title")
-    named = [("line", kind, curve.legend) for curve, kind in shown]
-    head += legend(plane.left, 28.0, named, WIDTH_PX - plane.left - 10.0)
-    drawn = plane.drawn(inside, x_title="time [s]", over=words)
-    spans = [f"{c.legend} {c.known.min():.3g} to {c.known.max():.3g}" for c in panel.curves]
-    failed = f"; breaks {', '.join(some.gate for some in broken)}" if broken else ""
-    says = f"{panel.title} over time: {', '.join(spans)}{failed}"
-    return Chart(panel.name, panel.title, says, WIDTH_PX, HEIGHT_PX, drawn + head)
+    charts = []
+    for panel in chart_panels(subject.trace, subject.drive.steps):
+        plane = Plane(subject.span, panel.range, WIDTH_PX, HEIGHT_PX)
+        shown = list(zip(panel.curves, KINDS, strict=False))
+        lines = "".join(polyline(plane.at_x(curve.t), plane.at_y(curve.values), kind) for curve, kind in shown)
+        broken = [some for some in subject.violations if some.series.startswith(panel.about) and panel.about]
+        shade, words = _shaded(plane, broken)
+        inside = shade + lines + now_line(plane, subject.moment.t)
+        title, largest = panel.title, float(np.abs(panel.values).max())
+        if any(curve.spiky for curve in panel.curves) and largest > 1.2 * max(map(abs, panel.range)):
+            title += f", up to {largest:.0f} in single steps"
+        head = text(2.0, 13.0, title, "title")
+        named = [("line", kind, curve.legend) for curve, kind in shown]
+        head += legend(plane.left, 28.0, named, WIDTH_PX - plane.left - 10.0)
+        drawn = plane.drawn(inside, x_title="time [s]", over=words)
+        spans = [f"{c.legend} {c.known.min():.3g} to {c.known.max():.3g}" for c in panel.curves]
+        failed = f"; breaks {', '.join(some.gate for some in broken)}" if broken else ""
+        says = f"{panel.title} over time: {', '.join(spans)}{failed}"
+        charts.append(Chart(panel.name, panel.title, says, WIDTH_PX, HEIGHT_PX, drawn + head))
+    return charts
 
 
 def _shaded(plane: Plane, broken: Sequence[Violation]) -> tuple[str, str]:

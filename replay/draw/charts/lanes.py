@@ -74,7 +74,8 @@ def _extend(spans: list[Span], one: Span) -> None:
         spans.append(one)
 
 
-def _rows(subject: Subject) -> list[Row]:
+def decisions(subject: Subject, width: float = WIDTH_PX) -> Chart:
+    """Decisions, plan statuses and broken gates as rows over time; `width` in pixels."""
     plans, end = subject.plans, subject.span[1]
     agents = decided(plans, end, subject.scenario.short_names)
     longest = sorted(agents, key=lambda row: -sum(span.end - span.begin for span in row.spans))[:MAX_ROWS]
@@ -83,16 +84,10 @@ def _rows(subject: Subject) -> list[Row]:
         spans = tuple(Span(begin, stop, "fails", some.gate) for begin, stop in some.spans)
         before = broken[some.series].spans if some.series in broken else ()
         if spans:
-            broken[some.series] = Row(
-                some.series, tuple(dict.fromkeys((*before, *spans))) if before else spans, "alarm"
-            )
+            spans = tuple(dict.fromkeys((*before, *spans))) if before else spans
+            broken[some.series] = Row(some.series, spans, "alarm")
     status = [statuses(plans, end)] if plans else []
-    return [*status, *(row for row in agents if row in longest), *broken.values()]
-
-
-def decisions(subject: Subject, width: float = WIDTH_PX) -> Chart:
-    """Decisions, plan statuses and broken gates as rows over time; `width` in pixels."""
-    rows = _rows(subject)
+    rows = [*status, *(row for row in agents if row in longest), *broken.values()]
     title = "Decisions, plans and broken gates over time"
     if not rows:
         body = text(2.0, 13.0, title, "title") + text(0.5 * width, 40.0, "the drive has no plans", "says")

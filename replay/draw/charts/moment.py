@@ -82,20 +82,19 @@ def measured_by(gate: str) -> str:
 
 def violations(drive: DriveResult) -> list[Violation]:
     """The failed gates of a drive, and when."""
+    found = list[Violation]()
     failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
-    return [_violation(drive, str(row.gate), float(row.time_s)) for row in list[Any](failed.itertuples())]
-
-
-def _violation(drive: DriveResult, gate: str, time_s: float) -> Violation:
-    series, _, reduction = measured_by(gate).rpartition(".")
-    t, values = drive.steps(series)
-    known = np.isfinite(values)
-    t, values = t[known], values[known]
-    low, high = _step_bounds(gate, series, reduction)
-    edge = np.diff(np.r_[False, (values < low) | (values > high), False].astype(np.int64))
-    stretches = zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)
-    spans = tuple((float(t[first]), float(t[end - 1])) for first, end in stretches)
-    return Violation(gate, series, spans or (((time_s, time_s),) if isfinite(time_s) else ()))
+    for gate, time_s in zip(failed["gate"].astype(str), failed["time_s"].astype(float), strict=True):
+        series, _, reduction = measured_by(gate).rpartition(".")
+        t, values = drive.steps(series)
+        known = np.isfinite(values)
+        t, values = t[known], values[known]
+        low, high = _step_bounds(gate, series, reduction)
+        edge = np.diff(np.r_[False, (values < low) | (values > high), False].astype(np.int64))
+        stretches = zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)
+        spans = tuple((float(t[first]), float(t[end - 1])) for first, end in stretches)
+        found.append(Violation(gate, series, spans or (((time_s, time_s),) if isfinite(time_s) else ())))
+    return found
 
 
 def _step_bounds(gate: str, series: str, reduction: str) -> tuple[float, float]:

@@ -68,18 +68,14 @@ def save(chart: Chart, path: Path, *, theme: Theme, width: int) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".svg":
             write_text(path, chart.alone(theme, width))
-        else:
-            data = _png(chart.alone("light" if theme == "auto" else theme, width))
-            write_file(path, lambda partial: partial.write_bytes(data))
+            return
+        import matplotlib as mpl
+        import resvg_py
 
-
-def _png(svg: str) -> bytes:
-    """The picture with the font that matplotlib contains, so that it looks the same on every machine."""
-    import matplotlib as mpl
-    import resvg_py
-
-    fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
-    files = [str(fonts / f"DejaVuSans{style}.ttf") for style in ("", "-Bold", "-Oblique")]
-    return bytes(
-        resvg_py.svg_to_bytes(svg_string=svg, skip_system_fonts=True, font_files=files, font_family="DejaVu Sans")
-    )
+        svg = chart.alone("light" if theme == "auto" else theme, width)
+        fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"  # so that it looks the same on every machine
+        files = [str(fonts / f"DejaVuSans{style}.ttf") for style in ("", "-Bold", "-Oblique")]
+        data = bytes(
+            resvg_py.svg_to_bytes(svg_string=svg, skip_system_fonts=True, font_files=files, font_family="DejaVu Sans")
+        )
+        write_file(path, lambda partial: partial.write_bytes(data))

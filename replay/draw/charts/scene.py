@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -60,31 +60,28 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
         inside, x_title="ahead of the rear axle [m]", over=_names(view, agents, subject, planned=planned)
     )
     head = text(2.0, 13.0, title, "title") + text(2.0, 33.0, "left [m]", "tick")
-    entries = [
-        ("area", "ego", "ego"),
-        ("area", "other", "moves"),
-        ("area", "still", "stands"),
-        ("line", "driven", "driven"),
-    ]
+    entries = [("area", "ego", "ego"), ("area", "other", "moves"), ("area", "still", "stands")]
+    entries += [("line", "driven", "driven")]
     entries += [("line", "planned", "plan, a dot a second")] if planned and subject.frame else []
     head += legend(60.0, 33.0, entries, WIDTH_PX - 70.0)
     says = f"Scene, {title}; no other road users"
     if len(agents):
         away = np.hypot(agents.x - ego.x, agents.y - ego.y)
-        i, short = int(np.argmin(away)), subject.scenario.short_names
-        says = (
-            f"Scene, {title}; {len(agents)} other road users, the nearest {short(agents.ids[i])}, {away[i]:.0f} m away"
-        )
+        i = int(np.argmin(away))
+        nearest = f"{subject.scenario.short_names(agents.ids[i])}, {away[i]:.0f} m away"
+        says = f"Scene, {title}; {len(agents)} other road users, the nearest {nearest}"
     return Chart(f"scene_{word.replace(' ', '_')}", title, says, WIDTH_PX, HEIGHT_PX, drawn + head)
 
 
 def scenes(subject: Subject) -> list[Chart]:
     """Start, the moment, and end; instants that coincide are drawn once."""
     first, last = float(subject.trace.ego.t[0]), float(subject.trace.ego.t[-1])
-    word = "this moment" if subject.moment.why == "as asked" else "worst moment"
-    at = [(subject.moment.t, word)]
-    start = [(first, "start")] if subject.moment.t - first > 0.05 else []
-    return [scene(subject, *one) for one in [*start, *at, *([(last, "end")] if last - subject.moment.t > 0.05 else [])]]
+    instants = [(subject.moment.t, "this moment" if subject.moment.why == "as asked" else "worst moment")]
+    if subject.moment.t - first > 0.05:
+        instants.insert(0, (first, "start"))
+    if last - subject.moment.t > 0.05:
+        instants.append((last, "end"))
+    return [scene(subject, t, word) for t, word in instants]
 
 
 class _View:
@@ -117,6 +114,7 @@ class _View:
 
 
 def _road(view: _View, subject: Subject) -> str:
+    """Lanes, crosswalks, the goal, and stop lines with the colour of their light as a word."""
     road, goal = subject.scenario.road, subject.scenario.goal
     lanes = list(road.lanes.values())
     drawn = areas(view.outlines(lane.polygon for lane in lanes if not lane.drivable), "walk")
@@ -124,19 +122,15 @@ def _road(view: _View, subject: Subject) -> str:
     drawn += polylines(view.lines(side for lane in lanes for side in (lane.left, lane.right)), "lane")
     drawn += areas(view.outlines(walk.polygon for walk in road.crosswalks), "zebra")
     drawn += areas(view.outlines(() if goal is None else goal.regions), "goal")
-    return drawn + "".join(_stop_lines(view, subject))
-
-
-def _stop_lines(view: _View, subject: Subject) -> Iterator[str]:
-    """Lines across the lane, with the colour of their light as a word."""
     lights = {light.id: light for light in subject.scenario.lights}
-    for stop in subject.scenario.road.stop_lines:
+    for stop in road.stop_lines:
         ends = view.of(stop.points)
         if view.sees(ends):
-            yield polyline(ends[:, 0], ends[:, 1], "stop")
+            drawn += polyline(ends[:, 0], ends[:, 1], "stop")
             if stop.light in lights:
                 word = lights[stop.light].at(view.ego.t).value
-                yield text(float(ends[:, 0].max()) + 4.0, float(ends[:, 1].mean()) + 3.5, word, "small")
+                drawn += text(float(ends[:, 0].max()) + 4.0, float(ends[:, 1].mean()) + 3.5, word, "small")
+    return drawn
 
 
 def _paths(view: _View, subject: Subject, *, planned: bool) -> str:

@@ -82,9 +82,23 @@ def blueprint(contents: Contents) -> rrb.Blueprint:
 
 
 def _overview(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
-    """Scene, words and graphs on the left, curves, decisions and events on the right."""
-    words = _pages(contents, ("why", "summary"))
-    top = rrb.Horizontal(_scenes(contents.bounds), words, column_shares=[1.75, 1.0])
+    """Scenes, words and graphs on the left, curves, decisions and events on the right.
+
+    The scene is seen from behind the ego, from above it, and as the whole map (without names).
+    """
+    above = rrb.EyeControls3D(position=[22.0, 0.0, 58.0], look_target=[22.01, 0.0, 0.0], eye_up=[1.0, 0.0, 0.0])
+    middle, span = contents.bounds.mean(axis=0), np.ptp(contents.bounds, axis=0)
+    height = 0.75 * float(max(span[0], 1.6 * span[1], 40.0))
+    whole = rrb.EyeControls3D(
+        position=[middle[0], middle[1], height], look_target=[middle[0], middle[1] + 0.01, 0.0], eye_up=[0.0, 1.0, 0.0]
+    )
+    scenes = rrb.Tabs(
+        scene_behind(),
+        _scene("From above", "/world/ego", ["+ /world/**"], above),
+        _scene("Map", "/world", ["+ /world/**", "- /world/agents/names", "- /world/agents/velocity"], whole),
+        active_tab=0,
+    )
+    top = rrb.Horizontal(scenes, _pages(contents, ("why", "summary")), column_shares=[1.75, 1.0])
     graphs = _graphs(contents)
     left = [top, rrb.Horizontal(*graphs)] if graphs else [top]
     rows, shares = _rows("overview", panels)
@@ -121,22 +135,6 @@ def _control(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
     below = [_decisions(contents)] if contents.lanes else []
     left = rrb.Vertical(scene_behind(), *below, row_shares=[2.0, 1.0][: 1 + len(below)])
     return rrb.Horizontal(left, *columns, column_shares=[1.0] * (1 + len(columns)), name="Control")
-
-
-def _scenes(bounds: FloatArray) -> rrb.Tabs:
-    """Three views of the scene: from behind the ego, from above it, and the whole map (without names)."""
-    above = rrb.EyeControls3D(position=[22.0, 0.0, 58.0], look_target=[22.01, 0.0, 0.0], eye_up=[1.0, 0.0, 0.0])
-    middle, span = bounds.mean(axis=0), np.ptp(bounds, axis=0)
-    height = 0.75 * float(max(span[0], 1.6 * span[1], 40.0))
-    whole = rrb.EyeControls3D(
-        position=[middle[0], middle[1], height], look_target=[middle[0], middle[1] + 0.01, 0.0], eye_up=[0.0, 1.0, 0.0]
-    )
-    views = (
-        scene_behind(),
-        _scene("From above", "/world/ego", ["+ /world/**"], above),
-        _scene("Map", "/world", ["+ /world/**", "- /world/agents/names", "- /world/agents/velocity"], whole),
-    )
-    return rrb.Tabs(*views, active_tab=0)
 
 
 def scene_behind(name: str = "Scene", under: str = "") -> rrb.Spatial3DView:

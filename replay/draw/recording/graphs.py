@@ -17,7 +17,7 @@ import numpy as np
 import rerun as rr
 
 from logs.kernel import FloatArray, IntArray
-from logs.trace import DecisionKind, GridCost
+from logs.trace import DecisionKind
 from replay.draw.axes import multiples, nice_step
 from replay.draw.graphs import DrawnGraph, DrawnObstacle
 from replay.draw.recording import colours
@@ -205,12 +205,29 @@ class _Sheet:
         self._draw_fill(f"{entity}/room", filled, np.array(owner, dtype=np.int64)[ring], light, wide=2.0)
 
     def draw_grid(self) -> None:
-        nodes = [
-            _grid_nodes(graph.grid, self.axes, offset) if graph and graph.grid else (NO_POINTS, np.empty(0))
-            for graph, offset in zip(self.graphs, self.offsets, strict=True)
-        ]
-        points, counts = joined([node[0] for node in nodes], 2)
-        colour = colours.of_cost(np.concatenate([np.empty(0), *(node[1] for node in nodes)]))
+        """The reached and visible nodes, coloured by relative cost, 0 to 1.
+
+        It is c / (c + median) of the cost c above the cheapest node of the same column: a ranking of alternatives,
+        which a few huge costs do not flatten.
+        """
+        axes = self.axes
+        nodes, costs = [NO_POINTS] * len(self.graphs), [np.empty(0)]
+        for k, (graph, offset) in enumerate(zip(self.graphs, self.offsets, strict=True)):
+            if graph is None or graph.grid is None:
+                continue
+            stride = max(1, ceil(len(graph.grid.second) / MAX_ROWS))
+            first, second, cost = graph.grid.first, graph.grid.second[::stride], graph.grid.cost[:, ::stride]
+            shown = np.isfinite(cost) & (second >= axes.y[0]) & (second <= axes.y[1])
+            shown &= (first - offset <= axes.x[1] + 1e-6)[:, None]
+            least = np.min(np.where(shown, cost, np.inf), axis=1, keepdims=True, initial=np.inf)
+            above = np.where(shown, cost, 0.0) - np.where(np.isfinite(least), least, 0.0)
+            i, j = np.nonzero(shown)
+            dear = above[i, j]
+            middle = float(np.median(dear[dear > 0.0])) if (dear > 0.0).any() else 1.0
+            nodes[k] = np.column_stack([first[i], second[j]])
+            costs.append(dear / (dear + middle))
+        points, counts = joined(nodes, 2)
+        colour = colours.of_cost(np.concatenate(costs))
         entity = f"{self.window}/grid"
         self.tape.static(entity, rr.Points2D.from_fields(radii=[pixels(2.0)], draw_order=0.0))
         self.tape.rows(entity, self.instants, rr.Points2D.columns(positions=points, colors=colour), counts)
@@ -299,24 +316,6 @@ def _label_style(colour: int | None) -> rr.Points2D:
     )
 
 
-def _grid_nodes(grid: GridCost, axes: Axes, offset: float) -> tuple[FloatArray, FloatArray]:
-    """The reached and visible nodes `(n, 2)` of a grid, and the relative cost of each, 0 to 1.
-
-    It is c / (c + median) of the cost c above the cheapest node of the same column: a ranking of alternatives, which a
-    few huge costs do not flatten. Nodes that were not reached are not drawn.
-    """
-    stride = max(1, ceil(len(grid.second) / MAX_ROWS))
-    second, cost = grid.second[::stride], grid.cost[:, ::stride]
-    shown = np.isfinite(cost) & (second >= axes.y[0]) & (second <= axes.y[1])
-    shown &= (grid.first - offset <= axes.x[1] + 1e-6)[:, None]
-    least = np.min(np.where(shown, cost, np.inf), axis=1, keepdims=True, initial=np.inf)
-    above = np.where(shown, cost, 0.0) - np.where(np.isfinite(least), least, 0.0)
-    i, j = np.nonzero(shown)
-    dear = above[i, j]
-    middle = float(np.median(dear[dear > 0.0])) if (dear > 0.0).any() else 1.0
-    return np.column_stack([grid.first[i], second[j]]), dear / (dear + middle)
-
-
 def beside(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
     """The position of an obstacle's label, where it hides nothing of it: above its left end, otherwise below it.
 
@@ -346,18 +345,12 @@ def spread(points: FloatArray, lengths: Sequence[int], axes: Axes) -> FloatArray
     kx, ky = axes.scale
     out, order = points.copy(), np.argsort(points[:, 1], kind="stable")
     gap, top = LABEL_GAP / ky, axes.y[1] - 1.0 / ky
-    beside = [
-        [
-            i
-            for i in order
-            if i != j and abs(points[i, 0] - points[j, 0]) * kx < 0.5 * LETTER * (lengths[i] + lengths[j])
-        ]
-        for j in range(len(points))
-    ]
+
+    def crowd(i: int, j: int) -> bool:
+        return bool(abs(points[i, 0] - points[j, 0]) * kx < 0.5 * LETTER * (lengths[i] + lengths[j]))
+
     for n, i in enumerate(order):
-        below = [out[j, 1] for j in order[:n] if j in beside[i]]
-        out[i, 1] = max([out[i, 1], *(y + gap for y in below)])
+        out[i, 1] = max([out[i, 1], *(out[j, 1] + gap for j in order[:n] if crowd(j, i))])
     for n, i in reversed(list(enumerate(order))):
-        above = [out[j, 1] for j in order[n + 1 :] if j in beside[i]]
-        out[i, 1] = min([out[i, 1], top, *(y - gap for y in above)])
+        out[i, 1] = min([out[i, 1], top, *(out[j, 1] - gap for j in order[n + 1 :] if crowd(j, i))])
     return out

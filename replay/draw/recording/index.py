@@ -7,7 +7,6 @@ reports.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
 
@@ -17,7 +16,6 @@ import rerun.blueprint as rrb
 from logs.names import counted
 from replay.draw.recording.tape import recording_file
 from replay.draw.recording.text import MARKDOWN, cell, document, link, table
-from replay.draw.report.model import DriveRow
 from replay.draw.report.overview import ORDER, overview
 from replay.results.load import load
 
@@ -36,7 +34,14 @@ def write_index(path: Path, folder: Path, most: int) -> tuple[Path, list[Path]]:
     rows = sorted(over.drives, key=lambda row: (weight.get(row.verdict, len(ORDER)), -row.trouble, row.log))
     opened = [row for row in rows if row.recording][:most]
     lines = [f"# {cell(over.outcome)}: {counted(len(rows), 'drive')}, worst first", ""]
-    lines += _how_to_open(rows, len(opened), folder)
+    there = sum(bool(row.recording) for row in rows)
+    click = " A click on the name of a log opens its recording." if there else ""
+    beside = f"Open beside this page: {len(opened)} of {counted(there, 'recording')}, those of the worst drives."
+    lines.append(beside + click)
+    if there > len(opened):
+        lines += ["", f"Both loops of one: `replan view {document([shlex.quote(str(folder))])} --log LOG`."]
+    if there < len(rows):
+        lines += ["", f"Without recording: {counted(len(rows) - there, 'drive')}."]
     names = [column.title.replace("\n", " ") for column in over.columns]
     body = []
     for row in rows:
@@ -51,15 +56,3 @@ def write_index(path: Path, folder: Path, most: int) -> tuple[Path, list[Path]]:
     with recording_file(path, "replan index", "index", digest, layout) as tape:
         tape.static("index", rr.TextDocument(document(lines), media_type=MARKDOWN))
     return path, [folder / row.recording for row in opened[::-1]]
-
-
-def _how_to_open(rows: Sequence[DriveRow], opened: int, folder: Path) -> list[str]:
-    """Which recordings are open, and how to open the others: by a click, or by a command."""
-    there = sum(bool(row.recording) for row in rows)
-    lines = [f"Open beside this page: {opened} of {counted(there, 'recording')}, those of the worst drives."]
-    if there:
-        lines[0] += " A click on the name of a log opens its recording."
-    if there > opened:
-        lines += ["", f"Both loops of one: `replan view {document([shlex.quote(str(folder))])} --log LOG`."]
-    without = len(rows) - there
-    return [*lines, *(["", f"Without recording: {counted(without, 'drive')}."] if without else [])]

@@ -2,12 +2,11 @@
 
 world/predictions     the predicted path of each hypothesis, the likelier the brighter, to the horizon
 world/perceived       boxes as they were shown to the planner, if they differ from the true ones
-world/sensor          the range of the sensor, and the ground that is hidden from it
+world/sensor          the rim of the sensor's range and field of view, and the hidden ground within it, hatched
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import atan2, ceil, pi
 
 import numpy as np
@@ -45,8 +44,15 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
         labels = [plain(f"{tape.short(name)} as perceived") for some in shown for name in some.ids]
         if labels:
             draw_frames(tape, "world/perceived", shown, frames, GHOST_HEIGHT, labels, colours.PERCEIVED, 1.2)
-    if any(frame.visibility is not None for frame in trace.frames):
-        _draw_sensor(tape, trace.frames, frames)
+    if not any(frame.visibility is not None for frame in trace.frames):
+        return
+    for name, draw, colour in (("edge", rim, colours.SENSOR), ("hidden", hatching, colours.HIDDEN)):
+        entity = f"world/sensor/{name}"
+        lines = [draw(frame.visibility) if frame.visibility is not None else [] for frame in trace.frames]
+        points, lengths = joined([line for some in lines for line in some], 2)
+        tape.static(entity, rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(0.8)]))
+        drawn = strips(np.column_stack([points, np.full(len(points), LOW / 2)]), lengths)
+        tape.rows(entity, frames, rr.LineStrips3D.columns(strips=drawn), [len(some) for some in lines])
 
 
 def _draw_predictions(tape: Tape, trace: Trace, frames: Instants) -> None:
@@ -107,18 +113,6 @@ def unseen(trace: Trace, t: float) -> list[tuple[str, float]]:
     away = np.hypot(there.x - np.interp(t, ego.t, ego.x), there.y - np.interp(t, ego.t, ego.y))
     near = np.argsort(away, kind="stable")
     return [(there.ids[i], float(away[i])) for i in near if away[i] <= NEAR_M and there.ids[i] not in shown]
-
-
-def _draw_sensor(tape: Tape, planned: Sequence[PlannedFrame], frames: Instants) -> None:
-    """The rim of the sensor's range and field of view, and the hidden ground within it, hatched."""
-    for entity, draw, colour in (("edge", rim, colours.SENSOR), ("hidden", hatching, colours.HIDDEN)):
-        lines = [draw(frame.visibility) if frame.visibility is not None else [] for frame in planned]
-        points, lengths = joined([line for some in lines for line in some], 2)
-        tape.static(f"world/sensor/{entity}", rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(0.8)]))
-        shown = strips(np.column_stack([points, np.full(len(points), LOW / 2)]), lengths)
-        tape.rows(
-            f"world/sensor/{entity}", frames, rr.LineStrips3D.columns(strips=shown), [len(some) for some in lines]
-        )
 
 
 def rim(seen: Visibility) -> list[FloatArray]:

@@ -105,25 +105,24 @@ def _sections(said: Explanation, chosen: Callable[[Section], bool]) -> list[str]
 
 
 def draw_events(tape: Tape, found: Sequence[Event], frames: Instants) -> None:
-    """One line of the log view for each event, and at each of their times a page of the recent ones."""
+    """One line of the log view for each event, and at each of their times a page of the recent ones.
+
+    A page has the newest event first; grave ones are bold.
+    """
     found = [replace(event, words=tape.short(event.words)) for event in found]
     tape.static("recent", rr.TextDocument.from_fields(media_type=MARKDOWN))
-    changes = np.unique([*frames.t[:1], *(event.t for event in found)])
-    pages = [document(_recent(found, float(t))) for t in changes]
+    changes, pages = np.unique([*frames.t[:1], *(event.t for event in found)]), []
+    for t in changes:
+        past = [event for event in found if event.t <= t + 1e-9]
+        rows = [
+            f"- **{event.t:.1f} s** {cell(event.words) if event.level == 'INFO' else f'**{cell(event.words)}**'}"
+            for event in past[::-1][:MOST_RECENT]
+        ]
+        pages.append(document(rows or ["nothing yet"]))
     tape.rows("recent", Instants.among(changes, frames.t), rr.TextDocument.columns(text=pages))
     instants = Instants.among(np.array([event.t for event in found]), frames.t)
     shown = rr.TextLog.columns(text=[plain(event.words) for event in found], level=[event.level for event in found])
     tape.rows("events", instants, shown)
-
-
-def _recent(found: Sequence[Event], t: float) -> list[str]:
-    """The last events not later than `t`, the newest first; grave ones are bold."""
-    past = [event for event in found if event.t <= t + 1e-9]
-    rows = [
-        f"- **{event.t:.1f} s** {cell(event.words) if event.level == 'INFO' else f'**{cell(event.words)}**'}"
-        for event in past[::-1][:MOST_RECENT]
-    ]
-    return rows or ["nothing yet"]
 
 
 # the summary ------------------------------------------------------------------------------------------------------

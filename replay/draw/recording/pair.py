@@ -84,7 +84,12 @@ def write_pair(path: Path, recordings: tuple[Path, Path], traces: tuple[Trace, T
         where = first_difference(one, two)
         words = [f"- **{side}**: {cell(name)}" for side, name in zip(SIDES, names, strict=True)]
         words += ["", f"**First difference: {cell(where.what)}**" if where else "The drives do not differ."]
-        words += ["", _describe_gap(t, values["gap"])]
+        far = np.flatnonzero(values["gap"] > APART_M)
+        sentence = f"The egos are never more than {APART_M:g} m apart."
+        if len(far):
+            first, most = t[far[0]], np.nanmax(values["gap"])
+            sentence = f"The egos are more than {APART_M:g} m apart from t = {first:.2f} s on, at most {most:.1f} m."
+        words += ["", sentence]
         tape.static("parting", rr.TextDocument(document(words), media_type=MARKDOWN))
         if where is not None:  # a mark on the curves of the difference
             style = rr.SeriesPoints(colors=[MARK], markers=["Diamond"], marker_sizes=[7.0], names=["first difference"])
@@ -101,13 +106,6 @@ def difference(one: Trace, two: Trace) -> tuple[FloatArray, dict[str, FloatArray
     )
     apart = {name: second[name] - first[name] for name in first}
     return t, {"gap": np.hypot(apart["x"], apart["y"]), "v": apart["v"], "a": apart["a"]}
-
-
-def _describe_gap(t: FloatArray, gap: FloatArray) -> str:
-    far = np.flatnonzero(gap > APART_M)
-    if not len(far):
-        return f"The egos are never more than {APART_M:g} m apart."
-    return f"The egos are more than {APART_M:g} m apart from t = {t[far[0]]:.2f} s on, at most {np.nanmax(gap):.1f} m."
 
 
 def _blueprint(

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -202,13 +202,20 @@ def _viewer(size: str, theme: Theme, timeout: float) -> Iterator[tuple[Any, Call
     command = [str(binary), "--headless", "--port", str(port), "--bind", LOOPBACK, "--window-size", size]
     with tempfile.TemporaryFile("w+") as log, environment(RUST_LOG="error") as variables:
         process = subprocess.Popen(command, env=variables, stdout=log, stderr=subprocess.STDOUT)
+
+        def alive() -> None:
+            if process.poll() is not None:
+                log.seek(0)
+                words = " ".join(log.read()[-400:].split())
+                raise ScreenshotError(f"the viewer ended with code {process.returncode}: {words}")
+
         try:
-            client = _connect(port, timeout, lambda: _check(process, log))
+            client = _connect(port, timeout, alive)
             if theme != "dark":  # the default
                 client.set_location("about:settings")
                 if error := click_theme(theme, binary, port, variables, timeout):
                     raise ScreenshotError(f"the viewer's theme cannot be set: {error}")
-            yield client, lambda: _check(process, log)
+            yield client, alive
         finally:
             process.terminate()
             try:
@@ -216,13 +223,6 @@ def _viewer(size: str, theme: Theme, timeout: float) -> Iterator[tuple[Any, Call
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-
-
-def _check(process: subprocess.Popen[bytes], log: IO[str]) -> None:
-    if process.poll() is not None:
-        log.seek(0)
-        words = " ".join(log.read()[-400:].split())
-        raise ScreenshotError(f"the viewer ended with code {process.returncode}: {words}")
 
 
 def _connect(port: int, timeout: float, alive: Callable[[], None]) -> Any:
@@ -328,13 +328,9 @@ def film(
                 frame, *others = [Image.open(picture.out).convert("RGB") for picture in pictures]
                 frame.save(out, save_all=True, append_images=others, duration=round(1e3 / FRAMES_PER_S), loop=0)
             else:
-                _by_ffmpeg(Path(folder), out)
+                command = ["ffmpeg", "-y", "-loglevel", "error", "-framerate", f"{FRAMES_PER_S:g}"]
+                command += ["-i", str(Path(folder) / "%05d.png"), "-vf", EVEN, "-pix_fmt", "yuv420p", str(out)]
+                done = subprocess.run(command, capture_output=True, text=True, check=False)
+                if done.returncode:
+                    raise ReplanError(f"{out}: ffmpeg failed: {' '.join(done.stderr[-400:].split())}")
     return len(pictures)
-
-
-def _by_ffmpeg(folder: Path, out: Path) -> None:
-    command = ["ffmpeg", "-y", "-loglevel", "error", "-framerate", f"{FRAMES_PER_S:g}"]
-    command += ["-i", str(folder / "%05d.png"), "-vf", EVEN, "-pix_fmt", "yuv420p", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise ReplanError(f"{out}: ffmpeg failed: {' '.join(done.stderr[-400:].split())}")

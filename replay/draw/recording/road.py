@@ -60,7 +60,8 @@ def dashes(line: FloatArray) -> list[FloatArray]:
 def draw_road(tape: Tape, road: Road) -> None:
     """Surfaces, edges (white), markings between lanes (broken if they may be crossed), lines to opposite lanes.
 
-    If lanes overlap, as in a junction, their edges are no edges of the road: they are drawn faint.
+    If lanes overlap, as in a junction, their edges are no edges of the road: they are drawn faint. Stop lines are
+    white, those of a stop sign red; crosswalks are hatched.
     """
     lanes = tuple(road.lanes.values())
     for entity, some, colour, z in (
@@ -69,22 +70,20 @@ def draw_road(tape: Tape, road: Road) -> None:
     ):
         if some:
             tape.static(entity, _surface(some, colour, z))
-    marked: dict[str, list[FloatArray]] = {"edges": [], "faint": [], "markings": [], "opposite": []}
-    for lane in lanes:
-        for kind, line in _markings(lane, road):
-            marked[kind] += [line]
+    faint, edges, markings, opposite = (list[FloatArray]() for _ in range(4))
+    for lane in lanes:  # the left boundary; the right one is the neighbour's left
+        line = dashes(lane.left) if lane.left_crossable else [lane.left]
+        if lane.left_opposite:
+            opposite += line
+        elif lane.left_neighbour in road.lanes:
+            markings += line
     for drivable in (True, False):
-        for on_another, line in _edges([lane for lane in lanes if lane.drivable is drivable], road):
-            marked["faint" if on_another else "edges"] += [line]
-    draw_lines(tape, "world/road/faint", marked["faint"], colours.FAINT, 0.04, -0.01)
-    draw_lines(tape, "world/road/edges", marked["edges"], colours.EDGE, 0.08, 0.0)
-    draw_lines(tape, "world/road/markings", marked["markings"], colours.MARKING, 0.07, 0.0)
-    draw_lines(tape, "world/road/opposite", marked["opposite"], colours.OPPOSITE, 0.07, 0.01)
-    _draw_rules(tape, road)
-
-
-def _draw_rules(tape: Tape, road: Road) -> None:
-    """Stop lines (those of a stop sign red) and crosswalks, hatched."""
+        for on_another, piece in _edges([lane for lane in lanes if lane.drivable is drivable], road):
+            (faint if on_another else edges).append(piece)
+    draw_lines(tape, "world/road/faint", faint, colours.FAINT, 0.04, -0.01)
+    draw_lines(tape, "world/road/edges", edges, colours.EDGE, 0.08, 0.0)
+    draw_lines(tape, "world/road/markings", markings, colours.MARKING, 0.07, 0.0)
+    draw_lines(tape, "world/road/opposite", opposite, colours.OPPOSITE, 0.07, 0.01)
     signed = [line.points for line in road.stop_lines if line.must_stop]
     others = [line.points for line in road.stop_lines if not line.must_stop]
     draw_lines(tape, "world/road/stop_lines", others, colours.EDGE, 0.2, 0.02)
@@ -112,15 +111,6 @@ def draw_lights(tape: Tape, scenario: Scenario, instants: Instants) -> None:
     tape.static("world/lights", rr.Points3D.from_fields(radii=[LAMP_M]))
     changes = Instants(instants.t[kept], instants.frame[kept])
     tape.rows("world/lights", changes, lamps, np.full(int(kept.sum()), len(lines)))
-
-
-def _markings(lane: Lane, road: Road) -> Iterator[tuple[str, FloatArray]]:
-    """The left boundary of a lane if there is another lane beside it; the right one is the neighbour's left."""
-    line = dashes(lane.left) if lane.left_crossable else [lane.left]
-    if lane.left_opposite:
-        yield from (("opposite", piece) for piece in line)
-    elif lane.left_neighbour in road.lanes:
-        yield from (("markings", piece) for piece in line)
 
 
 def _edges(lanes: Sequence[Lane], road: Road) -> Iterator[tuple[bool, FloatArray]]:

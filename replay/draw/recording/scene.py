@@ -54,7 +54,6 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants)
     draw_goal(tape, scenario)
     draw_lights(tape, scenario, instants)
     _draw_ego(tape, trace.ego, scenario.vehicle, instants)
-    _draw_driven(tape, trace.ego, instants)
     if trace.ego is not scenario.ego and len(scenario.ego) > 1:
         _draw_log(tape, trace, scenario, instants)
     if scenario.repair is not None and len(scenario.repair.removed):
@@ -78,7 +77,13 @@ def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants
     for kind in AgentKind:
         if kind in kinds:
             _draw_kind(tape, kind, agents, full, instants)
-    _draw_velocities(tape, agents, full, instants)
+    # the velocity of each moving agent that is drawn in full, as its displacement in one second
+    moving = [at[np.nan_to_num(some.speed)[at] > 0.3] for some, at in zip(agents, full, strict=True)]
+    starts, counts = joined([np.column_stack([some.x, some.y])[at] for some, at in zip(agents, moving, strict=True)], 2)
+    vectors, _ = joined([np.column_stack([some.vx, some.vy])[at] for some, at in zip(agents, moving, strict=True)], 2)
+    arrows = rr.Arrows3D.columns(origins=at_height(starts, 0.1), vectors=at_height(vectors, 0.0))
+    tape.static("world/agents/velocity", rr.Arrows3D.from_fields(colors=[0xFFFFFFA0], radii=[0.05]))
+    tape.rows("world/agents/velocity", instants, arrows, counts)
     _draw_names(tape, agents, full, here, np.column_stack([xy, yaw]), instants)
     if plans:
         _draw_plans(tape, plans, frames, max(1.0, float(trace.ego.v.max())))
@@ -93,6 +98,7 @@ def _resampled(ego: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _draw_ego(tape: Tape, ego: Trajectory, vehicle: VehicleParameters, instants: Instants) -> None:
+    """The ego, and one piece of its driven path per instant: the blueprint shows all pieces up to the cursor."""
     xy, yaw = _resampled(ego, instants.t)
     poses = rr.Transform3D.columns(translation=at_height(xy, 0.0), quaternion=quaternions(yaw))
     tape.rows("world/ego", instants, poses)
@@ -103,11 +109,6 @@ def _draw_ego(tape: Tape, ego: Trajectory, vehicle: VehicleParameters, instants:
     front, half = vehicle.axle_to_front, vehicle.width / 2.0
     nose = [[front - half, half, EGO_HEIGHT], [front, 0.0, EGO_HEIGHT], [front - half, -half, EGO_HEIGHT]]
     tape.static("world/ego/nose", rr.LineStrips3D([nose], colors=0xFFFFFFFF, radii=0.04))
-
-
-def _draw_driven(tape: Tape, ego: Trajectory, instants: Instants) -> None:
-    """One piece of the driven path per instant; the blueprint shows all pieces up to the cursor."""
-    xy, _ = _resampled(ego, instants.t)
     pieces = np.stack([xy[np.maximum(np.arange(len(xy)) - 1, 0)], xy], axis=1)
     lines = strips(at_height(pieces.reshape(-1, 2), 0.04), np.full(len(xy), 2))
     tape.static("world/driven", rr.LineStrips3D.from_fields(colors=[colours.EGO], radii=[0.1]))
@@ -159,16 +160,11 @@ def _draw_kind(
 ) -> None:
     """Boxes of one kind of agent, faint if they are not drawn in full; their ids are visible on hover."""
     chosen = [np.array([i for i, k in enumerate(some.kinds) if k is kind], dtype=np.int64) for some in agents]
-    xy, length, width, yaw = (
-        np.concatenate([column[at] for column, at in zip(columns, chosen, strict=True)])
-        for columns in (
-            [np.column_stack([some.x, some.y]) for some in agents],
-            [some.length for some in agents],
-            [some.width for some in agents],
-            [some.yaw for some in agents],
-        )
+    x, y, yaw, length, width = (
+        np.concatenate([getattr(some, name)[at] for some, at in zip(agents, chosen, strict=True)])
+        for name in ("x", "y", "yaw", "length", "width")
     )
-    height = HEIGHTS[kind]
+    height, xy = HEIGHTS[kind], np.column_stack([x, y])
     half = np.column_stack([length, width, np.full(len(xy), height)]) / 2.0
     names = {name: plain(tape.short(name)) for name in {name for some in agents for name in some.ids}}
     labels = [names[some.ids[i]] for some, at in zip(agents, chosen, strict=True) for i in at]
@@ -181,30 +177,6 @@ def _draw_kind(
     tape.rows(f"world/agents/{kind.value}", instants, boxes, [len(at) for at in chosen])
 
 
-def _draw_velocities(tape: Tape, agents: Sequence[Agents], full: Sequence[IntArray], instants: Instants) -> None:
-    """The velocity of each moving agent that is drawn in full, as its displacement in one second."""
-    moving = [at[np.nan_to_num(some.speed)[at] > 0.3] for some, at in zip(agents, full, strict=True)]
-    starts, counts = joined([np.column_stack([some.x, some.y])[at] for some, at in zip(agents, moving, strict=True)], 2)
-    vectors, _ = joined([np.column_stack([some.vx, some.vy])[at] for some, at in zip(agents, moving, strict=True)], 2)
-    entity = "world/agents/velocity"
-    tape.static(entity, rr.Arrows3D.from_fields(colors=[0xFFFFFFA0], radii=[0.05]))
-    arrows = rr.Arrows3D.columns(origins=at_height(starts, 0.1), vectors=at_height(vectors, 0.0))
-    tape.rows(entity, instants, arrows, counts)
-
-
-def _beyond(some: Agents, i: int, eye: Sequence[float]) -> tuple[float, float, float]:
-    """The position of an agent's name, where it hides no part of them: beyond them, as seen from the ego.
-
-    A label hangs below its point: the point is raised by its height, as seen from above and from behind the ego.
-    """
-    x, y, yaw = eye
-    turn = float(some.yaw[i]) - yaw
-    half = 0.5 * (abs(cos(turn)) * float(some.length[i]) + abs(sin(turn)) * float(some.width[i]))
-    away = hypot(some.x[i] - x, some.y[i] - y) + EYE_BACK_M
-    ahead, up = half + LABEL_M, HEIGHTS[some.kinds[i]] + LABEL_RISE * away
-    return float(some.x[i] + ahead * cos(yaw)), float(some.y[i] + ahead * sin(yaw)), up
-
-
 def _draw_names(
     tape: Tape,
     agents: Sequence[Agents],
@@ -213,14 +185,20 @@ def _draw_names(
     ego: FloatArray,
     instants: Instants,
 ) -> None:
-    """Ids above the agents that are drawn in full, with the decision in its colour; `ego` `(n, 3)` x, y, yaw."""
-    points: list[tuple[float, float, float]] = []
-    words: list[str] = []
-    colour: list[int] = []
-    for some, rows, about, eye in zip(agents, full, here, ego.tolist(), strict=True):
+    """Ids of the agents that are drawn in full, with the decision in its colour; `ego` `(n, 3)` x, y, yaw.
+
+    A name is where it hides no part of its agent: beyond it, as seen from the ego. A label hangs below its point: the
+    point is raised by its height, as seen from above and from behind the ego.
+    """
+    points, words, colour = list[tuple[float, float, float]](), list[str](), list[int]()
+    for some, rows, about, (x, y, yaw) in zip(agents, full, here, ego.tolist(), strict=True):
         for i in rows:
             decision, name = about.get(some.ids[i]), tape.short(some.ids[i])
-            points.append(_beyond(some, int(i), eye))
+            turn = float(some.yaw[i]) - yaw
+            half = 0.5 * (abs(cos(turn)) * float(some.length[i]) + abs(sin(turn)) * float(some.width[i]))
+            away = hypot(some.x[i] - x, some.y[i] - y) + EYE_BACK_M
+            ahead, up = half + LABEL_M, HEIGHTS[some.kinds[i]] + LABEL_RISE * away
+            points.append((float(some.x[i] + ahead * cos(yaw)), float(some.y[i] + ahead * sin(yaw)), up))
             words.append(plain(f"{name}: {decision.kind.value}" if decision else name))
             colour.append(colours.of_words(colours.DECISIONS[decision.kind] if decision else colours.TICK))
     entity = "world/agents/names"
@@ -245,12 +223,8 @@ def _draw_plans(tape: Tape, plans: Sequence[Plan], frames: Instants, fastest: fl
     colour = colours.of_speed(np.concatenate(speeds) / fastest)
     drawn = strips(at_height(pieces.reshape(-1, 2), 0.12), np.full(len(pieces), 2))
     tape.static("world/plan/path", rr.LineStrips3D.from_fields(radii=[0.18]))
-    tape.rows(
-        "world/plan/path",
-        frames,
-        rr.LineStrips3D.columns(strips=drawn, colors=colour),
-        [len(line) for line in lines],
-    )
+    shown = rr.LineStrips3D.columns(strips=drawn, colors=colour)
+    tape.rows("world/plan/path", frames, shown, [len(line) for line in lines])
     points, counts = joined(dots, 2)
     tape.static("world/plan/seconds", rr.Points3D.from_fields(colors=[0xFFFFFFFF], radii=[0.22]))
     tape.rows("world/plan/seconds", frames, rr.Points3D.columns(positions=at_height(points, 0.2)), counts)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,20 +74,16 @@ def distributions(columns: Sequence[Column], drives: Sequence[DriveRow]) -> list
     """One chart per column of the table of drives that has several values and is no yes or no."""
     out = []
     for k, column in enumerate(columns):
-        strips = list(_strips(k, drives))
-        values = np.concatenate([strip.values for strip in strips]) if strips else np.empty(0)
-        if len(values) > 1 and len(np.unique(values)) > 2:
+        strips = []
+        for planner in dict.fromkeys(drive.shown for drive in drives):
+            cells = [(drive.cells[k].value, drive.log) for drive in drives if drive.shown == planner]
+            found = [(value, log) for value, log in cells if np.isfinite(value)]
+            if found:
+                values, logs = zip(*found, strict=True)
+                strips.append(Strip(planner, np.array(values, np.float64), logs))
+        if len({value for strip in strips for value in strip.values.tolist()}) > 2:
             out.append(_distribution(column, strips))
     return out
-
-
-def _strips(column: int, drives: Sequence[DriveRow]) -> Iterator[Strip]:
-    for planner in dict.fromkeys(drive.shown for drive in drives):
-        mine = [drive for drive in drives if drive.shown == planner]
-        found = [(drive.cells[column].value, drive.log) for drive in mine if np.isfinite(drive.cells[column].value)]
-        if found:
-            values, logs = zip(*found, strict=True)
-            yield Strip(planner, np.array(values, np.float64), logs)
 
 
 def _distribution(column: Column, strips: Sequence[Strip]) -> Chart:
@@ -96,7 +92,17 @@ def _distribution(column: Column, strips: Sequence[Strip]) -> Chart:
     low, high = widened(float(values.min()), float(values.max()), 1e-3, 0.04)
     names = [strip.name for strip in strips]
     plane = _rows_plane(names, (min(low, 0.0) if values.min() >= 0.0 and low < 0.0 else low, high), top=22.0)
-    marks = "".join(_strip(plane, strip, k) for k, strip in enumerate(strips))
+    marks = ""
+    for k, strip in enumerate(strips):
+        middle = ROW_PX * (k + 0.5)
+        if len(strip.values) > FEW:
+            left, median, right = plane.at_x(np.percentile(strip.values, (25.0, 50.0, 75.0))).tolist()
+            marks += rect(left, middle - 6.0, right - left, 12.0, "box")
+            marks += line(median, middle - 6.0, median, middle + 6.0, "whisker")
+        order = np.argsort(strip.values, kind="stable")
+        away = np.array([0.0, -3.0, 3.0])[np.arange(len(order)) % 3]
+        for i, x, offset in zip(order, plane.at_x(strip.values[order]).tolist(), away.tolist(), strict=True):
+            marks += dot(x, middle + offset, 2.6, "speck", f"{strip.logs[i]}: {strip.values[i]:.4g}")
     title = f"{column.words}, {column.mode} loop"
     head = text(2.0, 13.0, title, "title")
     drawn = plane.drawn(marks, x_title=f"{column.metric}, a dot a log", y_ticks=False, over=_names(plane, names))
@@ -106,22 +112,6 @@ def _distribution(column: Column, strips: Sequence[Strip]) -> Chart:
         for s in strips
     )
     return Chart(column.metric, title, says, WIDTH_PX, plane.height, drawn + head)
-
-
-def _strip(plane: Plane, strip: Strip, k: int) -> str:
-    middle = ROW_PX * (k + 0.5)
-    out = ""
-    if len(strip.values) > FEW:
-        left, median, right = plane.at_x(np.percentile(strip.values, (25.0, 50.0, 75.0))).tolist()
-        out = rect(left, middle - 6.0, right - left, 12.0, "box") + line(
-            median, middle - 6.0, median, middle + 6.0, "whisker"
-        )
-    order = np.argsort(strip.values, kind="stable")
-    away = np.array([0.0, -3.0, 3.0])[np.arange(len(order)) % 3]
-    return out + "".join(
-        dot(x, middle + offset, 2.6, "speck", f"{strip.logs[i]}: {strip.values[i]:.4g}")
-        for i, x, offset in zip(order, plane.at_x(strip.values[order]).tolist(), away.tolist(), strict=True)
-    )
 
 
 def moved(pairs: pd.DataFrame, title: str) -> Chart:

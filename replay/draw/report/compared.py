@@ -42,14 +42,34 @@ def _parts(comparison: Comparison, watch: Watch, *, alone: bool) -> Iterator[Ren
     comparison = _with_planners(comparison)
     yield Text(f"{comparison.baseline} -> {comparison.candidate}", style="bold")
     yield Text()
-    yield from _inputs(comparison)
+    lines = comparison.differences or ("the same: logs, configuration, vehicles, versions",)
+    yield from _titled("Inputs", *_listed(lines))
+    for drives, word in ((comparison.only_in_baseline, "baseline"), (comparison.only_in_candidate, "candidate")):
+        if drives:
+            yield from _titled(f"Only in the {word} ({len(drives)})", *_listed(drives))
     yield from _flips(comparison)
     yield from _extremes("Worst regressions", comparison.regressions(MOST_PAIRS), command)
     yield from _extremes("Greatest improvements", comparison.improvements(MOST_PAIRS), "")
     yield from _groups(comparison)
-    yield from _partings(comparison)
-    yield from _rules(comparison)
-    yield from _ending(comparison, alone=alone)
+    if len(comparison.partings):
+        table = grid("log", "loop", "first difference")
+        for row in _rows(comparison.partings):
+            table.add_row(Text(row.log), row.mode, Text(row.what))
+        unseen = comparison.not_looked_at
+        aside = [Text(f"not searched in {counted(unseen, 'more drive')} that differ", style="dim")] if unseen else []
+        yield from _titled("First differences of drives", table, *aside)
+    if comparison.verdicts:
+        table = grid("outcome", "rule", "what was found")
+        for verdict in sorted(comparison.verdicts, key=lambda verdict: list(Outcome).index(verdict.outcome)):
+            word = verdict.outcome.value
+            table.add_row(Text(word.upper(), style=STYLES[word]), Text(verdict.rule), Text(verdict.reason))
+        yield from _titled("Rules", table)
+    pairs = comparison.pairs
+    count = len(pairs[["log", "planner", "mode"]].drop_duplicates())
+    worse, better = int((pairs["worse"] > 0.0).sum()), int((pairs["worse"] < 0.0).sum())
+    values = f"{counted(len(pairs), 'value')}: {int((pairs['delta'] == 0.0).sum())} the same"
+    yield Text(f"{counted(count, 'drive')}, {values}, {worse} worse, {better} better")
+    yield Text(last_line(comparison, alone=alone), style=STYLES[OUTCOMES[comparison.exit_code]])
 
 
 def _rows(table: pd.DataFrame) -> Iterator[Any]:
@@ -72,14 +92,6 @@ def _with_planners(comparison: Comparison) -> Comparison:
 
 def _titled(title: str, *parts: RenderableType) -> Iterator[RenderableType]:
     return titled(title, *(Padding(part, (0, 0, 0, 2)) if isinstance(part, Text) else part for part in parts))
-
-
-def _inputs(comparison: Comparison) -> Iterator[RenderableType]:
-    lines = comparison.differences or ("the same: logs, configuration, vehicles, versions",)
-    yield from _titled("Inputs", *_listed(lines))
-    for drives, word in ((comparison.only_in_baseline, "baseline"), (comparison.only_in_candidate, "candidate")):
-        if drives:
-            yield from _titled(f"Only in the {word} ({len(drives)})", *_listed(drives))
 
 
 def _listed(lines: Sequence[str]) -> list[Text]:
@@ -144,36 +156,6 @@ def _groups(comparison: Comparison) -> Iterator[RenderableType]:
         table.add_row(row.group, row.mode, row.metric, str(row.logs), *values, change, str(row.better), str(row.worse))
     note = Text("* more than chance over these logs (paired bootstrap, at least 6 logs)", style="dim")
     yield from _titled("Means over the logs", table, *_more(len(shown), MOST_GROUPS), note)
-
-
-def _partings(comparison: Comparison) -> Iterator[RenderableType]:
-    if len(comparison.partings):
-        table = grid("log", "loop", "first difference")
-        for row in _rows(comparison.partings):
-            table.add_row(Text(row.log), row.mode, Text(row.what))
-        unseen = comparison.not_looked_at
-        aside = [Text(f"not searched in {counted(unseen, 'more drive')} that differ", style="dim")] if unseen else []
-        yield from _titled("First differences of drives", table, *aside)
-
-
-def _rules(comparison: Comparison) -> Iterator[RenderableType]:
-    if comparison.verdicts:
-        table = grid("outcome", "rule", "what was found")
-        for verdict in sorted(comparison.verdicts, key=lambda verdict: list(Outcome).index(verdict.outcome)):
-            word = verdict.outcome.value
-            table.add_row(Text(word.upper(), style=STYLES[word]), Text(verdict.rule), Text(verdict.reason))
-        yield from _titled("Rules", table)
-
-
-def _ending(comparison: Comparison, *, alone: bool) -> Iterator[RenderableType]:
-    pairs = comparison.pairs
-    drives = len(pairs[["log", "planner", "mode"]].drop_duplicates())
-    worse, better = int((pairs["worse"] > 0.0).sum()), int((pairs["worse"] < 0.0).sum())
-    same = int((pairs["delta"] == 0.0).sum())
-    yield Text(
-        f"{counted(drives, 'drive')}, {counted(len(pairs), 'value')}: {same} the same, {worse} worse, {better} better"
-    )
-    yield Text(last_line(comparison, alone=alone), style=STYLES[OUTCOMES[comparison.exit_code]])
 
 
 def last_line(comparison: Comparison, *, alone: bool = True) -> str:

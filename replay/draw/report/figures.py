@@ -99,7 +99,7 @@ def path_figure(traces: Sequence[tuple[str, Trace]], planned: FloatArray, scenar
 
 
 def st_figure(frames: Sequence[tuple[str, PlannedFrame]], trace: Trace, scenario: Scenario) -> Figure:
-    """Fig. 10: a row per moment, the scene at the left, the S-T graph at the right."""
+    """Fig. 10: a row per moment, the scene at the left, the S-T graph (DP red, QP blue) at the right."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
@@ -113,7 +113,18 @@ def st_figure(frames: Sequence[tuple[str, PlannedFrame]], trace: Trace, scenario
         for (scene, plane), (word, frame), graph in zip(rows, frames, graphs, strict=True):
             _scene(scene, frame, trace, scenario)
             scene.set_title(f"{word}: t = {frame.t:.1f} s")
-            _draw_st(plane, graph, 1.05 * top)
+            plane.set(ylabel="station along the path [m]", xlim=(0.0, 8.0), ylim=(0.0, 1.05 * top))
+            if graph is None:
+                plane.text(0.5, 0.5, "no S-T graph", transform=plane.transAxes, ha="center")
+                continue
+            for obstacle in graph.obstacles:
+                plane.fill(*obstacle.outline.T, fc=OBSTACLE, alpha=0.25, lw=0.0)
+                plane.plot(*np.vstack([obstacle.outline, obstacle.outline[:1]]).T, color=OBSTACLE, lw=1.6)
+            plane.plot([], [], color=OBSTACLE, lw=1.6, label="obstacle")
+            dp, qp = graph.dp, graph.qp
+            plane.plot(dp[:, 0], dp[:, 1], color=DP, lw=1.4, marker="o", markersize=3.0, markevery=10, label="DP")
+            plane.plot(qp[:, 0], qp[:, 1], color=QP, lw=1.8, label="QP")
+            plane.set_title("S-T graph" if graph.obstacles else "S-T graph: no obstacle")
         rows[0, 1].legend(loc="upper left")
         rows[-1, 0].set_xlabel("x [m]")
         rows[-1, 1].set_xlabel("time from the frame [s]")
@@ -215,21 +226,6 @@ def _heat(axes: Axes, cells: pd.DataFrame, column: str, colors: Any, bounds: tup
             axes.text(late, walker, MARKS[word][0], ha="center", va="center", fontsize=7, weight="bold", bbox=box)
     axes.set_yticks(y)
     return mesh
-
-
-def _draw_st(axes: Axes, graph: StGraph | None, top: float) -> None:
-    """Obstacles black, DP red, QP blue."""
-    axes.set(ylabel="station along the path [m]", xlim=(0.0, 8.0), ylim=(0.0, top))
-    if graph is None:
-        axes.text(0.5, 0.5, "no S-T graph", transform=axes.transAxes, ha="center")
-        return
-    for obstacle in graph.obstacles:
-        axes.fill(*obstacle.outline.T, fc=OBSTACLE, alpha=0.25, lw=0.0)
-        axes.plot(*np.vstack([obstacle.outline, obstacle.outline[:1]]).T, color=OBSTACLE, lw=1.6)
-    axes.plot([], [], color=OBSTACLE, lw=1.6, label="obstacle")
-    axes.plot(graph.dp[:, 0], graph.dp[:, 1], color=DP, lw=1.4, marker="o", markersize=3.0, markevery=10, label="DP")
-    axes.plot(graph.qp[:, 0], graph.qp[:, 1], color=QP, lw=1.8, label="QP")
-    axes.set_title("S-T graph" if graph.obstacles else "S-T graph: no obstacle")
 
 
 def _scene(axes: Axes, frame: PlannedFrame, trace: Trace, scenario: Scenario) -> None:

@@ -10,10 +10,10 @@ import os
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib import resources
-from math import isfinite
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote
@@ -153,29 +153,25 @@ def _compared(comparison: Comparison) -> dict[str, Any]:
     shown = groups[groups["significant"].astype(bool) | asked & (groups["kind"] == "suite")]
     moving = shown[shown["delta"].abs() > 0.0]
     order = moving.assign(rank=~moving["significant"].astype(bool)).sort_values("rank", kind="stable")
-    worse = comparison.regressions(MOST_REGRESSIONS, each=3)
-    return {
-        "of": comparison,
-        "flips": _dicts(comparison.flips.loc[rank.sort_values(kind="stable").index]),  # new failures first
-        "regressions": _dicts(worse),
-        "improvements": _dicts(comparison.improvements(MOST_IMPROVEMENTS)),
-        "groups": _dicts(order.head(MOST_GROUPS)),
-        "more_groups": max(len(order) - MOST_GROUPS, 0),
-        "partings": _dicts(comparison.partings),
-        "charts": [_markup(chart) for chart in _moved(comparison)],
-    }
-
-
-def _moved(comparison: Comparison) -> list[Chart]:
-    """The metrics that moved most, those that a gate asks of first; one chart per metric, planner and loop."""
+    # the metrics that moved most, those that a gate asks of first; one chart per metric, planner and loop
     pairs = comparison.pairs
     both = pairs[pairs["baseline"].notna() & pairs["candidate"].notna() & (pairs["delta"] != 0.0)]
     both = both[both["worse"].notna()]
     keys = list(dict.fromkeys(zip(both["metric"], both["planner"], both["mode"], strict=True)))[:MOST_MOVED]
-    return [
+    charts = [
         moved(both[(both["metric"] == m) & (both["planner"] == p) & (both["mode"] == mode)], f"{m}, {p}, {mode} loop")
         for m, p, mode in keys
     ]
+    return {
+        "of": comparison,
+        "flips": _dicts(flips.loc[rank.sort_values(kind="stable").index]),  # new failures first
+        "regressions": _dicts(comparison.regressions(MOST_REGRESSIONS, each=3)),
+        "improvements": _dicts(comparison.improvements(MOST_IMPROVEMENTS)),
+        "groups": _dicts(order.head(MOST_GROUPS)),
+        "more_groups": max(len(order) - MOST_GROUPS, 0),
+        "partings": _dicts(comparison.partings),
+        "charts": [_markup(chart) for chart in charts],
+    }
 
 
 def _dicts(table: pd.DataFrame) -> list[Mapping[str, Any]]:
@@ -274,23 +270,23 @@ class DrivePage:
 
     anchor: str
     row: DriveRow
-    mode: str
-    tags: tuple[str, ...]
-    time_s: float
-    why: str
-    because: tuple[str, ...]
-    end: str
-    verdicts: tuple[VerdictLine, ...]
-    pictures: tuple[Markup, ...]
-    decided: Markup
-    curves: tuple[Markup, ...]
-    events: tuple[Event, ...]
-    more_events: int
-    metrics: tuple[tuple[str, tuple[MetricLine, ...]], ...]
-    missing: tuple[tuple[str, str], ...]
-    files: tuple[Recording, ...]
-    plot: str
-    broken: tuple[str, ...]
+    mode: str = ""
+    tags: tuple[str, ...] = ()
+    time_s: float = nan
+    why: str = ""
+    because: tuple[str, ...] = ()
+    end: str = ""
+    verdicts: tuple[VerdictLine, ...] = ()
+    pictures: tuple[Markup, ...] = ()
+    decided: Markup = field(default_factory=Markup)
+    curves: tuple[Markup, ...] = ()
+    events: tuple[Event, ...] = ()
+    more_events: int = 0
+    metrics: tuple[tuple[str, tuple[MetricLine, ...]], ...] = ()
+    missing: tuple[tuple[str, str], ...] = ()
+    files: tuple[Recording, ...] = ()
+    plot: str = ""
+    broken: tuple[str, ...] = ()
 
     @property
     def failed(self) -> tuple[VerdictLine, ...]:
@@ -334,29 +330,42 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
     found = attempt("The list of events", changed, list[Event]())
     because = attempt("The account of the plan", lambda: seen.because if seen else (), tuple[str, ...]())
     charts = placed(seen, results.run.charts) if seen else {}
+    markup = {place: tuple(map(_markup, some)) for place, some in charts.items()}
+    verdicts, metrics, missing, files = list[VerdictLine](), [], dict[str, list[str]](), []
+    for drive in drives:
+        rows: list[Any] = list(drive.verdicts.itertuples(index=False))
+        lines = [VerdictLine(v.gate, v.mode, v.outcome, float(v.value), float(v.time_s), v.reason) for v in rows]
+        verdicts += sorted(lines, key=lambda line: _WEIGHT[line.outcome])
+        table, available = drive.metrics, drive.metrics["available"].astype(bool)
+        columns = (table[available][name].tolist() for name in ("metric", "value", "unit", "time_s", "reason"))
+        metrics.append((drive.mode, tuple(MetricLine(*line) for line in zip(*columns, strict=True))))
+        for reason, metric in table[~available][["reason", "metric"]].itertuples(index=False):
+            missing.setdefault(reason, []).append(metric)
+        # the recording, or the trace if there is none
+        for file in sorted(drive.info["files"], key=lambda file: not file.endswith(".rrd"))[:1]:
+            near = _relative(results.path / file, page)
+            files.append(Recording(file, drive.mode, quote(near), f"replan view {shlex.quote(near)}"))
+    plot = ""
+    if seen:
+        words = ["replan", "plot", _relative(results.path, page), "--log", row.log, "--planner", row.planner]
+        at = f"{seen.moment.t:.2f}" if isfinite(seen.moment.t) else "0"
+        plot = shlex.join([*words, "--mode", seen.drive.mode, "--at", at])
     labels = results.labels.get(row.log)
     detail = f": {shown.info['detail']}" if shown.info["detail"] else ""
     return DrivePage(
         anchor, row, shown.mode, labels.tags if labels else (),
-        seen.moment.t if seen else float("nan"), seen.moment.why if seen else why,
-        because,
-        f"{shown.info['end']}{detail}, after {shown.info['t_end_s']:.2f} s",
-        tuple(line for drive in drives for line in _verdicts(drive.verdicts)),
-        _drawn(charts.get("pictures", ())), Markup().join(_drawn(charts.get("decided", ()))),
-        _drawn(charts.get("curves", ())),
-        tuple(found[:MOST_EVENTS]), max(len(found) - MOST_EVENTS, 0),
-        tuple((drive.mode, tuple(_metrics(drive))) for drive in drives),
-        tuple(_missing(drives)), tuple(_files(results, drives, page)), _plot(results, row, seen, page),
+        seen.moment.t if seen else nan, seen.moment.why if seen else why, because,
+        f"{shown.info['end']}{detail}, after {shown.info['t_end_s']:.2f} s", tuple(verdicts),
+        markup.get("pictures", ()), Markup().join(markup.get("decided", ())), markup.get("curves", ()),
+        tuple(found[:MOST_EVENTS]), max(len(found) - MOST_EVENTS, 0), tuple(metrics),
+        tuple((reason, ", ".join(dict.fromkeys(names))) for reason, names in missing.items()), tuple(files), plot,
         (*(chart.says for some in charts.values() for chart in some if chart.name == BROKEN), *attempt.broken),
     )  # fmt: skip
 
 
 def failed_page(row: DriveRow, anchor: str, why: str) -> DrivePage:
     """The page of a drive whose page cannot be made, with the error."""
-    nothing = Markup()
-    return DrivePage(
-        anchor, row, "", (), float("nan"), why, (), "", (), (), nothing, (), (), 0, (), (), (), "", (why,)
-    )  # fmt: skip
+    return DrivePage(anchor, row, why=why, broken=(why,))
 
 
 def _subject(drive: DriveResult) -> tuple[Subject | None, str]:
@@ -369,50 +378,6 @@ def _subject(drive: DriveResult) -> tuple[Subject | None, str]:
         return None, f"no pictures: a bug in replan: {raised(error)}"
 
 
-def _drawn(charts: Sequence[Chart]) -> tuple[Markup, ...]:
-    return tuple(Markup(chart.inline()) for chart in charts)  # canvas escapes every word
-
-
-def _verdicts(table: pd.DataFrame) -> list[VerdictLine]:
-    rows: list[Any] = list(table.itertuples(index=False))
-    lines = [VerdictLine(v.gate, v.mode, v.outcome, float(v.value), float(v.time_s), v.reason) for v in rows]
-    return sorted(lines, key=lambda line: _WEIGHT[line.outcome])
-
-
-def _metrics(drive: DriveResult) -> Iterator[MetricLine]:
-    table = drive.metrics[drive.metrics["available"].astype(bool)]
-    columns = (table[name].tolist() for name in ("metric", "value", "unit", "time_s", "reason"))
-    return (MetricLine(*row) for row in zip(*columns, strict=True))
-
-
-def _missing(drives: Sequence[DriveResult]) -> Iterator[tuple[str, str]]:
-    """Why metrics are not available, and which, of both loops together."""
-    by_reason: dict[str, list[str]] = {}
-    for drive in drives:
-        lacking = drive.metrics[~drive.metrics["available"].astype(bool)]
-        for reason, metric in zip(lacking["reason"].tolist(), lacking["metric"].tolist(), strict=True):
-            by_reason.setdefault(reason, []).append(metric)
-    for reason, names in by_reason.items():
-        yield reason, ", ".join(dict.fromkeys(names))
-
-
 def _relative(file: Path, page: Path) -> str:
     """A file relative to the report."""
     return Path(os.path.relpath(file, page.parent)).as_posix()
-
-
-def _files(results: Results, drives: Sequence[DriveResult], page: Path) -> Iterator[Recording]:
-    """The recording of each loop, or its trace if there is none."""
-    for drive in drives:
-        files = sorted(drive.info["files"], key=lambda file: not file.endswith(".rrd"))
-        for file in files[:1]:
-            near = _relative(results.path / file, page)
-            yield Recording(file, drive.mode, quote(near), f"replan view {shlex.quote(near)}")
-
-
-def _plot(results: Results, row: DriveRow, seen: Subject | None, page: Path) -> str:
-    if seen is None:
-        return ""
-    words = ["replan", "plot", _relative(results.path, page), "--log", row.log, "--planner", row.planner]
-    at = f"{seen.moment.t:.2f}" if isfinite(seen.moment.t) else "0"
-    return shlex.join([*words, "--mode", seen.drive.mode, "--at", at])

@@ -57,7 +57,11 @@ def junit(results: Results, over: Overview) -> str:
         over: The overview of the run, with its comparison, if there is a baseline.
     """
     verdicts = log_outcomes(results)
-    suites = [("run", list(_of_run(results, over)))]
+    failed = [failure["message"] for failure in results.summary["failures"] if not failure["log"]]
+    unjudged = [gate for gate in over.gates if not gate.planner]
+    run = [Case("run", EVALUATED, "error", message) for message in failed]
+    run += [Case("run.all logs", gate.rule, gate.outcome, gate.reason) for gate in unjudged]
+    suites = [("run", run)]  # planners that could not be loaded, gates without a planner to judge
     suites += [
         (f"{planner}.{mode}", list(_of_drives(results, over, verdicts, planner, mode)))
         for planner, mode in results.run.drives
@@ -70,16 +74,6 @@ def junit(results: Results, over: Overview) -> str:
         root.append(_suite(i, name, cases, over))
     ElementTree.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
-
-
-def _of_run(results: Results, over: Overview) -> Iterator[Case]:
-    """Tests without a planner: planners that could not be loaded, gates without a planner to judge."""
-    for failure in results.summary["failures"]:
-        if not failure["log"]:
-            yield Case("run", EVALUATED, "error", failure["message"])
-    for gate in over.gates:
-        if not gate.planner:
-            yield Case("run.all logs", gate.rule, gate.outcome, gate.reason)
 
 
 def _of_drives(results: Results, over: Overview, verdicts: pd.DataFrame, planner: str, mode: str) -> Iterator[Case]:
@@ -110,7 +104,14 @@ def _of_drives(results: Results, over: Overview, verdicts: pd.DataFrame, planner
 
 
 def _suite(number: int, name: str, cases: Iterable[Case], over: Overview) -> ElementTree.Element:
-    tests = [_test(case) for case in cases]
+    tests = []
+    for case in cases:
+        names = {"name": _legal(case.name), "classname": _legal(case.classname), "time": f"{case.time_s:.3f}"}
+        test = ElementTree.Element("testcase", names)
+        if case.outcome in TAGS:
+            about = {"type": case.outcome, "message": _legal(case.reason or case.outcome)}
+            ElementTree.SubElement(test, TAGS[case.outcome], about)
+        tests.append(test)
     count = {tag: sum(test.find(tag) is not None for test in tests) for tag in TAGS.values()}
     suite = ElementTree.Element(
         "testsuite",
@@ -128,15 +129,6 @@ def _suite(number: int, name: str, cases: Iterable[Case], over: Overview) -> Ele
     for tag in ("system-out", "system-err"):
         ElementTree.SubElement(suite, tag)
     return suite
-
-
-def _test(case: Case) -> ElementTree.Element:
-    names = {"name": _legal(case.name), "classname": _legal(case.classname), "time": f"{case.time_s:.3f}"}
-    test = ElementTree.Element("testcase", names)
-    if case.outcome in TAGS:
-        tag = TAGS[case.outcome]
-        ElementTree.SubElement(test, tag, type=case.outcome, message=_legal(case.reason or case.outcome))
-    return test
 
 
 def _legal(text: str) -> str:

@@ -18,7 +18,7 @@ from logs.errors import writing
 from logs.names import counted
 from metrics.compare import Comparison
 from metrics.judge.gates import Outcome
-from replay.draw.report.model import BROKEN, NOTHING, DriveRow, Overview, PassShare, legend
+from replay.draw.report.model import BROKEN, NOTHING, Overview, PassShare, legend
 
 STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
 """Names the file that CI shows as the summary of a step."""
@@ -92,12 +92,10 @@ def _first(over: Overview) -> str:
     """The outcome, in a sentence or two."""
     if over.shard:
         return f"Shard {over.shard}, not judged: `replan merge` judges all shards together."
-    count = {word: sum(gate.outcome == word for gate in over.gates) for word in WEIGHT}
-    verdicts = (
-        f"{count['fail']} of {len(over.gates)} verdicts of the gates fail, {count['inconclusive']} are inconclusive"
-    )
+    fail, unsure = (sum(gate.outcome == word for gate in over.gates) for word in ("fail", "inconclusive"))
+    verdicts = f"{fail} of {len(over.gates)} verdicts of the gates fail, {unsure} are inconclusive"
     look = over.worst
-    worst = f" Worst: {_text(look.log)} with {_text(look.planner)}." if look is not None and count["fail"] else ""
+    worst = f" Worst: {_text(look.log)} with {_text(look.planner)}." if look is not None and fail else ""
     shares = "".join(f" {_text(share.planner)}: {share.text}." for share in over.whole)
     made = f"replan {_text(over.replan)}, configuration {over.config}"
     return f"**{over.outcome.upper()}** (exit code {over.exit_code}): {verdicts}.{worst}{shares}\n\n{made}"
@@ -149,24 +147,20 @@ def _drives(over: Overview, *, linked: bool) -> Iterator[str]:
     ended = ["closed loop ended by"] if first < len(names) else []
     head = ("log", "planner", "verdict", *names[:first], *ended, *names[first:], *(["files"] if linked else []))
     order = sorted(over.drives, key=lambda row: (WEIGHT[row.verdict], -row.trouble))
-    rows = [_drive(row, first, len(names), linked=linked) for row in order]
+    rows = []
+    for row in order:
+        cells = [*row.cells[:first], *([row.end] if ended else []), *row.cells[first:]]
+        texts = [f"**{_text(cell.text)}**" if cell.bad else _text(cell.text) for cell in cells]
+        files = [" ".join(f"[{_text(Path(file).name)}]({quote(file)})" for file in row.files)] if linked else []
+        word = row.verdict.upper() if row.verdict == Outcome.FAIL.value else row.verdict or NOTHING
+        rows.append([_text(row.log), _text(row.shown), word, *texts, *files])
     names, right = [_text(name) for name in head], [i for i in range(3, len(head)) if i != 3 + first]
     yield "## Drives"
     yield _raw_table(names, rows[:MAX_OPEN], right)
     if len(rows) > MAX_OPEN:
-        yield _folded(
-            f"{counted(len(rows) - MAX_OPEN, 'drive')} more, none of them worse",
-            _raw_table(names, rows[MAX_OPEN:], right),
-        )
+        more = f"{counted(len(rows) - MAX_OPEN, 'drive')} more, none of them worse"
+        yield _folded(more, _raw_table(names, rows[MAX_OPEN:], right))
     yield "\n".join(f"- {_text(line)}" for line in legend(over.columns))
-
-
-def _drive(row: DriveRow, first: int, columns: int, *, linked: bool) -> list[str]:
-    texts = [f"**{_text(cell.text)}**" if cell.bad else _text(cell.text) for cell in row.cells]
-    end = [f"**{_text(row.end.text)}**" if row.end.bad else _text(row.end.text)] if first < columns else []
-    files = [" ".join(f"[{_text(Path(file).name)}]({quote(file)})" for file in row.files)] if linked else []
-    word = row.verdict.upper() if row.verdict == Outcome.FAIL.value else row.verdict or NOTHING
-    return [_text(row.log), _text(row.shown), word, *texts[:first], *end, *texts[first:], *files]
 
 
 def _latency(over: Overview) -> str:

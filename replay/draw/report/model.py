@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from math import isfinite, nan
 from typing import Any
 
+from logs.names import counted
 from metrics.compare import Comparison
 from metrics.judge.aggregate import BOTH, SUITE
 
@@ -50,6 +51,7 @@ def percent(value: float) -> str:
     return f"{100.0 * value:.0f}%" if value == 0.0 or value >= 0.01 else "<1%"
 
 
+JERK_S = "lon_jerk_state.time_out_of_bounds"
 COLUMNS = (
     Column("ADE\n3 s\n[m]", "ade.3s.mean", "open", _fixed(2)),
     Column("fall\nback", "fallback.rate", "open", percent, lambda value: value > 0.0),
@@ -59,7 +61,7 @@ COLUMNS = (
     Column("least\ngap\n[m]", "gap.min", "closed", _fixed(2), lambda value: value < 0.2),
     Column("off\nplan\n[m]", "tracking_lateral.max_abs", "closed", _fixed(2)),
     Column("TTC\n[s]", "ttc.min", "closed", _fixed(1), lambda value: value < 0.95),
-    Column("jerk\n[s]", "lon_jerk_state.time_out_of_bounds", "closed", _fixed(1), lambda value: value > 2.0),
+    Column("jerk\n[s]", JERK_S, "closed", _fixed(1), lambda value: value > 2.0),
     Column("fall\nback", "fallback.rate", "closed", percent, lambda value: value > 0.0),
 )
 """Open loop first; the columns of the closed loop follow the end of its drive."""
@@ -70,14 +72,8 @@ LEGEND = (
         "closed",
         "closed loop: the planner drives; route done: of what the log's driver, else the route follower, does in all;",
     ),
-    (
-        "closed",
-        "TTC: least time to a collision; off plan: largest lateral distance; jerk: seconds beyond 4.13 m/s3.",
-    ),
-    (
-        "",
-        "verdict: the worst outcome of the gates, and how many of them were asked; inconclusive: no evidence.",
-    ),
+    ("closed", "TTC: least time to a collision; off plan: largest lateral distance; jerk: seconds beyond 4.13 m/s3."),
+    ("", "verdict: the worst outcome of the gates, and how many of them were asked; inconclusive: no evidence."),
     ("", "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv)."),
 )
 """Loop ("": either) and line."""
@@ -89,10 +85,6 @@ def legend(columns: Sequence[Column]) -> list[str]:
     return [line for loop, line in LEGEND if loop in loops]
 
 
-def _mean(digits: int) -> Callable[[list[float]], str]:
-    return lambda values: f"{sum(values) / len(values):.{digits}f}"
-
-
 def _sum(values: list[float]) -> str:
     return f"{sum(values):.0f}"
 
@@ -102,7 +94,7 @@ def _mean_percent(values: list[float]) -> str:
 
 
 COMPARED: tuple[tuple[str, str, str, Callable[[list[float]], str]], ...] = (
-    ("ADE over 3 s, mean [m] (open)", "open", "ade.3s.mean", _mean(2)),
+    ("ADE over 3 s, mean [m] (open)", "open", "ade.3s.mean", lambda v: f"{sum(v) / len(v):.2f}"),
     ("frames with fallback, mean (open)", "open", "fallback.rate", _mean_percent),
     ("goal reached (closed)", "closed", "goal.final", lambda v: f"{sum(v):.0f} of {len(v)}"),
     ("collisions at fault (closed)", "closed", "collision_at_fault.count", _sum),
@@ -110,12 +102,7 @@ COMPARED: tuple[tuple[str, str, str, Callable[[list[float]], str]], ...] = (
     ("off plan, worst [m] (closed)", "closed", "tracking_lateral.max_abs", lambda v: f"{max(v):.2f}"),
     ("least TTC [s] (closed)", "closed", "ttc.min", lambda v: f"{min(v):.1f}"),
     ("run into by the replay (closed)", "closed", "replay_contact.final", _sum),
-    (
-        "jerk beyond 4.13 m/s3, worst [s] (closed)",
-        "closed",
-        "lon_jerk_state.time_out_of_bounds",
-        lambda v: f"{max(v):.1f}",
-    ),
+    ("jerk beyond 4.13 m/s3, worst [s] (closed)", "closed", JERK_S, lambda v: f"{max(v):.1f}"),
     ("frames with fallback, mean (closed)", "closed", "fallback.rate", _mean_percent),
 )
 """Label, loop, metric, and how its values over the logs are combined."""
@@ -258,9 +245,8 @@ class Coverage:
         """One line."""
         word = "planned along" if self.mode == "open" else "driven"
         km = f", {self.km:.2f} km" if isfinite(self.km) else ""
-        logs = f"{self.logs} {'log' if self.logs == 1 else 'logs'}"
         seconds = f"{self.driven_s:.0f} of {self.logged_s:.0f} s"
-        return f"{self.planner}, {self.mode} loop: {seconds} {word} in {logs}{km}"
+        return f"{self.planner}, {self.mode} loop: {seconds} {word} in {counted(self.logs, 'log')}{km}"
 
 
 @dataclass(frozen=True)

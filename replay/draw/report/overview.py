@@ -70,6 +70,9 @@ def overview(
     ensemble = found[found["metric"] == "ensemble.fragile"]
     keys = zip(found["log"], found["planner"], found["mode"], found["metric"], strict=True)
     values = dict(zip(keys, map(float, found["value"]), strict=True))
+    over_logs: dict[tuple[str, str, str], list[float]] = {}
+    for (_, planner, mode, metric), value in values.items():
+        over_logs.setdefault((planner, mode, metric), []).append(value)
     verdicts = log_outcomes(results)
     modes = [mode.value for mode in results.run.modes]
     columns = tuple(column for column in COLUMNS if column.mode in modes)
@@ -88,13 +91,13 @@ def overview(
         columns=columns,
         drives=drives,
         planners=tuple(planners.values()),
-        compared=_compared([*map(str, planners)], modes, values),
+        compared=_compared([*map(str, planners)], modes, over_logs),
         frames=int((results.timings["stage"] == "total").sum()),
         latency=tuple(_latency(results.timings)),
         gates=gates,
         not_asked=tuple(_not_asked(verdicts)),
         shares=_shares(results, verdicts) if "shard" not in results.summary else (),
-        coverage=tuple(_coverage(results.drives, values)),
+        coverage=tuple(_coverage(results.drives, over_logs)),
         ensembles=len(ensemble),
         fragile=tuple(
             f"{row.log} [{row.planner}, {row.mode} loop]: {row.reason}"
@@ -152,6 +155,8 @@ def marked(drives: Sequence[Any]) -> str:
 
 Values = Mapping[tuple[str, str, str, str], float]
 """By log, planner, mode and metric."""
+OverLogs = Mapping[tuple[str, str, str], list[float]]
+"""The values of all logs by planner, mode and metric."""
 
 
 # drives ---------------------------------------------------------------------------------------------------------------
@@ -160,33 +165,25 @@ Values = Mapping[tuple[str, str, str, str], float]
 def _drives(
     results: Results, values: Values, columns: Sequence[Column], verdicts: pd.DataFrame
 ) -> tuple[DriveRow, ...]:
-    worst_of = _verdicts(verdicts)
-    folders = dict(zip(results.logs["log"], results.logs["folder"], strict=True))
-
-    def cell(column: Column, value: float) -> Cell:
-        return Cell(column.show(value), value, column.bad(value)) if isfinite(value) else Cell()
-
+    judged: dict[Key, list[Outcome]] = {}
+    for log, planner, outcome in zip(verdicts["log"], verdicts["planner"], verdicts["outcome"], strict=True):
+        judged.setdefault((log, planner), []).append(Outcome(outcome))
     grouped: dict[Key, list[Any]] = {}
     for drive in results.drives.itertuples():
         grouped.setdefault((str(drive.log), str(drive.planner)), []).append(drive)
-    return tuple(
-        DriveRow(
-            log, planner, marked(mine), *worst_of.get((log, planner), ("", "")),
-            _end(next((drive for drive in mine if drive.mode == "closed"), None)),
-            tuple(cell(column, values.get((log, planner, column.mode, column.metric), nan)) for column in columns),
-            tuple(file for drive in mine for file in drive.files), folders[log],
-        )
-        for (log, planner), mine in grouped.items()
-    )  # fmt: skip
-
-
-def _verdicts(verdicts: pd.DataFrame) -> dict[Key, tuple[str, str]]:
-    """The worst outcome on each log and planner, and the number of gates that apply: "24/41"."""
-    found: dict[Key, list[Outcome]] = {}
-    for log, planner, outcome in zip(verdicts["log"], verdicts["planner"], verdicts["outcome"], strict=True):
-        found.setdefault((log, planner), []).append(Outcome(outcome))
-    asked = {key: sum(outcome is not Outcome.NOT_ASKED for outcome in each) for key, each in found.items()}
-    return {key: (worst(each).value, f"{asked[key]}/{len(each)}") for key, each in found.items()}
+    folders = dict(zip(results.logs["log"], results.logs["folder"], strict=True))
+    rows = []
+    for (log, planner), mine in grouped.items():
+        each = judged.get((log, planner), [])
+        asked = f"{sum(outcome is not Outcome.NOT_ASKED for outcome in each)}/{len(each)}" if each else ""
+        found = [(column, values.get((log, planner, column.mode, column.metric), nan)) for column in columns]
+        cells = (Cell(c.show(value), value, c.bad(value)) if isfinite(value) else Cell() for c, value in found)
+        end = _end(next((drive for drive in mine if drive.mode == "closed"), None))
+        files = tuple(file for drive in mine for file in drive.files)
+        verdict = worst(each).value if each else ""
+        row = DriveRow(log, planner, marked(mine), verdict, asked, end, tuple(cells), files, folders[log])
+        rows.append(row)
+    return tuple(rows)
 
 
 def _not_asked(verdicts: pd.DataFrame) -> Iterator[str]:
@@ -230,13 +227,12 @@ def _worst(gates: Sequence[GateRow], drives: Sequence[DriveRow]) -> DriveRow | N
 # all drives of a planner ------------------------------------------------------------------------------------------
 
 
-def _compared(planners: Sequence[str], modes: Sequence[str], values: Values) -> tuple[tuple[str, tuple[str, ...]], ...]:
+def _compared(
+    planners: Sequence[str], modes: Sequence[str], over_logs: OverLogs
+) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Each metric of `COMPARED` over the logs, a text per planner."""
-    by_drive: dict[tuple[str, str, str], list[float]] = {}
-    for (_, planner, mode, metric), value in values.items():
-        by_drive.setdefault((planner, mode, metric), []).append(value)
     return tuple(
-        (label, tuple(reduce(found) if (found := by_drive.get((p, mode, metric))) else NOTHING for p in planners))
+        (label, tuple(reduce(found) if (found := over_logs.get((p, mode, metric))) else NOTHING for p in planners))
         for label, mode, metric, reduce in COMPARED
         if mode in modes
     )
@@ -252,15 +248,11 @@ def _latency(timings: pd.DataFrame) -> Iterator[StageTime]:
             yield StageTime(str(planner), str(stage), p50, p95, p99, share)
 
 
-def _coverage(drives: pd.DataFrame, values: Values) -> Iterator[Coverage]:
+def _coverage(drives: pd.DataFrame, over_logs: OverLogs) -> Iterator[Coverage]:
     """The time and distance on which the verdicts are based, by planner and loop."""
-    sums: dict[tuple[str, str, str], list[float]] = {}
-    for (_, planner, mode, metric), value in values.items():
-        sums.setdefault((planner, mode, metric), []).append(value)
+    names = ("coverage.log_s.final", "coverage.driven_s.final", "distance.final")
     for planner, mode in dict.fromkeys(zip(drives["planner"], drives["mode"], strict=True)):
-        logged = sums.get((planner, mode, "coverage.log_s.final"), [])
-        driven = sums.get((planner, mode, "coverage.driven_s.final"), [])
-        metres = sums.get((planner, mode, "distance.final"), [])
+        logged, driven, metres = (over_logs.get((planner, mode, name), []) for name in names)
         if logged:
             yield Coverage(planner, mode, len(logged), sum(driven), sum(logged), sum(metres) / 1e3 if metres else nan)
 
@@ -302,9 +294,14 @@ def _gate_row(verdict: Mapping[str, Any], unit: str, lacking: int, asked: int) -
     value, time_s = (nan if verdict[name] is None else float(verdict[name]) for name in ("value", "time_s"))
     outcome, why, log = str(verdict["outcome"]), str(verdict["gate"]["reason"]), str(verdict["log"])
     planner, mode, group = str(verdict["planner"]), str(verdict["mode"]), str(verdict.get("group", ""))
-    if outcome == Outcome.PASS.value:
+    if outcome == Outcome.PASS.value:  # the value; if every log must pass, also the log nearest to the bound
+        shown, over = 0.0 if abs(value) < 1e-9 else value, verdict["gate"]["over"]
+        near = f"{shown:.3g}" if abs(shown) < 1e3 else f"{shown:.0f}"
+        near += f" {unit}" if unit not in ("", "1", "count") else ""
+        near += f", on {log}" if shown and over == "worst" else ""
+        near = f"{100.0 * value:.3g}% of the logs" if over == "pass_share" else near
         aside = f"; no evidence in {lacking} of {asked} logs" if lacking else ""
-        found = f"{', '.join(filter(None, (planner, group)))}: {_near(verdict['gate'], value, unit, log)}{aside}"
+        found = f"{', '.join(filter(None, (planner, group)))}: {near}{aside}"
     else:
         found = str(verdict["reason"])
         found += f" (the gate: {why})" if why and outcome == Outcome.FAIL.value else ""
@@ -312,16 +309,6 @@ def _gate_row(verdict: Mapping[str, Any], unit: str, lacking: int, asked: int) -
     return GateRow(
         outcome, rule, str(verdict["gate"]["over"]), found, reason, why, planner, mode, group, log, value, unit, time_s
     )
-
-
-def _near(gate: Mapping[str, Any], value: float, unit: str, log: str) -> str:
-    """The value of a passed gate; if every log must pass, also the log nearest to the bound."""
-    if gate["over"] == "pass_share":
-        return f"{100.0 * value:.3g}% of the logs"
-    shown = 0.0 if abs(value) < 1e-9 else value
-    text = f"{shown:.3g}" if abs(shown) < 1e3 else f"{shown:.0f}"
-    text += f" {unit}" if unit not in ("", "1", "count") else ""
-    return f"{text}, on {log}" if shown and gate["over"] == "worst" else text
 
 
 # notes -----------------------------------------------------------------------------------------------------------

@@ -38,14 +38,27 @@ def print_report(over: Overview, console: Console, folder: Path, *, ending: bool
 
 def print_ending(over: Overview, console: Console, folder: Path, place: str = "") -> None:
     """The place of the results (`place`: where those of the folder go), and the outcome: the last line of a run."""
-    console.print(Group(*_ending(over, folder, place or str(folder))))
+    place = place or str(folder)
+    there = [name for name in ("report.html", "metrics.csv", "summary.json") if (folder / name).is_file()]
+    lines = [Text(f"Results: {place}  ({', '.join((*there, 'a folder per log'))})")]
+    if over.worst is not None and over.worst.recording:
+        lines.append(Text.assemble("Look at a drive:  ", (f"replan view {place}/{over.worst.recording}", "bold")))
+    words = f"Outcome: {over.outcome.upper()} (exit code {over.exit_code})"
+    lines.append(Text(words, style="bold green" if over.exit_code == 0 else "bold red"))
+    console.print(Group(*lines))
 
 
 def _parts(over: Overview) -> Iterator[RenderableType]:
     if over.drives:
         yield from _drives(over)
-        if len(over.planners) > 1:
-            yield from titled("Planners", _comparison(over))
+        if len(over.planners) > 1:  # a column per planner: each metric over the logs
+            table = grid()
+            table.add_column("over all logs")
+            for planner in over.planners:
+                table.add_column(planner, justify="right", overflow="fold")
+            for label, texts in over.compared:
+                table.add_row(Text(label), *texts)
+            yield from titled("Planners", table)
         yield from titled(f"Planning time (wall clock, {counted(over.frames, 'plan')})", _latency(over))
     judged = Text(f"not judged: shard {over.shard}; see replan merge") if over.shard else _gates(over)
     yield from titled("Gates", judged, *(Text(each.text, style="dim") for each in over.coverage))
@@ -99,17 +112,6 @@ def _drives(over: Overview) -> Iterator[RenderableType]:
     yield from titled("Drives", table, Text("\n".join([*legend(over.columns), *omitted]), style="dim"))
 
 
-def _comparison(over: Overview) -> Table:
-    """One column per planner: each metric over the logs."""
-    table = grid()
-    table.add_column("over all logs")
-    for planner in over.planners:
-        table.add_column(planner, justify="right", overflow="fold")
-    for label, texts in over.compared:
-        table.add_row(Text(label), *texts)
-    return table
-
-
 def _latency(over: Overview) -> Table:
     """p50, p95, p99 of each stage, over all frames of both loops."""
     table = grid("planner", "stage")
@@ -147,17 +149,5 @@ def _shares(over: Overview) -> Iterator[RenderableType]:
         passed = f"{share.passed} of {share.logs}"
         table.add_row(Text(share.name), share.planner, passed, interval, *(str(count or NOTHING) for count in counts))
     left = len(over.grouped) - MAX_GROUPS
-    more = (
-        [Text(f"{counted(left, 'more group')} passing no less often: groups.parquet", style="dim")] if left > 0 else []
-    )
-    yield from titled("Logs that pass", table, *more)
-
-
-def _ending(over: Overview, folder: Path, place: str) -> Iterator[RenderableType]:
-    there = [name for name in ("report.html", "metrics.csv", "summary.json") if (folder / name).is_file()]
-    yield Text(f"Results: {place}  ({', '.join((*there, 'a folder per log'))})")
-    if over.worst is not None and over.worst.recording:
-        yield Text.assemble("Look at a drive:  ", (f"replan view {place}/{over.worst.recording}", "bold"))
-    code = over.exit_code
-    words = f"Outcome: {over.outcome.upper()} (exit code {code})"
-    yield Text(words, style="bold green" if code == 0 else "bold red")
+    more = Text(f"{counted(left, 'more group')} passing no less often: groups.parquet", style="dim")
+    yield from titled("Logs that pass", table, *([more] if left > 0 else []))

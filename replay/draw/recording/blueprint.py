@@ -67,12 +67,30 @@ def blueprint(contents: Contents) -> rrb.Blueprint:
     if nowhere:
         raise ValueError(f"the panel '{min(nowhere)}' is in no row of ROWS: it would not be seen")
     tabs = [_overview(contents, panels)]
-    if contents.st or contents.sl or "stages" in panels:
-        tabs.append(_planner(contents, panels))
-    if any(name in panels for names, _ in ROWS["control"][2:] for name in names):
-        tabs.append(_control(contents, panels))
+    if contents.st or contents.sl or "stages" in panels:  # the graphs large, the pages, and the stage times
+        rows, shares = _rows("planner", panels)
+        words = rrb.Vertical(_pages(contents, ("why",)), _pages(contents, ("numbers",)), row_shares=[1.3, 1.0])
+        views = (scene_behind(), *rows, _decisions(contents))
+        right = rrb.Vertical(*views, row_shares=[2.0, *shares, contents.lanes_share])
+        graphs = _graphs(contents)
+        columns = [rrb.Vertical(*graphs), words, right] if graphs else [words, right]
+        tabs.append(rrb.Horizontal(*columns, column_shares=[1.3, 0.9, 1.2][-len(columns) :], name="Planner"))
+    if any(name in panels for names, _ in ROWS["control"][2:] for name in names):  # two columns of curves
+        rows, shares = _rows("control", panels)
+        half = (len(rows) + 1) // 2
+        below = [_decisions(contents)] if contents.lanes else []
+        columns = [rrb.Vertical(scene_behind(), *below, row_shares=[2.0, 1.0][: 1 + len(below)])]
+        for part in (slice(0, half), slice(half, None)):
+            if rows[part]:
+                columns.append(rrb.Vertical(*rows[part], row_shares=shares[part]))
+        tabs.append(rrb.Horizontal(*columns, column_shares=[1.0] * len(columns), name="Control"))
+    return window(rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else tabs[0])
+
+
+def window(contents: rrb.Container) -> rrb.Blueprint:
+    """A window with these views, and nothing around them but the collapsed time panel."""
     return rrb.Blueprint(
-        rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else tabs[0],
+        contents,
         rrb.TimePanel(timeline=SIM_TIME, state="collapsed"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
@@ -113,28 +131,6 @@ def _overview(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
         column_shares=[1.75, 1.0],
         name="Overview",
     )
-
-
-def _planner(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
-    """The graphs large, the pages, the solvers and the stage times."""
-    rows, shares = _rows("planner", panels)
-    words = rrb.Vertical(_pages(contents, ("why",)), _pages(contents, ("numbers",)), row_shares=[1.3, 1.0])
-    right = rrb.Vertical(scene_behind(), *rows, _decisions(contents), row_shares=[2.0, *shares, contents.lanes_share])
-    graphs = _graphs(contents)
-    columns = [rrb.Vertical(*graphs), words, right] if graphs else [words, right]
-    return rrb.Horizontal(*columns, column_shares=[1.3, 0.9, 1.2][-len(columns) :], name="Planner")
-
-
-def _control(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
-    """The commands, what the car did, and how far off the plan it was, in two columns of curves."""
-    rows, shares = _rows("control", panels)
-    half = (len(rows) + 1) // 2
-    columns = [
-        rrb.Vertical(*rows[part], row_shares=shares[part]) for part in (slice(0, half), slice(half, None)) if rows[part]
-    ]
-    below = [_decisions(contents)] if contents.lanes else []
-    left = rrb.Vertical(scene_behind(), *below, row_shares=[2.0, 1.0][: 1 + len(below)])
-    return rrb.Horizontal(left, *columns, column_shares=[1.0] * (1 + len(columns)), name="Control")
 
 
 def scene_behind(name: str = "Scene", under: str = "") -> rrb.Spatial3DView:

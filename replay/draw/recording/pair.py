@@ -23,10 +23,10 @@ from logs.errors import ConfigError
 from logs.kernel import FloatArray
 from logs.trace import Trace
 from replay.draw.curves import SERIES, Curve, Panel
-from replay.draw.recording.blueprint import graph_view, lanes_beside_numbers, scene_behind, state_view
+from replay.draw.recording.blueprint import graph_view, lanes_beside_numbers, scene_behind, state_view, window
 from replay.draw.recording.plots import plot
 from replay.draw.recording.states import LANES
-from replay.draw.recording.tape import SIM_TIME, Instants, recording_file
+from replay.draw.recording.tape import Instants, recording_file
 from replay.draw.recording.text import MARKDOWN, cell, document
 from replay.explain.first_difference import first_difference
 
@@ -124,45 +124,32 @@ def _blueprint(
     pages = [rrb.TextDocumentView(origin=f"/{side}/why", name=f"{side}: why") for side in SIDES]
     words = rrb.Tabs(rrb.TextDocumentView(origin="/parting", name="First difference"), *pages, active_tab=0)
     states = [
-        state_view(f"{side}: decisions and status", there, f"/{side}")
+        state_view(f"{side}: decisions and status", lanes, f"/{side}")
         for side in SIDES
-        if (there := [lane for lane in LANES if f"/{side}/{lane}" in paths])
+        if (lanes := [lane for lane in LANES if f"/{side}/{lane}" in paths])
     ]
-    curves = [_ego_curves(name, title, column, least, paths, traces) for name, title, column, least in CURVES]
-    apart = []
+    curves, apart = list[rrb.View](), list[rrb.View]()
+    for name, title, column, least in CURVES:  # curves of both egos, which are in the recordings already
+        egos = tuple(
+            Curve(side, side, trace.ego.t, getattr(trace.ego, column))
+            for side, trace in zip(SIDES, traces, strict=True)
+        )
+        there = {
+            path: rr.SeriesLines(names=[side], colors=[shade])
+            for side, shade in zip(SIDES, SHADES, strict=True)
+            if (path := f"/{side}/plots/{name}/ego") in paths
+        }
+        curves.append(plot(Panel(name, title, egos, least), origin="/", contents=list(there), overrides=there))
     for title, shown in DIFFERENCES:
         panel = Panel("difference", title, tuple(Curve(one, LEGENDS[one], t, values[one]) for one in shown), 1.0)
         apart.append(plot(panel, origin="/", contents=[*(f"/difference/{one}" for one in shown), "/parts"]))
     right = [words, *_tabs(curves), *_tabs(apart), *(lanes_beside_numbers(part, "/A") for part in _tabs(states))]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(*left, row_shares=[1.35, 1.0][: len(left)]),
-            rrb.Vertical(*right, row_shares=[0.9, 1.3, 1.3, 1.3][: len(right)]),
-            column_shares=[1.75, 1.0],
-            name="Pair",
-        ),
-        rrb.TimePanel(timeline=SIM_TIME, state="collapsed"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.BlueprintPanel(state="hidden"),
-        auto_layout=False,
-        auto_views=False,
+    columns = (
+        rrb.Vertical(*left, row_shares=[1.35, 1.0][: len(left)]),
+        rrb.Vertical(*right, row_shares=[0.9, 1.3, 1.3, 1.3][: len(right)]),
     )
+    return window(rrb.Horizontal(*columns, column_shares=[1.75, 1.0], name="Pair"))
 
 
 def _tabs(views: Sequence[rrb.Container | rrb.View]) -> list[rrb.Container]:
     return [rrb.Tabs(*views, active_tab=0)] if views else []
-
-
-def _ego_curves(
-    name: str, title: str, column: str, least: float, paths: set[str], traces: tuple[Trace, Trace]
-) -> rrb.View:
-    """A curve of both egos; it is in the recordings already."""
-    curves = tuple(
-        Curve(side, side, trace.ego.t, getattr(trace.ego, column)) for side, trace in zip(SIDES, traces, strict=True)
-    )
-    there = {
-        path: rr.SeriesLines(names=[side], colors=[shade])
-        for side, shade in zip(SIDES, SHADES, strict=True)
-        if (path := f"/{side}/plots/{name}/ego") in paths
-    }
-    return plot(Panel(name, title, curves, least), origin="/", contents=list(there), overrides=there)

@@ -19,6 +19,7 @@ from logs.names import counted
 from metrics.compare import DRIVE, Comparison
 from metrics.judge.gates import Outcome
 from replay.draw.report.console import grid, titled
+from replay.draw.report.model import worst_flips
 
 MOST_FLIPS, MOST_PAIRS, MOST_GROUPS, MOST_LINES = 20, 8, 14, 10
 """Further rows are only counted; --json has all."""
@@ -104,14 +105,10 @@ def _flips(comparison: Comparison) -> Iterator[RenderableType]:
     if flips.empty:
         yield from _titled("Flips", Text("none: no verdict changed"))
         return
-    rank = 4 - 4 * (flips["after"] == "fail") - 2 * (flips["before"] == "fail") + (flips["mode"] == "open")
-    order = rank.sort_values(kind="stable").index
     table = grid("log", "loop", "gate", "before", "after", "value", "at")
-    for row in _rows(flips.loc[order].head(MOST_FLIPS)):
-        after = Text(
-            f"{row.after}{' (marginal)' if row.marginal and row.after == 'fail' else ''}",
-            style=STYLES.get(str(row.after), ""),
-        )
+    for row in _rows(worst_flips(comparison).head(MOST_FLIPS)):
+        marginal = " (marginal)" if row.marginal and row.after == "fail" else ""
+        after = Text(f"{row.after}{marginal}", style=STYLES.get(str(row.after), ""))
         values = f"{_number(row.value_before)} -> {_number(row.value_after)}"
         table.add_row(Text(row.log), row.mode, Text(row.gate), row.before, after, values, _time(row.time_s))
     count = {word: int((flips["after"] == word).sum()) for word in ("fail", "pass")}

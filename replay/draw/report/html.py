@@ -32,7 +32,7 @@ from replay.draw.charts.layout import BROKEN, placed
 from replay.draw.charts.style import RULES, filled, roles
 from replay.draw.charts.subject import Subject
 from replay.draw.report.charts import distributions, moved, pass_shares
-from replay.draw.report.model import DriveRow, Overview
+from replay.draw.report.model import DriveRow, Overview, worst_flips
 from replay.explain.events import Event, events
 from replay.results.load import DriveResult, Results
 from replay.results.tables import safe_name, write_text
@@ -147,8 +147,7 @@ def _markup(chart: Chart) -> Markup:
 
 def _compared(comparison: Comparison) -> dict[str, Any]:
     """The comparison as lists of rows."""
-    groups, flips = comparison.groups, comparison.flips
-    rank = 2 - 2 * (flips["after"] == "fail") - (flips["before"] == "fail")
+    groups = comparison.groups
     asked = groups["metric"].isin(set(comparison.pairs.loc[comparison.pairs["asked"].astype(bool), "metric"]))
     shown = groups[groups["significant"].astype(bool) | asked & (groups["kind"] == "suite")]
     moving = shown[shown["delta"].abs() > 0.0]
@@ -164,7 +163,7 @@ def _compared(comparison: Comparison) -> dict[str, Any]:
     ]
     return {
         "of": comparison,
-        "flips": _dicts(flips.loc[rank.sort_values(kind="stable").index]),  # new failures first
+        "flips": _dicts(worst_flips(comparison)),
         "regressions": _dicts(comparison.regressions(MOST_REGRESSIONS, each=3)),
         "improvements": _dicts(comparison.improvements(MOST_IMPROVEMENTS)),
         "groups": _dicts(order.head(MOST_GROUPS)),

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from math import isfinite, nan
 from typing import Any
 
+import pandas as pd
+
 from logs.names import counted
 from metrics.compare import Comparison
 from metrics.judge.aggregate import BOTH, SUITE
@@ -247,6 +249,13 @@ class Coverage:
         km = f", {self.km:.2f} km" if isfinite(self.km) else ""
         seconds = f"{self.driven_s:.0f} of {self.logged_s:.0f} s"
         return f"{self.planner}, {self.mode} loop: {seconds} {word} in {counted(self.logs, 'log')}{km}"
+
+
+def worst_flips(comparison: Comparison) -> pd.DataFrame:
+    """The verdicts that changed: new failures first, then those that no longer fail; of the closed loop before others."""
+    flips = comparison.flips
+    rank = 4 - 4 * (flips["after"] == "fail") - 2 * (flips["before"] == "fail") + (flips["mode"] == "open")
+    return flips.loc[rank.sort_values(kind="stable").index]
 
 
 @dataclass(frozen=True)

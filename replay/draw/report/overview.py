@@ -178,7 +178,11 @@ def _drives(
         asked = f"{sum(outcome is not Outcome.NOT_ASKED for outcome in each)}/{len(each)}" if each else ""
         found = [(column, values.get((log, planner, column.mode, column.metric), nan)) for column in columns]
         cells = (Cell(c.show(value), value, c.bad(value)) if isfinite(value) else Cell() for c, value in found)
-        end = _end(next((drive for drive in mine if drive.mode == "closed"), None))
+        end = Cell()
+        for drive in mine:
+            if drive.mode == "closed":
+                about = f": {drive.detail}" if drive.end in CONTACTS else ""
+                end = Cell(f"{SHORT.get(drive.end, drive.end)}{about}", float(drive.t_end_s), drive.end not in GOOD)
         files = tuple(file for drive in mine for file in drive.files)
         verdict = worst(each).value if each else ""
         row = DriveRow(log, planner, marked(mine), verdict, asked, end, tuple(cells), files, folders[log])
@@ -197,6 +201,7 @@ def _not_asked(verdicts: pd.DataFrame) -> Iterator[str]:
         yield f"{gate}{where} ({common})"
 
 
+GOOD = (EndReason.GOAL.value, EndReason.END_OF_LOG.value)
 CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
 SHORT = {
     EndReason.GOAL.value: "goal",
@@ -205,14 +210,6 @@ SHORT = {
     EndReason.OFF_ROAD.value: "off the road",
     EndReason.PLANNER_FAILURE.value: "planner failed",
 }
-
-
-def _end(drive: Any) -> Cell:
-    if drive is None:
-        return Cell()
-    good = drive.end in (EndReason.GOAL.value, EndReason.END_OF_LOG.value)
-    about = f": {drive.detail}" if drive.end in CONTACTS else ""
-    return Cell(f"{SHORT.get(drive.end, drive.end)}{about}", float(drive.t_end_s), not good)
 
 
 def _worst(gates: Sequence[GateRow], drives: Sequence[DriveRow]) -> DriveRow | None:

@@ -301,5 +301,4 @@ def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
 
 
 def _named(some: object | None, *columns: str) -> tuple[Curve, ...]:
-    """Curves of columns by their own names."""
     return _columns(some, *((name, name, name, BLUE, 1.5) for name in columns))

@@ -63,8 +63,7 @@ def worst_moment(drive: DriveResult) -> Moment:
             about = f" ({near.reason})" if near.reason else ""
             return Moment(float(near.time_s), f"{failure}{words}: {near.value:.3g} {near.unit}{about}")
     return Moment(
-        0.5 * float(drive.info["t_end_s"]),
-        f"{failure}no distance to others was measured: the middle of the drive",
+        0.5 * float(drive.info["t_end_s"]), f"{failure}no distance to others was measured: the middle of the drive"
     )
 
 

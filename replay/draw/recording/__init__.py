@@ -46,11 +46,7 @@ PART, SAMPLE = 500, 1000
 
 
 def write_recording(
-    path: Path,
-    drive: Drive,
-    scenario: Scenario,
-    table: DataFrame | None = None,
-    steps: DataFrame | None = None,
+    path: Path, drive: Drive, scenario: Scenario, table: DataFrame | None = None, steps: DataFrame | None = None
 ) -> None:
     """Write one drive as a recording: scene, graphs, curves, decisions and the reasons for them.
 

@@ -93,7 +93,6 @@ def numbers(said: Explanation) -> list[str]:
 
 
 def _sections(said: Explanation, chosen: Callable[[Section], bool]) -> list[str]:
-    """Some sections of an explanation as Markdown."""
     lines = []
     for title, rows in filter(chosen, said.sections()):
         lines += ["", f"#### {HEADINGS.get(title, title.capitalize())}", ""]

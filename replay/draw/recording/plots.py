@@ -37,13 +37,26 @@ def draw_panels(tape: Tape, panels: Iterable[Panel], frames: FloatArray) -> None
 
 
 def plot(panel: Panel, **more: Any) -> rrb.TimeSeriesView:
-    """A panel as a view; `more` if its curves are not those below its entity."""
+    """A panel as a view; `more` if its curves are not those below its entity.
+
+    Its legend is in the corner of `CORNERS` in which it hides least of the curves, the first of the best.
+    """
+    (low, high), wide, tall = axis_range(panel), *LEGEND
+    begin, end = min(curve.t[0] for curve in panel.curves), max(curve.t[-1] for curve in panel.curves)
+    hidden: dict[Corner, float] = dict.fromkeys(CORNERS, 0.0)
+    for curve in panel.curves:
+        x, y = (curve.t - begin) / max(end - begin, 1e-9), (curve.values - low) / (high - low)
+        for corner in CORNERS:
+            across = x > 1.0 - wide if "Right" in corner else x < wide
+            room = tall * len(panel.curves) + 0.05
+            hidden[corner] += float(np.mean(across & (y > 1.0 - room if "Top" in corner else y < room)))
+    corner = min(CORNERS, key=hidden.__getitem__)
     return rrb.TimeSeriesView(
         **{"origin": f"/plots/{panel.name}", **more},
         name=panel.title,
         axis_x=time_axis(),
-        axis_y=rrb.ScalarAxis(range=axis_range(panel)),
-        plot_legend=rrb.PlotLegend(corner=_corner(panel)),
+        axis_y=rrb.ScalarAxis(range=(low, high)),
+        plot_legend=rrb.PlotLegend(corner=corner),
         interaction=rrb.PlotInteraction(tooltip_mode="All"),
     )
 
@@ -72,17 +85,3 @@ def with_two_numbers(low: float, high: float) -> tuple[float, float]:
         return float(last - margin), float(first + margin)
     above, below = first + step - high, low - (first - step)
     return (low, float(first + step + margin)) if above <= below else (float(first - step - margin), high)
-
-
-def _corner(panel: Panel) -> Corner:
-    """The corner of `CORNERS` in which the legend hides least of the curves, the first of the best."""
-    (low, high), wide, tall = axis_range(panel), *LEGEND
-    begin, end = min(curve.t[0] for curve in panel.curves), max(curve.t[-1] for curve in panel.curves)
-    hidden: dict[Corner, float] = dict.fromkeys(CORNERS, 0.0)
-    for curve in panel.curves:
-        x, y = (curve.t - begin) / max(end - begin, 1e-9), (curve.values - low) / (high - low)
-        for corner in CORNERS:
-            across = x > 1.0 - wide if "Right" in corner else x < wide
-            room = tall * len(panel.curves) + 0.05
-            hidden[corner] += float(np.mean(across & (y > 1.0 - room if "Top" in corner else y < room)))
-    return min(CORNERS, key=hidden.__getitem__)

@@ -91,10 +91,8 @@ def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants
 
 def _resampled(ego: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Positions `(n, 2)` and headings `(n,)` at times; the ends hold outside the span."""
-    return (
-        np.column_stack([np.interp(t, ego.t, ego.x), np.interp(t, ego.t, ego.y)]),
-        np.interp(t, ego.t, ego.yaw),
-    )
+    x, y, yaw = (np.interp(t, ego.t, column) for column in (ego.x, ego.y, ego.yaw))
+    return np.column_stack([x, y]), yaw
 
 
 def _draw_ego(tape: Tape, ego: Trajectory, vehicle: VehicleParameters, instants: Instants) -> None:

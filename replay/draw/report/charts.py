@@ -62,9 +62,8 @@ def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
         counts.append(text(beside, y + 3.5, words, "small end" if high > wide - 50.0 else "small"))
     title = "Logs that pass, with the 95 % interval of the share"
     head = text(2.0, 13.0, title, "title")
-    head += legend(
-        plane.left, 29.0, [("dot", "mark", "all pass"), ("dot", "hollow", "some do not")], WIDE_PX - plane.left
-    )
+    entries = [("dot", "mark", "all pass"), ("dot", "hollow", "some do not")]
+    head += legend(plane.left, 29.0, entries, WIDE_PX - plane.left)
     drawn = plane.drawn("".join(marks), x_title="share [%]", y_ticks=False, over=_names(plane, names) + "".join(counts))
     says = f"{title}: " + "; ".join(f"{name}: {share.text}" for name, share in zip(names, shown, strict=True))
     return Chart("pass_shares", title, says, WIDE_PX, plane.height, drawn + head)

@@ -213,7 +213,6 @@ def grid_figure(table: pd.DataFrame) -> Figure:
 
 
 def _heat(axes: Axes, cells: pd.DataFrame, column: str, colors: Any, bounds: tuple[float, float]) -> Any:
-    """One panel of `grid_figure`."""
     values = cells.pivot(index="walker_mps", columns="late_s", values=column)
     x, y = values.columns.to_numpy(dtype=float), values.index.to_numpy(dtype=float)
     axes.set_facecolor("#d0d0d0")

@@ -378,5 +378,4 @@ def _subject(drive: DriveResult) -> tuple[Subject | None, str]:
 
 
 def _relative(file: Path, page: Path) -> str:
-    """A file relative to the report."""
     return Path(os.path.relpath(file, page.parent)).as_posix()

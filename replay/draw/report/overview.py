@@ -269,9 +269,8 @@ def _shares(results: Results, verdicts: pd.DataFrame) -> tuple[PassShare, ...]:
 def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[GateRow, ...]:
     units = dict(zip(results.metrics["metric"], results.metrics["unit"], strict=True))
     found: dict[tuple[str, str, str], dict[str, str]] = {}
-    for gate, log, planner, mode, outcome in verdicts[["gate", "log", "planner", "mode", "outcome"]].itertuples(
-        index=False
-    ):
+    names = ["gate", "log", "planner", "mode", "outcome"]
+    for gate, log, planner, mode, outcome in verdicts[names].itertuples(index=False):
         found.setdefault((gate, planner, mode), {})[log] = outcome
     members = {f"{kind} {group}": set(logs) for (kind, group), logs in membership(results.labels).items()}
     rows, short = [], without_folders(results)

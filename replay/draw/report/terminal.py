@@ -113,7 +113,6 @@ def _drives(over: Overview) -> Iterator[RenderableType]:
 
 
 def _latency(over: Overview) -> Table:
-    """p50, p95, p99 of each stage, over all frames of both loops."""
     table = grid("planner", "stage")
     for title in ("p50 [ms]", "p95 [ms]", "p99 [ms]", "share"):
         table.add_column(Text(title), justify="right")
@@ -126,7 +125,6 @@ def _latency(over: Overview) -> Table:
 
 
 def _gates(over: Overview) -> RenderableType:
-    """Failed and inconclusive gates first."""
     table = grid()
     for title in ("outcome", "rule", "what was found"):
         table.add_column(title, overflow="fold", no_wrap=title == "outcome")
@@ -137,7 +135,6 @@ def _gates(over: Overview) -> RenderableType:
 
 
 def _shares(over: Overview) -> Iterator[RenderableType]:
-    """The number of logs that pass, in all and by group."""
     if not over.whole:
         return
     table = grid("logs", "planner")

@@ -38,10 +38,11 @@ def recordings(target: Path, log: str | None = None) -> list[Path]:
     if not found:
         raise ConfigError(f"{target}: no recording (*.rrd) in it; `replan evaluate` without --no-recording writes them")
     if log is not None:
-        name, *paths = (
-            re.sub(r"[^0-9A-Za-z]+", "_", str(text)) for text in (log, *(f.relative_to(target) for f in found))
-        )
-        found = [file for file, path in zip(found, paths, strict=True) if name in path]
+
+        def words(text: object) -> str:
+            return re.sub(r"[^0-9A-Za-z]+", "_", str(text))
+
+        found = [file for file in found if words(log) in words(file.relative_to(target))]
         if not found:
             raise ConfigError(f"{target}: no recording of a log called {log}")
     return found

@@ -62,9 +62,8 @@ def worst_moment(drive: DriveResult) -> Moment:
             near = found[name]
             about = f" ({near.reason})" if near.reason else ""
             return Moment(float(near.time_s), f"{failure}{words}: {near.value:.3g} {near.unit}{about}")
-    return Moment(
-        0.5 * float(drive.info["t_end_s"]), f"{failure}no distance to others was measured: the middle of the drive"
-    )
+    middle = 0.5 * float(drive.info["t_end_s"])
+    return Moment(middle, f"{failure}no distance to others was measured: the middle of the drive")
 
 
 def gravity(gate: str) -> int:

@@ -42,9 +42,8 @@ def together(charts: Sequence[Chart], title: str, says: str, width: float) -> Ch
             x, y, row = 0.0, y + row + GAP_PX, 0.0
         placed.append(group(MARGIN_PX + x, y, chart.body))
         x, row = x + chart.width + GAP_PX, max(row, chart.height)
-    head = text(MARGIN_PX, 18.0, shortened(title, full), "title") + text(
-        MARGIN_PX, 34.0, shortened(says, full), "small"
-    )
+    head = text(MARGIN_PX, 18.0, shortened(title, full), "title")
+    head += text(MARGIN_PX, 34.0, shortened(says, full), "small")
     spoken = f"{title}; {says}: " + "; ".join(chart.title for chart in charts)
     return Chart("all", title, spoken, full + 2.0 * MARGIN_PX, y + row + MARGIN_PX, head + "".join(placed))
 

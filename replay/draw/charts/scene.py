@@ -56,9 +56,8 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
     others = "".join(_other(view, agents, i) for i in range(len(agents)))
     inside = _road(view, subject) + _paths(view, subject, planned=planned) + others + _ego(view, subject)
     title = f"{word[:1].upper()}{word[1:]}: {t:.2f} s, {ego.v:.1f} m/s"
-    drawn = plane.drawn(
-        inside, x_title="ahead of the rear axle [m]", over=_names(view, agents, subject, planned=planned)
-    )
+    names = _names(view, agents, subject, planned=planned)
+    drawn = plane.drawn(inside, x_title="ahead of the rear axle [m]", over=names)
     head = text(2.0, 13.0, title, "title") + text(2.0, 33.0, "left [m]", "tick")
     entries = [("area", "ego", "ego"), ("area", "other", "moves"), ("area", "still", "stands")]
     entries += [("line", "driven", "driven")]

@@ -134,9 +134,8 @@ def scene_behind(name: str = "Scene", under: str = "") -> rrb.Spatial3DView:
 def _scene(name: str, origin: str, contents: list[str], eye: rrb.EyeControls3D, under: str = "") -> rrb.Spatial3DView:
     """A view of the scene; the driven path is shown up to the cursor, removed tracks are hidden."""
     begin, cursor = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
-    driven = rrb.VisibleTimeRanges(
-        [rrb.VisibleTimeRange(timeline, start=begin, end=cursor) for timeline in (SIM_TIME, FRAME)]
-    )
+    ranges = [rrb.VisibleTimeRange(timeline, start=begin, end=cursor) for timeline in (SIM_TIME, FRAME)]
+    driven = rrb.VisibleTimeRanges(ranges)
     return rrb.Spatial3DView(
         origin=origin,
         contents=contents,
@@ -154,9 +153,8 @@ def _graphs(contents: Contents) -> list[rrb.View]:
 
 def graph_view(name: str, origin: str, entity: str) -> rrb.Spatial2DView:
     """A graph with its axes."""
-    bounds = rrb.VisualBounds2D(
-        x_range=[-MARGIN_LEFT, WIDTH + MARGIN_RIGHT], y_range=[-HEIGHT - MARGIN_TOP, MARGIN_BOTTOM]
-    )
+    x, y = [-MARGIN_LEFT, WIDTH + MARGIN_RIGHT], [-HEIGHT - MARGIN_TOP, MARGIN_BOTTOM]
+    bounds = rrb.VisualBounds2D(x_range=x, y_range=y)
     return rrb.Spatial2DView(origin=origin, contents=f"{entity}/**", name=name, visual_bounds=bounds)
 
 

@@ -189,9 +189,8 @@ def draw_goal(tape: Tape, scenario: Scenario) -> None:
         return
     _draw_hatched(tape, "world/goal", regions, colours.GOAL, 1.0)
     points, _ = joined(regions, 2)
-    name = rr.Points3D(
-        [[*points.mean(axis=0), GOAL_NAME_M]], labels=["goal"], colors=colours.of_words(colours.GOAL), radii=0.01
-    )
+    at, colour = [*points.mean(axis=0), GOAL_NAME_M], colours.of_words(colours.GOAL)
+    name = rr.Points3D([at], labels=["goal"], colors=colour, radii=0.01)
     tape.static("world/goal/name", name, rr.Points3D.from_fields(show_labels=True))
 
 

@@ -213,9 +213,8 @@ def _frame(title: str, rows: pd.DataFrame, names: Sequence[str]) -> str:
 
 def _text(words: str) -> str:
     """Any text as itself, on one line."""
-    line = re.sub(
-        r"\s+", " ", "".join(c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in words)
-    )
+    shown = "".join(c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in words)
+    line = re.sub(r"\s+", " ", shown)
     return _SPECIAL.sub(lambda found: f"&amp;{found[0][1:]}" if found[0][0] == "&" else f"\\{found[0]}", line)
 
 

@@ -78,9 +78,11 @@ def overview(
     columns = tuple(column for column in COLUMNS if column.mode in modes)
     drives = _drives(results, values, columns, verdicts)
     gates = _gates(results, verdicts)
-    planners = {
-        planner: marked(list(mine.itertuples())) for planner, mine in results.drives.groupby("planner", sort=False)
-    }
+    planners = {name: marked(list(mine.itertuples())) for name, mine in results.drives.groupby("planner", sort=False)}
+    failures = (
+        f"{row['message']} [{row['planner']}, {row['mode']} loop]" if row["planner"] else str(row["message"])
+        for row in results.summary["failures"]
+    )
     return Overview(
         outcome=str(results.summary["outcome"]) if code == results.exit_code else OUTCOMES[code],
         exit_code=code,
@@ -104,12 +106,7 @@ def overview(
             for row in ensemble[ensemble["value"] > 0.0].itertuples()
         ),
         notes=tuple(_notes(results.summary["logs"])),
-        failures=tuple(
-            without_folders(results)(
-                f"{row['message']} [{row['planner']}, {row['mode']} loop]" if row["planner"] else str(row["message"])
-            )
-            for row in results.summary["failures"]
-        ),
+        failures=tuple(map(without_folders(results), failures)),
         worst=_worst(gates, drives),
         comparison=comparison,
         diagnosis=diagnosis,

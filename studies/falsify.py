@@ -2,7 +2,8 @@
 
 python -m studies.falsify -o OUT [--only NAME ...] [--grid N] [--budget N] [--seed N] [--workers N]
 
-A hole is planted in `idm` (`HOLES`): it sees nothing beyond 30 m, or its plans are driven 0.5 s late. It is judged by
+A hole is planted in `idm` (`HOLES`): it sees nothing beyond 30 m; or it sees the others where they were 0.5 s ago, and
+is held against `idm` without the hole, as the careful driver of UN R157 reacts later than that. It is judged by
 collisions at fault and the time to collision (`GATES`): comfort has limits of its own, which come earlier. The search
 (`replan falsify`) has two axes and a budget. The grid has N x N points over the same two axes; they are driven in the
 order of their distance until the first one counts: that is the mildest of the grid. The same search without the hole
@@ -15,7 +16,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import inf
@@ -30,6 +31,7 @@ from logs.frame import Frame, PlannerContext, Predictions
 from logs.kernel import BoolArray
 from logs.readers import LogSettings
 from logs.trace import Plan
+from metrics.judge import CAREFUL
 from planners.idm import Idm, IdmConfig
 from replay.config import load_run
 from replay.results.tables import write_file, write_text
@@ -69,6 +71,20 @@ class Blind:
         return self._idm.plan(seen(frame, away <= SIGHT_M))
 
 
+class Late:
+    """`idm` that sees the others and their predictions as they were `LATE_S` ago, and takes that for now."""
+
+    def __init__(self, context: PlannerContext, config: IdmConfig | None = None) -> None:
+        self._idm, self._frames = Idm(context, config), list[Frame]()
+
+    def plan(self, frame: Frame) -> Plan:
+        """The plan of `idm` with what was seen then; with the first frame's until then."""
+        self._frames = [*(old for old in self._frames if old.t > frame.t - LATE_S - 1e-6), frame]
+        old = self._frames[0]
+        past = replace(old.predictions, t=old.predictions.t + (frame.t - old.t))
+        return self._idm.plan(replace(frame, agents=old.agents, predictions=past))
+
+
 def seen(frame: Frame, keep: BoolArray) -> Frame:
     """The frame with some of its agents, and their predictions."""
     rows, of = np.flatnonzero(keep), frame.predictions
@@ -80,23 +96,25 @@ def seen(frame: Frame, keep: BoolArray) -> Frame:
 
 @dataclass(frozen=True)
 class Hole:
-    """A planted hole: who is driven how, and over which two axes it is looked for."""
+    """A planted hole: the planner that has it, over which two axes it is looked for, and who must not fail."""
 
     planner: str
-    loop: Mapping[str, Any]
     subject: str
     axes: tuple[str, str]
+    against: str = CAREFUL
 
 
 HOLES = {
     "blind beyond 30 m": Hole(
         "studies.falsify:Blind",
-        {"apart": {"trust": True}},
         "paper/crossing_pedestrian",
         ("ego_speed_mps=8:20", "pedestrian_speed_mps=0.5:1.7"),
     ),
     "late by 0.5 s": Hole(
-        "idm", {"plan_delay_s": LATE_S}, "everyday/cut_in", ("gap_m=5:45", "relative_speed_mps=-10:0")
+        "studies.falsify:Late",
+        "unece_r157/cut_in",
+        ("gap_m=0:60", "relative_kmh=-50:-10"),
+        "idm",
     ),
 }
 """By name."""
@@ -104,12 +122,13 @@ HOLES = {
 
 def question(hole: Hole, gates: Path, *, planted: bool, budget: int, seed: int) -> Question:
     """The falsification of a hole, or of the planner without it."""
-    drives = {"planners": [hole.planner], "loop": dict(hole.loop)} if planted else {"planners": ["idm"]}
+    drives = {"planners": [hole.planner], "loop": {"apart": {"trust": True}}} if planted else {"planners": ["idm"]}
     table = {**drives, "gates": str(gates)}
+    against = hole.against if planted else CAREFUL
     subject = opened(hole.subject, LogSettings())
     axes = search_axes(hole.axes, (), subject.family, with_agents=True)
     subject = subject.of(agents_of(subject, axes, ()))
-    return Question(subject, axes, load_run(None, table), budget=budget, seed=seed)
+    return Question(subject, axes, load_run(None, table), against, budget=budget, seed=seed)
 
 
 def grid(asked: Question, count: int, out: Path, workers: int) -> tuple[float, int]:

@@ -252,7 +252,7 @@ class Coverage:
 
 
 def worst_flips(comparison: Comparison) -> pd.DataFrame:
-    """The verdicts that changed: new failures first, then those that no longer fail; of the closed loop before others."""
+    """The verdicts that changed: new failures first, then those that fail no more; the closed loop first."""
     flips = comparison.flips
     rank = 4 - 4 * (flips["after"] == "fail") - 2 * (flips["before"] == "fail") + (flips["mode"] == "open")
     return flips.loc[rank.sort_values(kind="stable").index]

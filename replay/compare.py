@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import nan
 from pathlib import Path
@@ -23,13 +23,12 @@ from logs.files import check_named, read_toml
 from logs.mcap import read_trace
 from logs.mcap.container import read_container
 from logs.remote import Near
-from logs.trace import Trace
 from metrics import COLUMNS, METRICS, load_metric
 from metrics.compare import DRIVE, PARTING_COLUMNS, Comparison, Side, compare
 from metrics.compare.rules import Rule, judged, load_rules
 from metrics.judge import REFERENCE
 from metrics.judge.gates import load_gates
-from replay.explain.first_difference import FirstDifference, first_difference
+from replay.explain.first_difference import first_difference
 from replay.explain.parting import planners_part
 from replay.results.load import RECORDINGS, Results, loaded
 from replay.results.schema import SCHEMA_VERSION
@@ -233,8 +232,7 @@ def _with_partings(
             continue
         looked += 1
         if looked <= most:
-            part = first_difference if names[0] == names[-1] else planners_part
-            rows += [(log, planner, mode, *found) for found in _parted(files, part)]
+            rows += [(log, planner, mode, *found) for found in _parted(files, two_planners=names[0] != names[1])]
     kinds = {"t_s": float}
     table = pd.DataFrame(rows, columns=list(PARTING_COLUMNS)).astype(kinds)
     return replace(comparison, partings=table, not_looked_at=max(looked - most, 0))
@@ -249,13 +247,14 @@ def view_command(run: Run, log: str, planner: str, mode: str) -> str:
     return f"replan view {recording if recording.is_file() else drive.trace_file}"
 
 
-def _parted(
-    files: Sequence[Path], part: Callable[[Trace, Trace], FirstDifference | None]
-) -> Iterator[tuple[float, str, str]]:
+def _parted(files: Sequence[Path], *, two_planners: bool) -> Iterator[tuple[float, str, str]]:
+    """Time, stage and description of the first difference; of two planners also where what they drive parts."""
     try:
-        found = part(*(read_trace(file)[0] for file in files))
+        one, two = (read_trace(file)[0] for file in files)
     except LogError as error:
         yield nan, UNKNOWN, f"a trace cannot be read: {error}"
         return
+    found, parted = first_difference(one, two), planners_part(one, two) if two_planners else None
     if found is not None:
-        yield found.t, found.stage, found.what
+        at, what = (parted.t, f"{parted.what}; first difference: {found.what}") if parted else (found.t, found.what)
+        yield at, found.stage, what

@@ -186,7 +186,7 @@ class Diagnosis:
         said = []
         for some in self.clusters():
             first = some[0]
-            who = f" about a {first.about}" if first.about else ""
+            who = f" ({first.about})" if first.about else ""
             share = f"{len(some)} of {counted(len(self.drives), 'failing drive')}"
             gates = ", ".join(dict.fromkeys(one.gates[0] for one in some))
             said.append(f"{share}: {first.cause.name}; {self.words_of(first.cause)}; fails {gates}{who}.")

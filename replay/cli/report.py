@@ -51,7 +51,7 @@ def report(
         found = load(results)
         comparison = None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
         folder = out or found.path
-        why = None if diagnosis is None else read_diagnosis(diagnosis)
+        why = None if diagnosis is None else read_diagnosis(diagnosis, found)
         written = write_reports(found, overview(found, comparison, why), folder)
         for name in REPORTS:
             say(folder / name)

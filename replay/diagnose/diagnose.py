@@ -24,7 +24,7 @@ from typing import Any
 
 import pandas as pd
 
-from logs.errors import ConfigError, unknown_name
+from logs.errors import ConfigError, LogError, unknown_name
 from logs.mcap import write_scenario
 from logs.names import counted
 from replay.config import RunConfig, dump_run
@@ -34,7 +34,7 @@ from replay.diagnose.drives import MODE, Driven, as_driven, drive_again, failed_
 from replay.diagnose.remedy import Remedy, smallest_change
 from replay.explain.explanation import explained
 from replay.results.load import DriveResult, Results, load
-from replay.results.tables import PARTIAL, safe_name, write_file, write_json, write_text
+from replay.results.tables import PARTIAL, write_file, write_json, write_text
 from replay.results.version import replan_version
 from replay.run.lock import held
 from replay.run.origin import scenario_of
@@ -118,7 +118,7 @@ class Found:
         about: The kind of road user that the first of them is about; "": none.
         time_s: When; NaN: not known.
         beyond: How far beyond its bound the first of them is; NaN likewise.
-        cause: The cause; "fails no more": not the run's drive.
+        cause: The cause.
         parts: Where the drive with the change that points to the cause parts from it: t_s, stage, what.
         because: Why the planner slowed down there, in its explanation's words.
         passing: Names of all changes with which it passes.
@@ -168,7 +168,7 @@ class Diagnosis:
         return sorted(map(tuple, ordered), key=lambda some: (-len(some), some[0].log))
 
     def words_of(self, cause: Cause) -> str:
-        """Why a cause is said."""
+        """Why a cause is named."""
         words = {run.change.name: run.change.words for run in self.runs}
         if cause.fragile:
             return f"fragile: passes with a perturbation that should change nothing ({', '.join(cause.fragile)})"
@@ -179,7 +179,7 @@ class Diagnosis:
         return f"passes with none of {counted(len(self.runs), 'change')}"
 
     def lines(self) -> list[str]:
-        """What is said of it, a sentence each."""
+        """The diagnosis in sentences."""
         if not self.drives:
             gone = f" ({counted(len(self.not_failing), 'drive')} of the run failed and passes now)"
             return [f"No drive of {self.question.planner} fails{gone if self.not_failing else ''}."]
@@ -271,12 +271,17 @@ class _Trials:
     def __init__(self, asked: Question, out: Path, study: Study, workers: int) -> None:
         self._asked, self._out, self._study, self._workers = asked, out, study, workers
         self._drives: dict[str, DriveResult] = {}
-        self.files = {name: out / "logs" / f"{safe_name(name)}.mcap" for name in asked.failing()}
+        self._folders = dict(zip(asked.results.logs["log"], asked.results.logs["folder"], strict=True))
+        self.files = {name: self._file(name) for name in asked.failing()}
         if study.known(AS_IT_WAS) is None and self.files:
             self._write_logs()
             rows = {name: self._base_row(file) for name, file in self.files.items()}
             study.add([{"key": AS_IT_WAS, "drives": rows}])
         self._base_rows = (study.known(AS_IT_WAS) or {"drives": {}})["drives"]
+
+    def _file(self, name: str) -> Path:
+        """Where the log is written; folders of logs are unique, names without their special characters are not."""
+        return self._out / "logs" / f"{self._folders[name]}.mcap"
 
     def base_gates(self, name: str) -> tuple[str, ...]:
         """The gates that the drive fails without a change."""
@@ -361,18 +366,19 @@ class _Trials:
             made = drives(setting, value, list(files.values()))
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
-        now = {log for log, place in files.items() if failed_gates(made.of(place))}
+        passing = {
+            log for log, place in files.items() if log in self.files and passes(self.base_gates(log), made.of(place))
+        }
+        lost = {log for log, place in files.items() if made.of(place).empty or failed_gates(made.of(place))}
         failing = {log for log in self.files if self.base_gates(log)}
-        mended = tuple(sorted(failing - now))
-        return Remedy(
-            name, setting.key, setting.default, value, u, mended, tuple(sorted(now - failing)), len(files)
-        )  # fmt: skip
+        mended, broken = tuple(sorted(failing & passing)), tuple(sorted(lost - failing))
+        return Remedy(name, setting.key, setting.default, value, u, mended, broken, len(files))
 
     def _all_files(self) -> dict[str, Path]:
         """The logs of the whole run."""
         results = self._asked.results
         logs = results.logs[results.logs["sha256"] != ""].set_index("log")
-        files = {str(name): self._out / "logs" / f"{safe_name(str(name))}.mcap" for name in logs.index}
+        files = {str(name): self._file(str(name)) for name in logs.index}
         for name, file in files.items():
             if not file.is_file():
                 write_scenario(file, scenario_of(results.path, logs.loc[name].to_dict(), results.run.log))
@@ -388,6 +394,8 @@ class _Trials:
         made = self._base
         rows = made.of(file)
         gates = failed_gates(rows)
+        if rows.empty or file.name not in made.driven:
+            raise LogError(f"could not be driven again: {made.ended(file)}", file=file)
         if not gates:
             return {"gates": []}
         first, gate = rows[rows["gate"] == gates[0]].iloc[0], made.gates[gates[0]]
@@ -451,18 +459,21 @@ def _write(result: Diagnosis) -> None:
     write_text(out / "diagnosis.md", "\n".join(_page(result)) + "\n")
 
 
-def read_diagnosis(folder: Path) -> dict[str, Any]:
+def read_diagnosis(folder: Path, results: Results) -> dict[str, Any]:
     """What diagnosis.json in a folder holds, for `replay.draw.report`.
 
     Raises:
-        ConfigError: There is none, or it cannot be read.
+        ConfigError: There is none, it cannot be read, or it is of another run.
     """
     file = folder / "diagnosis.json"
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
         found = {name: found[name] for name in ("planner", "clusters", "said")}
+        logs = {log for cluster in found["clusters"] for log in cluster["drives"]}
     except (OSError, ValueError, KeyError, TypeError):
         raise ConfigError(f"{file}: is no diagnosis; `replan diagnose RUN -o {folder}` writes one") from None
+    if found["planner"] not in results.run.planners or not logs <= set(results.logs["log"]):
+        raise ConfigError(f"{file}: is a diagnosis of another run than {results.path}")
     return found
 
 

@@ -54,6 +54,12 @@ class Driven:
         """The rows of a drive."""
         return self.outcomes[self.outcomes["drive"] == file.name]
 
+    @property
+    def driven(self) -> set[str]:
+        """Names of the files of the logs with a drive."""
+        logs = set(self.results.drives["log"])
+        return {file for file, name in self.names.items() if name in logs}
+
     def drive(self, file: Path) -> DriveResult:
         """The drive of a log's file; ConfigError where there is none."""
         return self.results.drive(self.names[file.name], self.planner, MODE)

@@ -1,4 +1,4 @@
-"""Why a plan slows down or stands: what the ego would meet, break or miss if it did not.
+"""Why a plan slows down, stands or crawls: what the ego would meet, break or miss if it did not.
 
 The causes are found from public data: the plan, the frame, the predictions, the road. The plan is held along its way
 (`replay.explain.course`); each cause says what would follow, and the least constant deceleration that avoids it. A

@@ -46,7 +46,7 @@ def _ahead(frame: PlannedFrame) -> EgoState:
 
 
 def decided(plan: Plan) -> str:
-    """The strongest decision of a plan about the speed, else about the side, and about whom."""
+    """The strongest decision of a plan about the speed, else about the side, with its agent."""
     decisions = [item for item in plan.internals if isinstance(item, Decision)]
     for kind in (*LONGITUDINAL, *LATERAL):
         agents = list(dict.fromkeys(item.agent for item in decisions if item.kind is kind))

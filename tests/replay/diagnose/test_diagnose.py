@@ -118,6 +118,11 @@ def test_the_report_shows_the_diagnosis_and_links_its_drives(folder: Path, found
         assert "Why idm fails" in line and "comfort bound" in line
     (anchor,) = set(re.findall(r'<td><a href="#([^"]+)">test/blocked</a>', page))
     assert f'id="{anchor}"' in page
+    other = json.loads((found / "diagnosis.json").read_text(encoding="utf-8"))
+    other["clusters"][0]["drives"] = ["test/other"]
+    (folder / "diagnosis.json").write_text(json.dumps(other), encoding="utf-8")
+    assert "another run" in one_error(replan("report", folder / "run", "--diagnosis", folder))
+    (folder / "diagnosis.json").unlink()
     wrong = replan("report", folder / "run", "--diagnosis", folder)
     assert wrong.exit_code == 2 and "replan diagnose RUN" in one_error(wrong)
 

@@ -95,8 +95,5 @@ class Onboard:
         return Plan(rest, status=PlanStatus.REFUSED, reason=f"{why}: speed and curvature are kept")
 
 
-ORACLES: dict[str, Callable[..., Planner]] = {
-    "logged": Logged,
-    "onboard": Onboard,
-}
+ORACLES: dict[str, Callable[..., Planner]] = {"logged": Logged, "onboard": Onboard}
 """Each is built as `Class(context, scenario, **config)`."""

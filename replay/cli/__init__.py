@@ -26,6 +26,7 @@ app.py         what the commands share
 from replay.cli import evaluate, diagnose, search, shards, report, logs, results, compare  # isort: skip  # the order of the help
 from replay.cli import plot, explain, frame, mine, about, warmup  # isort: skip
 from replay.cli.app import app, bug
+from replay.interruption import end_at_once
 
 __all__ = [
     "about",
@@ -52,6 +53,7 @@ COLLECTED_EVERY = 10_000
 
 def main() -> None:
     """Run the command line; ends the process with its exit code, which is `INTERNAL` for a bug in replan."""
+    end_at_once()
     import gc
 
     from replay.draw.report.console import lasting_streams

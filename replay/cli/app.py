@@ -17,6 +17,7 @@ import typer
 
 from logs.errors import ConfigError, ReplanError, raised, unknown_name
 from replay.cli.names import complete_setting, completion
+from replay.interruption import EXIT_CODE, as_exception
 
 if TYPE_CHECKING:
     from replay.config import RunConfig
@@ -87,7 +88,8 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 def handle_errors() -> Iterator[None]:
     """Turn errors that a user can correct into one line and an exit code; Ctrl-C and SIGTERM into 130."""
     try:
-        yield
+        with as_exception():
+            yield
     except ReplanError as error:
         say_error(str(error))
         raise typer.Exit(2 if isinstance(error, ConfigError) else 3) from None
@@ -98,7 +100,7 @@ def handle_errors() -> Iterator[None]:
         raise typer.Exit(3 if full else 2) from None
     except KeyboardInterrupt as interruption:
         say_error(str(interruption) or "interrupted")
-        raise typer.Exit(130) from None
+        raise typer.Exit(EXIT_CODE) from None
 
 
 INTERNAL = 70

@@ -26,8 +26,7 @@ EXIT_CODES = (
 @app.command(epilog=EXIT_CODES, cls=CompareCommand)
 def compare(
     runs: Annotated[
-        list[Path],
-        typer.Argument(help="Baseline and candidate: folders of results, or files of `replan baseline`."),
+        list[Path], typer.Argument(help="Baseline and candidate: folders of results, or files of `replan baseline`.")
     ],
     planner: Annotated[
         list[str] | None,

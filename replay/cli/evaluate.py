@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -302,7 +301,6 @@ def _evaluated(evaluate: Callable[..., Results], location: OutputLocation, *, qu
     from replay.cli.progress import progress
     from replay.run.pool import freeze_gc
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
     freeze_gc()
     with progress(quiet=quiet, verbose=verbose) as (on_start, on_log):
 

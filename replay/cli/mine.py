@@ -190,10 +190,7 @@ def cut(
 
 
 @app.command()
-def suite(
-    run: Mined,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The FILE.toml to write.")],
-) -> None:
+def suite(run: Mined, out: Annotated[Path, typer.Option("--out", "-o", help="The FILE.toml to write.")]) -> None:
     """Choose the fewest mined logs that have all kinds of events, roads, road users and speeds found.
 
     [bold]Examples[/bold]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -144,10 +143,9 @@ def tell(line: str, *, quiet: bool) -> None:
 
 @contextmanager
 def kept(out: Path | None, *, resume: bool) -> Iterator[Path | None]:
-    """The folder; Ctrl-C and SIGTERM say how to continue."""
+    """The folder; an interruption says how to continue."""
     if resume and out is None:
         raise ConfigError("name the folder of the search to be resumed with --out")
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield out
     except KeyboardInterrupt:
@@ -168,8 +166,7 @@ def tune(
     ],
     space: Annotated[Path, option(LOOP, "TOML file: settings with their ranges.", metavar="FILE")],
     logs: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Logs of any format, or folders of them. Default: the built-in suite."),
+        list[Path] | None, typer.Argument(help="Logs of any format, or folders of them. Default: the built-in suite.")
     ] = None,
     objective: Annotated[
         list[str] | None,
@@ -217,11 +214,7 @@ def tune(
         from replay.search.trials import Plan
         from replay.search.tune import tune as tuned
 
-        options = {
-            "planners": [planner],
-            "metrics": metric,
-            "gates": None if gates is None else str(gates),
-        }
+        options = {"planners": [planner], "metrics": metric, "gates": None if gates is None else str(gates)}
         run = run_config(config, options, settings or ())
         asked = objectives(objective or DEFAULT_OBJECTIVES, all_metrics(run))
         plan = Plan(run, load_space(space, run), asked, trials, seed, held_out)

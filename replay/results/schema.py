@@ -206,8 +206,7 @@ TABLES: Mapping[str, Table] = {
         (
             *_METRICS,
             *_columns(
-                ("member", "count", "from 1"),
-                ("perturbation", "text", "what was changed (`replay/run/perturb.py`)"),
+                ("member", "count", "from 1"), ("perturbation", "text", "what was changed (`replay/run/perturb.py`)")
             ),
         ),
     ),

@@ -27,16 +27,7 @@ from metrics.judge.rows import SHARE as LATE
 from metrics.judge.rows import judge_deadline, with_asked, with_ensemble
 from replay.config import RunConfig, dump_run
 from replay.results.load import Results, load
-from replay.results.log_result import (
-    HEALTH,
-    MEMBERS,
-    METRICS,
-    TIMINGS,
-    Failure,
-    LogResult,
-    table_of,
-    timings_of,
-)
+from replay.results.log_result import HEALTH, MEMBERS, METRICS, TIMINGS, Failure, LogResult, table_of, timings_of
 from replay.results.tables import (
     KEYS,
     OUTCOMES,

@@ -56,9 +56,7 @@ def brackets(outcomes: Mapping[tuple[float, ...], str]) -> tuple[Bracket, ...]:
 
 
 def bisected(
-    found: Sequence[Bracket],
-    evaluate: Callable[[Sequence[tuple[float, ...]]], Sequence[str]],
-    resolution: float,
+    found: Sequence[Bracket], evaluate: Callable[[Sequence[tuple[float, ...]]], Sequence[str]], resolution: float
 ) -> tuple[Bracket, ...]:
     """The brackets halved until they are no wider than `resolution`; `evaluate` gives the outcomes of cells."""
     current = list(found)

@@ -21,11 +21,7 @@ from replay.planner_process.planner_config import planner_keywords, resolved_tab
 from replay.settings import dotted_keys, set_table, strict
 
 WORDS = st.text("abcdefgh_:.", min_size=1, max_size=12)
-VEHICLE_KEYS = {
-    "mass": st.floats(500.0, 3000.0),
-    "width": st.floats(1.0, 3.0),
-    "set": st.sampled_from(vehicle_names()),
-}
+VEHICLE_KEYS = {"mass": st.floats(500.0, 3000.0), "width": st.floats(1.0, 3.0), "set": st.sampled_from(vehicle_names())}
 RUNS = st.builds(
     RunConfig,
     planners=st.lists(WORDS, min_size=1, max_size=3, unique=True).map(tuple),

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
@@ -141,6 +145,7 @@ def test_a_bug_ends_with_a_code_of_its_own_in_one_line(
         raise RuntimeError("two\nlines")
 
     monkeypatch.setattr("replay.cli.convert.listing", fails)
+    monkeypatch.setattr("replay.cli.end_at_once", lambda: None)  # the tests' own signals
     monkeypatch.setattr("sys.argv", ["replan", "convert", "--formats"])
     for variable, lines in (("", 1), ("1", 5)):
         monkeypatch.setenv("REPLAN_TRACEBACK", variable)
@@ -149,3 +154,36 @@ def test_a_bug_ends_with_a_code_of_its_own_in_one_line(
         said = capfd.readouterr().err
         assert ended.value.code == 70 and "error: a bug in replan: RuntimeError: two lines" in said
         assert len(said.splitlines()) >= lines and ("Traceback" in said) is bool(variable)
+
+
+SIGNALLED = """
+import atexit, os, sys
+
+def stop():
+    os.kill(os.getpid(), {stop})
+
+class Watch:
+    def find_spec(self, name, *rest):
+        if name == "{moment}":
+            stop()
+
+sys.meta_path.insert(0, Watch())
+if "{moment}" == "exit":
+    atexit.register(stop)
+sys.argv = ["replan", "list"]
+from replan.__main__ import main
+main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="its signals end a process")
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("moment", "code"), [("typer", 130), ("replay.cli.listing", 130), ("exit", 0)])
+def test_a_signal_before_and_in_a_command_ends_it_with_130_and_after_it_changes_nothing(
+    moment: str, code: int, stop: signal.Signals
+) -> None:
+    script = SIGNALLED.format(moment=moment, stop=int(stop))
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+    ended = subprocess.run([sys.executable, "-c", script], env=env, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (code, "error: interrupted\n" if code else "")
+    assert bool(ended.stdout) is not bool(code)

@@ -111,10 +111,7 @@ def test_what_is_only_odd_is_driven_and_judged(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "reason"),
-    [
-        ("Long", "it has 300000 states, more than 10000"),
-        ("Verbose", "xxx ... (cut, 50000000 characters)"),
-    ],
+    [("Long", "it has 300000 states, more than 10000"), ("Verbose", "xxx ... (cut, 50000000 characters)")],
 )
 def test_what_is_too_large_in_every_plan_is_cut_or_refused_within_seconds(name: str, reason: str) -> None:
     begin = time.monotonic()

@@ -82,10 +82,7 @@ def is_gone(pid: int) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("stop", "workers"),
-    [(signal.SIGINT, 0), (signal.SIGTERM, 1), (signal.SIGKILL, 1)],
-)
+@pytest.mark.parametrize(("stop", "workers"), [(signal.SIGINT, 0), (signal.SIGTERM, 1), (signal.SIGKILL, 1)])
 def test_a_resumed_run_gives_the_bytes_of_one_that_was_never_interrupted(
     logs: Path, patient: Path, stop: signal.Signals, workers: int
 ) -> None:

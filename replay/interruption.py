@@ -1,0 +1,59 @@
+"""SIGINT and SIGTERM on the command line: exit code 130 from its start to the end of the command, then ignored.
+
+Library users keep their own handlers: nothing changes before `end_at_once` is called. A signal that the parent process
+has made this one ignore (`nohup`) stays ignored.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import monotonic
+from typing import Any
+
+EXIT_CODE = 130
+REPEAT_S = 1.0
+"""A second signal within this time is part of the first: `timeout` sends one to the process and one to its group."""
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_raised_s = float("-inf")
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal in a command. CPython 3.11 ends by SIGINT where KeyboardInterrupt itself passed `exec` of a string."""
+
+
+def end_at_once() -> None:
+    """From here on, a signal ends the process with `EXIT_CODE`: no command has begun, so there is nothing to clear."""
+    for name in _SIGNALS:
+        if signal.getsignal(name) is not signal.SIG_IGN:
+            signal.signal(name, _end)
+
+
+@contextmanager
+def as_exception() -> Iterator[None]:
+    """In the body, a signal raises `Interrupted`; after it, signals are ignored: the exit code is that of the body.
+
+    Does nothing where `end_at_once` was not called.
+    """
+    ours = [name for name in _SIGNALS if signal.getsignal(name) is _end]
+    try:
+        for name in ours:
+            signal.signal(name, _raise)
+        yield
+    finally:
+        for name in ours:
+            signal.signal(name, signal.SIG_IGN)
+
+
+def _end(number: int, frame: Any) -> None:
+    os.write(2, b"error: interrupted\n")
+    os._exit(EXIT_CODE)
+
+
+def _raise(number: int, frame: Any) -> None:
+    global _raised_s
+    if monotonic() - _raised_s > REPEAT_S:
+        _raised_s = monotonic()
+        raise Interrupted

@@ -22,13 +22,7 @@ LAYOUTS = ("overview", "planner", "control")
 LOOPBACK = "127.0.0.1"
 CLOSED = f"http://{LOOPBACK}:9"
 """A proxy that does not exist: port 9 (discard, RFC 863) has no server on current systems."""
-SETTINGS = {
-    "analytics_enabled": False,
-    "analytics_id": "",
-    "metadata": {},
-    "config_file_path": "",
-    "data_dir_path": "",
-}
+SETTINGS = {"analytics_enabled": False, "analytics_id": "", "metadata": {}, "config_file_path": "", "data_dir_path": ""}
 
 
 @contextmanager

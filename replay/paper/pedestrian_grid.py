@@ -77,11 +77,7 @@ class Cell:
         nominal = CROSSING_PEDESTRIAN.parameters
         middle = (HALF_LANE + nominal["kerb_distance_m"]) / self.walker_mps + 0.5 * WALK_RAMP_S
         v = self.ego_kmh / 3.6
-        return {
-            "ego_speed_mps": v,
-            "pedestrian_speed_mps": self.walker_mps,
-            "distance_m": v * (middle - self.late_s),
-        }
+        return {"ego_speed_mps": v, "pedestrian_speed_mps": self.walker_mps, "distance_m": v * (middle - self.late_s)}
 
 
 CELLS = tuple(Cell(*one) for one in product(EGO_KMH, WALKER_MPS, LATE_S))

@@ -301,10 +301,7 @@ def test_why_tells_decisions_reasons_solvers_and_costs(closed: tuple[Drive, Scen
     _, _, recording = closed
     pages = recording.column("/why", "TextDocument:text").flatten().to_pylist()
     assert "t = 8.00 s: slows down: yield" in pages[80]
-    for words in (
-        "Slows down for ped 7 (yield)",
-        "in the path until 11.5 s",
-    ):
+    for words in ("Slows down for ped 7 (yield)", "in the path until 11.5 s"):
         assert words in pages[80]
     inside = recording.column("/numbers", "TextDocument:text").flatten().to_pylist()
     for words in ("speed QP", "75 iterations", "obstacle 3.5"):

@@ -255,11 +255,7 @@ def test_of_many_drives_the_worst_are_in_sight(results: Results) -> None:
 def test_a_hostile_name_is_only_a_name(results: Results) -> None:
     text = markdown(overview(results))
     names = {row[0] for row in table(text, "log")[1:]}
-    assert names == {
-        "test/free",
-        "test/blocked",
-        visible_name(HOSTILE),
-    }
+    assert names == {"test/free", "test/blocked", visible_name(HOSTILE)}
     html = MarkdownIt("gfm-like", {"linkify": False}).render(text)
     assert "<script>" not in html and 'href="http' not in html and "<h1>h" not in html
     assert html.count("<details>") == html.count("</details>") > 0

@@ -28,8 +28,7 @@ from metrics.compare import DRIVE, PARTING_COLUMNS, Comparison, Side, compare
 from metrics.compare.rules import Rule, judged, load_rules
 from metrics.judge import REFERENCE
 from metrics.judge.gates import load_gates
-from replay.explain.first_difference import first_difference
-from replay.explain.parting import planners_part
+from replay.explain.first_difference import first_difference, planners_part
 from replay.results.load import RECORDINGS, Results, loaded
 from replay.results.schema import SCHEMA_VERSION
 from replay.results.tables import LOG_CARD, write_file

@@ -55,7 +55,7 @@ def compare(
     """
     with handle_errors():
         from replay.compare import MOST_PARTINGS, compare_runs, read_run
-        from replay.draw.report.compared import document
+        from replay.draw.report.terminal import document
 
         planners = tuple(planner or ())
         if len(planners) > 2 or len(runs) > 2 or (len(runs) == 1 and len(planners) != 2):
@@ -74,8 +74,8 @@ def compare(
 def print_tables(comparison: Comparison, candidate: Run, *, alone: bool = True) -> None:
     """Print a comparison as tables; `alone`: its exit code is that of the command."""
     from replay.compare import view_command
-    from replay.draw.report.compared import print_comparison
     from replay.draw.report.console import SafeConsole
+    from replay.draw.report.terminal import print_comparison
 
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 130
     console = SafeConsole(width=wide, soft_wrap=False)

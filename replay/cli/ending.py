@@ -67,10 +67,9 @@ def finish_run(results: Results, before: Run | None, url: str, gates: Path | Non
     """
     from replay.cli.compare import print_tables
     from replay.compare import compare_runs
-    from replay.draw.report.compared import document, last_line
     from replay.draw.report.console import SafeConsole
     from replay.draw.report.overview import overview
-    from replay.draw.report.terminal import print_ending, print_report
+    from replay.draw.report.terminal import document, last_line, print_ending, print_report
     from replay.draw.report.write import write_reports
     from replay.run.lock import held
 

@@ -50,7 +50,7 @@ def plot(
       replan plot results/run-001 --log paper/crossing_pedestrian --at 6.5 --chart st -o st.svg
     """
     with handle_errors():
-        from replay.draw.charts.picture import charts_of, save, together
+        from replay.draw.charts.layout import charts_of, save, together
         from replay.draw.charts.subject import subject
         from replay.results.load import load
         from replay.results.tables import safe_name

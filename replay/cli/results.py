@@ -64,8 +64,8 @@ def view(
         import tempfile
 
         from logs.remote import Near
+        from replay.draw.recording.pictures import LAYOUTS
         from replay.draw.view import picture, show
-        from replay.draw.viewer import LAYOUTS
 
         if layout not in LAYOUTS:
             raise ConfigError(f"--layout {layout}: there are {', '.join(LAYOUTS)}")

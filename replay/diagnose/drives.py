@@ -22,8 +22,7 @@ from metrics.judge.gates import Gate, Gates
 from metrics.judge.rows import with_asked
 from metrics.reference_drivers import APPLIES, AVOIDS
 from replay.config import RunConfig
-from replay.explain.first_difference import first_difference
-from replay.explain.parting import planners_part
+from replay.explain.first_difference import first_difference, planners_part
 from replay.results.load import DriveResult, Results
 from replay.run.evaluate import evaluate_logs, gates_of
 

@@ -4,7 +4,7 @@ The causes are found from public data: the plan, the frame, the predictions, the
 (`replay.explain.course`); each cause says what would follow, and the least constant deceleration that avoids it. A
 decision of the planner is its cause only if the numbers confirm it; all other causes are inferred.
 
-(1) agent   met, or followed too near (`replay.explain.meetings`)
+(1) agent   met, or followed too near (`replay.explain.course`)
 (2) stop    a stop line with a light or sign that requires it, or a thing in the S-T graph that the planner stops for
 (3) limit   the speed limit along the way is lower than the speed that is held, by `OVER_MPS`
 (4) curve   v^2 |kappa| > `CURVE_MPS2` somewhere along the way
@@ -30,8 +30,7 @@ from logs.rules import RED, Colour, StopLine
 from logs.scenario import Scenario
 from logs.trace import Candidates, Decision, DecisionKind, LaneOption, Plan, StGraph, Trace
 from replay.config import LoopConfig
-from replay.explain.course import BRAKES_MPS2, LOOK_S, STANDING_MPS, STEP_S, Course, Held, Way, Ways
-from replay.explain.meetings import Meeting, meetings
+from replay.explain.course import BRAKES_MPS2, LOOK_S, STANDING_MPS, STEP_S, Course, Held, Meeting, Way, Ways, meetings
 from replay.explain.planner_input import PlannerInput, planner_inputs
 
 STAYS_BEHIND = (DecisionKind.STOP, DecisionKind.YIELD, DecisionKind.FOLLOW)

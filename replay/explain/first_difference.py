@@ -1,4 +1,4 @@
-"""The first difference of two drives of one log, in the order of cause and effect.
+"""The first difference of two drives of one log, in the order of cause and effect; and where two planners part.
 
 Within a frame: input (agents, ego), predictions, route, lane choice, path DP (sides and available space), path QP, S-T
 graph, speed DP (order of passing, and available space), speed QP, plan; then, at the control rate, the command and the
@@ -10,6 +10,11 @@ its plan.
 
 (2) looks closer than (1): a plan that is off by half a millimetre is the cause of a car that is off by two, and not the
 other way round.
+
+Two planners differ in some number from the first frame on. They part at the first time at which what they drive (in the
+open loop: plan, AHEAD_S after each frame) differs enough to matter:
+
+(3) parted = the speeds differ by more than PARTED_MPS, or the places by more than PARTED_M across the first one's way
 """
 
 from __future__ import annotations
@@ -23,7 +28,9 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
 from logs.names import ShortNames
-from logs.trace import Decision, Graph, LaneOption, Mode, PlannedFrame, SlGraph, StGraph, Trace
+from logs.states import EgoState
+from logs.trace import Decision, DecisionKind, Graph, LaneOption, Mode, Plan, PlannedFrame, SlGraph, StGraph, Trace
+from replay.explain.explanation import LONGITUDINAL
 
 TOLERANCE = 1e-3
 """m, rad, m/s, and the position of pedals, 0 to 1: a millimetre is less than any metric resolves."""
@@ -346,3 +353,42 @@ def _words(what: str, one: Sequence[str], two: Sequence[str]) -> str:
     parts = [f"{word} {', '.join(some[:3])}{' ...' if len(some) > 3 else ''}" for word, some in
              (("no longer", gone), ("now also", new)) if some]  # fmt: skip
     return f"{what}: {'; '.join(parts) or 'in another order or number'}"
+
+
+PARTED_MPS, PARTED_M, AHEAD_S = 1.0, 0.5, 3.0
+LATERAL = (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
+
+
+def planners_part(one: Trace, two: Trace) -> FirstDifference | None:
+    """Where the drives of two planners part (3), and what each of them decides then; None: nowhere."""
+    for old, new in zip(one.frames, two.frames, strict=False):
+        t, states = old.t, []
+        for trace, frame in ((one, old), (two, new)):
+            states.append(trace.ego.at(t) if trace.mode is Mode.CLOSED else _ahead(frame))
+        first, second = states
+        across = (second.y - first.y) * np.cos(first.yaw) - (second.x - first.x) * np.sin(first.yaw)
+        if abs(first.v - second.v) > PARTED_MPS or abs(across) > PARTED_M:  # (3)
+            when = f"t = {t:.2f} s" if one.mode is Mode.CLOSED else f"t = {t:.2f} s, in {AHEAD_S:g} s"
+            side = f", {abs(across):.1f} m to the {'left' if across > 0.0 else 'right'}"
+            before, now = (
+                f"{state.v:.1f} m/s ({decided(f.plan)})" for state, f in zip(states, (old, new), strict=True)
+            )
+            what = f"{when}: {before} -> {now}{side if abs(across) > PARTED_M else ''}"
+            return FirstDifference(t, "plan", ShortNames(one.agents.ids)(what))
+    return None
+
+
+def _ahead(frame: PlannedFrame) -> EgoState:
+    """The planned state in `AHEAD_S`, or at the plan's end."""
+    planned = frame.plan.trajectory
+    return planned.at(min(frame.t + AHEAD_S, float(planned.t[-1])))
+
+
+def decided(plan: Plan) -> str:
+    """The strongest decision of a plan about the speed, else about the side, with its agent."""
+    decisions = [item for item in plan.internals if isinstance(item, Decision)]
+    for kind in (*LONGITUDINAL, *LATERAL):
+        agents = list(dict.fromkeys(item.agent for item in decisions if item.kind is kind))
+        if agents:
+            return f"{kind.value} {agents[0]}{f' and {len(agents) - 1} more' if len(agents) > 1 else ''}"
+    return plan.status.value if plan.status.is_fallback else "nothing decided"

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from math import isfinite
 
 from replay.explain.causes import Account, Cause, CauseKind
-from replay.explain.course import STEP_S, Action
-from replay.explain.meetings import GAP_M, HEADWAY_S
+from replay.explain.course import GAP_M, HEADWAY_S, STEP_S, Action
 
 MOST = 3
 """Further causes are only counted."""

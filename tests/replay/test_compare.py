@@ -18,7 +18,7 @@ from metrics.compare import Comparison
 from replay.cli import app
 from replay.compare import compare_runs, read_run, write_baseline
 from replay.config import RunConfig
-from replay.draw.report.compared import document
+from replay.draw.report.terminal import document
 from replay.run import evaluate_logs
 from studies import regressions
 

@@ -301,7 +301,7 @@ def test_a_chart_or_panel_without_a_place_is_an_error(monkeypatch: pytest.Monkey
     import numpy as np
 
     from replay.draw.charts import layout
-    from replay.draw.curves import Panel
+    from replay.draw.model import Panel
     from replay.draw.recording.blueprint import Contents, blueprint
 
     monkeypatch.setitem(layout.CHARTS, "extra", lambda subject: [])

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from logs.kernel import FloatArray
-from replay.draw.axes import ticks
 from replay.draw.charts.canvas import LETTER_PX, px, text, window
+from replay.draw.model import ticks
 
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 46.0, 10.0, 38.0, 30.0
 """Margins of a plot area: for y ticks, for the last x tick, for title and legend, for x ticks and their title."""

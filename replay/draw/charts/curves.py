@@ -1,16 +1,21 @@
-"""Curves over time as charts: the panels of `replay.draw.curves`, with the times shaded at which gates fail."""
+"""Charts over time: panels of curves, with the times shaded at which gates fail; and decisions as rows.
+
+The rows are the plan's status, each road user with a decision, and each broken gate.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from replay.draw.charts.axes import Plane
-from replay.draw.charts.canvas import Chart, legend, line, polyline, rect, text
-from replay.draw.charts.moment import Violation
-from replay.draw.charts.subject import Subject
-from replay.draw.curves import chart_panels
+from logs.trace import Decision, DecisionKind, PlanStatus, PlanSummary
+from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
+from replay.draw.charts.canvas import LETTER_PX, Chart, legend, line, polyline, rect, shortened, text
+from replay.draw.charts.subject import Subject, Violation
+from replay.draw.model import chart_panels
+from replay.explain.explanation import STATUS_WORDS
 
 WIDTH_PX, HEIGHT_PX = 440.0, 168.0
 KINDS = ("a", "b", "c")
@@ -66,3 +71,121 @@ def now_line(plane: Plane, t: float) -> str:
     """The moment of the subject."""
     x = min(max(float(plane.at_x(t)), 1.0), plane.inner[0] - 1.0)
     return line(x, 0.0, x, plane.inner[1], "now")
+
+
+ROWS_PX, ROW_PX, TOP_PX = 900.0, 20.0, 22.0
+LABEL_PX = 210.0
+MAX_ROWS = 12
+"""Rows of road users; the list of events beside the picture has all of them."""
+LEAST_PX = 3.0
+CALM = tuple(STATUS_WORDS[status] for status in (PlanStatus.PLANNED, PlanStatus.CORRECTED))
+"""Statuses that are no alarm."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """A state from one time to another, s."""
+
+    begin: float
+    end: float
+    word: str
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """The spans of one road user, one gate, or the plan."""
+
+    name: str
+    spans: tuple[Span, ...]
+    kind: str = "bar"
+
+
+def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str]) -> list[Row]:
+    """The decisions about each agent that is not only ignored, in the order of the first decision.
+
+    A decision holds until the next frame; consecutive frames with the same decision are one span with the first reason.
+    `short` shortens the names of agents.
+    """
+    rows: dict[str, list[Span]] = {}
+    stops = [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else []
+    for plan, stop in zip(plans, stops, strict=True):
+        now = [some for some in plan.internals if isinstance(some, Decision)]
+        for one in {some.agent: some for some in now if some.kind is not DecisionKind.IGNORE}.values():
+            _extend(rows.setdefault(one.agent, []), Span(plan.t, stop, one.kind.value, short(one.reason)))
+    return [Row(short(agent), tuple(spans)) for agent, spans in rows.items()]
+
+
+def statuses(plans: Sequence[PlanSummary], end: float) -> Row:
+    """The statuses of the plans."""
+    spans: list[Span] = []
+    stops = [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else []
+    for plan, stop in zip(plans, stops, strict=True):
+        _extend(spans, Span(plan.t, stop, STATUS_WORDS[plan.status], plan.reason))
+    return Row("plan", tuple(spans), "calm")
+
+
+def _extend(spans: list[Span], one: Span) -> None:
+    """Add a span, or extend the last one if it continues."""
+    if spans and spans[-1].word == one.word and abs(spans[-1].end - one.begin) < 1e-6:
+        spans[-1] = Span(spans[-1].begin, one.end, one.word, spans[-1].why)
+    else:
+        spans.append(one)
+
+
+def decisions(subject: Subject, width: float = ROWS_PX) -> Chart:
+    """Decisions, plan statuses and broken gates as rows over time; `width` in pixels."""
+    plans, end = subject.plans, subject.span[1]
+    agents = decided(plans, end, subject.scenario.short_names)
+    longest = sorted(agents, key=lambda row: -sum(span.end - span.begin for span in row.spans))[:MAX_ROWS]
+    broken: dict[str, Row] = {}
+    for some in subject.violations:  # gates of one series (episode and total time, say) are one row
+        spans = tuple(Span(begin, stop, "fails", some.gate) for begin, stop in some.spans)
+        before = broken[some.series].spans if some.series in broken else ()
+        if spans:
+            spans = tuple(dict.fromkeys((*before, *spans))) if before else spans
+            broken[some.series] = Row(some.series, spans, "alarm")
+    status = [statuses(plans, end)] if plans else []
+    rows = [*status, *(row for row in agents if row in longest), *broken.values()]
+    title = "Decisions, plans and broken gates over time"
+    if not rows:
+        body = text(2.0, 13.0, title, "title") + text(0.5 * width, 40.0, "the drive has no plans", "says")
+        return Chart("decisions", title, f"{title}: the drive has no plans", width, 56.0, body)
+    height = TOP_PX + ROW_PX * len(rows) + BOTTOM_PX
+    plane = Plane(subject.span, (0.0, float(len(rows))), width, height, top=TOP_PX)
+    plane = for_words(plane, [row.name for row in rows], LABEL_PX)
+    bars = "".join(_bars(plane, row, k) for k, row in enumerate(rows)) + now_line(plane, subject.moment.t)
+    names = "".join(
+        text(-6.0, ROW_PX * k + 14.0, shortened(row.name, plane.left - 8.0), "end", about=row.name)
+        for k, row in enumerate(rows)
+    )
+    silent = not any(row.kind == "bar" for row in rows)
+    says = "; ".join(
+        f"{row.name}: " + ", ".join(f"{span.word} {span.begin:.1f} to {span.end:.1f} s" for span in row.spans[:6])
+        for row in rows
+    )
+    head = text(2.0, 13.0, title + (": the planner reports none" if silent else ""), "title")
+    drawn = plane.drawn(bars, x_title="time [s]", y_ticks=False, over=names)
+    return Chart("decisions", title, says, width, height, drawn + head)
+
+
+def _bars(plane: Plane, row: Row, k: int) -> str:
+    out, until = [], 0.0
+    ends = plane.at_x(np.array([[span.begin, span.end] for span in row.spans]))
+    for i, (span, (left, right)) in enumerate(zip(row.spans, ends.tolist(), strict=True)):
+        left = min(left, plane.inner[0] - LEAST_PX)
+        wide, y = max(right - left, LEAST_PX), ROW_PX * k
+        why = f" ({span.why})" if span.why else ""
+        about = f"{row.name}: {span.word}, {span.begin:.2f} to {span.end:.2f} s{why}"
+        kind = "alarm" if row.kind == "calm" and span.word not in CALM else row.kind
+        out.append(rect(left, y + 3.0, wide, ROW_PX - 6.0, kind, about))
+        needed = LETTER_PX * len(span.word) + 6.0
+        after = ends[i + 1, 0] if i + 1 < len(row.spans) else plane.inner[0]
+        if wide >= needed or after - left - wide >= needed:
+            at = left + 4.0 if wide >= needed else left + wide + 2.0
+            out.append(text(at, y + 14.0, span.word))
+            until = at + needed
+        elif left - until >= needed:
+            out.append(text(left - 3.0, y + 14.0, span.word, "end"))
+        until = max(until, left + wide)
+    return "".join(out)

@@ -9,11 +9,10 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.names import ShortNames
 from logs.trace import Graph, SlGraph, StGraph
-from replay.draw.axes import widened
 from replay.draw.charts.axes import Plane
 from replay.draw.charts.canvas import LETTER_PX, Chart, area, legend, polyline, shortened, text
 from replay.draw.charts.subject import Subject
-from replay.draw.graphs import DrawnGraph
+from replay.draw.model import DrawnGraph, widened
 
 WIDTH_PX, HEIGHT_PX = 440.0, 250.0
 MAX_LABELS = 6

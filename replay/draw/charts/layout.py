@@ -1,22 +1,23 @@
-"""The charts of a drive by name, where each stands in its page, and those that users add ("module:NAME").
+"""The charts of a drive by name, where each stands in its page, those of users ("module:NAME"); several as a picture.
 
 A chart is a function: `draw(subject) -> Chart`, or several. Charts of users come after the pictures. A chart that
-raises is replaced by its error, and nothing else is affected.
+raises is replaced by its error, and nothing else is affected. Several charts are written as one SVG or PNG.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from logs.errors import raised
+from logs.errors import ConfigError, raised, writing
 from logs.extension import Kind
-from replay.draw.charts.canvas import Chart, shortened, text
-from replay.draw.charts.curves import curves
+from replay.draw.charts.canvas import Chart, Theme, group, shortened, text
+from replay.draw.charts.curves import curves, decisions
 from replay.draw.charts.graphs import sl_graph, st_graph
-from replay.draw.charts.lanes import decisions
 from replay.draw.charts.scene import scenes
 from replay.draw.charts.subject import Subject
+from replay.results.tables import write_file, write_text
 
 Draw = Callable[[Subject], "Chart | Sequence[Chart]"]
 
@@ -70,3 +71,70 @@ def _broken(name: str, why: str) -> Chart:
     width, height = BROKEN_PX
     body = text(0.0, 14.0, shortened(name, width), "title") + text(0.0, 32.0, shortened(why, width), "small", about=why)
     return Chart(BROKEN, name, f"The chart {name} could not be drawn: {why}", width, height, body)
+
+
+COLUMN_PX, GAP_PX, MARGIN_PX, HEAD_PX = 440.0, 16.0, 14.0, 44.0
+FORMATS = (".png", ".svg")
+ALL = "all"
+
+
+def charts_of(subject: Subject, kind: str, width: float) -> list[Chart]:
+    """The charts of a name (`replay.draw.charts.layout.CHART`), or `ALL`, for a picture with this width, pixels."""
+    names = CHART.names() if kind == ALL else (kind,)
+    wide = row_width(width)
+    found = [[decisions(subject, wide)] if name == "decisions" else drawn(subject, name) for name in names]
+    return [chart for charts in found for chart in charts]
+
+
+def row_width(width: float) -> float:
+    """The width of as many columns as fit into a width, at least one, pixels."""
+    columns = max(1, int((width + GAP_PX) / (COLUMN_PX + GAP_PX)))
+    return columns * (COLUMN_PX + GAP_PX) - GAP_PX
+
+
+def together(charts: Sequence[Chart], title: str, says: str, width: float) -> Chart:
+    """Charts in as many columns as fit into a width (pixels), under a title."""
+    most = len(charts) * (COLUMN_PX + GAP_PX) - GAP_PX
+    full = max(min(row_width(width), most), *(chart.width for chart in charts))
+    placed, x, y, row = [], 0.0, HEAD_PX, 0.0
+    for chart in charts:
+        if x > 0.0 and x + chart.width > full + 1.0:
+            x, y, row = 0.0, y + row + GAP_PX, 0.0
+        placed.append(group(MARGIN_PX + x, y, chart.body))
+        x, row = x + chart.width + GAP_PX, max(row, chart.height)
+    head = text(MARGIN_PX, 18.0, shortened(title, full), "title")
+    head += text(MARGIN_PX, 34.0, shortened(says, full), "small")
+    spoken = f"{title}; {says}: " + "; ".join(chart.title for chart in charts)
+    return Chart("all", title, spoken, full + 2.0 * MARGIN_PX, y + row + MARGIN_PX, head + "".join(placed))
+
+
+def save(chart: Chart, path: Path, *, theme: Theme, width: int) -> None:
+    """Write a picture; format by the ending. The same drive gives the same bytes.
+
+    Args:
+        chart: The picture.
+        path: The file; it ends with .png or .svg.
+        theme: "auto" is light in a PNG, which cannot follow the system of its reader.
+        width: Pixels.
+
+    Raises:
+        ConfigError: Another ending.
+        OutputError: It cannot be written.
+    """
+    if path.suffix not in FORMATS:
+        raise ConfigError(f"{path}: a picture ends with .png or .svg")
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix == ".svg":
+            write_text(path, chart.alone(theme, width))
+            return
+        import matplotlib as mpl
+        import resvg_py
+
+        svg = chart.alone("light" if theme == "auto" else theme, width)
+        fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"  # so that it looks the same on every machine
+        files = [str(fonts / f"DejaVuSans{style}.ttf") for style in ("", "-Bold", "-Oblique")]
+        data = bytes(
+            resvg_py.svg_to_bytes(svg_string=svg, skip_system_fonts=True, font_files=files, font_family="DejaVu Sans")
+        )
+        write_file(path, lambda partial: partial.write_bytes(data))

@@ -29,7 +29,7 @@ from replay.draw.charts.canvas import (
     text,
 )
 from replay.draw.charts.subject import Subject
-from replay.draw.scene import decided, plan_seconds
+from replay.draw.model import decided, plan_seconds
 from replay.world import box_center
 
 WIDTH_PX, HEIGHT_PX = 440.0, 226.0

@@ -1,18 +1,123 @@
-"""The subject of a drive's pictures: its tables, its trace, and one moment in it."""
+"""The subject of a drive's pictures: its tables, its trace, and one moment in it; and when it broke which gate.
+
+The moment and the broken gates are found in the tables of the run, without its trace.
+"""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
-from math import isfinite
+from math import inf, isfinite
+from typing import Any
+
+import numpy as np
 
 from logs.errors import ConfigError
 from logs.mcap import read_moment
 from logs.scenario import Scenario
 from logs.trace import PlannedFrame, PlanSummary, Trace
-from replay.draw.charts.moment import Moment, Violation, violations, worst_moment
+from metrics import GROUPS, METRICS
+from metrics.judge.gates import Outcome
 from replay.explain import Explanation, accounts
 from replay.results.load import DriveResult
+
+GRAVE = ("collision_at_fault", "safety", "rules", "progress")
+"""Metrics and groups of metrics, the gravest first: their failed gates come before all others."""
+NEAREST = (("ttc.min", "least time to a collision"), ("gap.min", "least distance to another road user"))
+"""Metrics that give the moment if no gate failed."""
+_GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
+_RULE = re.compile(r"(?:(?P<low>\S+) <= )?(?P<metric>\S.*?) (?P<sign><=|>=) (?P<bound>\S+)")
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A time in a drive, s, and the reason to look at it, in a sentence."""
+
+    t: float
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class Violation:
+    """A gate that a drive broke.
+
+    Attributes:
+        gate: The rule.
+        series: The series of its metric ("lon_accel").
+        spans: From when to when its steps are out of bounds, s; without steps, the instant of its value.
+    """
+
+    gate: str
+    series: str
+    spans: tuple[tuple[float, float], ...]
+
+
+def worst_moment(drive: DriveResult) -> Moment:
+    """The time of the worst failed gate, otherwise of the least TTC or gap, otherwise the middle of the drive.
+
+    Gates of safety and rules are worse than others; among equals, the first in the file of gates.
+    """
+    failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
+    rows = [row for row in list[Any](failed.itertuples()) if isfinite(row.time_s)]
+    if rows:
+        worst = min(rows, key=lambda row: gravity(str(row.gate)))
+        about = f" ({worst.reason})" if worst.reason else ""
+        return Moment(float(worst.time_s), f"{worst.gate} fails: {worst.value:.4g}{about}")
+    failure = "a gate fails, at no instant; " if len(failed) else "no gate of this loop fails; "
+    found = {row.metric: row for row in list[Any](drive.metrics.itertuples()) if row.available and isfinite(row.time_s)}
+    for name, words in NEAREST:
+        if name in found:
+            near = found[name]
+            about = f" ({near.reason})" if near.reason else ""
+            return Moment(float(near.time_s), f"{failure}{words}: {near.value:.3g} {near.unit}{about}")
+    middle = 0.5 * float(drive.info["t_end_s"])
+    return Moment(middle, f"{failure}no distance to others was measured: the middle of the drive")
+
+
+def gravity(gate: str) -> int:
+    """The place of a rule in `GRAVE`, by its metric, otherwise by the group of its metric."""
+    metric = measured_by(gate).partition(".")[0]
+    return next((i for i, word in enumerate(GRAVE) if word in (metric, _GROUP.get(metric, ""))), len(GRAVE))
+
+
+def measured_by(gate: str) -> str:
+    """The metric of a rule as text: "gap.min" of "gap.min >= 0.5 [closed]"; "" if there is none."""
+    found = _RULE.match(gate)
+    return found["metric"].rpartition("mean ")[2] if found else ""
+
+
+def violations(drive: DriveResult) -> list[Violation]:
+    """The failed gates of a drive, and when."""
+    found = list[Violation]()
+    failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
+    for gate, time_s in zip(failed["gate"].astype(str), failed["time_s"].astype(float), strict=True):
+        series, _, reduction = measured_by(gate).rpartition(".")
+        t, values = drive.steps(series)
+        known = np.isfinite(values)
+        t, values = t[known], values[known]
+        low, high = _step_bounds(gate, series, reduction)
+        edge = np.diff(np.r_[False, (values < low) | (values > high), False].astype(np.int64))
+        stretches = zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)
+        spans = tuple((float(t[first]), float(t[end - 1])) for first, end in stretches)
+        found.append(Violation(gate, series, spans or (((time_s, time_s),) if isfinite(time_s) else ())))
+    return found
+
+
+def _step_bounds(gate: str, series: str, reduction: str) -> tuple[float, float]:
+    """The bounds that steps break: those of the reduction, otherwise those of the rule; infinite if there are none."""
+    metric = METRICS.get(series.partition(".")[0])
+    how = next((some for some in metric.reductions if some.name == reduction), None) if metric else None
+    if how is not None and how.bounds is not None:
+        return how.bounds
+    found = _RULE.match(gate)
+    if reduction in ("count", "rate"):
+        return -inf, 0.0
+    if found is None or reduction not in ("min", "max", "max_abs"):
+        return -inf, inf
+    bound = float(found["bound"])
+    low, high = (bound, inf) if found["sign"] == ">=" else (float(found["low"] or -inf), bound)
+    return (-high, high) if reduction == "max_abs" else (low, high)
 
 
 @dataclass(frozen=True, eq=False)

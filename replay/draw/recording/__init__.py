@@ -21,16 +21,13 @@ from logs.memory import trim_memory
 from logs.nearby import NearbyTracks
 from logs.scenario import Scenario
 from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
-from replay.draw.curves import motion_panels, stage_panel, steps_of
-from replay.draw.graphs import DrawnGraph
-from replay.draw.recording import pages, plots, states
+from replay.draw.model import DrawnGraph, motion_panels, stage_panel, steps_of
+from replay.draw.recording import pages, plots
 from replay.draw.recording.blueprint import Contents, blueprint
 from replay.draw.recording.graphs import Axes, draw_graph, draw_occupancy, sl_axes, st_axes
-from replay.draw.recording.others import draw_others
-from replay.draw.recording.scene import draw_moving, draw_scene
-from replay.draw.recording.tape import Instants, Tape, recording_file
-from replay.draw.recording.text import field_name, path_parts
-from replay.explain.events import events
+from replay.draw.recording.scene import draw_moving, draw_others, draw_scene
+from replay.draw.recording.tape import Instants, Tape, field_name, path_parts, recording_file
+from replay.explain.explanation import events
 from replay.explain.planner_input import actual_occupancy
 
 if TYPE_CHECKING:
@@ -73,7 +70,7 @@ def write_recording(
     panels = motion_panels(trace, scenario, times, steps_of(steps))
     panels += stage_panel(drive.timings, path_parts(timing.stage for timing in drive.timings))
     names = ("why", "numbers", "recent", "summary") if trace.frames else ("recent", "summary")
-    lanes = states.state_lanes(trace, scenario.road)
+    lanes = plots.state_lanes(trace, scenario.road)
     contents = Contents(
         panels, axes[StGraph], axes[SlGraph], [lane.name for lane in lanes], names, _bounds(trace, scenario)
     )
@@ -87,7 +84,7 @@ def write_recording(
             if len(planned) > PART:
                 trim_memory()
         plots.draw_panels(tape, panels, frames)
-        states.draw_lanes(tape, lanes, frames)
+        plots.draw_lanes(tape, lanes, frames)
         pages.draw_events(tape, events(trace), planned)
         pages.draw_summary(tape, pages.summary(whole, scenario, table))
         if table is not None:  # properties of the recording: a column each in a table of recordings

@@ -9,7 +9,7 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from logs.kernel import FloatArray
-from replay.draw.curves import Panel
+from replay.draw.model import Panel
 from replay.draw.recording.graphs import HEIGHT, MARGIN_BOTTOM, MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, WIDTH, Axes
 from replay.draw.recording.plots import plot, time_axis
 from replay.draw.recording.tape import FRAME, REMOVED, ROOM, SIM_TIME

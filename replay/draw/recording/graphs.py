@@ -18,12 +18,9 @@ import rerun as rr
 
 from logs.kernel import FloatArray, IntArray
 from logs.trace import DecisionKind
-from replay.draw.axes import multiples, nice_step
-from replay.draw.graphs import DrawnGraph, DrawnObstacle
+from replay.draw.model import DrawnGraph, DrawnObstacle, multiples, nice_step
 from replay.draw.recording import colours
-from replay.draw.recording.hatch import Window, outline_segments, strokes
-from replay.draw.recording.tape import Instants, Tape, joined, pixels, strips
-from replay.draw.recording.text import plain
+from replay.draw.recording.tape import Instants, Tape, Window, joined, outline_segments, pixels, plain, strips, strokes
 
 WIDTH, HEIGHT = 160.0, 96.0
 MARGIN_LEFT, MARGIN_BOTTOM, MARGIN_RIGHT, MARGIN_TOP = 15.0, 14.0, 7.0, 9.0

@@ -12,14 +12,12 @@ import rerun as rr
 from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Decision, Graph, PlannedFrame, PlanStatus, Trace
-from replay.draw.recording.others import unseen
-from replay.draw.recording.states import Change, changes_under_way, lanes_driven
-from replay.draw.recording.tape import Instants, Tape
-from replay.draw.recording.text import MARKDOWN, cell, document, plain, table
+from replay.draw.recording.plots import Change, changes_under_way, lanes_driven
+from replay.draw.recording.scene import unseen
+from replay.draw.recording.tape import MARKDOWN, Instants, Tape, cell, document, plain, table
 from replay.explain import Explanation, accounts
 from replay.explain.course import BRAKES_MPS2
-from replay.explain.events import Event
-from replay.explain.explanation import FREE_DRIVE, NO_NUDGE, STATUS_WORDS, Section, lateral, longitudinal
+from replay.explain.explanation import FREE_DRIVE, NO_NUDGE, STATUS_WORDS, Event, Section, lateral, longitudinal
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -22,12 +22,10 @@ from rerun.chunk import RrdReader
 from logs.errors import ConfigError
 from logs.kernel import FloatArray
 from logs.trace import Trace
-from replay.draw.curves import SERIES, Curve, Panel
+from replay.draw.model import SERIES, Curve, Panel
 from replay.draw.recording.blueprint import graph_view, lanes_beside_numbers, scene_behind, state_view, window
-from replay.draw.recording.plots import plot
-from replay.draw.recording.states import LANES
-from replay.draw.recording.tape import Instants, recording_file
-from replay.draw.recording.text import MARKDOWN, cell, document
+from replay.draw.recording.plots import LANES, plot
+from replay.draw.recording.tape import MARKDOWN, Instants, cell, document, recording_file
 from replay.explain.first_difference import first_difference
 
 SIDES = ("A", "B")

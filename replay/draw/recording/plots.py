@@ -1,8 +1,13 @@
-"""The panels of curves in a recording: their entities, axes and legends."""
+"""What a recording shows over time: panels of curves with their axes and legends, and rows of states.
+
+The rows are the plan's status, decisions, the choice of lane, the lane under the ego, and the end.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import cycle
 from typing import Any, Literal
 
 import numpy as np
@@ -10,9 +15,23 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from logs.kernel import FloatArray
-from replay.draw.curves import Panel
-from replay.draw.recording.tape import Instants, Tape
-from replay.draw.recording.text import plain
+from logs.road import Road, RoadSource
+from logs.trace import Decision, DecisionKind, PlannedFrame, Trace
+from replay.draw.model import Panel
+from replay.draw.recording import colours
+from replay.draw.recording.tape import ROOM, Instants, Tape, plain
+from replay.explain.causes import KEEP
+from replay.explain.explanation import (
+    BOTH,
+    FREE_DRIVE,
+    NO_NUDGE,
+    STATUS_WORDS,
+    describe_choice,
+    lane_options,
+    lateral,
+    longitudinal,
+    taken_option,
+)
 
 Corner = Literal["RightTop", "RightBottom", "LeftTop", "LeftBottom"]
 CORNERS: tuple[Corner, ...] = ("RightTop", "RightBottom", "LeftTop", "LeftBottom")
@@ -85,3 +104,134 @@ def with_two_numbers(low: float, high: float) -> tuple[float, float]:
         return float(last - margin), float(first + margin)
     above, below = first + step - high, low - (first - step)
     return (low, float(first + step + margin)) if above <= below else (float(first - step - margin), high)
+
+
+LANES = (PLAN, ALONG, ACROSS, CHOICE, LANE, DRIVE) = (
+    "Plan", "Decision-along", "Decision-across", "Choice-of-lane", "Lane", "Drive",
+)  # fmt: skip
+"""Entities of the rows, at the root: the viewer labels a row with the whole path of its entity."""
+NAMED = (0x5A6478FF, 0x46505FFF)
+"""Colours of states that are only names."""
+OFF_LANES = "off the lanes"
+NOT_COMPARED, COMPARED = "keep", "keep: others compared"
+LETTER, MARGIN = 0.0125, 0.015
+"""Width of a letter of a state's label, and of the margin around a label, as shares of the whole drive."""
+STATE_COLOURS = {
+    **{kind.value: colours.DECISIONS[kind] for kind in DecisionKind},
+    FREE_DRIVE: 0x3C6EAAFF,
+    NO_NUDGE: 0x3C6EAAFF,
+    BOTH: 0xC090FFFF,
+    COMPARED: 0x5082BEFF,
+    "change left": colours.DECISIONS[DecisionKind.NUDGE_LEFT],
+    "change right": colours.DECISIONS[DecisionKind.NUDGE_RIGHT],
+    OFF_LANES: 0xC83232FF,
+    **{STATUS_WORDS[status]: colour for status, colour in colours.STATUSES.items()},
+}
+
+
+@dataclass(frozen=True)
+class Lane:
+    """One row of states: a value per change."""
+
+    name: str
+    t: tuple[float, ...]
+    values: tuple[str, ...]
+
+    @classmethod
+    def of(cls, name: str, t: Sequence[float], values: Sequence[str]) -> Lane:
+        """The values that differ from the one before."""
+        kept = [i for i in range(len(values)) if i == 0 or values[i] != values[i - 1]]
+        return cls(name, tuple(t[i] for i in kept), tuple(values[i] for i in kept))
+
+
+def state_lanes(trace: Trace, road: Road) -> list[Lane]:
+    """Plan status, decisions and choice of lane (if the planner reports them), the lane under the ego, the end."""
+    t = [frame.t for frame in trace.frames]
+    plans = [frame.plan for frame in trace.frames]
+    lanes = [Lane.of(PLAN, t, [STATUS_WORDS[plan.status] for plan in plans])]
+    if any(isinstance(artefact, Decision) for plan in plans for artefact in plan.internals):
+        lanes.append(Lane.of(ALONG, t, [longitudinal(plan) for plan in plans]))
+        lanes.append(Lane.of(ACROSS, t, [lateral(plan) for plan in plans]))
+    driven = lanes_driven(trace, road)
+    if any(lane_options(plan) for plan in plans):
+        lanes.append(Lane.of(CHOICE, t, choices(trace.frames, driven)))
+    if len(set(driven) - {None}) > 1:
+        lanes.append(Lane.of(LANE, t, [OFF_LANES if lane is None else f"lane {lane}" for lane in driven]))
+    first, last = min([*t, float(trace.ego.t[0])]), float(trace.ego.t[-1])
+    return [lane for lane in lanes if lane.t] + [Lane.of(DRIVE, [first, last], ["driving", trace.end.value])]
+
+
+def draw_lanes(tape: Tape, lanes: Sequence[Lane], frames: FloatArray) -> None:
+    """Coloured rows of states; a state too short for its label gets a space behind it, and is drawn without one."""
+    end = max((lane.t[-1] for lane in lanes), default=0.0)
+    tape.static(ROOM, rr.TextDocument(" "))
+    for lane in lanes:
+        lasts = np.diff([*lane.t, end]) / max(end - lane.t[0], 1e-9)
+        states = [
+            value if last >= MARGIN + LETTER * len(value) else f"{value} "
+            for value, last in zip(lane.values, lasts, strict=True)
+        ]
+        values = sorted(set(states))
+        others = [value for value in dict.fromkeys(lane.values) if value not in STATE_COLOURS]
+        shade = {**dict(zip(others, cycle(NAMED), strict=False)), **STATE_COLOURS}
+        shades = np.array([shade[value.rstrip()] for value in values], dtype=np.uint32)
+        labels = [" " if value.endswith(" ") else value for value in values]
+        tape.static(lane.name, rr.StateConfiguration(values=values, labels=labels, colors=shades))
+        instants = Instants.among(np.array(lane.t), frames)
+        tape.rows(lane.name, instants, rr.StateChange.columns(state=states))
+
+
+@dataclass(frozen=True)
+class Change:
+    """A lane change that is under way: the option that was taken, when, and why."""
+
+    name: str
+    t: float
+    reason: str
+
+
+def changes_under_way(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list[Change | None]:
+    """For each frame the lane change that is under way: from its decision until the ego has left its lane.
+
+    Args:
+        frames: The frames of the trace.
+        lanes: The lane under the ego at each of them.
+    """
+    out: list[Change | None] = []
+    change, left = None, None
+    for frame, lane in zip(frames, lanes, strict=True):
+        some = lane_options(frame.plan)
+        if taken_option(some) != KEEP:
+            change, left = Change(taken_option(some), frame.t, describe_choice(some)), lane
+        elif lane != left:
+            change = None
+        out.append(change)
+    return out
+
+
+def choices(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list[str]:
+    """For the row of states: whether the lane is kept, compared with others, or a change is under way."""
+    return [
+        f"change {change.name}" if change else COMPARED if lane_options(frame.plan) else NOT_COMPARED
+        for frame, change in zip(frames, changes_under_way(frames, lanes), strict=True)
+    ]
+
+
+def lanes_driven(trace: Trace, road: Road) -> list[int | None]:
+    """The drivable lane under the ego's reference point at each frame; if lanes overlap, the one that it came along."""
+    if road.source is not RoadSource.LANES:
+        return [None] * len(trace.frames)
+    out = list[int | None]()
+    for x, y in places(trace).tolist():
+        under = [lane.id for lane in road.lanes_at(x, y) if lane.drivable]
+        before = road.lanes.get(out[-1]) if out and out[-1] is not None else None
+        onward = [i for i in under if before is not None and (i == before.id or i in before.successors)]
+        first = under[0] if under else None
+        out.append(min(onward, key=lambda i: before is None or i != before.id) if onward else first)
+    return out
+
+
+def places(trace: Trace) -> FloatArray:
+    """Positions of the ego at each frame `(f, 2)`, m."""
+    ego, t = trace.ego, np.array([frame.t for frame in trace.frames])
+    return np.column_stack([np.interp(t, ego.t, ego.x), np.interp(t, ego.t, ego.y)])

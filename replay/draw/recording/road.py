@@ -12,8 +12,7 @@ from logs.road import Lane, Road, inside
 from logs.rules import Colour
 from logs.scenario import Scenario
 from replay.draw.recording import colours
-from replay.draw.recording.hatch import Window, strokes
-from replay.draw.recording.tape import Instants, Tape, joined, strips
+from replay.draw.recording.tape import Instants, Tape, Window, joined, strips, strokes
 
 DASH_M, GAP_M = 3.0, 6.0
 BESIDE_M = 0.3

@@ -1,7 +1,13 @@
-"""A recording as a file, written in columns: rows of instances at instants, each on both timelines.
+"""A recording as a file, written in columns (rows of instances at instants, on both timelines); its text and fills.
 
 A row may hold any number of instances, 0 included (then the entity is empty at that instant). The counts of the rows
 must add up to the number of instances: a wrong sum would lose rows silently, so it is an error here.
+
+A glyph that the viewer's font lacks terminates the headless viewer, so every text goes through `plain` (one line),
+`cell` (one line inside Markdown) or `document` (our own Markdown). Many names come from users.
+
+The viewer's 2D views draw lines, not areas: an outline is filled with strokes. It is cut by vertical lines of equal
+distance; between two crossings that follow each other the line is inside (even-odd rule).
 """
 
 from __future__ import annotations
@@ -9,6 +15,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,7 +30,79 @@ import rerun.blueprint as rrb
 from logs.errors import writing
 from logs.kernel import FloatArray, IntArray
 from logs.names import ShortNames
-from replay.draw.recording.text import application_name, plain
+
+MARKDOWN = "text/markdown"
+_ASCII = frozenset(chr(code) for code in range(0x20, 0x7F))
+_LATIN = frozenset(chr(code) for code in range(0xA1, 0x100) if code != 0xAD)
+_GREEK = frozenset("ΑΒΓΔΕΖΗΘΙΚΛΜΝΞΟΠΡΣΤΥΦΧΨΩαβγδεζηθικλμνξοπρςστυφχψω")
+DRAWABLE = _ASCII | _LATIN | _GREEK | frozenset("≤≥√∑→←↑↓")
+"""The characters that the viewer's font has (tried with the headless viewer)."""
+
+_MARKDOWN = str.maketrans({mark: f"\\{mark}" for mark in "\\`*_[]<>|#~"})
+
+
+def plain(text: object) -> str:
+    """One line of drawable characters: white space becomes a space, any other character "?"."""
+    composed = unicodedata.normalize("NFC", " ".join(str(text).split()))
+    return _drawable(composed)
+
+
+def cell(text: object) -> str:
+    """One line inside Markdown: special characters of Markdown are escaped."""
+    return plain(text).translate(_MARKDOWN)
+
+
+def document(lines: Iterable[str]) -> str:
+    """Our own Markdown, made drawable; names of users in it must have been escaped by `cell`."""
+    return "\n".join(map(_drawable, lines))
+
+
+def _drawable(text: str) -> str:
+    return text if DRAWABLE.issuperset(text) else "".join(mark if mark in DRAWABLE else "?" for mark in text)
+
+
+class Marked(str):
+    """A cell of a table that is our own Markdown."""
+
+
+def link(words: object, file: Path) -> Marked:
+    """A link that opens a recording; the words alone if its path cannot be drawn."""
+    path = file.as_posix()
+    can = DRAWABLE.issuperset(path) and not set("<>|\\") & set(path)
+    return Marked(f"[{cell(words)}](<{path}>)" if can else cell(words))
+
+
+def table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
+    """The lines of a Markdown table, with an empty line before and after it."""
+    names = list(header)
+    body = [
+        "| " + " | ".join(value if isinstance(value, Marked) else cell(value) for value in row) + " |" for row in rows
+    ]
+    return ["", "| " + " | ".join(names) + " |", "|" + " --- |" * len(names), *body, ""]
+
+
+def path_parts(words: Iterable[str]) -> dict[str, str]:
+    """An escaped part of an entity path for each distinct word; different words never share one."""
+    parts: dict[str, str] = {}
+    for word in words:
+        if word not in parts:
+            name, count = plain(word) or "?", 1
+            while (part := rr.escape_entity_path_part(name)) in parts.values():
+                count += 1
+                name = f"{plain(word) or '?'} {count}"
+            parts[word] = part
+    return parts
+
+
+def field_name(word: str) -> str:
+    """A word as a name of a recording property: letters, digits and underscores."""
+    return "".join(mark if mark.isascii() and mark.isalnum() else "_" for mark in word) or "_"
+
+
+def application_name(words: str) -> str:
+    """The name under which the viewer stores a layout: at most 100 characters of a small set."""
+    return "".join(mark if mark.isascii() and (mark.isalnum() or mark in " _-") else "-" for mark in words)[:100]
+
 
 SIM_TIME = "sim_time"
 FRAME = "frame"
@@ -188,3 +267,69 @@ def _drain(reader: int, file: Path, errors: list[OSError]) -> None:
             errors.append(error)
             while source.read(CHUNK_BYTES):
                 pass
+
+
+@dataclass(frozen=True)
+class Window:
+    """The visible part of a plane, in its own units."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+
+def _edges(points: FloatArray, lengths: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Both ends `(m, 2)` of the edges of closed outlines, and the outline `(m,)` that each belongs to."""
+    owner = np.repeat(np.arange(len(lengths)), lengths)
+    last = np.cumsum(lengths) - 1
+    after = np.arange(len(points)) + 1
+    after[last] = last - lengths + 1
+    return points, points[after], owner
+
+
+def strokes(points: FloatArray, lengths: IntArray, window: Window, spacing: float) -> tuple[FloatArray, IntArray]:
+    """The vertical strokes that fill closed outlines inside a window.
+
+    Args:
+        points: `(m, 2)` corners, outline after outline.
+        lengths: `(n,)` corners of each outline, at least 1.
+        window: What is visible; strokes lie on its vertical lines and end at its borders.
+        spacing: Distance of the lines, in units of x.
+
+    Returns:
+        The strokes `(k, 2, 2)` from bottom to top, and the outline `(k,)` of each, sorted by outline, then x, then y.
+    """
+    start, end, owner = _edges(points, lengths)
+    columns = max(1, round((window.x[1] - window.x[0]) / spacing))
+    low, high = np.minimum(start[:, 0], end[:, 0]), np.maximum(start[:, 0], end[:, 0])
+    first, stop = (
+        np.clip(np.ceil((x - window.x[0]) / spacing - 0.5), 0, columns).astype(np.int64) for x in (low, high)
+    )
+    crossings = np.maximum(stop - first, 0)
+    edge = np.repeat(np.arange(len(start)), crossings)
+    column = np.arange(len(edge)) - np.repeat(np.cumsum(crossings) - crossings, crossings) + first[edge]
+    x = window.x[0] + (column + 0.5) * spacing
+    u = (x - start[edge, 0]) / (end[edge, 0] - start[edge, 0])
+    y = start[edge, 1] + u * (end[edge, 1] - start[edge, 1])
+    order = np.lexsort((y, column, owner[edge]))
+    x, y, owner = x[order], np.clip(y[order], *window.y), owner[edge][order]
+    pairs = np.stack([np.column_stack([x[0::2], y[0::2]]), np.column_stack([x[1::2], y[1::2]])], axis=1)
+    inside = pairs[:, 1, 1] > pairs[:, 0, 1]
+    return pairs[inside], owner[0::2][inside]
+
+
+def outline_segments(points: FloatArray, lengths: IntArray, window: Window) -> tuple[FloatArray, IntArray]:
+    """The edges of closed outlines cut to a window (Liang and Barsky, 1984): `(k, 2, 2)`, and the outline of each."""
+    start, end, owner = _edges(points, lengths)
+    delta = end - start
+    enter, leave = np.zeros(len(start)), np.ones(len(start))
+    outside = np.zeros(len(start), dtype=bool)
+    for axis, (low, high) in ((0, window.x), (1, window.y)):
+        moving = np.abs(delta[:, axis]) > 1e-9  # a step too small to divide by stands still
+        outside |= ~moving & ((start[:, axis] < low) | (start[:, axis] > high))
+        step = np.where(moving, delta[:, axis], 1.0)
+        at = np.sort(np.stack([(low - start[:, axis]) / step, (high - start[:, axis]) / step]), axis=0)
+        enter = np.where(moving, np.maximum(enter, at[0]), enter)
+        leave = np.where(moving, np.minimum(leave, at[1]), leave)
+    kept = ~outside & (enter < leave)
+    cut = [start[kept] + u[kept, None] * delta[kept] for u in (enter, leave)]
+    return np.stack(cut, axis=1), owner[kept]

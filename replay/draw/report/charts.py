@@ -11,9 +11,9 @@ import pandas as pd
 
 from logs.kernel import FloatArray
 from logs.names import counted
-from replay.draw.axes import widened
 from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
 from replay.draw.charts.canvas import Chart, dot, legend, line, rect, shortened, text
+from replay.draw.model import widened
 from replay.draw.report.model import Column, DriveRow, PassShare
 
 WIDTH_PX, WIDE_PX, ROW_PX, TOP_PX = 440.0, 640.0, 19.0, 40.0

@@ -27,13 +27,12 @@ from logs.names import counted
 from metrics.compare import Comparison
 from metrics.judge.gates import Outcome
 from replay.draw.charts import Chart, subject
-from replay.draw.charts.canvas import printable
+from replay.draw.charts.canvas import RULES, filled, printable, roles
 from replay.draw.charts.layout import BROKEN, placed
-from replay.draw.charts.style import RULES, filled, roles
 from replay.draw.charts.subject import Subject
 from replay.draw.report.charts import distributions, moved, pass_shares
 from replay.draw.report.model import DriveRow, Overview, worst_flips
-from replay.explain.events import Event, events
+from replay.explain.explanation import Event, events
 from replay.results.load import DriveResult, Results
 from replay.results.tables import safe_name, write_text
 

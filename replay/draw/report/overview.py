@@ -27,7 +27,7 @@ from metrics.judge import outcomes, worst
 from metrics.judge.aggregate import LogLabels, membership, pass_shares, standings
 from metrics.judge.gates import Outcome
 from metrics.judge.rows import judge_deadline
-from replay.draw.charts.moment import gravity
+from replay.draw.charts.subject import gravity
 from replay.draw.report.model import (
     COLUMNS,
     COMPARED,

@@ -28,7 +28,7 @@ from logs.readers import read_log
 from logs.vehicle import VehicleParameters
 from metrics.health import findings
 from replay.cli import app
-from replay.paper import iso3888
+from replay.paper.manoeuvres import cones_hit
 from replay.run.sources import LogSource, builtin_suite, named_suite
 
 GRIDS = [name for name, family in FAMILIES.items() if family.grid]
@@ -222,7 +222,7 @@ def test_the_lane_of_iso_3888_runs_between_the_cones(edge_based: float) -> None:
         assert np.interp(x, *lane.left.T) == pytest.approx(section.offset + 0.5 * section.width)
         assert np.interp(x, *lane.right.T) == pytest.approx(section.offset - 0.5 * section.width)
     places = cones(sections) + np.array([approach, 0.0])
-    assert iso3888.hit(places, ego.x, ego.y, ego.yaw, CAR) == 0
+    assert cones_hit(places, ego.x, ego.y, ego.yaw, CAR) == 0
     assert log.goal is not None and np.abs(ego.v**2 * ego.kappa).max() < 3.0
 
 

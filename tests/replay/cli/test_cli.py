@@ -317,7 +317,7 @@ def test_view_of_results_opens_an_index_and_the_worst(
 def test_the_index_lists_the_worst_first_and_says_how_others_are_opened(recorded: Path, tmp_path: Path) -> None:
     from recordings import Recording
 
-    from replay.draw.recording.index import write_index
+    from replay.draw.view import write_index
 
     _, worst = write_index(tmp_path / "index.rrd", recorded, 1)
     (page,) = Recording(tmp_path / "index.rrd").static("/index", "TextDocument:text").to_pylist()

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from logs.mcap import read_scenario
 from replay.cli import app
 from replay.draw.recording import write_log_recording
-from replay.draw.viewer import environment
+from replay.draw.recording.pictures import environment
 
 pytestmark = pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="sockets are read from /proc")
 REPLAN = [sys.executable, "-c", "from replay.cli import main; main()"]

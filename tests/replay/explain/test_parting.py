@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from logs.catalogue import scenario
 from logs.trace import Mode, Trace
-from replay.explain.parting import AHEAD_S, PARTED_M, PARTED_MPS, planners_part
+from replay.explain.first_difference import AHEAD_S, PARTED_M, PARTED_MPS, planners_part
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
 

@@ -22,9 +22,8 @@ from planners import PLANNERS
 from replay.config import LoopConfig, PlannerProcessConfig
 from replay.explain import Account, Action, Cause, CauseKind, accounts, sentences
 from replay.explain.causes import CURVE_MPS2, STAYS_BEHIND, Explainer
-from replay.explain.course import LOOK_S, Course, Held, Way, Ways
+from replay.explain.course import GAP_M, HEADWAY_S, LOOK_S, VULNERABLE_MARGIN_M, Course, Held, Way, Ways, fine
 from replay.explain.explanation import NOISE, SHOWS, main_terms
-from replay.explain.meetings import GAP_M, HEADWAY_S, VULNERABLE_MARGIN_M, fine
 from replay.explain.planner_input import PlannerInput, planner_inputs
 from replay.explain.sentences import MOST, conflicts
 from replay.loop.closed_loop import run_closed_loop

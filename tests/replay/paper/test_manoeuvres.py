@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from logs import ConfigError, VehicleParameters
+from logs.catalogue import iso3888
 from logs.vehicle import vehicle_names, vehicle_parameters
-from replay.paper import iso3888
 from replay.paper.manoeuvres import (
     ALAT_MPS2,
+    STEP_M,
     VARIANTS,
     along_points,
     compare,
+    cone_path,
+    cones_hit,
     double_lane_change,
     follow,
     judged,
@@ -35,12 +38,12 @@ ALL = (*manoeuvres(CAR), *(road(seed) for seed in range(5)))
 def test_the_path_goes_between_the_cones(track: object, width: float) -> None:
     car = replace(CAR, width=width)
     sections = track(width)  # type: ignore[operator]
-    path = iso3888.path(sections, car)
+    path = cone_path(sections, car)
     x = np.linspace(path[0, 0], path[-1, 0], 5000)
     y = np.interp(x, *path.T)
-    yaw = np.interp(x, path[:, 0], np.arctan(np.gradient(path[:, 1], iso3888.STEP_M)))
-    assert iso3888.hit(iso3888.cones(sections), x, y, yaw, car) == 0
-    assert iso3888.hit(iso3888.cones(sections), x, y + 0.5, yaw, car) > 0
+    yaw = np.interp(x, path[:, 0], np.arctan(np.gradient(path[:, 1], STEP_M)))
+    assert cones_hit(iso3888.cones(sections), x, y, yaw, car) == 0
+    assert cones_hit(iso3888.cones(sections), x, y + 0.5, yaw, car) > 0
     assert abs(path[0, 1]) < 1e-6 and abs(path[-1, 1]) < 1e-6
 
 
@@ -56,7 +59,7 @@ def test_the_tracks_have_the_lengths_of_the_standard() -> None:
 def test_a_car_that_does_not_fit_is_refused() -> None:
     sections = iso3888.double_lane_change(1.0)
     with pytest.raises(ConfigError, match="no path between the cones"):
-        iso3888.path(sections, CAR)
+        cone_path(sections, CAR)
 
 
 @pytest.mark.parametrize("one", ALL, ids=lambda one: one.name)

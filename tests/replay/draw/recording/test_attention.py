@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from replay.draw.model import NEAR_M, NEAREST, in_full
 from replay.draw.recording.plots import MOST_NUMBERS, with_two_numbers
-from replay.draw.scene import NEAR_M, NEAREST, in_full
 
 places = st.lists(st.tuples(st.floats(-200.0, 200.0), st.floats(-200.0, 200.0)), max_size=40)
 

@@ -35,18 +35,27 @@ from logs.kernel import FloatArray
 from logs.observed import MAX_AGE_S
 from logs.repair import detections_of
 from metrics import series
-from replay.draw.axes import multiples, nice_step
+from replay.draw.model import multiples, nice_step
 from replay.draw.recording import colours, scene_times, write_log_recording, write_recording
 from replay.draw.recording.graphs import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, spread
-from replay.draw.recording.hatch import Window, outline_segments, strokes
 from replay.draw.recording.pages import why
 from replay.draw.recording.pictures import Picture, arranged, click_theme, take_pictures
 from replay.draw.recording.road import covered, dashes
-from replay.draw.recording.tape import Instants, Tape
-from replay.draw.recording.text import DRAWABLE, application_name, cell, path_parts, plain
+from replay.draw.recording.tape import (
+    DRAWABLE,
+    Instants,
+    Tape,
+    Window,
+    application_name,
+    cell,
+    outline_segments,
+    path_parts,
+    plain,
+    strokes,
+)
 from replay.drive import Drive, StageTime
 from replay.explain import Explanation, accounts
-from replay.explain.events import events
+from replay.explain.explanation import events
 
 # ---------------------------------------------------------------------------------------------------------- laws
 

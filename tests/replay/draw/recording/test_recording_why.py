@@ -29,13 +29,12 @@ from logs.catalogue import CATALOGUE
 from logs.trace import KEPT_STEP_S
 from replay.config import LoopConfig
 from replay.draw.recording import write_recording
-from replay.draw.recording.others import futures, hatching, perceived_only, rim, unseen
 from replay.draw.recording.pages import why
-from replay.draw.recording.states import changes_under_way, choices, lanes_driven
+from replay.draw.recording.plots import changes_under_way, choices, lanes_driven
+from replay.draw.recording.scene import futures, hatching, perceived_only, rim, unseen
 from replay.drive import Drive
 from replay.explain import Explanation, accounts
-from replay.explain.events import events
-from replay.explain.explanation import describe_choice, lane_options
+from replay.explain.explanation import describe_choice, events, lane_options
 from replay.loop.closed_loop import run_closed_loop
 
 EGO = EgoState(3.0, 0.0, 0.0, 0.0, 10.0)

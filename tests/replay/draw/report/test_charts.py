@@ -23,13 +23,24 @@ from logs.mcap import read_moment, read_trace
 from logs.trace import LaneOption, PlanSummary
 from replay.cli import app
 from replay.config import RunConfig
-from replay.draw.axes import ticks
 from replay.draw.charts import Chart, curves, decisions, scenes, sl_graph, st_graph, subject
-from replay.draw.charts.canvas import KEPT_PX, cut_line, cut_outline, polyline, px, simplified, text
-from replay.draw.charts.lanes import decided, statuses
-from replay.draw.charts.moment import gravity, measured_by, violations, worst_moment
-from replay.draw.charts.style import DARK, LIGHT, RULES, stylesheet
-from replay.explain.events import events
+from replay.draw.charts.canvas import (
+    DARK,
+    KEPT_PX,
+    LIGHT,
+    RULES,
+    cut_line,
+    cut_outline,
+    polyline,
+    px,
+    simplified,
+    stylesheet,
+    text,
+)
+from replay.draw.charts.curves import decided, statuses
+from replay.draw.charts.subject import gravity, measured_by, violations, worst_moment
+from replay.draw.model import ticks
+from replay.explain.explanation import events
 from replay.results.load import Results, load
 from replay.run import evaluate_logs
 

@@ -28,11 +28,10 @@ from metrics.judge.gates import Outcome
 from replay.cli import app
 from replay.config import RunConfig
 from replay.draw.report.console import SafeConsole
-from replay.draw.report.junit import junit
 from replay.draw.report.markdown import STEP_BYTES, append_step_summary, markdown, shortened
 from replay.draw.report.overview import overview
 from replay.draw.report.terminal import print_report
-from replay.draw.report.write import write_reports
+from replay.draw.report.write import junit, write_reports
 from replay.results.load import Results, load
 from replay.results.tables import REPORTS
 from replay.run import evaluate_logs
@@ -184,7 +183,7 @@ def test_a_planner_that_crashes_on_a_log_is_an_error_and_counts_against(
 
 @given(st.text(max_size=30))
 def test_any_name_is_legal_xml(name: str) -> None:
-    from replay.draw.report.junit import Case, _suite
+    from replay.draw.report.write import Case, _suite
 
     (found,) = JUnitXml.fromstring(_xml(_suite(0, "suite", [Case(f"x.{name}", f"y{name}", "fail", name)], _OVER)))
     assert [case.result[0].type for case in found] == ["fail"]

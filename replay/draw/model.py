@@ -1,32 +1,63 @@
-"""Curves over time: which panels a recording and the charts show, and which values are in them.
+"""The drawing model: what recordings, charts and reports show, each in its own way.
 
-The values are columns of the trace, the scenario, the timings and the series of the metrics; nothing else is computed.
-A panel without a finite value is left out.
+Axes; curves over time; S-T and S-L graphs, in their units; the agents that are drawn in full. The values are
+columns of the trace, the scenario, the timings and the series of the metrics; nothing else is computed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import ceil, floor, log10
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from logs.frame_store import loaded
-from logs.kernel import FloatArray
+from logs.kernel import FloatArray, IntArray
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.states import Controls
-from logs.trace import Mode, Trace
+from logs.trace import Corridor, Decision, DecisionKind, Graph, GraphObstacle, GridCost, Mode, Plan, Trace
 from metrics.comfort import LON_JERK_STATE
-from replay.draw.axes import widened
 from replay.vehicle.tyre_use import tyre_use
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from replay.drive import StageTime
+
+ROUND = (1.0, 2.0, 5.0, 10.0)
+"""Steps are these multiples of a power of ten."""
+
+
+def nice_step(span: float, most: int, factors: tuple[float, ...] = ROUND) -> float:
+    """The smallest round step that divides a span into at most `most` parts."""
+    rough = max(span, 1e-9) / most
+    unit = 10.0 ** floor(log10(rough))
+    return float(next(unit * factor for factor in factors if unit * factor >= rough * (1.0 - 1e-9)))
+
+
+def multiples(low: float, high: float, step: float) -> FloatArray:
+    """The multiples of a step in a range."""
+    return np.arange(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1) * step
+
+
+def ticks(low: float, high: float, most: int) -> FloatArray:
+    """Multiples of 1, 2, 2.5 or 5 times a power of ten in a range: at least two, about `most` at most."""
+    for bins in range(max(most, 2), 40):
+        found = multiples(low, high, nice_step(high - low, bins, (1.0, 2.0, 2.5, 5.0, 10.0)))
+        if len(found) > 1:
+            return found
+    return np.array([low, high])
+
+
+def widened(low: float, high: float, least: float, room: float = 0.06) -> tuple[float, float]:
+    """A range with a margin, never shorter than `least`, so that a constant value looks constant."""
+    half = max((0.5 + room) * (high - low), 0.5 * least)
+    return 0.5 * (low + high) - half, 0.5 * (low + high) + half
+
 
 JERK = LON_JERK_STATE.name
 SPIKE = 99.5
@@ -302,3 +333,103 @@ def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
 
 def _named(some: object | None, *columns: str) -> tuple[Curve, ...]:
     return _columns(some, *((name, name, name, BLUE, 1.5) for name in columns))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DrawnObstacle:
+    """An obstacle with the finite points `(n, 2)`, n >= 1, of its outline."""
+
+    of: GraphObstacle
+    outline: FloatArray
+
+    @property
+    def is_ignored(self) -> bool:
+        """Whether the plan ignores it."""
+        return self.of.decision is DecisionKind.IGNORE
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DrawnGraph:
+    """A graph.
+
+    Attributes:
+        begin: The first x of the QP solution, otherwise of the DP solution, the grid or the corridor.
+        qp: Finite points of the QP solution `(n, 2)`.
+        dp: Finite points of the DP solution `(n, 2)`.
+        knots: Points `(k, 2)` of the DP solution at the columns of its grid.
+        grid: The nodes that the DP searched.
+        corridor: The bounds of the QP; None if there are fewer than two stations or times.
+        obstacles: The obstacles that have an outline.
+    """
+
+    begin: float
+    qp: FloatArray
+    dp: FloatArray
+    knots: FloatArray
+    grid: GridCost | None
+    corridor: Corridor | None
+    obstacles: tuple[DrawnObstacle, ...]
+
+    @classmethod
+    def of(cls, plan: Plan, kind: type[Graph]) -> DrawnGraph | None:
+        """The first graph of a kind in a plan; None if there is none."""
+        graph = next((artefact for artefact in plan.internals if isinstance(artefact, kind)), None)
+        if graph is None:
+            return None
+        qp, dp, grid, corridor = finite(graph.qp), finite(graph.dp), graph.grid, graph.corridor
+        firsts = (qp[:, 0], dp[:, 0], *(part.first for part in (grid, corridor) if part))
+        knots = np.empty((0, 2))
+        if grid is not None and len(dp):
+            x = grid.first[(grid.first >= dp[0, 0]) & (grid.first <= dp[-1, 0])]
+            knots = np.column_stack([x, np.interp(x, dp[:, 0], dp[:, 1])])
+        outlines = ((each, finite(each.outline)) for each in graph.obstacles)
+        return cls(
+            next((float(x[0]) for x in firsts if len(x)), 0.0), qp, dp, knots, grid,
+            corridor if corridor is not None and len(corridor.first) > 1 else None,
+            tuple(DrawnObstacle(each, outline) for each, outline in outlines if len(outline)),
+        )  # fmt: skip
+
+
+def finite(points: FloatArray) -> FloatArray:
+    """The finite points `(m, 2)` of a line; an empty array of any shape is an empty line."""
+    shaped = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    return shaped[np.isfinite(shaped).all(axis=1)]
+
+
+NEAREST = 6
+NEAR_M = 40.0
+
+
+def decided(plan: Plan) -> dict[str, Decision]:
+    """The decision that is shown at each agent: the last one that is not "ignore"."""
+    return {
+        artefact.agent: artefact
+        for artefact in plan.internals
+        if isinstance(artefact, Decision) and artefact.kind is not DecisionKind.IGNORE
+    }
+
+
+def in_full(
+    ids: Sequence[str], x: FloatArray, y: FloatArray, about: Container[str], ego: tuple[float, float]
+) -> IntArray:
+    """The rows, increasing, of the agents that are drawn in full: (1), (2).
+
+    Args:
+        ids: `(n,)`.
+        x: World, m, `(n,)`; `y` likewise.
+        y: See there.
+        about: The agents that the plan decides about.
+        ego: Position of the ego.
+    """
+    if len(ids) <= NEAREST:
+        return np.arange(len(ids))
+    away = np.hypot(x - ego[0], y - ego[1])
+    near = {int(i) for i in np.argsort(away, kind="stable")[:NEAREST] if away[i] <= NEAR_M}
+    return np.array(sorted(near | {i for i, name in enumerate(ids) if name in about}), dtype=np.int64)
+
+
+def plan_seconds(plan: Plan) -> FloatArray:
+    """Positions `(n, 2)` of a plan at each full second after its start, m."""
+    path = plan.trajectory
+    t = np.arange(path.t[0] + 1.0, path.t[-1] + 1e-6, 1.0)
+    return np.column_stack([np.interp(t, path.t, path.x), np.interp(t, path.t, path.y)])

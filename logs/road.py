@@ -273,6 +273,18 @@ def thinned(points: FloatArray, spacing: float) -> FloatArray:
     return np.asarray(points[kept])
 
 
+def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Both lines at the union of their relative arc lengths, so that no corner is lost and point faces point."""
+    ways = [np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))] for line in (left, right)]
+    parts = [way / way[-1] for way in ways]
+    both = np.union1d(np.round(parts[0], 9), np.round(parts[1], 9))
+    out = [
+        np.column_stack([np.interp(both, part, line[:, i]) for i in (0, 1)])
+        for part, line in zip(parts, (left, right), strict=True)
+    ]
+    return out[0], out[1]
+
+
 @kernel
 def _far_apart(points: FloatArray, spacing: float) -> IntArray:
     """The first of the points `(n, 2)`, and each that is no nearer than `spacing` to the one before of these."""

@@ -1,21 +1,16 @@
 """The only doors to MCAP: logs in, logs and traces out.
 
 Modules:
-    native.py      the messages of our own log: one definition gives schema, names with units, and validation
+    native.py      the messages of our own log: one definition gives schema, names with units, validation, and a page
     container.py   an MCAP file as topics of messages, or one sentence that says what is wrong with it
-    reader.py      native messages -> Scenario          osi.py, osi_lanes.py   ASAM OSI ground truth -> Scenario
+    reader.py      native messages -> Scenario          osi.py      ASAM OSI ground truth -> Scenario
     complete.py    what a log leaves out and how it is filled in
-    writer.py      Scenario -> native log               trace.py               Trace -> native log and back
+    writer.py      Scenario -> native log               trace.py    Trace -> native log and back
+    records.py     salvage of damaged files, parts of remote ones
 """
 
 from logs.mcap.reader import read_scenario
 from logs.mcap.trace import read_moment, read_trace, write_trace
 from logs.mcap.writer import write_scenario
 
-__all__ = [
-    "read_moment",
-    "read_scenario",
-    "read_trace",
-    "write_scenario",
-    "write_trace",
-]
+__all__ = ["read_moment", "read_scenario", "read_trace", "write_scenario", "write_trace"]

@@ -131,12 +131,35 @@ def read_container(path: Path) -> Container:
     """Everything in the file up to its end or its damage; raises nothing."""
     streams: dict[str, Stream] = {}
     metadata: dict[str, dict[str, str]] = {}
-    error, raw = None, b""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Stream] = {}
+    error, raw, ended = None, b"", False
     try:
         raw = content_of(path)
         if not raw:
             raise LogError("the file is empty", remedy=COPY_AGAIN)
-        _fill(raw, streams, metadata)
+        for record in _records(raw, streams):
+            if isinstance(record, DataEnd):
+                ended = True
+            if ended:
+                continue  # what follows repeats schemas and channels
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                channels[record.id] = _stream(record, schemas, streams)
+            elif isinstance(record, Metadata):
+                metadata[record.name] = record.metadata
+            elif isinstance(record, Message):
+                stream = channels.get(record.channel_id)
+                if stream is None:
+                    raise LogError(f"channel {record.channel_id} is not in the file", remedy=COPY_AGAIN)
+                if record.log_time > LAST_TIME_NS:
+                    what = f"log time {record.log_time} ns is beyond any clock"
+                    raise LogError(what, topic=stream.topic, remedy=COPY_AGAIN)
+                stream.times.append(record.log_time)
+                stream.payloads.append(record.data)
+        if not ended:
+            raise LogError("the file has no end of data record", remedy=COPY_AGAIN)
     except LogError as damage:
         error = damage.at(path)
     return Container(path, len(raw), streams, metadata, error)
@@ -149,34 +172,6 @@ def content_of(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror or error}", file=path) from None
-
-
-def _fill(raw: bytes, streams: dict[str, Stream], metadata: dict[str, dict[str, str]]) -> None:
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Stream] = {}
-    ended = False
-    for record in _records(raw, streams):
-        if isinstance(record, DataEnd):
-            ended = True
-        if ended:
-            continue  # what follows repeats schemas and channels
-        if isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel):
-            channels[record.id] = _stream(record, schemas, streams)
-        elif isinstance(record, Metadata):
-            metadata[record.name] = record.metadata
-        elif isinstance(record, Message):
-            stream = channels.get(record.channel_id)
-            if stream is None:
-                raise LogError(f"channel {record.channel_id} is not in the file", remedy=COPY_AGAIN)
-            if record.log_time > LAST_TIME_NS:
-                what = f"log time {record.log_time} ns is beyond any clock"
-                raise LogError(what, topic=stream.topic, remedy=COPY_AGAIN)
-            stream.times.append(record.log_time)
-            stream.payloads.append(record.data)
-    if not ended:
-        raise LogError("the file has no end of data record", remedy=COPY_AGAIN)
 
 
 def _stream(channel: Channel, schemas: dict[int, Schema], streams: dict[str, Stream]) -> Stream:
@@ -207,7 +202,14 @@ def _records(raw: bytes, streams: dict[str, Stream]) -> Iterator[McapRecord]:
             else:
                 yield record
     except DAMAGE as error:
-        raise _damage(error, buffer.tell(), len(raw), streams) from None
+        at, last = buffer.tell(), max(((s.times[-1], s.topic) for s in streams.values() if len(s)), default=None)
+        time, topic = last if last is not None else (None, None)
+        if isinstance(error, InvalidMagic) and at <= 8:
+            raise LogError("not an MCAP file (wrong magic)", remedy=CONVERT) from None
+        what = f"the file is damaged near byte {at} ({_name(error)})"
+        if isinstance(error, (EndOfFile, RecordLengthLimitExceeded, InvalidMagic)) or at >= len(raw):
+            what = "the file is cut off or damaged" + (": these are the last messages before it" if last else "")
+        raise LogError(what, topic=topic, time_ns=time, remedy=SALVAGE) from None
 
 
 def opened(chunk: Chunk) -> list[McapRecord]:
@@ -241,18 +243,6 @@ def _inflated(chunk: Chunk) -> bytes:
     if len(data) != size:
         raise ValueError(f"it states {size} bytes and holds {'more' if len(data) > size else len(data)}")
     return data
-
-
-def _damage(error: BaseException, at: int, size: int, streams: dict[str, Stream]) -> LogError:
-    last = max(((s.times[-1], s.topic) for s in streams.values() if len(s)), default=None)
-    time, topic = last if last is not None else (None, None)
-    if isinstance(error, InvalidMagic) and at <= 8:
-        return LogError("not an MCAP file (wrong magic)", remedy=CONVERT)
-    if isinstance(error, (EndOfFile, RecordLengthLimitExceeded, InvalidMagic)) or at >= size:
-        what = "the file is cut off or damaged" + (": these are the last messages before it" if last else "")
-        return LogError(what, topic=topic, time_ns=time, remedy=SALVAGE)
-    what = f"the file is damaged near byte {at} ({_name(error)})"
-    return LogError(what, topic=topic, time_ns=time, remedy=SALVAGE)
 
 
 def _name(error: BaseException) -> str:

@@ -38,9 +38,12 @@ the first one's. Traces are written so (they have 100 samples a second). A log w
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import fields
+from enum import Enum
 from functools import cache
-from typing import Any, Literal, get_type_hints
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -449,3 +452,62 @@ def _written_out(part: Any, components: dict[str, Any]) -> Any:
     if "enum" in part:
         return {**part, "type": "string"}
     return {key: _written_out(value, components) for key, value in part.items()}
+
+
+_NAMES = {float: "number", int: "integer", str: "text", bool: "boolean", type(None): "null", Any: "any"}
+
+
+def markdown() -> str:
+    """docs/log_format.md, written from the types of the messages."""
+    kinds: list[type[msgspec.Struct]] = [*dict.fromkeys(TOPICS.values()), RepairedColumns]
+    for kind in kinds:  # then those that stand in them, in order of first mention
+        inner = [part for hint in get_type_hints(kind).values() for part in _structs(hint)]
+        kinds += [part for part in dict.fromkeys(inner) if part not in kinds]
+    tables = list[str]()
+    for kind in kinds:
+        tables += ["", f"### {kind.__name__}", "", kind.__doc__ or ""]
+        if kind in BLOCKS:
+            tables.append(f"As `{BLOCKS[kind].__name__}`: `log_time_ns`, and a list of each of these.")
+        tables += ["", "| field | type | |", "|---|---|---|"]
+        for field in msgspec.structs.fields(kind):
+            needed = "needed" if field.required else "optional"
+            tables.append(f"| `{field.encode_name}` | {_type(get_type_hints(kind)[field.name])} | {needed} |")
+    rows = [
+        f"| `{topic}` | {_link(kind)} | {' '.join((kind.__doc__ or '').split())} |" for topic, kind in TOPICS.items()
+    ]
+    described = ["```text", (__doc__ or "").strip(), "```"]
+    head = ["# The native log format", "", _NOTE, "", *described, "", "## Topics", ""]
+    return "\n".join([*head, "| topic | message | what |", "|---|---|---|", *rows, "", "## Messages", *tables])
+
+
+_NOTE = """<!-- written by `logs.mcap.native.markdown`; do not edit -->
+
+Any MCAP reader opens a log: its messages are JSON, and their JSON Schema is in the file. The only topic that a log must
+have is `/ego`; `replan inspect` says what is missing for which evaluation."""
+
+
+def _structs(hint: Any) -> Iterator[type[msgspec.Struct]]:
+    if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
+        yield hint
+    for part in get_args(hint):
+        yield from _structs(part)
+
+
+def _type(hint: Any) -> str:
+    """A type in words."""
+    origin, args = get_origin(hint), get_args(hint)
+    if hint in _NAMES:
+        return _NAMES[hint]
+    if origin in (Union, UnionType):
+        return " or ".join(_type(arg) for arg in args)
+    if origin is Literal or (isinstance(hint, type) and issubclass(hint, Enum)):
+        return ", ".join(f'"{value}"' for value in (args or [member.value for member in hint]))
+    if origin is dict:
+        return f"object of {_type(args[1])}"
+    if origin is tuple and args[-1] is not ...:
+        return f"list of {len(args)} of {_type(args[0])}"
+    return f"list of {_type(args[0])}" if origin in (list, tuple) else _link(hint)
+
+
+def _link(kind: type[msgspec.Struct]) -> str:
+    return f"[{kind.__name__}](#{kind.__name__.lower()})"

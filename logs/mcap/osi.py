@@ -8,11 +8,18 @@ rate, the rear axle's speed and acceleration along the heading h are
 
 Static obstacles are the stationary objects that stand in the way: those above or flat on the road are left out. The
 origin is the ego's first position in whole metres.
+
+Logical lanes are taken where they have both boundaries, else the classic lanes: from their boundaries, else from their
+centre line. A lane without boundaries reaches half-way to the listed adjacent centre line 2 to 6 m beside it, else
+`HALF_WIDTH`. Lists of adjacent and paired lanes are taken as candidates and held against the geometry: an adjacent lane
+lies beside the middle of this one, a successor begins where this one ends (`MAX_GAP`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -24,9 +31,8 @@ from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap.complete import ASSUMED, assumed_limit, completed, derived_curvature, road_along
 from logs.mcap.container import COPY_AGAIN, Stream
-from logs.mcap.osi_lanes import OsiMap, enum_name, lanes_of
 from logs.observed import of_stream
-from logs.road import Road
+from logs.road import Lane, Road, paired
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import Trajectory
 from logs.vehicle import VehicleParameters
@@ -66,6 +72,30 @@ REQUIRED = {
     "lane_boundary": ("id.value", "boundary_line.position.x", "classification.type"),
 }
 """The fields that are read; logical lanes may be absent."""
+HALF_WIDTH = 1.75
+MAX_GAP = 3.0
+BESIDE = (2.0, 6.0)
+NOT_DRIVEN = {"unknown", "other", "sidewalk", "biking", "border", "curb", "median", "parking"}
+CROSSABLE = {"TYPE_UNKNOWN", "TYPE_OTHER", "TYPE_NO_LINE", "TYPE_DASHED_LINE", "TYPE_BOTTS_DOTS"}
+
+
+@dataclass
+class _OsiMap:
+    """Messages by id, from all frames; the first of an id counts."""
+
+    lanes: dict[int, Any] = field(default_factory=dict)
+    boundaries: dict[int, Any] = field(default_factory=dict)
+    logical_lanes: dict[int, Any] = field(default_factory=dict)
+    logical_boundaries: dict[int, Any] = field(default_factory=dict)
+
+    def add(self, truth: Any) -> None:
+        """Add the road of a ground truth; older descriptors lack the logical lanes."""
+        for known, name in (
+            (self.lanes, "lane"), (self.boundaries, "lane_boundary"), (self.logical_lanes, "logical_lane"),
+            (self.logical_boundaries, "logical_lane_boundary"),
+        ):  # fmt: skip
+            for message in getattr(truth, name, ()):
+                known.setdefault(message.id.value, message)
 
 
 @dataclass
@@ -77,7 +107,7 @@ class _Seen:
     moving: dict[int, Any] = field(default_factory=dict)
     standing: dict[int, Any] = field(default_factory=dict)
     rows: dict[int, list[tuple[float, ...]]] = field(default_factory=dict)
-    road: OsiMap = field(default_factory=OsiMap)
+    road: _OsiMap = field(default_factory=_OsiMap)
     lights: int = 0
 
 
@@ -112,10 +142,15 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
         vehicle, rear = _vehicle(seen.moving[seen.host], notes)
         ego = _ego(rows[seen.host], t, rear, notes)
         tracks = _tracks(seen, rows, t, origin, notes)
-        road = _road(seen, origin, ego, notes)
+        lanes, drives_on_right = _lanes(seen.road, origin, notes)
+        if lanes:
+            limit = assumed_limit(ego)
+            notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed ({ASSUMED}).")
+            road = Road(lanes, drives_on_right=drives_on_right, default_speed_limit=limit)
+        else:
+            road = road_along(ego, notes)
         if seen.lights:
             notes.append(f"The log's traffic lights (up to {seen.lights} at a time) are not read.")
-        first = seen.moving[seen.host]
         return Scenario(
             name=name,
             ego=ego,
@@ -127,7 +162,7 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
             source=f"ASAM OSI, {stream.schema}",
             origin=(float(origin[0]), float(origin[1])),
             start_ns=seen.times[0],
-            metadata={"host_vehicle_id": str(first.id.value)},
+            metadata={"host_vehicle_id": str(seen.moving[seen.host].id.value)},
             notes=tuple(notes),
             traffic=of_stream(t),
         )
@@ -148,19 +183,15 @@ def _message_class(stream: Stream) -> type[Any]:
     except (DecodeError, TypeError, KeyError, ValueError) as error:
         what = f"the protobuf descriptor in the file cannot be used: {error}"
         raise LogError(what, topic=stream.topic, remedy=COPY_AGAIN) from None
-    for parent, names in REQUIRED.items():
-        for name in names:
-            _check_field(f"{parent}.{name}", kind.DESCRIPTOR, stream)
+    above = ("global_ground_truth",) if stream.schema == "osi3.SensorView" else ()
+    for path in (f"{parent}.{name}" for parent, names in REQUIRED.items() for name in names):
+        descriptor: Any = kind.DESCRIPTOR
+        for name in (*above, *path.split(".")):
+            if descriptor is None or name not in descriptor.fields_by_name:
+                what = f"the protobuf descriptor in the file has no field {path}"
+                raise LogError(what, topic=stream.topic, remedy="write the log with OSI 3.5 or newer")
+            descriptor = descriptor.fields_by_name[name].message_type
     return kind
-
-
-def _check_field(path: str, descriptor: Any, stream: Stream) -> None:
-    """Refuse a descriptor without a field that is read here."""
-    for name in (*(("global_ground_truth",) if stream.schema == "osi3.SensorView" else ()), *path.split(".")):
-        if descriptor is None or name not in descriptor.fields_by_name:
-            what = f"the protobuf descriptor in the file has no field {path}"
-            raise LogError(what, topic=stream.topic, remedy="write the log with OSI 3.5 or newer")
-        descriptor = descriptor.fields_by_name[name].message_type
 
 
 def _add_file(name: str, files: dict[str, Any], pool: Any, open_files: set[str]) -> None:
@@ -248,11 +279,11 @@ def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) ->
 
 
 def _kind(item: Any) -> AgentKind:
-    group = enum_name(item, "type")
+    group = _enum_name(item, "type")
     if group == "TYPE_PEDESTRIAN":
         return AgentKind.PEDESTRIAN
     if group == "TYPE_VEHICLE":
-        return KINDS.get(enum_name(item.vehicle_classification, "type"), AgentKind.CAR)
+        return KINDS.get(_enum_name(item.vehicle_classification, "type"), AgentKind.CAR)
     return AgentKind.OBJECT
 
 
@@ -260,7 +291,7 @@ def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: Flo
     standing = {
         key: item
         for key, item in seen.standing.items()
-        if key not in rows and enum_name(item.classification, "type") not in NOT_IN_THE_WAY
+        if key not in rows and _enum_name(item.classification, "type") not in NOT_IN_THE_WAY
     }
     if len(standing) < len(seen.standing):
         left_out = len(seen.standing) - len(standing)
@@ -285,10 +316,189 @@ def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: Flo
     return Tracks(ids, tuple(kinds), length, width, static, offsets, times, *columns[:, 1:].T)
 
 
-def _road(seen: _Seen, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:
-    lanes, drives_on_right = lanes_of(seen.road, origin, notes)
+def _enum_name(message: Any, name: str) -> str:
+    """The name of an enum field's value, as in the file's own descriptor."""
+    kind = message.DESCRIPTOR.fields_by_name[name].enum_type
+    value = kind.values_by_number.get(getattr(message, name))
+    return value.name if value is not None else ""
+
+
+def _lanes(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[int, Lane], bool]:
+    """The lanes, relative to `origin`, and whether one drives on the right; no lanes where none can be used."""
+    lanes, adjacent = _logical(osi, origin)
     if not lanes:
-        return road_along(ego, notes)
-    limit = assumed_limit(ego)
-    notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed ({ASSUMED}).")
-    return Road(lanes, drives_on_right=drives_on_right, default_speed_limit=limit)
+        lanes, adjacent = _classic(osi, origin, notes)
+        unused = len(osi.lanes) - len(lanes)
+        if lanes and unused:
+            notes.append(f"{unused} of {len(osi.lanes)} lanes have no centre line and are left out.")
+    return _beside_each_other(lanes, adjacent)
+
+
+def _points(messages: Iterable[Any], origin: FloatArray) -> FloatArray:
+    """Points `(n, 2)` without repetitions; the finite ones."""
+    points = np.array([(p.x, p.y) for p in messages], dtype=np.float64).reshape(-1, 2) - origin
+    points = points[np.isfinite(points).all(axis=1)]
+    return points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]] if len(points) else points
+
+
+def _logical(osi: _OsiMap, origin: FloatArray) -> tuple[dict[int, Lane], dict[int, list[int]]]:
+    """Lanes, and the ids that each lists as adjacent."""
+    lanes, adjacent = {}, {}
+    for key, message in osi.logical_lanes.items():
+        sides = []
+        for ids in (message.left_boundary_id, message.right_boundary_id):
+            found = [osi.logical_boundaries[i.value] for i in ids if i.value in osi.logical_boundaries]
+            parts = [_points((p.position for p in b.boundary_line), origin) for b in found]
+            sides.append(np.vstack([np.empty((0, 2)), *parts]))
+        if min(map(len, sides)) < 2:
+            continue
+        backward = _enum_name(message, "move_direction") == "MOVE_DIRECTION_DECREASING_S"
+        if backward:
+            sides = [sides[1][::-1], sides[0][::-1]]
+        left, right = paired(*sides)
+        onward = message.predecessor_lane if backward else message.successor_lane
+        kind = _enum_name(message, "type").removeprefix("TYPE_").lower()
+        successors = tuple(dict.fromkeys(lane.other_lane_id.value for lane in onward))
+        lanes[key] = Lane(key, left, right, successors, drivable=kind not in NOT_DRIVEN, kind=kind)
+        beside = (*message.left_adjacent_lane, *message.right_adjacent_lane)
+        adjacent[key] = [other.other_lane_id.value for other in beside]
+    return lanes, adjacent
+
+
+def _classic(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[int, Lane], dict[int, list[int]]]:
+    """Lanes, and the ids that each lists as adjacent."""
+    centers = {}
+    for key, message in osi.lanes.items():
+        known = message.classification
+        center = _points(known.centerline, origin)
+        turned = known.HasField("centerline_is_driving_direction") and not known.centerline_is_driving_direction
+        if len(center) > 1:  # a line whose direction is not given stays as it is
+            centers[key] = center[::-1] if turned else center
+    lanes, assumed = {}, 0
+    for key, center in centers.items():
+        lane = _bounded(key, osi, center, origin)
+        if lane is None:
+            lane, assumed = _widened(key, osi, centers), assumed + 1
+        lanes[key] = lane
+    if assumed:
+        notes.append(
+            f"{assumed} of {len(lanes)} lanes have a centre line only: their edges are assumed half-way to the lane"
+            f" beside them, else {HALF_WIDTH} m from the centre."
+        )
+    paired_with: dict[int, list[int]] = {}  # by any pairing, in both directions
+    for key, message in osi.lanes.items():
+        for pair in message.classification.lane_pairing:
+            for name in ("successor_lane_id", "antecessor_lane_id"):
+                if pair.HasField(name):
+                    other = getattr(pair, name).value
+                    paired_with.setdefault(key, []).append(other)
+                    paired_with.setdefault(other, []).append(key)
+    adjacent = {}
+    for key, lane in lanes.items():
+        known, onward = osi.lanes[key].classification, []
+        adjacent[key] = [i.value for i in (*known.left_adjacent_lane_id, *known.right_adjacent_lane_id)]
+        for i in dict.fromkeys(paired_with.get(key, ())):
+            if i in lanes:
+                begin, end = (float(np.hypot(*(lanes[i].center[k] - lane.center[-1]))) for k in (0, -1))
+                onward += [i] if begin <= MAX_GAP and begin < end else []
+        lanes[key] = replace(lane, successors=tuple(onward))
+    return lanes, adjacent
+
+
+def _facts(message: Any) -> dict[str, Any]:
+    kind = _enum_name(message.classification, "type").removeprefix("TYPE_").lower()
+    subtype = ""
+    if "subtype" in message.classification.DESCRIPTOR.fields_by_name:
+        subtype = _enum_name(message.classification, "subtype").removeprefix("SUBTYPE_").lower()
+    word = subtype if subtype not in ("", "unknown", "other") else kind
+    return {"drivable": kind in ("driving", "intersection"), "kind": word}
+
+
+def _bounded(key: int, osi: _OsiMap, center: FloatArray, origin: FloatArray) -> Lane | None:
+    """The lane between its boundaries, or None where one is missing."""
+    known = osi.lanes[key].classification
+    lines, crossable = [], []
+    for ids in (known.left_lane_boundary_id, known.right_lane_boundary_id):
+        found = [osi.boundaries[i.value] for i in ids if i.value in osi.boundaries]
+        placed = []  # the pieces in driving direction
+        for part in (_points((p.position for p in b.boundary_line), origin) for b in found):
+            if len(part) > 1:
+                first, last = _station(part[0], center), _station(part[-1], center)
+                placed.append((min(first, last), part[::-1] if last < first else part))
+        if not placed:
+            return None
+        lines.append(np.vstack([part for _, part in sorted(placed, key=itemgetter(0))]))
+        crossable.append(all(_enum_name(b.classification, "type") in CROSSABLE for b in found))
+    if _beside(center, lines[0])[0] < 0.0 < _beside(center, lines[1])[0]:
+        lines, crossable = lines[::-1], crossable[::-1]
+    left, right = paired(*lines)
+    return Lane(key, left, right, left_crossable=crossable[0], right_crossable=crossable[1], **_facts(osi.lanes[key]))
+
+
+def _widened(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) -> Lane:
+    """The lane around its centre line."""
+    center, known = centers[key], osi.lanes[key].classification
+    near: dict[bool, list[float]] = {True: [], False: []}
+    for ids in (known.left_adjacent_lane_id, known.right_adjacent_lane_id):
+        for other in (centers[i.value] for i in ids if i.value in centers):
+            offset, _ = _beside(center, other)
+            if BESIDE[0] <= abs(offset) <= BESIDE[1]:
+                near[offset > 0.0].append(0.5 * abs(offset))
+    half = [min(near[side], default=min(near[not side], default=HALF_WIDTH)) for side in (True, False)]
+    tangent = np.gradient(center, axis=0)
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]]) / np.maximum(np.hypot(*tangent.T), 1e-9)[:, None]
+    return Lane(key, center + half[0] * normal, center - half[1] * normal, **_facts(osi.lanes[key]))
+
+
+def _beside(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
+    """Lateral offset of `other` at the middle of `line`, positive to the left, and whether it runs the same way.
+
+    NaN where the middle has no foot on `other`.
+    """
+    steps = np.diff(line, axis=0)
+    way = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
+    half = 0.5 * way[-1]
+    k = min(int(np.searchsorted(way, half, side="right")) - 1, len(steps) - 1)
+    tangent = steps[k] / np.hypot(*steps[k])
+    point = line[k] + (half - way[k]) * tangent
+    i, foot = _foot(point, other)
+    away = foot - point
+    if abs(away @ tangent) > 0.5:
+        return float("nan"), True
+    return float(tangent[0] * away[1] - tangent[1] * away[0]), bool((other[i + 1] - other[i]) @ tangent > 0.0)
+
+
+def _foot(point: FloatArray, line: FloatArray) -> tuple[int, FloatArray]:
+    """The nearest point of a polyline without repeated points, and its segment."""
+    steps = np.diff(line, axis=0)
+    along = np.clip(np.einsum("ij,ij->i", point - line[:-1], steps) / np.einsum("ij,ij->i", steps, steps), 0.0, 1.0)
+    feet = line[:-1] + along[:, None] * steps
+    i = int(np.argmin(np.hypot(*(feet - point).T)))
+    return i, feet[i]
+
+
+def _station(point: FloatArray, line: FloatArray) -> float:
+    """Arc length of the foot of a point, m."""
+    i, foot = _foot(point, line)
+    return float(np.hypot(*np.diff(line[: i + 1], axis=0).T).sum() + np.hypot(*(foot - line[i])))
+
+
+def _beside_each_other(lanes: dict[int, Lane], adjacent: dict[int, list[int]]) -> tuple[dict[int, Lane], bool]:
+    """The lanes with their neighbours; one drives on the left where opposite traffic is to the right more often."""
+    out, balance = {}, 0
+    for key, lane in lanes.items():
+        nearest: dict[bool, tuple[int | None, bool]] = {True: (None, False), False: (None, False)}  # left, right
+        distance = {True: BESIDE[1], False: BESIDE[1]}
+        for other in (lanes[i] for i in adjacent[key] if i in lanes):
+            offset, same = _beside(lane.center, other.center)
+            if 0.5 * BESIDE[0] <= abs(offset) <= distance[offset > 0.0]:
+                nearest[offset > 0.0], distance[offset > 0.0] = (other.id, same), abs(offset)
+        (left, left_same), (right, right_same) = nearest[True], nearest[False]
+        left_opposite, right_opposite = left is not None and not left_same, right is not None and not right_same
+        balance += left_opposite - right_opposite
+        beside: dict[str, Any] = {
+            "left_neighbour": left if left_same else None,
+            "right_neighbour": right if right_same else None,
+        }
+        out[key] = replace(lane, **beside, left_opposite=left_opposite, right_opposite=right_opposite)
+    return out, balance >= 0

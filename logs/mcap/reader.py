@@ -25,7 +25,7 @@ from logs.mcap import native, osi
 from logs.mcap.complete import completed, road_along
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
 from logs.names import counted
-from logs.observed import Spans, of_stream
+from logs.observed import of_stream
 from logs.rules import Colour, TrafficLight
 from logs.scenario import FINDING, Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
@@ -72,9 +72,13 @@ def scenario_of(container: Container, ego: str = "") -> Scenario:
 
 
 def _native(container: Container) -> Scenario:
-    record = container.metadata[native.SCENARIO_RECORD]
-    _check_version(record)
-    streams = container.streams
+    record, streams = container.metadata[native.SCENARIO_RECORD], container.streams
+    version = record.get("format_version", "")
+    if not (version.isdecimal() and len(version) < 9):
+        raise LogError(f"format_version is {version!r}", topic=native.SCENARIO_RECORD, remedy="expected a whole number")
+    if int(version) > native.FORMAT_VERSION:
+        what = f"format version {version} is newer than {native.FORMAT_VERSION}, the newest that this replan reads"
+        raise LogError(what, topic=native.SCENARIO_RECORD, remedy="update replan")
     if not len(streams.get("/ego", ())):
         raise LogError("the log has no ego states", topic="/ego", remedy="a log needs at least one")
     notes: list[str] = []
@@ -86,7 +90,7 @@ def _native(container: Container) -> Scenario:
     except ValueError as error:
         raise LogError(str(error), topic="/ego", remedy=MEND) from None
     tracks, extended = marked_tracks(streams, start_ns, notes)
-    detections, repair = _repaired(streams, start_ns, tracks, extended)
+    detections, repair = _detections(streams, start_ns, tracks, extended)
     road = _road(_one(streams, "/road", native.Road), ego, notes)
     lights = _lights(streams.get("/traffic_lights"), start_ns)
     shown = {light.id for light in lights}
@@ -98,8 +102,10 @@ def _native(container: Container) -> Scenario:
     vehicle = _one(streams, "/vehicle", native.Vehicle)
     if vehicle is None:
         notes.append(f"{VEHICLE_ASSUMED}.")
-    parameters = {} if vehicle is None else msgspec.structs.asdict(vehicle)
-    controls = streams.get("/controls", streams.get("/actuation"))
+    controls, agents = streams.get("/controls", streams.get("/actuation")), streams.get("/agents")
+    traffic = _from_record(record, "traffic_s", tuple[tuple[float, float], ...], None)
+    if traffic is None and agents and not all(message.id for message in agents.decoded(native.AgentColumns)):
+        traffic = of_stream(seconds(agents.times, start_ns))  # it has empty messages, too
     noted = _from_record(record, "notes", list[str], [])
     free = container.metadata.get(native.FREE_RECORD, {})
     free = {key: text for key, text in free.items() if not key.startswith(FINDING)}
@@ -112,8 +118,8 @@ def _native(container: Container) -> Scenario:
             road=road,
             duration=_from_record(record, "duration_s", float, float(ego.t[-1])),
             goal=_goal(_one(streams, "/goal", native.Goal)),
-            vehicle=VehicleParameters(**parameters),
-            controls=controls_of(controls, start_ns) if controls else None,
+            vehicle=VehicleParameters() if vehicle is None else VehicleParameters(**msgspec.structs.asdict(vehicle)),
+            controls=Controls(**sampled(controls, native.Controls, start_ns)) if controls else None,
             tags=tuple(_from_record(record, "tags", list[str], [])),
             source=record.get("source", ""),
             licence=record.get("licence", ""),
@@ -123,21 +129,12 @@ def _native(container: Container) -> Scenario:
             notes=(*noted, *(note for note in notes if note not in noted)),
             lights=lights,
             onboard=_onboard(streams.get("/onboard"), start_ns),
-            traffic=_traffic(record, streams.get("/agents"), start_ns),
+            traffic=traffic,
             detections=detections,
             repair=repair,
         )
     except ValueError as error:
         raise LogError(str(error), topic="/vehicle" if str(error).startswith("vehicle") else None) from None
-
-
-def _check_version(record: dict[str, str]) -> None:
-    text = record.get("format_version", "")
-    if not (text.isdecimal() and len(text) < 9):
-        raise LogError(f"format_version is {text!r}", topic=native.SCENARIO_RECORD, remedy="expected a whole number")
-    if int(text) > native.FORMAT_VERSION:
-        what = f"format version {text} is newer than {native.FORMAT_VERSION}, the newest that this replan reads"
-        raise LogError(what, topic=native.SCENARIO_RECORD, remedy="update replan")
 
 
 def _from_record(record: dict[str, str], key: str, kind: type[T], default: T) -> T:
@@ -178,10 +175,7 @@ def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[s
     blocks = stream.decoded(block)
     for time, message in zip(stream.times, blocks, strict=True):
         _equal_lengths(message, stream.topic, time)
-    joined: dict[str, list[Any]] = {
-        name: list(chain.from_iterable(getattr(message, name) for message in blocks))
-        for name in block.__struct_fields__
-    }
+    joined = _joined(blocks, block)
     times = joined.pop("log_time")
     if not times:
         raise LogError("the blocks hold no sample", topic=stream.topic, remedy=MEND)
@@ -191,18 +185,8 @@ def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[s
     return {"t": seconds(times, start_ns), **{name: np.array(some, np.float64) for name, some in joined.items()}}
 
 
-def controls_of(stream: Stream, start_ns: int) -> Controls:
-    """Steering and pedals of a topic."""
-    return Controls(**sampled(stream, native.Controls, start_ns))
-
-
 AGENTS = ("/agents/table", "/obstacles", "/agents")
 REMOVED = ("/removed/table", "/removed", "/removed")
-
-
-def tracks_of(streams: dict[str, Stream], start_ns: int, notes: list[str]) -> Tracks:
-    """Tracks from the table and the columns of /agents and /obstacles."""
-    return marked_tracks(streams, start_ns, notes)[0]
 
 
 def marked_tracks(
@@ -222,7 +206,12 @@ def marked_tracks(
     row, times, columns = _samples(moving, rows, who)
     order = np.lexsort((times, row))
     row, times = row[order], times[order]
-    _check_tracks(row, times, table.id, topics)
+    if len(rows) < len(table.id):
+        raise LogError("two agents have the same id", topic=who, remedy="ids are unique in a log")
+    twice = np.flatnonzero((np.diff(row) == 0) & (np.diff(times) == 0))
+    if len(twice):
+        what = f"agent '{table.id[row[twice[0]]]}' has two samples at one time"
+        raise LogError(what, topic=topics[-1], time_ns=int(times[twice[0]]), remedy="keep one of them")
     there = np.unique(row)
     if len(there) < len(rows):
         notes.append(f"{len(rows) - len(there)} of {len(rows)} {UNSEEN}")
@@ -263,11 +252,25 @@ def _samples(
     return np.array(row, dtype=np.int64), np.array(times, dtype=np.int64), columns
 
 
-def _repaired(
+def _detections(
     streams: dict[str, Stream], start_ns: int, tracks: Tracks, extended: BoolArray
 ) -> tuple[Detections | None, Repair | None]:
     """Detections that are not yet tracks, or how the tracks were made of them; None where the log has neither."""
-    found = _detections(streams.get("/detections"), start_ns)
+    stream, found = streams.get("/detections"), None
+    if stream is not None:
+        stream.check_order(strictly=True)
+        messages = stream.decoded(native.DetectionColumns)
+        for time, each in zip(stream.times, messages, strict=True):
+            _equal_lengths(each, stream.topic, time)
+        frames = seconds(stream.times, start_ns)
+        joined = _joined(messages, native.DetectionColumns)
+        ids, kinds = joined.pop("id"), joined.pop("kind")
+        t = np.repeat(frames, [len(each.id) for each in messages])
+        columns = {name: np.array(some, np.float64) for name, some in joined.items()}
+        try:
+            found = Detections(t=t, frames=frames, ids=tuple(ids), codes=codes_of(tuple(kinds)), **columns)
+        except ValueError as error:
+            raise LogError(str(error), topic=stream.topic, remedy=MEND) from None
     message = _one(streams, "/repair", native.Repair)
     if message is None:
         return found, None
@@ -275,28 +278,16 @@ def _repaired(
         what = "the tracks are marked as repaired, but there are no detections"
         raise LogError(what, topic="/repair", remedy="keep /detections, or leave /repair out")
     _equal_lengths(message, "/repair", streams["/repair"].times[0])
-    *columns, sources = msgspec.structs.astuple(message)
-    changes = tuple(Change(*row) for row in zip(*columns, map(tuple, sources), strict=True))
+    *rows, sources = msgspec.structs.astuple(message)
+    changes = tuple(Change(*row) for row in zip(*rows, map(tuple, sources), strict=True))
     return None, Repair(found, marked_tracks(streams, start_ns, [], REMOVED)[0], extended, changes, tracks)
 
 
-def _detections(stream: Stream | None, start_ns: int) -> Detections | None:
-    if stream is None:
-        return None
-    stream.check_order(strictly=True)
-    messages = stream.decoded(native.DetectionColumns)
-    for time, message in zip(stream.times, messages, strict=True):
-        _equal_lengths(message, stream.topic, time)
-    frames = seconds(stream.times, start_ns)
-    joined = {name: list(chain.from_iterable(getattr(each, name) for each in messages))
-              for name in native.DetectionColumns.__struct_fields__}  # fmt: skip
-    ids, kinds = joined.pop("id"), joined.pop("kind")
-    t = np.repeat(frames, [len(each.id) for each in messages])
-    columns = {name: np.array(some, np.float64) for name, some in joined.items()}
-    try:
-        return Detections(t=t, frames=frames, ids=tuple(ids), codes=codes_of(tuple(kinds)), **columns)
-    except ValueError as error:
-        raise LogError(str(error), topic=stream.topic, remedy=MEND) from None
+def _joined(messages: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> dict[str, list[Any]]:
+    """The columns of all messages of a kind, each one after the other."""
+    return {
+        name: list(chain.from_iterable(getattr(each, name) for each in messages)) for name in kind.__struct_fields__
+    }
 
 
 def _equal_lengths(message: msgspec.Struct, topic: str, time: int) -> None:
@@ -305,24 +296,6 @@ def _equal_lengths(message: msgspec.Struct, topic: str, time: int) -> None:
         columns = {native.serialised(n): len(c) for n, c in msgspec.structs.asdict(message).items() if c is not None}
         what = "columns differ in length: " + ", ".join(f"{name} {count}" for name, count in columns.items())
         raise LogError(what, topic=topic, time_ns=time, remedy="an entry for each in every column")
-
-
-def _check_tracks(row: IntArray, times: IntArray, ids: list[str], topics: tuple[str, ...]) -> None:
-    if len(set(ids)) < len(ids):
-        raise LogError("two agents have the same id", topic=topics[0], remedy="ids are unique in a log")
-    twice = np.flatnonzero((np.diff(row) == 0) & (np.diff(times) == 0))
-    if len(twice):
-        what = f"agent '{ids[row[twice[0]]]}' has two samples at one time"
-        raise LogError(what, topic=topics[-1], time_ns=int(times[twice[0]]), remedy="keep one of them")
-
-
-def _traffic(record: dict[str, str], agents: Stream | None, start_ns: int) -> Spans | None:
-    """When the others were observed: as the record says; else, where empty messages are written, as these do."""
-    if "traffic_s" in record:
-        return _from_record(record, "traffic_s", tuple[tuple[float, float], ...], ())
-    if agents is None or all(message.id for message in agents.decoded(native.AgentColumns)):
-        return None
-    return of_stream(seconds(agents.times, start_ns))
 
 
 def _road(message: native.Road | None, ego: Trajectory, notes: list[str]) -> nouns.Road:

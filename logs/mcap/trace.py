@@ -28,10 +28,20 @@ from logs.frame import Predictions
 from logs.frame_store import light
 from logs.mcap import native
 from logs.mcap.container import MEND, Container, Stream, read_container
-from logs.mcap.reader import controls_of, sampled, scenario_of, seconds, tracks_of
-from logs.mcap.writer import Entry, column, log_times, samples, scenario_entries, scenario_records, table_of, write_log
+from logs.mcap.reader import marked_tracks, sampled, scenario_of, seconds
+from logs.mcap.writer import (
+    COLUMNS,
+    Entry,
+    column,
+    log_times,
+    samples,
+    scenario_entries,
+    scenario_records,
+    table_of,
+    write_log,
+)
 from logs.scenario import Scenario, Tracks
-from logs.states import TRAJECTORY_COLUMNS
+from logs.states import TRAJECTORY_COLUMNS, Controls
 
 Internals = Literal["none", "summary", "full"]
 SUMMARY_STEP_S = 2.0
@@ -92,7 +102,13 @@ def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> I
     for time, frame in zip(times, trace.frames, strict=True):
         yield time, "/plan", plan_message(frame.plan, internals)
         if internals != "none" and frame.predictions is not None:
-            yield time, "/predictions", _predictions_message(frame, frame.predictions, full=internals == "full")
+            futures = frame.predictions
+            ids = [frame.agents[i] for i in futures.agent]
+            probability = column(futures.probability, "/predictions", "probability")
+            kept = slice(None) if internals == "full" else nouns.kept_samples(futures.t, SUMMARY_STEP_S)
+            x, y = ([column(row[kept], "/predictions", name) for row in getattr(futures, name)] for name in ("x", "y"))
+            message = native.Predictions(futures.method, futures.t[kept].tolist(), ids, probability, x, y)
+            yield time, "/predictions", message
     if trace.perceived is not None:
         if not _who(trace.perceived).items() <= _who(trace.agents).items():
             yield start_ns, "/perceived/table", table_of(trace.perceived)
@@ -120,16 +136,8 @@ def _perceived_messages(shown: Tracks, frames: list[int], start_ns: int) -> Iter
     ordered = times[order]
     for time in frames:
         at = order[np.searchsorted(ordered, time) : np.searchsorted(ordered, time, side="right")]
-        columns = (getattr(shown, name)[at].tolist() for name in ("x", "y", "yaw", "vx", "vy"))
+        columns = (getattr(shown, name)[at].tolist() for name in COLUMNS)
         yield time, "/perceived", native.AgentColumns([shown.ids[i] for i in track[at]], *columns)
-
-
-def _predictions_message(frame: nouns.PlannedFrame, some: Predictions, *, full: bool) -> native.Predictions:
-    ids = [frame.agents[i] for i in some.agent]
-    probability = column(some.probability, "/predictions", "probability")
-    kept = slice(None) if full else nouns.kept_samples(some.t, SUMMARY_STEP_S)
-    x, y = ([column(row[kept], "/predictions", name) for row in getattr(some, name)] for name in ("x", "y"))
-    return native.Predictions(some.method, some.t[kept].tolist(), ids, probability, x, y)
 
 
 def plan_message(plan: nouns.Plan, internals: Internals) -> native.Plan:
@@ -195,26 +203,23 @@ def read_moment(path: Path, t: float) -> tuple[nouns.Trace, Scenario, tuple[noun
     scenario = scenario_of(container)
     try:
         streams, start = container.streams, scenario.start_ns
-        summaries = tuple(_summaries(streams.get("/plan", _none("/plan")), start))
+        plans, summaries = streams.get("/plan", _none("/plan")), list[nouns.PlanSummary]()
+        plans.check_order(strictly=True)
+        times = seconds(plans.times, start).tolist()
+        for time, at, message in zip(plans.times, times, plans.decoded(native.PlanSaid), strict=True):
+            try:
+                summaries.append(noun_of(nouns.PlanSummary, message, t=at, internals=tuple(artefacts_of(message))))
+            except KeyError as error:
+                raise LogError(str(error), topic="/plan", time_ns=time, remedy=MEND) from None
         newest = int(np.searchsorted([one.t for one in summaries], t + 1e-9, side="right")) - 1
         some = {}
         for topic in ("/plan", "/predictions") if newest >= 0 else ():
-            stream, time = streams.get(topic, _none(topic)), streams["/plan"].times[newest]
+            stream, time = streams.get(topic, _none(topic)), plans.times[newest]
             kept = [i for i, each in enumerate(stream.times) if each == time]
             some[topic] = replace(stream, times=[time] * len(kept), payloads=[stream.payloads[i] for i in kept])
-        return _trace(container, scenario, _frames(some, start)), scenario, summaries
+        return _trace(container, scenario, _frames(some, start)), scenario, tuple(summaries)
     except LogError as error:
         raise error.at(path) from None
-
-
-def _summaries(plans: Stream, start_ns: int) -> Iterator[nouns.PlanSummary]:
-    plans.check_order(strictly=True)
-    times = seconds(plans.times, start_ns).tolist()
-    for time, t, message in zip(plans.times, times, plans.decoded(native.PlanSaid), strict=True):
-        try:
-            yield noun_of(nouns.PlanSummary, message, t=t, internals=tuple(artefacts_of(message)))
-        except KeyError as error:
-            raise LogError(str(error), topic="/plan", time_ns=time, remedy=MEND) from None
 
 
 def _trace(container: Container, scenario: Scenario, frames: Iterator[nouns.PlannedFrame]) -> nouns.Trace:
@@ -227,9 +232,14 @@ def _trace(container: Container, scenario: Scenario, frames: Iterator[nouns.Plan
     except (KeyError, ValueError) as error:
         raise LogError(f"bad or missing {error}", topic=native.TRACE_RECORD, remedy=MEND) from None
     asked, done = (
-        controls_of(streams[name], start) if name in streams else None for name in ("/command", "/actuation")
+        Controls(**sampled(streams[name], native.Controls, start)) if name in streams else None
+        for name in ("/command", "/actuation")
     )
     tracking = nouns.TrackingErrors(**sampled(streams["/tracking"], native.Tracking, start)) if done else None
+    perceived = Tracks.empty() if "/perceived" in streams else None
+    table = streams.get("/perceived/table", streams.get("/agents/table"))
+    if "/perceived" in streams and table is not None:
+        perceived, _ = marked_tracks({"/agents/table": table, "/agents": streams["/perceived"]}, start, [])
     return nouns.Trace(
         scenario=record.get("scenario", scenario.name),
         planner=record.get("planner", ""),
@@ -244,17 +254,8 @@ def _trace(container: Container, scenario: Scenario, frames: Iterator[nouns.Plan
         actuation=done,
         tracking=tracking,
         notes=scenario.notes,
-        perceived=_perceived(streams, start),
+        perceived=perceived,
     )
-
-
-def _perceived(streams: dict[str, Stream], start_ns: int) -> Tracks | None:
-    if "/perceived" not in streams:
-        return None
-    table = streams.get("/perceived/table", streams.get("/agents/table"))
-    if table is None:  # the log has no other road users
-        return Tracks.empty()
-    return tracks_of({"/agents/table": table, "/agents": streams["/perceived"]}, start_ns, [])
 
 
 def _none(topic: str) -> Stream:
@@ -270,18 +271,15 @@ def _frames(streams: dict[str, Stream], start_ns: int) -> Iterator[nouns.Planned
         plans.times, seconds(plans.times, start_ns).tolist(), plans.decoded(native.Plan), strict=True
     ):
         try:
-            shown = predictions.get(time)
-            agents, futures = ((), None) if shown is None else _predictions_of(shown)
+            shown, agents, futures = predictions.get(time), tuple[str, ...](), None
+            if shown is not None:
+                agents = tuple(dict.fromkeys(shown.id))
+                row = {name: i for i, name in enumerate(agents)}
+                rows = np.array([row[name] for name in shown.id], dtype=np.int64)
+                shape = (len(rows), len(shown.t))
+                x, y = (np.array(some, np.float64).reshape(shape) for some in (shown.x, shown.y))
+                futures = noun_of(Predictions, shown, agent=rows, x=x, y=y, yaw=np.full(shape, np.nan))
             plan = noun_of(nouns.Plan, message, internals=tuple(artefacts_of(message)))
             yield nouns.PlannedFrame(t, plan, agents, futures)
         except (KeyError, ValueError) as error:
             raise LogError(str(error), topic="/plan", time_ns=time, remedy=MEND) from None
-
-
-def _predictions_of(message: native.Predictions) -> tuple[tuple[str, ...], Predictions]:
-    agents = tuple(dict.fromkeys(message.id))
-    row = {name: i for i, name in enumerate(agents)}
-    rows = np.array([row[name] for name in message.id], dtype=np.int64)
-    shape = (len(rows), len(message.t))
-    x, y = (np.array(some, np.float64).reshape(shape) for some in (message.x, message.y))
-    return agents, noun_of(Predictions, message, agent=rows, x=x, y=y, yaw=np.full(shape, np.nan))

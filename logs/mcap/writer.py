@@ -23,7 +23,6 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 
-from logs import road as nouns
 from logs.codec import message_of, scalar_as_number
 from logs.detections import Detections
 from logs.errors import LogError, writing
@@ -37,6 +36,8 @@ SPOOL_BYTES = 16 * 2**20
 """The greatest number of bytes of messages in memory; more wait in a file."""
 BLOCK = 100
 """Samples of a block: a second of a drive, so that a killed writer loses little."""
+COLUMNS = ("x", "y", "yaw", "vx", "vy")
+"""Of the samples of other road users."""
 Entry = tuple[int, str, msgspec.Struct | Message]
 """Log time (ns), topic, message."""
 
@@ -106,22 +107,22 @@ def _add_messages(writer: Any, entries: Iterable[Entry], spool: IO[bytes]) -> No
 
 def _schema(kind: type[msgspec.Struct | Message]) -> tuple[str, str, bytes]:
     """Name, encoding and bytes of the schema of a kind of message."""
-    if issubclass(kind, Message):
-        files: dict[str, Any] = {}
-        _collect(kind.DESCRIPTOR.file, files)
-        described = FileDescriptorSet()
-        for file in files.values():
-            file.CopyToProto(described.file.add())
-        return kind.DESCRIPTOR.full_name, "protobuf", described.SerializeToString(deterministic=True)
-    return native.schema_name(kind), "jsonschema", msgspec.json.encode(native.json_schema(kind))
+    if not issubclass(kind, Message):
+        return native.schema_name(kind), "jsonschema", msgspec.json.encode(native.json_schema(kind))
+    files: dict[str, Any] = {}
 
+    def collect(file: Any) -> None:
+        """A file's descriptor after those of the files that it imports."""
+        if file.name not in files:
+            for other in file.dependencies:
+                collect(other)
+            files[file.name] = file
 
-def _collect(file: Any, files: dict[str, Any]) -> None:
-    """A file's descriptor after those of the files that it imports."""
-    if file.name not in files:
-        for other in file.dependencies:
-            _collect(other, files)
-        files[file.name] = file
+    collect(kind.DESCRIPTOR.file)
+    described = FileDescriptorSet()
+    for file in files.values():
+        file.CopyToProto(described.file.add())
+    return kind.DESCRIPTOR.full_name, "protobuf", described.SerializeToString(deterministic=True)
 
 
 def scenario_records(scenario: Scenario, *, version: int = native.WITHOUT_BLOCKS) -> dict[str, dict[str, str]]:
@@ -153,8 +154,18 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
     vehicle = {name: _finite_all(value, f"vehicle {name}") for name, value in asdict(scenario.vehicle).items()}
     yield start, "/vehicle", native.Vehicle(**vehicle)
     if scenario.goal is not None:
-        yield start, "/goal", _goal(scenario.goal)
-    yield start, "/road", _road(scenario.road)
+        for one in (scenario.goal, *scenario.goal.alternatives):
+            for name in ("t", "v", "yaw"):
+                _finite_all(getattr(one, name) or (), f"goal {name}")
+            for region in one.regions:
+                check(region[:, 0], "/goal", "x")
+                check(region[:, 1], "/goal", "y")
+        yield start, "/goal", message_of(native.Goal, scenario.goal)
+    finite(scenario.road.default_speed_limit, "default speed limit")
+    for lane in scenario.road.lanes.values():
+        if np.isinf(lane.speed_limit):
+            raise LogError(f"lane {lane.id}: the speed limit is infinite", topic="/road", remedy="use NaN for no limit")
+    yield start, "/road", message_of(native.Road, scenario.road)
     yield from _lights(scenario.lights, start)
     made = None if scenario.repair is None or scenario.repair.tracks is not scenario.tracks else scenario.repair
     yield from _tracks(scenario.tracks, start, extended=None if made is None else made.extended)
@@ -262,9 +273,14 @@ def _tracks(
         where = np.flatnonzero(chosen)
         order = where[np.lexsort((track[where], times[where]))]
         for group in np.split(order, np.flatnonzero(np.diff(times[order])) + 1):
-            if len(group):
-                marked = None if extended is None else extended[group].tolist()
-                yield int(times[group[0]]), topic, _agents(tracks, track[group].tolist(), group, marked)
+            if not len(group):
+                continue
+            names = [tracks.ids[i] for i in track[group].tolist()]
+            columns: dict[str, Any] = {name: getattr(tracks, name)[group].tolist() for name in COLUMNS}
+            message = native.AgentColumns(names, **columns)
+            if extended is not None:
+                message = native.RepairedColumns(names, **columns, extended=extended[group].tolist())
+            yield int(times[group[0]]), topic, message
 
 
 def _detections(found: Detections, start_ns: int) -> Iterator[Entry]:
@@ -288,24 +304,6 @@ def table_of(tracks: Tracks) -> native.AgentTable:
     return native.AgentTable(list(tracks.ids), list(tracks.kinds), *sizes, tracks.static.tolist())
 
 
-def _agents(tracks: Tracks, ids: list[int], group: Any, extended: list[bool] | None) -> native.AgentColumns:
-    columns = {name: getattr(tracks, name)[group].tolist() for name in ("x", "y", "yaw", "vx", "vy")}
-    names = [tracks.ids[i] for i in ids]
-    return (
-        native.AgentColumns(names, **columns)
-        if extended is None
-        else native.RepairedColumns(names, **columns, extended=extended)
-    )
-
-
-def _road(road: nouns.Road) -> native.Road:
-    finite(road.default_speed_limit, "default speed limit")
-    for lane in road.lanes.values():
-        if np.isinf(lane.speed_limit):
-            raise LogError(f"lane {lane.id}: the speed limit is infinite", topic="/road", remedy="use NaN for no limit")
-    return message_of(native.Road, road)
-
-
 def _lights(lights: Sequence[TrafficLight], start_ns: int) -> Iterator[Entry]:
     """A message for each time at which a light changes, with all those that change then."""
     shown: dict[int, tuple[list[int], list[Colour]]] = {}
@@ -319,13 +317,3 @@ def _lights(lights: Sequence[TrafficLight], start_ns: int) -> Iterator[Entry]:
             colours.append(colour)
     for time, columns in shown.items():
         yield time, "/traffic_lights", native.LightColumns(*columns)
-
-
-def _goal(goal: nouns.Goal) -> native.Goal:
-    for one in (goal, *goal.alternatives):
-        for name in ("t", "v", "yaw"):
-            _finite_all(getattr(one, name) or (), f"goal {name}")
-        for region in one.regions:
-            check(region[:, 0], "/goal", "x")
-            check(region[:, 1], "/goal", "y")
-    return message_of(native.Goal, goal)

@@ -209,7 +209,7 @@ def salvage(
 ) -> None:
     """Keep every intact chunk of a damaged MCAP file, and name what was lost."""
     with handle_errors():
-        from logs.mcap.salvage import salvage as save
+        from logs.mcap.records import salvage as save
 
         if not damaged.is_file():
             raise ConfigError(f"{damaged}: no such file")

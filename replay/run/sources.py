@@ -110,7 +110,7 @@ class LogSource:
         begin, end, (file, *more) = self.settings.begin, self.settings.end, self.remote
         if self.format != "native" or more or not (begin > 0.0 or end < inf):
             return False
-        from logs.mcap.part import write_part
+        from logs.mcap.records import write_part
 
         return write_part(ranged(file), file.size, begin, end, path)
 

@@ -42,7 +42,7 @@ from mcap_cases import differences, rich_scenario
 from logs import LogError, Scenario
 from logs.maps import read_map
 from logs.mcap import write_scenario
-from logs.mcap.salvage import salvage
+from logs.mcap.records import salvage
 from logs.readers import LogSettings, read_log, reader_of
 
 DATA = Path(os.environ.get("REPLAN_DATA", Path(__file__).parents[3] / "shared" / "data"))

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.mcap.osi_lanes import paired
-from logs.road import Lane
+from logs.road import Lane, paired
 
 LARGEST_M = 1e7
 """A larger coordinate is not valid: UTM northings end at 1e7."""

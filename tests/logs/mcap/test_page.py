@@ -7,13 +7,13 @@ from pathlib import Path
 import msgspec
 
 from logs.mcap import native
-from logs.mcap.page import markdown
+from logs.mcap.native import markdown
 
 PAGE = (Path(__file__).parents[3] / "docs" / "log_format.md").read_text(encoding="utf-8")
 
 
 def test_the_page_is_written_from_the_types() -> None:
-    assert markdown() + "\n" == PAGE, "python -c 'from logs.mcap.page import markdown; print(markdown())'"
+    assert markdown() + "\n" == PAGE, "python -c 'from logs.mcap.native import markdown; print(markdown())'"
 
 
 def test_every_field_of_every_topic_is_on_the_page() -> None:

@@ -18,7 +18,7 @@ from logs import Scenario
 from logs.detections import Repair
 from logs.mcap import write_scenario
 from logs.mcap.container import read_container
-from logs.mcap.part import write_part
+from logs.mcap.records import write_part
 from logs.readers import LogSettings, read_log
 from logs.readers.cut import cut, in_nanoseconds
 from logs.repair import detections_of

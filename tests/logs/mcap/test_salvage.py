@@ -19,7 +19,7 @@ from mcap_cases import differences, rich_scenario
 from logs import LogError
 from logs.mcap import read_scenario, write_scenario
 from logs.mcap.container import read_container
-from logs.mcap.salvage import BEGIN, HEAD, salvage
+from logs.mcap.records import BEGIN, HEAD, salvage
 
 Messages = dict[str, list[tuple[int, bytes]]]
 

@@ -1,28 +1,59 @@
-"""What is left of a damaged MCAP file: every chunk that is whole, in a new file; and what was lost, named.
+"""MCAP files record by record: what is left of a damaged one (`salvage`), a part of a remote one (`write_part`).
 
-The file is walked record by record. Where a record is not one (a cut, changed bytes), the next chunk is looked for that
-inflates to its stated size and checksum, with messages of its stated times only. Chunks that were written without a
-checksum (rosbags does so) are kept, and counted. Messages outside of chunks have no checksum of their own: they are
-kept up to the first damage. Schemas and channels come from the chunks and, where it is intact, from the summary at the
-file's end; the profile (by which a ROS 2 bag is known) from the header, else from the schemas.
+Salvage writes every chunk that is whole into a new file, and names what was lost. Where a record is not one (a cut,
+changed bytes), the next chunk is looked for that inflates to its stated size and checksum, with messages of its stated
+times only. Chunks that were written without a checksum (rosbags does so) are kept, and counted. Messages outside of
+chunks have no checksum of their own: they are kept up to the first damage. Schemas and channels come from the chunks
+and, where it is intact, from the summary at the file's end; the profile (by which a ROS 2 bag is known) from the
+header, else from the schemas.
+
+Of a native MCAP file at a URL, only what a part of it by time needs is fetched. The summary at the file's end says when
+each chunk begins and ends, and which topics are in it. Fetched are, besides the summary and the metadata, the chunks
+
+(1) that overlap [begin - `HISTORY_S`, end + `HISTORY_S`] of the log, `DETECTED_S` where it has detections,
+(2) of each topic the last before and the first behind that: a message may stand for samples around it (blocks),
+(3) with anything but the samples of `PERIODIC`: road, vehicle and goal, lights that changed long ago,
+(4) the first, in which the log's first ego state is.
+
+They are written as a file of their own, whose scenario, cut (`logs.readers.cut`), is that of the whole file, cut. Its
+table of agents is that of the whole, too: where some have no sample in the part, they are left out of it.
 """
 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from mcap.data_stream import ReadDataStream
+import msgspec
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
-from mcap.writer import CompressionType, Writer
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Message,
+    Metadata,
+    MetadataIndex,
+    Schema,
+)
+from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from logs.errors import LogError, writing
+from logs.mcap import native
 from logs.mcap.container import COMPRESSIONS, DAMAGE, content_of, opened
+from logs.mcap.reader import UNSEEN, read_scenario
+from logs.mcap.writer import write_scenario
 from logs.names import counted
+from logs.readers.cut import DETECTED_S, HISTORY_S
 
 BEGIN = 8
 """Bytes of the magic."""
@@ -32,6 +63,13 @@ CHUNK_BYTES = 1024 * 1024
 CRC = slice(HEAD + 24, HEAD + 28)
 """Where a chunk's checksum is in its record; 0: none."""
 ROS2_SCHEMAS = frozenset({"ros2msg", "ros2idl"})
+PERIODIC = ("/ego", "/agents", "/controls", "/actuation", "/detections", "/removed")
+TAIL_BYTES = 16 * 1024
+"""Fetched first, from the end: the summary of a log of some minutes."""
+FOOTER_BYTES = 1 + 8 + 20 + len(MCAP0_MAGIC)
+Ranged = Callable[[int, int], bytes]
+"""The bytes of a file from the first place up to the second."""
+R = TypeVar("R", bound=McapRecord)
 
 
 @dataclass(frozen=True)
@@ -243,3 +281,93 @@ def _summary(raw: bytes, copy: _Copy) -> None:
             except DAMAGE:
                 return
         at += HEAD + size
+
+
+def write_part(ranged: Ranged, size: int, begin: float, end: float, path: Path) -> bool:
+    """Write what [begin, end] (s after the log's start) needs to `path`; False: the whole file is needed.
+
+    It is where the file is not replan's own, has no index, is damaged, or leaves out what is made up from all of it as
+    it is read (a road along the drive, speeds; the reader notes that).
+    """
+    try:
+        at = max(0, size - TAIL_BYTES)
+        tail = ranged(at, size)
+        footer = next(iter(_records(tail[-FOOTER_BYTES:])))
+        if not isinstance(footer, Footer) or not footer.summary_start:
+            return False
+        if footer.summary_start < at:
+            tail, at = ranged(footer.summary_start, at) + tail, footer.summary_start
+        summary = list(_records(tail[footer.summary_start - at :]))
+        index = next(each for each in _of(summary, MetadataIndex) if each.name == native.SCENARIO_RECORD)
+        found = next(iter(_records(ranged(index.offset, index.offset + index.length))))
+        record = found.metadata if isinstance(found, Metadata) else {}
+        if "start_ns" not in record:
+            return False
+        start_ns = msgspec.json.decode(record["start_ns"], type=int)
+        detected = any(channel.topic == "/detections" for channel in _of(summary, Channel))
+        around = DETECTED_S if detected else HISTORY_S
+        chunks = _chosen(summary, start_ns + 1e9 * (begin - around), start_ns + 1e9 * (end + around))
+        if not chunks:
+            return False
+        path.write_bytes(b"".join(_pieces(ranged, summary, chunks)))
+        noted = msgspec.json.decode(record.get("notes", "[]"), type=tuple[str, ...])
+        scenario = read_scenario(path)
+        made_up = [note for note in scenario.notes[len(noted) :] if not note.endswith(UNSEEN)]
+        if not made_up and scenario.notes != noted:
+            write_scenario(path, replace(scenario, notes=noted))
+        return not made_up
+    except (*DAMAGE, LogError, StopIteration):
+        return False
+
+
+def _records(raw: bytes) -> Iterable[McapRecord]:
+    return StreamReader(BytesIO(raw), skip_magic=True).records
+
+
+def _of(summary: Sequence[McapRecord], kind: type[R]) -> list[R]:
+    return [record for record in summary if isinstance(record, kind)]
+
+
+def _chosen(summary: Sequence[McapRecord], first_ns: float, last_ns: float) -> list[ChunkIndex]:
+    """The chunks (1) to (4), in the order of the file."""
+    chunks = sorted(_of(summary, ChunkIndex), key=lambda chunk: chunk.chunk_start_offset)
+    rare = {channel.id for channel in _of(summary, Channel) if channel.topic not in PERIODIC}
+    kept = set(range(len(chunks[:1])))  # (4)
+    for k, chunk in enumerate(chunks):
+        if chunk.message_start_time <= last_ns and first_ns <= chunk.message_end_time:
+            kept.add(k)  # (1)
+    for channel in {number for chunk in chunks for number in chunk.message_index_offsets}:
+        having = [k for k, chunk in enumerate(chunks) if channel in chunk.message_index_offsets]
+        kept |= set([k for k in having if chunks[k].message_end_time < first_ns][-1:])  # (2)
+        kept |= set([k for k in having if chunks[k].message_start_time > last_ns][:1])
+        kept |= set(having) if channel in rare else set()  # (3)
+    return [chunks[k] for k in sorted(kept)]
+
+
+def _pieces(ranged: Ranged, summary: Sequence[McapRecord], chunks: Sequence[ChunkIndex]) -> Iterator[bytes]:
+    """A file without index: head, metadata, schemas and channels, the chunks as they are, its end."""
+    indices = _of(summary, MetadataIndex)
+    first = min([index.offset for index in indices] + [chunk.chunk_start_offset for chunk in chunks])
+    yield ranged(0, first)
+    for index in indices:
+        yield ranged(index.offset, index.offset + index.length)
+    yield _written([*_of(summary, Schema), *_of(summary, Channel)])
+    runs, behind = list[tuple[int, int]](), -1  # neighbours, with the indices between, are one: a request costs more
+    for chunk in chunks:
+        begin = chunk.chunk_start_offset
+        end = begin + chunk.chunk_length
+        if begin == behind:
+            begin = runs.pop()[0]
+        runs.append((begin, end))
+        behind = end + chunk.message_index_length
+    for begin, end in runs:
+        yield ranged(begin, end)
+    yield _written([DataEnd(data_section_crc=0), Footer(summary_start=0, summary_offset_start=0, summary_crc=0)])
+    yield MCAP0_MAGIC
+
+
+def _written(records: Sequence[Any]) -> bytes:
+    builder: Any = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return bytes(builder.end())

@@ -3,12 +3,11 @@
 Adding a format is one file with a `MapReader` and one line in `BUILTIN`.
 
 Modules:
-    base.py             the reader of a map format, and what it reads
-    fit.py              the map under a drive: whether it fits, and the scenario on it
+    base.py             the reader of a map format, what it reads, and the scenario on it, if it fits the drive
     projections.py      latitude and longitude to plane coordinates
-    osm.py              OpenStreetMap XML as records
-    lanelet2.py         Lanelet2 maps: the coordinates of their points, and their road
-    lanelet2_lanes.py   the lanes and regulatory elements of Lanelet2 maps
+    lanelet2_file.py    Lanelet2 files: their XML as records, the coordinates of their points
+    lanelet2_lanes.py   the lanes of Lanelet2 maps
+    lanelet2.py         their regulatory elements, and the road that they make
     opendrive.py        OpenDRIVE maps, by pyxodr
 """
 
@@ -21,8 +20,7 @@ from pathlib import Path
 from logs.errors import LogError
 from logs.files import check_regular
 from logs.maps import lanelet2, opendrive
-from logs.maps.base import MapFile, MapReader
-from logs.maps.fit import on_map
+from logs.maps.base import MapFile, MapReader, on_map
 from logs.readers.base import LogSettings
 from logs.scenario import Scenario
 
@@ -37,17 +35,7 @@ def read_123d(path: Path, settings: Mapping[str, str]) -> MapFile:
     return MapFile(road_of_map(path, notes=notes), "as in the 123D map", tuple(notes))
 
 
-def _claims_123d(path: Path) -> bool:
-    try:
-        if path.suffix.lower() != ".arrow":
-            return False
-        with path.open("rb") as stream:
-            return stream.read(6) == b"ARROW1"
-    except OSError:
-        return False
-
-
-BUILTIN = (lanelet2.READER, opendrive.READER, MapReader("123D", "*.arrow", _claims_123d, read_123d))
+BUILTIN = (lanelet2.READER, opendrive.READER, MapReader("123D", "*.arrow", ".arrow", read_123d, begin=b"ARROW1"))
 """In the order in which they are asked."""
 
 

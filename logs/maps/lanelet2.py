@@ -1,19 +1,24 @@
-"""Lanelet2 maps (.osm): where their points are, and the road that they make (`lanelet2_lanes`).
+"""Lanelet2 maps: the road that lanelets (`lanelet2_lanes`) and regulatory elements make.
 
-Plane coordinates, the first of these that the map and the settings give:
+Source of stop lines, crosswalks and right of way: Lanelet2, "RegulatoryElementTagging.md"; autoware_lanelet2_extension,
+"extra_regulatory_elements.md".
 
-(1) `[log] map_origin`: latitudes and longitudes projected as it says (`logs.maps.projections`);
-(2) `local_x` and `local_y` on every point, as Autoware's maps have them;
-(3) `map_projector_info.yaml` beside the map, as Autoware has it;
-(4) within `NEAR_NULL_DEG` of latitude 0, longitude 0, as the towns of CARLA are: transverse Mercator about that place;
-(5) else the MGRS square of the first point, Autoware's default.
+A stop line (role ref_line; without one: at the lanelet's end) lies across the lanelet that names the element. Where it
+is at that lanelet's begin, as Autoware's maps have it in junctions, it lies across the lanelets before and counts for
+the way into this one. An element that no lanelet names belongs to the lanelets of whose second half its line crosses
+the middle. The light of a stop line has the id of the regulatory element, as in Autoware's messages; other numbers by
+which it may be known (its ways, `traffic_light_id`) are its aliases.
+
+A lanelet that yields waits for the lanelets with right of way that it meets; where the element names the lanelets
+before the junction, those that follow on them count.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -21,16 +26,21 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.maps.base import MapFile, MapReader
-from logs.maps.lanelet2_lanes import lanes_of, rules_of, strips_of
-from logs.maps.osm import Element, Osm, read_osm, real
-from logs.maps.projections import UTM_SCALE, Projection, on_earth, projection_named
-from logs.road import Road
+from logs.maps.lanelet2_file import PROJECTOR_INFO, Element, Osm, placed_points, read_osm
+from logs.maps.lanelet2_lanes import LONGEST_M, Strip, divided, lanes_of, strips_of, way_points
+from logs.readers.commonroad.rules import CAR_WIDTH_M
+from logs.readers.recorded.strips import predecessors
+from logs.road import Lane, Road
+from logs.rules import Crosswalk, StopLine
 
-PROJECTOR_INFO = "map_projector_info.yaml"
-NEAR_NULL_DEG = 0.1
-LARGEST_M = 1e9
-_AUTOWARE = {"LocalCartesianUTM": "utm", "TransverseMercator": "tmerc", "LocalCartesian": "enu"}
-_LOCAL = ("local_x", "local_y")
+AT_BEGIN_M = 1.5
+"""A stop line nearer to a lane's begin lies across the lanes before."""
+SPACING_M = 0.5
+ASIDE_M = 1.0
+"""Lines are longer by this to each side, and lanes at their ends, to find crossings where no lanelet names a line."""
+_STOP = ("stop", "stop_sign", "de206", "206", "usR1-1", "R1-1")
+_YIELD = ("yield", "give_way", "de205", "205", "usR1-2", "R1-2")
+_READ = ("traffic_light", "traffic_sign", "right_of_way", "all_way_stop", "speed_limit", "crosswalk", "road_marking")
 
 
 def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
@@ -41,7 +51,7 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
     """
     osm, notes = read_osm(path), list[str]()
     try:
-        nodes, frame, xy = _placed(osm, path, settings)
+        nodes, frame, xy = placed_points(osm, path, settings)
         rows = {node.id: k for k, node in enumerate(nodes)}
         strips = strips_of(osm, rows, xy, notes)
         lanes = lanes_of(osm, strips, np.column_stack([xy, [_height(node) for node in nodes]]), notes)
@@ -61,57 +71,6 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
         raise error if error.file is not None else error.at(path) from None
     except (ValueError, OverflowError) as error:
         raise LogError(str(error), file=path) from None
-
-
-def _placed(osm: Osm, path: Path, settings: Mapping[str, str]) -> tuple[list[Element], str, FloatArray]:
-    """The points that boundaries and lines use, how they came about, and where they are `(n, 2)`, m."""
-    used = dict.fromkeys(node for way in osm.ways.values() for node in way.nodes if node in osm.nodes)
-    nodes = [osm.nodes[node] for node in used]
-    if len(nodes) < 4:
-        raise LogError("its ways have less than four points", remedy="give a Lanelet2 map")
-    local = all(key in node.tags for node in nodes for key in _LOCAL)
-    if local and not settings.get("map_origin"):
-        texts = ((node.tags[key] for key in _LOCAL) for node in nodes)
-        return nodes, "local_x and local_y", np.array([[real(text, "local_x") for text in row] for row in texts])
-    places = [node.place for node in nodes if node.place is not None]
-    if len(places) < len(nodes):
-        raise LogError(
-            f"{len(nodes) - len(places)} of {len(nodes)} points have neither local_x and local_y nor lat and lon",
-            remedy="give every point its place",
-        )
-    (lat, lon), info = places[0], path.with_name(PROJECTOR_INFO)
-    if settings.get("map_origin"):
-        projection, why = projection_named(settings["map_origin"]), "as [log] map_origin says"
-    elif info.is_file():
-        projection, why = _projector_info(info), f"as {info.name} says"
-    elif abs(lat) < NEAR_NULL_DEG and abs(lon) < NEAR_NULL_DEG:
-        projection, why = Projection("tmerc", (0.0, 0.0)), "assumed"
-    else:
-        projection, why = Projection("mgrs"), "assumed: the map does not say"
-    xy = projection(np.array([on_earth(*place) for place in places]))
-    if not (np.abs(xy) < LARGEST_M).all():
-        raise LogError(f"points have no place under {projection}", topic="[log] map_origin", remedy="name its origin")
-    return nodes, f"{projection} ({why})", xy
-
-
-def _projector_info(path: Path) -> Projection:
-    """What Autoware's file says; LogError where that cannot be read."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise LogError(f"cannot be read: {error}", file=path) from None
-    pairs = (line.split("#")[0].partition(":") for line in lines)
-    values = {key.strip(): value.strip(" '\"\t") for key, _, value in pairs}
-    kind = values.get("projector_type", "")
-    if kind == "MGRS":
-        return projection_named(values.get("mgrs_grid", "") or "mgrs")
-    if kind not in _AUTOWARE:
-        remedy = f"known are MGRS, {', '.join(_AUTOWARE)}; or set [log] map_origin"
-        what = f"projector_type is {kind!r}, and the points have no local_x and local_y"
-        raise LogError(what, file=path, remedy=remedy)
-    place = on_earth(*(real(values.get(key, ""), key) for key in ("latitude", "longitude")))
-    scale = real(values.get("scale_factor", str(UTM_SCALE)), "scale_factor")
-    return Projection(_AUTOWARE[kind], place, scale=scale)
 
 
 def _height(node: Element) -> float:
@@ -138,13 +97,191 @@ def _left_out(osm: Osm) -> Iterator[str]:
         yield f"Relations that are not read: {listed}."
 
 
-def _claims(path: Path) -> bool:
-    return path.suffix.lower() == ".osm"
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """What the regulatory elements say; `yields` by lane."""
+
+    stop_lines: tuple[StopLine, ...]
+    crosswalks: tuple[Crosswalk, ...]
+    yields: Mapping[int, tuple[int, ...]]
+    aliases: Mapping[int, tuple[int, ...]]
 
 
-def _files(path: Path) -> tuple[Path, ...]:
-    info = path.with_name(PROJECTOR_INFO)
-    return (path, info) if info.is_file() else (path,)
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """What the elements are placed on; `by_rule`: the lanes that name an element."""
+
+    osm: Osm
+    rows: Mapping[int, int]
+    xy: FloatArray
+    lanes: Mapping[int, Lane]
+    before: Mapping[int, Sequence[int]]
+    by_rule: Mapping[int, Sequence[int]]
+
+    def line(self, way: int) -> FloatArray | None:
+        """The points `(n, 2)` of a way; None where it has less than two."""
+        points = way_points(self.osm.ways[way], self.rows) if way in self.osm.ways else ()
+        return self.xy[list(points)] if len(points) > 1 else None
+
+    def tag(self, way: int, key: str) -> str:
+        """A way's tag, "" where it has none or is not there."""
+        return self.osm.ways[way].tags.get(key, "") if way in self.osm.ways else ""
+
+    def lanelets(self, element: Element, *roles: str) -> list[int]:
+        """The lanes of an element's lanelet members."""
+        return [ref for ref in element.named(*roles, kind="relation") if ref in self.lanes]
 
 
-READER = MapReader("Lanelet2", "*.osm", _claims, read_lanelet2, _files, ("map_origin",))
+def rules_of(
+    osm: Osm, strips: Sequence[Strip], lanes: Mapping[int, Lane], rows: Mapping[int, int], xy: FloatArray,
+    notes: list[str],
+) -> Rules:  # fmt: skip
+    """The rules; `rows` and `xy`: the map's points by node."""
+    before, by_rule = predecessors(lanes), defaultdict[int, list[int]](list)
+    for strip in strips:
+        for rule in strip.rules:
+            if strip.id in lanes:
+                by_rule[rule].append(strip.id)
+    held = _Map(osm, rows, xy, lanes, before, by_rule)
+    elements = [each for each in osm.relations.values() if each.tags.get("type") == "regulatory_element"]
+    unread = Counter(e.tags.get("subtype", "without subtype") for e in elements)
+    for subtype in _READ:
+        del unread[subtype]
+    stop_lines: list[StopLine] = []
+    lost = unnamed = 0
+    for element in elements:
+        for owners, ways, light, must_stop in _demands(held, element):
+            placed = list(_placed(held, owners, ways))
+            unnamed += not owners
+            lost += not placed
+            for number, line in enumerate(placed, start=len(stop_lines) + 1):
+                stop_lines.append(replace(line, id=number, light=light, must_stop=must_stop))
+    if unnamed:
+        notes.append(f"{unnamed} regulatory elements with a stop line are named by no lanelet: placed by their lines.")
+    if lost:
+        notes.append(f"{lost} stop lines of regulatory elements lie across no lane: left out.")
+    if unread:
+        listed = ", ".join(f"{count} {name}" for name, count in sorted(unread.items()))
+        notes.append(f"Regulatory elements that are not read: {listed}.")
+    by_kind = defaultdict[str, list[Element]](list)
+    for element in elements:
+        by_kind[element.tags.get("subtype", "")].append(element)
+    yields = defaultdict[int, set[int]](set)
+    for element in by_kind["right_of_way"]:
+        for one, first in product(held.lanelets(element, "yield"), held.lanelets(element, "right_of_way")):
+            if meet(lanes[one], lanes[first]):
+                yields[one].add(first)
+                continue
+            for lane, other in product(lanes[one].successors, lanes[first].successors):  # what follows on the two
+                if lane != other and lane in lanes and other in lanes and meet(lanes[lane], lanes[other]):
+                    yields[lane].add(other)
+    aliases = {}
+    for element in by_kind["traffic_light"]:
+        ways = list(element.named("refers", "ref_line", "light_bulbs"))
+        tags = (held.tag(ref, "traffic_light_id")[:18] for ref in ways)
+        aliases[element.id] = tuple(dict.fromkeys([*ways, *(int(text) for text in tags if text.isdecimal())]))
+    outlines = {lane.id: lane.polygon for lane in lanes.values() if lane.kind == "crosswalk"}
+    for element in by_kind["crosswalk"]:  # the outline of an Autoware crosswalk where the map gives it
+        drawn = [points for ref in element.named("crosswalk_polygon") if (points := held.line(ref)) is not None]
+        refers = [lane for lane in held.lanelets(element, "refers") if lane in outlines]
+        if len(drawn) == 1 and len(drawn[0]) > 2 and len(refers) == 1:
+            outlines[refers[0]] = drawn[0]
+    crosswalks = tuple(Crosswalk(name, outline) for name, outline in outlines.items())
+    waiting = {lane: tuple(sorted(others)) for lane, others in yields.items()}
+    return Rules(tuple(stop_lines), crosswalks, waiting, aliases)
+
+
+def _demands(held: _Map, element: Element) -> Iterator[tuple[Sequence[int], list[int], int | None, bool]]:
+    """What an element makes cars stop for: the lanes that name it, its lines, its light, whether all must stop."""
+    subtype, lines = element.tags.get("subtype"), list(element.named("ref_line"))
+    owners = held.by_rule.get(element.id, ())
+    if subtype == "traffic_light":
+        yield owners, lines, element.id, False
+    elif subtype == "traffic_sign":
+        kinds = {element.tags.get("sign_type", "")}
+        kinds |= {held.tag(ref, "subtype") for ref in element.named("refers")}
+        if kinds & {*_STOP, *_YIELD}:
+            yield owners, lines, None, bool(kinds & {*_STOP})
+    elif subtype == "right_of_way" and lines:
+        yield held.lanelets(element, "yield"), lines, None, False
+    elif subtype == "all_way_stop":
+        yield held.lanelets(element, "yield") or owners, lines, None, True
+    elif subtype == "crosswalk" and lines and owners:
+        yield owners, lines, None, False
+    elif subtype == "road_marking":
+        marks = [ref for ref in element.named("refers") if held.tag(ref, "type") == "stop_line"]
+        if marks and owners:
+            yield owners, marks, None, True
+
+
+def _placed(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> Iterator[StopLine]:
+    """The stop lines of an element, without what they demand."""
+    lines = [line[[0, -1]] for line in map(held.line, ways) if line is not None]
+    if not lines:
+        for owner in owners:
+            yield StopLine(0, owner, np.array([held.lanes[owner].left[-1], held.lanes[owner].right[-1]]))
+        return
+    towards: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
+    for owner in owners or _crossed(held, lines):
+        k = min(range(len(lines)), key=lambda k: _nearest(held.lanes[owner], lines[k])[0])
+        begins = _nearest(held.lanes[owner], lines[k])[1] < AT_BEGIN_M
+        for lane in (held.before.get(owner, ()) if begins else ()) or (owner,):
+            towards[k, lane] += [owner] if lane != owner and owners else []
+    for (k, lane), after in towards.items():
+        yield StopLine(0, lane, clipped(held.lanes[lane], lines[k]), towards=tuple(sorted(set(after))))
+
+
+def _crossed(held: _Map, lines: Iterable[FloatArray]) -> list[int]:
+    """The drivable lanes of whose second half the lines cross the middle."""
+    found = []
+    for line, lane in product(lines, held.lanes.values()):
+        along = (line[1] - line[0]) / max(float(np.hypot(*(line[1] - line[0]))), 1e-9) * ASIDE_M
+        ahead = lane.center[-1] - lane.center[max(0, len(lane.center) - 4)]
+        beyond = lane.center[-1] + ahead / max(float(np.hypot(*ahead)), 1e-9) * ASIDE_M
+        half = np.vstack([lane.center[(len(lane.center) - 1) // 2 :], beyond])
+        if lane.drivable and len(crossings(line[0] - along, line[1] + along, half)):
+            found.append(lane.id)
+    return found
+
+
+def _nearest(lane: Lane, line: FloatArray) -> tuple[float, float]:
+    """Distance of a line's middle from a lane's centre line, and the station of the point nearest to it, m."""
+    middle, center = line.mean(axis=0), lane.center
+    piece = np.diff(center, axis=0)
+    square = np.maximum((piece**2).sum(axis=1), 1e-18)
+    u = np.clip(((middle - center[:-1]) * piece).sum(axis=1) / square, 0.0, 1.0)
+    away = np.hypot(*(center[:-1] + u[:, None] * piece - middle).T)
+    k = int(np.argmin(away))
+    return float(away[k]), float(np.sqrt(square[:k]).sum() + u[k] * np.sqrt(square[k]))
+
+
+def clipped(lane: Lane, line: FloatArray) -> FloatArray:
+    """The part `(2, 2)` of a line that is within a lane's boundaries, as far as it crosses them."""
+    first, last = line
+    cuts = [crossings(first, last, bound) for bound in (lane.left, lane.right)]
+    if not len(cuts[0]) or not len(cuts[1]) or abs(cuts[0][0] - cuts[1][0]) < 1e-9:
+        return line
+    ends = sorted((float(cuts[0][0]), float(cuts[1][0])))
+    return np.array([first + u * (last - first) for u in ends])
+
+
+def crossings(first: FloatArray, last: FloatArray, line: FloatArray) -> FloatArray:
+    """Where the segment between two points crosses a polyline `(n, 2)`: parts of the segment, 0 to 1."""
+    along, piece, gap = last - first, np.diff(line, axis=0), line[:-1] - first
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turn = along[0] * piece[:, 1] - along[1] * piece[:, 0]
+        u = (gap[:, 0] * piece[:, 1] - gap[:, 1] * piece[:, 0]) / turn
+        w = (gap[:, 0] * along[1] - gap[:, 1] * along[0]) / turn
+        return u[(np.minimum(u, w) >= -1e-9) & (np.maximum(u, w) <= 1.0 + 1e-9)]
+
+
+def meet(one: Lane, other: Lane) -> bool:
+    """Whether cars on the centre lines of two lanes would touch somewhere."""
+    from scipy.spatial import cKDTree  # here: it takes long to load
+
+    lines = (divided(lane.center, SPACING_M, LONGEST_M / SPACING_M) for lane in (one, other))
+    away = np.asarray(cKDTree(next(lines)).query(next(lines))[0])
+    return bool(away.min() < CAR_WIDTH_M)
+
+
+READER = MapReader("Lanelet2", "*.osm", ".osm", read_lanelet2, beside=(PROJECTOR_INFO,), settings=("map_origin",))

@@ -78,7 +78,13 @@ def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:
         raise LogError("no lane on which a car may drive", file=path, remedy="give a map with lanes of type driving")
     sides = Counter(piece.on_right for piece in pieces)
     road = Road(lanes, drives_on_right=sides[True] >= sides[False])
-    return MapFile(road, "as in the file", tuple(_left_out(root)))
+    notes = []
+    for tag, words in (("signal", "signals and signs"), ("object", "objects"), ("priority", "priorities of junctions")):
+        count = sum(1 for _ in root.iter(tag))
+        notes += [f"{count} {words} are not read."] if count else []
+    if root.find("header/offset") is not None:
+        notes.append("The header's offset is not applied.")
+    return MapFile(road, "as in the file", tuple(notes))
 
 
 class _Tree(TreeBuilder):
@@ -99,9 +105,8 @@ def _root(path: Path) -> Element:
         if root.tag != "OpenDRIVE":
             raise LogError(f"root element is <{root.tag}>", remedy="give an OpenDRIVE map (<OpenDRIVE>)")
         lengths = [float(part.get("length", "nan")) for part in root.iter("geometry")]
-        far = [
-            part for part in root.iter("geometry") if not _reach(part) <= FARTHEST * float(part.get("length", "nan"))
-        ]
+        far = [part for part, length in zip(root.iter("geometry"), lengths, strict=True)
+               if not _reach(part, length) <= FARTHEST * length]  # fmt: skip
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror}", file=path) from None
     except (ParseError, ValueError, LookupError) as error:
@@ -116,13 +121,13 @@ def _root(path: Path) -> Element:
     return root
 
 
-def _reach(geometry: Element) -> float:
+def _reach(geometry: Element, length: float) -> float:
     """How far its polynomials lead at most, m: the sum of |a|, |b| p, |c| p^2, |d| p^3 at their end; else 0."""
     total = 0.0
     for part in geometry:
         if part.tag in ("poly3", "paramPoly3"):
             whole = part.tag == "paramPoly3" and part.get("pRange", "normalized") == "normalized"
-            p = 1.0 if whole else float(geometry.get("length", "nan"))
+            p = 1.0 if whole else length
             terms = (
                 abs(float(part.get(key, "0"))) * p**k
                 for k, one in enumerate("abcd")
@@ -161,7 +166,13 @@ def _lanes(pieces: Sequence[_Piece]) -> Iterator[tuple[int, Lane]]:
         step = 1 if piece.place > 0 else -1
         beside = by_place.get((id(piece.section), piece.place + step))
         middle = by_place.get((id(piece.section), piece.place - step or -step))
-        on_left, on_right = (middle, beside) if piece.on_right else (beside, middle)
+        sides: list[tuple[int | None, bool]] = []  # the lane in the same direction; whether there is an opposite one
+        for other in (middle, beside) if piece.on_right else (beside, middle):
+            if other is None or not (piece.drivable and other.drivable):
+                sides.append((None, False))
+            else:
+                same = other.against == piece.against
+                sides.append((other.number if same else None, not same))
         near, far = _crossable(piece, inner=True), _crossable(piece, inner=False)
         ends = piece.lane.predecessor_data if piece.against else piece.lane.successor_data
         after = [(by_lane[lane], contact.name == "END") for lane, contact in ends if lane in by_lane]
@@ -173,10 +184,10 @@ def _lanes(pieces: Sequence[_Piece]) -> Iterator[tuple[int, Lane]]:
                 left[rows],
                 right[rows],
                 successors=tuple(sorted(each.number for each, at_end in after if at_end == each.against)),
-                left_neighbour=_same(piece, on_left),
-                right_neighbour=_same(piece, on_right),
-                left_opposite=_opposite(piece, on_left),
-                right_opposite=_opposite(piece, on_right),
+                left_neighbour=sides[0][0],
+                right_neighbour=sides[1][0],
+                left_opposite=sides[0][1],
+                right_opposite=sides[1][1],
                 speed_limit=_limit(piece),
                 drivable=piece.drivable,
                 left_crossable=near if piece.on_right else far,
@@ -184,16 +195,6 @@ def _lanes(pieces: Sequence[_Piece]) -> Iterator[tuple[int, Lane]]:
                 kind=str(piece.lane.type),
             ),
         )
-
-
-def _same(piece: _Piece, other: _Piece | None) -> int | None:
-    if other is None or not (piece.drivable and other.drivable) or other.against != piece.against:
-        return None
-    return other.number
-
-
-def _opposite(piece: _Piece, other: _Piece | None) -> bool:
-    return other is not None and piece.drivable and other.drivable and other.against != piece.against
 
 
 def _crossable(piece: _Piece, *, inner: bool) -> bool:
@@ -226,13 +227,4 @@ def _limit(piece: _Piece) -> float:
     return nan
 
 
-def _left_out(root: Element) -> Iterator[str]:
-    for tag, words in (("signal", "signals and signs"), ("object", "objects"), ("priority", "priorities of junctions")):
-        count = sum(1 for _ in root.iter(tag))
-        if count:
-            yield f"{count} {words} are not read."
-    if root.find("header/offset") is not None:
-        yield "The header's offset is not applied."
-
-
-READER = MapReader("OpenDRIVE", "*.xodr, with pyxodr", lambda path: path.suffix.lower() == ".xodr", read_opendrive)
+READER = MapReader("OpenDRIVE", "*.xodr, with pyxodr", ".xodr", read_opendrive)

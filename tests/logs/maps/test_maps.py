@@ -14,8 +14,8 @@ from lanelet2_cases import MapWriter, crossroads, driven_along, through
 
 from logs import Colour, LogError, Road, Scenario, TrafficLight
 from logs.maps import MapFile, lanelet2, read_map
-from logs.maps.lanelet2_lanes import Bound, crossable, paired, speed_in, strips_of
-from logs.maps.osm import read_osm
+from logs.maps.lanelet2_file import read_osm
+from logs.maps.lanelet2_lanes import Bound, crossable, oriented, paired, speed_in, strips_of
 from logs.maps.projections import Projection, projection_named, utm
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log
@@ -209,9 +209,7 @@ def test_a_lane_keeps_left_on_the_left_however_its_ways_run(one: bool, other: bo
 
 
 def lanelet2_bounds(named: tuple[tuple[int, ...], ...], xy: np.ndarray) -> tuple[tuple[int, ...], ...]:
-    from logs.maps.lanelet2_lanes import _oriented
-
-    return tuple(bound.points for bound in _oriented(*(Bound(points, {}, against=False) for points in named), xy))
+    return tuple(bound.points for bound in oriented(*(Bound(points, {}, against=False) for points in named), xy))
 
 
 # projections --------------------------------------------------------------------------------------------------------

@@ -1,23 +1,40 @@
-"""OpenStreetMap XML as Lanelet2 uses it (.osm): nodes, ways and relations as plain records, in the file's own terms.
+"""Lanelet2 files (.osm): OpenStreetMap XML as plain records, and where their points are.
 
 The file is read as a stream: no tree is built, so that its depth costs nothing. A document type declaration, which such
 files do not have and in which entities could grow without bound, is refused before anything in it is expanded.
+
+Plane coordinates, the first of these that the map and the settings give:
+
+(1) `[log] map_origin`: latitudes and longitudes projected as it says (`logs.maps.projections`);
+(2) `local_x` and `local_y` on every point, as Autoware's maps have them;
+(3) `map_projector_info.yaml` beside the map, as Autoware has it;
+(4) within `NEAR_NULL_DEG` of latitude 0, longitude 0, as the towns of CARLA are: transverse Mercator about that place;
+(5) else the MGRS square of the first point, Autoware's default.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree.ElementTree import ParseError, XMLParser
 
+import numpy as np
+
 from logs.errors import LogError
+from logs.kernel import FloatArray
+from logs.maps.projections import UTM_SCALE, Projection, on_earth, projection_named
 
 LARGEST_BYTES = 1 << 30
 """A larger file is refused: the maps of whole cities have some 100 MB."""
 _CHUNK_BYTES = 1 << 16
 NEW_ID = 10**12
 """Editors number what is new -1, -2 ...: such ids become this and one, two ... more, as replan's are not negative."""
+PROJECTOR_INFO = "map_projector_info.yaml"
+NEAR_NULL_DEG = 0.1
+LARGEST_M = 1e9
+_AUTOWARE = {"LocalCartesianUTM": "utm", "TransverseMercator": "tmerc", "LocalCartesian": "enu"}
+_LOCAL = ("local_x", "local_y")
 
 
 @dataclass(frozen=True)
@@ -156,3 +173,54 @@ def real(text: str, place: str) -> float:
     if not abs(value) < 1e9:
         raise LogError(f"{text[:40]!r} is no coordinate", topic=place, remedy="correct the element")
     return value
+
+
+def placed_points(osm: Osm, path: Path, settings: Mapping[str, str]) -> tuple[list[Element], str, FloatArray]:
+    """The points that boundaries and lines use, how they came about, and where they are `(n, 2)`, m."""
+    used = dict.fromkeys(node for way in osm.ways.values() for node in way.nodes if node in osm.nodes)
+    nodes = [osm.nodes[node] for node in used]
+    if len(nodes) < 4:
+        raise LogError("its ways have less than four points", remedy="give a Lanelet2 map")
+    local = all(key in node.tags for node in nodes for key in _LOCAL)
+    if local and not settings.get("map_origin"):
+        texts = ((node.tags[key] for key in _LOCAL) for node in nodes)
+        return nodes, "local_x and local_y", np.array([[real(text, "local_x") for text in row] for row in texts])
+    places = [node.place for node in nodes if node.place is not None]
+    if len(places) < len(nodes):
+        raise LogError(
+            f"{len(nodes) - len(places)} of {len(nodes)} points have neither local_x and local_y nor lat and lon",
+            remedy="give every point its place",
+        )
+    (lat, lon), info = places[0], path.with_name(PROJECTOR_INFO)
+    if settings.get("map_origin"):
+        projection, why = projection_named(settings["map_origin"]), "as [log] map_origin says"
+    elif info.is_file():
+        projection, why = _projector_info(info), f"as {info.name} says"
+    elif abs(lat) < NEAR_NULL_DEG and abs(lon) < NEAR_NULL_DEG:
+        projection, why = Projection("tmerc", (0.0, 0.0)), "assumed"
+    else:
+        projection, why = Projection("mgrs"), "assumed: the map does not say"
+    xy = projection(np.array([on_earth(*place) for place in places]))
+    if not (np.abs(xy) < LARGEST_M).all():
+        raise LogError(f"points have no place under {projection}", topic="[log] map_origin", remedy="name its origin")
+    return nodes, f"{projection} ({why})", xy
+
+
+def _projector_info(path: Path) -> Projection:
+    """What Autoware's file says; LogError where that cannot be read."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise LogError(f"cannot be read: {error}", file=path) from None
+    pairs = (line.split("#")[0].partition(":") for line in lines)
+    values = {key.strip(): value.strip(" '\"\t") for key, _, value in pairs}
+    kind = values.get("projector_type", "")
+    if kind == "MGRS":
+        return projection_named(values.get("mgrs_grid", "") or "mgrs")
+    if kind not in _AUTOWARE:
+        remedy = f"known are MGRS, {', '.join(_AUTOWARE)}; or set [log] map_origin"
+        what = f"projector_type is {kind!r}, and the points have no local_x and local_y"
+        raise LogError(what, file=path, remedy=remedy)
+    place = on_earth(*(real(values.get(key, ""), key) for key in ("latitude", "longitude")))
+    scale = real(values.get("scale_factor", str(UTM_SCALE)), "scale_factor")
+    return Projection(_AUTOWARE[kind], place, scale=scale)

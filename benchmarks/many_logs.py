@@ -2,7 +2,7 @@
 
     python benchmarks/many_logs.py [--logs 1000] [--workers 1 --workers 2] [--out FOLDER] [-- OPTIONS OF EVALUATE]
 
-The first cells of the catalogue (`logs.catalogue.suites.ordered`) are written as MCAP files and evaluated by the
+The first cells of the catalogue (`logs.catalogue.ordered`) are written as MCAP files and evaluated by the
 command line. CPU time is that of the run and all its workers, start and first compilation included; memory is the
 resident set, sampled every second. Times mean this machine on this day; the ratio of CPU per log should not.
 """
@@ -24,8 +24,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from logs.catalogue import scenario
-from logs.catalogue.suites import ordered
+from logs.catalogue import ordered, scenario
 from logs.mcap import write_scenario
 from replay.results.tables import safe_name
 

@@ -32,8 +32,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from logs.catalogue import FAMILIES, Family
-from logs.catalogue.suites import SUITES
+from logs.catalogue import FAMILIES, SUITES, Family
 from logs.errors import ConfigError, ReplanError
 from metrics.judge import CAREFUL, IMPACT, REFERENCE, REPLAY_CONTACT
 from metrics.judge.gates import Outcome

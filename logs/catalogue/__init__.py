@@ -1,16 +1,37 @@
-"""Synthesised scenario families: deterministic, with their parameters in the metadata."""
+"""Synthesised scenario families: deterministic, with their parameters in the metadata; and suites of their cells.
 
-from collections.abc import Iterable
+There is one order of all cells; a suite is a prefix of it, so that a smaller suite is part of a larger one. Of a family
+with n cells the k-th, from 0, comes at
 
-from logs.catalogue import euro_ncap, everyday, faults, iso3888, paper, pedestrians, raw, rules, unece_r157
+(1) k / sqrt(n)
+
+so that first every family gives a cell, the groups taking turns, and then about as many as the root of how many it has
+(power allocation; Bankier, The American Statistician 42, 1988): a large grid is seen, and does not hide the small ones.
+
+Within a family the cells spread: the next is that one which is farthest from all before it, by the places of its values
+in their lists, each list 1 long (a maximin design; Johnson, Moore, Ylvisaker, J. Stat. Plan. Inference 26, 1990). The
+corners of a grid come early. Draws are by the SHA-256 of seed, family and cell: they do not change when a family is
+added elsewhere.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from heapq import merge
+from itertools import chain, islice, zip_longest
+from math import sqrt
+
+import numpy as np
+
+from logs.catalogue import euro_ncap, everyday, faults, iso3888, paper, pedestrians, raw, unece_r157
 from logs.catalogue.family import Family
-from logs.errors import ConfigError
+from logs.errors import ConfigError, unknown_name
 from logs.extension import Kind, an_instance
 from logs.scenario import Scenario
 
 CATALOGUE: dict[str, Family] = {
     family.name: family
-    for family in (*paper.FAMILIES, *everyday.FAMILIES, *rules.FAMILIES, *pedestrians.FAMILIES, raw.CROSSING)
+    for family in (*paper.FAMILIES, *everyday.FAMILIES, *everyday.RULES, *pedestrians.FAMILIES, raw.CROSSING)
 }
 """The families that the built-in suite has, by name, in the order in which they are listed."""
 FAMILIES: dict[str, Family] = CATALOGUE | {
@@ -26,6 +47,24 @@ FAMILIES: dict[str, Family] = CATALOGUE | {
 """Those and the ones with published grids."""
 FAMILY: Kind[Family] = Kind("family", "families", FAMILIES, an_instance(Family, "replan.Family"))
 """Finds those, and users' own."""
+
+
+SEED = 1
+
+
+@dataclass(frozen=True)
+class Suite:
+    """How many cells, for what."""
+
+    size: int
+    summary: str
+
+
+SUITES: Mapping[str, Suite] = {
+    "smoke": Suite(20, "some of every group: does it run"),
+    "full": Suite(300, "every family, the corners of its grid first: before a release"),
+    "nightly": Suite(3000, "the grids: at night"),
+}
 
 
 def families() -> dict[str, Family]:
@@ -66,4 +105,66 @@ def numbers(words: Iterable[str], where: str) -> dict[str, float]:
     return out
 
 
-__all__ = ["CATALOGUE", "FAMILIES", "FAMILY", "Family", "families", "numbers", "scenario"]
+def suite(name: str, seed: int = SEED) -> tuple[str, ...]:
+    """Names of scenarios (`scenario`): of a suite, or of all cells of a family or a group.
+
+    A suite has families of ours only; one of the user's own is "module:NAME".
+
+    Raises:
+        ConfigError: Nothing is called so.
+    """
+    if name in SUITES:
+        return tuple(islice(ordered(seed), SUITES[name].size))
+    if ":" in name:
+        own = FAMILY.find(name)
+        return tuple(name + own.named(cell).removeprefix(own.name) for cell in own.cells())
+    known = families()
+    meant = [family for key, family in known.items() if name in (key, key.partition("/")[0])]
+    if not meant:
+        raise unknown_name("suite", name, [*SUITES, *groups(), *known])
+    return tuple(family.named(cell) for family in meant for cell in family.cells())
+
+
+def groups() -> dict[str, list[Family]]:
+    """The families by group."""
+    found: dict[str, list[Family]] = {}
+    for name, family in FAMILIES.items():
+        found.setdefault(name.partition("/")[0], []).append(family)
+    return found
+
+
+def ordered(seed: int = SEED) -> Iterator[str]:
+    """All cells of all families in the order of the module docstring, as names."""
+    turns = zip_longest(*(sorted(group, key=lambda one: _draw(seed, one.name)) for group in groups().values()))
+    in_turn = [family for family in chain.from_iterable(turns) if family is not None]
+
+    def placed(turn: int, family: Family) -> Iterator[tuple[float, int, str]]:
+        rate = sqrt(sum(1 for _ in family.cells()))
+        return ((k / rate, turn, name) for k, name in enumerate(spread(family, seed)))  # (1)
+
+    return (name for _, _, name in merge(*(placed(turn, family) for turn, family in enumerate(in_turn))))
+
+
+def spread(family: Family, seed: int = SEED) -> Iterator[str]:
+    """The cells of a family, each farthest from those before it; of several the first by draw."""
+    by_name = {family.named(cell): cell for cell in family.cells()}
+    cells = sorted(by_name, key=lambda name: _draw(seed, name))
+    places = np.empty((len(cells), len(family.grid)))
+    for column, (key, values) in enumerate(family.grid.items()):
+        places[:, column] = [values.index(by_name[name][key]) / max(len(values) - 1, 1) for name in cells]
+    far = np.full(len(cells), np.inf)
+    for _ in cells:
+        k = int(np.argmax(far))
+        yield cells[k]
+        far = np.minimum(far, ((places - places[k]) ** 2).sum(axis=1))
+        far[k] = -1.0
+
+
+def _draw(seed: int, name: str) -> bytes:
+    return sha256(f"{seed} {name}".encode()).digest()
+
+
+__all__ = [
+    "CATALOGUE", "FAMILIES", "FAMILY", "SEED", "SUITES", "Family", "Suite", "families", "groups", "numbers", "ordered",
+    "scenario", "spread", "suite",
+]  # fmt: skip

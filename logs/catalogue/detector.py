@@ -108,8 +108,15 @@ def detected(tracks: Tracks, ego: Trajectory, seed: int) -> Detections:
     twins = boxes[rng.random(len(boxes)) < TWINS].copy()  # second, weaker boxes of some
     twins[:, 2:4] += rng.normal(0.0, 0.5, (len(twins), 2))
     twins[:, 7] = np.minimum(twins[:, 7], 0.25)
-    rows = np.vstack([boxes, twins, _clutter(seen.frames, ego, rng), _ghosts(seen.frames, ego, rng)])
-    rows = rng.permutation(rows)
+    false, count = [], len(seen.frames)
+    for first in rng.integers(0, count, rng.poisson(CLUTTER * count)).tolist():  # for a frame or a few
+        last = min(first + int(rng.geometric(CLUTTER_END)), count)
+        false.append(_nothing(np.arange(first, last), seen.frames, ego, 0.4, rng))
+    for first in rng.integers(0, count, rng.poisson(STEP_S * count / GHOST_EVERY_S)).tolist():  # ghosts, for seconds
+        last = min(first + round(rng.uniform(*GHOST_S) / STEP_S), count)
+        there = first + np.flatnonzero(rng.random(last - first) < GHOST_SEEN)
+        false.append(_nothing(there, seen.frames, ego, 0.35, rng))
+    rows = rng.permutation(np.vstack([boxes, twins, *false]))
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     frame, codes = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
     places = np.arange(len(frame)) - np.searchsorted(frame, frame)
@@ -131,7 +138,9 @@ def _of_agent(tracks: Tracks, i: int, seen: Sight, rng: np.random.Generator) -> 
     n, code = len(rows), int(tracks.codes[i])
     vehicle, cluster = bool(_VEHICLES[code]), bool(_CLUSTERS[code])
     along, across = (0.09, 0.06) if vehicle else (0.06, 0.06)
-    drift = _drift(n, 0.22 if vehicle else 0.1, rng)
+    drift = rng.normal(0.0, 0.22 if vehicle else 0.1, (n, 2))  # slow errors, m
+    for k in range(1, n):
+        drift[k] = DRIFT_KEPT * drift[k - 1] + np.sqrt(1.0 - DRIFT_KEPT**2) * drift[k]
     u, v = drift[:, 0] + rng.normal(0.0, along, n), 0.5 * drift[:, 1] + rng.normal(0.0, across, n)
     c, s = np.cos(seen.yaw[rows]), np.sin(seen.yaw[rows])
     yaw = seen.yaw[rows] + rng.normal(0.0, np.radians(3.5 if vehicle else 25.0), n)
@@ -149,14 +158,6 @@ def _of_agent(tracks: Tracks, i: int, seen: Sight, rng: np.random.Generator) -> 
     return boxes[_noticed(seen.far[rows], rng) & ~seen.hidden[rows]]
 
 
-def _drift(n: int, deviation: float, rng: np.random.Generator) -> FloatArray:
-    """Slow errors `(n, 2)`, m."""
-    out = rng.normal(0.0, deviation, (n, 2))
-    for k in range(1, n):
-        out[k] = DRIFT_KEPT * out[k - 1] + np.sqrt(1.0 - DRIFT_KEPT**2) * out[k]
-    return out
-
-
 def _noticed(far: FloatArray, rng: np.random.Generator) -> BoolArray:
     """The frames `(n,)` in which a road user at distances `far` `(n,)` is seen: the gaps have the measured lengths."""
     share = np.interp(far, FAR_M, SEEN)
@@ -170,25 +171,6 @@ def _noticed(far: FloatArray, rng: np.random.Generator) -> BoolArray:
             end = SHORT_END if rng.random() < SHORT_GAPS else LONG_END
         out[k] = end == 0.0
     return out
-
-
-def _clutter(frames: FloatArray, ego: Trajectory, rng: np.random.Generator) -> FloatArray:
-    """False boxes that last for a frame or a few."""
-    parts: list[FloatArray] = [np.empty((0, _WIDTH))]
-    for first in rng.integers(0, len(frames), rng.poisson(CLUTTER * len(frames))).tolist():
-        last = min(first + int(rng.geometric(CLUTTER_END)), len(frames))
-        parts.append(_nothing(np.arange(first, last), frames, ego, 0.4, rng))
-    return np.vstack(parts)
-
-
-def _ghosts(frames: FloatArray, ego: Trajectory, rng: np.random.Generator) -> FloatArray:
-    """False boxes that last for seconds."""
-    parts: list[FloatArray] = [np.empty((0, _WIDTH))]
-    for first in rng.integers(0, len(frames), rng.poisson(STEP_S * len(frames) / GHOST_EVERY_S)).tolist():
-        last = min(first + round(rng.uniform(*GHOST_S) / STEP_S), len(frames))
-        rows = first + np.flatnonzero(rng.random(last - first) < GHOST_SEEN)
-        parts.append(_nothing(rows, frames, ego, 0.35, rng))
-    return np.vstack(parts)
 
 
 def _nothing(rows: IntArray, frames: FloatArray, ego: Trajectory, most: float, rng: np.random.Generator) -> FloatArray:

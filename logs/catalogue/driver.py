@@ -56,18 +56,6 @@ def waiting(line: float, short: float, begin: float, end: float, front: float) -
     return ahead
 
 
-def _wish(v: float, cruise: float, ahead: Ahead | None, thw: float) -> float:
-    """(1) to (4) without the bound on jerk, m/s2."""
-    a = 0.8 * (cruise - v)
-    if ahead is not None and ahead.stop:
-        a = min(a, -v * v / (2.0 * max(ahead.gap, 0.1)))
-    elif ahead is not None:
-        a = min(a, 0.15 * (ahead.gap - thw * v) + 0.7 * (ahead.speed - v))
-    low = max(-MAX_BRAKE, -sqrt(2.0 * _EASE * max(v, 0.0)))
-    high = min(MAX_ACCEL, sqrt(2.0 * _EASE * max(cruise - v, 0.0)))
-    return min(max(a, low), high)
-
-
 def drive(
     path: Path,
     *,
@@ -97,8 +85,15 @@ def drive(
     for k in range(round(duration / STEP_S) + 1):
         if k % every == 0:
             rows.append((k * STEP_S, s, v, a))
-        wish = _wish(v, cruise(s) if callable(cruise) else cruise, ahead(t, s), thw)
-        jerk = min(max((wish - a) / STEP_S, -MAX_JERK), MAX_JERK)
+        wanted, seen = cruise(s) if callable(cruise) else cruise, ahead(t, s)
+        wish = 0.8 * (wanted - v)  # (1)
+        if seen is not None and seen.stop:
+            wish = min(wish, -v * v / (2.0 * max(seen.gap, 0.1)))  # (3)
+        elif seen is not None:
+            wish = min(wish, 0.15 * (seen.gap - thw * v) + 0.7 * (seen.speed - v))  # (2)
+        low = max(-MAX_BRAKE, -sqrt(2.0 * _EASE * max(v, 0.0)))  # (4)
+        high = min(MAX_ACCEL, sqrt(2.0 * _EASE * max(wanted - v, 0.0)))
+        jerk = min(max((min(max(wish, low), high) - a) / STEP_S, -MAX_JERK), MAX_JERK)
         s += (v + (0.5 * a + jerk * STEP_S / 6.0) * STEP_S) * STEP_S
         v += (a + 0.5 * jerk * STEP_S) * STEP_S
         a += jerk * STEP_S

@@ -18,8 +18,7 @@ from math import copysign, pi
 import numpy as np
 
 from logs.catalogue.driver import Ahead, waiting
-from logs.catalogue.family import Family
-from logs.catalogue.junctions import junction
+from logs.catalogue.family import Build, Family
 from logs.catalogue.protocols import (
     CAR_TARGET,
     CHILD_TARGET,
@@ -41,7 +40,7 @@ from logs.catalogue.protocols import (
     straight,
     tested,
 )
-from logs.catalogue.roads import LANE_WIDTH_M, one_lane, two_way
+from logs.catalogue.roads import LANE_WIDTH_M, junction, one_lane, two_way
 from logs.catalogue.scene import BEYOND_M, HALF_LANE, SIDEWALK_M, SPARE_S, START_M, WAITS, grid, moving
 from logs.scenario import Scenario
 from logs.trace import DecisionKind
@@ -124,8 +123,6 @@ TURNING: Mapping[str, float] = {"ego_kmh": 15.0, "target_kmh": 45.0, "reaction_s
 AHEAD: Mapping[str, float] = {**MEETING, "target_kmh": 20.0, "overlap_percent": 100.0}
 CROSSED: Mapping[str, float] = {**TURNING, "ego_kmh": 40.0, "target_kmh": 40.0, "from_left": 0.0}
 OVERLAPS = (-50.0, -75.0, 100.0, 75.0, 50.0)
-
-Build = Callable[[Mapping[str, float]], Scenario]
 
 
 def _family(

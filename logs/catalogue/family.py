@@ -109,6 +109,22 @@ class Family:
         )
 
 
+Build = Callable[[Mapping[str, float]], Scenario]
+
+
+def family(
+    name: str, summary: str, tags: tuple[str, ...], parameters: Mapping[str, float],
+    grid: Mapping[str, tuple[float, ...]] | None = None, source: str = "",
+    holds: Callable[[Mapping[str, float]], bool] = lambda p: True,
+) -> Callable[[Build], Family]:  # fmt: skip
+    """Make a `Family` of the function below, which builds its scenarios."""
+
+    def made(build: Build) -> Family:
+        return Family(name, summary, parameters, tags, build, grid or {}, source, holds)
+
+    return made
+
+
 def expects(**kinds: tuple[DecisionKind, ...]) -> dict[str, str]:
     """The metadata entry `expected_decisions` (module docstring)."""
     return {

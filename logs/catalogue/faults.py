@@ -11,33 +11,45 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from math import cos, radians, sin, tan
 
 import numpy as np
 
 from logs.catalogue import everyday, paper
 from logs.catalogue.driver import SAMPLE_S
-from logs.catalogue.family import Family
+from logs.catalogue.family import Family, family
 from logs.catalogue.roads import LANE_WIDTH_M
 from logs.catalogue.scene import BEYOND_M
 from logs.kernel import BoolArray, FloatArray
 from logs.road import Goal
 from logs.scenario import Scenario, Tracks
 
-SCENES = (paper.CROSSING_PEDESTRIAN, everyday.FOLLOW, everyday.CUT_IN)
+SCENES = (paper.crossing_pedestrian, everyday.follow, everyday.cut_in)
 SOURCE = "ours"
 GOAL_SECTIONS = 6
 """Number of last cross-sections (10 m) that are the goal, of a lane that does not end where the scene does."""
+SEEDS = (1.0, 2.0, 3.0)
 Lines = tuple[FloatArray, FloatArray]
 
 
-def _scene(p: Mapping[str, float], fault: Callable[[Tracks, Mapping[str, float]], Tracks]) -> Scenario:
-    if p["scene"] not in range(len(SCENES)):
-        raise ValueError(f"scene is {p['scene']:g}: 0 is the crossing pedestrian, 1 the lead, 2 the cut-in")
-    scene = SCENES[int(p["scene"])]
-    whole = scene.build(scene.parameters)
-    return replace(whole, tracks=fault(whole.tracks, p))
+def _perception(
+    name: str, summary: str, defaults: Mapping[str, float], grid: Mapping[str, tuple[float, ...]]
+) -> Callable[[Callable[[Tracks, Mapping[str, float]], Tracks]], Family]:
+    """Make a family of a fault in the tracks of a scene."""
+
+    def made(fault: Callable[[Tracks, Mapping[str, float]], Tracks]) -> Family:
+        def build(p: Mapping[str, float]) -> Scenario:
+            if p["scene"] not in range(len(SCENES)):
+                raise ValueError(f"scene is {p['scene']:g}: 0 is the crossing pedestrian, 1 the lead, 2 the cut-in")
+            scene = SCENES[int(p["scene"])]
+            whole = scene.build(scene.parameters)
+            return replace(whole, tracks=fault(whole.tracks, p))
+
+        scenes = {"scene": tuple(float(k) for k in range(len(SCENES)))}
+        tags, parameters = ("faults", "perception"), {"scene": 0.0, **defaults}
+        return Family(f"faults/{name}", summary, parameters, tags, build, {**scenes, **grid}, SOURCE)
+
+    return made
 
 
 def _kept(tracks: Tracks, keep: BoolArray) -> Tracks:
@@ -48,24 +60,42 @@ def _kept(tracks: Tracks, keep: BoolArray) -> Tracks:
     return left
 
 
-def _flicker(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
+@_perception(
+    "flicker", "boxes come and go frame by frame",
+    {"shown_frames": 1.0, "hidden_frames": 1.0}, {"shown_frames": (1.0, 2.0, 5.0), "hidden_frames": (1.0, 2.0, 4.0)},
+)  # fmt: skip
+def flicker(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
     shown, hidden = int(p["shown_frames"]), int(p["hidden_frames"])
     return _kept(tracks, np.rint(tracks.t / SAMPLE_S).astype(np.int64) % (shown + hidden) < shown)
 
 
-def _dropout(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
+@_perception(
+    "dropout", "all boxes are gone for a while",
+    {"from_s": 6.0, "lasts_s": 0.5}, {"from_s": (4.0, 6.0, 8.0), "lasts_s": (0.3, 0.5, 1.0, 2.0)},
+)  # fmt: skip
+def dropout(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
     return _kept(tracks, (tracks.t < p["from_s"] - 1e-9) | (tracks.t >= p["from_s"] + p["lasts_s"] - 1e-9))
 
 
-def _late(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
+@_perception("late", "a box appears late", {"first_s": 5.0}, {"first_s": (1.0, 3.0, 5.0, 6.0)})
+def late(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
     return _kept(tracks, tracks.t >= p["first_s"] - 1e-9)
 
 
-def _delayed(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
+@_perception(
+    "latency", "boxes are where they were a while ago",
+    {"latency_s": 0.3}, {"latency_s": (0.1, 0.2, 0.3, 0.5)},
+)  # fmt: skip
+def delayed(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
     return replace(tracks, t=np.round(tracks.t + p["latency_s"], 9))
 
 
-def _noisy(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
+@_perception(
+    "noise", "positions and headings are noisy",
+    {"position_m": 0.1, "yaw_deg": 5.0, "seed": 1.0},
+    {"position_m": (0.02, 0.1, 0.3), "yaw_deg": (0.0, 5.0), "seed": SEEDS},
+)  # fmt: skip
+def noisy(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
     rng = np.random.default_rng(int(p["seed"]))
     x, y, yaw = (rng.standard_normal(len(tracks.t)) for _ in range(3))
     return replace(
@@ -76,15 +106,22 @@ def _noisy(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
     )
 
 
-def _sparse(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
+@_perception("sparse", "few frames, and no velocities", {"every_frames": 2.0}, {"every_frames": (1.0, 2.0, 5.0, 10.0)})
+def sparse(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
     """One frame of every `every`, without velocities."""
     left = _kept(tracks, np.rint(tracks.t / SAMPLE_S).astype(np.int64) % int(p["every_frames"]) == 0)
     return replace(left, vx=np.full(len(left.t), np.nan), vy=np.full(len(left.t), np.nan))
 
 
-def _started(p: Mapping[str, float]) -> Scenario:
+@family(
+    "faults/start", "the ego starts beside its line, at an angle to it, slower than the limit", ("faults", "ego"),
+    {"lateral_m": 0.5, "heading_deg": 0.0, "speed_factor": 1.0},
+    {"lateral_m": (-0.6, -0.3, 0.0, 0.3, 0.6), "heading_deg": (-5.0, 0.0, 5.0), "speed_factor": (0.0, 0.5, 1.0)},
+    SOURCE,
+)  # fmt: skip
+def started(p: Mapping[str, float]) -> Scenario:
     """The ego beside its lane's middle, at an angle to it, and at another speed than the lane's."""
-    whole = paper.FREE_ROAD.build(paper.FREE_ROAD.parameters)
+    whole = paper.free_road.build(paper.free_road.parameters)
     first, turned = whole.ego.between(0.0, 0.0), radians(p["heading_deg"])
     ego = replace(
         first,
@@ -96,35 +133,55 @@ def _started(p: Mapping[str, float]) -> Scenario:
     return replace(whole, ego=ego)
 
 
-def _lined(p: Mapping[str, float], fault: Callable[[Lines, Mapping[str, float]], Lines]) -> Scenario:
-    whole = paper.FREE_ROAD.build(paper.FREE_ROAD.parameters)
-    lane = whole.road.lanes[1]
-    left, right = fault((lane.left, lane.right), p)
-    road = replace(whole.road, lanes={1: replace(lane, left=left, right=right)})
-    reaches = bool(np.hypot(*(left[-1] - lane.left[-1])) < LANE_WIDTH_M)
-    last = Goal((np.vstack([left[-GOAL_SECTIONS:], right[: -GOAL_SECTIONS - 1 : -1]]),))
-    return replace(whole, ego=whole.ego.between(0.0, 0.0), road=road, goal=whole.goal if reaches else last)
+def _lanes(
+    name: str, summary: str, defaults: Mapping[str, float], grid: Mapping[str, tuple[float, ...]]
+) -> Callable[[Callable[[Lines, Mapping[str, float]], Lines]], Family]:
+    """Make a family of a fault in the boundaries of the free road's lane."""
+
+    def made(fault: Callable[[Lines, Mapping[str, float]], Lines]) -> Family:
+        def build(p: Mapping[str, float]) -> Scenario:
+            whole = paper.free_road.build(paper.free_road.parameters)
+            lane = whole.road.lanes[1]
+            left, right = fault((lane.left, lane.right), p)
+            road = replace(whole.road, lanes={1: replace(lane, left=left, right=right)})
+            reaches = bool(np.hypot(*(left[-1] - lane.left[-1])) < LANE_WIDTH_M)
+            last = Goal((np.vstack([left[-GOAL_SECTIONS:], right[: -GOAL_SECTIONS - 1 : -1]]),))
+            return replace(whole, ego=whole.ego.between(0.0, 0.0), road=road, goal=whole.goal if reaches else last)
+
+        return Family(f"faults/{name}", summary, defaults, ("faults", "lanes"), build, grid, SOURCE)
+
+    return made
 
 
-def _noisy_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
+@_lanes(
+    "lane_noise", "lane boundaries are noisy",
+    {"position_m": 0.05, "seed": 1.0}, {"position_m": (0.02, 0.05, 0.1, 0.2), "seed": SEEDS},
+)  # fmt: skip
+def noisy_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
     rng = np.random.default_rng(int(p["seed"]))
     left, right = (line + p["position_m"] * rng.standard_normal(line.shape) for line in lines)
     return left, right
 
 
-def _coarse_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
+@_lanes("lane_coarse", "lane boundaries have few points", {"spacing_m": 10.0}, {"spacing_m": (4.0, 6.0, 10.0, 20.0)})
+def coarse_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
     """A cross-section per step in metres (they are 2 m apart), and the last."""
     keep = np.unique(np.r_[0 : len(lines[0]) : round(p["spacing_m"] / 2.0), len(lines[0]) - 1])
     return lines[0][keep], lines[1][keep]
 
 
-def _doubled_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
+@_lanes("lane_doubled", "points of the lane boundaries are there twice", {"every": 5.0}, {"every": (1.0, 2.0, 5.0)})
+def doubled_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
     """Each n-th cross-section is there twice."""
     count = 1 + (np.arange(len(lines[0])) % int(p["every"]) == 0)
     return np.repeat(lines[0], count, axis=0), np.repeat(lines[1], count, axis=0)
 
 
-def _kinked_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
+@_lanes(
+    "lane_kink", "the lane has a kink",
+    {"angle_deg": 30.0, "straight_m": 80.0}, {"angle_deg": (-45.0, -30.0, -15.0, 15.0, 30.0, 45.0)},
+)  # fmt: skip
+def kinked_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
     """Two straight pieces as long as the lane together, with an angle between them after `straight_m`."""
     angle, half = radians(p["angle_deg"]), 0.5 * LANE_WIDTH_M
     rest = float(np.hypot(*np.diff(lines[0] + lines[1], axis=0).T).sum()) / 2.0 - p["straight_m"] - BEYOND_M
@@ -143,13 +200,15 @@ def _kinked_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
     return edges[0], edges[1]
 
 
-def _ended_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
+@_lanes("lane_ends", "the lane ends before the log does", {"length_m": 60.0}, {"length_m": (30.0, 60.0, 100.0)})
+def ended_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
     """The lane ends after a length in metres."""
     keep = np.r_[0.0, np.cumsum(np.hypot(*np.diff(0.5 * (lines[0] + lines[1]), axis=0).T))] <= p["length_m"]
     return lines[0][keep], lines[1][keep]
 
 
-def _narrow_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
+@_lanes("lane_narrow", "the lane becomes narrow", {"width_m": 2.5, "from_m": 60.0}, {"width_m": (1.5, 2.0, 2.5, 3.0)})
+def narrow_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
     """The lane is narrower from a station (m) on."""
     middle, half = 0.5 * (lines[0] + lines[1]), 0.5 * (lines[0] - lines[1])
     s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(middle, axis=0).T))]
@@ -158,51 +217,7 @@ def _narrow_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
     return middle + share * half, middle - share * half
 
 
-def _perception(
-    name: str, summary: str, fault: Callable[[Tracks, Mapping[str, float]], Tracks],
-    defaults: Mapping[str, float], grid: Mapping[str, tuple[float, ...]],
-) -> Family:  # fmt: skip
-    scenes = tuple(float(k) for k in range(len(SCENES)))
-    return Family(
-        f"faults/{name}", summary, {"scene": 0.0, **defaults}, ("faults", "perception"), partial(_scene, fault=fault),
-        {"scene": scenes, **grid}, SOURCE,
-    )  # fmt: skip
-
-
-def _lanes(
-    name: str, summary: str, fault: Callable[[Lines, Mapping[str, float]], Lines],
-    defaults: Mapping[str, float], grid: Mapping[str, tuple[float, ...]],
-) -> Family:  # fmt: skip
-    return Family(f"faults/{name}", summary, defaults, ("faults", "lanes"), partial(_lined, fault=fault), grid, SOURCE)
-
-
-SEEDS = (1.0, 2.0, 3.0)
 FAMILIES = (
-    _perception("flicker", "boxes come and go frame by frame", _flicker, {"shown_frames": 1.0, "hidden_frames": 1.0},
-                {"shown_frames": (1.0, 2.0, 5.0), "hidden_frames": (1.0, 2.0, 4.0)}),
-    _perception("dropout", "all boxes are gone for a while", _dropout, {"from_s": 6.0, "lasts_s": 0.5},
-                {"from_s": (4.0, 6.0, 8.0), "lasts_s": (0.3, 0.5, 1.0, 2.0)}),
-    _perception("late", "a box appears late", _late, {"first_s": 5.0}, {"first_s": (1.0, 3.0, 5.0, 6.0)}),
-    _perception("latency", "boxes are where they were a while ago", _delayed, {"latency_s": 0.3},
-                {"latency_s": (0.1, 0.2, 0.3, 0.5)}),
-    _perception("noise", "positions and headings are noisy", _noisy, {"position_m": 0.1, "yaw_deg": 5.0, "seed": 1.0},
-                {"position_m": (0.02, 0.1, 0.3), "yaw_deg": (0.0, 5.0), "seed": SEEDS}),
-    _perception("sparse", "few frames, and no velocities", _sparse, {"every_frames": 2.0},
-                {"every_frames": (1.0, 2.0, 5.0, 10.0)}),
-    Family("faults/start", "the ego starts beside its line, at an angle to it, slower than the limit",
-           {"lateral_m": 0.5, "heading_deg": 0.0, "speed_factor": 1.0}, ("faults", "ego"), _started,
-           {"lateral_m": (-0.6, -0.3, 0.0, 0.3, 0.6), "heading_deg": (-5.0, 0.0, 5.0),
-            "speed_factor": (0.0, 0.5, 1.0)}, SOURCE),
-    _lanes("lane_noise", "lane boundaries are noisy", _noisy_lines, {"position_m": 0.05, "seed": 1.0},
-           {"position_m": (0.02, 0.05, 0.1, 0.2), "seed": SEEDS}),
-    _lanes("lane_coarse", "lane boundaries have few points", _coarse_lines, {"spacing_m": 10.0},
-           {"spacing_m": (4.0, 6.0, 10.0, 20.0)}),
-    _lanes("lane_doubled", "points of the lane boundaries are there twice", _doubled_lines, {"every": 5.0},
-           {"every": (1.0, 2.0, 5.0)}),
-    _lanes("lane_kink", "the lane has a kink", _kinked_lines, {"angle_deg": 30.0, "straight_m": 80.0},
-           {"angle_deg": (-45.0, -30.0, -15.0, 15.0, 30.0, 45.0)}),
-    _lanes("lane_ends", "the lane ends before the log does", _ended_lines, {"length_m": 60.0},
-           {"length_m": (30.0, 60.0, 100.0)}),
-    _lanes("lane_narrow", "the lane becomes narrow", _narrow_lines, {"width_m": 2.5, "from_m": 60.0},
-           {"width_m": (1.5, 2.0, 2.5, 3.0)}),
+    flicker, dropout, late, delayed, noisy, sparse, started, noisy_lines, coarse_lines, doubled_lines,
+    kinked_lines, ended_lines, narrow_lines,
 )  # fmt: skip

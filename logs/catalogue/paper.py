@@ -12,7 +12,7 @@ from math import radians
 import numpy as np
 
 from logs.catalogue.driver import drive, waiting
-from logs.catalogue.family import Family, expects
+from logs.catalogue.family import expects, family
 from logs.catalogue.roads import curve, one_lane, two_lanes, weaving
 from logs.catalogue.scene import (
     BEYOND_M,
@@ -22,9 +22,9 @@ from logs.catalogue.scene import (
     START_M,
     WAITS,
     bypass,
-    crossing_pedestrian,
     finished,
     parked,
+    pedestrian_across,
     straight_path,
     tenths,
 )
@@ -33,7 +33,11 @@ from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
 
 
-def _free_road(p: Mapping[str, float]) -> Scenario:
+@family(
+    "paper/free_road", "S-curve left then right, no obstacle: tracking", ("paper", "free"),
+    {"ego_speed_mps": 12.0, "radius_m": 50.0, "turn_deg": 60.0, "clothoid_m": 20.0, "straight_m": 60.0},
+)  # fmt: skip
+def free_road(p: Mapping[str, float]) -> Scenario:
     radius, clothoid, v = p["radius_m"], p["clothoid_m"], p["ego_speed_mps"]
     kappa = 1.0 / radius
     arc = radius * radians(p["turn_deg"]) - clothoid
@@ -46,14 +50,16 @@ def _free_road(p: Mapping[str, float]) -> Scenario:
     return finished(path, driven, [], one_lane(path, v), duration, begin=path.length - BEYOND_M - 10.0)
 
 
-FREE_ROAD = Family(
-    "paper/free_road", "S-curve left then right, no obstacle: tracking",
-    {"ego_speed_mps": 12.0, "radius_m": 50.0, "turn_deg": 60.0, "clothoid_m": 20.0, "straight_m": 60.0},
-    ("paper", "free"), _free_road,
+@family(
+    "paper/static_obstacles",
+    "parked cars reach into the lane from the right, from the left and from the right: bypass left and right",
+    ("paper", "static"),
+    {
+        "ego_speed_mps": 8.0, "first_m": 60.0, "spacing_m": 50.0, "intrusion_right_m": 1.0, "intrusion_left_m": 0.85,
+        "clearance_m": 0.7,
+    },
 )  # fmt: skip
-
-
-def _static_obstacles(p: Mapping[str, float]) -> Scenario:
+def static_obstacles(p: Mapping[str, float]) -> Scenario:
     v, spacing, width = p["ego_speed_mps"], p["spacing_m"], VehicleParameters().width
     at = START_M + p["first_m"] + spacing * np.arange(3)
     from_right = p["intrusion_right_m"] - HALF_LANE
@@ -81,21 +87,19 @@ def _static_obstacles(p: Mapping[str, float]) -> Scenario:
     return finished(straight, driven, cars, road, duration, left=3.0 * HALF_LANE, metadata=metadata)
 
 
-STATIC_OBSTACLES = Family(
-    "paper/static_obstacles",
-    "parked cars reach into the lane from the right, from the left and from the right: bypass left and right",
+@family(
+    "paper/crossing_pedestrian",
+    "a pedestrian crosses from the right, leaves the lane and stands still: brake, then drive on",
+    ("paper", "pedestrian"),
     {
-        "ego_speed_mps": 8.0, "first_m": 60.0, "spacing_m": 50.0, "intrusion_right_m": 1.0, "intrusion_left_m": 0.85,
-        "clearance_m": 0.7,
+        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 0.85, "walk_start_s": 5.0, "distance_m": 33.0,
+        "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4, "duration_s": 26.0,
     },
-    ("paper", "static"), _static_obstacles,
 )  # fmt: skip
-
-
-def _crossing_pedestrian(p: Mapping[str, float]) -> Scenario:
+def crossing_pedestrian(p: Mapping[str, float]) -> Scenario:
     v, duration, front = p["ego_speed_mps"], p["duration_s"], VehicleParameters().axle_to_front
     x = START_M + front + v * p["walk_start_s"] + p["distance_m"]
-    pedestrian, off_lane = crossing_pedestrian(p, x)
+    pedestrian, off_lane = pedestrian_across(p, x)
     path = straight_path(v, duration)
     ahead = waiting(x, p["stop_distance_m"], p["walk_start_s"] + p["reaction_s"], off_lane, front)
     driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
@@ -103,13 +107,4 @@ def _crossing_pedestrian(p: Mapping[str, float]) -> Scenario:
     return finished(path, driven, [pedestrian], one_lane(path, v, sidewalk=SIDEWALK_M), duration, metadata=metadata)
 
 
-CROSSING_PEDESTRIAN = Family(
-    "paper/crossing_pedestrian",
-    "a pedestrian crosses from the right, leaves the lane and stands still: brake, then drive on",
-    {
-        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 0.85, "walk_start_s": 5.0, "distance_m": 33.0,
-        "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4, "duration_s": 26.0,
-    },
-    ("paper", "pedestrian"), _crossing_pedestrian,
-)  # fmt: skip
-FAMILIES = (FREE_ROAD, STATIC_OBSTACLES, CROSSING_PEDESTRIAN)
+FAMILIES = (free_road, static_obstacles, crossing_pedestrian)

@@ -21,7 +21,7 @@ from math import copysign, cos, inf, pi, radians, sin, sqrt
 import numpy as np
 
 from logs.catalogue.driver import Ahead, Reaction, drive, waiting
-from logs.catalogue.family import Family, expects
+from logs.catalogue.family import expects, family
 from logs.catalogue.roads import one_lane
 from logs.catalogue.scene import (
     ADULT,
@@ -145,7 +145,17 @@ def _crossed(
     return finished(path, driven, agents, one_lane(path, v, sidewalk=SIDEWALK_M), duration, metadata=metadata)
 
 
-def _turns_back(p: Mapping[str, float]) -> Scenario:
+@family(
+    "pedestrian/turns_back",
+    "a pedestrian walks onto the lane, stands there, and walks back: wait, do not creep, then drive on",
+    ("pedestrian",),
+    {
+        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.2, "return_speed_mps": 1.5, "stop_lateral_m": 0.0,
+        "dwell_s": 2.5, "walk_start_s": 3.0, "distance_m": 33.0, "kerb_distance_m": 0.6, "stop_distance_m": 3.0,
+        "reaction_s": 0.4, "duration_s": 22.0,
+    },
+)  # fmt: skip
+def turns_back(p: Mapping[str, float]) -> Scenario:
     y0 = -(HALF_LANE + p["kerb_distance_m"])
     way = p["stop_lateral_m"] - y0
     there = Leg(p["walk_start_s"], way, p["pedestrian_speed_mps"])
@@ -155,19 +165,15 @@ def _turns_back(p: Mapping[str, float]) -> Scenario:
     return _driven(p, [one], x, there.begin)
 
 
-TURNS_BACK = Family(
-    "pedestrian/turns_back",
-    "a pedestrian walks onto the lane, stands there, and walks back: wait, do not creep, then drive on",
+@family(
+    "pedestrian/hesitates", "a pedestrian comes to the kerb, stops there, and then crosses after all", ("pedestrian",),
     {
-        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.2, "return_speed_mps": 1.5, "stop_lateral_m": 0.0,
-        "dwell_s": 2.5, "walk_start_s": 3.0, "distance_m": 33.0, "kerb_distance_m": 0.6, "stop_distance_m": 3.0,
+        "ego_speed_mps": 8.3, "approach_m": 2.0, "approach_speed_mps": 1.4, "pedestrian_speed_mps": 1.4, "dwell_s": 2.0,
+        "walk_start_s": 1.0, "distance_m": 20.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0,
         "reaction_s": 0.4, "duration_s": 22.0,
     },
-    ("pedestrian",), _turns_back,
 )  # fmt: skip
-
-
-def _hesitates(p: Mapping[str, float]) -> Scenario:
+def hesitates(p: Mapping[str, float]) -> Scenario:
     y0, y1 = _kerbs(p)
     to_kerb = Leg(p["walk_start_s"], p["approach_m"], p["approach_speed_mps"])
     across = Leg(to_kerb.end + p["dwell_s"], y1 - y0, p["pedestrian_speed_mps"])
@@ -176,18 +182,17 @@ def _hesitates(p: Mapping[str, float]) -> Scenario:
     return _driven(p, [one], x, across.begin)
 
 
-HESITATES = Family(
-    "pedestrian/hesitates", "a pedestrian comes to the kerb, stops there, and then crosses after all",
+@family(
+    "pedestrian/runs_out",
+    "a child runs out from behind parked cars (CPNCO): be slow where the view is blocked",
+    ("pedestrian", "occlusion"),
     {
-        "ego_speed_mps": 8.3, "approach_m": 2.0, "approach_speed_mps": 1.4, "pedestrian_speed_mps": 1.4, "dwell_s": 2.0,
-        "walk_start_s": 1.0, "distance_m": 20.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0,
-        "reaction_s": 0.4, "duration_s": 22.0,
+        "ego_speed_mps": 8.3, "pedestrian_speed_mps": 1.39, "passing_speed_mps": 4.0, "start_lateral_m": 4.0,
+        "walk_start_s": 3.0, "distance_m": 25.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4,
+        "duration_s": 22.0,
     },
-    ("pedestrian",), _hesitates,
 )  # fmt: skip
-
-
-def _runs_out(p: Mapping[str, float]) -> Scenario:
+def runs_out(p: Mapping[str, float]) -> Scenario:
     car = VehicleParameters()
     y0, y1 = -p["start_lateral_m"], HALF_LANE + p["rest_distance_m"]
     leg = Leg(p["walk_start_s"], y1 - y0, p["pedestrian_speed_mps"])
@@ -206,18 +211,17 @@ def _runs_out(p: Mapping[str, float]) -> Scenario:
     return _driven(p, [child], x, leg.begin, cars=cars, cruise=cruise, noticed=emerges + p["reaction_s"])
 
 
-RUNS_OUT = Family(
-    "pedestrian/runs_out", "a child runs out from behind parked cars (CPNCO): be slow where the view is blocked",
+@family(
+    "pedestrian/jaywalker",
+    "a pedestrian walks diagonally over the lane and hurries halfway (above 90 degrees: towards the car)",
+    ("pedestrian",),
     {
-        "ego_speed_mps": 8.3, "pedestrian_speed_mps": 1.39, "passing_speed_mps": 4.0, "start_lateral_m": 4.0,
-        "walk_start_s": 3.0, "distance_m": 25.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4,
-        "duration_s": 22.0,
+        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.4, "hurry_speed_mps": 2.2, "angle_deg": 45.0,
+        "step_lateral_m": -0.5, "walk_start_s": 3.0, "distance_m": 26.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0, "reaction_s": 0.4, "duration_s": 21.0,
     },
-    ("pedestrian", "occlusion"), _runs_out,
 )  # fmt: skip
-
-
-def _jaywalker(p: Mapping[str, float]) -> Scenario:
+def jaywalker(p: Mapping[str, float]) -> Scenario:
     y0, y1 = _kerbs(p)
     angle = radians(p["angle_deg"])
     if not 0.1 < angle < pi - 0.1:
@@ -230,19 +234,15 @@ def _jaywalker(p: Mapping[str, float]) -> Scenario:
     return _driven(p, [one], float(one.samples[on, 1].min()), begin.begin)
 
 
-JAYWALKER = Family(
-    "pedestrian/jaywalker",
-    "a pedestrian walks diagonally over the lane and hurries halfway (above 90 degrees: towards the car)",
+@family(
+    "pedestrian/group", "three pedestrians cross one after the other: drive on after the last", ("pedestrian",),
     {
-        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.4, "hurry_speed_mps": 2.2, "angle_deg": 45.0,
-        "step_lateral_m": -0.5, "walk_start_s": 3.0, "distance_m": 26.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5,
-        "stop_distance_m": 3.0, "reaction_s": 0.4, "duration_s": 21.0,
+        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.2, "between_s": 0.5, "beside_m": 0.8, "walk_start_s": 3.0,
+        "distance_m": 31.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4,
+        "duration_s": 22.0,
     },
-    ("pedestrian",), _jaywalker,
 )  # fmt: skip
-
-
-def _group(p: Mapping[str, float]) -> Scenario:
+def group(p: Mapping[str, float]) -> Scenario:
     y0, y1 = _kerbs(p)
     t, begin = grid(p["duration_s"]), p["walk_start_s"]
     x = _station(p, begin)
@@ -251,18 +251,16 @@ def _group(p: Mapping[str, float]) -> Scenario:
     return _driven(p, walkers, x, begin)
 
 
-GROUP = Family(
-    "pedestrian/group", "three pedestrians cross one after the other: drive on after the last",
+@family(
+    "pedestrian/along",
+    "a pedestrian walks along the lane ahead (CPLA) and leaves it: follow them, then drive on",
+    ("pedestrian",),
     {
-        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.2, "between_s": 0.5, "beside_m": 0.8, "walk_start_s": 3.0,
-        "distance_m": 31.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4,
-        "duration_s": 22.0,
+        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.39, "lateral_m": 0.0, "distance_m": 45.0, "leave_s": 10.0,
+        "rest_distance_m": 1.0, "stop_distance_m": 1.0, "reaction_s": 0.4, "duration_s": 22.0,
     },
-    ("pedestrian",), _group,
 )  # fmt: skip
-
-
-def _along(p: Mapping[str, float]) -> Scenario:
+def along(p: Mapping[str, float]) -> Scenario:
     """The pedestrian already walks before t = 0, turns right where they slow down along the lane, and leaves it."""
     v, duration, front = p["pedestrian_speed_mps"], p["duration_s"], VehicleParameters().axle_to_front
     t = grid(duration)
@@ -280,17 +278,17 @@ def _along(p: Mapping[str, float]) -> Scenario:
     return _crossed(p, [one], 0.0, clear, ahead, kinds=(DecisionKind.FOLLOW, *WAITS))
 
 
-ALONG = Family(
-    "pedestrian/along", "a pedestrian walks along the lane ahead (CPLA) and leaves it: follow them, then drive on",
+@family(
+    "pedestrian/both_sides",
+    "two pedestrians cross from both sides, each at a time of its own: drive on after the last",
+    ("pedestrian",),
     {
-        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.39, "lateral_m": 0.0, "distance_m": 45.0, "leave_s": 10.0,
-        "rest_distance_m": 1.0, "stop_distance_m": 1.0, "reaction_s": 0.4, "duration_s": 22.0,
+        "ego_speed_mps": 10.0, "right_speed_mps": 1.4, "left_speed_mps": 1.2, "right_start_s": 3.0, "left_start_s": 4.5,
+        "beside_m": 1.2, "distance_m": 31.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0,
+        "reaction_s": 0.4, "duration_s": 22.0,
     },
-    ("pedestrian",), _along,
 )  # fmt: skip
-
-
-def _both_sides(p: Mapping[str, float]) -> Scenario:
+def both_sides(p: Mapping[str, float]) -> Scenario:
     y0, y1 = _kerbs(p)
     t, sets_off = grid(p["duration_s"]), min(p["right_start_s"], p["left_start_s"])
     x = _station(p, sets_off)
@@ -301,14 +299,4 @@ def _both_sides(p: Mapping[str, float]) -> Scenario:
     return _driven(p, walkers, x, sets_off)
 
 
-BOTH_SIDES = Family(
-    "pedestrian/both_sides",
-    "two pedestrians cross from both sides, each at a time of its own: drive on after the last",
-    {
-        "ego_speed_mps": 10.0, "right_speed_mps": 1.4, "left_speed_mps": 1.2, "right_start_s": 3.0, "left_start_s": 4.5,
-        "beside_m": 1.2, "distance_m": 31.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0,
-        "reaction_s": 0.4, "duration_s": 22.0,
-    },
-    ("pedestrian",), _both_sides,
-)  # fmt: skip
-FAMILIES = (TURNS_BACK, HESITATES, RUNS_OUT, JAYWALKER, GROUP, ALONG, BOTH_SIDES)
+FAMILIES = (turns_back, hesitates, runs_out, jaywalker, group, along, both_sides)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from math import pi
 
 import numpy as np
@@ -64,7 +63,7 @@ def _goal(path: Path, driven: Trajectory) -> Goal:
 
 def _crossing(p: Parameters) -> Scenario:
     """The paper's crossing pedestrian, between rows of parked cars and people on the sidewalks."""
-    scene = paper.CROSSING_PEDESTRIAN
+    scene = paper.crossing_pedestrian
     whole = scene.build({**scene.parameters, **{name: p[name] for name in scene.parameters if name in p}})
     t, x = grid(p["duration_s"]), float(whole.tracks.x[0])
     straight = curve((float(whole.ego.x[-1]) + BEYOND_M, 0.0, 0.0))
@@ -139,21 +138,21 @@ def _clusters(p: Parameters) -> Scenario:
     return _finished(p, [lead, *things], one_lane, v, lambda t, s: None)
 
 
-def _seen(scene: Callable[[Parameters], Scenario], p: Parameters) -> Scenario:
-    """A true scene as the detector sees it; ValueError where its driver touches anyone."""
-    true = scene(p)
-    touched = touches(true)
-    if touched is not None:
-        raise ValueError(f"the logged driver touches {touched}")
-    found = detected(true.tracks, true.ego, int(p["seed"]))
-    return replace(true, tracks=Tracks.empty(), detections=found, metadata={})
-
-
 def _family(
     name: str, summary: str, parameters: Mapping[str, float], tag: str, scene: Callable[[Parameters], Scenario]
 ) -> Family:
+    """The family of a true scene, as the detector sees it."""
+
+    def build(p: Parameters) -> Scenario:
+        true = scene(p)
+        touched = touches(true)
+        if touched is not None:
+            raise ValueError(f"the logged driver touches {touched}")
+        found = detected(true.tracks, true.ego, int(p["seed"]))
+        return replace(true, tracks=Tracks.empty(), detections=found, metadata={})
+
     source = "ours; errors of the detector as measured on 13 city drives (logs/catalogue/detector.py)"
-    return Family(f"raw/{name}", summary, {**parameters, "seed": 1.0}, ("raw", tag), partial(_seen, scene), {}, source)
+    return Family(f"raw/{name}", summary, {**parameters, "seed": 1.0}, ("raw", tag), build, {}, source)
 
 
 CROSSING = _family(

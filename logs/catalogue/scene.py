@@ -112,7 +112,7 @@ def walked(t: FloatArray, distance: float, speed: float, ramp: float = 0.4) -> F
     return share
 
 
-def crossing_pedestrian(p: Mapping[str, float], x: float) -> tuple[Agent, float]:
+def pedestrian_across(p: Mapping[str, float], x: float) -> tuple[Agent, float]:
     """A pedestrian who crosses the lane at `x` from the right, and the first sample at which they have left it, s."""
     y0, y1 = -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
     t = grid(p["duration_s"])

@@ -16,7 +16,7 @@ from math import pi
 import numpy as np
 
 from logs.catalogue.driver import Ahead
-from logs.catalogue.family import Family
+from logs.catalogue.family import Build, Family, family
 from logs.catalogue.protocols import (
     CROSSING,
     FOLLOWS,
@@ -45,9 +45,26 @@ EGO = {"ego_kmh": speeds(5, 60)}
 OTHER = Target("car", AgentKind.CAR, CAR)
 TRIGGER_S = 2.0
 HEADWAY_S = 2.0
+BASE: Mapping[str, float] = {"ego_kmh": 60.0, "reaction_s": 0.4, "duration_s": 18.0}
+CHANGES: Mapping[str, float] = {
+    **BASE, "headway_s": HEADWAY_S, "brake_s": TRIGGER_S, "brake_mps2": 6.0, "change_kmh": -60.0, "lateral_m": 0.0,
+}  # fmt: skip
 
 
-def _free(p: Mapping[str, float]) -> Scenario:
+def _family(
+    number: str, name: str, summary: str, parameters: Mapping[str, float],
+    grid: Mapping[str, tuple[float, ...]] = EGO, holds: Callable[[Mapping[str, float]], bool] = lambda p: True,
+) -> Callable[[Build], Family]:  # fmt: skip
+    tags = ("unece_r157", f"r157_{number}")
+    return family(f"unece_r157/{name}", f"{number}: {summary}", tags, parameters, grid, SOURCE, holds)
+
+
+@_family(
+    "4.1_1", "free", "lane keeping, straight on or in a curve",
+    {**BASE, "kappa_per_m": 0.0},
+    {**EGO, "kappa_per_m": (-0.004, -0.001, 0.0, 0.001, 0.004)},
+)  # fmt: skip
+def free(p: Mapping[str, float]) -> Scenario:
     """4.1_1: lane keeping on an arc that begins after 20 m, with clothoids of 20 m; curvature 0 is straight on."""
     kappa, way = p["kappa_per_m"], START_M + p["ego_kmh"] * KMH * (p["duration_s"] + SPARE_S) + BEYOND_M
     path = curve((START_M + 20.0, 0.0, 0.0), (20.0, 0.0, kappa), (way, kappa, kappa))
@@ -55,7 +72,11 @@ def _free(p: Mapping[str, float]) -> Scenario:
     return tested(p, path, one_lane(path, p["ego_kmh"] * KMH), [], {}, beyond=end)
 
 
-def _swerves(p: Mapping[str, float]) -> Scenario:
+@_family(
+    "4.1_2", "swerving_lead", "the car ahead swings in its lane",
+    {**BASE, "swing_m": 1.5, "lateral_mps2": 0.3, "headway_s": 2.0},
+)  # fmt: skip
+def swerves(p: Mapping[str, float]) -> Scenario:
     """4.1_2: a lead swings in its lane, once to each side, with a lateral acceleration of at most `lateral_mps2`."""
     v, t, car = p["ego_kmh"] * KMH, grid(p["duration_s"]), VehicleParameters()
     omega = (p["lateral_mps2"] / p["swing_m"]) ** 0.5
@@ -63,13 +84,16 @@ def _swerves(p: Mapping[str, float]) -> Scenario:
     y = p["swing_m"] * np.sin(phase) * np.sin(0.5 * phase)  # begins and ends without a jump of speed
     x = START_M + car.axle_to_front + p["headway_s"] * v + 0.5 * CAR[0] + v * t
     other = moving("car", AgentKind.CAR, CAR, t, x, y, yaw=0.0)
-    path = straight(p)
-    road = one_lane(path, v)
-    end = START_M + v * p["duration_s"] - 5.0
-    return tested(p, path, road, [other], {"car": FOLLOWS}, beyond=end)
+    path, end = straight(p), START_M + v * p["duration_s"] - 5.0
+    return tested(p, path, one_lane(path, v), [other], {"car": FOLLOWS}, beyond=end)
 
 
-def _alongside(p: Mapping[str, float]) -> Scenario:
+@_family(
+    "4.1_3", "alongside", "a car beside the ego, near the marking",
+    {**BASE, "offset_m": 0.0, "from_marking_m": 0.3},
+    {**EGO, "offset_m": (-5.0, -2.5, 0.0, 2.5, 5.0)},
+)  # fmt: skip
+def alongside(p: Mapping[str, float]) -> Scenario:
     """4.1_3: a car in the neighbour lane, as fast as the ego, close to the marking between."""
     v, t, car = p["ego_kmh"] * KMH, grid(p["duration_s"]), VehicleParameters()
     x = START_M + car.axle_to_center + p["offset_m"] + v * t
@@ -77,8 +101,7 @@ def _alongside(p: Mapping[str, float]) -> Scenario:
     other = moving("car", AgentKind.CAR, CAR, t, x, y, yaw=0.0)
     path = straight(p)
     road, end = two_lanes(path, v, ego_on_right=True), START_M + v * p["duration_s"] - 5.0
-    kinds = tuple(DecisionKind)
-    return tested(p, path, road, [other], {"car": kinds}, beyond=end)
+    return tested(p, path, road, [other], {"car": tuple(DecisionKind)}, beyond=end)
 
 
 def _blocked(p: Mapping[str, float]) -> Scenario:
@@ -104,7 +127,25 @@ def _braking(p: Mapping[str, float]) -> Scenario:
     return lead({**p, "target_kmh": p["ego_kmh"], "gap_m": gap, "brake_to_kmh": to}, OTHER, p["lateral_m"])
 
 
-def _cut_in(p: Mapping[str, float]) -> Scenario:
+def _forward(p: Mapping[str, float]) -> bool:
+    """Whether who cuts in drives forward."""
+    return p["ego_kmh"] + p["relative_kmh"] > 0.0
+
+
+def _clears(p: Mapping[str, float]) -> bool:
+    """Whether the lead that cuts out is beside the car that stands when their bumpers meet."""
+    after = np.array([p["distance_m"] / (p["ego_kmh"] * KMH)])
+    return LANE_WIDTH_M * float(walked(after, LANE_WIDTH_M, p["lateral_mps"], RAMP_S)[0]) >= CAR[1]
+
+
+@_family(
+    "4.4_1", "cut_in", "a slower car cuts in",
+    {**BASE, "relative_kmh": -20.0, "gap_m": 30.0, "lateral_mps": 2.0, "accel_mps2": 0.0},
+    {"ego_kmh": speeds(20, 60, 10), "relative_kmh": speeds(-50, -10, 10), "gap_m": speeds(0, 60, 10),
+     "lateral_mps": (0.5, 1.0, 1.5, 2.0, 2.5, 3.0), "accel_mps2": (-3.0, -1.5, 0.0, 1.5, 3.0)},
+    _forward,
+)  # fmt: skip
+def cut_in(p: Mapping[str, float]) -> Scenario:
     """4.4_1: a slower car comes in from the lane to the right, `gap_m` ahead of the ego's front at the begin."""
     v, u, car = p["ego_kmh"] * KMH, (p["ego_kmh"] + p["relative_kmh"]) * KMH, VehicleParameters()
     if not _forward(p):
@@ -127,18 +168,14 @@ def _cut_in(p: Mapping[str, float]) -> Scenario:
     return tested(p, path, road, [cutter], {"cutter": (*FOLLOWS, DecisionKind.NUDGE_RIGHT)}, ahead)
 
 
-def _forward(p: Mapping[str, float]) -> bool:
-    """Whether who cuts in drives forward."""
-    return p["ego_kmh"] + p["relative_kmh"] > 0.0
-
-
-def _clears(p: Mapping[str, float]) -> bool:
-    """Whether the lead that cuts out is beside the car that stands when their bumpers meet."""
-    after = np.array([p["distance_m"] / (p["ego_kmh"] * KMH)])
-    return LANE_WIDTH_M * float(walked(after, LANE_WIDTH_M, p["lateral_mps"], RAMP_S)[0]) >= CAR[1]
-
-
-def _cut_out(p: Mapping[str, float]) -> Scenario:
+@_family(
+    "4.5_1", "cut_out", "the car ahead leaves the lane, in which another stands",
+    {**BASE, "distance_m": 50.0, "lateral_mps": 2.0},
+    {"ego_kmh": speeds(10, 60, 10), "distance_m": speeds(10, 100, 10),
+     "lateral_mps": (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)},
+    _clears,
+)  # fmt: skip
+def cut_out(p: Mapping[str, float]) -> Scenario:
     """4.5_1: the lead leaves the lane to the left, `distance_m` before a car that stands in it."""
     v, car = p["ego_kmh"] * KMH, VehicleParameters()
     t = grid(p["duration_s"])
@@ -147,10 +184,7 @@ def _cut_out(p: Mapping[str, float]) -> Scenario:
     y = LANE_WIDTH_M * walked(t - TRIGGER_S, LANE_WIDTH_M, p["lateral_mps"], RAMP_S)
     if not _clears(p):
         raise ValueError("the lead would drive into the car that stands before it")
-    agents = [
-        moving("lead", AgentKind.CAR, CAR, t, lead_x, y, yaw=0.0),
-        parked("stopped", stopped, 0.0),
-    ]
+    agents = [moving("lead", AgentKind.CAR, CAR, t, lead_x, y, yaw=0.0), parked("stopped", stopped, 0.0)]
     shows = float(t[np.argmax(y > 0.5 * CAR[1])]) + p["reaction_s"]
 
     def ahead(time: float, s: float) -> Ahead | None:
@@ -162,46 +196,18 @@ def _cut_out(p: Mapping[str, float]) -> Scenario:
     return tested(p, path, road, agents, {"stopped": (*FOLLOWS, DecisionKind.NUDGE_LEFT)}, ahead)
 
 
-BASE: Mapping[str, float] = {"ego_kmh": 60.0, "reaction_s": 0.4, "duration_s": 18.0}
-CHANGES: Mapping[str, float] = {
-    **BASE, "headway_s": HEADWAY_S, "brake_s": TRIGGER_S, "brake_mps2": 6.0, "change_kmh": -60.0, "lateral_m": 0.0,
-}  # fmt: skip
-
-
-def _family(
-    number: str, name: str, summary: str, parameters: Mapping[str, float],
-    build: Callable[[Mapping[str, float]], Scenario], grid: Mapping[str, tuple[float, ...]],
-    holds: Callable[[Mapping[str, float]], bool] = lambda p: True,
-) -> Family:  # fmt: skip
-    tags = ("unece_r157", f"r157_{number}")
-    return Family(f"unece_r157/{name}", f"{number}: {summary}", parameters, tags, build, grid, SOURCE, holds)
-
-
 FAMILIES = (
-    _family("4.1_1", "free", "lane keeping, straight on or in a curve",
-            {**BASE, "kappa_per_m": 0.0}, _free,
-            {**EGO, "kappa_per_m": (-0.004, -0.001, 0.0, 0.001, 0.004)}),
-    _family("4.1_2", "swerving_lead", "the car ahead swings in its lane",
-            {**BASE, "swing_m": 1.5, "lateral_mps2": 0.3, "headway_s": 2.0}, _swerves, EGO),
-    _family("4.1_3", "alongside", "a car beside the ego, near the marking",
-            {**BASE, "offset_m": 0.0, "from_marking_m": 0.3}, _alongside,
-            {**EGO, "offset_m": (-5.0, -2.5, 0.0, 2.5, 5.0)}),
-    _family("4.2_1", "blocking_obstacle", "a car stands in the lane", {**BASE, "lateral_m": 0.0}, _blocked, EGO),
-    _family("4.2_2", "partly_blocking", "a car stands partly in the lane", {**BASE, "lateral_m": 1.0}, _blocked,
-            {**EGO, "lateral_m": tuple(0.25 * k for k in range(-8, 9))}),
+    free, swerves, alongside,
+    _family("4.2_1", "blocking_obstacle", "a car stands in the lane", {**BASE, "lateral_m": 0.0})(_blocked),
+    _family("4.2_2", "partly_blocking", "a car stands partly in the lane", {**BASE, "lateral_m": 1.0},
+            {**EGO, "lateral_m": tuple(0.25 * k for k in range(-8, 9))})(_blocked),
     _family("4.2_3", "crossing_pedestrian", "a pedestrian crosses from 5 m beside the ego's path",
-            {**CROSSING, "ego_kmh": 60.0, "start_m": 5.0}, partial(crossing, target=PEDESTRIAN), EGO),
+            {**CROSSING, "ego_kmh": 60.0, "start_m": 5.0})(partial(crossing, target=PEDESTRIAN)),
     _family("4.3_1", "following", "the car ahead becomes slower or faster by 5 m/s",
-            {**CHANGES, "headway_s": 1.6, "brake_mps2": 1.0, "change_kmh": -18.0}, _braking,
-            {"ego_kmh": speeds(20, 60), "change_kmh": (-18.0, 18.0)}),
-    _family("4.3_2", "braking_lead", "the car ahead brakes to standstill", CHANGES, _braking,
-            {**EGO, "brake_mps2": (*(float(k) for k in range(1, 10)), 9.81), "lateral_m": (-1.75, 0.0, 1.75)}),
-    _family("4.4_1", "cut_in", "a slower car cuts in",
-            {**BASE, "relative_kmh": -20.0, "gap_m": 30.0, "lateral_mps": 2.0, "accel_mps2": 0.0}, _cut_in,
-            {"ego_kmh": speeds(20, 60, 10), "relative_kmh": speeds(-50, -10, 10), "gap_m": speeds(0, 60, 10),
-             "lateral_mps": (0.5, 1.0, 1.5, 2.0, 2.5, 3.0), "accel_mps2": (-3.0, -1.5, 0.0, 1.5, 3.0)}, holds=_forward),
-    _family("4.5_1", "cut_out", "the car ahead leaves the lane, in which another stands",
-            {**BASE, "distance_m": 50.0, "lateral_mps": 2.0}, _cut_out,
-            {"ego_kmh": speeds(10, 60, 10), "distance_m": speeds(10, 100, 10),
-             "lateral_mps": (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)}, holds=_clears),
+            {**CHANGES, "headway_s": 1.6, "brake_mps2": 1.0, "change_kmh": -18.0},
+            {"ego_kmh": speeds(20, 60), "change_kmh": (-18.0, 18.0)})(_braking),
+    _family("4.3_2", "braking_lead", "the car ahead brakes to standstill", CHANGES,
+            {**EGO, "brake_mps2": (*(float(k) for k in range(1, 10)), 9.81),
+             "lateral_m": (-1.75, 0.0, 1.75)})(_braking),
+    cut_in, cut_out,
 )  # fmt: skip

@@ -16,8 +16,7 @@ from importlib import import_module
 from importlib.resources import files
 from typing import Any
 
-from logs.catalogue import families
-from logs.catalogue.suites import SUITES
+from logs.catalogue import SUITES, families
 from logs.errors import unknown_name
 from logs.extension import Kind
 from logs.readers import readers
@@ -135,7 +134,7 @@ KINDS: Mapping[str, Callable[[], Iterable[Entry]]] = {
     "charts": lambda: _coded(_all(CHART)),
     "metrics": lambda: (Entry(name, one.meaning, _where(one.measure)) for name, one in _all(METRIC).items()),
     "families": lambda: (Entry(name, one.summary, _where(one.build)) for name, one in families().items()),
-    "suites": lambda: (Entry(name, one.summary, "logs.catalogue.suites") for name, one in SUITES.items()),
+    "suites": lambda: (Entry(name, one.summary, "logs.catalogue") for name, one in SUITES.items()),
     "readers": lambda: (Entry(one.name, one.summary, _where(one.read)) for one in readers()),
 }
 """The kinds of names, in the order of `replan list`."""

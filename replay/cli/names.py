@@ -18,7 +18,7 @@ TABLES = {
     "prediction": (("replay/prediction/__init__.py", "PREDICTORS"),),
     "perception": (("replay/loop/perception.py", "PERCEPTIONS"),),
     "chart": (("replay/draw/charts/layout.py", "CHARTS"),),
-    "suite": (("logs/catalogue/suites.py", "SUITES"),),
+    "suite": (("logs/catalogue/__init__.py", "SUITES"),),
     "kind": (("replay/cli/listing.py", "KINDS"),),
 }
 """Of each option the tables of its names: file and variable."""

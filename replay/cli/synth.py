@@ -9,8 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from logs.catalogue import FAMILY, Family, families, numbers, scenario
-from logs.catalogue.suites import SEED, SUITES, groups, suite
+from logs.catalogue import FAMILY, SEED, SUITES, Family, families, groups, numbers, scenario, suite
 from logs.errors import unknown_name
 from logs.mcap import write_scenario
 from logs.names import counted
@@ -175,7 +174,7 @@ of it beside the careful driver.
 """
 SUITES_SAID = """A suite is a prefix of one order of all cells (seed {seed}), so that a smaller one is part of
 a larger. Each family gives a cell first, then about as many as the root of how many it has, each the farthest in its
-grid from those before it (`logs/catalogue/suites.py`)."""
+grid from those before it (`logs/catalogue/__init__.py`)."""
 ABOUT: Mapping[str, str] = {
     "paper": "The tests of the paper. The paper gives no numbers; these are a passenger car's.",
     "everyday": "Everyday driving and traffic rules.",

@@ -26,7 +26,7 @@ from math import sqrt
 import numpy as np
 import pandas as pd
 
-from logs.catalogue.paper import CROSSING_PEDESTRIAN
+from logs.catalogue.paper import crossing_pedestrian
 from logs.catalogue.scene import ADULT, HALF_LANE
 from logs.errors import PlannerError
 from logs.scenario import Scenario
@@ -74,7 +74,7 @@ class Cell:
     @property
     def parameters(self) -> dict[str, float]:
         """What it changes of the family."""
-        nominal = CROSSING_PEDESTRIAN.parameters
+        nominal = crossing_pedestrian.parameters
         middle = (HALF_LANE + nominal["kerb_distance_m"]) / self.walker_mps + 0.5 * WALK_RAMP_S
         v = self.ego_kmh / 3.6
         return {"ego_speed_mps": v, "pedestrian_speed_mps": self.walker_mps, "distance_m": v * (middle - self.late_s)}
@@ -85,8 +85,8 @@ CELLS = tuple(Cell(*one) for one in product(EGO_KMH, WALKER_MPS, LATE_S))
 
 def crossing(cell: Cell) -> Scenario:
     """The scenario of a cell; its log holds the first ego state only."""
-    scenario = CROSSING_PEDESTRIAN.build({**CROSSING_PEDESTRIAN.parameters, **cell.parameters})
-    name = f"{CROSSING_PEDESTRIAN.name}@{cell.ego_kmh:g}kmh,{cell.walker_mps:g}mps,{cell.late_s:+g}s"
+    scenario = crossing_pedestrian.build({**crossing_pedestrian.parameters, **cell.parameters})
+    name = f"{crossing_pedestrian.name}@{cell.ego_kmh:g}kmh,{cell.walker_mps:g}mps,{cell.late_s:+g}s"
     return replace(scenario, name=name, ego=scenario.ego.between(0.0, 0.0), tags=("synthetic", "pedestrian"))
 
 
@@ -124,7 +124,7 @@ class Avoidable:
 def avoidable(cell: Cell) -> Avoidable:
     """What can be done in a cell (module docstring)."""
     scenario, qp, v = crossing(cell), SpeedQpConfig(), cell.ego_kmh / 3.6
-    car, walk = scenario.vehicle, CROSSING_PEDESTRIAN.parameters["walk_start_s"]
+    car, walk = scenario.vehicle, crossing_pedestrian.parameters["walk_start_s"]
     t_in, t_out = walker_within(scenario, 0.0)
     begin = walk + REACTION_S + car.brake_delay + car.brake_lag
     gap = v * walk + cell.parameters["distance_m"] - 0.5 * ADULT[1]

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from logs.catalogue.paper import CROSSING_PEDESTRIAN, FAMILIES, FREE_ROAD
+from logs.catalogue import paper
 from logs.errors import ConfigError, unknown_name
 from logs.kernel import FloatArray
 from logs.scenario import Scenario
@@ -117,7 +117,7 @@ def drive(scenario: Scenario, vehicle: str, controller: str) -> Drive:
 
 def free_road(out: Path, vehicle: str) -> dict[str, str]:
     """Fig. 9 and its recording; what it shows, in words."""
-    scenario = FREE_ROAD.scenario()
+    scenario = paper.free_road.scenario()
     drives = {name: drive(scenario, vehicle, name) for name in ("mpc", "dlqr_pid")}
     traces = [(name, one.trace) for name, one in drives.items()]
     picture = figures.path_figure(traces, planned_points(drives["mpc"].trace), scenario)
@@ -137,7 +137,7 @@ def free_road(out: Path, vehicle: str) -> dict[str, str]:
 
 def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
     """Fig. 10, Fig. 12 and their recording; what they show, in words."""
-    scenario = CROSSING_PEDESTRIAN.scenario()
+    scenario = paper.crossing_pedestrian.scenario()
     made = drive(scenario, vehicle, "mpc")
     trace = made.trace
     moments = blocked_moments(trace.frames)
@@ -145,7 +145,7 @@ def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
     write_file(out / "fig10_st.png", lambda part: figures.save(picture, part))
     clear = walker_within(scenario, StGraphConfig().vulnerable_margin_m)[1]
     braking = [one for one in braking_intervals(trace) if one[0] < clear]
-    ends = (CROSSING_PEDESTRIAN.parameters["walk_start_s"] - 2.0, clear + 8.0)
+    ends = (paper.crossing_pedestrian.parameters["walk_start_s"] - 2.0, clear + 8.0)
     pedals = figures.pedals_figure(trace, braking, clear, ends)
     write_file(out / "fig12_pedals.png", lambda part: figures.save(pedals, part))
     write_recording(out / "crossing_pedestrian.rrd", made, scenario, *evaluate_with_series(trace, scenario))
@@ -205,7 +205,7 @@ def scenario_table(vehicles: Sequence[str], controllers: Sequence[str] = tuple(C
     metrics = {name: METRICS[name] for name in METRICS if name in wanted}
     pairs = [(vehicle, name) for vehicle in vehicles if vehicle != "perfect" for name in controllers]
     rows: list[dict[str, object]] = []
-    for family in FAMILIES:
+    for family in paper.FAMILIES:
         scenario = family.scenario()
         for vehicle, controller in (*pairs, ("perfect", "dlqr_pid")):
             trace = drive(scenario, vehicle, controller).trace

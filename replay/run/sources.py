@@ -14,8 +14,7 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
 
-from logs.catalogue import CATALOGUE, FAMILY, scenario
-from logs.catalogue.suites import suite
+from logs.catalogue import CATALOGUE, FAMILY, scenario, suite
 from logs.errors import ConfigError, LogError
 from logs.files import check_regular, read_toml
 from logs.maps import map_files

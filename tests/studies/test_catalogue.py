@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from logs.catalogue.suites import suite
+from logs.catalogue import suite
 from replay.results.schema import SCHEMA_VERSION
 from studies.catalogue import OUTCOMES, main, table_of
 

@@ -16,13 +16,12 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from logs import ConfigError, DecisionKind, Scenario
-from logs.catalogue import CATALOGUE, FAMILIES, scenario
+from logs.catalogue import CATALOGUE, FAMILIES, SUITES, ordered, scenario, spread, suite
 from logs.catalogue.driver import drive
 from logs.catalogue.family import before_contact, touches
 from logs.catalogue.iso3888 import cones, double_lane_change
 from logs.catalogue.roads import curve
 from logs.catalogue.scene import START_M
-from logs.catalogue.suites import SUITES, ordered, spread, suite
 from logs.mcap import write_scenario
 from logs.readers import read_log
 from logs.vehicle import VehicleParameters

@@ -19,8 +19,7 @@ from hypothesis import strategies as st
 
 import logs
 import replan as public
-from logs.catalogue import FAMILIES
-from logs.catalogue.suites import SUITES
+from logs.catalogue import FAMILIES, SUITES
 from logs.readers import readers
 from logs.vehicle import vehicle_names
 from metrics import METRICS

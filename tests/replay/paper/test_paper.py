@@ -24,7 +24,7 @@ from logs import (
     Trace,
     Trajectory,
 )
-from logs.catalogue.paper import CROSSING_PEDESTRIAN
+from logs.catalogue.paper import crossing_pedestrian
 from logs.shapes import distance
 from planners.frenet.profiles import SpeedLimits
 from replay.config import LoopConfig
@@ -90,7 +90,7 @@ def test_what_comfort_avoids_hard_braking_avoids(cell: Cell) -> None:
 
 @given(cell=cells)
 def test_the_walker_is_in_the_middle_when_the_cell_says(cell: Cell) -> None:
-    scenario, start = crossing(cell), CROSSING_PEDESTRIAN.parameters["walk_start_s"]
+    scenario, start = crossing(cell), crossing_pedestrian.parameters["walk_start_s"]
     front = scenario.ego.x[0] + scenario.vehicle.axle_to_front
     ego_there = (scenario.tracks.x[0] - front) / (cell.ego_kmh / 3.6)
     middle = float(np.interp(0.0, scenario.tracks.y, scenario.tracks.t))
@@ -132,7 +132,7 @@ def pedals(brake: list[float]) -> Trace:
     n = len(brake)
     t, zero = 0.1 * np.arange(n), np.zeros(n)
     ego = Trajectory(t, t, zero, zero, zero + 1.0, zero, zero)
-    scenario = CROSSING_PEDESTRIAN.scenario()
+    scenario = crossing_pedestrian.scenario()
     controls = Controls(t, zero, zero, np.array(brake))
     return Trace(
         "x", "p", Mode.CLOSED, False, ego, scenario.tracks, (), EndReason.GOAL, commands=controls, actuation=controls
@@ -202,7 +202,7 @@ def test_a_cell_is_driven_the_same_twice_and_drawn(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_figures_9_10_and_12_are_drawn(tmp_path: Path) -> None:
-    scenario = CROSSING_PEDESTRIAN.scenario()
+    scenario = crossing_pedestrian.scenario()
     trace = replace(pedals([0.0, 0.3, 0.0]), frames=(graph_frame(0.0, blocked=True),))
     points = reproduce.planned_points(trace)
     np.testing.assert_allclose(points, [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
@@ -236,7 +236,7 @@ def test_the_whole_command(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_nominal_braking_lasts_as_in_the_paper() -> None:
-    scenario = CROSSING_PEDESTRIAN.scenario()
+    scenario = crossing_pedestrian.scenario()
     trace = reproduce.drive(scenario, "single_track", "mpc").trace
     clear = walker_within(scenario, 0.6)[1]
     ((begin, end),) = [one for one in braking_intervals(trace) if one[0] < clear]

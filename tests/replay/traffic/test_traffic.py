@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from worlds import along_x, lanes, strip
 
 from logs import AgentKind, Colour, EgoState, LogError, Road, Scenario, StopLine, Tracks, TrafficLight
-from logs.catalogue.junctions import junction
+from logs.catalogue.roads import junction
 from logs.kernel import FloatArray
 from logs.readers.commonroad.read import read_commonroad
 from replay.config import LoopConfig

@@ -29,7 +29,6 @@ from metrics import (
     encounters,
     evidence,
     following,
-    lane_keeping,
     needless,
     plans,
     progress,
@@ -40,8 +39,8 @@ from metrics import (
     safety,
     score,
 )
+from metrics.boxes import phantoms, without_phantoms
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
-from metrics.phantoms import phantoms, without_phantoms
 
 __all__ = [
     "COLUMNS",
@@ -72,7 +71,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, rules.PRIORITY_GAP, rules.YIELDING,
         cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
         needless.FALSE_BRAKING, needless.MISSED_BRAKING,
-        safety.PASSING_ROOM, lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING, lane_keeping.LANE_LINE,
+        safety.PASSING_ROOM, rules.WRONG_WAY, rules.LANE_KEEPING, rules.LANE_LINE,
         progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS,
     ),
     "comfort": (
@@ -188,16 +187,16 @@ def rows_of(
         try:
             parts = metric.measured(judged, scenario)
         except (Exception, SystemExit) as error:
-            parts = metric.unavailable(Unavailable(_reported(metric, metric.measure, error, broken)))
+            parts = metric.unavailable(Unavailable(_report_error(metric, metric.measure, error, broken)))
         for name, steps in parts.items():
             if isinstance(steps, Series):
                 found(name, steps)
             for reduction in metric.reductions:
                 unit, better = reduction.unit or metric.unit, reduction.direction or metric.direction
                 try:
-                    value, available, reason, time_s = _reduced(reduction, steps)
+                    value, available, reason, time_s = _reduce(reduction, steps)
                 except (Exception, SystemExit) as error:
-                    reason = _reported(metric, reduction.reduce, error, broken)
+                    reason = _report_error(metric, reduction.reduce, error, broken)
                     value, available, time_s = nan, False, nan
                 rows.append((
                     *drive, f"{name}.{reduction.name}", value, unit, better, available, short(reason) if reason else "",
@@ -206,7 +205,7 @@ def rows_of(
     return rows
 
 
-def _reported(metric: Metric, function: Callable[..., object], error: BaseException, broken: Broken | None) -> str:
+def _report_error(metric: Metric, function: Callable[..., object], error: BaseException, broken: Broken | None) -> str:
     """Why a function of a metric raised, after `broken` was called with it; the error again where there is none."""
     if broken is None:
         raise error
@@ -215,7 +214,7 @@ def _reported(metric: Metric, function: Callable[..., object], error: BaseExcept
     return reason
 
 
-def _reduced(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, float]:
+def _reduce(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, float]:
     """The columns value, available, reason (with whole ids) and time_s.
 
     Raises:

@@ -39,8 +39,7 @@ from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from metrics import metric
-from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
-from metrics.once import last
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable, last
 from metrics.safety import TTC
 
 WINDOW_S = 0.1
@@ -130,17 +129,17 @@ def _filtered(signal: Signal, step: float, least: float, trace: Trace, scenario:
     """The signal of the drive resampled to `step` s from its start, linear between its samples."""
     if float(trace.ego.t[-1] - trace.ego.t[0]) < least - 1e-9:
         return Unavailable(f"the drive is shorter than {least} s")
-    drive = _sampled(trace, step)
+    drive = _resample(trace, step)
     return Series(drive.t, signal(drive))
 
 
 @last(1)
-def _sampled(trace: Trace, step: float) -> Trajectory:
+def _resample(trace: Trace, step: float) -> Trajectory:
     first, length = trace.ego.t[0], float(trace.ego.t[-1] - trace.ego.t[0])
     return trace.ego.resampled(first + step * np.arange(int((length + 1e-9) / step) + 1))
 
 
-def _asked(bounds: tuple[str, float, float]) -> str:
+def _as_text(bounds: tuple[str, float, float]) -> str:
     """The bounds as a parameter."""
     unit, low, high = bounds
     return f"bounds {low:g} to {high:g} {unit}" if low != -high else f"bound {high:g} {unit}"
@@ -153,7 +152,7 @@ def _outside(bounds: tuple[str, float, float], *more: Reduction) -> tuple[Reduct
     return metric.MAX_ABS, *more, *outside
 
 
-def _state(
+def _state_metric(
     name: str, signal: Signal, bounds: tuple[str, float, float], meaning: str, formula: str,
     source: str = "bounds: nuPlan devkit e9241677, ego_is_comfortable", more: tuple[Reduction, ...] = (), *,
     caused: bool = False,
@@ -161,37 +160,37 @@ def _state(
     measure = partial(_with_cause, signal, bounds) if caused else partial(_driven, signal)
     return Metric(
         name, bounds[0], "lower", (Mode.CLOSED,), measure, _outside(bounds, metric.P95, metric.P99, *more), meaning,
-        source, 2, formula=formula, parameters=(_asked(bounds), f"W {WINDOW_S} s"), needs=f"a drive of {WINDOW_S} s",
+        source, 2, formula=formula, parameters=(_as_text(bounds), f"W {WINDOW_S} s"), needs=f"a drive of {WINDOW_S} s",
     )  # fmt: skip
 
 
-LON_ACCEL = _state(
+LON_ACCEL = _state_metric(
     "lon_accel", lambda drive: drive.a, NUPLAN_BOUNDS["lon_accel"],
     "Acceleration along the body; min is the hardest braking.", "a, the state's",
     more=(replace(metric.MIN, direction="higher"), metric.MAX), caused=True,
 )  # fmt: skip
-LAT_ACCEL = _state(
+LAT_ACCEL = _state_metric(
     "lat_accel", lat_accel, NUPLAN_BOUNDS["lat_accel"], "Lateral acceleration at the rear axle.", "v^2 kappa"
 )
-LON_JERK_STATE = _state(
+LON_JERK_STATE = _state_metric(
     "lon_jerk_state", lambda drive: metric.changed(drive.t, drive.a, WINDOW_S), NUPLAN_BOUNDS["lon_jerk"],
     "Backward difference of the state's acceleration.", "(a(t) - a(t - W)) / W", caused=True,
 )  # fmt: skip
-LAT_JERK_STATE = _state(
+LAT_JERK_STATE = _state_metric(
     "lat_jerk_state", lambda drive: metric.changed(drive.t, lat_accel(drive), WINDOW_S), R79_BOUNDS,
     "Backward difference of the lateral acceleration.", "(v^2 kappa (t) - v^2 kappa (t - W)) / W",
     "bound: UN R79, there on a filtered signal",
 )  # fmt: skip
-JERK_STATE = _state(
+JERK_STATE = _state_metric(
     "jerk_state", jerk, NUPLAN_BOUNDS["jerk"], "Size of the change of the acceleration vector in the world.",
     "|A(t) - A(t - W)| / W, A = a (cos yaw, sin yaw) + v^2 kappa (-sin yaw, cos yaw)",
     "bounds: nuPlan devkit e9241677, ego_is_comfortable, which takes d|A|/dt",
 )  # fmt: skip
-YAW_RATE = _state(
+YAW_RATE = _state_metric(
     "yaw_rate", lambda drive: metric.changed(drive.t, drive.yaw, WINDOW_S), NUPLAN_BOUNDS["yaw_rate"],
     "Backward difference of the heading.", "(yaw(t) - yaw(t - W)) / W",
 )  # fmt: skip
-YAW_ACCEL = _state(
+YAW_ACCEL = _state_metric(
     "yaw_accel", yaw_accel, NUPLAN_BOUNDS["yaw_accel"], "Second backward difference of the heading.",
     "(yaw(t) - 2 yaw(t - W) + yaw(t - 2 W)) / W^2",
 )  # fmt: skip
@@ -201,7 +200,7 @@ NUPLAN = tuple(
         partial(_filtered, signal, NUPLAN_STEP_S, NUPLAN_LEAST_S), _outside(NUPLAN_BOUNDS[kind]),
         f"{what}, as nuPlan filters it{aside}.",
         "nuPlan devkit e9241677, ego_is_comfortable; there at the ego's centre", formula=formula,
-        parameters=(_asked(NUPLAN_BOUNDS[kind]), f"step {NUPLAN_STEP_S} s"), needs=f"a drive of {NUPLAN_LEAST_S} s",
+        parameters=(_as_text(NUPLAN_BOUNDS[kind]), f"step {NUPLAN_STEP_S} s"), needs=f"a drive of {NUPLAN_LEAST_S} s",
     )
     for kind, what, aside, signal, formula in (
         ("lon_accel", "Acceleration along the body", "", lambda drive: _savgol(drive.a, 8, 2), "SG(8, 2) of a"),
@@ -221,5 +220,5 @@ LAT_JERK_R79 = Metric(
     _outside(R79_BOUNDS), "Lateral jerk as UN R79 measures it: low-pass, derivative, moving mean.",
     "UN R79 (read at second hand)",
     formula="mean over 0.5 s of dB/dt = (B(t) - B(t - 0.5 s)) / 0.5 s, B = Butterworth low-pass of v^2 kappa",
-    parameters=(_asked(R79_BOUNDS), "order 4", "cut-off 0.5 Hz", "rate 100 Hz"), needs="a drive of 0.5 s",
+    parameters=(_as_text(R79_BOUNDS), "order 4", "cut-off 0.5 Hz", "rate 100 Hz"), needs="a drive of 0.5 s",
 )  # fmt: skip

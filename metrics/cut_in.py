@@ -33,9 +33,8 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners
 from logs.states import Trajectory, wrap
 from logs.trace import Mode, Trace
-from metrics.boxes import ego_boxes
+from metrics.boxes import GRID_S, Others, each, ego_boxes, name_of, some_at
 from metrics.metric import MAX, Measured, Metric, Series, Unavailable
-from metrics.others import GRID_S, Others, each, name_of, some_at
 
 SPACING_M, CHORD_M, BEYOND_M = 2.0, 4.0, 10.0
 NEAR_M = 60.0
@@ -97,8 +96,8 @@ def _entries(
     s, l = np.stack([_on_path(path, *xy) for xy in outline[:, :, there]], axis=1)  # noqa: E741
     deep = 0.5 * width - np.maximum(l.min(axis=0), -l.max(axis=0))
     ahead = (s.max(axis=0) > front) & (s.min(axis=0) < np.minimum(front + NEAR_M, path.length + BEYOND_M))
-    rear, found = _rear(s, l, 0.5 * width), []
-    for first, last in _stays(deep, ahead):
+    rear, found = _rear_station(s, l, 0.5 * width), []
+    for first, last in _stays_in_strip(deep, ahead):
         k, stay = there[first], slice(first, last + 1)
         heading = _direction(path, rear[first]), _direction(path, front[first] - 0.5 * length)
         if _crosses_over(scenario.road, boxes[:3, k], *heading):
@@ -109,7 +108,7 @@ def _entries(
                 brake = max(-end.a, 0.0)
                 braked = np.minimum(more, end.v / brake) if brake > 0.0 else more
                 t, g = np.r_[t, t[-1] + more], np.r_[g, g[-1] + (end.v * braked - 0.5 * brake * braked**2)]
-            found.append(Entry(float(ego.t[k]), float(ego.t[there[last]]), agent, _forced(t, g, u)))
+            found.append(Entry(float(ego.t[k]), float(ego.t[there[last]]), agent, _needed_deceleration(t, g, u)))
     return found
 
 
@@ -120,7 +119,7 @@ def _on_path(path: ReferenceLine, x: FloatArray, y: FloatArray) -> FloatArray:
     return line_project_many(path.s, path.coef, x, y, near, NEAR_M).T
 
 
-def _stays(deep: FloatArray, ahead: BoolArray) -> Iterator[tuple[int, int]]:
+def _stays_in_strip(deep: FloatArray, ahead: BoolArray) -> Iterator[tuple[int, int]]:
     """First and last step of each stay in the strip that begins with a change from out to in."""
     out, since = False, -1
     for k in range(len(deep)):
@@ -134,7 +133,7 @@ def _stays(deep: FloatArray, ahead: BoolArray) -> Iterator[tuple[int, int]]:
         yield since, len(deep) - 1
 
 
-def _rear(s: FloatArray, l: FloatArray, half: float) -> FloatArray:  # noqa: E741
+def _rear_station(s: FloatArray, l: FloatArray, half: float) -> FloatArray:  # noqa: E741
     """The least station `(k,)` of the part in a strip of a box with corners at s, l `(4, k)`; of the box if none is."""
     found = np.where(np.abs(l) <= half, s, inf)
     other_s, other_l = np.roll(s, 1, axis=0), np.roll(l, 1, axis=0)
@@ -168,7 +167,7 @@ def _crosses_over(road: Road, box: FloatArray, path: float, follower: float) -> 
     return ego_angle > path_angle
 
 
-def _forced(t: FloatArray, g: FloatArray, u: float) -> float:
+def _needed_deceleration(t: FloatArray, g: FloatArray, u: float) -> float:
     """(2) for the ego's rear at g `(k,)` m at the times t `(k,)` s after the entry."""
     t, g = t[t <= HORIZON_S], g[t <= HORIZON_S]
     braked, room = t - REACT_S, g - u * REACT_S
@@ -184,25 +183,19 @@ def _forced_braking(trace: Trace, scenario: Scenario) -> Measured:
     if len(trace.ego) < 2:
         return Unavailable("the drive holds one ego state only")
     t, value, labels = trace.ego.t, np.full(len(trace.ego), np.nan), [""] * len(trace.ego)
+    logged = scenario.tracks
     for entry in entries(trace.ego, trace.agents, scenario):
-        k = int(np.searchsorted(t, entry.t - 1e-9))
-        forced = max(entry.forced, _reacted(entry, trace, scenario))
+        after = np.arange(entry.t, min(entry.until, entry.t + HORIZON_S) + 1e-9, GRID_S)
+        now, name = some_at(trace.agents, np.array([entry.agent]), after), trace.agents.ids[entry.agent]
+        reacts = now.there[0]  # where a follower does not drive as in the log
+        if name in logged.ids:
+            then = some_at(logged, np.array([logged.ids.index(name)]), after)
+            reacts = reacts & (np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0])) > AS_LOGGED_M)
+        reacted = min(float(np.max(-now.accel[0], initial=0.0, where=reacts)), MOST_MPS2)
+        k, forced = int(np.searchsorted(t, entry.t - 1e-9)), max(entry.forced, reacted)
         if not value[k] >= forced:
             value[k], labels[k] = forced, f"{name_of(trace.agents, entry.agent)}: the ego entered its path"
     return Series(t, value, tuple(labels), "the ego entered no follower's path")
-
-
-def _reacted(entry: Entry, trace: Trace, scenario: Scenario) -> float:
-    """The greatest deceleration of a follower after an entry if it does not drive as in the log, m/s2, else 0."""
-    name, logged = trace.agents.ids[entry.agent], scenario.tracks
-    t = np.arange(entry.t, min(entry.until, entry.t + HORIZON_S) + 1e-9, GRID_S)
-    now = some_at(trace.agents, np.array([entry.agent]), t)
-    if name in logged.ids:
-        then = some_at(logged, np.array([logged.ids.index(name)]), t)
-        moved = np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0])) > AS_LOGGED_M
-    else:
-        moved = np.ones(len(t), np.bool_)
-    return min(float(np.max(-now.accel[0], initial=0.0, where=moved & now.there[0])), MOST_MPS2)
 
 
 FORCED_BRAKING = Metric(

@@ -17,16 +17,16 @@ from logs.scenario import Scenario
 from logs.states import Controls
 from logs.trace import Mode, SolverReport, Trace
 from metrics import metric
+from metrics.boxes import phantoms
 from metrics.comfort import WINDOW_S
 from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
-from metrics.phantoms import phantoms
 from metrics.plans import NO_PLANS, frame_times
 
 PRESSED = 1e-6  # A pedal command above this is pressed
 _BOTH = (Mode.OPEN, Mode.CLOSED)
 
 
-def _together(commands: Controls) -> FloatArray:
+def _both_pressed(commands: Controls) -> FloatArray:
     less = np.minimum(commands.throttle, commands.brake)
     return np.where(np.isfinite(less), less > PRESSED, np.nan)
 
@@ -40,7 +40,7 @@ def _switches(commands: Controls) -> FloatArray:
     return switches
 
 
-def _commanded(value: Callable[[Controls], FloatArray], trace: Trace, scenario: Scenario) -> Measured:
+def _of_commands(value: Callable[[Controls], FloatArray], trace: Trace, scenario: Scenario) -> Measured:
     if trace.commands is None or not len(trace.commands):
         return Unavailable("the drive has no commands")
     return Series(trace.commands.t, value(trace.commands))
@@ -88,7 +88,7 @@ def _fallback(trace: Trace, scenario: Scenario) -> Measured:
     return Series(t, fallbacks, tuple(labels), "the log shows a phantom at each fallback")
 
 
-def _tracked(column: str, trace: Trace, scenario: Scenario) -> Measured:
+def _tracking_error(column: str, trace: Trace, scenario: Scenario) -> Measured:
     if trace.tracking is None or not len(trace.tracking.t):
         return Unavailable("the drive has no tracking errors: no controller was in it")
     return Series(trace.tracking.t, getattr(trace.tracking, column))
@@ -99,17 +99,17 @@ def _pedals(
     reductions: tuple[Reduction, ...], meaning: str, formula: str,
 ) -> Metric:  # fmt: skip
     return Metric(
-        name, unit, direction, (Mode.CLOSED,), partial(_commanded, value), reductions, meaning, formula=formula,
+        name, unit, direction, (Mode.CLOSED,), partial(_of_commands, value), reductions, meaning, formula=formula,
         parameters=(f"pressed above {PRESSED:g}",) if unit == "count" else (), needs="commands of a controller",
     )  # fmt: skip
 
 
 _USED = (metric.MEAN, metric.MAX)
 EFFORT = (
-    _pedals("throttle", lambda given: given.throttle, "1", "none", _USED, "Commanded throttle.", "throttle"),
-    _pedals("brake", lambda given: given.brake, "1", "none", _USED, "Commanded brake.", "brake"),
+    _pedals("throttle", lambda commands: commands.throttle, "1", "none", _USED, "Commanded throttle.", "throttle"),
+    _pedals("brake", lambda commands: commands.brake, "1", "none", _USED, "Commanded brake.", "brake"),
     _pedals(
-        "pedals_together", _together, "count", "lower", (metric.COUNT,),
+        "pedals_together", _both_pressed, "count", "lower", (metric.COUNT,),
         "Steps that command throttle and brake at once.", "sum of 1 where both are pressed",
     ),
     _pedals(
@@ -138,7 +138,7 @@ EFFORT = (
 )  # fmt: skip
 TRACKING = tuple(
     Metric(
-        f"tracking_{column}", unit, "lower", (Mode.CLOSED,), partial(_tracked, column),
+        f"tracking_{column}", unit, "lower", (Mode.CLOSED,), partial(_tracking_error, column),
         (metric.RMS, metric.MAX_ABS, metric.P95), f"{meaning}.", formula=formula, needs="a controller in the drive",
     )
     for column, unit, meaning, formula in (

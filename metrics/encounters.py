@@ -29,11 +29,22 @@ from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import wrap
 from logs.trace import Mode, Trace
-from metrics.boxes import NO_TTC_MPS, Car, apart, car_of, ego_boxes, is_behind
+from metrics.boxes import (
+    GRID_S,
+    NO_TTC_MPS,
+    Car,
+    Others,
+    apart,
+    car_of,
+    each,
+    ego_boxes,
+    is_behind,
+    labels_of,
+    name_of,
+    nearest,
+)
 from metrics.following import grid_of
-from metrics.metric import MIN, Measured, Metric, Series, time_below
-from metrics.once import once
-from metrics.others import GRID_S, Others, each, labels_of, name_of, nearest
+from metrics.metric import MIN, Measured, Metric, Series, once, time_below
 from metrics.safety import CATALOGUE
 
 HORIZON_S = 10.0

@@ -35,11 +35,9 @@ from logs.rules import Colour
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
 from metrics import metric
-from metrics.boxes import ego_boxes
+from metrics.boxes import each, ego_boxes, name_of, phantoms, some_at
 from metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes
 from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
-from metrics.others import each, name_of, some_at
-from metrics.phantoms import phantoms
 from metrics.plans import NO_PLANS, frame_times
 
 AWAY_S, LENGTH_M, WIDTH_M = 1.0, 5.0, 3.5
@@ -72,14 +70,14 @@ def _evidence(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     lane = none if mapped is None else off_lanes(mapped, x, y) == 0.0
     no_lane = "the log has no lanes for cars" if mapped is None else "no lane of the log's map lies under the ego"
     return {
-        "traffic": _found(trace, within(spans, t), observed),
+        "traffic": _series_of(trace, within(spans, t), observed),
         "lights": _lights(trace, scenario, x, y),
-        "limit": _found(trace, limit, "the log has no speed limit here: it is assumed, or not asked for"),
-        "lane": _found(trace, lane, no_lane),
+        "limit": _series_of(trace, limit, "the log has no speed limit here: it is assumed, or not asked for"),
+        "lane": _series_of(trace, lane, no_lane),
     }
 
 
-def _found(trace: Trace, known: BoolArray, why: str, needed: BoolArray | None = None) -> Evidence:
+def _series_of(trace: Trace, known: BoolArray, why: str, needed: BoolArray | None = None) -> Evidence:
     """The series of a kind of evidence; `why` is what is missing in steps that need it and have none."""
     ego = trace.ego
     needed = np.ones(len(known), np.bool_) if needed is None else needed
@@ -106,7 +104,7 @@ def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> M
         needed, known = needed | near, known & (shown | ~near)
     if not needed.any():
         return Unavailable("no stop line with a traffic light lies on the driven way")
-    return _found(trace, known, f"traffic light {', '.join(map(str, sorted(lacking)))} is not observed", needed)
+    return _series_of(trace, known, f"traffic light {', '.join(map(str, sorted(lacking)))} is not observed", needed)
 
 
 def _share(series: Series, *, of_way: bool = False) -> tuple[float, int]:
@@ -123,7 +121,7 @@ def _replay_contact(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t[-1:], np.array([float(ran)]), (trace.detail if ran else "",))
 
 
-def _with_status(status: PlanStatus, trace: Trace, scenario: Scenario) -> Measured:
+def _by_status(status: PlanStatus, trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
         return NO_PLANS
     plans = [frame.plan for frame in trace.frames]
@@ -147,7 +145,7 @@ def _agent_interval(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t[-1:], np.array([float(np.median(apart))]))
 
 
-def _apart(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _distances(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray]:
     """d, along and across of (3) `(k,)`, NaN after the log's ego; along and across over their bounds of (4)."""
     drive, log = trace.ego, scenario.ego
     x, y, yaw, v = (np.interp(drive.t, log.t, column) for column in (log.x, log.y, log.yaw, log.v))
@@ -157,7 +155,7 @@ def _apart(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, Fl
     return np.hypot(dx, dy) * lasts, along * lasts, (c * dy - s * dx) / WIDTH_M * lasts
 
 
-def _off(trace: Trace, scenario: Scenario) -> Iterator[tuple[str, BoolArray]]:
+def _displaced_agents(trace: Trace, scenario: Scenario) -> Iterator[tuple[str, BoolArray]]:
     """Of each agent of the log that is not where the log has it (4): its name, and when `(k,)`."""
     log, agents, t = scenario.tracks, trace.agents, trace.ego.t
     index = {name: i for i, name in enumerate(agents.ids)}
@@ -173,12 +171,12 @@ def _off(trace: Trace, scenario: Scenario) -> Iterator[tuple[str, BoolArray]]:
             yield name_of(log, i), off
 
 
-def _weak(trace: Trace, scenario: Scenario) -> Measured:
+def _divergence_weak(trace: Trace, scenario: Scenario) -> Measured:
     if len(scenario.ego) < 2:
         return _NO_DRIVE
-    t, (_, along, across) = trace.ego.t, _apart(trace, scenario)
+    t, (_, along, across) = trace.ego.t, _distances(trace, scenario)
     ways = ("the ego along its way", np.abs(along) > 1.0), ("the ego across its way", np.abs(across) > 1.0)
-    parted = {name: off for name, off in (*ways, *_off(trace, scenario)) if off.any()}
+    parted = {name: off for name, off in (*ways, *_displaced_agents(trace, scenario)) if off.any()}
     first = min((int(np.argmax(off)) for off in parted.values()), default=len(t))
     why = "; ".join(name for name, off in parted.items() if off[first])
     weak = np.where(np.arange(len(t)) >= first, t, np.nan)
@@ -213,12 +211,12 @@ REPLAY_CONTACT = Metric(
     formula="[the drive ended by the replay]",
 )  # fmt: skip
 PLAN_REFUSED = Metric(
-    "plan_refused", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.REFUSED), (metric.RATE,),
+    "plan_refused", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_by_status, PlanStatus.REFUSED), (metric.RATE,),
     "Share of the frames whose plan does not start at the ego, or is impossible for a road car: it is not driven.",
     formula="refused plans / plans; bounds: replay/loop/plan_check.py", needs="a plan",
 )  # fmt: skip
 PLAN_CORRECTED = Metric(
-    "plan_corrected", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.CORRECTED),
+    "plan_corrected", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_by_status, PlanStatus.CORRECTED),
     (metric.RATE,),
     "Share of the frames whose plan says another speed, heading, curvature or acceleration than its positions have.",
     formula="corrected plans / plans; bounds: replay/loop/plan_check.py", needs="a plan",
@@ -248,13 +246,13 @@ FROM = Reduction("from", lambda series: (float(series.value[series.known][0]), i
 DIVERGENCE = Metric(
     "divergence", "m", "none", (Mode.CLOSED,),
     lambda trace, scenario: (
-        Series(trace.ego.t, _apart(trace, scenario)[0]) if len(scenario.ego) > 1 else _NO_DRIVE
+        Series(trace.ego.t, _distances(trace, scenario)[0]) if len(scenario.ego) > 1 else _NO_DRIVE
     ), (metric.MAX,),
     "Distance between the ego and where the log has it at the same time, while the log's ego lasts.",
     formula="|p - q|", needs="a log that holds the ego's drive",
 )  # fmt: skip
 WEAK = Metric(
-    "divergence_weak", "s", "none", (Mode.CLOSED,), _weak,
+    "divergence_weak", "s", "none", (Mode.CLOSED,), _divergence_weak,
     (FROM, Reduction("share", metric.HAVING.reduce, unit="1", direction="none", empty=0.0)),
     "From when on the drive has parted from its log, so that the replay is weak evidence, and the share after that.",
     parameters=(
@@ -266,7 +264,7 @@ WEAK = Metric(
 DISPLACED = Metric(
     "displaced", "count", "none", (Mode.CLOSED,),
     lambda trace, scenario: metric.counted(
-        trace.ego.t, ((int(np.argmax(off)), name) for name, off in _off(trace, scenario))
+        trace.ego.t, ((int(np.argmax(off)), name) for name, off in _displaced_agents(trace, scenario))
     ), (metric.COUNT,),
     "Road users who were not where the log has them, each once: who gave way, and who was held up by them.",
     formula="number of road users farther than this from where the log has them", parameters=(f"{OFF_M:g} m",),

@@ -1,9 +1,8 @@
 """The path ahead of the ego, the lead in it, distance and time to the lead, and what it would take to avoid it.
 
-The one definition of all metrics that ask who is in front, closed loop. Path: from the rear axle on along the circle of
-the ego's curvature at that step; s in m along it, l in m to its left, for at most `LOOK_M` and a quarter of a turn. It
-needs no lane, and nothing that comes later in the drive. With a point
-at (x, y) ahead and to the left of the rear axle:
+The one definition of the lead for all metrics, closed loop. Path: from the rear axle on along the circle of the ego's
+curvature at that step; s in m along it, l in m to its left, for at most `LOOK_M` and a quarter of a turn. It needs no
+lane, and nothing that comes later in the drive. With a point at (x, y) ahead and to the left of the rear axle:
 
 (1) s = atan2(kappa x, 1 - kappa y) / kappa,  x where kappa = 0
     l = (2 y - kappa (x^2 + y^2)) / (1 + hypot(1 - kappa y, kappa x))
@@ -27,7 +26,7 @@ its deceleration.
     0 where it is out of the band by then, or the gap opens
 (7) STN = a_lat,req / 8.0 m/s2
 (8) following gap: required = max(v t_front(v), 2 m), t_front by `R157_S`, linear between, the last beyond the table;
-    asked while the lead is a vehicle that heads along the path (within 45 degrees) and drives on, or both stand
+    measured while the lead is a vehicle that heads along the path (within 45 degrees) and drives on, or both stand
 
 At a contact (gap 0) only (2) and the gap have a value: what is required then is without bound.
 Sources: commonroad-crime 0.4.5 and the criticality metrics catalogue (Westhofen et al. 2023) for (2) to (7), where (4)
@@ -48,10 +47,8 @@ from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics.boxes import STANDING_MPS, Car, car_of
-from metrics.metric import MAX, MIN, Measured, Metric, Series, time_below, time_outside
-from metrics.once import once
-from metrics.others import GRID_S, Others, labels_of, nearest
+from metrics.boxes import GRID_S, STANDING_MPS, Car, Others, car_of, labels_of, nearest
+from metrics.metric import MAX, MIN, Measured, Metric, Series, once, time_below, time_outside
 from metrics.safety import CATALOGUE
 
 LOOK_M = 150.0
@@ -229,17 +226,17 @@ def _quotient(above: FloatArray, below: FloatArray, known: BoolArray) -> FloatAr
     return np.divide(above, below, out=np.full(len(above), np.nan), where=known)
 
 
-def _required(ahead: Ahead, scenario: Scenario) -> FloatArray:
+def _required_decel(ahead: Ahead, scenario: Scenario) -> FloatArray:
     return required_decel(ahead.gap, ahead.v, ahead.u, ahead.decel)
 
 
-def _margin(ahead: Ahead, scenario: Scenario) -> FloatArray:
+def _following_margin(ahead: Ahead, scenario: Scenario) -> FloatArray:
     both_stand = (ahead.v <= COMING_MPS) & (np.abs(ahead.u) <= COMING_MPS)
     follows = (ahead.facing >= _ALONG) & ((ahead.u > COMING_MPS) | both_stand)
     return np.where(follows, ahead.gap - required_gap(ahead.v), np.nan)
 
 
-def _measured(
+def _of_lead(
     trace: Trace, scenario: Scenario, *, value: Callable[[Ahead, Scenario], FloatArray], missing: str = _ALONE,
     vehicles: bool = False,
 ) -> Measured:  # fmt: skip
@@ -256,14 +253,14 @@ _PATH = (f"path: the arc of the ego's curvature, {LOOK_M:g} m ahead, at most a q
 _LEAD = "a lead in the ego's path"
 FOLLOWING = (
     Metric(
-        "headway", "m", "higher", (Mode.CLOSED,), partial(_measured, value=lambda ahead, scenario: ahead.gap), (MIN,),
+        "headway", "m", "higher", (Mode.CLOSED,), partial(_of_lead, value=lambda ahead, scenario: ahead.gap), (MIN,),
         "Gap along the ego's path from its front bumper to the lead.", CATALOGUE,
         formula="s_lead - s_front", parameters=_PATH, needs=_LEAD,
     ),
     Metric(
         "thw", "s", "higher", (Mode.CLOSED,),
         partial(
-            _measured, value=lambda ahead, scenario: _quotient(ahead.gap, ahead.v, ahead.v > STANDING_MPS),
+            _of_lead, value=lambda ahead, scenario: _quotient(ahead.gap, ahead.v, ahead.v > STANDING_MPS),
             missing=f"{_ALONE} while it drove",
         ),
         (MIN, time_below(SHORT_THW_S, "time_below_900ms")),
@@ -273,14 +270,14 @@ FOLLOWING = (
     ),
     Metric(
         "drac", "m/s2", "lower", (Mode.CLOSED,),
-        partial(_measured, value=lambda ahead, scenario: _quotient(
+        partial(_of_lead, value=lambda ahead, scenario: _quotient(
             np.maximum(ahead.v - ahead.u, 0.0) ** 2, 2.0 * ahead.gap, ahead.gap > 0.0
         )), (MAX,),
         "Deceleration rate to avoid a crash with a lead that holds its speed.", CATALOGUE,
         formula="(v - u)^2 / (2 gap) where v > u, else 0", parameters=_PATH, needs=_LEAD,
     ),
     Metric(
-        "required_decel", "m/s2", "lower", (Mode.CLOSED,), partial(_measured, value=_required),
+        "required_decel", "m/s2", "lower", (Mode.CLOSED,), partial(_of_lead, value=_required_decel),
         (MAX, time_outside(-np.inf, EMERGENCY_MPS2, "time_in_emergency")),
         "Least constant deceleration that avoids a lead that goes on braking as it does until it stands.",
         f"{CATALOGUE}; emergency: UN R157",
@@ -290,14 +287,14 @@ FOLLOWING = (
     ),
     Metric(
         "btn", "1", "lower", (Mode.CLOSED,),
-        partial(_measured, value=lambda ahead, scenario: _required(ahead, scenario) / scenario.vehicle.max_decel),
+        partial(_of_lead, value=lambda ahead, scenario: _required_decel(ahead, scenario) / scenario.vehicle.max_decel),
         (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
         "Brake threat number: required over greatest deceleration; above 1 braking alone does not suffice.",
         CATALOGUE, formula="a_req / a_max", parameters=("a_max: the vehicle's max_decel", *_PATH), needs=_LEAD,
     ),
     Metric(
         "stn", "1", "lower", (Mode.CLOSED,),
-        partial(_measured, value=lambda ahead, scenario: (
+        partial(_of_lead, value=lambda ahead, scenario: (
             required_lateral(ahead, 0.5 * scenario.vehicle.width) / STEER_MPS2
         )),
         (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
@@ -308,7 +305,7 @@ FOLLOWING = (
     ),
     Metric(
         "following_gap", "m", "higher", (Mode.CLOSED,),
-        partial(_measured, value=_margin, missing="the ego followed no vehicle", vehicles=True),
+        partial(_of_lead, value=_following_margin, missing="the ego followed no vehicle", vehicles=True),
         (MIN, time_below(0.0, "time_too_near")),
         "Gap to the vehicle that the ego follows, less the minimum following gap of UN R157.", "UN R157, 5.2.3.3",
         formula="gap - max(v t_front(v), 2 m)",

@@ -1,6 +1,6 @@
 """What is wrong with a log, before anything is driven: what, who, when, how much, and its effect on which metric.
 
-A log with findings is evaluated as any other; only a phantom changes what is counted (`metrics.phantoms`).
+A log with findings is evaluated as any other; only a phantom changes what is counted (`metrics.boxes`).
 
 The ego, between samples k and k + 1, dt apart, d apart, with the speeds v and v':
 
@@ -51,8 +51,7 @@ from logs.observed import MAX_AGE_S, clipped
 from logs.road import RoadSource
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import wrapped
-from metrics.others import name_of, pieces
-from metrics.phantoms import phantoms
+from metrics.boxes import name_of, phantoms, pieces
 
 EGO_GAP_S = 0.5  # As long as an agent that is sampled often may be unseen (`logs.observed`), s
 RARE = 5.0  # Intervals

@@ -1,4 +1,4 @@
-"""A road's lanes as flat arrays, and what the metrics ask of them: how far off, which speed limit, which direction.
+"""A road's lanes as flat arrays, and what metrics need of them: how far off, which speed limit, which direction.
 
 The end of the map is not the end of the road: a lane that leads on to no lane of the map goes on straight for 10 m
 (two cars' lengths), and so does, backwards, one that no lane leads to.
@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
-from logs.road import Lane, Road, RoadSource, inside
+from logs.road import Road, RoadSource, inside
 from logs.shapes import point_segment
-from metrics.once import once
+from metrics.metric import once
 
 BEYOND_M = 10.0
 SURE_M = 1e-6  # Boxes are passed over where they are farther than this: rounding must not decide
@@ -87,7 +87,15 @@ def drivable_lanes(road: Road) -> LaneArrays | None:
     if not lanes:
         return None
     entered = {after for lane in road.lanes.values() for after in lane.successors}
-    outlines = [_outline(lane, road.lanes.keys().isdisjoint(lane.successors), lane.id not in entered) for lane in lanes]
+    outlines = []
+    for lane in lanes:  # the polygon, lengthened where the map ends or begins
+        forth, back = lane.center[-1:] - lane.center[-2:-1], lane.center[:1] - lane.center[1:2]
+        ends, begins = road.lanes.keys().isdisjoint(lane.successors), lane.id not in entered
+        for longer, way in ((ends, forth), (begins, back)):
+            length = float(np.hypot(*way[0]))
+            way *= BEYOND_M / length if longer and length > 0.0 else 0.0
+        sides = [np.vstack([side[:1] + back, side, side[-1:] + forth]) for side in (lane.left, lane.right)]
+        outlines.append(np.vstack([sides[0], sides[1][::-1]]))
     box = [(*outline.min(axis=0), *outline.max(axis=0)) for outline in outlines]
     offsets = np.r_[0, np.cumsum([len(outline) for outline in outlines])]
     centers = [0.5 * (outline[: len(outline) // 2] + outline[: len(outline) // 2 - 1 : -1]) for outline in outlines]
@@ -110,16 +118,6 @@ def _boxes(polylines: Sequence[FloatArray]) -> Boxes:
             rows.append((k, min(k + step, len(edges))))
         first.append(len(box))
     return Boxes(frozen(first, np.int64), frozen(box), frozen(rows, np.int64))
-
-
-def _outline(lane: Lane, ends: bool, begins: bool) -> FloatArray:
-    """The lane's polygon, lengthened where the map ends or begins."""
-    forth, back = lane.center[-1:] - lane.center[-2:-1], lane.center[:1] - lane.center[1:2]
-    for longer, way in ((ends, forth), (begins, back)):
-        length = float(np.hypot(*way[0]))
-        way *= BEYOND_M / length if longer and length > 0.0 else 0.0
-    sides = [np.vstack([side[:1] + back, side, side[-1:] + forth]) for side in (lane.left, lane.right)]
-    return np.vstack([sides[0], sides[1][::-1]])
 
 
 def keeps_lane(road: Road, x: float, y: float, corners: FloatArray) -> bool:

@@ -14,18 +14,52 @@ measured is Unavailable with its reason; a single step that has no value is NaN.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from functools import wraps
+from typing import Any, Concatenate, Literal, ParamSpec, TypeVar, get_args
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, frozen
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
-from metrics.once import last
 
+K = TypeVar("K")
+P = ParamSpec("P")
+R = TypeVar("R")
 Direction = Literal["lower", "higher", "none"]  # Which way is better
+
+
+def last(count: int) -> Callable[[Callable[Concatenate[K, P], R]], Callable[Concatenate[K, P], R]]:
+    """Call a function once for the same arguments; the newest `count` results of each first argument are kept.
+
+    The first argument (a trace, a scenario, a road) owns the results and is held weakly: they are kept while it is
+    there. The other arguments are compared by value. A result must not refer to the first argument.
+    """
+
+    def decorate(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
+        kept: WeakKeyDictionary[Any, dict[Hashable, R]] = WeakKeyDictionary()
+
+        @wraps(function)
+        def remembered(owner: K, /, *args: P.args, **kwargs: P.kwargs) -> R:
+            known, key = kept.setdefault(owner, {}), (args, *kwargs.items())
+            if key not in known:
+                found = function(owner, *args, **kwargs)
+                if len(known) >= count:
+                    known.pop(next(iter(known)))
+                known[key] = found
+            return known[key]
+
+        return remembered
+
+    return decorate
+
+
+def once(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
+    """Call a function once for the same arguments, for what several metrics need of one drive: `last(64)`."""
+    return last(64)(function)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -157,8 +191,8 @@ class Metric:
             raise ValueError(f"metric {self.name!r}: {broken}")
 
     def found(self, trace: Trace, scenario: Scenario) -> Measured | Mapping[str, Measured]:
-        """What `measure` gives, kept for the scores that ask again; of a long drive the newest series only."""
-        return (_all if len(trace.ego) <= LONG_STEPS else _newest)(trace, scenario, self.measure)
+        """The result of `measure`, kept for the scores that use it again; of a long drive the newest results only."""
+        return (_remember_all if len(trace.ego) <= LONG_STEPS else _remember_newest)(trace, scenario, self.measure)
 
     def measured(self, trace: Trace, scenario: Scenario) -> dict[str, Measured]:
         """Its series by full name ("gap", "ade.3s"); one that is unavailable keeps the names of its parts.
@@ -180,8 +214,11 @@ class Metric:
         return {f"{self.name}.{part}": found for part in parts} or {self.name: found}
 
 
-_ask: Callable[..., Measured | Mapping[str, Measured]] = lambda trace, scenario, measure: measure(trace, scenario)  # noqa: E731
-_all, _newest = last(1024)(_ask), last(8)(_ask)
+def _measure(trace: Trace, scenario: Scenario, measure: Measure) -> Measured | Mapping[str, Measured]:
+    return measure(trace, scenario)
+
+
+_remember_all, _remember_newest = last(1024)(_measure), last(8)(_measure)
 LONG_STEPS = 60_000  # Of a longer drive (1 MB a series) only the newest series are kept
 LEAST_S = 4.0  # Of `share_beyond`: the horizon over which plans are judged
 
@@ -259,7 +296,7 @@ SHARE = Reduction("share", lambda series: (float(np.mean(series.known)), -1), "1
 """Share of the steps that have a value, where each ought to have one: below 1 the mean is over a part only."""
 
 
-def _marked(
+def _marked_time(
     name: str,
     mark: Callable[[Series], BoolArray],
     whole: Callable[[Series, FloatArray], float] | None = None,
@@ -279,7 +316,7 @@ def _marked(
 
 def time_outside(low: float, high: float, name: str) -> Reduction:
     """Seconds during which the value is below `low` or above `high`; 0 where no step has a value."""
-    return _marked(name, lambda series: (series.value < low) | (series.value > high), bounds=(low, high))
+    return _marked_time(name, lambda series: (series.value < low) | (series.value > high), bounds=(low, high))
 
 
 def time_below(bound: float, name: str) -> Reduction:
@@ -302,14 +339,14 @@ def worst_episode(low: float, high: float) -> Reduction:
 
 def share_while(condition: Callable[[FloatArray], BoolArray], name: str) -> Reduction:
     """Share of the drive's time in which a condition holds; 0 where no step has a value."""
-    return _marked(
+    return _marked_time(
         name, lambda series: condition(series.value) & series.known, lambda series, weight: float(weight.sum())
     )
 
 
 def share_beyond(bound: float, name: str) -> Reduction:
     """Share of the time of the known steps, `LEAST_S` at least, in which the value is above `bound`; else 0."""
-    return _marked(
+    return _marked_time(
         name,
         lambda series: series.value > bound,
         lambda series, weight: max(float(weight[series.known].sum()), LEAST_S),
@@ -325,3 +362,81 @@ def changed(t: FloatArray, value: FloatArray, window: float) -> FloatArray:
     """
     before = np.interp(t - window, t, value)
     return np.where(t - window >= t[0] - 1e-9, (value - before) / window, np.nan)
+
+
+# what there is to read about metrics, for `replan metrics` and docs/metrics.md ---------------------------------------
+
+Groups = Mapping[str, Sequence[Metric]]
+_BETTER = {"lower": "lower is better", "higher": "higher is better", "none": "neither is better"}
+REDUCTIONS = {
+    "mean, min, max, rms": "over the steps that have a value",
+    "max_abs, p95, p99": "largest and percentiles of the absolute value",
+    "final": "the last value",
+    "count": "sum over the steps",
+    "rate": "share of the steps: of those with a value, or that have one",
+    "share": "share of the frames that have a value, of those that ought to have one",
+    "time_...": "seconds: each step stands for half of the time to each of its neighbours",
+    "worst_episode": "longest unbroken stretch out of bounds, s",
+}
+
+
+def list_metrics(groups: Groups) -> str:
+    """All metrics by group: name, unit, direction and meaning, one line each."""
+    lines = {group: [f"    {m.name} [{m.unit}, {m.direction}] {m.meaning}" for m in of] for group, of in groups.items()}
+    return "\n\n".join("\n".join([group, *of]) for group, of in lines.items())
+
+
+def metric_page(metric: Metric) -> str:
+    """All about one metric."""
+    entries = _entries(metric)
+    lines = [f"    {name + ':':{max(map(len, entries)) + 2}}{text}" for name, text in entries.items()]
+    return "\n".join([metric.name, f"    {metric.meaning}", "", *lines])
+
+
+def metric_facts(metric: Metric) -> dict[str, object]:
+    """All about one metric, as a table's row: what the page says, parts and reductions as lists."""
+    return {
+        "name": metric.name, "meaning": metric.meaning, "unit": metric.unit, "direction": metric.direction,
+        "modes": [mode.value for mode in metric.modes], "parts": list(metric.parts),
+        "reductions": [reduction.name for reduction in metric.reductions], "formula": metric.formula,
+        "parameters": list(metric.parameters), "needs": metric.needs, "source": metric.source,
+        "version": metric.version,
+    }  # fmt: skip
+
+
+def metrics_markdown(groups: Groups) -> str:
+    """The page docs/metrics.md, of all metrics."""
+    lines = [
+        "# Metrics", "",
+        "Generated by `replan metrics --markdown`. A row of the table is `metric.reduction`, or `metric.part.reduction`"
+        " where a metric has parts. What cannot be measured is unavailable, with its reason, and no number.",
+        "", "| reduction | what it is |", "|---|---|", *(f"| `{name}` | {text} |" for name, text in REDUCTIONS.items()),
+    ]  # fmt: skip
+    for group, metrics in groups.items():
+        lines += ["", f"## {group}"]
+        for metric in metrics:
+            lines += ["", f"### {metric.name}", "", metric.meaning, ""]
+            entries = {**_entries(metric), "formula": f"`{metric.formula}`"}  # as code: its asterisks and bars stay
+            lines += [f"- {name}: {text}" for name, text in entries.items() if text != "``"]
+    return "\n".join(lines)
+
+
+def _entries(metric: Metric) -> dict[str, str]:
+    """The entries of a page, in order; empty ones are left out."""
+    reductions = []
+    for reduction in metric.reductions:
+        own = [reduction.unit or metric.unit, reduction.direction or metric.direction]
+        differs = f" ({', '.join(own)})" if own != [metric.unit, metric.direction] else ""
+        reductions.append(f"{reduction.name}{differs}")
+    entries = {
+        "formula": metric.formula,
+        "unit": f"{metric.unit}, {_BETTER[metric.direction]}",
+        "parameters": "; ".join(metric.parameters),
+        "parts": "any" if metric.parts == ("*",) else ", ".join(metric.parts),
+        "reductions": ", ".join(reductions),
+        "needs": metric.needs or "nothing: always available",
+        "source": metric.source or "replan",
+        "modes": ", ".join(mode.value for mode in metric.modes),
+        "version": str(metric.version),
+    }
+    return {name: text for name, text in entries.items() if text}

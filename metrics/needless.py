@@ -15,7 +15,7 @@ so any reason that a careful driver could have counts:
     caps         where v is above the limit, above what makes 2 m/s2 to the side in a curve, or above what a recorded
                  driver drove there
 
-A reason other than a cap lasts `AFTER_S` longer. An ego more than `ASIDE_M` beside the route is not asked.
+A reason other than a cap lasts `AFTER_S` longer. An ego more than `ASIDE_M` beside the route is not judged.
 
 (2) needless_braking(t) = the highest speed since the last reason, less v(t)
 (3) needless_standing(t) = 1 where v < 0.5 m/s and no reason is within 10 m, a stop line within `LINE_M`, of its front
@@ -29,7 +29,7 @@ False braking is hard and without a cause; less of it costs more missed braking,
     that the ego sweeps from where it then was on: along its drive, straight on where that ends, as far as it would
     have come with its speed.
 (7) missed(t) = max((v - u)^2 / (2 gap) - b, 0) for the lead in the path ahead (`following`) with gap, u, v > u, of an
-    ego that brakes with b: what a steady approach behind the lead asks beyond what is done.
+    ego that brakes with b: what a steady approach behind the lead requires beyond what is done.
 """
 
 from __future__ import annotations
@@ -47,13 +47,10 @@ from logs.rules import Colour
 from logs.scenario import Scenario, Tracks
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics.boxes import Car, car_of, touches
+from metrics.boxes import GRID_S, Car, Others, car_of, each, labels_of, others_at, phantoms, touches
 from metrics.following import ahead_of, grid_of
 from metrics.lanes import drivable_lanes, limits_at, points_inside
-from metrics.metric import COUNT, MAX, RATE, Measured, Metric, Series, worst_episode
-from metrics.once import once
-from metrics.others import GRID_S, Others, each, labels_of, others_at
-from metrics.phantoms import phantoms
+from metrics.metric import COUNT, MAX, RATE, Measured, Metric, Series, once, worst_episode
 from metrics.progress import WINDOW_M, route_of
 
 NEAR_M, HEADWAY_S, EASE_MPS2, FARTHEST_M = 10.0, 1.5, 1.5, 150.0
@@ -96,14 +93,14 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
     s, l = line_project_many(line.s, line.coef, ego.x, ego.y, 0.0, WINDOW_M).T  # noqa: E741
     front = s + scenario.vehicle.axle_to_front
     slow, stand, steer = np.zeros((3, len(s)), np.bool_)
-    for begin, end, active, near in _places(trace, scenario, ego.t, line):
+    for begin, end, active, near in _places_to_stop(trace, scenario, ego.t, line):
         ahead = (s <= end) & active
-        slow |= ahead & (begin - front <= _look(ego.v, 0.0))
+        slow |= ahead & (begin - front <= _look_ahead(ego.v, 0.0))
         stand |= ahead & (begin - front <= near)
     ghosts = {phantom.agent for phantom in phantoms(scenario)}
     shown = (trace.agents, trace.perceived, scenario.tracks.only(ghosts) if ghosts else None)
     for tracks in filter(None, shown):
-        for brakes, stands, beside in _by_agents(tracks, ego.t, s, l, ego.v, line, scenario):
+        for brakes, stands, beside in _agents_as_reasons(tracks, ego.t, s, l, ego.v, line, scenario):
             slow, stand, steer = slow | brakes, stand | stands, steer | beside
     goal, early = scenario.goal, np.zeros(len(s), np.bool_)
     if goal is not None and goal.t is not None:  # at its speed it would be there before the goal's time
@@ -112,7 +109,7 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
     since = np.maximum.accumulate(np.where(flags, ego.t, -np.inf), axis=1)
     slow, stand, steer = ego.t - since <= AFTER_S + 1e-9
     off = np.abs(l) > ASIDE_M
-    caps, end = _caps(line, scenario), np.searchsorted(line.s, s + _look(ego.v, 0.0), side="right")
+    caps, end = _caps(line, scenario), np.searchsorted(line.s, s + _look_ahead(ego.v, 0.0), side="right")
     first = np.clip(np.searchsorted(line.s, s) - 1, 0, len(caps) - 1)
     least = np.array([caps[a : max(b, a + 1)].min() for a, b in zip(first, end, strict=True)])
     slow |= off | (ego.v > least + SLACK_MPS)
@@ -120,12 +117,12 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
     return Reasons(ego.t, ego.v, l, slow, stand | off, steer | curved)
 
 
-def _look(v: FloatArray, u: FloatArray | float) -> FloatArray:
+def _look_ahead(v: FloatArray, u: FloatArray | float) -> FloatArray:
     """(1), at most `FARTHEST_M`."""
     return np.minimum(NEAR_M + HEADWAY_S * v + np.maximum(v - u, 0.0) ** 2 / (2.0 * EASE_MPS2), FARTHEST_M)
 
 
-def _by_agents(
+def _agents_as_reasons(
     tracks: Tracks, t: FloatArray, s: FloatArray, l: FloatArray, v: FloatArray, line: ReferenceLine,  # noqa: E741
     scenario: Scenario,
 ) -> Iterator[tuple[BoolArray, BoolArray, BoolArray]]:  # fmt: skip
@@ -154,14 +151,14 @@ def _by_agents(
             near = room <= (SIDE_VULNERABLE_M if tracks.kinds[i].is_vulnerable else SIDE_M)
             ahead = gap + 2.0 * along + car.length > 0.0
             leaves = (u > v[steps] + 1.0) & (gap > 2.0 + 0.5 * v[steps])
-            look = _look(v[steps], u)
+            look = _look_ahead(v[steps], u)
             flags[0, steps] = near & ahead & ~leaves & (gap <= look)
             flags[1, steps] = near & ahead & (gap <= NEAR_M)
             flags[2, steps] = near & (gap + 2.0 * along + car.length > -NEAR_M) & (gap <= look)
         yield flags[0], flags[1], flags[2]
 
 
-def _places(
+def _places_to_stop(
     trace: Trace, scenario: Scenario, t: FloatArray, line: ReferenceLine
 ) -> Iterator[tuple[float, float, BoolArray, float]]:
     """First and last station of what rules stop an ego for, when they do `(k,)`, and how near it may stand, m."""
@@ -173,7 +170,15 @@ def _places(
             light = lights.get(mark.light) if mark.light is not None else None
             shut = always if light is None else np.array([light.at(now) is not Colour.GREEN for now in t])
             yield at, at + ACROSS_M, shut, LINE_M
-    zones = [(walk.polygon, _walked(trace, t, walk.polygon)) for walk in scenario.road.crosswalks]
+    zones = []
+    for walk in scenario.road.crosswalks:  # while a pedestrian or rider is within `NEAR_M` of the box round it
+        low, high = walk.polygon.min(axis=0) - NEAR_M, walk.polygon.max(axis=0) + NEAR_M
+        walked = np.zeros(len(t), np.bool_)
+        for i, others, row in each(trace.agents, t):
+            if trace.agents.kinds[i].is_vulnerable:
+                x, y = others.pose[:2, row]
+                walked |= others.there[row] & (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
+        zones.append((walk.polygon, walked))
     zones += [(lane.polygon, always) for lane in scenario.road.lanes.values() if lane.yields_to]
     for polygon, active in zones:
         on = line.s[points_inside(polygon, *line.xy.T)]
@@ -184,16 +189,6 @@ def _places(
         yield route.length, np.inf, always, NEAR_M
     elif scenario.is_recorded:
         yield float(line.project(scenario.ego.x[-1], scenario.ego.y[-1], route.length)[0]), np.inf, always, NEAR_M
-
-
-def _walked(trace: Trace, t: FloatArray, polygon: FloatArray) -> BoolArray:
-    """When a pedestrian or rider is within `NEAR_M` of the box round a crosswalk `(k,)`."""
-    low, high, found = polygon.min(axis=0) - NEAR_M, polygon.max(axis=0) + NEAR_M, np.zeros(len(t), np.bool_)
-    for i, others, row in each(trace.agents, t):
-        if trace.agents.kinds[i].is_vulnerable:
-            x, y = others.pose[:2, row]
-            found |= others.there[row] & (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
-    return found
 
 
 def _caps(line: ReferenceLine, scenario: Scenario) -> FloatArray:
@@ -284,11 +279,11 @@ def had_cause(trace: Trace, scenario: Scenario, begin: float) -> bool:
     way = np.stack([x + beyond * np.cos(yaw), y + beyond * np.sin(yaw), yaw])
     car, t = car_of(scenario), begin + GRID_S * np.arange(round(CAUSE_S / GRID_S) + 1)
     wider = car._replace(width=car.width + 2.0 * CAUSE_M)
-    return bool(_comes(way, wider, others_at(trace.agents, t)))
+    return bool(_any_touches(way, wider, others_at(trace.agents, t)))
 
 
 @kernel
-def _comes(way: FloatArray, car: Car, others: Others) -> bool:
+def _any_touches(way: FloatArray, car: Car, others: Others) -> bool:
     """Whether any of the boxes `(n, k)` overlaps the ego's anywhere on the way of its rear axle: x, y, yaw `(3, m)`."""
     for j in range(way.shape[1]):
         x, y, yaw = way[0, j] + car.axle * cos(way[2, j]), way[1, j] + car.axle * sin(way[2, j]), way[2, j]
@@ -299,7 +294,7 @@ def _comes(way: FloatArray, car: Car, others: Others) -> bool:
     return False
 
 
-def _false(trace: Trace, scenario: Scenario) -> Measured:
+def _false_braking(trace: Trace, scenario: Scenario) -> Measured:
     ego = grid_of(trace)
     value = np.full(len(ego.t), np.nan)
     for k in hard_episodes(ego):
@@ -307,16 +302,16 @@ def _false(trace: Trace, scenario: Scenario) -> Measured:
     return Series(ego.t, value, missing="the ego never brakes hard")
 
 
-def _missed(trace: Trace, scenario: Scenario) -> Measured:
+def _missed_braking(trace: Trace, scenario: Scenario) -> Measured:
     found = ahead_of(trace, scenario)
     closing = np.maximum(found.v - found.u, 0.0)
-    asked = closing**2 / (2.0 * np.maximum(found.gap, TOUCHING_M))
-    value = np.maximum(asked - np.maximum(-found.a, 0.0), 0.0)
+    required = closing**2 / (2.0 * np.maximum(found.gap, TOUCHING_M))
+    value = np.maximum(required - np.maximum(-found.a, 0.0), 0.0)
     return Series(found.t, value, labels_of(trace, found.agent), missing="the path ahead was free")
 
 
 FALSE_BRAKING = Metric(
-    "false_braking", "1", "lower", (Mode.CLOSED,), _false, (RATE, COUNT),
+    "false_braking", "1", "lower", (Mode.CLOSED,), _false_braking, (RATE, COUNT),
     "1 where a hard braking begins after which no road user comes near the ego's way, 0 where one does.",
     formula="[no road user within 0.3 m of the way ahead within 5 s]",
     parameters=(
@@ -325,7 +320,7 @@ FALSE_BRAKING = Metric(
     needs="a hard braking",
 )  # fmt: skip
 MISSED_BRAKING = Metric(
-    "missed_braking", "m/s2", "lower", (Mode.CLOSED,), _missed, (MAX,),
+    "missed_braking", "m/s2", "lower", (Mode.CLOSED,), _missed_braking, (MAX,),
     "Deceleration that a steady approach behind the one ahead in the path asks beyond the ego's.",
     formula="max((v - u)^2 / (2 gap) - b, 0)", parameters=(f"gap at least {TOUCHING_M:g} m",),
     needs="a road user ahead in the path",

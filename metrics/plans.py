@@ -48,8 +48,8 @@ from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, wrapped
 from logs.trace import Mode, Trace
-from metrics.metric import MAX, MEAN, MIN, P95, RATE, SHARE, Measured, Metric, Series, Unavailable, share_beyond
-from metrics.once import last, once
+from metrics import metric
+from metrics.metric import Measured, Metric, Series, Unavailable, last, once
 
 STEP_S = 0.1  # Plans are compared at multiples of this after their frame's time
 SHORT_M = 5.0  # Shorter plans (in their first 4 s) are those of a standing ego (NAVSIM)
@@ -82,7 +82,9 @@ def plan_columns(trace: Trace, times: FloatArray, names: tuple[str, ...], which:
     for begin in range(0, len(trace.frames), PIECE):
         some = (which >= begin) & (which < begin + PIECE)
         if some.any():
-            out[:, some] = _at(*_rows(trace, begin), wanted, which[some] - begin, np.ascontiguousarray(times[some]))
+            out[:, some] = _interpolate(
+                *_plan_rows(trace, begin), wanted, which[some] - begin, np.ascontiguousarray(times[some])
+            )
     return out
 
 
@@ -92,7 +94,7 @@ def plan_way(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 @last(1)  # of a drive of up to `PIECE` frames all are kept
-def _rows(trace: Trace, begin: int) -> tuple[IntArray, FloatArray]:
+def _plan_rows(trace: Trace, begin: int) -> tuple[IntArray, FloatArray]:
     """`PIECE` plans from a frame on: `(f + 1,)` where each begins, and their `TRAJECTORY_COLUMNS` `(7, m)`."""
     plans = [loaded(frame.plan.trajectory) for frame in light(trace.frames)[begin : begin + PIECE]]
     rows = np.stack([np.concatenate([getattr(plan, name) for plan in plans]) for name in TRAJECTORY_COLUMNS])
@@ -100,7 +102,9 @@ def _rows(trace: Trace, begin: int) -> tuple[IntArray, FloatArray]:
 
 
 @kernel
-def _at(offsets: IntArray, rows: FloatArray, wanted: IntArray, which: IntArray, times: FloatArray) -> FloatArray:
+def _interpolate(
+    offsets: IntArray, rows: FloatArray, wanted: IntArray, which: IntArray, times: FloatArray
+) -> FloatArray:
     """`plan_columns` of the plans `which` `(f,)`: the rows `wanted`, each as `numpy.interp` has it."""
     out = np.full((len(wanted), *times.shape), np.nan)
     for f in range(len(times)):
@@ -119,14 +123,14 @@ def _at(offsets: IntArray, rows: FloatArray, wanted: IntArray, which: IntArray, 
     return out
 
 
-def _change(trace: Trace, scenario: Scenario, *, which: int) -> Measured:
+def _plan_change(trace: Trace, scenario: Scenario, *, which: int) -> Measured:
     if len(trace.frames) < 2:
         return Unavailable("fewer than two plans")
-    return Series(frame_times(trace)[1:], _changes(trace)[which], missing=_STANDS)
+    return Series(frame_times(trace)[1:], _differences(trace)[which], missing=_STANDS)
 
 
 @once
-def _changes(trace: Trace) -> tuple[FloatArray, FloatArray]:
+def _differences(trace: Trace) -> tuple[FloatArray, FloatArray]:
     """(1) and (2) `(f - 1,)`; NaN where the plans do not overlap, or both are of a standing ego."""
     times = times_after(trace, 0, round(COMPARED_S / STEP_S))[1:]
     all_ = np.arange(len(trace.frames))
@@ -148,7 +152,7 @@ def _extended(trace: Trace, scenario: Scenario) -> Measured:
     if not len(later):
         return Unavailable(f"no two plans are {APART_S} s apart")
     times = times_after(trace, 0, round(COMPARED_S / STEP_S))[later]
-    difference = _felt(trace, later, times) - _felt(trace, earlier[later], times)
+    difference = _comfort_quantities(trace, later, times) - _comfort_quantities(trace, earlier[later], times)
     both, bounds = np.isfinite(difference), np.array([[bound] for _, bound in EC_BOUNDS])
     count = both.sum(axis=2)
     mean = (np.where(both, difference, 0.0) ** 2).sum(axis=2) / np.maximum(count, 1)
@@ -158,7 +162,7 @@ def _extended(trace: Trace, scenario: Scenario) -> Measured:
     return Series(times[:, 0], np.where(known, ratio.max(axis=0), np.nan), labels, "plans 0.5 s apart never overlap")
 
 
-def _felt(trace: Trace, which: IntArray, times: FloatArray) -> FloatArray:
+def _comfort_quantities(trace: Trace, which: IntArray, times: FloatArray) -> FloatArray:
     """The four quantities of (3) `(4, f, k)`; NaN where a plan does not reach, or did not begin yet."""
     back = np.concatenate([times[:, :1] - 2.0 * STEP_S, times[:, :1] - STEP_S, times], axis=1)
     yaw, v, a, kappa = plan_columns(trace, back, ("yaw", "v", "a", "kappa"), which)
@@ -177,19 +181,19 @@ def _complete(trace: Trace, scenario: Scenario) -> Measured:
     reach, log = _horizon(trace, scenario), scenario.ego
     if isinstance(reach, Unavailable):
         return reach
-    asked = (reach.t + PLAN_HORIZON_S <= log.t[-1] + 1e-6) | (len(log) < 2)
-    if not asked.any():
+    covered = (reach.t + PLAN_HORIZON_S <= log.t[-1] + 1e-6) | (len(log) < 2)
+    if not covered.any():
         return Unavailable(f"the log ends less than {PLAN_HORIZON_S:g} s after every frame")
-    return Series(reach.t[asked], np.where(reach.value[asked] >= PLAN_HORIZON_S - 1e-6, 1.0, 0.0))
+    return Series(reach.t[covered], np.where(reach.value[covered] >= PLAN_HORIZON_S - 1e-6, 1.0, 0.0))
 
 
 _BOTH = (Mode.OPEN, Mode.CLOSED)
 _COMPARED = (f"compared {COMPARED_S:g} s", f"step {STEP_S:g} s", f"not of plans up to {SHORT_M:g} m")
 PLAN_CHANGE, PLAN_CHANGE_LATERAL = (
     Metric(
-        name, "m", "lower", _BOTH, partial(_change, which=which),
-        (MEAN, P95, MAX, share_beyond(1.0, "share_beyond_1m")), meaning, source, 2, formula=formula,
-        parameters=_COMPARED, needs="two successive plans that overlap in time",
+        name, "m", "lower", _BOTH, partial(_plan_change, which=which),
+        (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(1.0, "share_beyond_1m")), meaning, source, 2,
+        formula=formula, parameters=_COMPARED, needs="two successive plans that overlap in time",
     )
     for which, (name, source, meaning, formula) in enumerate((
         ("plan_change", "after NAVSIM's extended comfort", "Mean distance of successive plans at the same times.",
@@ -200,7 +204,7 @@ PLAN_CHANGE, PLAN_CHANGE_LATERAL = (
     ))
 )  # fmt: skip
 EXTENDED_COMFORT = Metric(
-    "extended_comfort", "1", "lower", _BOTH, _extended, (MEAN, P95, MAX),
+    "extended_comfort", "1", "lower", _BOTH, _extended, (metric.MEAN, metric.P95, metric.MAX),
     "Difference of two plans 0.5 s apart as one would feel it, over its bound: the worst of four; above 1 is a change"
     " of mind.", "NAVSIM 0a380a90, extended comfort of EPDMS; there of filtered signals and of one pair",
     formula="max over q of rms(q_i - q_j) / bound(q), t_i - t_j = 0.5 s, q = |A|, d|A|/dt, yaw rate, yaw acceleration",
@@ -208,11 +212,11 @@ EXTENDED_COMFORT = Metric(
     needs="two plans 0.5 s apart that overlap in time",
 )  # fmt: skip
 PLAN_HORIZON = Metric(
-    "plan_horizon", "s", "higher", _BOTH, _horizon, (MIN, MEAN), "How far the plans reach after their frames.",
-    formula="t_last - t_i", needs="plans",
+    "plan_horizon", "s", "higher", _BOTH, _horizon, (metric.MIN, metric.MEAN),
+    "How far the plans reach after their frames.", formula="t_last - t_i", needs="plans",
 )  # fmt: skip
 PLAN_COMPLETE = Metric(
-    "plan_complete", "1", "higher", _BOTH, _complete, (replace(RATE, empty=None),),
+    "plan_complete", "1", "higher", _BOTH, _complete, (replace(metric.RATE, empty=None),),
     "Share of the frames whose plan reaches 3 s at least, where the log lasts so long after them.",
     formula="1 where t_last - t_i >= 3 s, else 0", parameters=(f"least {PLAN_HORIZON_S:g} s",),
     needs="plans, and a logged drive of 3 s after some frame or none at all",
@@ -250,10 +254,10 @@ def _per_horizon(
     errors, t = _errors(trace, scenario)[which], frame_times(trace)
     found: dict[str, Measured] = {}
     for h in horizons:
-        asked, missing = t + h <= scenario.ego.t[-1] + 1e-6, f"every plan ends before {h} s"
+        covered, missing = t + h <= scenario.ego.t[-1] + 1e-6, f"every plan ends before {h} s"
         found[f"{h}s"] = Unavailable(f"the log ends less than {h} s after every frame")
-        if asked.any():
-            found[f"{h}s"] = Series(t[asked], pick(errors[asked, : round(h / STEP_S)]), missing=missing)
+        if covered.any():
+            found[f"{h}s"] = Series(t[covered], pick(errors[covered, : round(h / STEP_S)]), missing=missing)
     return found
 
 
@@ -270,7 +274,7 @@ _NEEDS = "a logged drive that lasts to the horizon after some frame, and plans t
 ADE, FDE, AHE, FHE, ALONG, CROSS = (
     Metric(
         name, unit, "lower", (Mode.OPEN,), partial(_per_horizon, pick, which, HORIZONS_S),
-        (MEAN, MAX, SHARE) if name == "ade" else (MEAN, MAX),
+        (metric.MEAN, metric.MAX, metric.SHARE) if name == "ade" else (metric.MEAN, metric.MAX),
         f"{meaning}, at the rear axle, up to the horizon.", "nuPlan open loop, at 10 Hz instead of 1 Hz", 2,
         parts=tuple(f"{h}s" for h in HORIZONS_S), formula=formula,
         parameters=(f"horizons {', '.join(map(str, HORIZONS_S))} s", f"step {STEP_S} s"), needs=_NEEDS,
@@ -290,7 +294,7 @@ ADE, FDE, AHE, FHE, ALONG, CROSS = (
 )  # fmt: skip
 MISS = Metric(
     "miss", "1", "lower", (Mode.OPEN,), partial(_per_horizon, _missed, 2, tuple(MISS_M)),
-    (replace(RATE, empty=None), SHARE),
+    (replace(metric.RATE, empty=None), metric.SHARE),
     "Share of the frames whose plan is anywhere up to the horizon farther from the log than the bound.",
     "nuPlan devkit e9241677, planner_miss_rate_within_bound (3, 5, 8 s), at 10 Hz and at the rear axle",
     parts=tuple(f"{h}s" for h in MISS_M), formula="1 where max_k |e_k| > bound, else 0", needs=_NEEDS,

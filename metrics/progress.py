@@ -47,8 +47,7 @@ from logs.trace import EndReason, Mode, Trace
 from metrics import metric
 from metrics.boxes import ego_boxes
 from metrics.lanes import drivable_lanes, limits_at, stated_lanes
-from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
-from metrics.once import last
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable, last
 
 SPACING_M, WINDOW_M = 1.0, 30.0
 STRETCH, SLACK_M = 2.0, 0.1
@@ -84,7 +83,7 @@ def route_of(scenario: Scenario) -> Route:
 @last(2)  # a scenario is made anew with each entry of its metadata, of the same road
 def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float) -> Route:
     path = thinned(np.column_stack([log.x, log.y]), SPACING_M)
-    line = ReferenceLine.through(np.vstack([path, _onward(road, log.state(len(log) - 1), goal)]), SPACING_M)
+    line = ReferenceLine.through(np.vstack([path, _lanes_onward(road, log.state(len(log) - 1), goal)]), SPACING_M)
     driven = float(np.hypot(*np.diff(path, axis=0).T).sum())
     regions = goal.regions if goal else ()
     for s, (x, y) in zip(line.s[1:].tolist(), line.xy[1:].tolist(), strict=True) if regions else ():
@@ -103,7 +102,7 @@ def gained(route: Route, drive: Trajectory) -> Gain:
     return Gain(np.r_[0.0, np.cumsum(counted)], float((step - counted).sum()))
 
 
-def _onward(road: Road, end: EgoState, goal: Goal | None) -> FloatArray:
+def _lanes_onward(road: Road, end: EgoState, goal: Goal | None) -> FloatArray:
     """Points `(k, 2)`, k >= 1, from `JOIN_M` behind a state on, along the centre lines of the route from there."""
     straight = np.array([[end.x + JOIN_M * cos(end.yaw), end.y + JOIN_M * sin(end.yaw)]])
     if not road.lanes:
@@ -144,15 +143,15 @@ def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
     if len(scenario.ego) > 1:
         in_time = trace.end is EndReason.GOAL and _is_time_only(scenario.goal)  # the log's driver had no longer either
         until = trace.ego.t[-1] if in_time else scenario.ego.t[-1]
-        asked, who = float(np.interp(until, scenario.ego.t, gained(route, scenario.ego).metres)), "the log's driver"
+        yardstick, who = float(np.interp(until, scenario.ego.t, gained(route, scenario.ego).metres)), "the log's driver"
     elif FOLLOWER_M in scenario.metadata:
-        asked, who = float(scenario.metadata[FOLLOWER_M]), "the route follower"
+        yardstick, who = float(scenario.metadata[FOLLOWER_M]), "the route follower"
     else:
         return Unavailable("the log holds one ego state only, and no route follower was driven")
-    if asked < FLOOR_M:
-        return Unavailable(f"{who} gets {asked:.1f} m along the route: no yardstick for progress")
+    if yardstick < FLOOR_M:
+        return Unavailable(f"{who} gets {yardstick:.1f} m along the route: no yardstick for progress")
     gain = gained(route, trace.ego)
-    return Series(trace.ego.t, _arrived(trace, scenario, gain, gain.metres / asked))
+    return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, gain.metres / yardstick))
 
 
 def _is_time_only(goal: Goal | None) -> bool:
@@ -163,9 +162,9 @@ def _progress(trace: Trace, scenario: Scenario) -> Measured:
     if len(scenario.ego) < 2:
         return _ALONE
     route = route_of(scenario)
-    asked, gain = gained(route, scenario.ego).metres[-1], gained(route, trace.ego)
-    ratio = np.minimum(np.maximum(gain.metres, FLOOR_M) / max(asked, FLOOR_M), 1.0)
-    return Series(trace.ego.t, _arrived(trace, scenario, gain, np.where(gain.metres < -FLOOR_M, 0.0, ratio)))
+    yardstick, gain = gained(route, scenario.ego).metres[-1], gained(route, trace.ego)
+    ratio = np.minimum(np.maximum(gain.metres, FLOOR_M) / max(yardstick, FLOOR_M), 1.0)
+    return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, np.where(gain.metres < -FLOOR_M, 0.0, ratio)))
 
 
 def _completion(trace: Trace, scenario: Scenario) -> Measured:
@@ -173,10 +172,10 @@ def _completion(trace: Trace, scenario: Scenario) -> Measured:
     if not np.isfinite(route.length):
         return Unavailable("the log has neither a goal that lanes lead to nor a drive of 10 m")
     gain = gained(route, trace.ego)
-    return Series(trace.ego.t, _arrived(trace, scenario, gain, np.clip(gain.metres / route.length, 0.0, 1.0)))
+    return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, np.clip(gain.metres / route.length, 0.0, 1.0)))
 
 
-def _arrived(trace: Trace, scenario: Scenario, gain: Gain, share: FloatArray) -> FloatArray:
+def _full_at_goal(trace: Trace, scenario: Scenario, gain: Gain, share: FloatArray) -> FloatArray:
     """A share `(n,)` that is 1 at least where the drive ended in the goal's region, at most 2 m of it cut."""
     if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M and not _is_time_only(scenario.goal):
         share[-1] = max(share[-1], 1.0)
@@ -240,27 +239,24 @@ def _goal(trace: Trace, scenario: Scenario) -> Measured:
         return Unavailable("the log names no goal")
     if _is_time_only(scenario.goal):
         return Unavailable("the goal is a time only: progress along the route is asked instead")
-    arrived = trace.end is EndReason.GOAL
-    out_of_reach = "" if arrived else _out_of_reach(scenario.goal, scenario)
-    return Unavailable(out_of_reach) if out_of_reach else _at_end(trace, good=arrived)
-
-
-def _out_of_reach(goal: Goal, scenario: Scenario) -> str:
-    """Why no vehicle reaches a goal in time, by (7); empty: one might."""
-    start, first = scenario.ego.state(0), float(scenario.ego.t[0])
+    if trace.end is EndReason.GOAL:
+        return _at_end(trace, good=True)
+    goal, start, first = scenario.goal, scenario.ego.state(0), float(scenario.ego.t[0])
     last = min(scenario.duration, goal.t[1] if goal.t else scenario.duration)
     if goal.t and goal.t[0] > scenario.duration:
-        return f"the log ends at {scenario.duration:.1f} s, and the goal begins at {goal.t[0]:.1f} s"
+        return Unavailable(f"the log ends at {scenario.duration:.1f} s, and the goal begins at {goal.t[0]:.1f} s")
     ahead = scenario.vehicle.axle_to_center
     x, y = start.x + ahead * cos(start.yaw), start.y + ahead * sin(start.yaw)
     if not goal.regions or goal.holds_place(x, y):
-        return ""
+        return _at_end(trace, good=False)
     edges = [(a, b) for region in goal.regions for a, b in zip(region, np.roll(region, -1, axis=0), strict=True)]
     away = min(point_segment(x, y, *a, *b) for a, b in edges)
     top, time = max(start.v, REACH_MPS), last - first
     faster = min(time, (top - start.v) / REACH_MPS2)
     reach = start.v * faster + 0.5 * REACH_MPS2 * faster**2 + top * (time - faster)  # (7)
-    return "" if away <= reach else f"no vehicle reaches the goal: {away:.0f} m in {time:.1f} s from {start.v:.1f} m/s"
+    if away <= reach:
+        return _at_end(trace, good=False)
+    return Unavailable(f"no vehicle reaches the goal: {away:.0f} m in {time:.1f} s from {start.v:.1f} m/s")
 
 
 _CLOSED = (Mode.CLOSED,)

@@ -37,11 +37,22 @@ from logs.shapes import corners
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from metrics import comfort, metric, plans, safety
-from metrics.boxes import NO_TTC_MPS, Car, apart, car_of, contact_time, is_behind, touches
+from metrics.boxes import (
+    NO_TTC_MPS,
+    Car,
+    Others,
+    apart,
+    car_of,
+    contact_time,
+    is_behind,
+    labels_of,
+    named,
+    some_at,
+    there_between,
+    touches,
+)
 from metrics.lanes import keeps_lane
-from metrics.metric import Measured, Metric, Series, Unavailable
-from metrics.once import once
-from metrics.others import Others, labels_of, named, some_at, there_between
+from metrics.metric import Measured, Metric, Series, Unavailable, once
 from metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
 from metrics.safety import contact_kind
 
@@ -56,7 +67,7 @@ Rows = Mapping[str, NDArray[Any]]
 
 
 @once
-def _judged(trace: Trace, scenario: Scenario) -> Rows:
+def _measure_plans(trace: Trace, scenario: Scenario) -> Rows:
     """What (1) and (3) to (6) need, `(f,)` each; NaN where a frame has none, -1 for no agent."""
     drive = trace.ego if trace.mode is Mode.CLOSED or len(scenario.ego) < 2 else scenario.ego
     found, all_times = [], times_after(trace, 0, STEPS)
@@ -65,26 +76,26 @@ def _judged(trace: Trace, scenario: Scenario) -> Rows:
         plan = plan_columns(trace, times, _COLUMNS, which)
         witnessed = np.where(times <= drive.t[-1] + 1e-6, plan, np.nan)
         found.append({
-            "off": _off(witnessed, scenario), **_signals(plan), **_kept(times, witnessed, drive),
-            **_followed(times, witnessed, trace.agents, scenario),
+            "off": _off_road(witnessed, scenario), **_comfort_signals(plan), **_against_drive(times, witnessed, drive),
+            **_contacts_and_ttc(times, witnessed, trace.agents, scenario),
         })  # fmt: skip
     return {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
 
 
-def _kept(times: FloatArray, plan: FloatArray, drive: Trajectory) -> Rows:
+def _against_drive(times: FloatArray, plan: FloatArray, drive: Trajectory) -> Rows:
     """(5) and (6) against a drive."""
     x, y, yaw = (np.interp(times, drive.t, column) for column in (drive.x, drive.y, drive.yaw))
     dx, dy = plan[0] - x, plan[1] - y
     planned, driven = (np.fmax.reduce(way + 0.0 * dx, axis=1) for way in (plan_way(plan[0], plan[1]), plan_way(x, y)))
     best = np.maximum(planned, driven)
     aside = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw))
-    asked = (best > SHORT_M) & (times[:, 0] + PLAN_HORIZON_S <= drive.t[-1] + 1e-6)
-    kept, lateral = (np.where(asked, np.fmax.reduce(d, axis=1), np.nan) for d in (np.hypot(dx, dy), aside))
+    lasting = (best > SHORT_M) & (times[:, 0] + PLAN_HORIZON_S <= drive.t[-1] + 1e-6)
+    kept, lateral = (np.where(lasting, np.fmax.reduce(d, axis=1), np.nan) for d in (np.hypot(dx, dy), aside))
     progress = np.where(best > SHORT_M, planned / np.maximum(best, SHORT_M), 1.0)
     return {"progress": progress, "kept": kept, "kept_lateral": lateral}
 
 
-def _signals(plan: FloatArray) -> Rows:
+def _comfort_signals(plan: FloatArray) -> Rows:
     """Largest size of the planned accelerations and jerk, and (4) with the index of its signal; `(f,)` each."""
     _, _, yaw, v, a, kappa = plan
     aside, c, s = v**2 * kappa, np.cos(yaw), np.sin(yaw)
@@ -101,7 +112,7 @@ def _signals(plan: FloatArray) -> Rows:
     }  # fmt: skip
 
 
-def _off(plan: FloatArray, scenario: Scenario) -> FloatArray:
+def _off_road(plan: FloatArray, scenario: Scenario) -> FloatArray:
     """(2) `(f,)`; NaN where the log has no lanes."""
     lanes, there = safety.known_lanes(scenario), np.isfinite(plan[0])
     if isinstance(lanes, Unavailable):
@@ -113,13 +124,13 @@ def _off(plan: FloatArray, scenario: Scenario) -> FloatArray:
     return np.asarray(off.max(axis=1) - off[:, 0])
 
 
-def _followed(times: FloatArray, plan: FloatArray, agents: Tracks, scenario: Scenario) -> Rows:
+def _contacts_and_ttc(times: FloatArray, plan: FloatArray, agents: Tracks, scenario: Scenario) -> Rows:
     """(1) and (3) with the agents that they are about."""
     grid_ns, column = np.unique(np.rint(times * 1e9).astype(np.int64), return_inverse=True)
     seen = there_between(agents, grid_ns[0] / 1e9, grid_ns[-1] / 1e9)
     others, car = some_at(agents, seen, grid_ns / 1e9), car_of(scenario)
     objects = np.array([agents.kinds[i] is AgentKind.OBJECT for i in seen.tolist()], np.bool_)
-    step, hit, ttc, near = _meetings(plan, column.reshape(times.shape), car, others, objects)
+    step, hit, ttc, near = _meet_agents(plan, column.reshape(times.shape), car, others, objects)
     for f in np.flatnonzero((step[1] >= 0) & ((step[0] < 0) | (step[1] < step[0]))).tolist():
         x, y, yaw = plan[:3, f, step[1, f]]
         x, y = x + car.axle * np.cos(yaw), y + car.axle * np.sin(yaw)
@@ -133,7 +144,7 @@ def _followed(times: FloatArray, plan: FloatArray, agents: Tracks, scenario: Sce
 
 
 @kernel
-def _meetings(
+def _meet_agents(
     plan: FloatArray, column: IntArray, car: Car, others: Others, objects: BoolArray
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
     """Per plan the first contact at fault (row 0) and the first one with the side (row 1): step and agent `(2, f)`.
@@ -175,40 +186,37 @@ def _meetings(
     return step, hit, ttc, near
 
 
-def _lack(trace: Trace, scenario: Scenario) -> Unavailable | None:
-    """Why plans cannot be followed; None where they can."""
-    if trace.mode is Mode.OPEN and len(scenario.ego) < 2:
-        return Unavailable("the log holds one ego state only: there is no drive to plan along")
-    return None if trace.frames else NO_PLANS
-
-
-def _followed_by(name: str, trace: Trace, scenario: Scenario, **words: str) -> Measured:
-    """A row of `_judged` that needs what happened after the frame."""
-    return _lack(trace, scenario) or _series(name, trace, scenario, **words)
-
-
 def _series(
-    name: str, trace: Trace, scenario: Scenario, *, about: str = "", missing: str = "no plan has a second state"
-) -> Measured:
+    name: str, trace: Trace, scenario: Scenario, *, about: str = "", missing: str = "no plan has a second state",
+    followed: bool = True,
+) -> Measured:  # fmt: skip
+    """A row of `_measure_plans`; `followed`: it needs what happened after the frames."""
+    if followed and trace.mode is Mode.OPEN and len(scenario.ego) < 2:
+        return Unavailable("the log holds one ego state only: there is no drive to plan along")
     if not trace.frames:
         return NO_PLANS
-    found = _judged(trace, scenario)
+    found = _measure_plans(trace, scenario)
     labels = labels_of(trace, found[about]) if about else ()
     return Series(frame_times(trace), found[name], labels, missing)
+
+
+def _off_road_series(trace: Trace, scenario: Scenario) -> Measured:
+    lanes = safety.known_lanes(scenario)
+    return lanes if isinstance(lanes, Unavailable) else _series("off", trace, scenario, followed=False)
 
 
 def _comfort(trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
         return NO_PLANS
-    found, names = _judged(trace, scenario), tuple(comfort.NUPLAN_BOUNDS)
+    found, names = _measure_plans(trace, scenario), tuple(comfort.NUPLAN_BOUNDS)
     return Series(frame_times(trace), found["comfort"], tuple(names[q] for q in found["signal"].tolist()))
 
 
 def _score(trace: Trace, scenario: Scenario) -> Measured:
     """(7)."""
-    if (lack := _lack(trace, scenario)) is not None:
-        return lack
-    found, t = _judged(trace, scenario), times_after(trace, 0, 0)[:, 0]
+    if isinstance(lacking := _series("ttc", trace, scenario), Unavailable):
+        return lacking
+    found, t = _measure_plans(trace, scenario), times_after(trace, 0, 0)[:, 0]
     objects = np.array([kind is AgentKind.OBJECT for kind in trace.agents.kinds] + [False])
     multiplier = np.where(np.isnan(found["contact"]), 1.0, np.where(objects[found["contact_agent"]], 0.5, 0.0))
     multiplier = np.where(found["off"] > safety.OFF_ROAD_M, 0.0, multiplier)
@@ -230,21 +238,20 @@ _NAVSIM = "after NAVSIM 0a380a90, pdm_scorer"
 
 PLAN_COLLISION = Metric(
     "plan_collision", "s", "higher", _BOTH,
-    partial(_followed_by, "contact", about="contact_agent", missing=_NO_CONTACT), (metric.HAVING, metric.MIN),
+    partial(_series, "contact", about="contact_agent", missing=_NO_CONTACT), (metric.HAVING, metric.MIN),
     "Time until a plan has a contact at fault with a road user as it then moved; fault as in collision_at_fault.",
     _NAVSIM, 2, formula="least t - t_i with a contact at fault", parameters=_FOLLOWED, needs="plans",
 )  # fmt: skip
 PLAN_OFF_ROAD = Metric(
-    "plan_off_road", "m", "lower", _BOTH, lambda trace, scenario: (
-        lanes if isinstance(lanes := safety.known_lanes(scenario), Unavailable) else _series("off", trace, scenario)
-    ), (metric.MAX, metric.share_beyond(safety.OFF_ROAD_M, "share_beyond_30cm")),
+    "plan_off_road", "m", "lower", _BOTH, _off_road_series,
+    (metric.MAX, metric.share_beyond(safety.OFF_ROAD_M, "share_beyond_30cm")),
     "How much farther off the drivable lanes than at its start a plan leads.", _NAVSIM,
     formula="max over t of off(t) - off(t_i), off the greatest distance of a corner to the lanes",
     parameters=_FOLLOWED, needs="plans, lanes in the log",
 )  # fmt: skip
 PLAN_TTC = Metric(
     "plan_ttc", "s", "higher", _BOTH,
-    partial(_followed_by, "ttc", about="ttc_agent", missing="no plan is on a course to touch anyone"),
+    partial(_series, "ttc", about="ttc_agent", missing="no plan is on a course to touch anyone"),
     (metric.MIN, metric.share_while(lambda ttc: ttc <= safety.CLOSE_S, "share_below_950ms")),
     "Least time to contact along a plan, as ttc; 0 where the plan has a contact at fault.", _NAVSIM,
     formula="min over t of the time to contact at constant velocity vectors", parameters=_FOLLOWED, needs="plans",
@@ -256,21 +263,21 @@ PLAN_COMFORT = Metric(
     formula="max over t and q of q / bound(q)", parameters=_FOLLOWED, needs="plans",
 )  # fmt: skip
 PLAN_PROGRESS = Metric(
-    "plan_progress", "1", "higher", _BOTH, partial(_followed_by, "progress"), (metric.MEAN, metric.MIN),
+    "plan_progress", "1", "higher", _BOTH, partial(_series, "progress"), (metric.MEAN, metric.MIN),
     "Planned distance over the greater of planned and then driven distance.", _NAVSIM,
     formula="s / max(s, d); 1 up to 5 m", parameters=_FOLLOWED, needs="plans",
 )  # fmt: skip
-PLAN_KEPT = Metric(
-    "plan_kept", "m", "lower", (Mode.CLOSED,), partial(_followed_by, "kept", missing=_NOT_DRIVEN),
-    (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(5.0, "share_beyond_5m")),
-    "Greatest distance of a plan's states from where the ego then was.", _NAVSIM,
-    formula="max over t of |p_i(t) - p(t)|", parameters=_FOLLOWED, needs="plans",
-)  # fmt: skip
-PLAN_KEPT_LATERAL = Metric(
-    "plan_kept_lateral", "m", "lower", (Mode.CLOSED,), partial(_followed_by, "kept_lateral", missing=_NOT_DRIVEN),
-    (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(2.0, "share_beyond_2m")),
-    "Greatest lateral distance of a plan's states from where the ego then was.", _NAVSIM,
-    formula="max over t of |p_i(t) - p(t)| across the ego's heading", parameters=_FOLLOWED, needs="plans",
+PLAN_KEPT, PLAN_KEPT_LATERAL = (
+    Metric(
+        f"plan_{name}", "m", "lower", (Mode.CLOSED,), partial(_series, name, missing=_NOT_DRIVEN),
+        (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(bound, f"share_beyond_{bound:g}m")),
+        f"Greatest {distance} of a plan's states from where the ego then was.", _NAVSIM, formula=formula,
+        parameters=_FOLLOWED, needs="plans",
+    )
+    for name, bound, distance, formula in (
+        ("kept", 5.0, "distance", "max over t of |p_i(t) - p(t)|"),
+        ("kept_lateral", 2.0, "lateral distance", "max over t of |p_i(t) - p(t)| across the ego's heading"),
+    )
 )  # fmt: skip
 PLAN_SCORE = Metric(
     "plan_score", "1", "higher", _BOTH, _score, (metric.MEAN, metric.MIN),
@@ -280,8 +287,9 @@ PLAN_SCORE = Metric(
 )  # fmt: skip
 PLAN_LON_ACCEL, PLAN_LAT_ACCEL, PLAN_LON_JERK = (
     Metric(
-        f"plan_{name}", unit, "lower", _BOTH, partial(_series, name), (metric.MEAN, metric.P95, metric.MAX), meaning,
-        _NAVSIM, 2, formula=formula, parameters=_FOLLOWED, needs="plans",
+        f"plan_{name}", unit, "lower", _BOTH, partial(_series, name, followed=False),
+        (metric.MEAN, metric.P95, metric.MAX), meaning, _NAVSIM, 2, formula=formula, parameters=_FOLLOWED,
+        needs="plans",
     )
     for name, unit, meaning, formula in (
         ("lon_accel", "m/s2", "Largest planned acceleration or braking.", "max |a|"),

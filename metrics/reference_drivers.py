@@ -70,9 +70,8 @@ from logs.scenario import FINDING, Scenario, Tracks
 from logs.shapes import clearance
 from logs.states import EgoState
 from logs.trace import Mode, Trace
-from metrics.boxes import STANDING_MPS, Car, car_of, is_behind, touches
+from metrics.boxes import STANDING_MPS, Car, Others, car_of, is_behind, name_of, others_at, there_between, touches
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
-from metrics.others import Others, name_of, others_at, there_between
 
 STEP_S = 0.02  # So fine that a step more or less of braking is within what noise does anyway
 MARGINAL_M = 0.5  # What 5 cm of noise do to a margin at 10 Hz (benchmarks/verdicts.py)
@@ -211,7 +210,7 @@ class Driven:
     Attributes:
         meets: Step of its first touch, -1: none; `agent` the other, -1: none.
         touched: Step in which an agent that is not counted touched it, -1: none.
-        least: Least distance to the agent that was asked about, m (6); minus the depth where it touches one.
+        least: Least distance to the agent `about`, m (6); minus the depth where it touches one.
     """
 
     s: FloatArray
@@ -235,7 +234,7 @@ def curve_speeds(s: FloatArray, kappa: FloatArray) -> FloatArray:
 
 
 @inner_kernel
-def _look(
+def _observe(
     line: Line, k: int, s: float, l_ego: float, car: Car, others: Others, vulnerable: BoolArray, out: FloatArray
 ) -> None:
     """Fill per agent at step k what the driver sees of it, `(n, 7)`.
@@ -281,7 +280,7 @@ def _comes_in(seen: FloatArray, v: float, car: Car, slack: float, late: float) -
 
 
 @inner_kernel
-def _cc_wish(
+def _cc_acceleration(
     seen: FloatArray, accel: FloatArray, car: Car, v: float, clock: FloatArray, nearer: FloatArray, late: float,
     braking: bool,
 ) -> float:  # fmt: skip
@@ -354,7 +353,7 @@ def fsm_deceleration(gap: float, v: float, u: float, a: float) -> float:
 
 
 @inner_kernel
-def _fsm_wish(seen: FloatArray, car: Car, v: float, a: float, late: float) -> float:
+def _fsm_acceleration(seen: FloatArray, car: Car, v: float, a: float, late: float) -> float:
     """Acceleration that "fsm" wishes, without its reaction time."""
     hardest = 0.0
     for i in range(len(seen)):
@@ -366,7 +365,7 @@ def _fsm_wish(seen: FloatArray, car: Car, v: float, a: float, late: float) -> fl
 
 
 @inner_kernel
-def _touched(rear: tuple[float, float, float, float], k: int, car: Car, others: Others, left_out: BoolArray) -> int:
+def _first_touch(rear: tuple[float, float, float, float], k: int, car: Car, others: Others, left_out: BoolArray) -> int:
     """The first agent that the ego with the rear axle x, y, yaw, v touches at step k, -1; some are left out then."""
     x, y, yaw, v = rear
     cx, cy = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
@@ -382,7 +381,9 @@ def _touched(rear: tuple[float, float, float, float], k: int, car: Car, others: 
 
 
 @inner_kernel
-def _nearest(least: float, x: float, y: float, yaw: float, car: Car, pose: FloatArray, size: FloatArray) -> float:
+def _least_clearance(
+    least: float, x: float, y: float, yaw: float, car: Car, pose: FloatArray, size: FloatArray
+) -> float:
     """The lesser of `least` (NaN: none yet) and the distance of the box with rear axle (x, y) from an agent's (6)."""
     cx, cy = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
@@ -413,13 +414,13 @@ def _drive(
         x, y, yaw, _ = line_frame(knots, coef, s)
         x, y = x - l * sin(yaw), y + l * cos(yaw)
         out_before = left_out.sum()
-        hit = _touched((x, y, yaw, v), k, car, others, left_out)
+        hit = _first_touch((x, y, yaw, v), k, car, others, left_out)
         if hit >= 0 and meets < 0:
             meets, about, least = k, hit, np.nan
         apart = np.nan
         for i in range(n):
             if (i == about or about == ANY) and there[i, k] and not left_out[i]:
-                apart = _nearest(apart, x, y, yaw, car, pose[:, i, k], others.size[i])
+                apart = _least_clearance(apart, x, y, yaw, car, pose[:, i, k], others.size[i])
         least = least if least <= apart or np.isnan(apart) else apart  # (6)
         if meets >= 0 and not apart <= 0.0:
             return out[:, : meets + 1], meets, about, touched, least
@@ -429,12 +430,12 @@ def _drive(
             break
         wish = 0.0
         if driver != PASSIVE:
-            _look(line, k, s, l, car, others, vulnerable, seen)
+            _observe(line, k, s, l, car, others, vulnerable, seen)
         if driver == CC:
-            wish = _cc_wish(seen, others.accel[:, k], car, v, clock, nearer, late, braking)
+            wish = _cc_acceleration(seen, others.accel[:, k], car, v, clock, nearer, late, braking)
             braking = v > 0.0 and wish <= -CC_BRAKE_MPS2
         elif driver == FSM:
-            wish = _fsm_wish(seen, car, v, a, late)
+            wish = _fsm_acceleration(seen, car, v, a, late)
             waited = waited + STEP_S if wish < 0.0 else 0.0
             wish = wish if waited > FSM_REACT_S + late + 1e-9 else 0.0
         at = min(max(int((s - knots[0]) / (knots[1] - knots[0])), 0), len(knots) - 1)

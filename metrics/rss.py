@@ -31,11 +31,9 @@ from logs.kernel import BoolArray, FloatArray, kernel
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
-from metrics.boxes import STANDING_MPS, Car, car_of
+from metrics.boxes import GRID_S, STANDING_MPS, Car, Others, car_of, each, name_of
 from metrics.following import LOOK_M, arc_point, extent, grid_of, within_look
-from metrics.metric import MIN, Measured, Metric, Series, Unavailable, share_while, time_below, time_outside
-from metrics.once import once
-from metrics.others import GRID_S, Others, each, name_of
+from metrics.metric import MIN, Measured, Metric, Series, Unavailable, once, share_while, time_below, time_outside
 
 RHO_S = 0.75
 A_MAX_MPS2, B_MIN_MPS2, B_MAX_MPS2 = 3.0, 6.0, 6.0
@@ -59,7 +57,7 @@ def longitudinal_distance(v: float, u: float) -> float:
 
 
 @kernel
-def _aside(c: float) -> float:
+def _lateral_way(c: float) -> float:
     then = c + RHO_S * A_LAT_MPS2
     return 0.5 * (c + then) * RHO_S + then * abs(then) / (2.0 * B_LAT_MPS2)
 
@@ -67,7 +65,7 @@ def _aside(c: float) -> float:
 @kernel
 def lateral_distance(w: float, swerves: bool) -> float:
     """(2), m; `w` m/s towards the ego's path."""
-    return MU_M + max(_aside(0.0) + (_aside(w) if swerves else 0.0), 0.0)
+    return MU_M + max(_lateral_way(0.0) + (_lateral_way(w) if swerves else 0.0), 0.0)
 
 
 @kernel
@@ -97,7 +95,7 @@ def _margins(ego: FloatArray, car: Car, others: Others, i: int, movable: bool) -
 
 
 @kernel
-def _improper(t: FloatArray, ego: FloatArray, accel: FloatArray, margins: FloatArray) -> BoolArray:
+def _improper_response(t: FloatArray, ego: FloatArray, accel: FloatArray, margins: FloatArray) -> BoolArray:
     """(4): at which steps `(k,)` the response to one agent is not proper."""
     out = np.zeros(len(t), np.bool_)
     start, lateral, allowed = -1, False, np.nan
@@ -136,7 +134,7 @@ def _rss(trace: Trace, scenario: Scenario) -> tuple[Series, Series]:
         name, least = name_of(trace.agents, i), np.maximum(found[0], found[1])
         for k in np.flatnonzero(np.isfinite(least) & ~(margin <= least)):
             margin[k], labels[k] = least[k], name
-        for k in np.flatnonzero(_improper(ego.t, states, ego.a, found)):
+        for k in np.flatnonzero(_improper_response(ego.t, states, ego.a, found)):
             improper[k], blamed[k] = 1.0, name
     nothing = f"no other road user ahead or beside within {LOOK_M:g} m while the ego drove"
     return Series(ego.t, margin, tuple(labels), nothing), Series(ego.t, improper, tuple(blamed))

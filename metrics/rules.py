@@ -1,4 +1,4 @@
-"""Traffic rules, closed loop: red lights, stop signs, crosswalks, right of way.
+"""Traffic rules, closed loop: red lights, stop signs, crosswalks, right of way, the right side of the road.
 
 Crossing: the middle of the ego's front bumper comes over a stop line in the direction of its lane, not further than
 `ASIDE_M` beside its ends. A line counts for the way that the ego takes behind it: that of the lane's successors on
@@ -36,6 +36,19 @@ What has no kind (`AgentKind.OBJECT`) has no right of way.
 
 In replayed traffic the others do not brake for the ego, so that a gap shows what it took. Below 1 s a gap is serious,
 below 1.5 s critical (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023, from the literature).
+
+Side of the road, closed loop: against a lane's direction, and off its middle. A point's lanes are those under the ego's
+box centre (`lanes.under`); where lanes cross, and beside the road, none is judged. With the angle between the velocity
+vector and the best aligned lane there:
+
+(3) wrong_way(t) = max(-v cos(angle), 0)                        speed against the lane, m/s
+(4) worst_1s = max over t of the integral of (3) over (t - 1 s, t]
+(5) lane_keeping(t) = distance from the nearest centre line, positive left of it, m
+(6) lane_line(t) = |(5)| + half of the ego's width - half of the lane's width there: how far its box is over the line,
+    m; measured while no road user and no curve calls for leaving the middle (`needless`), every 0.1 s
+
+nuPlan and NAVSIM judge (4): below 2 m is compliant, below 6 m half. Lanes that lie over each other and lead both ways
+(a single-track road) may be driven either way.
 """
 
 from __future__ import annotations
@@ -53,14 +66,39 @@ from logs.rules import RED, StopLine
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics.boxes import Car, car_of, ego_boxes
+from metrics import metric
+from metrics.boxes import (
+    GRID_S,
+    Car,
+    car_of,
+    each,
+    ego_boxes,
+    name_of,
+    phantoms,
+    some_at,
+    there_between,
+    without_phantoms,
+)
 from metrics.encounters import CROSSING_RAD, encroachment, may_meet
-from metrics.metric import COUNT, MIN, Measured, Metric, Reduction, Series, Unavailable, counted
-from metrics.others import GRID_S, each, name_of, some_at, there_between
-from metrics.phantoms import phantoms, without_phantoms
+from metrics.following import grid_of
+from metrics.lanes import Under, mapped_lanes, under
+from metrics.metric import COUNT, MIN, Measured, Metric, Reduction, Series, Unavailable, counted, once
+from metrics.needless import reasons
 
 REST_MPS, BEFORE_M = 0.1, 5.0
 HALF_LANE_M = 1.75
+AROUND_S = 1.0
+SERIOUS_S, CRITICAL_S = 1.0, 1.5
+FINE_S = 0.05  # Grid of (2)
+WITHIN_S = 3.0  # A road user that comes later is not an encounter: twice the critical gap
+MOVES_MPS = 0.5
+SEEN_S = 0.3
+WRONG_WAY_S = 1.0
+COMPLIANT_M, HALF_M = 2.0, 6.0
+AGAINST_MPS = 0.1  # Slower than this is no driving against a lane: the speed at which a stop is made
+KEEPING_M, KEEPING_S, OVER_M = 0.5, 2.0, 0.3
+NO_LANES = Unavailable("the log has no lanes")
+_NEVER = "the ego is never on a lane, or only where lanes cross"
 
 
 def _red_light(trace: Trace, scenario: Scenario) -> Measured:
@@ -109,28 +147,24 @@ def _ahead(line: StopLine, ego: Trajectory, scenario: Scenario) -> tuple[FloatAr
 
 
 def _crossings(line: StopLine, trace: Trace, scenario: Scenario) -> Iterator[int]:
-    """The steps at which the ego has just come over a line that counts for its way."""
-    ahead, beside = _ahead(line, trace.ego, scenario)
+    """The steps at which the ego has just come over a line that counts for its way; a drive that ends there took it."""
+    road, ego = scenario.road, trace.ego
+    ways = [road.lanes[i] for i in road.lanes[line.lane].successors if i in road.lanes]
+    ahead, beside = _ahead(line, ego, scenario)
     half = 0.5 * hypot(*(line.points[1] - line.points[0])) + ASIDE_M
     over = (ahead[:-1] < 0.0) & (ahead[1:] >= 0.0) & (np.abs(beside[1:]) <= half)
     for step in (np.flatnonzero(over) + 1).tolist():
-        if _counts(line, step, trace.ego, scenario):
+        driven = np.r_[0.0, np.cumsum(np.hypot(np.diff(ego.x[step:]), np.diff(ego.y[step:])))]
+        at = step + np.unique(np.searchsorted(driven, np.arange(0.0, min(float(driven[-1]), BEHIND_M), 1.0)))
+        x, y = ego_boxes(ego, scenario)[:2, at]
+        on = {way.id: int(on_lane(way, x, y, ego.yaw[at]).sum()) for way in ways}
+        if any(on.values()):
+            counts = not line.towards or max(on, key=lambda way: (on[way], -way)) in line.towards
+        else:
+            beyond = any(on_lane(lane, x[-1:], y[-1:], ego.yaw[at[-1:]]).any() for lane in road.lanes.values())
+            counts = not ways or not beyond or road.lanes[line.lane] in road.lanes_at(float(x[-1]), float(y[-1]))
+        if counts:
             yield step
-
-
-def _counts(line: StopLine, step: int, ego: Trajectory, scenario: Scenario) -> bool:
-    """Whether the ego's way behind a line is one that the line counts for; a drive that ends there has taken it."""
-    road = scenario.road
-    ways = [road.lanes[i] for i in road.lanes[line.lane].successors if i in road.lanes]
-    driven = np.r_[0.0, np.cumsum(np.hypot(np.diff(ego.x[step:]), np.diff(ego.y[step:])))]
-    at = step + np.unique(np.searchsorted(driven, np.arange(0.0, min(float(driven[-1]), BEHIND_M), 1.0)))
-    x, y = ego_boxes(ego, scenario)[:2, at]
-    on = {way.id: int(on_lane(way, x, y, ego.yaw[at]).sum()) for way in ways}
-    if not any(on.values()):
-        beyond = any(on_lane(lane, x[-1:], y[-1:], ego.yaw[at[-1:]]).any() for lane in road.lanes.values())
-        return not ways or not beyond or road.lanes[line.lane] in road.lanes_at(float(x[-1]), float(y[-1]))
-    taken = max(on, key=lambda way: (on[way], -way))
-    return not line.towards or taken in line.towards
 
 
 def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
@@ -181,38 +215,6 @@ def _on_half(who: FloatArray, way: FloatArray, polygon: FloatArray) -> BoolArray
         beside = hypot(ahead, aside) if length < 1e-6 else abs(ahead * dy - aside * dx) / length
         found[k] = inside(x, y, polygon) and beside <= HALF_LANE_M
     return found
-
-
-_CLOSED = (Mode.CLOSED,)
-RED_LIGHT = Metric(
-    "red_light", "count", "lower", _CLOSED, _red_light, (COUNT,),
-    "Stop lines that the front came over while their light showed red, or red and yellow.",
-    "as CARLA leaderboard 2.x counts red lights; nuPlan has none",
-    formula="sum of crossings at red, or red and yellow", parameters=(f"beside the line's ends {ASIDE_M} m",),
-    needs="a traffic light with a stop line",
-)  # fmt: skip
-STOP_SIGN = Metric(
-    "stop_sign", "count", "lower", _CLOSED, _stop_sign, (COUNT,),
-    "Stop signs passed without a speed below 0.1 m/s in the last 5 m before their line.",
-    "bounds: nuPlan devkit e9241677, ego_stop_at_stop_line (5 m, 0.1 m/s)",
-    formula="sum of crossings with min |v| >= 0.1 m/s over the last 5 m",
-    parameters=(f"at rest below {REST_MPS} m/s", f"before the line {BEFORE_M:g} m"), needs="a stop sign",
-)  # fmt: skip
-CROSSWALK = Metric(
-    "crosswalk", "count", "lower", _CLOSED, _crosswalk, (COUNT,),
-    "Pedestrians who were on the ego's half of a crosswalk while it drove over it.",
-    "StVO 26 (1): who evidently wants to cross is let cross",
-    formula="sum over passages of the pedestrians on the ego's half",
-    parameters=(f"half a lane {HALF_LANE_M} m", f"drives above {REST_MPS} m/s"), needs="a crosswalk",
-)  # fmt: skip
-
-
-AROUND_S = 1.0
-SERIOUS_S, CRITICAL_S = 1.0, 1.5
-FINE_S = 0.05  # Grid of (2)
-WITHIN_S = 3.0  # A road user that comes later is not an encounter: twice the critical gap
-MOVES_MPS = 0.5
-SEEN_S = 0.3
 
 
 def _priority_gap(trace: Trace, scenario: Scenario) -> Measured:
@@ -292,7 +294,17 @@ def _yielding(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     t = np.arange(trace.ego.t[0], max(trace.ego.t[-1] + WITHIN_S, scenario.ego.t[-1]), FINE_S)
     recorded: Measured = Unavailable("the log has no recorded driver")
     if scenario.is_recorded and len(scenario.ego) > 1:
-        recorded = _before_the_recorded(trace, scenario, t)
+        tracks = without_phantoms(scenario.tracks, phantoms(scenario))
+        let = {}  # by agent: the steps at which the recorded driver let it go first, and by how much
+        for one in _meetings(scenario.ego, tracks, scenario, t):
+            second = (one.taken > 0.0) & np.isnan(one.left)
+            if second.any():
+                why = f", which the recorded driver let go first by {one.taken[second].min():.1f} s"
+                let[one.agent] = one.step[second], why
+        recorded = Unavailable("the recorded driver let no road user with a kind go first")
+        if let:
+            mine = _meetings(trace.ego, tracks, scenario, t)
+            recorded = _gaps(t, [(one, *let[one.agent]) for one in mine if one.agent in let], tracks)
     walkers = {i for i, kind in enumerate(trace.agents.kinds) if kind is AgentKind.PEDESTRIAN}
     if not walkers:
         return {"recorded": recorded, "pedestrian": Unavailable("the log names no pedestrian")}
@@ -301,27 +313,12 @@ def _yielding(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     return {"recorded": recorded, "pedestrian": _gaps(t, met, trace.agents) if met else none}
 
 
-def _before_the_recorded(trace: Trace, scenario: Scenario, t: FloatArray) -> Measured:
-    """The part "recorded" of (2)."""
-    tracks = without_phantoms(scenario.tracks, phantoms(scenario))
-    let = {}
-    for one in _meetings(scenario.ego, tracks, scenario, t):
-        second = (one.taken > 0.0) & np.isnan(one.left)
-        if second.any():
-            why = f", which the recorded driver let go first by {one.taken[second].min():.1f} s"
-            let[one.agent] = one.step[second], why
-    if not let:
-        return Unavailable("the recorded driver let no road user with a kind go first")
-    mine = _meetings(trace.ego, tracks, scenario, t)
-    return _gaps(t, [(one, *let[one.agent]) for one in mine if one.agent in let], tracks)
-
-
 def _gaps(t: FloatArray, met: Sequence[tuple[_Meetings, IntArray, str]], tracks: Tracks) -> Series:
     """The least (2) over the boxes at the steps that are asked, at the time at which the ego left their place."""
     gap, labels = np.full(len(t), np.nan), [""] * len(t)
-    asked = [(one, (one.left <= WITHIN_S + 1e-9) & np.isin(one.step, steps), why) for one, steps, why in met]
-    seen = t[np.unique(np.concatenate([np.empty(0, np.int64), *(one.step[at] for one, at, _ in asked)]))]
-    for one, at, why in asked:
+    within = [(one, (one.left <= WITHIN_S + 1e-9) & np.isin(one.step, steps), why) for one, steps, why in met]
+    seen = t[np.unique(np.concatenate([np.empty(0, np.int64), *(one.step[at] for one, at, _ in within)]))]
+    for one, at, why in within:
         who = name_of(tracks, one.agent)
         for j, left in zip(one.step[at].tolist(), one.left[at].tolist(), strict=True):
             i = j - round(left / FINE_S) - 1
@@ -341,15 +338,78 @@ def _fewer(bound: float, name: str) -> Reduction:
     return Reduction(name, reduce, "count", "lower", 0.0, (bound, np.inf))
 
 
+@once
+def _under(trace: Trace, scenario: Scenario) -> Under | None:
+    lanes = mapped_lanes(scenario.road)
+    return None if lanes is None else under(lanes, *ego_boxes(trace.ego, scenario)[:3])
+
+
+def _wrong_way(trace: Trace, scenario: Scenario) -> Measured:
+    if (found := _under(trace, scenario)) is None:
+        return NO_LANES
+    against = np.maximum(-trace.ego.v * found.along, 0.0)  # (3); the reference point moves along the heading
+    return Series(trace.ego.t, against, missing=_NEVER)
+
+
+def _lane_keeping(trace: Trace, scenario: Scenario) -> Measured:
+    found = _under(trace, scenario)
+    return NO_LANES if found is None else Series(trace.ego.t, found.left, missing=_NEVER)
+
+
+def _lane_line(trace: Trace, scenario: Scenario) -> Measured:
+    if (lanes := mapped_lanes(scenario.road)) is None:
+        return NO_LANES
+    ego, steer = grid_of(trace), reasons(trace, scenario).steer
+    found = under(lanes, *ego_boxes(ego, scenario)[:3])
+    over = np.abs(found.left) + 0.5 * scenario.vehicle.width - found.half  # (6)
+    return Series(ego.t, np.where(steer, np.nan, over), missing=f"{_NEVER}, or something called for leaving the middle")
+
+
+def _metres(series: Series) -> FloatArray:
+    """Metres driven against the lanes in each step `(n,)`."""
+    return np.where(series.known, series.value, 0.0) * metric.holds(series.t)
+
+
+def worst_metres(series: Series) -> tuple[float, int]:
+    """(4) and the step at which the window ends."""
+    total = np.r_[0.0, np.cumsum(_metres(series))]
+    start = np.searchsorted(series.t, series.t - WRONG_WAY_S + 1e-9)
+    within = total[1:] - total[start]
+    step = int(np.argmax(within))
+    return float(within[step]), step
+
+
+_CLOSED = (Mode.CLOSED,)
+RED_LIGHT = Metric(
+    "red_light", "count", "lower", _CLOSED, _red_light, (COUNT,),
+    "Stop lines that the front came over while their light showed red, or red and yellow.",
+    "as CARLA leaderboard 2.x counts red lights; nuPlan has none",
+    formula="sum of crossings at red, or red and yellow", parameters=(f"beside the line's ends {ASIDE_M} m",),
+    needs="a traffic light with a stop line",
+)  # fmt: skip
+STOP_SIGN = Metric(
+    "stop_sign", "count", "lower", _CLOSED, _stop_sign, (COUNT,),
+    "Stop signs passed without a speed below 0.1 m/s in the last 5 m before their line.",
+    "bounds: nuPlan devkit e9241677, ego_stop_at_stop_line (5 m, 0.1 m/s)",
+    formula="sum of crossings with min |v| >= 0.1 m/s over the last 5 m",
+    parameters=(f"at rest below {REST_MPS} m/s", f"before the line {BEFORE_M:g} m"), needs="a stop sign",
+)  # fmt: skip
+CROSSWALK = Metric(
+    "crosswalk", "count", "lower", _CLOSED, _crosswalk, (COUNT,),
+    "Pedestrians who were on the ego's half of a crosswalk while it drove over it.",
+    "StVO 26 (1): who evidently wants to cross is let cross",
+    formula="sum over passages of the pedestrians on the ego's half",
+    parameters=(f"half a lane {HALF_LANE_M} m", f"drives above {REST_MPS} m/s"), needs="a crosswalk",
+)  # fmt: skip
 PRIORITY_GAP = Metric(
-    "priority_gap", "s", "higher", (Mode.CLOSED,), _priority_gap, (MIN, _fewer(SERIOUS_S, "below_1s")),
+    "priority_gap", "s", "higher", _CLOSED, _priority_gap, (MIN, _fewer(SERIOUS_S, "below_1s")),
     "Time between the ego leaving a spot and a road user with priority reaching it (post-encroachment time).",
     "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. 2023)",
     formula="least t_j - t_i >= 0 over boxes i of the ego and j of the other that overlap",
     parameters=(f"grid {GRID_S} s", f"serious {SERIOUS_S:g} s"), needs="lanes that yield, a drive of two states",
 )  # fmt: skip
 YIELDING = Metric(
-    "yielding", "s", "higher", (Mode.CLOSED,), _yielding,
+    "yielding", "s", "higher", _CLOSED, _yielding,
     (MIN, _fewer(SERIOUS_S, "below_1s"), _fewer(CRITICAL_S, "below_1500ms")),
     "Time by which the ego crosses before a road user that comes to the same place: of those that the recorded driver "
     "let go first (as logged), and of pedestrians (as they moved). Needs no map.",
@@ -360,4 +420,32 @@ YIELDING = Metric(
         f"on the ego's way for {SEEN_S} s", f"serious {SERIOUS_S:g} s", f"critical {CRITICAL_S:g} s",
     ),
     parts=("recorded", "pedestrian"), needs="a recorded driver that let another go first; a pedestrian",
+)  # fmt: skip
+_NEEDS = "lanes in the log"
+WRONG_WAY = Metric(
+    "wrong_way", "m/s", "lower", _CLOSED, _wrong_way,
+    (
+        Reduction("worst_1s", worst_metres, unit="m", empty=0.0),
+        Reduction("distance", lambda series: (float(_metres(series).sum()), -1), unit="m", empty=0.0),
+        metric.time_above(AGAINST_MPS, "time"), metric.worst_episode(-AGAINST_MPS, AGAINST_MPS),
+    ),
+    "Speed against the direction of the lane under the ego's centre; worst_1s are the most metres within 1 s.",
+    "nuPlan devkit e9241677, driving_direction_compliance (below 2 m: 1, below 6 m: 0.5); there along the route",
+    formula="max(-v cos(angle to the best aligned lane), 0); worst_1s = max over t of its integral over (t - 1 s, t]",
+    parameters=(f"window {WRONG_WAY_S:g} s", f"against above {AGAINST_MPS} m/s", "lanes cross above 30 degrees"),
+    needs=_NEEDS,
+)  # fmt: skip
+LANE_KEEPING = Metric(
+    "lane_keeping", "m", "lower", _CLOSED, _lane_keeping,
+    (metric.MAX_ABS, metric.time_above(KEEPING_M, "time_beyond_50cm"), metric.worst_episode(-KEEPING_M, KEEPING_M)),
+    "Distance of the ego's centre from the nearest centre line of a lane under it; changing lanes counts too.",
+    "NAVSIM 0a380a90, lane keeping of EPDMS: an episode of 2 s is a failure",
+    formula="signed distance from the centre line; worst_episode: the longest stretch beyond 0.5 m",
+    parameters=(f"beyond {KEEPING_M} m", "lanes cross above 30 degrees"), needs=_NEEDS,
+)  # fmt: skip
+LANE_LINE = Metric(
+    "lane_line", "m", "lower", _CLOSED, _lane_line, (metric.MAX, metric.worst_episode(-np.inf, OVER_M)),
+    "How far the ego's box is over the line of its lane while nothing calls for it.",
+    formula="|distance from the centre line| + half of the ego's width - half of the lane's width",
+    parameters=(f"over by {OVER_M} m",), needs=_NEEDS,
 )  # fmt: skip

@@ -57,12 +57,26 @@ from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from logs.vehicle import VehicleParameters
 from metrics import metric
-from metrics.boxes import NO_TTC_MPS, STANDING_MPS, Car, apart, car_of, contact_time, ego_boxes, is_behind, touches
+from metrics.boxes import (
+    NO_TTC_MPS,
+    STANDING_MPS,
+    Car,
+    Others,
+    apart,
+    car_of,
+    contact_time,
+    ego_boxes,
+    is_behind,
+    labels_of,
+    name_of,
+    named,
+    pieces,
+    some_at,
+    touches,
+)
 from metrics.cut_in import forces_hit
 from metrics.lanes import LaneArrays, drivable_lanes, keeps_lane, off_lanes
-from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
-from metrics.once import once
-from metrics.others import Others, labels_of, name_of, named, pieces, some_at
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable, once
 
 TTC_HORIZON_S, CLOSE_S = 10.0, 0.95  # Horizon of the time to collision, and nuPlan's bound on it
 TAU_S = 1.5  # Critical TTC (criticality metrics catalogue, Westhofen et al. 2023)
@@ -130,26 +144,20 @@ def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Con
             first.setdefault(int(there[row]), steps.start + int(touched[row]))
     found = []
     for step, agent in sorted((step, agent) for agent, step in first.items()):
-        kind = _kind(step, agent, drive, agents, scenario)
+        kind, state = ContactKind.FROM_START, drive.state(step)
+        other = some_at(agents, np.array([agent]), drive.t[max(step - 1, 0) : step + 1])
+        if step > 0 and other.there[0, 0]:
+            before, now = other.pose[:, 0].T
+            rear = np.array([state.x, state.y, state.yaw, state.v])
+            kind = KINDS[contact_kind(rear, car, before, now, other.size[0], agents.kinds[agent] is AgentKind.OBJECT)]
+        if kind is ContactKind.ACTIVE_REAR and forces_hit(drive.between(-inf, state.t), agents, agent, scenario):
+            kind = ContactKind.CUT_IN
         fault = kind in (ContactKind.STOPPED_TRACK, ContactKind.CUT_IN, ContactKind.ACTIVE_FRONT)
         if kind is ContactKind.LATERAL:
             x, y, yaw = ego[:3, step]
             fault = not keeps_lane(scenario.road, float(x), float(y), corners(x, y, yaw, car.length, car.width))
         found.append(Contact(step, agent, kind, fault))
     return tuple(found)
-
-
-def _kind(step: int, agent: int, drive: Trajectory, agents: Tracks, scenario: Scenario) -> ContactKind:
-    ego, other = drive.state(step), some_at(agents, np.array([agent]), drive.t[max(step - 1, 0) : step + 1])
-    if step == 0 or not other.there[0, 0]:
-        return ContactKind.FROM_START
-    before, now = other.pose[:, 0].T
-    is_object = agents.kinds[agent] is AgentKind.OBJECT
-    rear = np.array([ego.x, ego.y, ego.yaw, ego.v])
-    kind = KINDS[contact_kind(rear, car_of(scenario), before, now, other.size[0], is_object)]
-    if kind is ContactKind.ACTIVE_REAR and forces_hit(drive.between(-inf, ego.t), agents, agent, scenario):
-        return ContactKind.CUT_IN
-    return kind
 
 
 @kernel

@@ -45,9 +45,8 @@ import numpy as np
 
 from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
-from metrics import comfort, lane_keeping, plans, progress, rules, safety
-from metrics.metric import FINAL, Measured, Metric, Series, Unavailable, longest
-from metrics.once import once
+from metrics import comfort, plans, progress, rules, safety
+from metrics.metric import FINAL, Measured, Metric, Series, Unavailable, longest, once
 
 LEAST_PROGRESS, MISS_SHARE, NEAR_M, NEAR_RAD = 0.2, 0.3, 8.0, 0.8
 OPEN_HORIZONS_S = (3, 5, 8)
@@ -86,7 +85,7 @@ def _series(metric: Metric, trace: Trace, scenario: Scenario) -> Series | Unavai
     return found
 
 
-def _judged(metric: Metric, judge: Callable[[Series], float]) -> Part:
+def _part_of(metric: Metric, judge: Callable[[Series], float]) -> Part:
     """A part that is a function of one metric's steps."""
 
     def part(trace: Trace, scenario: Scenario) -> Value:
@@ -111,11 +110,11 @@ def _ttc(trace: Trace, scenario: Scenario) -> Value:
 
 
 def _direction(series: Series) -> float:
-    metres = lane_keeping.worst_metres(series)[0]
-    return 1.0 if metres < lane_keeping.COMPLIANT_M else 0.5 if metres < lane_keeping.HALF_M else 0.0
+    metres = rules.worst_metres(series)[0]
+    return 1.0 if metres < rules.COMPLIANT_M else 0.5 if metres < rules.HALF_M else 0.0
 
 
-def _comfortable(trace: Trace, scenario: Scenario) -> Value:
+def _comfort(trace: Trace, scenario: Scenario) -> Value:
     for metric, (_, low, high) in zip(comfort.NUPLAN, comfort.NUPLAN_BOUNDS.values(), strict=True):
         found = _series(metric, trace, scenario)
         if isinstance(found, Unavailable):
@@ -125,7 +124,7 @@ def _comfortable(trace: Trace, scenario: Scenario) -> Value:
     return 1.0
 
 
-def _compliance(trace: Trace, scenario: Scenario) -> Value:
+def _speed_limit(trace: Trace, scenario: Scenario) -> Value:
     found = progress.excess(trace, scenario, all_of_it=True)
     if isinstance(found, Unavailable):
         return found
@@ -137,16 +136,16 @@ def _penalties(trace: Trace, scenario: Scenario) -> Value:
     return prod((CARLA_HITS.get(trace.agents.kinds[c.agent], CARLA_VEHICLE) for c in met), start=1.0)
 
 
-def _inside(trace: Trace, scenario: Scenario) -> Value:
-    off, against = (_series(metric, trace, scenario) for metric in (safety.OFF_ROAD, lane_keeping.WRONG_WAY))
+def _inside_lanes(trace: Trace, scenario: Scenario) -> Value:
+    off, against = (_series(metric, trace, scenario) for metric in (safety.OFF_ROAD, rules.WRONG_WAY))
     if isinstance(off, Unavailable) or isinstance(against, Unavailable):
-        return off if isinstance(off, Unavailable) else lane_keeping.NO_LANES
-    wrong = (off.value > safety.OFF_ROAD_M) | (against.value > lane_keeping.AGAINST_MPS)
+        return off if isinstance(off, Unavailable) else rules.NO_LANES
+    wrong = (off.value > safety.OFF_ROAD_M) | (against.value > rules.AGAINST_MPS)
     metres = np.hypot(np.diff(trace.ego.x), np.diff(trace.ego.y))
     return 1.0 - float(metres[wrong[1:]].sum() / metres.sum()) if metres.sum() > 0.0 else 1.0
 
 
-def _open(metric: Metric, judge: Callable[[list[Series]], bool]) -> Part:
+def _open_loop(metric: Metric, judge: Callable[[list[Series]], bool]) -> Part:
     """A part that is a function of a metric's series at those of nuPlan's horizons that the log allows."""
 
     def part(trace: Trace, scenario: Scenario) -> Value:
@@ -160,39 +159,39 @@ def _open(metric: Metric, judge: Callable[[list[Series]], bool]) -> Part:
     return part
 
 
-def _near(bound: float, found: list[Series]) -> bool:
+def _mean_within(bound: float, found: list[Series]) -> bool:
     values = np.concatenate([series.value[series.known] for series in found])
     return len(values) > 0 and float(values.mean()) <= bound
 
 
 PARTS: Mapping[str, Part] = MappingProxyType({
     "collisions": _collisions,
-    "drivable": _judged(safety.OFF_ROAD, lambda series: not (series.value > safety.OFF_ROAD_M).any()),
-    "direction": _judged(lane_keeping.WRONG_WAY, _direction),
-    "making_progress": _judged(progress.PROGRESS, lambda series: series.value[-1] >= LEAST_PROGRESS),
-    "progress": _judged(progress.PROGRESS, lambda series: series.value[-1]),
+    "drivable": _part_of(safety.OFF_ROAD, lambda series: not (series.value > safety.OFF_ROAD_M).any()),
+    "direction": _part_of(rules.WRONG_WAY, _direction),
+    "making_progress": _part_of(progress.PROGRESS, lambda series: series.value[-1] >= LEAST_PROGRESS),
+    "progress": _part_of(progress.PROGRESS, lambda series: series.value[-1]),
     "ttc": _ttc,
-    "speed_limit": _compliance,
-    "comfort": _comfortable,
-    "lane_keeping": _judged(
-        lane_keeping.LANE_KEEPING,
-        lambda series: longest(series, np.abs(series.value) > lane_keeping.ASIDE_M)[0] < lane_keeping.ASIDE_S - 1e-9,
+    "speed_limit": _speed_limit,
+    "comfort": _comfort,
+    "lane_keeping": _part_of(
+        rules.LANE_KEEPING,
+        lambda series: longest(series, np.abs(series.value) > rules.KEEPING_M)[0] < rules.KEEPING_S - 1e-9,
     ),
-    "extended_comfort": _judged(
+    "extended_comfort": _part_of(
         plans.EXTENDED_COMFORT,
         lambda series: float(np.mean(series.value[series.known] <= 1.0)) if series.known.any() else 0.0,
     ),
-    "no_red_light": _judged(rules.RED_LIGHT, lambda series: np.nansum(series.value) == 0.0),
-    "completion": _judged(progress.COMPLETION, lambda series: series.value[-1]),
+    "no_red_light": _part_of(rules.RED_LIGHT, lambda series: np.nansum(series.value) == 0.0),
+    "completion": _part_of(progress.COMPLETION, lambda series: series.value[-1]),
     "penalties": _penalties,
-    "red_lights": _judged(rules.RED_LIGHT, lambda series: CARLA_RED ** float(np.nansum(series.value))),
-    "stop_signs": _judged(rules.STOP_SIGN, lambda series: CARLA_STOP ** float(np.nansum(series.value))),
-    "inside_lanes": _inside,
-    "miss": _open(plans.MISS, lambda found: all(np.mean(~(one.value == 0.0)) <= MISS_SHARE for one in found)),
-    "ade": _open(plans.ADE, partial(_near, NEAR_M)),
-    "fde": _open(plans.FDE, partial(_near, NEAR_M)),
-    "ahe": _open(plans.AHE, partial(_near, NEAR_RAD)),
-    "fhe": _open(plans.FHE, partial(_near, NEAR_RAD)),
+    "red_lights": _part_of(rules.RED_LIGHT, lambda series: CARLA_RED ** float(np.nansum(series.value))),
+    "stop_signs": _part_of(rules.STOP_SIGN, lambda series: CARLA_STOP ** float(np.nansum(series.value))),
+    "inside_lanes": _inside_lanes,
+    "miss": _open_loop(plans.MISS, lambda found: all(np.mean(~(one.value == 0.0)) <= MISS_SHARE for one in found)),
+    "ade": _open_loop(plans.ADE, partial(_mean_within, NEAR_M)),
+    "fde": _open_loop(plans.FDE, partial(_mean_within, NEAR_M)),
+    "ahe": _open_loop(plans.AHE, partial(_mean_within, NEAR_RAD)),
+    "fhe": _open_loop(plans.FHE, partial(_mean_within, NEAR_RAD)),
 })  # fmt: skip
 
 NUPLAN_CLOSED = Formula(
@@ -228,16 +227,16 @@ def combined(formula: Formula, parts: Mapping[str, Value]) -> tuple[Value, str]:
 
 
 @once
-def _part(trace: Trace, scenario: Scenario, name: str) -> Value:
+def _value_of(trace: Trace, scenario: Scenario, name: str) -> Value:
     return PARTS[name](trace, scenario)
 
 
-def _score(formula: Formula, trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
-    parts = {name: _part(trace, scenario, name) for name in formula.names}
+def _scores(formula: Formula, trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
+    parts = {name: _value_of(trace, scenario, name) for name in formula.names}
     if formula.excused and len(scenario.ego) > 1:
         human = replace(trace, ego=scenario.ego, agents=scenario.tracks, frames=())
         for name, value in parts.items():
-            if value != 1.0 and _part(human, scenario, name) == 0.0:
+            if value != 1.0 and _value_of(human, scenario, name) == 0.0:
                 parts[name] = 1.0
     total, label = combined(formula, parts)
     rows = {"score": (total, label), **{name: (value, "") for name, value in parts.items()}}
@@ -247,16 +246,16 @@ def _score(formula: Formula, trace: Trace, scenario: Scenario) -> Mapping[str, M
     }
 
 
-def _metric(name: str, formula: Formula, mode: Mode, meaning: str, source: str, text: str, needs: str) -> Metric:
+def _score_metric(name: str, formula: Formula, mode: Mode, meaning: str, source: str, text: str, needs: str) -> Metric:
     return Metric(
-        name, "1", "higher", (mode,), partial(_score, formula), (FINAL,), meaning, source,
+        name, "1", "higher", (mode,), partial(_scores, formula), (FINAL,), meaning, source,
         parts=("score", *formula.names), formula=text, needs=needs,
         parameters=tuple(f"weight of {part} {weight:g}" for part, weight in formula.weights.items()),
     )  # fmt: skip
 
 
 _LANES = "lanes, a logged drive"
-NUPLAN_CLOSED_SCORE = _metric(
+NUPLAN_CLOSED_SCORE = _score_metric(
     "nuplan_closed", NUPLAN_CLOSED, Mode.CLOSED,
     "nuPlan's closed-loop score. It differs: progress is along the driven path, time to collision is with velocity"
     " vectors, to all who are not behind and up to 10 s, the limit is that of the lanes under the ego.",
@@ -264,20 +263,20 @@ NUPLAN_CLOSED_SCORE = _metric(
     "collisions x drivable x direction x making_progress x (5 progress + 5 ttc + 4 speed_limit + 2 comfort) / 16",
     _LANES,
 )  # fmt: skip
-NUPLAN_OPEN_SCORE = _metric(
+NUPLAN_OPEN_SCORE = _score_metric(
     "nuplan_open", NUPLAN_OPEN, Mode.OPEN,
     "nuPlan's open-loop score. It differs: plans are compared at 10 Hz and at the rear axle, a plan that does not reach"
     " a horizon misses there, horizons beyond the log are left out.",
     "nuPlan devkit e9241677, open_loop_boxes_weighted_average", "miss x (ade + fde + 2 ahe + 2 fhe) / 6",
     "a logged drive of 3 s after some frame",
 )  # fmt: skip
-PDMS_SCORE = _metric(
+PDMS_SCORE = _score_metric(
     "pdms", PDMS, Mode.CLOSED,
     "NAVSIM's predictive driver model score. It differs: of the whole drive instead of one plan's 4 s, progress is over"
     " the log's driver instead of PDM-Closed, time to collision as in nuplan_closed.",
     "NAVSIM 0a380a90, pdm_scorer", "collisions x drivable x (5 progress + 5 ttc + 2 comfort) / 12", _LANES,
 )  # fmt: skip
-EPDMS_SCORE = _metric(
+EPDMS_SCORE = _score_metric(
     "epdms", EPDMS, Mode.CLOSED,
     "NAVSIM's extended score; a part in which the log's driver has 0 is 1. It differs as pdms does; lights count at"
     " their stop lines, extended comfort is the share of all pairs of plans, changing lanes is not excused.",
@@ -285,7 +284,7 @@ EPDMS_SCORE = _metric(
     "collisions x drivable x direction x no_red_light x (5 ttc + 5 progress + 2 comfort + 2 lane_keeping"
     " + 2 extended_comfort) / 16", _LANES,
 )  # fmt: skip
-CARLA_SCORE = _metric(
+CARLA_SCORE = _score_metric(
     "carla", CARLA, Mode.CLOSED,
     "CARLA's driving score, in 0 .. 1. It differs: the drive ends at a collision; no penalties for a time-out, for"
     " yielding to emergency vehicles and for too little speed; outside are the lanes' edge and oncoming lanes.",

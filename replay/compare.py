@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import nan
 from pathlib import Path
@@ -24,10 +24,10 @@ from logs.mcap import read_trace
 from logs.mcap.container import read_container
 from logs.remote import Near
 from metrics import COLUMNS, METRICS, load_metric
-from metrics.compare import DRIVE, PARTING_COLUMNS, Comparison, Side, compare
-from metrics.compare.rules import Rule, judged, load_rules
+from metrics.compare import PARTING_COLUMNS, Comparison, Side, compare, judge_rules
 from metrics.judge import REFERENCE
-from metrics.judge.gates import load_gates
+from metrics.judge.gates import Rule, load_gates, load_rules
+from metrics.judge.verdicts import DRIVE
 from replay.explain.first_difference import first_difference, planners_part
 from replay.results.load import RECORDINGS, Results, loaded
 from replay.results.schema import SCHEMA_VERSION
@@ -72,18 +72,25 @@ def side_of(run: Run) -> Side:
         text = table[["log", "sha256", "family", "dataset"]].astype(object)
         logs = text.where(text.notna(), "")  # what an older version did not write is empty
         logs["tags"] = [list(tags) if isinstance(tags, list) else [] for tags in table["tags"]]
-        logs["vehicle"] = [_vehicle(run, log.get("drives", ())) for log in run.summary["logs"]]
+        logs["vehicle"] = [_vehicle_hash(run, log.get("drives", ())) for log in run.summary["logs"]]
         messages = {row.log: str(row.message) for row in run.failures.itertuples()}
         failed = {log: messages.get(log, "not evaluated") for log in sorted(run.unread)}
         rows = run.failures[["log", "planner", "mode"]].dropna().drop_duplicates()
         crashed = tuple(rows.itertuples(index=False, name=None))
-        own = tuple(read_toml(run.path / "run.toml").get("metrics", ()))
-        return Side(run.path.name, run.metrics, logs, _facts(run), failed, crashed, own)
+        facts = {"replan": str(run.summary.get("replan", "")), "Python": str(run.summary.get("python", ""))}
+        cards = (run.path / str(folder) / LOG_CARD for folder in table["folder"] if folder)
+        if (card := next((card for card in cards if card.is_file()), None)) is not None:
+            facts["code (SHA-256)"] = str(json.loads(card.read_text(encoding="utf-8")).get("code", ""))[:12]
+        settings = read_toml(run.path / "run.toml")
+        inputs = {key: value for key, value in settings.items() if key not in NOT_INPUTS}
+        facts |= {key: str(value) for key, value in flat(inputs)}
+        own = tuple(settings.get("metrics", ()))
+        return Side(run.path.name, run.metrics, logs, facts, failed, crashed, own)
     except (OSError, ValueError, KeyError) as error:
         raise LogError(f"cannot be read as results: {error}", file=run.path) from None
 
 
-def _vehicle(results: Results, drives: Sequence[Mapping[str, Any]]) -> str:
+def _vehicle_hash(results: Results, drives: Sequence[Mapping[str, Any]]) -> str:
     """Hash of the vehicle as a trace says it; "" where there is none."""
     for drive in drives:
         for file in drive["files"]:
@@ -91,18 +98,6 @@ def _vehicle(results: Results, drives: Sequence[Mapping[str, Any]]) -> str:
                 stream = read_container(results.path / file).streams.get("/vehicle")
                 return hashlib.sha256(stream.payloads[0]).hexdigest()[:12] if stream else ""
     return ""
-
-
-def _facts(results: Results) -> dict[str, str]:
-    """What it was made with, key by key."""
-    facts = {"replan": str(results.summary.get("replan", "")), "Python": str(results.summary.get("python", ""))}
-    cards = (results.path / str(folder) / LOG_CARD for folder in results.logs["folder"] if folder)
-    card = next((card for card in cards if card.is_file()), None)
-    if card is not None:
-        facts["code (SHA-256)"] = str(json.loads(card.read_text(encoding="utf-8")).get("code", ""))[:12]
-    run = read_toml(results.path / "run.toml")
-    inputs = {key: value for key, value in run.items() if key not in NOT_INPUTS}
-    return facts | {key: str(value) for key, value in flat(inputs)}
 
 
 # the file ---------------------------------------------------------------------------------------------------------
@@ -174,23 +169,23 @@ def compare_runs(
     one, two = side_of(baseline), side_of(candidate)
     own = (load_metric(spec) for spec in dict.fromkeys((*one.metrics, *two.metrics)))
     known = {**METRICS, **{metric.name: metric for metric in own}}
-    one, two = _same_planners(one, two, pair)
+    one, two = _align_planners(one, two, pair)
     rules = (*load_rules(gates, metrics=known), *more)
     comparison = compare(one, two, load_gates(gates, metrics=known), {rule.metric for rule in rules} - {""})
-    comparison = judged(rules, comparison, one.labels | two.labels)
+    comparison = judge_rules(rules, comparison, one.labels | two.labels)
     if not (isinstance(baseline, Results) and isinstance(candidate, Results) and partings):
         return comparison
-    return _with_partings(comparison, (baseline, candidate), pair, partings)
+    return _with_first_differences(comparison, (baseline, candidate), pair, partings)
 
 
-def _same_planners(one: Side, two: Side, pair: tuple[str, str] | None) -> tuple[Side, Side]:
+def _align_planners(one: Side, two: Side, pair: tuple[str, str] | None) -> tuple[Side, Side]:
     """Both sides with the planners asked for under common names, and without the settings of planners of one alone."""
-    kept = set(_planners(one)) & set(_planners(two))
+    kept = set(_driven_planners(one)) & set(_driven_planners(two))
     if pair is not None:
         if one.label == two.label:
             one, two = replace(one, label=f"{one.label}: {pair[0]}"), replace(two, label=f"{two.label}: {pair[1]}")
         name = pair[0] if pair[0] == pair[1] else " -> ".join(pair)
-        one, two = _only(one, pair[0], name), _only(two, pair[1], name)
+        one, two = _select_planner(one, pair[0], name), _select_planner(two, pair[1], name)
         kept = {pair[0]} & {pair[1]}
 
     def is_common(key: str) -> bool:
@@ -200,15 +195,15 @@ def _same_planners(one: Side, two: Side, pair: tuple[str, str] | None) -> tuple[
     return replace(one, facts=next(facts)), replace(two, facts=next(facts))
 
 
-def _planners(side: Side) -> tuple[str, ...]:
+def _driven_planners(side: Side) -> tuple[str, ...]:
     """The planners that were driven."""
     return tuple(dict.fromkeys(side.driven["planner"]))
 
 
-def _only(side: Side, planner: str, name: str) -> Side:
+def _select_planner(side: Side, planner: str, name: str) -> Side:
     """The rows of one planner, under a name that both sides share, and judged whether it is an oracle or not."""
-    if planner not in _planners(side):
-        raise unknown_name("planner (in the run)", planner, _planners(side))
+    if planner not in _driven_planners(side):
+        raise unknown_name("planner (in the run)", planner, _driven_planners(side))
     table = side.table
     mine = table[table["planner"] == planner].assign(planner=name)
     mine = mine if name == planner else mine.assign(oracle=False)
@@ -217,7 +212,7 @@ def _only(side: Side, planner: str, name: str) -> Side:
     return replace(side, table=pd.concat([mine, references], ignore_index=True), crashed=crashed)
 
 
-def _with_partings(
+def _with_first_differences(
     comparison: Comparison, both: tuple[Results, Results], pair: tuple[str, str] | None, most: int
 ) -> Comparison:
     """Drives with flips first, then those with the worst regressions."""
@@ -230,10 +225,18 @@ def _with_partings(
         if all(file.is_file() for file in files) and files[0].read_bytes() == files[1].read_bytes():
             continue
         looked += 1
-        if looked <= most:
-            rows += [(log, planner, mode, *found) for found in _parted(files, two_planners=names[0] != names[1])]
-    kinds = {"t_s": float}
-    table = pd.DataFrame(rows, columns=list(PARTING_COLUMNS)).astype(kinds)
+        if looked > most:
+            continue
+        try:
+            one, two = (read_trace(file)[0] for file in files)
+        except LogError as error:
+            rows.append((log, planner, mode, nan, UNKNOWN, f"a trace cannot be read: {error}"))
+            continue
+        found, parted = first_difference(one, two), planners_part(one, two) if names[0] != names[1] else None
+        if found is not None:  # of two planners also where what they drive parts
+            at, what = (parted.t, f"{parted.what}; first difference: {found.what}") if parted else (found.t, found.what)
+            rows.append((log, planner, mode, at, found.stage, what))
+    table = pd.DataFrame(rows, columns=list(PARTING_COLUMNS)).astype({"t_s": float})
     return replace(comparison, partings=table, not_looked_at=max(looked - most, 0))
 
 
@@ -244,16 +247,3 @@ def view_command(run: Run, log: str, planner: str, mode: str) -> str:
     drive = run.drive(log, planner.split(" -> ")[-1], mode)
     recording = drive.trace_file.with_suffix(".rrd")
     return f"replan view {recording if recording.is_file() else drive.trace_file}"
-
-
-def _parted(files: Sequence[Path], *, two_planners: bool) -> Iterator[tuple[float, str, str]]:
-    """Time, stage and description of the first difference; of two planners also where what they drive parts."""
-    try:
-        one, two = (read_trace(file)[0] for file in files)
-    except LogError as error:
-        yield nan, UNKNOWN, f"a trace cannot be read: {error}"
-        return
-    found, parted = first_difference(one, two), planners_part(one, two) if two_planners else None
-    if found is not None:
-        at, what = (parted.t, f"{parted.what}; first difference: {found.what}") if parted else (found.t, found.what)
-        yield at, found.stage, what

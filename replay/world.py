@@ -13,7 +13,7 @@ from logs.scenario import Tracks
 from logs.shapes import overlap
 from logs.states import EgoState, Trajectory
 from logs.vehicle import VehicleParameters
-from metrics.phantoms import Phantom
+from metrics.boxes import Phantom
 from planners.constant_speed import arc
 
 ROUNDING_M = 1e-6

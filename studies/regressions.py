@@ -29,8 +29,7 @@ from logs.mcap import write_scenario
 from logs.scenario import Scenario
 from logs.trace import Plan
 from metrics.compare import Comparison
-from metrics.compare.rules import Rule
-from metrics.judge.gates import Outcome
+from metrics.judge.gates import Outcome, Rule
 from planners.dp_qp.planner import DpQp
 from replay.compare import compare_runs
 from replay.config import RunConfig

@@ -10,7 +10,7 @@ With passed = logs that the gates pass, n = logs of the group, p = passed / n, z
 (Wilson, J. Am. Stat. Assoc. 22 (1927) 209; recommended for few trials by Brown, Cai, DasGupta, Statistical Science 16
 (2001) 101). It takes the logs as drawn at random from those that the group stands for.
 
-n counts every log that was asked for: one that could not be evaluated counts against the planner, as a failed one does;
+n counts every log of the run: one that could not be evaluated counts against the planner, as a failed one does;
 an inconclusive log is no pass either, and is counted apart.
 """
 
@@ -23,8 +23,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-
-from logs.kernel import FloatArray
 
 Z = 1.959963984540054  # Of the normal distribution: 95 % lie within +-Z
 PASS = "pass"  # Name of the rows about the share of logs that pass; it is no metric
@@ -127,7 +125,7 @@ def pass_shares(stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Data
                 "direction": "higher", "logs": len(logs), "available": len(logs) - count["missing"], "mean": share,
                 "worst_log": "", "low": low, "high": high, **count,
             })  # fmt: skip
-    return _typed(pd.DataFrame(rows, columns=list(COLUMNS)))
+    return _with_types(pd.DataFrame(rows, columns=list(COLUMNS)))
 
 
 def groups(table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
@@ -136,42 +134,38 @@ def groups(table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLab
     `table` has rows of `metrics.evaluate` (not of reference drives), `stand` of `standings`. `worst` is by the metric's
     direction, NaN where it has none; `missing` the logs of the group without a value.
     """
-    mine = table[table["mode"].isin(["open", "closed"]) & table["log"].isin(list(labels))]
-    row, logs = pd.factorize(mine["log"], sort=True)
-    by = mine.groupby(["planner", "mode", "metric"], sort=True, observed=True)
+    table = table[table["mode"].isin(["open", "closed"]) & table["log"].isin(list(labels))]
+    row, logs = pd.factorize(table["log"], sort=True)
+    by = table.groupby(["planner", "mode", "metric"], sort=True, observed=True)
     value = np.full((len(logs), by.ngroups), np.nan)  # a row per log, a column per planner, mode and metric
-    value[row, by.ngroup()] = mine["value"].where(mine["available"].astype(bool) & np.isfinite(mine["value"]))
+    value[row, by.ngroup()] = table["value"].where(table["available"].astype(bool) & np.isfinite(table["value"]))
     columns = by[["unit", "direction"]].first().reset_index()
+    sign = columns["direction"].map({"lower": 1.0, "higher": -1.0, "none": np.nan}).to_numpy(float)
     parts = [pass_shares(stand, labels)]
-    for (kind, group), members in membership(labels).items() if len(mine) else ():
+    for (kind, group), members in membership(labels).items() if len(table) else ():
         chosen = np.array([log in members for log in logs])
-        found = _reduced(columns, value[chosen], logs.to_numpy(object)[chosen])
-        count = found["available"]
-        parts.append(found.assign(kind=kind, group=group, logs=len(members), missing=len(members) - count))
-    found = _typed(pd.concat([part.reindex(columns=list(COLUMNS)) for part in parts], ignore_index=True))
+        mine, named = value[chosen], logs.to_numpy(object)[chosen]
+        there = np.isfinite(mine)
+        count, total = there.sum(axis=0), np.where(there, mine, 0.0).sum(axis=0)
+        some = count > 0
+        mean, median, worst = (np.full(len(some), np.nan) for _ in range(3))
+        worst_log = np.full(len(some), "", dtype=object)
+        if some.any():
+            mean[some], median[some] = total[some] / count[some], np.nanmedian(mine[:, some], axis=0)
+        ranked = np.flatnonzero(some & np.isfinite(sign))
+        if len(ranked):
+            at = np.where(there[:, ranked], mine[:, ranked] * sign[ranked], -np.inf).argmax(axis=0)
+            worst[ranked], worst_log[ranked] = mine[at, ranked], named[at]
+        parts.append(columns.assign(
+            kind=kind, group=group, logs=len(members), available=count, missing=len(members) - count, mean=mean,
+            median=median, worst=worst, worst_log=worst_log, total=np.where(some, total, np.nan),
+        ))  # fmt: skip
+    found = _with_types(pd.concat([part.reindex(columns=list(COLUMNS)) for part in parts], ignore_index=True))
     order = {kind: i for i, kind in enumerate((SUITE, "family", "tag", "dataset"))}
     return found.sort_values(_KEY, key=lambda c: c.map(order) if c.name == "kind" else c, ignore_index=True)
 
 
-def _reduced(columns: pd.DataFrame, value: FloatArray, logs: np.ndarray) -> pd.DataFrame:
-    """The columns with their reductions over the values `(logs, columns)`; NaN is no value."""
-    there = np.isfinite(value)
-    count, total = there.sum(axis=0), np.where(there, value, 0.0).sum(axis=0)
-    some = count > 0
-    mean, median, worst = (np.full(len(some), np.nan) for _ in range(3))
-    worst_log = np.full(len(some), "", dtype=object)
-    if some.any():
-        mean[some], median[some] = total[some] / count[some], np.nanmedian(value[:, some], axis=0)
-    sign = columns["direction"].map({"lower": 1.0, "higher": -1.0, "none": np.nan}).to_numpy(float)
-    ranked = np.flatnonzero(some & np.isfinite(sign))
-    if len(ranked):
-        at = np.where(there[:, ranked], value[:, ranked] * sign[ranked], -np.inf).argmax(axis=0)
-        worst[ranked], worst_log[ranked] = value[at, ranked], logs[at]
-    total = np.where(some, total, np.nan)
-    return columns.assign(available=count, mean=mean, median=median, worst=worst, worst_log=worst_log, total=total)
-
-
-def _typed(rows: pd.DataFrame) -> pd.DataFrame:
+def _with_types(rows: pd.DataFrame) -> pd.DataFrame:
     kinds = dict.fromkeys(("logs", "available", "missing"), "int64") | dict.fromkeys(COLUMNS[10:13], "float64")
     kinds |= dict.fromkeys(COLUMNS[14:], "float64")
     words: dict[str, Any] = {name: rows[name].fillna("").astype(str) for name in COLUMNS if name not in kinds}

@@ -45,7 +45,7 @@ REPLAY_CONTACT, IMPACT, PHANTOMS = "replay_contact.final", "collision_severity.i
 EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"safety": (DRIVER, CAREFUL), "rules": (DRIVER,), "comfort": (CAREFUL,)}
 )
-"""Which reference drives are asked, by group of metrics."""
+"""Which reference drives may excuse, by group of metrics."""
 LAWFUL = ("safety", "rules")  # Groups of the gates that a yardstick holds
 GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
 
@@ -53,7 +53,7 @@ INTERVAL = "agent_interval.final"
 HARD_MPS2 = 8.0
 AGE = 1.5
 OF_OTHERS = ("gap_kept", "gap_kept_vulnerable", "ttc", "ttc_vulnerable", "thw", "priority_gap", "yielding")
-_ASKED = frozenset({*OF_OTHERS, *(metric.name for metric in GROUPS["comfort"])})
+_MARKED = frozenset({*OF_OTHERS, *(metric.name for metric in GROUPS["comfort"])})
 
 
 class Row(NamedTuple):
@@ -133,25 +133,25 @@ def excuse(case: Case) -> str:
     gate, group, row = case.gate, group_of(case.gate), case.row(case.gate.metric)
     if case.crashed:
         return ""
-    if gate.reachable and not _reached(case):
+    if gate.reachable and not _any_yardstick_holds(case):
         return "no yardstick holds it: neither the recorded driver, the route follower nor another planner"
     contact, crash, phantom = (case.row(name) for name in (REPLAY_CONTACT, NO_COLLISION.metric, PHANTOMS))
     concerned = group == "progress" or (group == "safety" and row.about == contact.about)
     if concerned and contact.known and contact.value > 0.0:
         return f"the replay ran into the ego ({contact.reason})"
     if group in EXCUSED:
-        return _by_reference(gate, case)
+        return _excuse_by_reference(gate, case)
     if group != "progress":
         return ""
     if crash.known and NO_COLLISION.margin(crash.value) < 0.0:
-        return _by_reference(NO_COLLISION, case)
+        return _excuse_by_reference(NO_COLLISION, case)
     follower = case.reference(FOLLOWER, gate.metric)
     if follower.known and gate.margin(follower.value) < 0.0 and phantom.known and phantom.value > 0.0:
         return f"the log shows what was not there ({phantom.reason}), and stops the route follower, too"
     return ""
 
 
-def _reached(case: Case) -> bool:
+def _any_yardstick_holds(case: Case) -> bool:
     """Whether a yardstick holds the bound in this log (module docstring)."""
     for planner, mode in case.drives.rows:
         if (planner, mode) == (case.planner, case.mode) or mode not in (case.mode, REFERENCE) or planner == CAREFUL:
@@ -166,7 +166,7 @@ def _reached(case: Case) -> bool:
     return False
 
 
-def _by_reference(gate: Gate, case: Case) -> str:
+def _excuse_by_reference(gate: Gate, case: Case) -> str:
     """Which reference drive breaks the bound of a gate in the same event (module docstring); empty: none."""
     row, group = case.row(gate.metric), group_of(gate)
     impact, careful = case.row(IMPACT), case.reference(CAREFUL, IMPACT)
@@ -189,7 +189,7 @@ def marginal(gate: Gate, value_of: Callable[[str], float]) -> str:
     """
     name, _, reduced = gate.metric.rpartition(".")
     metric, interval = METRICS.get(name.partition(".")[0]), value_of(INTERVAL)
-    if metric is None or metric.name not in _ASKED or not interval > 0.0:
+    if metric is None or metric.name not in _MARKED or not interval > 0.0:
         return ""
     reduction = next(one for one in metric.reductions if one.name == reduced)
     value, unit = value_of(gate.metric), reduction.unit or metric.unit

@@ -1,7 +1,7 @@
-"""Gates: thresholds on the table, as a TOML file says them; `verdicts` judges by them.
+"""Gates: thresholds on the table, and rules of comparison, as a TOML file says them; docs/gates.md explains all keys.
 
-The file holds tables [[gate]], whose keys are the attributes of `Gate`, and may hold rules of comparison, [[compare]]
-(`metrics.compare.rules`). docs/gates.md explains all keys.
+The file holds tables [[gate]], whose keys are the attributes of `Gate` (`verdicts` judges by them), and may hold tables
+[[compare]], with those of `Rule`: what a candidate may not do worse than a baseline (`metrics.compare`).
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ class Outcome(Enum):
 R = TypeVar("R", bound="DataclassInstance")
 EVIDENCE = ("traffic", "lights", "limit", "lane")  # The parts of the metric `evidence`
 OVER = ("worst", "mean", "median", "sum", "pass_share")
+RULE_OVER = ("mean", "median", "worst")
+RULE_KINDS = ("max_increase", "max_decrease", "max_flips", "max_missing")  # A rule has exactly one of these
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +156,75 @@ class Gates:
         return replace(self, gates=tuple(gate for gate in self.gates if not gate.mode or gate.mode in wanted))
 
 
+@dataclass(frozen=True)
+class Rule:
+    """One rule: exactly one of `RULE_KINDS`.
+
+    Attributes:
+        metric: A name of the table's column `metric`, which may not rise by more than `max_increase` or fall by more
+            than `max_decrease`, in its unit; over the logs its "mean" or "median", or no log ("worst").
+        significant: Breaks only where the interval of the mean excludes no change.
+        max_flips: The number of gates that may turn to FAIL from a pass or from not asked; `gate`: on this metric.
+        max_missing: The number of drives of the baseline that may be missing in the candidate.
+        mode: Only this mode; `planner`, `tags` likewise.
+        optional: No verdict where no log has the metric; else that is INCONCLUSIVE.
+        reason: Shown with the verdict.
+    """
+
+    metric: str = ""
+    max_increase: float | None = None
+    max_decrease: float | None = None
+    over: str = "mean"
+    significant: bool = False
+    max_flips: int | None = None
+    gate: str = ""
+    max_missing: int | None = None
+    mode: str | None = None
+    planner: str | None = None
+    tags: tuple[str, ...] = ()
+    optional: bool = False
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        kinds = [kind for kind in RULE_KINDS if getattr(self, kind) is not None]
+        if len(kinds) != 1:
+            raise ValueError(f"needs one of {', '.join(RULE_KINDS)}, has {' and '.join(kinds) or 'none'}")
+        scoped, kind = self.mode or self.planner or self.tags, kinds[0]
+        rules = {
+            f"{kind} is {self.limit:g}, not a number of at least 0": isfinite(self.limit) and self.limit >= 0.0,
+            f"{kind} {'has no' if self.metric else 'needs a'} metric": bool(self.metric) == (kind in RULE_KINDS[:2]),
+            "gate goes with max_flips": not self.gate or self.max_flips is not None,
+            "max_missing counts all drives: no mode, planner or tags": self.max_missing is None or not scoped,
+            f"over is {self.over!r}, not one of {', '.join(RULE_OVER)}": self.over in RULE_OVER,
+            'significant goes with over = "mean"': not self.significant or self.over == "mean",
+            f'mode is {self.mode!r}, not "open" or "closed"': self.mode in (None, *(mode.value for mode in Mode)),
+        }
+        for complaint, holds in rules.items():
+            if not holds:
+                raise ValueError(complaint)
+
+    @property
+    def limit(self) -> float:
+        """The number that must not be exceeded."""
+        return float(next(value for kind in RULE_KINDS if (value := getattr(self, kind)) is not None))
+
+    @property
+    def sign(self) -> float:
+        """1 where the metric may not rise, -1 where it may not fall."""
+        return 1.0 if self.max_increase is not None else -1.0
+
+    def __str__(self) -> str:
+        """The rule: "mean ade.3s.mean rises by at most 0.05, where significant [open]"."""
+        scope = "".join(f" [{word}]" for word in (self.mode, *self.tags, self.planner) if word)
+        if self.max_missing is not None:
+            return f"at most {self.max_missing} drives missing"
+        if self.max_flips is not None:
+            return f"at most {self.max_flips} flips to FAIL{f' of {self.gate}' if self.gate else ''}{scope}"
+        word = "rises" if self.sign > 0.0 else "falls"
+        sure = ", where significant" if self.significant else ""
+        return f"{self.over} {self.metric} {word} by at most {self.limit:g}{sure}{scope}"
+
+
 def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> Gates:
     """The gates of a TOML file; None: the packaged default.
 
@@ -166,6 +237,15 @@ def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
     return Gates(gates, source)
 
 
+def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> tuple[Rule, ...]:
+    """The rules of a TOML file; the packaged ones where it has none, or for None.
+
+    Raises:
+        ConfigError: Not readable, unknown key or metric, or a contradictory rule; names the file and the rule.
+    """
+    return read_tables(path, "compare", Rule, metrics)[1] or read_tables(None, "compare", Rule, metrics)[1]
+
+
 def read_tables(
     path: Path | None, kind: str, rule: type[R], metrics: Mapping[str, Metric]
 ) -> tuple[str, tuple[R, ...]]:
@@ -176,7 +256,7 @@ def read_tables(
     """
     source = "default gates" if path is None else str(path)
     content = read_toml(Path(__file__).with_name("default_gates.toml") if path is None else path)
-    _known_only(content, ("gate", "compare"), source)
+    _check_keys(content, ("gate", "compare"), source)
     tables = content.get(kind, [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise ConfigError(f"{source}: holds no [[{kind}]]: {kind} is no list of tables")
@@ -190,7 +270,7 @@ def read_tables(
     for i, table in enumerate(tables, 1):
         names = [table[key] for key in ("metric", "gate") if isinstance(table.get(key), str)]
         place = f"{source}: {kind} {i}" + "".join(f" ({name})" for name in names)
-        _known_only(table, tuple(field.name for field in fields(rule)), place)
+        _check_keys(table, tuple(field.name for field in fields(rule)), place)
         for name in names:
             words = name.split(".")
             open_part = (
@@ -205,7 +285,7 @@ def read_tables(
     return source, tuple(found)
 
 
-def _known_only(table: Mapping[str, Any], keys: Sequence[str], place: str) -> None:
+def _check_keys(table: Mapping[str, Any], keys: Sequence[str], place: str) -> None:
     for key in table:
         if key not in keys:
             raise ConfigError(f"{place}: unknown key {key!r}{meant(key, keys)}; known: {', '.join(keys)}")

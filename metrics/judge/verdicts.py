@@ -33,6 +33,15 @@ and the verdict is the first of these:
 FAIL is INCONCLUSIVE where the gate says `broken = "inconclusive"`. Nothing judged is INCONCLUSIVE always. An optional
 gate has no verdict where no log was asked; filters that no log passes and planners that are not in the run are
 INCONCLUSIVE always, since they are most likely misspelt.
+
+Gates also make rows of the table: is a verdict robust or fragile, and how many of the gates were asked? A member is the
+log driven again under one perturbation (`replay.run.perturb`); its verdict on a planner in one mode is the worst
+outcome of the gates. With the unperturbed drive among the members:
+
+(1) ensemble.pass_share = members that pass / members
+(2) ensemble.fragile    = 1 where a member's verdict is another than the unperturbed drive's, else 0
+
+Late plans are judged likewise. They are wall clock, so they are not in the table of metrics.
 """
 
 from __future__ import annotations
@@ -47,12 +56,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from metrics.evidence import ASKED, ENSEMBLE
 from metrics.judge.aggregate import LogLabels, wilson
 from metrics.judge.excuses import LAWFUL, REFERENCE, Case, Drives, Row, excuse, group_of, lacking_evidence, marginal
 from metrics.judge.gates import Gate, Gates, Outcome, count_logs, meant, unit_of
 
 _NO_ENTRIES: Mapping[Any, str] = MappingProxyType({})
+MEMBER, PERTURBATION = "member", "perturbation"  # The columns of a table of members beside those of `metrics.evaluate`
+LATE = "deadline.share"
+MAX_LATE = 0.01  # The share of a drive's plans that may be late
+MISS_COLUMNS = ("log", "planner", "mode", "plans", "misses", "share", "worst_s", "worst_t_s")
 OUTCOME_COLUMNS = ("gate", "log", "planner", "mode", "outcome", "value", "time_s", "reason")
+Drive = tuple[str, str, str]  # Log, planner, mode
+Values = dict[tuple[str, str, str, str], tuple[float, str]]  # Value and reason by log, planner, mode and metric
+DRIVE = ["log", "planner", "mode"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +146,7 @@ def judge(
     lawful = tuple(gate for gate in gates.gates if gate.over == "worst" and group_of(gate) in LAWFUL)
     drives = Drives(rows, frozenset(table.loc[table["oracle"].astype(bool), "planner"]), crashed, lawful)
     known = list(dict.fromkeys([*labels, *table["log"], *failed]))
-    return tuple(verdict for gate in gates.gates for verdict in _judge(gate, drives, known, labels, failed))
+    return tuple(verdict for gate in gates.gates for verdict in _judge_gate(gate, drives, known, labels, failed))
 
 
 def outcomes(verdicts: Sequence[Verdict]) -> pd.DataFrame:
@@ -151,14 +168,14 @@ def worst(found: Iterable[Outcome]) -> Outcome:
     return min(asked, key=list(Outcome).index, default=Outcome.INCONCLUSIVE)
 
 
-def _judge(
+def _judge_gate(
     gate: Gate, drives: Drives, known: Sequence[str], labels: Mapping[str, LogLabels], failed: Mapping[str, str]
 ) -> list[Verdict]:
     """The verdicts of a gate, by planner, mode and group."""
     unknown = LogLabels()  # of a log that failed before its labels were known: it may be asked for
     logs = [log for log in known if gate.selects(labels.get(log, unknown)) or (log in failed and log not in labels)]
     if not logs:
-        return [Verdict(gate, Outcome.INCONCLUSIVE, f"nothing to judge: no log has {_filters(gate, labels)}")]
+        return [Verdict(gate, Outcome.INCONCLUSIVE, f"nothing to judge: no log has {_describe_filters(gate, labels)}")]
     asked = [
         (planner, mode)
         for planner, mode in drives.rows
@@ -174,7 +191,7 @@ def _judge(
             groups.setdefault(f"{gate.per} {word}" if word else f"{gate.per} not known", []).append(log)
     if modes:
         return [
-            _verdict(gate, drive, [_of_log(Case(gate, log, *drive, drives), failed) for log in mine], group)
+            _judge_drive(gate, drive, [_judge_log(Case(gate, log, *drive, drives), failed) for log in mine], group)
             for drive in asked
             if drive[1] in modes
             for group, mine in sorted(groups.items())
@@ -189,7 +206,7 @@ def _judge(
     return [Verdict(gate, Outcome.INCONCLUSIVE, reason)] if misspelt or not gate.optional else []
 
 
-def _filters(gate: Gate, labels: Mapping[str, LogLabels]) -> str:
+def _describe_filters(gate: Gate, labels: Mapping[str, LogLabels]) -> str:
     """What the gate asks of logs, and what was meant where no log has it: "the tags rian, did you mean 'rain'?"."""
     known = {
         "tags": {tag for mine in labels.values() for tag in mine.tags},
@@ -203,7 +220,7 @@ def _filters(gate: Gate, labels: Mapping[str, LogLabels]) -> str:
     ) or "a result"  # fmt: skip
 
 
-def _of_log(case: Case, failed: Mapping[str, str]) -> LogOutcome:
+def _judge_log(case: Case, failed: Mapping[str, str]) -> LogOutcome:
     """The outcome of a gate on a log (module docstring)."""
     gate, log, row = case.gate, case.log, case.row(case.gate.metric)
     if log in failed or log not in case.drives.rows[case.planner, case.mode]:
@@ -225,7 +242,7 @@ def _of_log(case: Case, failed: Mapping[str, str]) -> LogOutcome:
     return LogOutcome(log, outcome, why, row.value, row.unit, row.time_s)
 
 
-def _verdict(gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome], group: str) -> Verdict:
+def _judge_drive(gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome], group: str) -> Verdict:
     """The verdict on one planner and mode; NOT ASKED where no log was asked and the gate is optional."""
     planner, mode = drive
     who = f"{planner}, {mode} loop" + (f", {group}" if group else "")
@@ -250,14 +267,16 @@ def _verdict(gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome], gro
     few = f"; {count_logs(len(judged))} judged, {gate.min_logs} must be" if len(judged) < gate.min_logs else ""
     lacking = len(judged) < gate.min_logs or len(found) - len(judged) > gate.max_missing * len(found) + 1e-9
     if gate.over == "pass_share":
-        value, outcome, what = _shared(gate, found, bad, lacking=lacking)
+        value, outcome, what = _judge_share(gate, found, bad, lacking=lacking)
     else:
-        value, outcome, what = _held(gate, judged, bad, lacking=bool(lacking or missing))
+        value, outcome, what = _judge_value(gate, judged, bad, lacking=bool(lacking or missing))
     reason = f"{who}: {what}{few}{aside}"
     return replace(nothing, outcome=outcome, reason=reason, value=value, log=bad.log, time_s=bad.time_s)
 
 
-def _held(gate: Gate, judged: Sequence[LogOutcome], bad: LogOutcome, *, lacking: bool) -> tuple[float, Outcome, str]:
+def _judge_value(
+    gate: Gate, judged: Sequence[LogOutcome], bad: LogOutcome, *, lacking: bool
+) -> tuple[float, Outcome, str]:
     """Value, outcome and what was found: "gap.min = 0.31 m, below 0.5, on log X at 3.20 s (car 7)"."""
     how: Mapping[str, Callable[[list[float]], Any]] = {"mean": np.mean, "median": np.median, "sum": np.sum}
     reduced = how.get(gate.over)
@@ -275,7 +294,9 @@ def _held(gate: Gate, judged: Sequence[LogOutcome], bad: LogOutcome, *, lacking:
     return value, outcome, f"{gate.judged} = {value:.4g}{unit}{bound} {worst_of}{bad.place}{share}"
 
 
-def _shared(gate: Gate, found: Sequence[LogOutcome], bad: LogOutcome, *, lacking: bool) -> tuple[float, Outcome, str]:
+def _judge_share(
+    gate: Gate, found: Sequence[LogOutcome], bad: LogOutcome, *, lacking: bool
+) -> tuple[float, Outcome, str]:
     """The same of the share of logs that pass."""
     least, n = gate.min_share or 0.0, len(found)
     passed = sum(log.outcome is Outcome.PASS for log in found)
@@ -295,3 +316,103 @@ def _shared(gate: Gate, found: Sequence[LogOutcome], bad: LogOutcome, *, lacking
     interval = f"95 % interval {100.0 * low:.3g} to {100.0 * high:.3g} %"
     share = f"holds in {passed} of {count_logs(n)} ({100.0 * passed / n:.3g} %, {interval}), {how}"
     return passed / n, outcome, f"{gate.bound} {share}; worst {bad.value:.4g}{unit_of(bad.unit)} {bad.place}"
+
+
+def with_ensemble(
+    table: pd.DataFrame, members: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]
+) -> pd.DataFrame:
+    """The table of unperturbed drives with the rows (1) and (2) of each; those of `members` are counted from 1.
+
+    Gates on `ensemble` itself are left out.
+    """
+    if members.empty:
+        return table
+    rules = replace(gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ENSEMBLE.name)))
+    plain = _drive_outcomes(rules, table, labels)
+    found: dict[Drive, list[tuple[Outcome, str]]] = {}
+    for (_, name), rows in members.groupby([MEMBER, PERTURBATION], sort=True):
+        logs = set(rows["log"])
+        members_of = _drive_outcomes(rules, rows, {log: mine for log, mine in labels.items() if log in logs})
+        for drive, base in plain.items():
+            if drive[0] not in logs:
+                continue
+            now, change = Outcome.INCONCLUSIVE, f"{name}: not evaluated"
+            if (member := members_of.get(drive)) is not None:
+                before, now = worst(base.values()), worst(member.values())
+                gates_of = ", ".join(gate for gate, outcome in base.items() if member.get(gate) is not outcome)
+                change = "" if before is now else f"{name}: {before.value} -> {now.value} ({gates_of})"
+            found.setdefault(drive, []).append((now, change))
+    values: Values = {}
+    for drive, others in found.items():
+        passed = sum(one is Outcome.PASS for one in (worst(plain[drive].values()), *(one for one, _ in others)))
+        changes = [change for _, change in others if change]
+        values[*drive, f"{ENSEMBLE.name}.pass_share"] = passed / (len(others) + 1.0), ""  # (1)
+        values[*drive, f"{ENSEMBLE.name}.fragile"] = float(bool(changes)), "; ".join(changes)  # (2)
+    return _fill_rows(table, values)
+
+
+def with_asked(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
+    """The table with the row `asked.share` of each drive: the share of the other gates that are asked of it."""
+    rules = replace(gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ASKED.name)))
+    values: Values = {}
+    for drive, found in _drive_outcomes(rules, table, labels).items():
+        missing = [gate for gate, outcome in found.items() if outcome is Outcome.NOT_ASKED]
+        reason = f"not asked: {', '.join(missing)}" if missing else ""
+        values[*drive, f"{ASKED.name}.share"] = 1.0 - len(missing) / len(found), reason
+    return _fill_rows(table, values)
+
+
+def _fill_rows(table: pd.DataFrame, values: Values) -> pd.DataFrame:
+    """The table with these values and reasons."""
+    keys = list(zip(*(table[name] for name in (*DRIVE, "metric")), strict=True))
+    at = table.index[[i for i, key in enumerate(keys) if key in values]]
+    found = [values[key] for key in keys if key in values]
+    out = table.copy()
+    out.loc[at, "value"], out.loc[at, "reason"] = [value for value, _ in found], [reason for _, reason in found]
+    out.loc[at, "available"] = True
+    return out
+
+
+def _drive_outcomes(
+    gates: Gates, table: pd.DataFrame, labels: Mapping[str, LogLabels]
+) -> dict[Drive, dict[str, Outcome]]:
+    """Outcomes by gate, of each log, planner and mode."""
+    found: dict[Drive, dict[str, Outcome]] = {}
+    table = outcomes(judge(gates, table, labels))
+    for *drive, gate, outcome in zip(*(table[name] for name in (*DRIVE, "gate", "outcome")), strict=True):
+        found.setdefault((drive[0], drive[1], drive[2]), {})[gate] = Outcome(outcome)
+    return found
+
+
+def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
+    """How many plans of each drive took longer than a deadline.
+
+    Args:
+        timings: Columns log, planner, mode, t_s, stage, seconds; the stage "total" is a whole plan.
+        deadline_s: A plan that takes longer has missed it, s; ValueError unless above 0.
+
+    Returns:
+        `MISS_COLUMNS` of each log, planner and mode in the order of `timings`: plans made, misses, their share, the
+        longest time of a plan, and the time of its frame.
+    """
+    if not deadline_s > 0.0:
+        raise ValueError(f"a deadline of {deadline_s} s")
+    rows = []
+    for drive, plans in timings[timings["stage"] == "total"].groupby(DRIVE, sort=False, observed=True):
+        late, worst = plans["seconds"] > deadline_s, plans.iloc[int(plans["seconds"].argmax())]
+        rows.append((*drive, len(plans), int(late.sum()), float(late.mean()), worst["seconds"], worst["t_s"]))
+    return pd.DataFrame(rows, columns=list(MISS_COLUMNS))
+
+
+def judge_deadline(timings: pd.DataFrame, deadline_s: float, labels: Mapping[str, LogLabels]) -> tuple[Verdict, ...]:
+    """The verdicts on the share of late plans, at most `MAX_LATE` in each drive; arguments as of `deadline_misses`."""
+    late = deadline_misses(timings, deadline_s)
+    why = [
+        f"{row.misses} of {row.plans} plans took longer than {deadline_s:g} s, one {row.worst_s:.3g} s"
+        for row in late.itertuples()
+    ]
+    table = late[DRIVE].assign(
+        oracle=False, metric=LATE, value=late["share"], unit="1", available=True, reason=why, time_s=late["worst_t_s"]
+    )
+    gate = Gate(LATE, max=MAX_LATE, reason=f"plans are made within {deadline_s:g} s on this machine")
+    return judge(Gates((gate,), "deadline"), table, labels)

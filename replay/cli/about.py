@@ -53,12 +53,13 @@ def metrics(
       replan metrics route_progress
     """
     with handle_errors():
-        from metrics import GROUPS, load_metric, pages
+        from metrics import GROUPS, load_metric
+        from metrics.metric import list_metrics, metric_facts, metric_page, metrics_markdown
 
         if as_json:
-            found = [pages.facts(metric) for group in GROUPS.values() for metric in group]
-            say_json(found if name is None else pages.facts(load_metric(name)))
+            found = [metric_facts(metric) for group in GROUPS.values() for metric in group]
+            say_json(found if name is None else metric_facts(load_metric(name)))
         elif name is not None:
-            say(pages.page(load_metric(name)))
+            say(metric_page(load_metric(name)))
         else:
-            say(pages.markdown(GROUPS) if markdown else pages.listing(GROUPS))
+            say(metrics_markdown(GROUPS) if markdown else list_metrics(GROUPS))

@@ -45,7 +45,7 @@ def load_baseline(path: Path, run: RunConfig, gates: Path | None, out: Path | No
     Raises:
         ConfigError: One of them cannot be read, or the baseline lies in the result folder.
     """
-    from metrics.compare.rules import load_rules
+    from metrics.judge.gates import load_rules
     from replay.compare import read_run
     from replay.run.one_log import all_metrics
 

@@ -19,7 +19,7 @@ import pandas as pd
 from logs.errors import LogError
 from metrics.judge import REFERENCE, Outcome, judge, outcomes
 from metrics.judge.gates import Gate, Gates
-from metrics.judge.rows import with_asked
+from metrics.judge.verdicts import with_asked
 from metrics.reference_drivers import APPLIES, AVOIDS
 from replay.config import RunConfig
 from replay.explain.first_difference import first_difference, planners_part

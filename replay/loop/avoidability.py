@@ -14,7 +14,7 @@ from logs.road import Goal, ReferenceLine, Road
 from logs.route import find_route
 from logs.scenario import FINDING, Scenario
 from logs.states import EgoState
-from metrics.once import once
+from metrics.metric import once
 from metrics.reference_drivers import DRIVERS, Verdict, metadata_of
 from planners.frenet.reference_path import make_line
 

@@ -27,11 +27,9 @@ from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import GROUPS, METRICS
-from metrics.boxes import ego_boxes
+from metrics.boxes import ego_boxes, name_of, phantoms, without_phantoms
 from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
 from metrics.metric import FINAL, Series
-from metrics.others import name_of
-from metrics.phantoms import phantoms, without_phantoms
 from metrics.progress import FOLLOWER_M, GOAL, gained, route_of
 from metrics.reference_drivers import RETURN_S, STEP_S, careful_drive
 from metrics.safety import CLOSE_S, TTC, contacts

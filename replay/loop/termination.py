@@ -18,9 +18,8 @@ from logs.scenario import Scenario, Tracks
 from logs.shapes import point_segment
 from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
 from logs.trace import EndReason
+from metrics.boxes import name_of, phantoms, without_phantoms
 from metrics.cut_in import LOOK_BACK_S
-from metrics.others import name_of
-from metrics.phantoms import phantoms, without_phantoms
 from metrics.safety import classify
 from replay.vehicle.trace_rows import state_at
 from replay.world import AgentBoxes, EgoBox, agent_boxes, box_center, ego_box, touched
@@ -136,7 +135,7 @@ class Ended(NamedTuple):
 class Termination:
     """Judges the rows of one drive's trace, in order.
 
-    What the recorded ego stood in (`metrics.phantoms`) is not touched.
+    What the recorded ego stood in (`metrics.boxes`) is not touched.
 
     Args:
         scenario: What is driven.

@@ -23,7 +23,7 @@ from logs.states import wrap
 from metrics.boxes import NO_TTC_MPS, Car, is_behind
 from metrics.encounters import CROSSING_RAD
 from metrics.encounters import SERIOUS_S as PET_S
-from metrics.once import once
+from metrics.metric import once
 from metrics.safety import TAU_S as TTC_S
 from replay.mine.driven_log import DrivenLog, Neighbour, runs, steps
 from replay.mine.ego_and_road import HARD_MPS2

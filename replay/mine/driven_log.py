@@ -23,10 +23,8 @@ from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.road import ReferenceLine, line_frame, line_project, thinned
 from logs.scenario import AgentKind, Scenario
 from logs.states import Trajectory, wrap
-from metrics.boxes import Car, car_of, ego_boxes
+from metrics.boxes import GRID_S, Car, car_of, ego_boxes, in_spans, phantoms, without_phantoms
 from metrics.metric import changed
-from metrics.others import GRID_S, in_spans
-from metrics.phantoms import phantoms, without_phantoms
 
 NEAR_M = 80.0
 SEARCH_M, FOLLOW_M = 120.0, 15.0
@@ -78,7 +76,7 @@ class Neighbour:
 
 
 class DrivenLog:
-    """A log on a grid of `metrics.others.GRID_S`.
+    """A log on a grid of `metrics.boxes.GRID_S`.
 
     Args:
         scenario: As it was read; road users in whom the recorded ego stood are left out.

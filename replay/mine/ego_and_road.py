@@ -19,8 +19,7 @@ from logs.route import on_lane
 from logs.rules import RED, StopLine
 from logs.scenario import AgentKind
 from logs.states import wrap
-from metrics.metric import Unavailable
-from metrics.once import once
+from metrics.metric import Unavailable, once
 from replay.mine.driven_log import DrivenLog, runs, steps
 from replay.mine.events import Event, EventKind
 

@@ -16,7 +16,7 @@ import numpy as np
 from logs.kernel import TIE, FloatArray, IntArray, frozen, kernel
 from logs.road import Lane, Road
 from logs.states import wrap
-from metrics.once import once
+from metrics.metric import once
 
 SPACING_M = 1.0
 BEND_M = 5.0

@@ -103,7 +103,7 @@ class LogTables:
 
     Attributes:
         metrics: Rows of `metrics.evaluate`.
-        members: Rows of `metrics.evaluate` of the ensemble's drives, with `metrics.judge.rows`'s columns; mostly empty.
+        members: Rows of `metrics.evaluate` of the ensemble's drives, with `MEMBER` and `PERTURBATION`; mostly empty.
         health: Rows of `metrics.health.table`: what is wrong with the log.
         timings: Rows of timings.parquet.
     """

@@ -23,8 +23,7 @@ from metrics import COLUMNS, health
 from metrics.judge import Verdict, judge, outcomes
 from metrics.judge.aggregate import LogLabels, groups, standings
 from metrics.judge.gates import Gates, Outcome, load_gates
-from metrics.judge.rows import SHARE as LATE
-from metrics.judge.rows import judge_deadline, with_asked, with_ensemble
+from metrics.judge.verdicts import LATE, judge_deadline, with_asked, with_ensemble
 from replay.config import RunConfig, dump_run
 from replay.results.load import Results, load
 from replay.results.log_result import HEALTH, MEMBERS, METRICS, TIMINGS, Failure, LogResult, table_of, timings_of

@@ -30,7 +30,7 @@ from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, Trace
 from metrics import METRICS, Metric, health, load_metric
 from metrics.comfort import LON_JERK_STATE
-from metrics.judge.rows import MEMBER
+from metrics.judge.verdicts import MEMBER
 from replay.config import RunConfig
 from replay.drive import Drive, DriveKey
 from replay.loop.avoidability import with_avoidability

@@ -25,7 +25,7 @@ from logs.errors import ConfigError, unknown_name
 from logs.kernel import FloatArray
 from logs.trace import Mode
 from metrics import Metric
-from metrics.compare.tables import MIN_SIGNIFICANT, intervals, noise
+from metrics.compare import MIN_SIGNIFICANT, intervals, noise
 from metrics.judge.gates import Outcome
 from replay.results.load import Results
 

@@ -19,7 +19,7 @@ from logs.errors import LogError
 from logs.road import ReferenceLine, thinned
 from logs.scenario import Scenario, Tracks
 from logs.states import EgoState
-from metrics.others import there_between
+from metrics.boxes import there_between
 from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
 
 FASTEST = 2.0

@@ -39,7 +39,7 @@ from logs.kernel import BoolArray, FloatArray
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.scenario import Agents as SeenAgents
 from logs.states import EgoState
-from metrics.others import name_of
+from metrics.boxes import name_of
 from metrics.reference_drivers import CC_REACT_S
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import FOLLOWING, followers

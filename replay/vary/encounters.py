@@ -21,10 +21,8 @@ from logs.names import ShortNames
 from logs.scenario import Scenario
 from logs.shapes import clearance, time_to_contact
 from logs.states import Trajectory
-from metrics.boxes import NO_TTC_MPS, Car, car_of, ego_boxes
+from metrics.boxes import NO_TTC_MPS, Car, Others, car_of, ego_boxes, others_at, phantoms, without_phantoms
 from metrics.encounters import CROSSING_RAD, encroachment, may_meet
-from metrics.others import Others, others_at
-from metrics.phantoms import phantoms, without_phantoms
 from replay.loop.planning import goal_of
 from replay.loop.reference_drives import reference_drives
 

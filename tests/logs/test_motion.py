@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, EndReason, Mode, Trace, Tracks
 from logs.kernel import FloatArray
-from metrics.others import others_at
+from metrics.boxes import others_at
 from metrics.safety import TTC
 
 RATES = (5.0, 10.0, 25.0, 50.0, 100.0)

@@ -13,7 +13,7 @@ from logs.agents import NUMBERS, OLDEST_S
 from logs.observed import MAX_AGE_S, MAX_GAP_S
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
-from metrics.others import others_at
+from metrics.boxes import others_at
 from replay.world import World, contact
 
 CAR = VehicleParameters()

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 
 from logs import ConfigError
 from metrics import COLUMNS
-from metrics.compare.rules import Rule, judged, load_rules
-from metrics.compare.tables import MIN_PAIRS, MIN_SIGNIFICANT, NOT_ASKED, Comparison, Side, compare, intervals, noise
+from metrics.compare import MIN_PAIRS, MIN_SIGNIFICANT, Comparison, Side, compare, intervals, judge_rules, noise
 from metrics.judge.aggregate import LogLabels
-from metrics.judge.gates import Gate, Gates, Outcome, load_gates
+from metrics.judge.gates import Gate, Gates, Outcome, Rule, load_gates, load_rules
 
 GAP = Gate("gap.min", min=0.5)
 
@@ -47,7 +46,7 @@ def of(before: dict[str, float], now: dict[str, float], *gates: Gate, **changes:
 
 def said(comparison: Comparison, *rules: Rule) -> list[str]:
     labels = {log: LogLabels(tags=("synthetic", log[0])) for log in comparison.pairs["log"]}
-    return [verdict.outcome.value for verdict in judged(rules, comparison, labels).verdicts]
+    return [verdict.outcome.value for verdict in judge_rules(rules, comparison, labels).verdicts]
 
 
 GAPS = st.dictionaries(st.sampled_from([f"{x}{i}" for x in "ab" for i in range(4)]), st.floats(-3.0, 3.0), min_size=1)
@@ -145,7 +144,7 @@ def test_a_value_that_is_gone_is_named_and_no_delta() -> None:
     }  # fmt: skip
     assert found.pairs["delta"].isna().all()
     assert [tuple(flip) for flip in found.flips[["log", "before", "after"]].to_numpy()] == [
-        ("a2", NOT_ASKED, "fail")
+        ("a2", "not asked", "fail")
     ]  # fmt: skip
     assert said(found, NO_FLIPS, Rule(max_flips=1), RISES) == ["fail", "pass", "inconclusive"]
 
@@ -166,10 +165,10 @@ def test_other_inputs_and_other_metrics_are_named() -> None:
 def test_a_missing_log_counts_against_the_candidate_and_no_log_is_inconclusive() -> None:
     found = of({"a1": 1.0, "a2": 1.0}, {"a1": 1.0})
     assert found.only_in_baseline == ("a2, dp_qp, closed loop",)
-    assert judged((NONE_MISSING,), found, {}).exit_code == 1
-    assert judged((replace(NONE_MISSING, max_missing=1),), found, {}).exit_code == 0
+    assert judge_rules((NONE_MISSING,), found, {}).exit_code == 1
+    assert judge_rules((replace(NONE_MISSING, max_missing=1),), found, {}).exit_code == 0
     assert of({"a1": 1.0}, {"b1": 1.0}).exit_code == 4
-    assert judged((NONE_MISSING,), of({"a1": 1.0}, {"b1": 1.0}), {}).exit_code == 1
+    assert judge_rules((NONE_MISSING,), of({"a1": 1.0}, {"b1": 1.0}), {}).exit_code == 1
 
 
 # rules ------------------------------------------------------------------------------------------------------------
@@ -191,7 +190,7 @@ def test_significance_needs_the_logs_to_agree_and_to_be_enough() -> None:
 def test_a_rule_says_the_interval_of_the_table() -> None:
     found = of({f"a{i}": 2.0 for i in range(8)}, {f"a{i}": 1.0 + 0.37 * (i * 5 % 8) for i in range(8)})
     suite = found.groups[found.groups["kind"] == "suite"].iloc[0]
-    (verdict,) = judged((FALLS,), found, {}).verdicts
+    (verdict,) = judge_rules((FALLS,), found, {}).verdicts
     assert f"[{suite['low']:+.4g}, {suite['high']:+.4g}]" in verdict.reason
 
 
@@ -230,7 +229,7 @@ def test_noise_and_fragile_drives_flip_nothing() -> None:
     one, two = side("old", row("a1", 1.0), row("a2", 1.0), fragile), side("new", row("a1", 0.1), row("a2", 1.0))
     found = compare(one, two, Gates((GAP,), "test"))
     assert list(found.flips["marginal"]) == [True]
-    verdicts = judged((NO_FLIPS, Rule("gap.min", max_decrease=0.1, over="worst")), found, {}).verdicts
+    verdicts = judge_rules((NO_FLIPS, Rule("gap.min", max_decrease=0.1, over="worst")), found, {}).verdicts
     assert [verdict.outcome for verdict in verdicts] == [Outcome.PASS] * 2
     assert verdicts[0].reason == "0 flips; 1 marginal" and "fragile and left out: 1" in verdicts[1].reason
 
@@ -245,15 +244,15 @@ def test_a_candidate_does_not_excuse_itself() -> None:
 def test_a_log_with_another_content_is_not_the_same_log() -> None:
     one, two = side("old", row("a1", 1.0)), side("new", row("a1", 1.0), sha="2")
     found = compare(one, two, Gates((GAP,), "test"))
-    (verdict,) = judged((NONE_MISSING,), found, {}).verdicts
+    (verdict,) = judge_rules((NONE_MISSING,), found, {}).verdicts
     assert found.other_logs == ("a1",) and verdict.outcome is Outcome.INCONCLUSIVE and "a1" in verdict.reason
 
 
 def test_values_that_are_gone_are_counted_and_all_gone_is_no_pass() -> None:
     base = {f"a{i}": 1.0 for i in range(8)}
-    (verdict,) = judged((FALLS,), of(base, base | {"a0": np.nan}), {}).verdicts
+    (verdict,) = judge_rules((FALLS,), of(base, base | {"a0": np.nan}), {}).verdicts
     assert verdict.outcome is Outcome.PASS and verdict.reason.endswith("over 7 logs; no value any more in 1 log")
-    (verdict,) = judged((FALLS,), of(base, dict.fromkeys(base, np.nan)), {}).verdicts
+    (verdict,) = judge_rules((FALLS,), of(base, dict.fromkeys(base, np.nan)), {}).verdicts
     assert verdict.outcome is Outcome.INCONCLUSIVE and "in none of the candidate" in verdict.reason
 
 

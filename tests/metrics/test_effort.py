@@ -96,32 +96,3 @@ def test_fallbacks() -> None:
     assert table.loc["fallback.rate", "time_s"] == pytest.approx(0.2)
     assert table.loc["fallback.rate", "reason"].endswith("along the last path: the speed QP is infeasible")
     assert judged().loc["fallback.rate", "reason"] == "the drive has no plans"
-
-
-# how much plans change --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("mode", Mode)
-def test_plans_that_go_on_do_not_change(mode: Mode) -> None:
-    table = judged(mode=mode, frames=plans(LOG.ego, T[:30], 2.0))["value"]
-    assert table["plan_change.max"] == pytest.approx(0.0, abs=1e-12)
-    assert table["plan_change_lateral.max"] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_a_plan_that_flips_to_the_other_side() -> None:
-    frames = list(plans(LOG.ego, T[:20], 2.0))
-    for i, frame in enumerate(frames):
-        side = 1.0 if i < 7 else -1.0
-        plan = frame.plan.trajectory
-        frames[i] = PlannedFrame(frame.t, Plan(replace(plan, y=side * (plan.t - plan.t[0]))))
-    table = judged(frames=tuple(frames))
-    assert table.loc["plan_change_lateral.max", "time_s"] == pytest.approx(0.7)
-    assert table.loc["plan_change_lateral.max", "value"] == pytest.approx(2.0 + 1.9)
-    assert table.loc["plan_change.max", "value"] == pytest.approx(1.05 + 0.95)
-
-
-def test_plans_that_cannot_be_compared() -> None:
-    assert judged(frames=plans(LOG.ego, T[:1], 2.0)).loc["plan_change.max", "reason"] == "fewer than two plans"
-    apart = plans(LOG.ego, T[[0, 40]], 1.0)
-    reason = judged(frames=apart).loc["plan_change.max", "reason"]
-    assert reason == "successive plans never overlap, or are never longer than 5 m"

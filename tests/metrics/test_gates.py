@@ -15,7 +15,7 @@ from metrics import COLUMNS, METRICS, evaluate
 from metrics.judge import Verdict, judge, outcomes, worst
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Gate, Gates, Outcome, load_gates
-from metrics.judge.rows import with_asked
+from metrics.judge.verdicts import with_asked
 
 PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
 

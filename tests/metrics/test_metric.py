@@ -1,17 +1,35 @@
+"""The vocabulary of metrics, their table and pages, and all metrics of drives that hardly are any."""
+
 from __future__ import annotations
 
+import gc
 import re
+import weakref
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from drives import along, drive, grid, moving, scenario
+from drives import along, drive, grid, moving, plans, scenario, straight_road
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
-from logs import AgentKind, ConfigError, Mode, Scenario, Trace
-from metrics import COLUMNS, METRICS, Metric, Series, Unavailable, evaluate, load_metric, series
+from logs import AgentKind, ConfigError, EndReason, Goal, Mode, RoadSource, Scenario, Trace
+from logs.kernel import FloatArray
+from metrics import (
+    COLUMNS,
+    GROUPS,
+    METRICS,
+    Metric,
+    Series,
+    Unavailable,
+    evaluate,
+    evaluate_with_series,
+    load_metric,
+    series,
+)
 from metrics.metric import (
     COUNT,
     FINAL,
@@ -26,10 +44,13 @@ from metrics.metric import (
     RMS,
     Measured,
     changed,
+    last,
+    once,
     time_above,
     time_below,
     time_outside,
 )
+from replay.cli import app
 
 values = st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=30)
 
@@ -144,21 +165,6 @@ def test_series_are_the_steps_behind_the_table() -> None:
     assert speed["value"].mean() == table.set_index("metric").loc["speed.mean", "value"]
 
 
-def test_every_metric_can_be_read_about() -> None:
-    for metric in METRICS.values():
-        assert metric.meaning.endswith(".")
-        assert metric.unit
-        assert metric.modes
-        assert len({reduction.name for reduction in metric.reductions}) == len(metric.reductions) > 0
-
-
-def test_a_drive_of_one_sample_is_evaluated() -> None:
-    log = scenario(along(np.zeros(1), 10.0), duration=5.0)
-    for mode in Mode:
-        table = evaluate(drive(log, mode=mode), log)
-        assert len(table) > 20
-
-
 def test_parts_keep_their_names_where_nothing_is_available() -> None:
     log = scenario(along(np.zeros(1), 10.0), duration=5.0)
     table = evaluate(drive(log, mode=Mode.OPEN), log).set_index("metric")
@@ -195,3 +201,152 @@ def test_reasons_have_short_names_and_about_has_the_whole_id() -> None:
     pd.testing.assert_frame_equal(found[same], plain[same])
     assert found["about"].tolist() == [re.sub(r"\b1[78]\b", lambda hit: whole[hit[0]], each) for each in plain["about"]]
     assert {"car 23f7", "car 23f8"} & set(found["reason"]) and not found["reason"].str.contains("-4b8e-|-4dbb-").any()
+
+
+class Drive:
+    """Something that can be held weakly."""
+
+
+def test_the_same_question_is_answered_once_and_another_anew() -> None:
+    asked: list[tuple[object, ...]] = []
+
+    @once
+    def found(drive: Drive, bound: float, *, kept: bool = False) -> object:
+        asked.append((drive, bound, kept))
+        return object()
+
+    one, two = Drive(), Drive()
+    assert found(one, 1.0) is found(one, 1.0)
+    assert found(one, 2.0) is not found(one, 1.0) and found(one, 1.0, kept=True) is not found(one, 1.0)
+    assert found(two, 1.0) is not found(one, 1.0)
+    assert len(asked) == 4
+
+
+def test_only_the_newest_large_results_are_kept() -> None:
+    asked: list[int] = []
+
+    @last(2)
+    def found(drive: Drive, number: int) -> int:
+        asked.append(number)
+        return number
+
+    drive = Drive()
+    for number in (1, 2, 1, 3, 2, 1):
+        assert found(drive, number) == number
+    assert asked == [1, 2, 3, 1], "3 put 1 out, and nothing else was asked for anew but 1"
+
+
+def test_nothing_is_kept_of_a_drive_that_is_gone() -> None:
+    @once
+    def found(drive: Drive) -> list[int]:
+        return held
+
+    held = [1]
+    drive = Drive()
+    gone = weakref.ref(drive)
+    assert found(drive) is held
+    before = len(gc.get_referrers(held))
+    del drive
+    gc.collect()
+    assert gone() is None and len(gc.get_referrers(held)) == before - 1
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "metrics.md"
+
+
+def said(*words: str) -> str:
+    result = CliRunner().invoke(app, ["metrics", *words])
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_the_page_is_what_the_command_prints() -> None:
+    assert PAGE.read_text() == said("--markdown"), "replan metrics --markdown > docs/metrics.md"
+
+
+def test_the_list_names_every_metric_under_its_group() -> None:
+    lines = said().splitlines()
+    assert [line for line in lines if line and not line.startswith(" ")] == list(GROUPS)
+    assert [line.split()[0] for line in lines if line.startswith(" ")] == list(METRICS)
+
+
+@pytest.mark.parametrize("metric", METRICS.values(), ids=METRICS.keys())
+def test_a_metrics_page_says_all_about_it(metric: Metric) -> None:
+    text = said(metric.name)
+    assert metric.formula and metric.meaning.endswith(".") and metric.unit
+    for told in (metric.formula, metric.meaning, metric.unit, metric.source, *metric.parameters, metric.needs):
+        assert told in text
+    for reduction in metric.reductions:
+        assert reduction.name in text
+    assert not any(mark in metric.formula for mark in "`\n")
+
+
+def test_what_needs_nothing_is_always_available() -> None:
+    log = scenario(along(np.zeros(1), 10.0), duration=5.0)
+    free = {metric.name: metric for metric in METRICS.values() if not metric.needs}
+    assert {"collision", "completed", "distance"} <= free.keys()
+    for mode in Mode:
+        assert evaluate(drive(log, mode=mode), log, metrics=free)["available"].all()
+
+
+def test_a_page_of_ones_own_metric_and_of_none() -> None:
+    assert "For a test." in said("metrics_of_mine:MINE")
+    result = CliRunner().invoke(app, ["metrics", "gpa"])
+    assert result.exit_code == 2
+    assert "gpa" in result.output
+
+
+T = grid(4.0, 0.1)
+LOG = scenario(along(T, 10.0), duration=9.0)
+
+
+def _priority() -> Scenario:
+    lanes = straight_road(lanes=2, limit=13.0).lanes
+    road = replace(straight_road(), lanes={**lanes, 0: replace(lanes[0], yields_to=(1,))})
+    region: FloatArray = np.array([[30.0, -2.0], [40.0, -2.0], [40.0, 2.0], [30.0, 2.0]])
+    return replace(LOG, road=road, goal=Goal((region,)))
+
+
+LOGS = {
+    "plain": LOG,
+    "right of way": _priority(),
+    "no lanes": replace(LOG, road=replace(straight_road(), source=RoadSource.DRIVEN_PATH)),
+    "one logged state": replace(LOG, ego=along(T[:1], 10.0)),
+    "stands": replace(LOG, ego=along(T, 0.0)),
+}
+STATES_AND_FRAMES = ((1, 0), (1, 1), (2, 1), (2, 2), (len(T), 0))
+"""The third is a planner that fails at its second frame."""
+
+
+def _drive(log: Scenario, mode: Mode, states: int, frames: int) -> Trace:
+    ego = along(T[:states], 10.0)
+    return drive(log, ego, mode=mode, frames=plans(along(T, 10.0), T[:frames], 2.0))
+
+
+@pytest.mark.parametrize("mode", [Mode.OPEN, Mode.CLOSED])
+@pytest.mark.parametrize("log", LOGS.values(), ids=LOGS.keys())
+def test_all_metrics_of_a_drive_that_hardly_is_one_have_a_value_or_a_reason(log: Scenario, mode: Mode) -> None:
+    metrics = [metric for metric in METRICS.values() if mode in metric.modes]
+    for states, frames in STATES_AND_FRAMES:
+        table, _ = evaluate_with_series(_drive(log, mode, states, frames), log)
+        for metric in metrics:
+            assert table["metric"].str.startswith(f"{metric.name}.").sum() >= len(metric.reductions)
+        assert (table["available"] == np.isfinite(table["value"])).all()
+        assert (table.loc[~table["available"], "reason"] != "").all()
+
+
+def test_the_instant_of_contact_counts() -> None:
+    """Row 20: at 30 m/s and 0.01 s only the last step, with which the drive ends, is nearer than 0.2 m."""
+    ego = along(grid(1.0), 30.0)
+    rear = float(ego.x[-1]) + LOG.vehicle.axle_to_front
+    stands = ("7", AgentKind.CAR, (4.0, 1.8), moving(rear + 2.0 - 0.01, 0.0, 0.0, 0.0, 0.0))
+    log = scenario(ego, [stands])
+    table = evaluate(drive(log, end=EndReason.COLLISION), log, metrics={"gap": METRICS["gap"]}).set_index("metric")
+    assert table.loc["gap.min", "value"] == 0.0
+    assert table.loc["gap.time_below_20cm", "value"] == pytest.approx(0.005)
+
+
+def test_right_of_way_of_one_state_says_why() -> None:
+    log = LOGS["right of way"]
+    table = evaluate(_drive(log, Mode.CLOSED, 1, 0), log).set_index("metric")
+    assert table.loc["priority_gap.min", "reason"] == "the drive holds one ego state only"

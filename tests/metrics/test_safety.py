@@ -16,9 +16,8 @@ from logs.kernel import FloatArray
 from logs.road import inside
 from logs.shapes import distance, point_segment, time_to_contact
 from metrics import evaluate, series
-from metrics.boxes import ego_boxes
+from metrics.boxes import ego_boxes, others_at
 from metrics.lanes import drivable_lanes, limits_at, off_lanes, under
-from metrics.others import others_at
 from metrics.safety import OUTLINE_M, ContactKind, contacts
 
 CAR = (4.5, 1.8)

@@ -193,11 +193,7 @@ def test_an_empty_path_is_no_value_and_no_time() -> None:
 def test_every_metric_says_what_it_is() -> None:
     assert set(MINE) == set(NEW)
     for metric in MINE.values():
-        assert metric.formula
-        assert metric.parameters
-        assert metric.needs
-        assert metric.meaning
-        assert metric.source
+        assert all((metric.formula, metric.parameters, metric.needs, metric.meaning, metric.source))
 
 
 @pytest.mark.parametrize("degrees", [30, 60, 89, 120, 180])

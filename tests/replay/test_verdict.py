@@ -16,11 +16,11 @@ from logs import AgentKind, EndReason, Goal, Mode, PlanStatus, Road, Scenario
 from logs.catalogue import CATALOGUE
 from logs.readers.cut import cut
 from metrics import evaluate
+from metrics.boxes import phantoms
 from metrics.judge import CAREFUL, DRIVER, REFERENCE, Verdict, judge
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Outcome, load_gates
-from metrics.judge.rows import judge_deadline
-from metrics.phantoms import phantoms
+from metrics.judge.verdicts import judge_deadline
 from replay.config import LoopConfig
 from replay.drive import Drive
 from replay.loop.avoidability import with_avoidability

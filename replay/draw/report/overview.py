@@ -26,7 +26,7 @@ from metrics.compare import Comparison
 from metrics.judge import outcomes, worst
 from metrics.judge.aggregate import LogLabels, membership, pass_shares, standings
 from metrics.judge.gates import Outcome
-from metrics.judge.rows import judge_deadline
+from metrics.judge.verdicts import judge_deadline
 from replay.draw.charts.subject import gravity
 from replay.draw.report.model import (
     COLUMNS,

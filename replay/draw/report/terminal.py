@@ -18,8 +18,9 @@ from rich.padding import Padding
 from rich.text import Text
 
 from logs.names import counted
-from metrics.compare import DRIVE, Comparison
+from metrics.compare import Comparison
 from metrics.judge.gates import Outcome
+from metrics.judge.verdicts import DRIVE
 from replay.draw.report.console import grid, titled
 from replay.draw.report.model import BROKEN, NOTHING, Overview, legend, worst_flips
 

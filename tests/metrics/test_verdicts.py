@@ -1,22 +1,29 @@
-"""Gates over many logs: mean, median, sum, share of passes, by family, tag and dataset; what is lost counts against."""
+"""Verdicts over many logs: means, shares, groups; ensembles, late plans, and marginal values."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from drives import along, drive, grid, moving, scenario
 from hypothesis import given
 from hypothesis import strategies as st
 
+from logs import AgentKind
 from logs.errors import ConfigError
-from metrics import COLUMNS
+from logs.transform import sampled
+from metrics import COLUMNS, METRICS, evaluate
 from metrics.judge import Verdict, judge, outcomes
 from metrics.judge.aggregate import LogLabels, wilson
+from metrics.judge.excuses import INTERVAL, marginal
 from metrics.judge.gates import Gate, Gates, Outcome, load_gates
+from metrics.judge.verdicts import MISS_COLUMNS, deadline_misses, with_ensemble
+from replay.run.perturb import NOISE_M, PERTURBATIONS, START_M, perturbed
 
 PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
 GAP = "gap.min"
@@ -232,3 +239,138 @@ def test_what_makes_no_sense_is_refused(tmp_path: Path, text: str, message: str)
     path.write_text(f'[[gate]]\nmetric = "gap.min"\nmin = 0.5\n{text}\n')
     with pytest.raises(ConfigError, match=message):
         load_gates(path)
+
+
+GATES = Gates((Gate("speed.max", max=10.5, mode="closed"), Gate("ensemble.fragile", max=0.0, optional=True)), "test")
+
+
+def evaluated(*speeds: float) -> list[pd.DataFrame]:
+    log = scenario(along(grid(1.0), 10.0))
+    return [evaluate(drive(log, along(grid(1.0), speed)), log) for speed in speeds]
+
+
+def ensemble(plain: float, *members: float) -> dict[str, tuple[float, str]]:
+    rows = pd.concat([t.assign(member=i, perturbation=f"kind{i}") for i, t in enumerate(evaluated(*members), 1)])
+    found = with_ensemble(evaluated(plain)[0], rows, GATES, {"test/log": LogLabels()})
+    found = found[found["metric"].str.startswith("ensemble.")]
+    assert found["available"].all()
+    return {row.metric: (row.value, row.reason) for row in found.itertuples()}
+
+
+@pytest.mark.parametrize(("plain", "members"), [(10.0, (10.0, 9.0)), (11.0, (12.0, 13.0))])
+def test_a_verdict_that_holds_everywhere_is_not_fragile(plain: float, members: tuple[float, ...]) -> None:
+    found = ensemble(plain, *members)
+    assert found["ensemble.fragile"] == (0.0, "")
+    assert found["ensemble.pass_share"][0] == (1.0 if plain < 10.5 else 0.0)
+
+
+def test_a_verdict_that_flips_is_fragile_and_says_where() -> None:
+    found = ensemble(10.0, 10.0, 11.0)
+    assert found["ensemble.pass_share"][0] == pytest.approx(2.0 / 3.0)
+    assert found["ensemble.fragile"] == (1.0, "kind2: pass -> fail (speed.max <= 10.5 [closed])")
+
+
+def test_without_members_the_table_stays_and_says_why_there_is_no_value() -> None:
+    (plain,) = evaluated(10.0)
+    assert with_ensemble(plain, pd.DataFrame(), GATES, {"test/log": LogLabels()}) is plain
+    assert (
+        plain.loc[plain["metric"] == "ensemble.fragile", "reason"] == "the run has no ensemble (--ensemble N)"
+    ).all()
+
+
+def test_the_kinds_take_turns_and_are_the_same_in_every_run() -> None:
+    car = ("7", AgentKind.CAR, (4.0, 2.0), moving(30.0, 0.0, 5.0, 0.0))
+    log = scenario(along(grid(1.0, 0.1), 10.0), [car])
+    kinds = list(PERTURBATIONS)
+    for member in range(1, len(kinds) + 2):
+        name, one = perturbed(log, member)
+        assert name == kinds[(member - 1) % len(kinds)]
+        assert np.array_equal(one.tracks.x, perturbed(log, member)[1].tracks.x)
+    worlds = dict(perturbed(log, member) for member in range(1, len(kinds) + 1))
+    assert worlds["again"] is log
+    assert worlds["clock"].start_ns != log.start_ns
+    assert 0.0 < np.abs(worlds["tiny"].tracks.x - log.tracks.x).max() <= 1e-9
+    assert (
+        0.0 < np.hypot(worlds["start"].ego.x - log.ego.x, worlds["start"].ego.y - log.ego.y).max() <= START_M * 2**0.5
+    )
+    assert 0.3 * NOISE_M < np.std(worlds["noise"].tracks.x - log.tracks.x) < 3.0 * NOISE_M
+    assert np.allclose(np.diff(worlds["rate"].tracks.t), 0.2)
+    assert np.allclose(np.hypot(*(np.diff(c) for c in (worlds["turned"].ego.x, worlds["turned"].ego.y))), 1.0)
+    assert not np.array_equal(perturbed(log, 2)[1].ego.yaw, perturbed(log, 2 + len(kinds))[1].ego.yaw)
+
+
+def timings(seconds: list[float], log: str = "a", planner: str = "p") -> pd.DataFrame:
+    rows = [(log, planner, "open", 0.1 * i, stage, s * part)
+            for i, s in enumerate(seconds) for stage, part in (("path", 0.7), ("total", 1.0))]  # fmt: skip
+    return pd.DataFrame(rows, columns=["log", "planner", "mode", "t_s", "stage", "seconds"])
+
+
+def test_misses_by_hand() -> None:
+    """0.1 s is met by 0.1 s; the stages of a plan count once, as its total."""
+    table = deadline_misses(pd.concat([timings([0.02, 0.1, 0.3, 0.11]), timings([0.2], planner="q")]), 0.1)
+    assert tuple(table.columns) == MISS_COLUMNS
+    assert table.iloc[0].tolist() == ["a", "p", "open", 4, 2, 0.5, 0.3, pytest.approx(0.2)]
+    assert table.iloc[1].tolist() == ["a", "q", "open", 1, 1, 1.0, 0.2, 0.0]
+    assert deadline_misses(timings([]), 0.1).empty
+    with pytest.raises(ValueError, match="deadline"):
+        deadline_misses(timings([0.1]), 0.0)
+
+
+@given(st.lists(st.floats(0.001, 1.0), min_size=1, max_size=20), st.floats(0.001, 1.0), st.floats(0.0, 1.0))
+def test_a_longer_deadline_is_missed_less(seconds: list[float], deadline: float, more: float) -> None:
+    table = timings(seconds)
+    assert (deadline_misses(table, deadline + more)["misses"] <= deadline_misses(table, deadline)["misses"]).all()
+
+
+def of(values: Mapping[str, float]) -> Callable[[str], float]:
+    return lambda name: values.get(name, float("nan"))
+
+
+TTC = Gate("ttc.time_below_950ms", max=0.0)
+
+
+@pytest.mark.parametrize(("rate", "near"), [(5.0, 0.3), (10.0, 0.15), (20.0, 0.075)])
+@given(st.floats(0.05, 3.0))
+def test_a_time_is_marginal_within_one_and_a_half_intervals(rate: float, near: float, least: float) -> None:
+    values = {"ttc.min": least, "ttc.time_below_950ms": float(least < 0.95), INTERVAL: 1.0 / rate}
+    said = marginal(TTC, of(values))
+    if abs(abs(least - 0.95) - near) > 1e-6:
+        assert bool(said) == (abs(least - 0.95) < near)
+    assert not said or said.startswith(f"marginal: at {rate:g} Hz the bound of 0.95 s is within {near:.2g} s of ")
+
+
+def test_a_flip_by_the_rate_is_marked() -> None:
+    """0.79 s at 20 Hz is 1.05 s at 5 Hz: the outcome at 5 Hz is marginal."""
+    assert "of 1.05 s" in marginal(TTC, of({"ttc.min": 1.05, "ttc.time_below_950ms": 0.0, INTERVAL: 0.2}))
+    assert not marginal(TTC, of({"ttc.min": 1.05, "ttc.time_below_950ms": 0.0}))
+    assert not marginal(TTC, of({INTERVAL: 0.2}))
+
+
+def test_what_is_not_about_others_or_far_from_its_bound_is_not_marginal() -> None:
+    values = {"off_road.max": 0.3, "off_road.time_beyond_30cm": 0.0, "lat_accel.worst_episode": 0.0, INTERVAL: 0.2}
+    values |= {"yielding.recorded.min": 1.4, "yielding.recorded.below_1500ms": 2.0}
+    values |= {"thw.time_below_900ms": 4.8, "gap_kept.min": 0.5, "gap_kept.time_below_20cm": 0.0}
+    found = {gate.metric for gate in load_gates(None).gates if marginal(gate, of(values))}
+    assert found == {"thw.time_below_900ms", "gap_kept.time_below_20cm", "yielding.recorded.below_1500ms"}
+    assert marginal(Gate("gap_kept.min", min=0.5), of(values | {"gap_kept.min": 0.7})).endswith("0.36 m of 0.7 m")
+    assert not marginal(Gate("lon_accel.max_abs", max=4.0), of({"lon_accel.max_abs": 4.0, INTERVAL: 0.2}))
+
+
+@pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
+def test_the_time_to_collision_of_one_drive_does_not_hang_on_the_rate(rate: float) -> None:
+    """A pedestrian walks in, and a car ahead brakes: the same drive among agents at another rate, within (2)."""
+    t = grid(6.0, 0.05)
+    walker = ("p", AgentKind.PEDESTRIAN, (0.6, 0.6), moving(45.0, -6.0, 0.0, 1.5))
+    lead = ("c", AgentKind.CAR, (4.5, 1.8), lambda t: (25.0 + 10.0 * t - 0.8 * t**2, 3.5 + 0 * t, 0 * t))
+    log = scenario(along(t, 10.0), [walker, lead])
+    asked = {name: METRICS[name] for name in ("ttc", "gap_kept", "agent_interval")}
+    fine, coarse = (
+        evaluate(drive(log, log.ego) if tracks is log else drive(tracks, log.ego), tracks, metrics=asked).set_index(
+            "metric"
+        )["value"]
+        for tracks in (log, sampled(log, rate))
+    )
+    assert coarse[INTERVAL] == pytest.approx(1.0 / rate)
+    assert coarse["ttc.min"] == pytest.approx(fine["ttc.min"], abs=0.05)
+    assert coarse["gap_kept.min"] == pytest.approx(fine["gap_kept.min"], abs=0.05)
+    assert np.isfinite(fine["ttc.min"])

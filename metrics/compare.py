@@ -17,15 +17,21 @@ Over a group of n logs with a value in both runs:
 The draws are seeded: equal tables give equal intervals. The percentile method, unlike BCa, has bounds where most
 differences are exactly 0.
 
-Both tables are judged by the same gates and the candidate's reference drives. A flip is marginal, and no rule
-(`metrics.compare.rules`) counts it, where the value moved by no more than the noise of (1), or where the baseline's
-ensemble found the drive fragile.
+Both tables are judged by the same gates and the candidate's reference drives. A flip is marginal, and no rule counts
+it, where the value moved by no more than the noise of (1), or where the baseline's ensemble found the drive fragile.
+
+Rules (`metrics.judge.gates.Rule`) say what a candidate may not do worse than a baseline. Marginal flips and, with
+"worst", fragile drives break no rule; the reason counts them. A rule is INCONCLUSIVE, optional or not, where evidence
+that the baseline had is gone: its metric is of another version, or in the baseline only; gates that passed have no
+value now, in more than LOST_SHARE of the logs; or the change is beyond the limit, `significant` is set, and there are
+fewer logs than any change can be significant on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -33,9 +39,10 @@ import pandas as pd
 
 from logs.kernel import BoolArray, FloatArray, IntArray
 from metrics.evidence import ENSEMBLE
-from metrics.judge import REFERENCE, judge, outcomes
 from metrics.judge.aggregate import SUITE, LogLabels, membership
-from metrics.judge.gates import Gates, Outcome
+from metrics.judge.excuses import REFERENCE
+from metrics.judge.gates import Gates, Outcome, Rule, count_logs, unit_of
+from metrics.judge.verdicts import DRIVE, judge, outcomes
 
 NOISE_ABS, NOISE_REL = 1e-9, 1e-6  # Rounding: sums of another order, a solver's last iterations
 NAMED = 5  # More logs than these are counted and not named
@@ -44,7 +51,6 @@ MIN_SIGNIFICANT = 6  # Fewer logs all move one way by chance more often than at 
 CONFIDENCE, RESAMPLES, SEED = 0.95, 2000, 20260101
 BATCH = 250  # Draws at a time: bounds memory, and is part of what makes the draws the same
 
-DRIVE = ["log", "planner", "mode"]
 SCORE = ["planner", "mode", "metric"]
 KEYS = [*DRIVE, "metric"]
 PAIR_COLUMNS = (
@@ -60,7 +66,8 @@ GROUP_COLUMNS = (
 )  # fmt: skip
 PARTING_COLUMNS = (*DRIVE, "t_s", "stage", "what")
 BY_LOG = ("worst", "pass_share")  # `over` of the gates that each log passes or fails by itself
-NOT_ASKED = "not asked"  # Outcome of an optional gate on a log without the value
+SEVERITY = (Outcome.PASS, Outcome.INCONCLUSIVE, Outcome.FAIL)
+LOST_SHARE = 0.1  # Of a gate's logs that may lose the value that passed it: as `Gate.max_missing`
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +161,7 @@ class Comparison:
     @property
     def by_loop(self) -> tuple[str, ...]:
         """A sentence for each loop, the closed one first: drives with flips to PASS alone, to FAIL alone, and both."""
-        said = []
+        sentences = []
         flips = self.flips[~self.flips["marginal"].astype(bool)]
         for mode in sorted(set(self.pairs["mode"])):
             mine = flips[flips["mode"] == mode]
@@ -165,8 +172,8 @@ class Comparison:
             mixed = f", {len(better & worse)} both" if better & worse else ""
             drives = len(self.pairs.loc[self.pairs["mode"] == mode, DRIVE].drop_duplicates())
             counts = f"{len(better - worse)} better, {len(worse - better)} worse{mixed}"
-            said.append(f"{mode.capitalize()} loop, by gates: {counts}, of {drives} drives.")
-        return tuple(said)
+            sentences.append(f"{mode.capitalize()} loop, by gates: {counts}, of {drives} drives.")
+        return tuple(sentences)
 
     def regressions(self, most: int, each: int = 2) -> pd.DataFrame:
         """The worst pairs, at most `each` of one drive: one bad drive does not hide the others."""
@@ -181,7 +188,7 @@ class Comparison:
 
 
 def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()) -> Comparison:
-    """Two runs compared by their tables, judged by the same gates; `metrics.compare.rules.judged` adds rules.
+    """Two runs compared by their tables, judged by the same gates; `judge_rules` adds rules.
 
     `also` are metrics that rules name beside the gates: they come before others among the regressions.
     """
@@ -201,14 +208,14 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
     flips["marginal"] |= pd.MultiIndex.from_frame(flips[DRIVE]).isin(fragile)
     return Comparison(
         baseline.label, candidate.label, tuple(_differences(baseline, candidate, changed)),
-        _missing(baseline, candidate), _missing(candidate, baseline), pairs, flips,
+        _missing_drives(baseline, candidate), _missing_drives(candidate, baseline), pairs, flips,
         group_deltas(pairs, candidate.labels),
         not_compared=tuple(sorted(bounds.keys() & (changed.keys() | alone & valued))),
-        other_logs=tuple(_other(baseline, candidate, "sha256")),
+        other_logs=tuple(_differing_logs(baseline, candidate, "sha256")),
     )  # fmt: skip
 
 
-def _missing(one: Side, two: Side) -> tuple[str, ...]:
+def _missing_drives(one: Side, two: Side) -> tuple[str, ...]:
     """The drives that only the first run has, or that failed in the second only."""
     there, failed = set(two.drives), set(two.crashed) - set(one.crashed)
     return tuple(
@@ -252,10 +259,10 @@ def noise(before: np.ndarray, now: np.ndarray) -> BoolArray:
         return np.asarray(np.abs(now - before) <= bound)
 
 
-class _Judged(NamedTuple):
+class _LogOutcome(NamedTuple):
     """Outcome of a gate on a log; of an optional gate on a log without the value the default."""
 
-    outcome: str = NOT_ASKED
+    outcome: str = Outcome.NOT_ASKED.value
     value: float = np.nan
     time_s: float = np.nan
     reason: str = ""
@@ -265,12 +272,19 @@ def _flips(baseline: Side, candidate: Side, gates: Gates, left_out: Collection[s
     """`FLIP_COLUMNS` of drives of both runs. A change between a pass and not being asked is no flip."""
     rules = Gates(tuple(g for g in gates.gates if g.over in BY_LOG and g.metric not in left_out), gates.source)
     metric = {str(gate): gate.metric for gate in rules.gates}
-    old, new = (_judged(rules, side, candidate.table) for side in (baseline, candidate))
+    judged = []  # outcomes of both runs by log, planner, mode and gate
+    for side in (baseline, candidate):  # by the candidate's reference drives where it has any
+        mine = candidate.table[(candidate.table["mode"] == REFERENCE) & candidate.table["log"].isin(side.logs["log"])]
+        own = side.table[(side.table["mode"] != REFERENCE) | ~side.table["log"].isin(mine["log"])]
+        found = outcomes(judge(rules, pd.concat([own, mine], ignore_index=True), side.labels, failed=side.failed))
+        fields = found[[*DRIVE, "gate", *_LogOutcome._fields]].itertuples(index=False, name=None)
+        judged.append({row[:4]: _LogOutcome(*row[4:]) for row in fields})
+    old, new = judged
     both, rows = {*baseline.drives} & {*candidate.drives}, []
     for key in dict.fromkeys([*old, *new]):
-        before, now = old.get(key, _Judged()), new.get(key, _Judged())
+        before, now = old.get(key, _LogOutcome()), new.get(key, _LogOutcome())
         change = {before.outcome, now.outcome}
-        if key[:3] not in both or len(change) == 1 or change == {NOT_ASKED, Outcome.PASS.value}:
+        if key[:3] not in both or len(change) == 1 or change == {Outcome.NOT_ASKED.value, Outcome.PASS.value}:
             continue
         marginal = bool(noise(np.array(before.value), np.array(now.value)))
         when = now.time_s if np.isfinite(now.time_s) else before.time_s
@@ -278,15 +292,6 @@ def _flips(baseline: Side, candidate: Side, gates: Gates, left_out: Collection[s
         rows.append((*key, metric[key[3]], *values))
     kinds = {"value_before": float, "value_after": float, "time_s": float, "marginal": bool}
     return pd.DataFrame(rows, columns=list(FLIP_COLUMNS)).astype(kinds)
-
-
-def _judged(gates: Gates, side: Side, references: pd.DataFrame) -> dict[tuple[str, str, str, str], _Judged]:
-    """Outcomes by log, planner, mode and gate; the reference drives are those of `references` where it has any."""
-    mine = references[(references["mode"] == REFERENCE) & references["log"].isin(side.logs["log"])]
-    own = side.table[(side.table["mode"] != REFERENCE) | ~side.table["log"].isin(mine["log"])]
-    found = outcomes(judge(gates, pd.concat([own, mine], ignore_index=True), side.labels, failed=side.failed))
-    rows = found[[*DRIVE, "gate", *_Judged._fields]].itertuples(index=False, name=None)
-    return {row[:4]: _Judged(*row[4:]) for row in rows}
 
 
 def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) -> Iterator[str]:
@@ -298,8 +303,8 @@ def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) ->
     for what, names in (
         ("settings of the baseline only", [key for key in old if key not in new]),
         ("settings of the candidate only", [key for key in new if key not in old]),
-        ("logs with another SHA-256", _other(baseline, candidate, "sha256")),
-        ("logs with another vehicle", _other(baseline, candidate, "vehicle")),
+        ("logs with another SHA-256", _differing_logs(baseline, candidate, "sha256")),
+        ("logs with another vehicle", _differing_logs(baseline, candidate, "vehicle")),
         ("metrics of another version, not compared", changes),
         ("metrics in the baseline only", [name for name in metrics[0] if name not in metrics[1]]),
         ("metrics in the candidate only", [name for name in metrics[1] if name not in metrics[0]]),
@@ -309,7 +314,7 @@ def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) ->
             yield f"{what}: {', '.join(names[:NAMED])}{more}"
 
 
-def _other(baseline: Side, candidate: Side, column: str) -> list[str]:
+def _differing_logs(baseline: Side, candidate: Side, column: str) -> list[str]:
     """Logs of both runs of which a column is known and not the same."""
     both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
     one, two = both[f"{column}_b"], both[f"{column}_c"]
@@ -317,28 +322,27 @@ def _other(baseline: Side, candidate: Side, column: str) -> list[str]:
 
 
 def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """`GROUP_COLUMNS` of `PAIR_COLUMNS`: rows by group of logs (the suite, parts with several logs) and score."""
+    """`GROUP_COLUMNS` of `PAIR_COLUMNS`, (4) to (6), by score and group of logs: the suite and its larger parts."""
     known, parts = pairs[pairs["delta"].notna()], []
     there = {log: labels[log] for log in labels if log in set(known["log"])}
     for (kind, name), logs in membership(there).items() if there else ():
-        if kind == SUITE or 1 < len(logs) < len(there):
-            parts.append(_group(known[known["log"].isin(logs)]).assign(kind=kind, group=name or "all"))
+        if not (kind == SUITE or 1 < len(logs) < len(there)):
+            continue
+        mine = known[known["log"].isin(logs)]
+        by = mine.assign(better=mine["worse"] < 0.0, worse=mine["worse"] > 0.0).groupby(SCORE, sort=True)
+        table = by.agg(
+            unit=("unit", "first"), direction=("direction", "first"), logs=("log", "size"),
+            baseline=("baseline", "mean"), candidate=("candidate", "mean"), delta=("delta", "mean"),
+            better=("better", "sum"), worse=("worse", "sum"),
+        )  # fmt: skip
+        deltas = mine.pivot_table(index=SCORE, columns="log", values="delta", sort=True).loc[table.index]
+        low, high = intervals(deltas.to_numpy(float))
+        clear = significant(low, high, table["logs"].to_numpy())
+        table = table.assign(low=low, high=high, significant=clear).reset_index()
+        parts.append(table.assign(kind=kind, group=name or "all"))
     numbers = dict.fromkeys(("baseline", "candidate", "delta", "low", "high"), float)
     empty = pd.DataFrame(columns=list(GROUP_COLUMNS)).astype({**numbers, "significant": bool})
     return pd.concat(parts, ignore_index=True)[list(GROUP_COLUMNS)] if parts else empty
-
-
-def _group(pairs: pd.DataFrame) -> pd.DataFrame:
-    """Means (4), intervals (5) and significance (6) of each planner, mode and metric."""
-    by = pairs.assign(better=pairs["worse"] < 0.0, worse=pairs["worse"] > 0.0).groupby(SCORE, sort=True)
-    table = by.agg(
-        unit=("unit", "first"), direction=("direction", "first"), logs=("log", "size"), baseline=("baseline", "mean"),
-        candidate=("candidate", "mean"), delta=("delta", "mean"), better=("better", "sum"), worse=("worse", "sum"),
-    )  # fmt: skip
-    deltas = pairs.pivot_table(index=SCORE, columns="log", values="delta", sort=True).loc[table.index]
-    low, high = intervals(deltas.to_numpy(float))
-    clear = significant(low, high, table["logs"].to_numpy())
-    return table.assign(low=low, high=high, significant=clear).reset_index()
 
 
 def intervals(deltas: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -362,3 +366,114 @@ def intervals(deltas: FloatArray) -> tuple[FloatArray, FloatArray]:
 def significant(low: FloatArray, high: FloatArray, logs: IntArray) -> BoolArray:
     """Whether changes with these intervals, over these numbers of logs, are more than chance (6)."""
     return np.asarray(((low > 0.0) | (high < 0.0)) & (logs >= MIN_SIGNIFICANT))
+
+
+def judge_rules(rules: tuple[Rule, ...], comparison: Comparison, labels: Mapping[str, LogLabels]) -> Comparison:
+    """The comparison of logs with these labels, with the verdicts of the rules; an optional rule may have none."""
+    verdicts = []
+    for rule in rules:
+        found = _judge_rule(rule, comparison, labels)
+        if found is not None:
+            outcome, reason = found
+            why = f" (the rule: {rule.reason})" if outcome is Outcome.FAIL and rule.reason else ""
+            verdicts.append(RuleVerdict(str(rule), outcome, f"{reason}{why}"))
+    return replace(comparison, verdicts=tuple(verdicts))
+
+
+def _judge_rule(rule: Rule, comparison: Comparison, labels: Mapping[str, LogLabels]) -> tuple[Outcome, str] | None:
+    """Outcome and reason; None where an optional rule has nothing to judge."""
+    if rule.max_missing is not None:
+        gone, other = comparison.only_in_baseline, comparison.other_logs
+        reason = f"missing in the candidate: {len(gone)} of the baseline's drives"
+        reason += f": {_first_three(gone, '; ')}" if gone else ""
+        if len(gone) <= rule.limit and other:
+            reason += f"; with another content (SHA-256), so no longer the same: {_first_three(other)}"
+            return Outcome.INCONCLUSIVE, reason
+        return Outcome.FAIL if len(gone) > rule.limit else Outcome.PASS, reason
+    tables = []
+    for table in (comparison.pairs, comparison.flips):
+        tags = table["log"].map(lambda log: set(labels[log].tags if log in labels else ()))
+        selected = tags.map(set(rule.tags).issubset).astype(bool)
+        for column, value in (("mode", rule.mode), ("planner", rule.planner)):
+            if value is not None:
+                selected &= table[column] == value
+        tables.append(table[selected])
+    pairs, flips = tables
+    names = [name for name in comparison.not_compared if (rule.metric or rule.gate) in ("", name)]
+    incomparable = f"of another version, or in the baseline only: {_first_three(names)}" if names else ""
+    if rule.max_flips is not None:
+        if len(pairs):
+            return _judge_flips(rule, flips, pairs, incomparable)
+        nothing = "no drives to compare"
+    elif incomparable:
+        return Outcome.INCONCLUSIVE, f"nothing to judge: {incomparable}"
+    else:
+        measured = pairs[(pairs["metric"] == rule.metric) & pairs["baseline"].notna()].sort_values("log")
+        if len(measured):  # in the order of the logs, as in the groups: it decides the draws
+            by = measured.groupby(["planner", "mode"], sort=True)
+            found = [_judge_change(rule, f"{planner}, {mode} loop", rows) for (planner, mode), rows in by]
+            return max(found, key=lambda one: (SEVERITY.index(one[1]), one[0]))[1:]
+        nothing = f"{rule.metric} was measured in both runs on no log that is asked"
+    return None if rule.optional else (Outcome.INCONCLUSIVE, f"nothing to judge: {nothing}")
+
+
+def _first_three(names: Sequence[str], between: str = ", ") -> str:
+    return between.join([*names[:3], *(["..."] if len(names) > 3 else [])])
+
+
+def _judge_flips(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame, incomparable: str) -> tuple[Outcome, str]:
+    flips = flips[flips["metric"] == rule.gate] if rule.gate else flips
+    bad = flips[
+        (flips["after"] == Outcome.FAIL.value) & flips["before"].isin([Outcome.PASS.value, Outcome.NOT_ASKED.value])
+    ]
+    clear, marginal = bad[~bad["marginal"]], int(bad["marginal"].sum())
+    names = _first_three([f"{row.log} ({row.mode} loop): {row.gate}" for row in clear.itertuples()], "; ")
+    count = "1 flip" if len(clear) == 1 else f"{len(clear)} flips"
+    reason = f"{count}{f': {names}' if names else ''}{f'; {marginal} marginal' if marginal else ''}"
+    if len(clear) > rule.limit:
+        return Outcome.FAIL, reason
+    lost = []
+    passed = flips[(flips["before"] == Outcome.PASS.value) & (flips["after"] == Outcome.INCONCLUSIVE.value)]
+    for (planner, mode, gate), rows in passed[passed["value_after"].isna()].groupby(["planner", "mode", "gate"]):
+        logs = pairs.loc[(pairs["planner"] == planner) & (pairs["mode"] == mode), "log"].nunique()
+        lost += [f"{gate} ({len(rows)} of {logs})"] if len(rows) > LOST_SHARE * logs else []
+    missing = [f"gates not compared, {incomparable}"] if incomparable else []
+    missing += [f"passed before, and without a value now in too many logs: {_first_three(lost, '; ')}"] if lost else []
+    return Outcome.INCONCLUSIVE if missing else Outcome.PASS, "; ".join([reason, *missing])
+
+
+def _judge_change(rule: Rule, drives: str, rows: pd.DataFrame) -> tuple[float, Outcome, str]:
+    """By how much one planner and loop is over the limit, its outcome, and what was found."""
+    lost, rows = rows[rows["delta"].isna()], rows[rows["delta"].notna()]
+    if rows.empty:
+        found = f"{rule.metric} has a value in {count_logs(len(lost))} of the baseline, and in none of the candidate"
+        return -np.inf, Outcome.INCONCLUSIVE, f"{drives}: {found}"
+    unit = unit_of(str(rows["unit"].iloc[0]))
+    if rule.over == "worst":
+        held, fragile = rows[~rows["fragile"]], int(rows["fragile"].sum())
+        left_out = f"; fragile and left out: {fragile}" if fragile else ""
+        over, reason = -np.inf, f"no drive that is not fragile{left_out}"
+        if len(held):
+            row = held.iloc[int(np.argmax(rule.sign * held["delta"].to_numpy(float)))]
+            where = f"on {row['log']}" + (f" at {row['time_s']:.2f} s" if isfinite(row["time_s"]) else "")
+            over = rule.sign * float(row["delta"]) - rule.limit
+            reason = f"{rule.metric} {row['baseline']:.4g} -> {row['candidate']:.4g}{unit} {where}{left_out}"
+        outcome = Outcome.FAIL if over > 0.0 else Outcome.PASS
+    else:  # the mean or median change over the logs that have both values
+        delta = rows["delta"].to_numpy(float)
+        value = float(np.median(delta) if rule.over == "median" else np.mean(delta))
+        low, high = intervals(delta[None, :]) if rule.over == "mean" else np.full((2, 1), np.nan)
+        inside = f" [{low[0]:+.4g}, {high[0]:+.4g}]" if isfinite(low[0]) else ""
+        means = " -> ".join(f"{rows[side].agg(rule.over):.4g}" for side in ("baseline", "candidate"))
+        reason = f"{rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over {count_logs(len(delta))}"
+        over = rule.sign * value - rule.limit
+        if over <= 0.0:
+            outcome = Outcome.PASS
+        elif not rule.significant or significant(low, high, np.array([len(delta)]))[0]:
+            outcome = Outcome.FAIL
+        elif len(delta) < MIN_SIGNIFICANT:
+            outcome, reason = Outcome.INCONCLUSIVE, f"{reason}: too few to say whether that is chance"
+        else:
+            outcome, reason = Outcome.PASS, f"{reason}: not significant"
+    aside = f"; no value any more in {count_logs(len(lost))}" if len(lost) else ""
+    return over, outcome, f"{drives}: {reason}{aside}"

@@ -1,20 +1,63 @@
-"""Boxes in which the recorded ego stands: found, left out for a while, and only in recorded logs."""
+"""Boxes on a grid in pieces or agent by agent, and phantoms: boxes in which the recorded ego stands."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from handmade import drive, scenario, straight, track, tracks
 
-from logs import AgentKind, Scenario
-from logs.catalogue import CATALOGUE
+import metrics
+from logs import AgentKind, Scenario, catalogue
 from logs.observed import MAX_GAP_S
 from logs.states import EgoState
-from metrics.others import others_at
-from metrics.phantoms import AROUND_S, phantoms, without_phantoms
+from metrics import boxes
+from metrics.boxes import AROUND_S, each, others_at, phantoms, pieces, without_phantoms
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.open_loop import run_open_loop
 from replay.world import World, contact
+
+LOGS = ("everyday/junction", "everyday/crosswalk", "pedestrian/group", "everyday/cyclist")
+SIZES = ((40, 7), (1, 1), (900, 250))
+CASES = [
+    pytest.param(name, *size, marks=[pytest.mark.slow] * (i != k or i > 1))
+    for i, name in enumerate(LOGS)
+    for k, size in enumerate(SIZES)
+]
+
+
+@pytest.mark.parametrize(("name", "cells", "steps"), CASES)
+def test_the_size_of_the_pieces_changes_no_bit(
+    monkeypatch: pytest.MonkeyPatch, name: str, cells: int, steps: int
+) -> None:
+    world = catalogue.scenario(name)
+    drives = [loop(world, "constant_speed").trace for loop in (run_open_loop, run_closed_loop)]
+    whole = [metrics.evaluate_with_series(trace, world) for trace in drives]
+    monkeypatch.setattr(boxes, "MOST_CELLS", cells)
+    monkeypatch.setattr(boxes, "PIECE_STEPS", steps)
+    monkeypatch.setattr("metrics.proposals.PIECE", steps)
+    for trace, (table, series) in zip(drives, whole, strict=True):
+        again = catalogue.scenario(name)  # the caches of the first know what was measured at once
+        table_again, series_again = metrics.evaluate_with_series(trace, again)
+        pd.testing.assert_frame_equal(table, table_again, check_exact=True)
+        pd.testing.assert_frame_equal(series, series_again, check_exact=True)
+
+
+def test_a_piece_holds_those_who_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracks, t = catalogue.scenario("everyday/junction").tracks, np.arange(0.0, 30.0, 0.1)
+    whole = others_at(tracks, t)
+    monkeypatch.setattr(boxes, "MOST_CELLS", 100)
+    seen = np.zeros_like(whole.there)
+    for steps, agents, some in pieces(tracks, t):
+        assert some.there.size <= 100 and some.there.shape == (len(agents), steps.stop - steps.start)
+        np.testing.assert_array_equal(some.pose, whole.pose[:, agents, steps])
+        seen[agents, steps] = some.there
+    np.testing.assert_array_equal(seen, whole.there)
+    for i, some, row in each(tracks, t):
+        np.testing.assert_array_equal(some.accel[row], whole.accel[i])
+
 
 EGO = drive(straight, 10.0, 12.0)
 T = np.round(np.arange(0.0, 12.05, 0.1), 9)
@@ -78,7 +121,7 @@ def test_nothing_is_excused_in_a_log_that_was_made_nor_where_nobody_stands() -> 
     made = log(track("8", T, 10.0 * T + CENTRE + LENGTH + 1.0, 0.0 * T))
     assert phantoms(made) == ()
     assert without_phantoms(made.tracks, ()) is made.tracks
-    for family in CATALOGUE.values():
+    for family in catalogue.CATALOGUE.values():
         assert not family.scenario().is_recorded
 
 

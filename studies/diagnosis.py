@@ -33,7 +33,8 @@ from logs.scenario import Agents
 from replay.config import load_run
 from replay.diagnose.causes import NOT_FOUND
 from replay.diagnose.changes import load_changes
-from replay.diagnose.diagnose import Diagnosis, diagnose, question
+from replay.diagnose.diagnose import diagnose, question
+from replay.diagnose.findings import Diagnosis
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import everybody
 from replay.results.load import Results

@@ -10,7 +10,10 @@ import typer
 from replay.cli.app import LOGS, LOOP, Json, Quiet, Workers, app, cores, handle_errors, option, say, say_json
 from replay.cli.search import Out, Resume, kept, tell
 
-CODES = "Exit codes: 0 the diagnosis is done; 2 wrong usage; 3 a log cannot be read; 130 interrupted: --resume goes on."
+CODES = (
+    "Exit codes: 0 the diagnosis is done; 2 wrong usage; 3 a drive cannot be driven again, the others are diagnosed;"
+    " 130 interrupted: --resume goes on."
+)
 
 
 @app.command(epilog=CODES)
@@ -61,3 +64,5 @@ def diagnose(
             say_json({**result.document(), "results": str(result.out)})
         else:
             say("\n".join([*result.lines(), f"written to {result.out}"]))
+        if result.exit_code:
+            raise typer.Exit(result.exit_code)

@@ -40,7 +40,7 @@ def report(
     with handle_errors():
         from logs.remote import url_of
         from replay.compare import compare_runs, read_run
-        from replay.diagnose.diagnose import read_diagnosis
+        from replay.diagnose.findings import read_diagnosis
         from replay.draw.report.overview import overview
         from replay.draw.report.write import write_reports
         from replay.results.load import load

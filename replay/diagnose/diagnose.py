@@ -1,41 +1,41 @@
-"""A diagnosis: the failing drives of a run, driven again with one thing changed, and its files.
+"""A diagnosis: the failing drives of a run, driven again with one thing changed.
 
-    OUT/diagnosis.json        causes by cluster and by drive, the sentences that are printed
-    OUT/diagnosis.md          the same as a page
-    OUT/diagnosis.csv         a row per failing drive; OUT/changes.csv one per drive and change
     OUT/logs/                 the logs of the failing drives
     OUT/changes/NAME/         results with a change, as `replan compare` and `replan view` take them; first "as_it_was"
     OUT/study.jsonl           what was driven; `--resume` goes on from it
 
-The same run gives the same diagnosis at any number of workers.
+and the files of `replay.diagnose.findings`. The same run gives the same diagnosis at any number of workers.
 """
 
 from __future__ import annotations
 
-import json
-import shlex
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
-from math import isfinite, nan
+from functools import cached_property
+from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
+import numpy as np
 
+from logs.agents import AgentKind
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.mcap import write_scenario
 from logs.names import counted
+from logs.scenario import Scenario
+from logs.trace import PlannedFrame
 from replay.config import RunConfig, dump_run
-from replay.diagnose.causes import UNAVOIDABLE, Cause, cause_of
+from replay.diagnose.causes import cause_of
 from replay.diagnose.changes import Change, ChangedRun, changed_runs, driven
 from replay.diagnose.drives import MODE, Driven, as_driven, drive_again, failed_gates, parting, passes
+from replay.diagnose.failure import AHEAD_S, Beside, Failure, Foreseen, lane_change
+from replay.diagnose.findings import AS_IT_WAS, Diagnosis, Found
 from replay.diagnose.remedy import Remedy, smallest_change
-from replay.explain.explanation import explained
+from replay.explain.causes import accounts
+from replay.explain.explanation import Explanation
 from replay.results.load import DriveResult, Results, load
-from replay.results.tables import PARTIAL, write_file, write_json, write_text
-from replay.results.version import replan_version
+from replay.results.tables import PARTIAL
 from replay.run.lock import held
 from replay.run.origin import scenario_of
 from replay.run.perturb import PERTURBATIONS, perturbed
@@ -43,7 +43,7 @@ from replay.run.resume import stamp_of
 from replay.search.space import Setting, Value, shown, with_values
 from replay.search.study import Study
 
-KIND, AS_IT_WAS = "diagnose", "as_it_was"
+KIND = "diagnose"
 CONTROLS = ("tiny", "start", "noise")
 """Perturbations (`replay.run.perturb`) with which a drive must fail, too, before a change shows anything."""
 
@@ -108,120 +108,6 @@ def question(results: Results, planner: str | None, logs: Sequence[str], changes
     return Question(results, planner, tuple(logs), tuple(changes))
 
 
-@dataclass(frozen=True)
-class Found:
-    """What was found of a failing drive.
-
-    Attributes:
-        log: Its name in the run.
-        gates: The gates that it fails.
-        about: The kind of road user that the first of them is about; "": none.
-        time_s: When; NaN: not known.
-        beyond: How far beyond its bound the first of them is; NaN likewise.
-        cause: The cause.
-        parts: Where the drive with the change that points to the cause parts from it: t_s, stage, what.
-        because: Why the planner slowed down there, in its explanation's words.
-        passing: Names of all changes with which it passes.
-    """
-
-    log: str
-    gates: tuple[str, ...]
-    about: str
-    time_s: float
-    beyond: float
-    cause: Cause
-    parts: Mapping[str, Any]
-    because: str
-    passing: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """The end of a diagnosis.
-
-    Attributes:
-        out: The folder.
-        question: What was asked for.
-        drives: A row per failing drive.
-        not_failing: Logs whose drives fail no more.
-        runs: The changes that were driven.
-        refused: Changes that cannot be applied to the run, and why.
-        table: A row per drive and change.
-        remedies: The smallest change of a setting for the first drive of each cluster, where settings are given.
-    """
-
-    out: Path
-    question: Question
-    drives: tuple[Found, ...]
-    not_failing: tuple[str, ...]
-    runs: tuple[ChangedRun, ...]
-    refused: Mapping[str, str]
-    table: pd.DataFrame
-    remedies: tuple[Remedy, ...] = ()
-
-    def clusters(self) -> list[tuple[Found, ...]]:
-        """Drives of one cause, change and kind of road user: most drives first, the worst ahead."""
-        found: dict[tuple[Any, ...], list[Found]] = {}
-        for one in self.drives:
-            found.setdefault((one.cause.name, one.cause.changes, one.about), []).append(one)
-        ordered = (sorted(some, key=lambda one: (-_number(one.beyond), one.log)) for some in found.values())
-        return sorted(map(tuple, ordered), key=lambda some: (-len(some), some[0].log))
-
-    def words_of(self, cause: Cause) -> str:
-        """Why a cause is named."""
-        words = {run.change.name: run.change.words for run in self.runs}
-        if cause.fragile:
-            return f"fragile: passes with a perturbation that should change nothing ({', '.join(cause.fragile)})"
-        if cause.changes:
-            return f"passes {', '.join(words[name] for name in cause.changes)}"
-        if cause.name == UNAVOIDABLE:
-            return "passes with no change, and the careful driver of UN R157 does not avoid the contact"
-        return f"passes with none of {counted(len(self.runs), 'change')}"
-
-    def lines(self) -> list[str]:
-        """The diagnosis in sentences."""
-        if not self.drives:
-            gone = f" ({counted(len(self.not_failing), 'drive')} of the run failed and passes now)"
-            return [f"No drive of {self.question.planner} fails{gone if self.not_failing else ''}."]
-        said = []
-        for some in self.clusters():
-            first = some[0]
-            who = f" ({first.about})" if first.about else ""
-            share = f"{len(some)} of {counted(len(self.drives), 'failing drive')}"
-            gates = ", ".join(dict.fromkeys(one.gates[0] for one in some))
-            said.append(f"{share}: {first.cause.name}; {self.words_of(first.cause)}; fails {gates}{who}.")
-            said.append(f"  Look first at {self._place(first)}")
-        if self.not_failing:
-            said.append(f"Fails no more, evaluate the run again: {', '.join(self.not_failing)}.")
-        said += [one.line() for one in self.remedies]
-        return [*said, *(f"Not tried: {name}: {why}." for name, why in self.refused.items())]
-
-    def _place(self, one: Found) -> str:
-        at = f" at {one.time_s:.1f} s" if isfinite(one.time_s) else ""
-        parts = f"; it parts at {one.parts['what']}" if one.parts else ""
-        because = f" {one.because}" if one.because else ""
-        return f"{one.log}{at}{parts}.{because}"
-
-    def document(self) -> dict[str, Any]:
-        """All of it as JSON has it."""
-        clusters = [
-            {"cause": some[0].cause.name, "why": self.words_of(some[0].cause), "about": some[0].about,
-             "gates": sorted({one.gates[0] for one in some}), "drives": [one.log for one in some]}
-            for some in self.clusters()
-        ]  # fmt: skip
-        return {
-            "replan": replan_version(), "run": str(self.question.results.path), "planner": self.question.planner,
-            "clusters": clusters, "drives": [_record(one) for one in self.drives],
-            "fails_no_more": list(self.not_failing), "changes": [asdict(run.change) for run in self.runs],
-            "not_tried": dict(self.refused), "remedies": [asdict(one) for one in self.remedies], "said": self.lines(),
-        }  # fmt: skip
-
-
-def _record(one: Found) -> dict[str, Any]:
-    """A drive as JSON has it: null where a number is not known."""
-    return {**asdict(one), "time_s": _finite(one.time_s), "beyond": _finite(one.beyond)}
-
-
 def diagnose(
     asked: Question,
     out: Path,
@@ -233,6 +119,8 @@ def diagnose(
 ) -> Diagnosis:
     """Drive the failing drives of a run again with each change, and write what that shows into `out`.
 
+    A drive that cannot be driven again is one of the findings: `Diagnosis.not_driven`.
+
     Args:
         asked: What is asked for.
         out: A folder that is new, empty, or holds an earlier diagnosis, which is replaced or resumed.
@@ -242,26 +130,27 @@ def diagnose(
         say: Called with a line after each change.
 
     Raises:
-        ConfigError: A folder that is not ours to write, nothing to resume, a log is not where it was, or another.
-        LogError: A log cannot be read.
+        ConfigError: A folder that is not ours to write, or nothing to resume.
         PlannerError: The planner cannot be loaded.
     """
     runs, refused = changed_runs(asked.changes, asked.run)
     with held(out):
         trials = _Trials(asked, out, Study(out, asked.head(), resume=resume), workers)
-        failing = [name for name in trials.files if trials.base_gates(name)]
-        say(f"{counted(len(failing), 'failing drive')} of {asked.planner}, {counted(len(runs), 'change')}")
-        for k, run in enumerate(runs):
-            row = trials.drive(run, failing)
-            passing = sum(one["passes"] for one in row["drives"].values())
+        lost = f", {len(trials.not_driven)} more cannot be driven again" if trials.not_driven else ""
+        failing = trials.failing
+        say(f"{counted(len(failing), 'failing drive')} of {asked.planner}{lost}, {counted(len(runs), 'change')}")
+        for k, run in enumerate(runs if failing else ()):
+            passing = sum(one["passes"] for one in trials.drive(run).values())
             say(f"{k + 1} of {len(runs)}: {run.change.name}: {passing} of {len(failing)} pass")
-        found = tuple(trials.found(name, runs) for name in failing)
-        gone = tuple(name for name in trials.files if name not in failing)
-        result = Diagnosis(out, asked, found, gone, runs, refused, trials.table(runs, failing))
+        gone = tuple(name for name in trials.files if name not in {*failing, *trials.not_driven})
+        result = Diagnosis(
+            out, asked.results.path, asked.planner, tuple(trials.found(name, runs) for name in failing), gone,
+            trials.not_driven, runs, refused, trials.answers,
+        )  # fmt: skip
         if settings:
             first = [some[0].log for some in result.clusters() if not some[0].cause.fragile]
             result = replace(result, remedies=tuple(trials.remedy(log, settings, say) for log in first))
-        _write(result)
+        result.write()
     return result
 
 
@@ -271,68 +160,40 @@ class _Trials:
     def __init__(self, asked: Question, out: Path, study: Study, workers: int) -> None:
         self._asked, self._out, self._study, self._workers = asked, out, study, workers
         self._drives: dict[str, DriveResult] = {}
-        self._folders = dict(zip(asked.results.logs["log"], asked.results.logs["folder"], strict=True))
+        self._logs = asked.results.logs.set_index("log")
         self.files = {name: self._file(name) for name in asked.failing()}
         if study.known(AS_IT_WAS) is None and self.files:
-            self._write_logs()
-            rows = {name: self._base_row(file) for name, file in self.files.items()}
+            lost = self._write_logs()
+            rows = {name: lost.get(name) or self._base_row(name) for name in self.files}
             study.add([{"key": AS_IT_WAS, "drives": rows}])
-        self._base_rows = (study.known(AS_IT_WAS) or {"drives": {}})["drives"]
+        self._base_rows: dict[str, Any] = (study.known(AS_IT_WAS) or {"drives": {}})["drives"]
+        self.failing = [name for name, row in self._base_rows.items() if row["gates"]]
+        self.not_driven = {name: row["lost"] for name, row in self._base_rows.items() if "lost" in row}
+        self.answers: dict[str, dict[str, Any]] = {}
 
     def _file(self, name: str) -> Path:
         """Where the log is written; folders of logs are unique, names without their special characters are not."""
-        return self._out / "logs" / f"{self._folders[name]}.mcap"
+        return self._out / "logs" / f"{self._logs['folder'].astype(str)[name]}.mcap"
 
-    def base_gates(self, name: str) -> tuple[str, ...]:
-        """The gates that the drive fails without a change."""
-        return tuple(self._base_rows[name]["gates"])
-
-    def drive(self, run: ChangedRun, failing: Sequence[str]) -> dict[str, Any]:
-        """The row of a change."""
-        known = self._study.known(run.change.name)
-        if known is not None or not failing:
-            return known or {"drives": {}}
-        files = [self.files[name] for name in failing]
-        place = self._out / "changes" / run.change.name
-        made = drive_again(files, run.run, self._asked.planner, place, workers=self._workers)
-        rows = {name: self._answer(name, made) for name in failing}
-        self._study.add([{"key": run.change.name, "drives": rows}])
-        return {"drives": rows}
-
-    def found(self, name: str, runs: Sequence[ChangedRun]) -> Found:
-        """What all changes show of a drive."""
-        base = self._base_rows[name]
-        answers = {run.change.name: self.drive(run, ())["drives"][name] for run in runs}
-        passing = tuple(change for change, answer in answers.items() if answer["passes"])
-        cause = cause_of(runs, passing, base["fragile"], avoidable=base["avoidable"])
-        parts = answers[cause.changes[0]]["parts"] if cause.changes else {}
-        time, beyond = (nan if base[key] is None else base[key] for key in ("time_s", "beyond"))
-        because = self._because(name, parts.get("t_s", time))
-        return Found(name, tuple(base["gates"]), base["about"], time, beyond, cause, parts, because, passing)
-
-    def table(self, runs: Sequence[ChangedRun], failing: Sequence[str]) -> pd.DataFrame:
-        """A row per drive and change."""
-        rows = [
-            {"log": name, "change": run.change.name, "cause": run.change.cause, "rank": run.change.rank,
-             "passes": one["passes"], "fails": "; ".join(one["gates"]), "end": one["end"],
-             "parts_s": one["parts"].get("t_s"), "parts_stage": one["parts"].get("stage", "")}
-            for name in failing
-            for run in runs
-            for one in [self.drive(run, ())["drives"][name]]
-        ]  # fmt: skip
-        columns = ["log", "change", "cause", "rank", "passes", "fails", "end", "parts_s", "parts_stage"]
-        return pd.DataFrame(rows, columns=columns)
-
-    def _write_logs(self) -> None:
+    def _scenario(self, name: str) -> Scenario:
         results = self._asked.results
-        logs = results.logs.set_index("log")
+        return scenario_of(results.path, self._logs.loc[name].to_dict(), results.run.log)
+
+    def _write_logs(self) -> dict[str, Any]:
+        """Write the logs of the failing drives, and each with a perturbation; rows of those that cannot be read."""
+        lost = {}
         (self._out / "logs").mkdir(exist_ok=True)
         for name, file in self.files.items():
-            scenario = scenario_of(results.path, logs.loc[name].to_dict(), results.run.log)
+            try:
+                scenario = self._scenario(name)
+            except (ConfigError, LogError) as error:  # it is not where it was, or damaged
+                lost[name] = {"gates": [], "lost": str(error)}
+                continue
             write_scenario(file, scenario)
             for control in CONTROLS:
                 member = list(PERTURBATIONS).index(control) + 1
                 write_scenario(_control(file, control), perturbed(scenario, member)[1])
+        return lost
 
     @cached_property
     def _base(self) -> Driven:
@@ -340,49 +201,29 @@ class _Trials:
         place, planner = self._out / "changes" / AS_IT_WAS, self._asked.planner
         if self._study.known(AS_IT_WAS) is not None:
             return as_driven(load(place), planner)
-        files = [each for file in self.files.values() for each in (file, *(_control(file, c) for c in CONTROLS))]
+        written = [file for file in self.files.values() if file.is_file()]
+        files = [each for file in written for each in (file, *(_control(file, name) for name in CONTROLS))]
         return drive_again(files, self._asked.run, planner, place, workers=self._workers)
 
-    def remedy(self, name: str, settings: Sequence[Setting], say: Callable[[str], None]) -> Remedy:
-        """The smallest change of a setting with which a drive passes, and what it does to the others."""
-        file, before, scratch = self.files[name], self.base_gates(name), self._out / f"{PARTIAL}remedy"
-
-        def drives(setting: Setting, value: Value, files: Sequence[Path]) -> Driven:
-            shutil.rmtree(scratch, ignore_errors=True)
-            run = with_values(self._asked.run, {setting.path: value})
-            return drive_again(files, run, self._asked.planner, scratch, workers=self._workers)
-
-        def mends(setting: Setting, value: Value) -> bool:
-            passed = passes(before, drives(setting, value, [file]).of(file))
-            say(f"{name}: {'passes' if passed else 'fails'} with {setting.key} = {shown(value)}")
-            return passed
-
-        try:
-            found = smallest_change(settings, mends)
-            if found is None:
-                return Remedy(name)
-            setting, value, u = found
-            files = self._all_files()
-            made = drives(setting, value, list(files.values()))
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
-        passing = {
-            log for log, place in files.items() if log in self.files and passes(self.base_gates(log), made.of(place))
+    def _base_row(self, name: str) -> dict[str, Any]:
+        made, file = self._base, self.files[name]
+        rows = made.of(file)
+        gates = failed_gates(rows)
+        if rows.empty or file.name not in made.driven:
+            return {"gates": [], "lost": made.ended(file)}
+        if not gates:
+            return {"gates": []}
+        first, gate = rows[rows["gate"] == gates[0]].iloc[0], made.gates[gates[0]]
+        time, beyond = float(first["time_s"]), -gate.margin(float(first["value"]))
+        return {
+            "gates": list(gates),
+            "metric": gate.metric,
+            "about": made.about(file, gate.metric),
+            "time_s": time if isfinite(time) else None,
+            "beyond": beyond if isfinite(beyond) else None,
+            "avoidable": made.avoidable(file),
+            "fragile": [one for one in CONTROLS if passes(gates, made.of(_control(file, one)))],
         }
-        lost = {log for log, place in files.items() if made.of(place).empty or failed_gates(made.of(place))}
-        failing = {log for log in self.files if self.base_gates(log)}
-        mended, broken = tuple(sorted(failing & passing)), tuple(sorted(lost - failing))
-        return Remedy(name, setting.key, setting.default, value, u, mended, broken, len(files))
-
-    def _all_files(self) -> dict[str, Path]:
-        """The logs of the whole run."""
-        results = self._asked.results
-        logs = results.logs[results.logs["sha256"] != ""].set_index("log")
-        files = {str(name): self._file(str(name)) for name in logs.index}
-        for name, file in files.items():
-            if not file.is_file():
-                write_scenario(file, scenario_of(results.path, logs.loc[name].to_dict(), results.run.log))
-        return files
 
     def _drive_of(self, name: str) -> DriveResult:
         """The drive without a change; its trace is read once."""
@@ -390,40 +231,117 @@ class _Trials:
             self._drives[name] = self._base.drive(self.files[name])
         return self._drives[name]
 
-    def _base_row(self, file: Path) -> dict[str, Any]:
-        made = self._base
-        rows = made.of(file)
-        gates = failed_gates(rows)
-        if rows.empty or file.name not in made.driven:
-            raise LogError(f"could not be driven again: {made.ended(file)}", file=file)
-        if not gates:
-            return {"gates": []}
-        first, gate = rows[rows["gate"] == gates[0]].iloc[0], made.gates[gates[0]]
-        return {
-            "gates": list(gates),
-            "about": made.about(file, gate.metric),
-            "time_s": _finite(float(first["time_s"])),
-            "beyond": _finite(-gate.margin(float(first["value"]))),
-            "avoidable": made.avoidable(file),
-            "fragile": [one for one in CONTROLS if passes(gates, made.of(_control(file, one)))],
-        }
+    def drive(self, run: ChangedRun) -> dict[str, Any]:
+        """Drive the failing drives with a change: what came of it by log, which `answers` has from then on."""
+        known = self._study.known(run.change.name)
+        if known is None:
+            files, place = [self.files[name] for name in self.failing], self._out / "changes" / run.change.name
+            made = drive_again(files, run.run, self._asked.planner, place, workers=self._workers)
+            known = {"key": run.change.name, "drives": {name: self._answer(name, made) for name in self.failing}}
+            self._study.add([known])
+        self.answers[run.change.name] = known["drives"]
+        return self.answers[run.change.name]
 
     def _answer(self, name: str, made: Driven) -> dict[str, Any]:
-        file = self.files[name]
+        base, file = self._base_rows[name], self.files[name]
         rows = made.of(file)
-        passed = passes(self.base_gates(name), rows)
-        parts = parting(self._drive_of(name), made.drive(file)) if passed else {}
-        return {"passes": passed, "gates": list(failed_gates(rows)), "end": made.ended(file), "parts": parts}
+        row = {"passes": passes(base["gates"], rows), "gates": list(failed_gates(rows)), "end": made.ended(file)}
+        if not row["passes"]:
+            return {**row, "parts": {}}
+        was, now, until = self._drive_of(name), made.drive(file), base["time_s"]
+        beside = Beside.of(was.trace, now.trace, inf if until is None else until)
+        return {**row, "parts": parting(was, now), "beside": asdict(beside)}
 
-    def _because(self, name: str, at: float) -> str:
-        """Why the planner slows down at a time (NaN: nothing is asked); "" where it does not."""
-        drive = self._drive_of(name)
-        frames = drive.trace.frames
-        if not isfinite(at) or not frames:
-            return ""
-        last = float(drive.trace.ego.t[-1])
-        because = [line for one in explained(drive, min(max(at, frames[0].t), last)) for line in one.because]
-        return because[0] if because else ""
+    def found(self, name: str, runs: Sequence[ChangedRun]) -> Found:
+        """What all changes show of a drive."""
+        base, drive = self._base_rows[name], self._drive_of(name)
+        answers = {run.change.name: self.answers[run.change.name][name] for run in runs}
+        passing = tuple(change for change, answer in answers.items() if answer["passes"])
+        cause = cause_of(runs, passing, base["fragile"], avoidable=base["avoidable"])
+        shows = answers[cause.changes[0]] if cause.changes else {"parts": {}}
+        beside, parts = Beside(**shows.get("beside", {})), shows["parts"]
+        time, beyond = (nan if base[key] is None else base[key] for key in ("time_s", "beyond"))
+
+        frames, last = drive.trace.frames, float(drive.trace.ego.t[-1])
+        told = list(accounts(drive.trace, drive.scenario, drive.result.run.drive_loop))
+        at = parts.get("t_s", time)
+        k = _frame_at(frames, at)
+        because = Explanation.of(frames[k], told[k], bounds=False).because if frames and isfinite(at) else ()
+        kind, _, agent = base["about"].partition(" ")
+        known = kind in {one.value for one in AgentKind} and agent in drive.trace.agents.ids
+        begun = None if beside.brakes_s is None or not frames else told[_frame_at(frames, beside.brakes_s)]
+        fails = time if isfinite(time) else last
+        seen = (
+            max(fails - AHEAD_S, frames[0].t if frames else 0.0)
+            if beside.would_brake_s is None
+            else beside.would_brake_s
+        )
+        failure = Failure(
+            base["gates"][0], base["metric"], drive.scenario.short_names(base["about"]) if known else "",
+            lane_change(drive.trace, fails), beside,
+            begun is not None and any(one.who == agent for one in begun.causes),
+            Foreseen.of(drive.trace, agent, seen) if known else Foreseen(),
+        )  # fmt: skip
+        first = because[0] if because else ""
+        return Found(name, tuple(base["gates"]), time, beyond, cause, failure, parts, first, passing)
+
+    def remedy(self, name: str, settings: Sequence[Setting], say: Callable[[str], None]) -> Remedy:
+        """The smallest change of a setting with which a drive passes, and what it does to the others."""
+        file, before, scratch = self.files[name], self._base_rows[name]["gates"], self._out / f"{PARTIAL}remedy"
+
+        def known(key: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+            """The row of the study; made where it holds none."""
+            row = self._study.known(key)
+            if row is None:
+                row = {"key": key, **make()}
+                self._study.add([row])
+            return row
+
+        def drives(setting: Setting, value: Value, files: Sequence[Path]) -> Driven:
+            shutil.rmtree(scratch, ignore_errors=True)
+            run = with_values(self._asked.run, {setting.path: value})
+            return drive_again(files, run, self._asked.planner, scratch, workers=self._workers)
+
+        def mends(setting: Setting, value: Value) -> bool:
+            key = f"{name}: {setting.key} = {value!r}"
+            row = known(key, lambda: {"passes": passes(before, drives(setting, value, [file]).of(file))})
+            say(f"{name}: {'passes' if row['passes'] else 'fails'} with {setting.key} = {shown(value)}")
+            return bool(row["passes"])
+
+        def everywhere(setting: Setting, value: Value) -> dict[str, Any]:
+            """What a change does to the drives of the run that can be driven."""
+            files = self._all_files()
+            made = drives(setting, value, list(files.values()))
+            rows = {log: made.of(place) for log, place in files.items()}
+            mended = [log for log in self.failing if passes(self._base_rows[log]["gates"], rows[log])]
+            lost = [log for log, mine in rows.items() if mine.empty or failed_gates(mine)]
+            broken = [log for log in lost if log not in self.failing]
+            return {"mended": sorted(mended), "broken": sorted(broken), "drives": len(files)}
+
+        try:
+            found = smallest_change(settings, mends)
+            if found is None:
+                return Remedy(name)
+            setting, value, u = found
+            row = known(f"all logs: {setting.key} = {value!r}", lambda: everywhere(setting, value))
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+        mended, broken = tuple(row["mended"]), tuple(row["broken"])
+        return Remedy(name, setting.key, setting.default, value, u, mended, broken, row["drives"])
+
+    def _all_files(self) -> dict[str, Path]:
+        """The logs of the whole run that can be read, without those whose drives could not be driven again."""
+        files = {}
+        for name in map(str, self._logs.index[self._logs["sha256"] != ""]):
+            file = self._file(name)
+            try:
+                if not file.is_file():
+                    write_scenario(file, self._scenario(name))
+            except (ConfigError, LogError):
+                continue
+            if name not in self.not_driven:
+                files[name] = file
+        return files
 
 
 def _control(file: Path, name: str) -> Path:
@@ -431,74 +349,6 @@ def _control(file: Path, name: str) -> Path:
     return file.with_suffix(f".{name}.mcap")
 
 
-def _finite(value: float) -> float | None:
-    return value if isfinite(value) else None
-
-
-def _number(value: float) -> float:
-    return value if isfinite(value) else -1.0
-
-
-# the files --------------------------------------------------------------------------------------------------------
-
-
-def _write(result: Diagnosis) -> None:
-    out = result.out
-    rows = [
-        {"log": one.log, "cause": one.cause.name, "why": result.words_of(one.cause), "gates": "; ".join(one.gates),
-         "about": one.about, "time_s": one.time_s, "parts_s": one.parts.get("t_s"),
-         "parts_stage": one.parts.get("stage", ""), "passes_with": " ".join(one.passing)}
-        for one in result.drives
-    ]  # fmt: skip
-    columns = [
-        "log", "cause", "why", "gates", "about", "time_s", "parts_s", "parts_stage", "passes_with",
-    ]  # fmt: skip
-    for name, table in (("diagnosis", pd.DataFrame(rows, columns=columns)), ("changes", result.table)):
-        write_file(out / f"{name}.csv", partial(table.to_csv, index=False, lineterminator="\n"))
-    write_json(out / "diagnosis.json", result.document())
-    write_text(out / "diagnosis.md", "\n".join(_page(result)) + "\n")
-
-
-def read_diagnosis(folder: Path, results: Results) -> dict[str, Any]:
-    """What diagnosis.json in a folder holds, for `replay.draw.report`.
-
-    Raises:
-        ConfigError: There is none, it cannot be read, or it is of another run.
-    """
-    file = folder / "diagnosis.json"
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-        found = {name: found[name] for name in ("planner", "clusters", "said")}
-        logs = {log for cluster in found["clusters"] for log in cluster["drives"]}
-    except (OSError, ValueError, KeyError, TypeError):
-        raise ConfigError(f"{file}: is no diagnosis; `replan diagnose RUN -o {folder}` writes one") from None
-    if found["planner"] not in results.run.planners or not logs <= set(results.logs["log"]):
-        raise ConfigError(f"{file}: is a diagnosis of another run than {results.path}")
-    return found
-
-
-def _page(result: Diagnosis) -> Iterator[str]:
-    """The diagnosis as Markdown."""
-    asked, runs = result.question, [run.change for run in result.runs]
-    yield f"# Why {asked.planner} fails\n"
-    yield from (f"- {line}" if not line.startswith(" ") else f"  {line.strip()}" for line in result.lines())
-    if not result.drives:
-        return
-    yield "\n## With one thing changed\n"
-    yield "A drive that passes with a change is marked x. A cause is looked for from the left.\n"
-    yield f"| drive | cause | {' | '.join(change.name for change in runs)} |"
-    yield "|---|---|" + "---|" * len(runs)
-    for one in result.drives:
-        marks = " | ".join("x" if change.name in one.passing else "" for change in runs)
-        yield f"| {one.log} | {one.cause.name} | {marks} |"
-    yield "\n## Look at it\n"
-    for some in result.clusters():
-        name = some[0].log
-        words = ["explain", str(asked.results.path), "--log", name, "--planner", asked.planner]
-        yield f"- {some[0].cause.name}: `replan {shlex.join(words)}`"
-        for run in result.runs:
-            if run.change.name in some[0].cause.changes:
-                place = result.out / "changes"
-                words = ["compare", str(place / AS_IT_WAS), str(place / run.change.name)]
-                words += ["-p", asked.planner, "-p", run.run.planners[0]]
-                yield f"  - {run.change.words}: `replan {shlex.join(words)}`"
+def _frame_at(frames: Sequence[PlannedFrame], at: float) -> int:
+    """The last frame that is not later than a time; the first one."""
+    return max(int(np.searchsorted([frame.t for frame in frames], at + 1e-6, side="right")) - 1, 0)

@@ -81,10 +81,10 @@ class Driven:
         return float(mine.iloc[0]) if len(mine) else nan
 
     def about(self, file: Path, metric: str) -> str:
-        """What kind of road user or thing the value of a metric is about: "pedestrian"; "" where it is not known."""
+        """Which road user or thing the value of a metric is about: "pedestrian 17"; "" where it is not known."""
         rows = self.drive(file).metrics
         about = rows.loc[rows["metric"] == metric, "about"].dropna()
-        return str(about.iloc[0]).partition(" ")[0] if len(about) else ""
+        return str(about.iloc[0]) if len(about) else ""
 
     def avoidable(self, file: Path) -> bool:
         """Whether the careful driver of UN R157 avoids the drive's contact, or there is none."""

@@ -6,7 +6,9 @@ import json
 import re
 import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -25,10 +27,11 @@ WEAK = "[planner.idm]\ndecel_mps2 = 0.3\nhardest_mps2 = 0.5\n"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of `idm` with weak brakes over a free road and a blocked one."""
+    """A run of `idm` with weak brakes over a free road, a blocked one, and a blocked one whose log is gone since."""
     out = tmp_path_factory.mktemp("diagnose")
     (out / "logs").mkdir()
-    for name, log in zip(("free", "blocked"), free_and_blocked(), strict=True):
+    free, blocked = free_and_blocked()
+    for name, log in (("free", free), ("blocked", blocked), ("gone", replace(blocked, name="test/gone"))):
         write_scenario(out / "logs" / f"{name}.mcap", log)
     write_gates(out / "gates.toml", COLLISION)
     (out / "weak.toml").write_text(WEAK, encoding="utf-8")
@@ -37,18 +40,28 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "--no-recording", "--workers", 0, "-o", out / "run",
     )  # fmt: skip
     assert ran.exit_code == 1, ran.output
+    (out / "logs" / "gone.mcap").unlink()
     return out
 
 
 @pytest.fixture(scope="module")
 def found(folder: Path) -> Path:
     result = replan("diagnose", folder / "run", "-o", folder / "out", "--workers", 0)
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 3, result.output
     return folder / "out"
 
 
-def card(out: Path) -> dict[str, object]:
-    read: dict[str, object] = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+@pytest.mark.slow
+def test_a_drive_that_cannot_be_driven_again_is_named_and_the_others_are_diagnosed(found: Path) -> None:
+    said = card(found)
+    assert list(said["not_driven"]) == ["test/gone"] and "gone.mcap" in said["not_driven"]["test/gone"]
+    assert [one["log"] for one in said["drives"]] == ["test/blocked"] and not said["fails_no_more"]
+    (line,) = [line for line in said["said"] if line.startswith("Could not be driven again: test/gone: ")]
+    assert line in (found / "diagnosis.md").read_text(encoding="utf-8")
+
+
+def card(out: Path) -> dict[str, Any]:
+    read: dict[str, Any] = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
     return read
 
 
@@ -62,10 +75,15 @@ def test_the_planted_cause_is_named_and_the_table_holds_what_is_said(found: Path
     assert not table.loc["true_futures", "passes"], "who stands is predicted to stand"
     assert drives.loc[0, "passes_with"].split() == table.index[table["passes"]].tolist()
     assert drives.loc[0, "parts_s"] == table.loc["default_limits_idm", "parts_s"]
-    lines = said["said"]
-    assert isinstance(lines, list)
-    assert lines[0].startswith("1 of 1 failing drive: comfort bound; passes with the planner's default limits")
-    assert "collision_at_fault.count <= 0" in lines[0]
+    happens, cause, place = said["said"][:3]
+    assert happens == "1 of 1 failing drive: brakes too weakly for a car, and collides with them."
+    assert cause.startswith("  Cause: comfort bound; passes with the planner's default limits")
+    assert "collision_at_fault.count <= 0" in cause
+    (one,) = said["drives"]
+    beside = one["failure"]["beside"]
+    assert f"{-beside['hardest_mps2']:.1f} m/s² instead of {-beside['would_hardest_mps2']:.1f} m/s²" in place
+    assert beside["hardest_mps2"] > -0.6 and one["failure"]["who"] == "car wall" and "car wall" in place
+    assert drives.loc[0, "happens"] == said["clusters"][0]["happens"] == happens.partition(": ")[2].rstrip(".")
     assert (found / "changes" / "default_limits_idm" / "metrics.parquet").is_file()
 
 
@@ -83,18 +101,26 @@ def test_an_interrupted_diagnosis_that_is_resumed_has_the_same_bytes(folder: Pat
     rows = (folder / "cut" / FILE).read_text(encoding="utf-8").splitlines()
     (folder / "cut" / FILE).write_text("\n".join(rows[:4]) + "\n", encoding="utf-8")
     result = replan("diagnose", folder / "run", "-o", folder / "cut", "--resume", "--workers", 1)
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 3, result.output
     for name in SAME:
         was, now = ((out / name).read_text(encoding="utf-8") for out in (found, folder / "cut"))
         assert was.replace(str(found), "") == now.replace(str(folder / "cut"), ""), name
 
 
 @pytest.mark.slow
-def test_the_smallest_change_passes_and_what_it_breaks_is_counted(folder: Path) -> None:
+def test_the_smallest_change_passes_and_is_resumed_and_what_it_breaks_is_counted(
+    folder: Path, found: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     space = folder / "space.toml"
     space.write_text("planner.idm.hardest_mps2 = { low = 0.2, high = 8.5 }\n", encoding="utf-8")
-    result = replan("diagnose", folder / "run", "--space", space, "-o", folder / "remedy", "--workers", 0, "--json")
-    (remedy,) = json.loads(result.stdout)["remedies"]
+    shutil.copytree(found, folder / "remedy")
+    out = folder / "remedy"
+    words = ("diagnose", folder / "run", "--space", space, "-o", out, "--resume", "--workers", 0, "--json")
+    first = replan(*words)
+    (remedy,) = json.loads(first.stdout)["remedies"]
+    monkeypatch.setattr("replay.diagnose.diagnose.drive_again", None)
+    again = replan(*words)
+    assert again.exit_code == first.exit_code == 3 and again.stdout == first.stdout, "nothing is driven a second time"
     assert remedy["mended"] == ["test/blocked"] and remedy["broken"] == [] and remedy["drives"] == 2
     again = replan(
         "evaluate", folder / "logs", "-p", "idm", "--config", folder / "weak.toml", "--gates", folder / "gates.toml",
@@ -115,7 +141,7 @@ def test_the_report_shows_the_diagnosis_and_links_its_drives(folder: Path, found
     assert result.exit_code == 0, result.output
     page, text = ((folder / "reports" / name).read_text(encoding="utf-8") for name in ("report.html", "report.md"))
     for line in page, text:
-        assert "Why idm fails" in line and "comfort bound" in line
+        assert "Why idm fails" in line and "comfort bound" in line and "brakes too weakly for a car" in line
     (anchor,) = set(re.findall(r'<td><a href="#([^"]+)">test/blocked</a>', page))
     assert f'id="{anchor}"' in page
     other = json.loads((found / "diagnosis.json").read_text(encoding="utf-8"))

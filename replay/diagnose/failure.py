@@ -1,0 +1,299 @@
+"""What goes wrong in a failing drive, in words that are made of its numbers and of nothing else.
+
+F is the failing drive, P the one that passes with the change that points to the cause. Both are compared up to t_x,
+when the first gate fails, or the end of the shorter one.
+
+(1) t_a        = begin of the last stretch up to t_x in which P is slower than F by more than APART_MPS
+(2) b(D, t)    = begin of the first braking of D (a <= BRAKES_MPS2 while it moves) that has not ended at t
+(3) t_P, t_F   = b(P, t_a), b(F, t_P);  hardest_F and hardest_P are the least accelerations from t_P to t_x
+(4) late       = t_F - t_P >= LATE_S; no t_F at all: F does not brake. Asked where F is APART_M ahead of P at t_x
+(5) left       = how far P's path is to the left of F's place at t_x; asked where (4) is not
+(6) predicted  = way of the most probable future of the road user in F's frame at t_P, else AHEAD_S before t_x, up to
+                 the last predicted time that their track reaches, at most AHEAD_S;  moved = as they move in F
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot, inf
+
+import numpy as np
+
+from logs.kernel import FloatArray
+from logs.states import EgoState, Trajectory
+from logs.trace import Trace
+from replay.explain.causes import KEEP
+from replay.explain.explanation import lane_options, taken_option
+
+BRAKES_MPS2, WEAKER_MPS2, MOVES_MPS = -0.5, 0.5, 0.1
+APART_MPS, APART_M, LATE_S = 0.5, 0.3, 0.2
+AHEAD_S, SAME_S = 3.0, 1e-6
+MISSED_M = 1.0
+"""A road user who is shown or predicted this far from where they are is shown or predicted elsewhere."""
+STAYS_M = 0.5
+"""Who moves less than this within `AHEAD_S` stands."""
+SOMEONE = "a road user"
+BRAKES = ("does not brake", "brakes late", "brakes too weakly")
+OUTCOMES = {
+    "collision_at_fault": "collides with {}",
+    "collision": "collides with {}",
+    "gap_kept": "comes too near to {}",
+    "gap_kept_vulnerable": "comes too near to {}",
+    "passing_room": "passes {} too closely",
+    "ttc": "comes close to a collision with {}",
+    "ttc_vulnerable": "comes close to a collision with {}",
+    "thw": "follows {} too closely",
+    "forced_braking": "forces {} to brake",
+    "priority_gap": "leaves too little time to {}",
+    "yielding": "crosses too shortly before {}",
+    "crosswalk": "does not let {} go first at a crosswalk",
+    "completed": "does not drive to the end",
+    "goal": "does not reach the goal",
+    "route_progress": "makes too little progress",
+    "off_road": "leaves the road",
+    "wrong_way": "drives against the direction of a lane",
+    "lane_line": "straddles the line of its lane",
+    "speed_excess": "exceeds the speed limit",
+    "assumed_limit_excess": "exceeds the assumed speed limit",
+    "red_light": "runs a red light",
+    "stop_sign": "does not stop at a stop sign",
+    "needless_braking": "brakes where nothing ahead calls for it",
+    "needless_standing": "stands although the road is free",
+    "needless_steering": "weaves where nothing calls for it",
+    "lon_accel": "accelerates or brakes too hard",
+    "lat_accel": "takes a curve too fast",
+    "lon_jerk_state": "accelerates or brakes too abruptly",
+    "lat_jerk_state": "steers too abruptly",
+    "pedals_together": "uses both pedals at once",
+    "tracking_lateral": "leaves its planned path",
+    "tracking_speed": "does not keep its planned speed",
+    "fallback": "lives on fallback plans",
+    "plan_refused": "makes plans that cannot be driven",
+    "plan_corrected": "makes plans that contradict themselves",
+    "plan_complete": "makes plans that are too short",
+    "plan_collision": "plans to collide with {}",
+    "plan_off_road": "plans to leave the road",
+    "plan_change": "changes its plans too much",
+    "plan_change_lateral": "changes its plans too much to the side",
+    "plan_kept": "does not do what it planned",
+    "plan_kept_lateral": "does not drive where it planned",
+    "plan_score": "makes plans of a low score",
+}
+"""What a broken gate means, by the first part of its metric; {} stands for the road user."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """The failing drive beside the one that passes: equations (1) to (5); None: there is none.
+
+    Attributes:
+        ahead_m: How far F is ahead of P at t_x, m.
+        left_m: (5), m.
+        brakes_s: t_F; `would_brake_s` is t_P.
+        would_brake_s: See there.
+        hardest_mps2: Of F; `would_hardest_mps2` of P.
+        would_hardest_mps2: See there.
+    """
+
+    ahead_m: float = 0.0
+    left_m: float = 0.0
+    brakes_s: float | None = None
+    would_brake_s: float | None = None
+    hardest_mps2: float = 0.0
+    would_hardest_mps2: float = 0.0
+
+    @classmethod
+    def of(cls, failing: Trace, passing: Trace, until: float) -> Beside:
+        """Compare two drives of one log up to a time (inf: to the end of the shorter)."""
+        f, p = failing.ego, passing.ego
+        last = min(until, float(f.t[-1]), float(p.t[-1]))
+        at = f.at(last)
+        along, across = _relative(at, p.x, p.y)
+        near = int(np.argmin(np.hypot(along, across)))
+        left = float(across[near]) if abs(along[near]) <= APART_M else 0.0  # (5)
+        then = p.at(last)
+        ahead = -float(_relative(at, then.x, then.y)[0])
+        t = f.t[f.t <= last + SAME_S]
+        slower = np.flatnonzero(f.v[: len(t)] - np.interp(t, p.t, p.v) > APART_MPS)
+        would = does = None
+        hardest = [0.0, 0.0]
+        if len(slower):
+            gaps = np.flatnonzero(np.diff(slower) > 1)
+            since = float(t[slower[gaps[-1] + 1 if len(gaps) else 0]])  # (1)
+            would = _braking(p, since, last)
+        if would is not None:
+            does = _braking(f, would, inf)  # (3)
+            hardest = [float(d.a[(d.t >= would) & (d.t <= last + SAME_S)].min(initial=0.0)) for d in (f, p)]
+        numbers = (ahead, left, does, would, *hardest)
+        return cls(*(None if one is None else round(one, 6) for one in numbers))  # type: ignore[arg-type]
+
+    @property
+    def deed(self) -> str:
+        """What F does otherwise than P; "": nothing that is known."""
+        if self.ahead_m > APART_M and self.would_brake_s is not None:
+            if self.brakes_s is None:
+                return BRAKES[0]
+            if self.brakes_s - self.would_brake_s >= LATE_S:  # (4)
+                return BRAKES[1]
+            if self.hardest_mps2 - self.would_hardest_mps2 > WEAKER_MPS2:
+                return BRAKES[2]
+        if abs(self.left_m) > APART_M:  # (5)
+            return f"keeps too far {'right' if self.left_m > 0.0 else 'left'}"
+        return ""
+
+    @property
+    def numbers(self) -> str:
+        """The numbers of `deed`."""
+        match self.deed:
+            case "does not brake":
+                return f"does not brake, instead of braking at {self.would_brake_s:.1f} s"
+            case "brakes late":
+                return f"brakes at {self.brakes_s:.1f} s instead of {self.would_brake_s:.1f} s"
+            case "brakes too weakly":
+                return f"brakes with {-self.hardest_mps2:.1f} m/s² instead of {-self.would_hardest_mps2:.1f} m/s²"
+            case "":
+                return ""
+        return f"drives {abs(self.left_m):.1f} m to the {'right' if self.left_m > 0.0 else 'left'} of where it passes"
+
+
+def _relative(ego: EgoState, x: float | FloatArray, y: float | FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Places in the frame of an ego: ahead and to the left, m."""
+    dx, dy, c, sn = x - ego.x, y - ego.y, np.cos(ego.yaw), np.sin(ego.yaw)
+    return np.asarray(dx * c + dy * sn), np.asarray(dy * c - dx * sn)
+
+
+def _braking(ego: Trajectory, since: float, until: float) -> float | None:
+    """(2) up to a time."""
+    brakes = (ego.a <= BRAKES_MPS2) & (ego.v > MOVES_MPS)
+    later = np.flatnonzero(brakes & (ego.t >= since - SAME_S) & (ego.t <= until + SAME_S))
+    if not len(later):
+        return None
+    before = np.flatnonzero(~brakes[: later[0]])
+    return float(ego.t[before[-1] + 1 if len(before) else 0])
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """What the planner was shown of a road user, and what the prediction said (5); None: not known.
+
+    Attributes:
+        at_s: Time of the frame.
+        is_seen: Whether they are in it.
+        seen_off_m: How far from where they are, m.
+        ahead_s: For how long they are predicted.
+        predicted_m: How far they are predicted to move, m.
+        moved_m: How far they move.
+        off_m: Between both.
+    """
+
+    at_s: float | None = None
+    is_seen: bool = True
+    seen_off_m: float = 0.0
+    ahead_s: float = 0.0
+    predicted_m: float = 0.0
+    moved_m: float = 0.0
+    off_m: float = 0.0
+
+    @classmethod
+    def of(cls, trace: Trace, who: str, at: float) -> Foreseen:
+        """What the frame at a time held of a road user of the trace."""
+        frame = next((one for one in reversed(trace.frames) if one.t <= at + SAME_S), None)
+        if frame is None or who not in trace.agents.ids or frame.predictions is None:
+            return cls()
+        now = trace.agents.truth(frame.t)
+        if who not in now.ids:
+            return cls()
+        if who not in frame.agents:
+            return cls(frame.t, False)
+        some, track = frame.predictions, trace.agents.only([who])
+        row = max(np.flatnonzero(some.agent == frame.agents.index(who)), key=lambda i: some.probability[i])
+        end = np.inf if track.static[0] else float(track.t[-1])
+        known = np.flatnonzero(some.t <= min(frame.t + AHEAD_S, float(trace.ego.t[-1]), end) + SAME_S)
+        then = track.truth(float(some.t[known[-1]]))
+        i = now.ids.index(who)
+        dx, dy = some.x[row, known[-1]] - some.x[row, 0], some.y[row, known[-1]] - some.y[row, 0]
+        mx, my = then.x[0] - now.x[i], then.y[0] - now.y[i]
+        numbers = (
+            hypot(some.x[row, 0] - now.x[i], some.y[row, 0] - now.y[i]), some.t[known[-1]] - frame.t,
+            hypot(dx, dy), hypot(mx, my), hypot(dx - mx, dy - my),
+        )  # fmt: skip
+        return cls(frame.t, True, *(round(float(one), 6) for one in numbers))
+
+    @property
+    def words(self) -> str:
+        """What is wrong of it, after a noun: " predicted to stand"; "": nothing that is known."""
+        if not self.is_seen:
+            return " not seen"
+        if self.seen_off_m > MISSED_M:
+            return " seen elsewhere"
+        if self.off_m <= MISSED_M:
+            return ""
+        if self.predicted_m < STAYS_M:
+            return " predicted to stand"
+        return " predicted to move although they stand" if self.moved_m < STAYS_M else " predicted elsewhere"
+
+    @property
+    def numbers(self) -> str:
+        """The numbers of `words`."""
+        if not self.is_seen:
+            return f"not seen at {self.at_s:.1f} s"
+        if self.seen_off_m > MISSED_M:
+            return f"seen {self.seen_off_m:.1f} m from where they are at {self.at_s:.1f} s"
+        if self.off_m <= MISSED_M:
+            return ""
+        moved = f"predicted to move {self.predicted_m:.1f} m in {self.ahead_s:.1f} s, moves {self.moved_m:.1f} m"
+        return f"{moved}, {self.off_m:.1f} m from there"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What goes wrong in a drive.
+
+    Attributes:
+        gate: The first gate that it fails, of `metric`.
+        metric: See there.
+        who: Kind and short name of the road user that this is about: "pedestrian 17"; "": none.
+        lane: "left" or "right": the lane change that is under way then; "": none.
+        beside: It beside the drive that passes.
+        brakes_for: Whether its plan names the road user as a reason to slow down when it begins to brake.
+        foreseen: What the planner was shown of the road user.
+    """
+
+    gate: str
+    metric: str
+    who: str = ""
+    lane: str = ""
+    beside: Beside = Beside()
+    brakes_for: bool = False
+    foreseen: Foreseen = Foreseen()
+
+    @property
+    def kind(self) -> str:
+        """The kind of the road user."""
+        return self.who.partition(" ")[0]
+
+    @property
+    def details(self) -> str:
+        """The road user by name, and the numbers."""
+        who = ": ".join(filter(None, (self.who, self.foreseen.numbers)))
+        return "; ".join(filter(None, (who, self.beside.numbers)))
+
+    @property
+    def sentence(self) -> str:
+        """It without names and numbers, for all drives of which the same can be said."""
+        template = OUTCOMES.get(self.metric.partition(".")[0], f"fails {self.gate}")
+        deed, them = self.beside.deed, "it" if self.kind == "object" else "them"
+        who = f"{'an' if self.kind == 'object' else 'a'} {self.kind}{self.foreseen.words}" if self.who else SOMEONE
+        lane = f" while changing to the {self.lane} lane" if self.lane else ""
+        if not deed:
+            return f"{template.replace('{}', who)}{lane}"
+        if self.who and (deed == BRAKES[0] or (self.brakes_for and deed in BRAKES)):
+            return f"{deed} for {who}, and {template.replace('{}', them)}{lane}"
+        return f"{deed}, and {template.replace('{}', who)}{lane}"
+
+
+def lane_change(trace: Trace, at: float) -> str:
+    """The lane change that a drive's plan makes at a time: "left", "right", or ""."""
+    plan = next((frame.plan for frame in reversed(trace.frames) if frame.t <= at), None)
+    name = KEEP if plan is None else taken_option(lane_options(plan))
+    return name if name in ("left", "right") else ""

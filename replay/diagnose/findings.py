@@ -1,0 +1,226 @@
+"""What a diagnosis found, in sentences, as JSON, as a page and as tables.
+
+OUT/diagnosis.json        causes by cluster and by drive, the sentences that are printed
+OUT/diagnosis.md          the same as a page
+OUT/diagnosis.csv         a row per failing drive; OUT/changes.csv one per drive and change
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from logs.errors import ConfigError
+from logs.names import counted
+from replay.diagnose.causes import UNAVOIDABLE, Cause
+from replay.diagnose.changes import ChangedRun
+from replay.diagnose.failure import Failure
+from replay.diagnose.remedy import Remedy
+from replay.results.load import Results
+from replay.results.tables import write_file, write_json, write_text
+from replay.results.version import replan_version
+
+AS_IT_WAS = "as_it_was"
+DRIVES = ("log", "cause", "why", "happens", "gates", "about", "time_s", "parts_s", "parts_stage", "passes_with")
+ANSWERS = ("log", "change", "cause", "rank", "passes", "fails", "end", "parts_s", "parts_stage")
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found of a failing drive.
+
+    Attributes:
+        log: Its name in the run.
+        gates: The gates that it fails.
+        time_s: When it fails the first of them; NaN: not known.
+        beyond: How far beyond its bound that is; NaN likewise.
+        cause: The cause.
+        failure: What goes wrong.
+        parts: Where the drive with the change that points to the cause parts from it: t_s, stage, what.
+        because: Why the planner slowed down there, in its explanation's words.
+        passing: Names of all changes with which it passes.
+    """
+
+    log: str
+    gates: tuple[str, ...]
+    time_s: float
+    beyond: float
+    cause: Cause
+    failure: Failure
+    parts: Mapping[str, Any]
+    because: str
+    passing: tuple[str, ...]
+
+    @property
+    def place(self) -> str:
+        """Where to look, and what is to be seen there."""
+        at = f" at {self.time_s:.1f} s" if isfinite(self.time_s) else ""
+        parts = f"; it parts at {self.parts['what']}" if self.parts else ""
+        because = f" {self.because}" if self.because else ""
+        details = f": {self.failure.details}" if self.failure.details else ""
+        return f"{self.log}{at}{details}{parts}.{because}"
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The end of a diagnosis.
+
+    Attributes:
+        out: The folder.
+        run: The result folder of the run.
+        planner: Whose drives.
+        drives: A row per failing drive.
+        not_failing: Logs whose drives fail no more.
+        not_driven: Logs that could not be driven again, and why.
+        runs: The changes that were driven.
+        refused: Changes that cannot be applied to the run, and why.
+        answers: By change and log, what came of it: passes, gates, end, parts.
+        remedies: The smallest change of a setting for the first drive of each cluster, where settings are given.
+    """
+
+    out: Path
+    run: Path
+    planner: str
+    drives: tuple[Found, ...]
+    not_failing: tuple[str, ...]
+    not_driven: Mapping[str, str]
+    runs: tuple[ChangedRun, ...]
+    refused: Mapping[str, str]
+    answers: Mapping[str, Mapping[str, Any]]
+    remedies: tuple[Remedy, ...] = ()
+
+    @property
+    def exit_code(self) -> int:
+        """3 where a drive could not be driven again."""
+        return 3 if self.not_driven else 0
+
+    def clusters(self) -> list[tuple[Found, ...]]:
+        """Drives of one cause and change in which the same goes wrong: most drives first, the worst ahead."""
+        found: dict[tuple[Any, ...], list[Found]] = {}
+        for one in self.drives:
+            found.setdefault((one.cause.name, one.cause.changes, one.failure.sentence), []).append(one)
+        for some in found.values():
+            some.sort(key=lambda one: (-one.beyond if isfinite(one.beyond) else 1.0, one.log))
+        return sorted(map(tuple, found.values()), key=lambda some: (-len(some), some[0].log))
+
+    def words_of(self, cause: Cause) -> str:
+        """Why a cause is named."""
+        words = {run.change.name: run.change.words for run in self.runs}
+        if cause.fragile:
+            return f"fragile: passes with a perturbation that should change nothing ({', '.join(cause.fragile)})"
+        if cause.changes:
+            return f"passes {', '.join(words[name] for name in cause.changes)}"
+        if cause.name == UNAVOIDABLE:
+            return "passes with no change, and the careful driver of UN R157 does not avoid the contact"
+        return f"passes with none of {counted(len(self.runs), 'change')}"
+
+    def lines(self) -> list[str]:
+        """The diagnosis in sentences."""
+        said = []
+        for some in self.clusters():
+            first = some[0]
+            share = f"{len(some)} of {counted(len(self.drives), 'failing drive')}"
+            gates = ", ".join(dict.fromkeys(one.gates[0] for one in some))
+            said.append(f"{share}: {first.failure.sentence}.")
+            said.append(f"  Cause: {first.cause.name}; {self.words_of(first.cause)}; fails {gates}.")
+            said.append(f"  Look first at {first.place}")
+        if not self.drives and not self.not_driven:
+            gone = f" ({counted(len(self.not_failing), 'drive')} of the run failed and passes now)"
+            said.append(f"No drive of {self.planner} fails{gone if self.not_failing else ''}.")
+        elif self.not_failing:
+            said.append(f"Fails no more, evaluate the run again: {', '.join(self.not_failing)}.")
+        said += [f"Could not be driven again: {name}: {why}." for name, why in self.not_driven.items()]
+        said += [one.line() for one in self.remedies]
+        return [*said, *(f"Not tried: {name}: {why}." for name, why in self.refused.items())]
+
+    def document(self) -> dict[str, Any]:
+        """All of it as JSON has it: null where a number is not known."""
+        clusters = [
+            {"cause": some[0].cause.name, "why": self.words_of(some[0].cause), "happens": some[0].failure.sentence,
+             "about": some[0].failure.kind, "gates": sorted({one.gates[0] for one in some}),
+             "drives": [one.log for one in some]}
+            for some in self.clusters()
+        ]  # fmt: skip
+        drives = [
+            {**asdict(one), "happens": one.failure.sentence,
+             **{name: value if isfinite(value) else None for name, value in
+                (("time_s", one.time_s), ("beyond", one.beyond))}}
+            for one in self.drives
+        ]  # fmt: skip
+        return {
+            "replan": replan_version(), "run": str(self.run), "planner": self.planner, "clusters": clusters,
+            "drives": drives, "fails_no_more": list(self.not_failing), "not_driven": dict(self.not_driven),
+            "changes": [asdict(run.change) for run in self.runs], "not_tried": dict(self.refused),
+            "remedies": [asdict(one) for one in self.remedies], "said": self.lines(),
+        }  # fmt: skip
+
+    def write(self) -> None:
+        """The files of the module's docstring."""
+        drives = [
+            (one.log, one.cause.name, self.words_of(one.cause), one.failure.sentence, "; ".join(one.gates),
+             one.failure.kind, one.time_s, one.parts.get("t_s"), one.parts.get("stage", ""), " ".join(one.passing))
+            for one in self.drives
+        ]  # fmt: skip
+        answers = [
+            (found.log, run.change.name, run.change.cause, run.change.rank, one["passes"], "; ".join(one["gates"]),
+             one["end"], one["parts"].get("t_s"), one["parts"].get("stage", ""))
+            for found in self.drives
+            for run in self.runs
+            for one in [self.answers[run.change.name][found.log]]
+        ]  # fmt: skip
+        for name, rows, columns in (("diagnosis", drives, DRIVES), ("changes", answers, ANSWERS)):
+            table = pd.DataFrame(rows, columns=list(columns))
+            write_file(self.out / f"{name}.csv", partial(table.to_csv, index=False, lineterminator="\n"))
+        write_json(self.out / "diagnosis.json", self.document())
+        write_text(self.out / "diagnosis.md", "\n".join(self._page()) + "\n")
+
+    def _page(self) -> Iterator[str]:
+        """The diagnosis as Markdown."""
+        yield f"# Why {self.planner} fails\n"
+        yield from (f"- {line}" if not line.startswith(" ") else f"  {line.strip()}" for line in self.lines())
+        if not self.drives:
+            return
+        changes = [run.change for run in self.runs]
+        yield "\n## With one thing changed\n"
+        yield "A drive that passes with a change is marked x. A cause is looked for from the left.\n"
+        yield f"| drive | cause | {' | '.join(change.name for change in changes)} |"
+        yield "|---|---|" + "---|" * len(changes)
+        for one in self.drives:
+            marks = " | ".join("x" if change.name in one.passing else "" for change in changes)
+            yield f"| {one.log} | {one.cause.name} | {marks} |"
+        yield "\n## Look at it\n"
+        for first, *_ in self.clusters():
+            words = ["explain", str(self.run), "--log", first.log, "--planner", self.planner]
+            yield f"- {first.cause.name}: `replan {shlex.join(words)}`"
+            for run in self.runs:
+                if run.change.name in first.cause.changes:
+                    place = self.out / "changes"
+                    words = ["compare", str(place / AS_IT_WAS), str(place / run.change.name)]
+                    words += ["-p", self.planner, "-p", run.run.planners[0]]
+                    yield f"  - {run.change.words}: `replan {shlex.join(words)}`"
+
+
+def read_diagnosis(folder: Path, results: Results) -> dict[str, Any]:
+    """What diagnosis.json in a folder holds, for `replay.draw.report`.
+
+    Raises:
+        ConfigError: There is none, it cannot be read, or it is of another run.
+    """
+    file = folder / "diagnosis.json"
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+        found = {name: found[name] for name in ("planner", "clusters", "said")}
+        logs = {log for cluster in found["clusters"] for log in cluster["drives"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ConfigError(f"{file}: is no diagnosis; `replan diagnose RUN -o {folder}` writes one") from None
+    if found["planner"] not in results.run.planners or not logs <= set(results.logs["log"]):
+        raise ConfigError(f"{file}: is a diagnosis of another run than {results.path}")
+    return found

@@ -1,0 +1,165 @@
+"""What goes wrong in a failing drive: the words are those of the numbers, and the numbers those of the drives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+import pytest
+from drives import drive, moved, moved_ego, scenario
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logs import AgentKind, Trajectory
+from logs.frame import Predictions
+from logs.trace import LaneOption, Plan, PlannedFrame, Trace
+from metrics.judge import load_gates
+from replay.diagnose.failure import (
+    LATE_S,
+    MISSED_M,
+    OUTCOMES,
+    STAYS_M,
+    Beside,
+    Failure,
+    Foreseen,
+    lane_change,
+)
+
+T = np.arange(0.0, 6.0 + 1e-9, 0.01)
+V = 10.0
+
+
+def braked(at: float, decel: float, left: float = 0.0) -> Trajectory:
+    """Straight on; from a time on it brakes; from 1 s on it is `left` m to the left."""
+    v = np.maximum(V - decel * np.maximum(T - at, 0.0), 0.0)
+    a = np.where((at < T) & (v > 0.0), -decel, 0.0)
+    x = np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (v[1:] + v[:-1]))]
+    return Trajectory(T, x, np.where(T > 1.0, left, 0.0), 0.0 * T, v, a, 0.0 * T)
+
+
+AS_LOGGED = braked(9.0, 0.0)
+LOG = scenario(AS_LOGGED)
+"""Six seconds straight on."""
+
+
+def beside(failing: Trajectory, passing: Trajectory, until: float = inf) -> Beside:
+    return Beside.of(drive(LOG, failing), drive(LOG, passing), until)
+
+
+@given(st.floats(0.5, 3.0), st.floats(-0.5, 2.0), st.floats(1.0, 4.0), st.floats(0.2, 1.0), st.floats(-3.0, 3.0))
+def test_late_weak_and_missing_braking_are_what_the_drives_do(
+    at: float, late: float, decel: float, share: float, turn: float
+) -> None:
+    passing, failing = braked(at, decel), braked(at + late, share * decel)
+    found = beside(failing, passing)
+    if found.deed:
+        assert found.would_brake_s == pytest.approx(at, abs=0.02) and found.ahead_m > 0.0
+    if found.deed.startswith("brakes"):
+        assert found.brakes_s == pytest.approx(at + late, abs=0.02)
+        assert found.hardest_mps2 == pytest.approx(-share * decel, abs=1e-6)
+    assert found.deed != "brakes late" or late > LATE_S - 0.02
+    assert found.deed != "brakes too weakly" or share < 1.0
+    assert found.deed != "does not brake" or share * decel <= 0.5
+    failed, passed = (drive(moved(LOG, turn, 3.0, 4.0), moved_ego(one, turn, 3.0, 4.0)) for one in (failing, passing))
+    assert Beside.of(failed, passed, inf).deed == found.deed, "wherever the scene lies"
+
+
+@pytest.mark.parametrize(
+    ("failing", "passing", "until", "deed", "numbers"),
+    [
+        (braked(3.0, 4.0), braked(2.0, 4.0), inf, "brakes late", "brakes at 3.0 s instead of 2.0 s"),
+        (braked(3.0, 4.0), braked(2.0, 4.0), 2.9, "brakes late", "brakes at 3.0 s instead of 2.0 s"),
+        (AS_LOGGED, braked(2.0, 4.0), 2.9, "does not brake", "does not brake, instead of braking at 2.0 s"),
+        (braked(2.0, 2.0), braked(2.0, 4.0), inf, "brakes too weakly", "brakes with 2.0 m/s² instead of 4.0 m/s²"),
+        (braked(2.0, 1.0), braked(2.0, 4.0), 2.1, "", ""),
+        (braked(2.0, 4.0), AS_LOGGED, inf, "", ""),
+        (AS_LOGGED, braked(9.0, 0.0, 0.5), inf, "keeps too far right", "drives 0.5 m to the right of where it passes"),
+        (AS_LOGGED, braked(9.0, 0.0, -0.5), 3.0, "keeps too far left", "drives 0.5 m to the left of where it passes"),
+    ],
+)  # fmt: skip
+def test_a_deed_and_its_numbers(
+    failing: Trajectory, passing: Trajectory, until: float, deed: str, numbers: str
+) -> None:
+    found = beside(failing, passing, until)
+    assert (found.deed, found.numbers) == (deed, numbers)
+
+
+def shown(speed: float, predicted: float, off: float = 0.0, *, seen: bool = True) -> Trace:
+    """A pedestrian who walks across, predicted at 1 s to walk at another speed, and shown beside their place."""
+    log = scenario(
+        LOG.ego, [("ped 7", AgentKind.PEDESTRIAN, (0.5, 0.5), lambda t: (20.0 + 0.0 * t, speed * t, 0.0 * t))]
+    )
+    t = 1.0 + np.arange(0.0, 8.0 + 1e-9, 0.5)
+    y = speed + off + predicted * (t - 1.0)
+    rows = np.zeros((2, len(t)))
+    some = Predictions(
+        t, np.zeros(2, np.int64), np.array([0.2, 0.8]), 20.0 + 0.0 * rows, np.array([9.0 + y, y]), rows, "hand"
+    )
+    frame = PlannedFrame(1.0, Plan(log.ego), ("ped 7",) if seen else (), some)
+    return drive(log, frames=(frame,))
+
+
+@given(st.floats(0.0, 2.0), st.floats(0.0, 2.0), st.floats(-2.0, 2.0), st.booleans())
+def test_what_is_said_of_a_prediction_is_what_it_was(speed: float, predicted: float, off: float, seen: bool) -> None:
+    found = Foreseen.of(shown(speed, predicted, off, seen=seen), "ped 7", 1.3)
+    assert bool(found.words) == bool(found.numbers)
+    if not seen:
+        assert found.words == " not seen"
+        return
+    assert found.seen_off_m == pytest.approx(abs(off), abs=1e-5)
+    assert found.moved_m == pytest.approx(3.0 * speed, abs=1e-5) and found.off_m == pytest.approx(
+        3.0 * abs(speed - predicted), abs=1e-5
+    )
+    if found.words == " predicted to stand":
+        assert 3.0 * predicted < STAYS_M + 1e-5 and 3.0 * speed > MISSED_M - 1e-5
+    if " they stand" in found.words:
+        assert 3.0 * speed < STAYS_M + 1e-5 and 3.0 * predicted > MISSED_M - 1e-5
+    assert (found.words == "") == (found.seen_off_m <= MISSED_M and found.off_m <= MISSED_M)
+
+
+def test_of_someone_who_is_not_there_nothing_is_known() -> None:
+    trace = shown(1.0, 0.0)
+    assert Foreseen.of(trace, "car 3", 1.0) == Foreseen.of(trace, "ped 7", 0.5) == Foreseen()
+    assert Foreseen().words == Beside().deed == ""
+
+
+LATE = beside(braked(3.0, 4.0), braked(2.0, 4.0))
+STOOD = Foreseen.of(shown(1.0, 0.0), "ped 7", 1.0)
+ANY = Failure("collision_at_fault.count <= 0", "collision_at_fault.count")
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({}, "collides with a road user"),
+        ({"who": "object 3"}, "collides with an object"),
+        ({"who": "pedestrian 7", "foreseen": STOOD}, "collides with a pedestrian predicted to stand"),
+        ({"who": "pedestrian 7", "foreseen": STOOD, "beside": LATE},
+         "brakes late, and collides with a pedestrian predicted to stand"),
+        ({"who": "pedestrian 7", "foreseen": STOOD, "beside": LATE, "brakes_for": True},
+         "brakes late for a pedestrian predicted to stand, and collides with them"),
+        ({"who": "car 23f7", "lane": "left"}, "collides with a car while changing to the left lane"),
+        ({"metric": "needless_standing.worst_episode"}, "stands although the road is free"),
+        ({"metric": "red_light.count", "beside": LATE, "brakes_for": True}, "brakes late, and runs a red light"),
+        ({"metric": "lon_jerk_state.worst_episode", "who": "pedestrian 7", "beside": LATE, "brakes_for": True},
+         "brakes late for a pedestrian, and accelerates or brakes too abruptly"),
+        ({"metric": "my.metric", "gate": "my.metric < 3"}, "fails my.metric < 3"),
+    ],
+)  # fmt: skip
+def test_the_sentence_of_a_failure(changes: dict[str, object], sentence: str) -> None:
+    found = replace(ANY, **changes)  # type: ignore[arg-type]
+    assert found.sentence == sentence
+    assert found.who in found.details and found.beside.numbers in found.details
+
+
+def test_every_gate_of_ours_has_words_and_no_others_have() -> None:
+    asked = {gate.metric.partition(".")[0] for gate in load_gates(None).gates if gate.over == "worst"}
+    assert asked - {"coverage"} <= set(OUTCOMES)
+
+
+def test_a_lane_change_is_that_of_the_plan() -> None:
+    options = (LaneOption("keep", (), "slower"), LaneOption("left", ()))
+    frames = PlannedFrame(0.0, Plan(LOG.ego)), PlannedFrame(1.0, Plan(LOG.ego, internals=options))
+    trace = drive(LOG, frames=frames)
+    assert [lane_change(trace, at) for at in (0.5, 1.5)] == ["", "left"]

@@ -86,8 +86,8 @@ def _vehicle(number: int, start: float, speed: float) -> Any:
 
 def ours(files: list[Path]) -> pd.DataFrame:
     """A row per file, ego, step and lead; and one per crossing."""
+    from logs.readers.commonroad import read_commonroad
     from logs.readers.commonroad.document import parse
-    from logs.readers.commonroad.read import read_commonroad
 
     rows: list[dict[str, object]] = []
     for path in files:

@@ -24,7 +24,7 @@ from crowds import CROWDS, crowded
 
 from logs.catalogue import CATALOGUE
 from logs.frame import Predictions
-from logs.readers.commonroad.read import read_commonroad
+from logs.readers.commonroad import read_commonroad
 from logs.scenario import Agents, Scenario
 from replay.config import DEFAULT_LOOP
 from replay.loop.perception import Perception

@@ -29,7 +29,7 @@ __all__ = ["BUILTIN", "MapFile", "MapReader", "map_files", "map_reader_of", "rea
 
 def read_123d(path: Path, settings: Mapping[str, str]) -> MapFile:
     """All of a 123D map, of one log or of a place; LogError where the file is none."""
-    from logs.readers.arrow123d.map import road_of_map
+    from logs.readers.arrow123d_map import road_of_map
 
     notes: list[str] = []
     return MapFile(road_of_map(path, notes=notes), "as in the 123D map", tuple(notes))

@@ -30,7 +30,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray, kernel
 from logs.maps.lanelet2_file import Element, Osm
-from logs.readers.recorded.strips import resampled
+from logs.readers.strips import resampled
 from logs.road import Lane
 
 SAME_M = 0.05

@@ -15,10 +15,11 @@ Modules:
     comma2k19.py    segments of comma2k19
     table.py        pandas frames, CSV and Parquet
     ros/            ROS 2 and ROS 1 bags
-    arrow123d/      123D's Arrow logs and maps
-    argoverse2/     Argoverse 2: sensor logs, motion-forecasting scenarios
-    recorded/       shared by readers of data sets: Arrow tables, boxes and poses, lanes between two lines
-    quaternions.py  rotations, shared by readers
+    arrow123d.py    123D's Arrow logs; arrow123d_map.py their maps
+    argoverse2.py   Argoverse 2: sensor logs, motion-forecasting scenarios
+    recorded.py     shared by readers of data sets: rotations, boxes as tracks, poses as ego states
+    arrow_tables.py Arrow and Parquet tables as arrays
+    strips.py       lanes between two lines
     native.py       replan's own MCAP, and ASAM OSI
 """
 

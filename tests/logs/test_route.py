@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 from worlds import along_x, curve, lanes, strip
 
 from logs import EgoState, Goal, Lane, Road
-from logs.readers.commonroad.read import read_commonroad
+from logs.readers.commonroad import read_commonroad
 from logs.route import LANE_CHANGE_M, costs_to_go, find_route, goal_lanes, start_lanes, straight_on
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 5.0)

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import AgentKind, Colour, Mode, Road, RoadSource, Scenario, StopLine, Trace, Tracks, TrafficLight, Trajectory
-from logs.readers.commonroad.read import read_commonroad
+from logs.readers.commonroad import read_commonroad
 from metrics import METRICS, evaluate
 from metrics.health import Kind, findings
 from replay.config import LoopConfig

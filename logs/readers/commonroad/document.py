@@ -1,8 +1,8 @@
 """CommonRoad XML (versions 2018b and 2020a) as plain records, in the coordinates and time steps of the file.
 
 Source of the format: CommonRoad, "XML format documentation", versions 2018b and 2020a; commonroad-io,
-`TrafficLight.get_state_at_time_step`. The modules `read`, `road`, `rules` and `tracks` decide what a record means for a
-Scenario. A light repeats its cycle for ever, its first element beginning at step `offset`:
+`TrafficLight.get_state_at_time_step`. The other modules of this package decide what a record means for a Scenario. A
+light repeats its cycle for ever, its first element beginning at step `offset`:
 
 (1) it shows the element that holds the phase (step - offset) mod (sum of the durations), each from its begin to before
     its end
@@ -13,19 +13,20 @@ is no number.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from logs.errors import LogError
 from logs.kernel import FloatArray, frozen
-from logs.readers.commonroad.sets import OccupiedSet
 from logs.rules import Colour
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 LARGEST = 1e9
 """Any larger number is no length, time or speed."""
@@ -91,23 +92,17 @@ def points_in(element: Element, place: str) -> FloatArray:
     return np.array([point_in(each, place) for each in element.findall("point")]).reshape(-1, 2)
 
 
+VERSIONS = ("2018b", "2020a")
+OBSTACLE_TAGS = ("obstacle", "staticObstacle", "dynamicObstacle")
+SHAPE_TAGS = ("rectangle", "circle", "polygon")
 COLOURS = {
-    "red": Colour.RED,
-    "redYellow": Colour.RED_YELLOW,
-    "yellow": Colour.YELLOW,
-    "green": Colour.GREEN,
+    "red": Colour.RED, "redYellow": Colour.RED_YELLOW, "yellow": Colour.YELLOW, "green": Colour.GREEN,
     "inactive": Colour.OFF,
-}
+}  # fmt: skip
 TURNS = ("left", "straight", "right")
-DIRECTIONS = {
-    "all": frozenset(TURNS),
-    "left": frozenset({"left"}),
-    "straight": frozenset({"straight"}),
-    "right": frozenset({"right"}),
-    "leftStraight": frozenset({"left", "straight"}),
-    "straightRight": frozenset({"straight", "right"}),
-    "leftRight": frozenset({"left", "right"}),
-}
+DIRECTIONS = {"all": TURNS, "leftStraight": TURNS[:2], "straightRight": TURNS[1:], "leftRight": ("left", "right")}
+DIRECTIONS |= {turn: (turn,) for turn in TURNS}
+MAX_SPEED_SIGNS = ("274", "274.1", "R2-1", "r301")
 STOP_SIGNS = frozenset({"206", "R1-1"})
 YIELD_SIGNS = frozenset({"205", "R1-2"})
 PRIORITY_SIGNS = frozenset({"301", "306"})
@@ -174,69 +169,12 @@ class Intersection:
     crossings: tuple[int, ...]
 
 
-def light_of(element: Element) -> Light:
-    """A <trafficLight>.
+class OccupiedSet(NamedTuple):
+    """Where a road user may be from one time step to another (an instant: until the next set): outlines `(k, 2)`."""
 
-    Raises:
-        LogError: An unknown colour or direction, or a duration below one step.
-    """
-    name = integer(element.get("id"), "trafficLight@id")
-    place = f"trafficLight {name}"
-    cycle = []
-    for part in element.findall("cycle/cycleElement"):
-        colour, steps = part.findtext("color", "").strip(), number(part.findtext("duration"), f"{place}/duration")
-        if colour not in COLOURS:
-            raise LogError(f"no colour {colour!r}", topic=place, remedy=f"known are {', '.join(COLOURS)}")
-        if not steps >= 1.0:
-            raise LogError(f"a duration of {steps:g} steps", topic=place, remedy="it lasts one step at least")
-        cycle.append((COLOURS[colour], steps))
-    direction = element.findtext("direction", "all").strip() or "all"
-    if direction not in DIRECTIONS:
-        raise LogError(f"no direction {direction!r}", topic=place, remedy=f"known are {', '.join(DIRECTIONS)}")
-    offset = number(element.findtext("cycle/timeOffset", "0"), f"{place}/timeOffset")
-    return Light(name, tuple(cycle), offset, DIRECTIONS[direction], element.findtext("active", "").strip() != "false")
-
-
-def stop_of(lanelet: Element, place: str) -> Stop | None:
-    """The <stopLine> of a lanelet.
-
-    Raises:
-        LogError: It has a single point.
-    """
-    element = lanelet.find("stopLine")
-    if element is None:
-        return None
-    points = points_in(element, f"{place}/stopLine")
-    if len(points) == 1:
-        raise LogError("a stop line of one point", topic=f"{place}/stopLine", remedy="give its two ends, or none")
-    ends = points[[0, -1]] if len(points) else None
-    return Stop(ends, *(references(element, tag, f"{place}/stopLine") for tag in ("trafficLightRef", "trafficSignRef")))
-
-
-def kinds_of(sign: Element) -> frozenset[str]:
-    """The kinds in a <trafficSign>, by their numbers in the country's law."""
-    kinds = (e.findtext("trafficSignID", "").strip() for e in sign.findall("trafficSignElement"))
-    return frozenset(filter(None, kinds))
-
-
-def intersection_of(element: Element) -> Intersection:
-    """An <intersection>."""
-    name = integer(element.get("id"), "intersection@id")
-    place = f"intersection {name}"
-    incomings = tuple(
-        Incoming(
-            references(e, "incomingLanelet", place),
-            tuple((i, turn) for turn in TURNS for i in references(e, f"successors{turn.title()}", place)),
-        )
-        for e in element.findall("incoming")
-    )
-    crossings = tuple(i for e in element.findall("crossing") for i in references(e, "crossingLanelet", place))
-    return Intersection(incomings, crossings)
-
-
-VERSIONS = ("2018b", "2020a")
-MAX_SPEED_SIGNS = ("274", "274.1", "R2-1", "r301")
-_CIRCLE = 2.0 * np.pi * np.arange(24) / 24
+    first: float
+    last: float
+    outlines: tuple[FloatArray, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,9 +195,9 @@ class Lanelet:
     types: tuple[str, ...]
     users: tuple[str, ...]
     speed: float
-    stop: Stop | None = None
-    lights: tuple[int, ...] = ()
-    signs: tuple[int, ...] = ()
+    stop: Stop | None
+    lights: tuple[int, ...]
+    signs: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,9 +257,9 @@ class Document:
     obstacles: tuple[Obstacle, ...]
     problems: tuple[Problem, ...]
     notes: tuple[str, ...]
-    lights: tuple[Light, ...] = ()
-    signs: Mapping[int, frozenset[str]] = field(default_factory=dict)
-    intersections: tuple[Intersection, ...] = ()
+    lights: tuple[Light, ...]
+    signs: Mapping[int, frozenset[str]]
+    intersections: tuple[Intersection, ...]
 
     @property
     def country(self) -> str:
@@ -335,6 +273,8 @@ def parse(path: Path) -> Document:
     Raises:
         LogError: Not XML, not CommonRoad, another version, or an element is missing or no number.
     """
+    from xml.etree import ElementTree
+
     try:
         root = ElementTree.parse(path).getroot()
     except OSError as error:
@@ -356,14 +296,32 @@ def _document(root: Element) -> Document:
     dt = number(root.get("timeStepSize"), "commonRoad@timeStepSize")
     if not dt > 0.0:
         raise LogError(f"time step of {dt} s", topic="commonRoad@timeStepSize", remedy="it must be positive")
-    signs = _speed_signs(root)
-    lanelets = tuple(_lanelet(e, signs) for e in root.findall("lanelet"))
+    signs: dict[int, frozenset[str]] = {}  # kinds and lowest speed limit, m/s, by the sign's id
+    limits: dict[int, float] = {}
+    for sign in root.findall("trafficSign"):
+        name, kinds = integer(sign.get("id"), "trafficSign@id"), set[str]()
+        for element in sign.findall("trafficSignElement"):
+            kind, value = element.findtext("trafficSignID", ""), element.find("additionalValue")
+            kinds.add(kind.strip())
+            if kind in MAX_SPEED_SIGNS and value is not None:
+                limit = number(value.text, f"trafficSign {name}/additionalValue")
+                limits[name] = min(limit, limits.get(name, limit))
+        signs[name] = frozenset(kinds - {""})
+    notes = []
+    unread = {kind for kinds in signs.values() for kind in kinds} - READ_SIGNS - {*MAX_SPEED_SIGNS}
+    if unread:
+        notes.append(f"traffic signs {', '.join(sorted(unread))} are ignored")
+    for tag in ("environmentObstacle", "phantomObstacle"):
+        count = len(root.findall(tag))
+        if count:
+            notes.append(f"{count} elements <{tag}> are ignored: they have no box on the road")
+    sets = [e.get("id", "?") for e in root.findall("dynamicObstacle") if e.find("occupancySet") is not None]
+    if sets:
+        notes.append(f"obstacles {', '.join(sets)} have an occupancy set: boxes that cover it stand where they may be")
+    lanelets = tuple(_lanelet(e, limits) for e in root.findall("lanelet"))
     if not lanelets:
         raise LogError("no lanelet", remedy="a CommonRoad scenario without a road cannot be driven")
-    obstacles = tuple(_obstacle(e) for tag in _OBSTACLE_TAGS for e in root.findall(tag))
-    problems = tuple(_problem(e) for e in root.findall("planningProblem"))
-    element = root.find("scenarioTags")
-    tags = tuple(root.get("tags", "").split()) if element is None else tuple(e.tag for e in element)
+    tags = root.find("scenarioTags")
     return Document(
         root.get("benchmarkID", ""),
         version,
@@ -371,75 +329,80 @@ def _document(root: Element) -> Document:
         root.get("source", ""),
         root.get("author", ""),
         root.get("affiliation", ""),
-        tags,
+        tuple(root.get("tags", "").split()) if tags is None else tuple(e.tag for e in tags),
         lanelets,
-        obstacles,
-        problems,
-        tuple(_skipped(root)),
-        tuple(light_of(e) for e in root.findall("trafficLight")),
-        {integer(e.get("id"), "trafficSign@id"): kinds_of(e) for e in root.findall("trafficSign")},
-        tuple(intersection_of(e) for e in root.findall("intersection")),
+        tuple(_obstacle(e) for tag in OBSTACLE_TAGS for e in root.findall(tag)),
+        tuple(_problem(e) for e in root.findall("planningProblem")),
+        tuple(notes),
+        tuple(_light(e) for e in root.findall("trafficLight")),
+        signs,
+        tuple(_intersection(e) for e in root.findall("intersection")),
     )
 
 
-_OBSTACLE_TAGS = ("obstacle", "staticObstacle", "dynamicObstacle")
+def _light(element: Element) -> Light:
+    name = integer(element.get("id"), "trafficLight@id")
+    place, cycle = f"trafficLight {name}", []
+    for part in element.findall("cycle/cycleElement"):
+        colour, steps = part.findtext("color", "").strip(), number(part.findtext("duration"), f"{place}/duration")
+        if colour not in COLOURS:
+            raise LogError(f"no colour {colour!r}", topic=place, remedy=f"known are {', '.join(COLOURS)}")
+        if not steps >= 1.0:
+            raise LogError(f"a duration of {steps:g} steps", topic=place, remedy="it lasts one step at least")
+        cycle.append((COLOURS[colour], steps))
+    direction = element.findtext("direction", "all").strip() or "all"
+    if direction not in DIRECTIONS:
+        raise LogError(f"no direction {direction!r}", topic=place, remedy=f"known are {', '.join(DIRECTIONS)}")
+    offset = number(element.findtext("cycle/timeOffset", "0"), f"{place}/timeOffset")
+    active = element.findtext("active", "").strip() != "false"
+    return Light(name, tuple(cycle), offset, frozenset(DIRECTIONS[direction]), active)
 
 
-def _skipped(root: Element) -> Iterator[str]:
-    """What the file holds and a Scenario does not, one sentence each."""
-    unread = {kind for e in root.findall("trafficSign") for kind in kinds_of(e)} - READ_SIGNS - {*MAX_SPEED_SIGNS}
-    if unread:
-        yield f"traffic signs {', '.join(sorted(unread))} are ignored"
-    for tag in ("environmentObstacle", "phantomObstacle"):
-        count = len(root.findall(tag))
-        if count:
-            yield f"{count} elements <{tag}> are ignored: they have no box on the road"
-    sets = [e.get("id", "?") for e in root.findall("dynamicObstacle") if e.find("occupancySet") is not None]
-    if sets:
-        yield f"obstacles {', '.join(sets)} have an occupancy set: boxes that cover it stand where they may be"
+def _intersection(element: Element) -> Intersection:
+    place, incomings = f"intersection {integer(element.get('id'), 'intersection@id')}", []
+    for each in element.findall("incoming"):
+        successors = [(i, turn) for turn in TURNS for i in references(each, f"successors{turn.title()}", place)]
+        incomings.append(Incoming(references(each, "incomingLanelet", place), tuple(successors)))
+    crossings = tuple(i for e in element.findall("crossing") for i in references(e, "crossingLanelet", place))
+    return Intersection(tuple(incomings), crossings)
 
 
-def _speed_signs(root: Element) -> dict[str, float]:
-    """Lowest speed limit per traffic sign, m/s, by its id."""
-    found: dict[str, float] = {}
-    for sign in root.findall("trafficSign"):
-        name = sign.get("id", "?")
-        for element in sign.findall("trafficSignElement"):
-            value = element.find("additionalValue")
-            if element.findtext("trafficSignID") in MAX_SPEED_SIGNS and value is not None:
-                limit = number(value.text, f"trafficSign {name}/additionalValue")
-                found[name] = min(limit, found.get(name, limit))
-    return found
-
-
-def _lanelet(element: Element, signs: dict[str, float]) -> Lanelet:
+def _lanelet(element: Element, limits: Mapping[int, float]) -> Lanelet:
     name = integer(element.get("id"), "lanelet@id")
     place = f"lanelet {name}"
     left, right = (child(element, bound, place) for bound in ("leftBound", "rightBound"))
-    speeds = [signs[ref] for e in element.findall("trafficSignRef") if (ref := e.get("ref", "")) in signs]
+    signs = references(element, "trafficSignRef", place)
+    speeds = [limits[i] for i in signs if i in limits]
     speeds += [number(e.text, f"{place}/speedLimit") for e in element.findall("speedLimit")]
+    beside: list[tuple[int, bool] | None] = []
+    for tag in ("adjacentLeft", "adjacentRight"):
+        other = element.find(tag)
+        beside.append(
+            None
+            if other is None
+            else (integer(other.get("ref"), f"{place}/{tag}@ref"), other.get("drivingDir", "same") == "same")
+        )
+    stop, line = None, element.find("stopLine")
+    if line is not None:
+        points = points_in(line, f"{place}/stopLine")
+        if len(points) == 1:
+            raise LogError("a stop line of one point", topic=f"{place}/stopLine", remedy="give its two ends, or none")
+        its = (references(line, tag, f"{place}/stopLine") for tag in ("trafficLightRef", "trafficSignRef"))
+        stop = Stop(points[[0, -1]] if len(points) else None, *its)
     return Lanelet(
         name,
         points_in(left, f"{place}/leftBound"),
         points_in(right, f"{place}/rightBound"),
         references(element, "successor", place),
-        (_beside(element, "adjacentLeft", place), _beside(element, "adjacentRight", place)),
+        (beside[0], beside[1]),
         (left.findtext("lineMarking", "").strip(), right.findtext("lineMarking", "").strip()),
         tuple((e.text or "").strip() for e in element.findall("laneletType")),
         tuple((e.text or "").strip() for tag in ("userOneWay", "userBidirectional") for e in element.findall(tag)),
         min(speeds, default=float("nan")),
-        stop_of(element, place),
+        stop,
         references(element, "trafficLightRef", place),
-        references(element, "trafficSignRef", place),
+        signs,
     )
-
-
-def _beside(element: Element, tag: str, place: str) -> tuple[int, bool] | None:
-    """The lanelet beside and whether it is driven in the same direction."""
-    found = element.find(tag)
-    if found is None:
-        return None
-    return integer(found.get("ref"), f"{place}/{tag}@ref"), found.get("drivingDir", "same") == "same"
 
 
 def _outline(shape: Element, place: str) -> FloatArray:
@@ -453,8 +416,8 @@ def _outline(shape: Element, place: str) -> FloatArray:
         return points
     center = np.array(point_in(c, place) if (c := shape.find("center")) is not None else (0.0, 0.0))
     if shape.tag == "circle":
-        radius = number(child(shape, "radius", place).text, f"{place}/radius")
-        return center + radius * np.column_stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
+        radius, angle = number(child(shape, "radius", place).text, f"{place}/radius"), 2.0 * np.pi * np.arange(24) / 24
+        return center + radius * np.column_stack([np.cos(angle), np.sin(angle)])
     length, width, yaw = _rectangle(shape, place)
     corners = 0.5 * np.array([[length, width], [-length, width], [-length, -width], [length, -width]])
     return center + corners @ np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
@@ -466,41 +429,8 @@ def _rectangle(shape: Element, place: str) -> tuple[float, float, float]:
     return size[0], size[1], number(shape.findtext("orientation", "0"), f"{place}/orientation")
 
 
-def _box(element: Element, place: str) -> tuple[float, float, float, float, float]:
-    """An obstacle's box: length, width, and its pose (along, left, turn) in the obstacle's frame.
-
-    A single rectangle is exact; everything else becomes its bounding box.
-    """
-    shapes = list(child(element, "shape", place))
-    if not shapes or any(shape.tag not in ("rectangle", "circle", "polygon") for shape in shapes):
-        raise LogError("no rectangle, circle or polygon", topic=f"{place}/shape", remedy="correct the element")
-    turn, outlines = 0.0, [_outline(shape, f"{place}/shape") for shape in shapes]
-    low, high = np.vstack(outlines).min(axis=0), np.vstack(outlines).max(axis=0)
-    length, width = high - low
-    if len(shapes) == 1 and shapes[0].tag == "rectangle":
-        length, width, turn = _rectangle(shapes[0], f"{place}/shape")
-    if not (length > 0.0 and width > 0.0):
-        raise LogError(f"a box of {length} x {width} m", topic=f"{place}/shape", remedy="sizes must be positive")
-    center = 0.5 * (low + high)
-    return float(length), float(width), float(center[0]), float(center[1]), turn
-
-
-def _position(state: Element, place: str) -> tuple[float, float]:
-    """A point, or the centre of the shape that bounds an uncertain position."""
-    position = child(state, "position", place)
-    point = position.find("point")
-    if point is not None:
-        return point_in(point, f"{place}/position")
-    shapes = [e for e in position if e.tag in ("rectangle", "circle", "polygon")]
-    if not shapes:
-        raise LogError("neither point nor shape", topic=f"{place}/position", remedy="correct the element")
-    outline = np.vstack([_outline(shape, f"{place}/position") for shape in shapes])
-    x, y = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
-    return float(x), float(y)
-
-
 def _state(element: Element, place: str, *, needs_yaw: bool) -> tuple[float, ...]:
-    """One row of the states of an `Obstacle`."""
+    """One row of the states of an `Obstacle`; the shape that bounds an uncertain position counts by its centre."""
     step = middle(element, "time", place)
     yaw = middle(element, "orientation", place)
     if step != step:
@@ -509,14 +439,32 @@ def _state(element: Element, place: str, *, needs_yaw: bool) -> tuple[float, ...
         if needs_yaw:
             raise LogError("<orientation> is missing", topic=place, remedy="the format requires it")
         yaw = 0.0
-    x, y = _position(element, place)
+    position = child(element, "position", place)
+    point, shapes = position.find("point"), [e for e in position if e.tag in SHAPE_TAGS]
+    if point is not None:
+        x, y = point_in(point, f"{place}/position")
+    elif shapes:
+        outline = np.vstack([_outline(shape, f"{place}/position") for shape in shapes])
+        x, y = (0.5 * (outline.min(axis=0) + outline.max(axis=0))).tolist()
+    else:
+        raise LogError("neither point nor shape", topic=f"{place}/position", remedy="correct the element")
     return step, x, y, yaw, middle(element, "velocity", place), middle(element, "acceleration", place)
 
 
 def _obstacle(element: Element) -> Obstacle:
+    """An obstacle; a single rectangle is exact, everything else becomes its bounding box."""
     name = integer(element.get("id"), f"{element.tag}@id")
     place = f"obstacle {name}"
-    length, width, along, left, turn = _box(element, place)
+    shapes = list(child(element, "shape", place))
+    if not shapes or any(shape.tag not in SHAPE_TAGS for shape in shapes):
+        raise LogError("no rectangle, circle or polygon", topic=f"{place}/shape", remedy="correct the element")
+    turn, outline = 0.0, np.vstack([_outline(shape, f"{place}/shape") for shape in shapes])
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    (length, width), (along, left) = (high - low).tolist(), (0.5 * (low + high)).tolist()
+    if len(shapes) == 1 and shapes[0].tag == "rectangle":
+        length, width, turn = _rectangle(shapes[0], f"{place}/shape")
+    if not (length > 0.0 and width > 0.0):
+        raise LogError(f"a box of {length} x {width} m", topic=f"{place}/shape", remedy="sizes must be positive")
     needs_yaw = element.find("shape/circle") is None
     rows = [_state(child(element, "initialState", place), f"{place}/initialState", needs_yaw=needs_yaw)]
     for i, state in enumerate(element.findall("trajectory/state")):
@@ -528,23 +476,20 @@ def _obstacle(element: Element) -> Obstacle:
     table[:, 2] += along * s + left * c
     table[:, 3] = np.unwrap(table[:, 3] + turn)
     static = element.tag == "staticObstacle" or element.findtext("role", "").strip() == "static"
-    kind = element.findtext("type", "unknown").strip()
-    sets = tuple(_occupied(e, f"{place}/occupancySet") for e in element.findall("occupancySet/occupancy"))
+    sets = []
+    for each in element.findall("occupancySet/occupancy"):
+        steps = interval(each, "time", f"{place}/occupancySet")
+        if steps is None:
+            raise LogError("<time> is missing", topic=f"{place}/occupancySet", remedy="the format requires it")
+        shapes = list(child(each, "shape", f"{place}/occupancySet"))
+        sets.append(OccupiedSet(*steps, tuple(_outline(shape, f"{place}/occupancySet/shape") for shape in shapes)))
     if sets and len(table) == 1:
         ahead = 0.5 * np.array([length * np.cos(table[0, 3]), length * np.sin(table[0, 3])])
         aside = 0.5 * np.array([-width * np.sin(table[0, 3]), width * np.cos(table[0, 3])])
         box = table[0, 1:3] + np.array([ahead + aside, aside - ahead, -ahead - aside, ahead - aside])
-        sets = (OccupiedSet(table[0, 0], table[0, 0], (box,)), *sets)
-    return Obstacle(name, kind, static, length, width, frozen(table[:1] if static else table), sets)
-
-
-def _occupied(element: Element, place: str) -> OccupiedSet:
-    """An <occupancy>."""
-    steps = interval(element, "time", place)
-    if steps is None:
-        raise LogError("<time> is missing", topic=place, remedy="the format requires it")
-    shapes = list(child(element, "shape", place))
-    return OccupiedSet(*steps, tuple(_outline(shape, f"{place}/shape") for shape in shapes))
+        sets.insert(0, OccupiedSet(table[0, 0], table[0, 0], (box,)))
+    kind = element.findtext("type", "unknown").strip()
+    return Obstacle(name, kind, static, length, width, frozen(table[:1] if static else table), tuple(sets))
 
 
 def _problem(element: Element) -> Problem:
@@ -554,17 +499,11 @@ def _problem(element: Element) -> Problem:
     start = np.array(_state(initial, f"{place}/initialState", needs_yaw=True))
     if start[4] != start[4]:
         raise LogError("<velocity> is missing", topic=f"{place}/initialState", remedy="the format requires it")
-    goals = tuple(_goal(goal, f"{place}/goalState") for goal in element.findall("goalState"))
-    return Problem(name, frozen(start), middle(initial, "yawRate", f"{place}/initialState"), goals)
-
-
-def _goal(element: Element, place: str) -> GoalState:
-    position = element.find("position")
-    shapes = [] if position is None else [e for e in position if e.tag in ("rectangle", "circle", "polygon")]
-    return GoalState(
-        tuple(frozen(_outline(shape, f"{place}/position")) for shape in shapes),
-        () if position is None else references(position, "lanelet", f"{place}/position"),
-        interval(element, "time", place),
-        interval(element, "velocity", place),
-        interval(element, "orientation", place),
-    )
+    goals, at = [], f"{place}/goalState"
+    for goal in element.findall("goalState"):
+        position = goal.find("position")
+        regions = [] if position is None else [_outline(e, f"{at}/position") for e in position if e.tag in SHAPE_TAGS]
+        lanelets = () if position is None else references(position, "lanelet", f"{at}/position")
+        bounds = (interval(goal, tag, at) for tag in ("time", "velocity", "orientation"))
+        goals.append(GoalState(tuple(map(frozen, regions)), lanelets, *bounds))
+    return Problem(name, frozen(start), middle(initial, "yawRate", f"{place}/initialState"), tuple(goals))

@@ -19,8 +19,8 @@ from math import ceil
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.readers.commonroad.document import Document, Lanelet, Problem
-from logs.readers.recorded.strips import resampled
+from logs.readers.commonroad.document import Document, Problem
+from logs.readers.strips import resampled
 from logs.road import Lane, Road
 
 NOT_DRIVABLE = {"sidewalk", "crosswalk", "bicycleLane", "shoulder", "busLane", "busStop", "border", "restricted"}
@@ -53,11 +53,33 @@ def road_of(
     """
     lanes, notes = {}, []
     for lanelet in document.lanelets:
-        bounds = _repaired(lanelet)
-        if bounds is None:
+        left, right = lanelet.left, lanelet.right
+        keep = np.zeros(0, np.bool_)
+        if min(len(left), len(right)) > 1:
+            if len(left) != len(right):
+                count = max(len(left), len(right))
+                left, right = resampled(left, count), resampled(right, count)
+            keep = np.r_[True, np.hypot(*np.diff(0.5 * (left + right), axis=0).T) > 1e-3]
+        if keep.sum() < 2:
             notes.append(f"lanelet {lanelet.id} is dropped: its boundaries are no strip")
-        else:
-            lanes[lanelet.id] = _lane(lanelet, bounds[0] - origin, bounds[1] - origin)
+            continue
+        on_left, on_right = lanelet.beside
+        for_cars = not lanelet.users or {"car", "vehicle"} & set(lanelet.users)
+        lanes[lanelet.id] = Lane(
+            lanelet.id,
+            left[keep] - origin,
+            right[keep] - origin,
+            successors=lanelet.successors,
+            left_neighbour=on_left[0] if on_left and on_left[1] else None,
+            right_neighbour=on_right[0] if on_right and on_right[1] else None,
+            left_opposite=bool(on_left and not on_left[1]),
+            right_opposite=bool(on_right and not on_right[1]),
+            speed_limit=lanelet.speed,
+            drivable=bool(for_cars) and not NOT_DRIVABLE & set(lanelet.types),
+            left_crossable=_crossable(lanelet.markings[0], near=-1),
+            right_crossable=_crossable(lanelet.markings[1], near=0),
+            kind="+".join(lanelet.types) or "lane",
+        )
     uneven = sum(len(lanelet.left) != len(lanelet.right) for lanelet in document.lanelets)
     if uneven:
         notes.append(f"{uneven} lanelets have boundaries of unequal point counts: resampled by arc length")
@@ -68,44 +90,7 @@ def road_of(
         if lane.drivable and not (np.isnan(lane.speed_limit) or low <= lane.speed_limit <= high):
             odd[lane.speed_limit] += 1
     notes += [f"speed limit of {limit:g} m/s on {count} lanes is kept as given" for limit, count in odd.items()]
-    speeds, on_goal = _goal_speeds(problem, road, origin)
-    return _with_defaults(document, road, driven - (*origin, 0.0), speeds, on_goal, notes)
-
-
-def _goal_speeds(
-    problem: Problem | None, road: Road, origin: tuple[float, float]
-) -> tuple[tuple[float, float] | None, set[int]]:
-    """The least and the greatest speed for which the goals ask, if all of them do, and the lanes on which they lie."""
-    speeds = [goal.v for goal in problem.goals if goal.v is not None] if problem is not None else []
-    if problem is None or not speeds or len(speeds) < len(problem.goals):
-        return None, set()
-    lanes = {i for goal in problem.goals for i in goal.lanelets}
-    for region in (region for goal in problem.goals for region in goal.regions):
-        places = np.vstack([region, 0.5 * (region + np.roll(region, 1, axis=0)), region.mean(axis=0)]) - origin
-        lanes |= {lane.id for x, y in places for lane in road.lanes_at(float(x), float(y))}
-    return (min(v[0] for v in speeds), max(v[1] for v in speeds)), lanes
-
-
-def _lane(lanelet: Lanelet, left: FloatArray, right: FloatArray) -> Lane:
-    on_left, on_right = lanelet.beside
-    may_drive = not NOT_DRIVABLE & set(lanelet.types)
-    if lanelet.users and not {"car", "vehicle"} & set(lanelet.users):
-        may_drive = False
-    return Lane(
-        lanelet.id,
-        left,
-        right,
-        successors=lanelet.successors,
-        left_neighbour=on_left[0] if on_left and on_left[1] else None,
-        right_neighbour=on_right[0] if on_right and on_right[1] else None,
-        left_opposite=bool(on_left and not on_left[1]),
-        right_opposite=bool(on_right and not on_right[1]),
-        speed_limit=lanelet.speed,
-        drivable=may_drive,
-        left_crossable=_crossable(lanelet.markings[0], near=-1),
-        right_crossable=_crossable(lanelet.markings[1], near=0),
-        kind="+".join(lanelet.types) or "lane",
-    )
+    return _with_defaults(document, road, origin, driven - (*origin, 0.0), problem, notes), tuple(notes)
 
 
 def _crossable(marking: str, *, near: int) -> bool:
@@ -116,25 +101,10 @@ def _crossable(marking: str, *, near: int) -> bool:
     return marking not in NOT_CROSSABLE
 
 
-def _repaired(lanelet: Lanelet) -> tuple[FloatArray, FloatArray] | None:
-    """Boundaries with equal point counts and without repeated cross-sections; None where no strip is left."""
-    left, right = lanelet.left, lanelet.right
-    if min(len(left), len(right)) < 2:
-        return None
-    if len(left) != len(right):
-        count = max(len(left), len(right))
-        left, right = resampled(left, count), resampled(right, count)
-    center = 0.5 * (left + right)
-    keep = np.r_[True, np.hypot(*np.diff(center, axis=0).T) > 1e-3]
-    if keep.sum() < 2:
-        return None
-    return left[keep], right[keep]
-
-
 def _with_defaults(
-    document: Document, road: Road, driven: FloatArray, asked: tuple[float, float] | None, on_goal: set[int],
+    document: Document, road: Road, origin: tuple[float, float], driven: FloatArray, problem: Problem | None,
     notes: list[str],
-) -> tuple[Road, tuple[str, ...]]:  # fmt: skip
+) -> Road:  # fmt: skip
     """The road with (1) to (3): the commonest default is the road's, others stand on their lanes."""
     missing: defaultdict[str, list[Lane]] = defaultdict(list)
     drivable = [lane for lane in road.lanes.values() if lane.drivable]
@@ -144,35 +114,36 @@ def _with_defaults(
             usual = "highway" if _HIGHWAY & (kinds | set(document.tags)) else "urban"
             missing[next((kind for kind in _DEFAULTS if kind in kinds), usual)].append(lane)
     if not missing:
-        return road, tuple(notes)
+        return road
+    goals = problem.goals if problem is not None else ()
+    speeds = [goal.v for goal in goals if goal.v is not None]
+    asks = bool(speeds) and len(speeds) == len(goals)  # for speeds between these, if all goals do
+    least, most = min((v[0] for v in speeds), default=0.0), max((v[1] for v in speeds), default=0.0)
+    on_goal = {i for goal in goals for i in goal.lanelets}
+    for region in (region for goal in goals if asks for region in goal.regions):
+        places = np.vstack([region, 0.5 * (region + np.roll(region, 1, axis=0)), region.mean(axis=0)]) - origin
+        on_goal |= {lane.id for x, y in places for lane in road.lanes_at(float(x), float(y))}
     assumed = {}
     for group, lanes in sorted(missing.items(), key=lambda item: (-len(item[1]), item[0])):
         ids, moving = {lane.id for lane in lanes}, driven[driven[:, 2] > 2.0]
-        speeds = np.array([v for x, y, v in moving if any(lane.id in ids for lane in road.lanes_at(x, y))])
-        assumed[group], why = _assumed(group, document.country, speeds)
-        if asked is not None and asked[0] > assumed[group] and ids & on_goal:
-            least, most = asked
-            assumed[group] = _rounded_up(min(0.5 * (least + most), _MORE * least))
+        limit, why = _DEFAULTS.get(group, _URBAN), f"{group} default"  # (1)
+        if group == "highway":
+            limit = 65.0 * 1.609344 * KPH if document.country == "USA" else 130.0 * KPH
+        pace = np.array([v for x, y, v in moving if any(lane.id in ids for lane in road.lanes_at(x, y))])
+        if len(pace) >= _ENOUGH:
+            typical = _rounded_up(float(np.percentile(pace, 85)))
+            if typical > limit:  # (2)
+                limit, why = typical, f"85th percentile of the speeds at the start, above the {group} default,"
+        if asks and least > limit and ids & on_goal:  # (3)
+            limit = _rounded_up(min(0.5 * (least + most), _MORE * least))
             why = f"the goal asks for {least:.0f} m/s, above the {why.rstrip(',')}:"
-        limit = f"{assumed[group]:.2f} m/s ({assumed[group] / KPH:.0f} km/h)"
-        notes.append(f"speed limit missing on {len(lanes)} of {len(drivable)} lanes: {why} {limit} assumed")
+        assumed[group] = limit
+        words = f"{limit:.2f} m/s ({limit / KPH:.0f} km/h)"
+        notes.append(f"speed limit missing on {len(lanes)} of {len(drivable)} lanes: {why} {words} assumed")
     default = next(iter(assumed.values()))
     changed = {lane.id: assumed[g] for g, lanes in missing.items() for lane in lanes if assumed[g] != default}
     by_id = {i: replace(lane, speed_limit=changed.get(i, lane.speed_limit)) for i, lane in road.lanes.items()}
-    road = replace(road, lanes=by_id, default_speed_limit=default, assumed_limits=frozenset(changed))
-    return road, tuple(notes)
-
-
-def _assumed(group: str, country: str, speeds: FloatArray) -> tuple[float, str]:
-    """A limit by (1) and (2), m/s, and its name."""
-    limit, why = _DEFAULTS.get(group, _URBAN), f"{group} default"
-    if group == "highway":
-        limit = 65.0 * 1.609344 * KPH if country == "USA" else 130.0 * KPH
-    if len(speeds) >= _ENOUGH:
-        typical = _rounded_up(float(np.percentile(speeds, 85)))
-        if typical > limit:
-            limit, why = typical, f"85th percentile of the speeds at the start, above the {group} default,"
-    return limit, why
+    return replace(road, lanes=by_id, default_speed_limit=default, assumed_limits=frozenset(changed))
 
 
 def _rounded_up(speed: float) -> float:

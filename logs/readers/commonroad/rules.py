@@ -24,7 +24,7 @@ no order without signs.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 from math import atan2, radians
@@ -38,11 +38,9 @@ from logs.readers.commonroad.document import (
     YIELD_SIGNS,
     Document,
     Incoming,
-    Intersection,
     Lanelet,
-    Light,
 )
-from logs.readers.recorded.strips import dense
+from logs.readers.strips import dense
 from logs.road import Lane, Road
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.states import wrap
@@ -52,6 +50,8 @@ MERGING, OPPOSITE, TURNING = radians(30.0), radians(135.0), radians(30.0)
 SPACING_M = 0.5
 UNSIGNED = 1
 
+Turns = Mapping[tuple[int, int], str]
+"""Turn by lanelet and successor."""
 Heads = Mapping[int, tuple[int, ...]]
 """Light of the scenario -> lights of the file, of which the first that is not dark counts."""
 
@@ -81,50 +81,38 @@ class _Line:
 def with_rules(document: Document, road: Road, origin: tuple[float, float]) -> tuple[Road, Heads, tuple[str, ...]]:
     """The road with its rules, which of the file's lights its stop lines obey, and what was assumed or left out."""
     turns = _turns(document, road)
-    lines = [
-        line
-        for lanelet in document.lanelets
-        if lanelet.id in road.lanes
-        for line in _lines(document, lanelet, road.lanes[lanelet.id], turns, origin)
-    ]
-    names = _names(document, [line.chain for line in lines if line.chain])
+    lines: list[_Line] = []
+    for lanelet in document.lanelets:
+        if lanelet.id in road.lanes:
+            lines += _lines(document, lanelet, road.lanes[lanelet.id], turns, origin)
+    # a light of the scenario for each chain: its first one's id, or beyond all ids where that is taken
+    names: dict[tuple[int, ...], int] = {}
+    free = 1 + max((light.id for light in document.lights), default=0)
+    for chain in dict.fromkeys(line.chain for line in lines if line.chain):
+        taken = chain[0] in names.values()
+        names[chain] = free if taken else chain[0]
+        free += taken
     stop_lines = tuple(
         StopLine(number, line.lane, line.ends, names.get(line.chain), line.must_stop, line.towards)
         for number, line in enumerate(lines, start=1)
     )
-    waits, assumed = _right_of_way(document, road, turns)
+    waits, notes = _right_of_way(document, road, turns)
     lanes = {i: replace(lane, yields_to=tuple(sorted(waits.get(i, ())))) for i, lane in road.lanes.items()}
     crossings = {i for intersection in document.intersections for i in intersection.crossings}
     marked = (lane for lane in road.lanes.values() if lane.id in crossings or "crosswalk" in lane.kind.split("+"))
     walks = tuple(Crosswalk(lane.id, lane.polygon) for lane in marked)
-    ruled = replace(road, lanes=lanes, stop_lines=stop_lines, crosswalks=walks)
-    heads = {name: chain for chain, name in names.items()}
-    return ruled, heads, (*assumed, *_left_out(document, heads))
-
-
-def _names(document: Document, chains: Iterable[tuple[int, ...]]) -> dict[tuple[int, ...], int]:
-    """The light of the scenario for each chain: its first one's id, or beyond all ids where that is taken."""
-    names: dict[tuple[int, ...], int] = {}
-    free = 1 + max((light.id for light in document.lights), default=0)
-    for chain in dict.fromkeys(chains):
-        names[chain] = chain[0]
-        if chain[0] in list(names.values())[:-1]:
-            names[chain], free = free, free + 1
-    return names
-
-
-def _left_out(document: Document, heads: Heads) -> Iterator[str]:
-    """What the file has on lights and the scenario has not."""
     known = {light.id for light in document.lights}
-    unused = known - {i for chain in heads.values() for i in chain}
+    unused = known - {i for chain in names for i in chain}
     if unused:
-        yield f"traffic lights {_listed(unused)} are ignored: no lane that goes their way names them"
+        notes.append(f"traffic lights {_listed(unused)} are ignored: no lane that goes their way names them")
     dark = {light.id for light in document.lights if light.active and not light.cycle}
     if dark:
-        yield f"traffic lights {_listed(dark)} have no cycle: they are taken as off"
+        notes.append(f"traffic lights {_listed(dark)} have no cycle: they are taken as off")
     lost = {i for lanelet in document.lanelets for i in _lights_at(lanelet)} - known
     if lost:
-        yield f"traffic lights {_listed(lost)} are named by lanelets, but are not in the file"
+        notes.append(f"traffic lights {_listed(lost)} are named by lanelets, but are not in the file")
+    ruled = replace(road, lanes=lanes, stop_lines=stop_lines, crosswalks=walks)
+    return ruled, {name: chain for chain, name in names.items()}, tuple(notes)
 
 
 def _listed(names: Iterable[int]) -> str:
@@ -171,13 +159,7 @@ def _kinds_at(document: Document, lanelet: Lanelet, *, without: Collection[int] 
     return {kind for name in names for kind in document.signs.get(name, ())}
 
 
-def _lines(
-    document: Document,
-    lanelet: Lanelet,
-    lane: Lane,
-    turns: Mapping[tuple[int, int], str],
-    origin: tuple[float, float],
-) -> list[_Line]:
+def _lines(document: Document, lanelet: Lanelet, lane: Lane, turns: Turns, origin: tuple[float, float]) -> list[_Line]:
     """The stop lines of a lanelet: one for each light, else one for its sign."""
     names, stop = _lights_at(lanelet), lanelet.stop
     later = [other for other in document.lanelets if stop is None and other.id in lanelet.successors]
@@ -189,24 +171,21 @@ def _lines(
     ends = np.vstack([lane.right[-1], lane.left[-1]])
     if stop is not None and stop.ends is not None:
         ends = stop.ends - origin
-    governed = _governed(lights, [(i, turns[lane.id, i]) for i in lane.successors if (lane.id, i) in turns])
-    out = [_Line(lane.id, ends, chain, towards=towards) for chain, towards in governed.items()]
-    must_stop = bool(kinds & STOP_SIGNS) and not any(light.active for light in lights)
-    return out if out and not must_stop else [*out, _Line(lane.id, ends, must_stop=must_stop)]
-
-
-def _governed(lights: list[Light], successors: list[tuple[int, str]]) -> dict[tuple[int, ...], tuple[int, ...]]:
-    """Lights of the file, those that count while the ones before are dark behind them -> successors (empty: all)."""
-    if not successors:
-        return {(light.id,): () for light in lights}
-    by_chain: dict[tuple[int, ...], list[int]] = {}
+    successors = [(i, turns[lane.id, i]) for i in lane.successors if (lane.id, i) in turns]
+    # lights, those that count while the ones before are dark behind them -> successors (empty: all)
+    governed: dict[tuple[int, ...], list[int]] = {} if successors else {(light.id,): [] for light in lights}
     for successor, turn in successors:
         meant = sorted((light for light in lights if turn in light.turns), key=lambda light: len(light.turns))
         for first in (light for light in meant if len(light.turns) == len(meant[0].turns)):
             goes_dark = not first.active or any(colour is Colour.OFF for colour, _ in first.cycle)
             others = (each.id for each in meant if goes_dark and len(each.turns) > len(first.turns))
-            by_chain.setdefault((first.id, *others), []).append(successor)
-    return {c: () if len(some) == len(successors) else tuple(some) for c, some in by_chain.items()}
+            governed.setdefault((first.id, *others), []).append(successor)
+    out = []
+    for chain, some in governed.items():
+        towards = () if len(some) == len(successors) else tuple(some)
+        out.append(_Line(lane.id, ends, chain, towards=towards))
+    must_stop = bool(kinds & STOP_SIGNS) and not any(light.active for light in lights)
+    return out if out and not must_stop else [*out, _Line(lane.id, ends, must_stop=must_stop)]
 
 
 def lights_of(document: Document, heads: Heads, start: float, duration: float) -> tuple[TrafficLight, ...]:
@@ -229,22 +208,35 @@ def lights_of(document: Document, heads: Heads, start: float, duration: float) -
 # right of way
 
 
-def _right_of_way(
-    document: Document, road: Road, turns: Mapping[tuple[int, int], str]
-) -> tuple[dict[int, set[int]], list[str]]:
+def _right_of_way(document: Document, road: Road, turns: Turns) -> tuple[dict[int, set[int]], list[str]]:
     """Inner lane -> lanes that go first; and what was assumed."""
     waits: dict[int, set[int]] = {}
     assumed, total = 0, len(document.intersections)
+    across = "left" if road.drives_on_right else "right"
     for intersection in document.intersections:
-        zone = _zone(intersection, road)
+        # inside is what begins nearer to the middle of the incomings' ends than the farthest of these
+        leading = {i for incoming in intersection.incomings for i in incoming.lanelets if i in road.lanes}
+        ends = np.array([road.lanes[i].center[-1] for i in leading]).reshape(-1, 2)
+        middle = ends.mean(axis=0) if leading else np.zeros(2)
+        radius = float(np.hypot(*(ends - middle).T).max(initial=0.0))
+        later = (lane for lane in road.lanes.values() if lane.drivable and lane.id not in leading)
+        zone = {lane.id for lane in later if np.hypot(*(lane.center[0] - middle)) < radius}
         found = (_approach(document, road, incoming, turns, zone) for incoming in intersection.incomings)
         approaches = [approach for approach in found if approach is not None]
-        by_side = False
+        unsigned = False
         for one, other in permutations(approaches, 2):
-            for lane, first in _waiting(one, other, road):
-                waits.setdefault(lane, set()).add(first)
-                by_side = by_side or _unsigned_order(one, other, keeps_right=road.drives_on_right)
-        assumed += by_side and all(approach.rank == UNSIGNED for approach in approaches)
+            signed = one.rank != other.rank and not (one.lit and other.lit)
+            by_side = _unsigned_order(one, other, keeps_right=road.drives_on_right)
+            opposite = abs(wrap(other.heading - one.heading)) > OPPOSITE
+            own = {i: some for i, some in one.inner.items() if i not in other.inner}
+            others = {i: some for i, some in other.inner.items() if i not in one.inner}
+            for lane, first in product(own, others):
+                turns_across = opposite and own[lane] == {across} and others[first] != {across}
+                waits_here = one.rank < other.rank if signed else by_side or turns_across  # (1), else (2) or (3)
+                if waits_here and meet(road.lanes[lane].center, road.lanes[first].center):
+                    waits.setdefault(lane, set()).add(first)
+                    unsigned = unsigned or by_side
+        assumed += unsigned and all(approach.rank == UNSIGNED for approach in approaches)
     if not assumed:
         return waits, []
     rule = "the road of more lanes goes first" + (", else who comes from the right" if road.drives_on_right else "")
@@ -252,10 +244,11 @@ def _right_of_way(
 
 
 def _approach(
-    document: Document, road: Road, incoming: Incoming, turns: Mapping[tuple[int, int], str], zone: Collection[int]
+    document: Document, road: Road, incoming: Incoming, turns: Turns, zone: Collection[int]
 ) -> _Approach | None:
-    """The incoming as far as cars drive there; None where they do not."""
-    lanes = [road.lanes[i] for i in incoming.lanelets if i in road.lanes and road.lanes[i].drivable]
+    """The incoming as far as cars drive there; None where they do not. `zone`: the lanes inside the intersection."""
+    drivable = {lane.id for lane in road.lanes.values() if lane.drivable}
+    lanes = [road.lanes[i] for i in incoming.lanelets if i in drivable]
     if not lanes:
         return None
     names = frozenset(lane.id for lane in lanes)
@@ -264,54 +257,27 @@ def _approach(
     active = {light.id for light in document.lights if light.active}
     ends = [lane.center[-1] - lane.center[-2] for lane in lanes]
     mean = np.sum([step / np.hypot(*step) for step in ends], axis=0)
-    return _Approach(
-        atan2(mean[1], mean[0]),
-        len({i for lane in lanes for i in _carriageway(lane, road)}),
-        0 if kinds & (STOP_SIGNS | YIELD_SIGNS) else 2 if kinds & PRIORITY_SIGNS else UNSIGNED,
-        any(i in active for lanelet in lanelets for i in _lights_at(lanelet)),
-        _inner(lanes, road, turns, zone),
-    )
-
-
-def _zone(intersection: Intersection, road: Road) -> frozenset[int]:
-    """Lanes that begin inside an intersection: nearer to the middle of its incomings' ends than the farthest of them.
-
-    The lanes that lead into an intersection are not inside.
-    """
-    leading = {i for incoming in intersection.incomings for i in incoming.lanelets if i in road.lanes}
-    if not leading:
-        return frozenset()
-    ends = np.array([road.lanes[i].center[-1] for i in leading])
-    middle = ends.mean(axis=0)
-    radius = float(np.hypot(*(ends - middle).T).max())
-    lanes = (lane for lane in road.lanes.values() if lane.drivable and lane.id not in leading)
-    return frozenset(lane.id for lane in lanes if np.hypot(*(lane.center[0] - middle)) < radius)
-
-
-def _inner(
-    lanes: Sequence[Lane], road: Road, turns: Mapping[tuple[int, int], str], zone: Collection[int]
-) -> dict[int, frozenset[str]]:
-    """The inner lanes behind an incoming's lanes; of which turns each is part."""
-    found: dict[int, set[str]] = {}
+    carriageway, open_lanes = set[int](), [lane.id for lane in lanes]  # and those beside them in their direction
+    while open_lanes:
+        i = open_lanes.pop()
+        if i in drivable and i not in carriageway:
+            carriageway.add(i)
+            open_lanes += [j for j in (road.lanes[i].left_neighbour, road.lanes[i].right_neighbour) if j is not None]
+    inner: dict[int, set[str]] = {}
     ahead = [(i, turns[lane.id, i]) for lane in lanes for i in lane.successors if (lane.id, i) in turns]
-    ahead = [(i, turn) for i, turn in ahead if i in road.lanes and road.lanes[i].drivable]
+    ahead = [(i, turn) for i, turn in ahead if i in drivable]
     while ahead:
         i, turn = ahead.pop()
-        if turn not in found.setdefault(i, set()):
-            found[i].add(turn)
+        if turn not in inner.setdefault(i, set()):
+            inner[i].add(turn)
             ahead += [(after, turn) for after in road.lanes[i].successors if after in zone]
-    return {i: frozenset(some) for i, some in found.items()}
-
-
-def _carriageway(lane: Lane, road: Road) -> set[int]:
-    """The lane and those beside it in its direction, as far as cars drive there."""
-    found, ahead = set[int](), [lane.id]
-    while ahead:
-        i = ahead.pop()
-        if i in road.lanes and i not in found and road.lanes[i].drivable:
-            found.add(i)
-            ahead += [j for j in (road.lanes[i].left_neighbour, road.lanes[i].right_neighbour) if j is not None]
-    return found
+    return _Approach(
+        atan2(mean[1], mean[0]),
+        len(carriageway),
+        0 if kinds & (STOP_SIGNS | YIELD_SIGNS) else 2 if kinds & PRIORITY_SIGNS else UNSIGNED,
+        any(i in active for lanelet in lanelets for i in _lights_at(lanelet)),
+        {i: frozenset(some) for i, some in inner.items()},
+    )
 
 
 def _unsigned_order(one: _Approach, other: _Approach, *, keeps_right: bool) -> bool:
@@ -322,22 +288,6 @@ def _unsigned_order(one: _Approach, other: _Approach, *, keeps_right: bool) -> b
     if one.width != other.width:
         return one.width < other.width
     return keeps_right and angle > 0.0
-
-
-def _waiting(one: _Approach, other: _Approach, road: Road) -> Iterator[tuple[int, int]]:
-    """Inner lanes of `one` that wait for inner lanes of `other`, by (1) to (3)."""
-    lower = one.rank < other.rank and not (one.lit and other.lit)
-    higher = one.rank > other.rank and not (one.lit and other.lit)
-    by_side = _unsigned_order(one, other, keeps_right=road.drives_on_right)
-    across = "left" if road.drives_on_right else "right"
-    opposite = abs(wrap(other.heading - one.heading)) > OPPOSITE
-    own = {i: some for i, some in one.inner.items() if i not in other.inner}
-    others = {i: some for i, some in other.inner.items() if i not in one.inner}
-    for lane, first in product(own, others):
-        turns_across = opposite and own[lane] == {across} and others[first] != {across}
-        waits = lower or (not higher and (by_side or turns_across))
-        if waits and meet(road.lanes[lane].center, road.lanes[first].center):
-            yield lane, first
 
 
 def meet(one: FloatArray, other: FloatArray) -> bool:

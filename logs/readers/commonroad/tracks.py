@@ -1,4 +1,4 @@
-"""CommonRoad obstacles -> Tracks: headings set right, velocities chosen, one vehicle turned into the ego's log.
+"""CommonRoad obstacles -> Tracks: headings set right, velocities chosen, occupancy sets covered, the ego's log.
 
 Headings. Some recordings give headings against true north and positions on a map grid, so that all vehicles seem to
 drive askew by the same angle (MONA: 1.93 degrees, the grid convergence of UTM zone 32 at Munich).
@@ -18,11 +18,21 @@ Ego log. The rear axle is the box centre minus `axle_to_center` along the headin
 acceleration as stored; where the stored speed disagrees with the positions, by central differences. Curvature is the
 slope of heading over distance, and acceleration, where it is not stored, that of speed over time: least squares within
 0.5 s to both sides. An ego log is ground truth and not seen by planners: central windows are allowed.
+
+Occupancy sets. A set says where a road user may be at a time step: polygons that grow, not a pose. Tracks have boxes of
+one size, so each set becomes boxes of its own, which stand from its time until that of the next set (or over its
+interval). They are objects: replayed by time, never reacting, with no speed. The initial state is the first set.
+
+A polygon is covered from outside, so that a vehicle that touches the set touches a box:
+
+(3) box = the smallest rectangle along one of the edges of the polygon's convex hull (one of these has the least area)
+(4) excess = (area of the box - area of the polygon) / length of the box, m: how much wider than the polygon it is
+(5) where that exceeds `EXCESS_M` and the box is longer than `SHORTEST_M`, the polygon is cut across its middle
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import radians
 from typing import NamedTuple
@@ -30,31 +40,30 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.readers.commonroad.document import Document, Obstacle
-from logs.readers.commonroad.sets import standing
+from logs.readers.commonroad.document import Document, Obstacle, OccupiedSet
 from logs.scenario import AgentKind, Tracks
 from logs.states import Trajectory, wrap
 from logs.vehicle import VehicleParameters
 
 KINDS = {
-    "car": AgentKind.CAR,
-    "taxi": AgentKind.CAR,
-    "priorityVehicle": AgentKind.CAR,
-    "parkedVehicle": AgentKind.CAR,
-    "truck": AgentKind.TRUCK,
-    "bus": AgentKind.BUS,
-    "train": AgentKind.BUS,
-    "motorcycle": AgentKind.MOTORCYCLE,
-    "bicycle": AgentKind.BICYCLE,
-    "pedestrian": AgentKind.PEDESTRIAN,
-}
+    "car": AgentKind.CAR, "taxi": AgentKind.CAR, "priorityVehicle": AgentKind.CAR, "parkedVehicle": AgentKind.CAR,
+    "truck": AgentKind.TRUCK, "bus": AgentKind.BUS, "train": AgentKind.BUS, "motorcycle": AgentKind.MOTORCYCLE,
+    "bicycle": AgentKind.BICYCLE, "pedestrian": AgentKind.PEDESTRIAN,
+}  # fmt: skip
 WINDOW_S = 0.5
 _ASKEW = radians(0.5)
 
 
 def turned(document: Document) -> tuple[Document, tuple[str, ...]]:
     """The document with headings corrected by (1), and what was done."""
-    medians = [m for o in document.obstacles if (m := _askew(o, document.dt)) is not None]
+    medians = []
+    for obstacle in document.obstacles:
+        step, x, y, yaw = obstacle.states[:, :4].T
+        dx, dy = np.diff(x), np.diff(y)
+        moving = np.hypot(dx, dy) > 3.0 * document.dt * np.diff(step)
+        if len(step) >= 6 and moving.sum() >= 5:
+            angle = np.arctan2(dy, dx) - 0.5 * (yaw[1:] + yaw[:-1])
+            medians.append(float(np.median([wrap(a) for a in angle[moving]])))
     offset = float(np.median(medians)) if len(medians) >= 5 else 0.0
     agreeing = np.mean(np.abs(np.array(medians) - offset) < _ASKEW) if medians else 0.0
     if abs(offset) <= _ASKEW or agreeing < 0.8:
@@ -67,17 +76,6 @@ def turned(document: Document) -> tuple[Document, tuple[str, ...]]:
         problems.append(replace(problem, start=problem.start + turn, goals=tuple(goals)))
     note = f"headings are turned by {np.degrees(offset):.2f} deg: {len(medians)} vehicles drive askew by that angle"
     return replace(document, obstacles=obstacles, problems=tuple(problems)), (note,)
-
-
-def _askew(obstacle: Obstacle, dt: float) -> float | None:
-    """Median angle from an obstacle's heading to its motion, rad; None where it hardly moves."""
-    if len(obstacle.states) < 6:
-        return None
-    step, x, y, yaw = obstacle.states[:, :4].T
-    dx, dy = np.diff(x), np.diff(y)
-    moving = np.hypot(dx, dy) > 3.0 * dt * np.diff(step)
-    angle = np.arctan2(dy, dx) - 0.5 * (yaw[1:] + yaw[:-1])
-    return float(np.median([wrap(a) for a in angle[moving]])) if moving.sum() >= 5 else None
 
 
 def velocities(document: Document) -> tuple[dict[int, FloatArray], tuple[str, ...]]:
@@ -111,19 +109,93 @@ def _prediction_error(obstacles: Sequence[Obstacle], velocity: Sequence[FloatArr
     return float(np.mean(np.concatenate(errors))) if errors else float("nan")
 
 
+EXCESS_M = 0.1
+"""A box may be wider than the set by so much on average, m."""
+SHORTEST_M = 1.0
+"""A shorter box is not cut, m."""
+DEEPEST = 6
+"""A polygon is cut at most this many times: into 64 boxes."""
+
+
+class Box(NamedTuple):
+    """A rectangle: its centre, m, heading, rad, and size, m."""
+
+    x: float
+    y: float
+    yaw: float
+    length: float
+    width: float
+
+
+def covering(outline: FloatArray, cuts: int = DEEPEST) -> Iterator[Box]:
+    """Boxes that cover a polygon `(k, 2)` (3) to (5); none for a polygon without an area."""
+    box, (x, y) = smallest_box(outline), outline.T
+    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    if not min(box.length, box.width, area) > 1e-6:
+        return
+    if (box.length * box.width - area) / box.length <= EXCESS_M or box.length <= SHORTEST_M or not cuts:
+        yield box
+        return
+    along = np.array([np.cos(box.yaw), np.sin(box.yaw)])
+    middle = float(along @ (box.x, box.y))
+    for half in (1.0, -1.0):  # each half: Sutherland and Hodgman 1974
+        side, part = outline @ (half * along) - half * middle, []
+        for i in range(len(outline)):
+            before, after = side[i - 1], side[i]
+            if (before >= 0.0) != (after >= 0.0):
+                part.append(outline[i - 1] + (outline[i] - outline[i - 1]) * before / (before - after))
+            if after >= 0.0:
+                part.append(outline[i])
+        if len(part) >= 3:
+            yield from covering(np.array(part), cuts - 1)
+
+
+def standing(sets: Sequence[OccupiedSet]) -> Iterator[tuple[str, float, float, Box]]:
+    """Name within its road user, first and last time step, and box of each part of its sets (module docstring)."""
+    steps = sorted({one.first for one in sets})
+    usual = steps[-1] - steps[-2] if len(steps) > 1 else 1.0
+    until = dict(zip(steps, [*steps[1:], steps[-1] + usual], strict=True))
+    for k, one in enumerate(sets):
+        boxes = [box for outline in one.outlines for box in covering(outline)]
+        last = one.last if one.last > one.first else until[one.first]
+        yield from ((f"set {k} part {i}", one.first, last, box) for i, box in enumerate(boxes))
+
+
+def smallest_box(points: FloatArray) -> Box:
+    """The smallest rectangle around points `(k, 2)`, k >= 3 (3); its length is the longer side."""
+    ordered, chains = np.unique(points, axis=0).tolist(), []
+    for sequence in (ordered, ordered[::-1]):  # the convex hull, counter-clockwise (Andrew's monotone chain)
+        chain: list[list[float]] = []
+        for x, y in sequence:
+            while len(chain) > 1:
+                (ax, ay), (bx, by) = chain[-2:]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0.0:
+                    break
+                chain.pop()
+            chain.append([x, y])
+        chains.append(chain[:-1])
+    hull = np.array(chains[0] + chains[1]).reshape(-1, 2)
+    edges = np.diff(np.vstack([hull, hull[:1]]), axis=0)
+    best: Box | None = None
+    for yaw in np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (0.5 * np.pi), 12)).tolist():
+        axes = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        low, high = (hull @ axes.T).min(axis=0), (hull @ axes.T).max(axis=0)
+        (length, width), (x, y) = (high - low).tolist(), (0.5 * (low + high) @ axes).tolist()
+        box = Box(x, y, yaw, length, width) if length >= width else Box(x, y, yaw + 0.5 * np.pi, width, length)
+        if best is None or length * width < best.length * best.width - 1e-9:
+            best = box
+    assert best is not None
+    return best
+
+
 def tracks_of(
-    document: Document,
-    velocity: dict[int, FloatArray],
-    *,
-    without: int | None,
-    start: float,
-    origin: tuple[float, float],
+    document: Document, velocity: dict[int, FloatArray], without: int | None, start: float, origin: tuple[float, float]
 ) -> Tracks:
     """The traffic from time step `start` on, which becomes t = 0; obstacle `without` is the ego.
 
     Samples before `start` are left out (their differences are in the velocities); static obstacles stay.
     """
-    found: list[_Row] = []
+    found: list[tuple[str, AgentKind, float, float, bool, FloatArray]] = []
     for o in document.obstacles:
         later = o.states[:, 0] >= start - 1e-6
         if o.id == without:
@@ -133,11 +205,11 @@ def tracks_of(
                 if last > start:
                     pose = (box.x, box.y, box.yaw, 0.0, 0.0)
                     states = np.array([(max(first, start), *pose), (last, *pose)])
-                    found.append(_Row(f"{o.id} {name}", AgentKind.OBJECT, box.length, box.width, False, states))
+                    found.append((f"{o.id} {name}", AgentKind.OBJECT, box.length, box.width, False, states))
         elif o.static or later.any():
             v = np.zeros((1, 2)) if o.static else velocity[o.id][later]
             states = np.column_stack([(o.states if o.static else o.states[later])[:, :4], v])
-            found.append(_Row(str(o.id), KINDS.get(o.type, AgentKind.OBJECT), o.length, o.width, o.static, states))
+            found.append((str(o.id), KINDS.get(o.type, AgentKind.OBJECT), o.length, o.width, o.static, states))
     if not found:
         return Tracks.empty()
     ids, kinds, length, width, static, rows = zip(*found, strict=True)
@@ -146,17 +218,6 @@ def tracks_of(
     t = np.where(np.repeat(static, np.diff(offsets)), 0.0, np.round((step - start) * document.dt, 9))
     place = x - origin[0], y - origin[1], yaw, vx, vy
     return Tracks(ids, kinds, np.array(length), np.array(width), np.array(static), offsets, t, *place)
-
-
-class _Row(NamedTuple):
-    """One track: name, kind, size, m, whether it never moves, and columns step, x, y, yaw, vx, vy of its states."""
-
-    name: str
-    kind: AgentKind
-    length: float
-    width: float
-    static: bool
-    states: FloatArray
 
 
 def sized(obstacle: Obstacle) -> VehicleParameters:

@@ -29,8 +29,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
 from logs.readers.base import LogSettings
-from logs.readers.quaternions import unit_or_identity
-from logs.readers.recorded.boxes import stands
+from logs.readers.recorded import stands, unit_or_identity
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic
 from logs.readers.ros.fields import Wanted

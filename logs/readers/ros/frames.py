@@ -1,6 +1,6 @@
 """The tree of coordinate frames of a bag, and the clock of its messages.
 
-Frames. `/tf` and `/tf_static` are the edges. With q the rotation (`logs.readers.quaternions`) and p the translation of
+Frames. `/tf` and `/tf_static` are the edges. With q the rotation (`logs.readers.recorded`) and p the translation of
 a child in its parent, a chain of two edges is
 
 (1) p = p1 + q1 p2 q1*,   q = q1 q2
@@ -25,7 +25,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
-from logs.readers.quaternions import heading, product, rotated, unit_or_identity
+from logs.readers.recorded import heading, product, rotated, unit_or_identity
 
 HELD, BETWEEN = "held", "between"
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.kernel import BoolArray, FloatArray, IntArray
-from logs.readers.quaternions import heading, rotated, unit_or_identity
+from logs.readers.recorded import heading, rotated, unit_or_identity
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic
 from logs.readers.ros.ego import Part, rates

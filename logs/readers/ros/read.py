@@ -26,8 +26,7 @@ from logs.mcap.complete import derived_acceleration, derived_curvature, road_alo
 from logs.observed import Spans, of_stream
 from logs.readers.base import LogSettings
 from logs.readers.cut import HISTORY_S
-from logs.readers.quaternions import unit_or_identity
-from logs.readers.recorded.boxes import car_of
+from logs.readers.recorded import car_of, unit_or_identity
 from logs.readers.repaired import REACH_S, reason_to_repair
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic, opened

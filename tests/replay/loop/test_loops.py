@@ -38,7 +38,7 @@ from logs import (
     VehicleParameters,
 )
 from logs.catalogue import CATALOGUE
-from logs.readers.commonroad.read import read_commonroad
+from logs.readers.commonroad import read_commonroad
 from logs.shapes import overlap
 from logs.states import TRAJECTORY_COLUMNS
 from logs.trace import Artefact, Internals

@@ -17,7 +17,7 @@ from worlds import along_x, lanes, strip
 from logs import AgentKind, Colour, EgoState, LogError, Road, Scenario, StopLine, Tracks, TrafficLight
 from logs.catalogue.roads import junction
 from logs.kernel import FloatArray
-from logs.readers.commonroad.read import read_commonroad
+from logs.readers.commonroad import read_commonroad
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
 from replay.traffic import TRAFFIC, Reactive

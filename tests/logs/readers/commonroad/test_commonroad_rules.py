@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from logs import Colour, LogError, Scenario, StopLine
+from logs.readers.commonroad import read_commonroad
 from logs.readers.commonroad.document import COLOURS
-from logs.readers.commonroad.read import read_commonroad
 from logs.readers.commonroad.rules import meet
 
 LEFT, STRAIGHT, RIGHT = 1, 2, 3

@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import AgentKind
-from logs.readers.commonroad.read import read_commonroad
-from logs.readers.commonroad.sets import EXCESS_M, SHORTEST_M, Box, OccupiedSet, covering, smallest_box, standing
+from logs.readers.commonroad import read_commonroad
+from logs.readers.commonroad.document import OccupiedSet
+from logs.readers.commonroad.tracks import EXCESS_M, SHORTEST_M, Box, covering, smallest_box, standing
 from logs.road import inside
 from replay.loop.closed_loop import run_closed_loop
 

@@ -25,14 +25,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap.complete import ASSUMED, assumed_limit, road_along
+from logs.readers.arrow_tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, whole
 from logs.readers.base import beside
-from logs.readers.recorded.strips import LARGEST_M, LONGEST_M, Strip, dense, lanes_of, predecessors
-from logs.readers.recorded.tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, unpacked, whole
+from logs.readers.strips import LARGEST_M, LONGEST_M, Strip, dense, lanes_of, predecessors
 from logs.road import Lane, Road, inside
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.states import Trajectory
@@ -94,8 +95,32 @@ def road_of_map(
                 f"Of the map's {len(objects.of(LANE))} lanes those within {REACH_M:.0f} m are read: {len(chosen)}."
             )
         marks = _marks(objects, chosen, near, notes)
-        turned = _connectors_turned(objects.about, notes)
-        lanes, keeps_right = lanes_of([_strip(i, f, zero, marks, turned=turned) for i, f in chosen], notes)
+        version = tuple(int(n) for n in str(objects.about.get("version") or "").split(".")[:2] if n.isdigit())
+        swapped = str(objects.about.get("dataset") or "").startswith("nuplan") and () < version < CONNECTORS_RIGHT
+        if swapped:
+            notes.append(
+                "Lanes inside crossings have predecessors and successors swapped before py123d 0.5.0: put right."
+            )
+        strips = []
+        for i, f in chosen:
+            kind, limit = f.get("lane_type"), f.get("speed_limit_mps")
+            word = LANE_TYPES[kind] if isinstance(kind, int) and 0 <= kind < len(LANE_TYPES) else "undefined"
+            onward = f.get("predecessor_ids" if swapped and kind == 0 else "successor_ids")
+            left, right = (array_of(f[name])[:, :2] for name in ("left_boundary", "right_boundary"))
+            strips.append(
+                Strip(
+                    i,
+                    left - zero,
+                    right - zero,
+                    successors=tuple(dict.fromkeys(_ids(onward))),
+                    beside=(_id(f.get("left_lane_id")), _id(f.get("right_lane_id"))),
+                    kind=word,
+                    marks=(marks.get((i, "left"), ""), marks.get((i, "right"), "")),
+                    drivable=word not in NOT_DRIVABLE,
+                    speed_limit=float(limit) if isinstance(limit, int | float) else float("nan"),
+                )
+            )
+        lanes, keeps_right = lanes_of(strips, notes)
         if not lanes:
             raise LogError("the map has no lanes here that can be used", remedy="choose another map")
         if str(objects.about.get("location") or "").lower().startswith(KEEPS_LEFT):
@@ -118,7 +143,7 @@ def read_objects(path: Path) -> MapObjects:
         columns = table["features"].to_pylist(), table["wkb"].to_pylist()
         rows = zip(whole(table, "object_id").tolist(), whole(table, "map_layer").tolist(), *columns, strict=True)
         for i, layer, features, geometry in rows:
-            found = unpacked(features)
+            found = msgspec.msgpack.decode(features)
             if not isinstance(found, dict):
                 raise LogError(f"object {i} of layer {layer} has no features", remedy=COPY_AGAIN)
             layers.setdefault(layer, []).append((i, found, geometry))
@@ -135,34 +160,6 @@ def _is_near(points: Any, near: FloatArray | None) -> bool:
     line, near = array_of(points)[:, :2], np.asarray(near)
     low, high = near.min(axis=0) - REACH_M, near.max(axis=0) + REACH_M
     return bool((line.max(axis=0) >= low).all() and (line.min(axis=0) <= high).all())
-
-
-def _connectors_turned(about: Mapping[Any, Any], notes: list[str]) -> bool:
-    """Whether predecessors and successors of lanes inside crossings are swapped, as in early maps of nuPlan."""
-    version = tuple(int(part) for part in str(about.get("version") or "").split(".")[:2] if part.isdigit())
-    swapped = str(about.get("dataset") or "").startswith("nuplan") and () < version < CONNECTORS_RIGHT
-    if swapped:
-        notes.append("Lanes inside crossings have predecessors and successors swapped before py123d 0.5.0: put right.")
-    return swapped
-
-
-def _strip(i: int, f: Mapping[str, Any], origin: FloatArray, marks: Mapping[Any, str], *, turned: bool) -> Strip:
-    kind = f.get("lane_type")
-    word = LANE_TYPES[kind] if isinstance(kind, int) and 0 <= kind < len(LANE_TYPES) else "undefined"
-    onward = f.get("predecessor_ids" if turned and kind == 0 else "successor_ids")
-    limit = f.get("speed_limit_mps")
-    sides = [array_of(f[name])[:, :2] for name in ("left_boundary", "right_boundary")]
-    return Strip(
-        i,
-        sides[0] - origin,
-        sides[1] - origin,
-        successors=tuple(dict.fromkeys(_ids(onward))),
-        beside=(_id(f.get("left_lane_id")), _id(f.get("right_lane_id"))),
-        kind=word,
-        marks=(marks.get((i, "left"), ""), marks.get((i, "right"), "")),
-        drivable=word not in NOT_DRIVABLE,
-        speed_limit=float(limit) if isinstance(limit, int | float) else float("nan"),
-    )
 
 
 def _id(value: Any) -> int | None:
@@ -196,7 +193,7 @@ def line_of_wkb(geometry: bytes) -> FloatArray:
 def _marks(
     objects: MapObjects, lanes: Sequence[tuple[int, Mapping[str, Any]]], near: FloatArray | None, notes: list[str]
 ) -> dict[Any, str]:
-    """The marking's name of each (lane, side) that has one."""
+    """The marking's name of each (lane, side) that has one: its own line's, else of those beside most of the edge."""
     lines = [(line_of_wkb(g), int(f.get("road_line_type") or 0)) for _, f, g in objects.of(ROAD_LINE)]
     lines = [(line, kind) for line, kind in lines if _is_line(line) and 0 <= kind < len(MARKS) and _is_near(line, near)]
     if not lines:
@@ -215,30 +212,26 @@ def _marks(
     if len({sides[key].tobytes() for key in found}) >= 0.5 * len(exact):
         return found
     notes.append(f"Lanes have the markings of the map's road lines within {MARK_M} m of their edges.")
-    return _marks_nearby(lines, {key: line for key, line in sides.items() if _is_line(line)})
-
-
-def _is_line(points: FloatArray) -> bool:
-    if len(points) < 2 or not (np.abs(points) < LARGEST_M).all():
-        return False
-    return bool(np.hypot(*np.diff(points, axis=0).T).sum() < LONGEST_M)
-
-
-def _marks_nearby(lines: Sequence[tuple[FloatArray, int]], sides: Mapping[Any, FloatArray]) -> dict[Any, str]:
-    """The type of the road lines beside most of each edge."""
     from scipy.spatial import cKDTree
 
     close = [(dense(line, STEP_M), kind) for line, kind in lines]
     tree = cKDTree(np.vstack([line for line, _ in close]))
     kinds = np.concatenate([np.full(len(line), kind) for line, kind in close])
     out = {}
-    for key, side in sides.items():
-        points = dense(side, STEP_M)
-        away, at = tree.query(points, distance_upper_bound=MARK_M)
-        beside = kinds[np.asarray(at)[np.isfinite(away)]]
-        if 2 * len(beside) >= len(points):
-            out[key] = MARKS[Counter(beside.tolist()).most_common(1)[0][0]]
+    for edge, side in sides.items():
+        if _is_line(side):
+            points = dense(side, STEP_M)
+            away, at = tree.query(points, distance_upper_bound=MARK_M)
+            beside = kinds[np.asarray(at)[np.isfinite(away)]]
+            if 2 * len(beside) >= len(points):
+                out[edge] = MARKS[Counter(beside.tolist()).most_common(1)[0][0]]
     return out
+
+
+def _is_line(points: FloatArray) -> bool:
+    if len(points) < 2 or not (np.abs(points) < LARGEST_M).all():
+        return False
+    return bool(np.hypot(*np.diff(points, axis=0).T).sum() < LONGEST_M)
 
 
 # Stop lines
@@ -261,12 +254,21 @@ def stop_lines(
         lost += not placed
         kind = f.get("stop_zone_type")
         for across, part, towards in placed:
-            for light, ways in _lights(kind, lanes[across], towards):
+            lights: list[tuple[int | None, tuple[int, ...]]] = [(None, towards)]
+            if kind == ZONE_LIGHT:  # a light has the id of the lane that it is for
+                lights = [(after, (after,)) for after in towards or lanes[across].successors] or [(across, ())]
+            for light, ways in lights:
                 ends = ends_at(lanes[across], part)
                 found.append(StopLine(len(found), across, ends, light, kind == ZONE_STOP, ways))
     if lost:
         notes.append(f"{lost} of {len(zones)} stop zones lie on none of the lanes that they name and are left out.")
-    return _joined(found)
+    joined: dict[Any, StopLine] = {}  # lines at the same place that mean the same are one, for all their lanes
+    for line in found:
+        key = (line.lane, line.points.tobytes(), line.light, line.must_stop)
+        known = joined.setdefault(key, replace(line, id=len(joined), towards=tuple(dict.fromkeys(line.towards))))
+        ways = (*known.towards, *line.towards) if known.towards and line.towards else ()
+        joined[key] = replace(known, towards=tuple(dict.fromkeys(ways)))
+    return tuple(joined.values())
 
 
 def _places(
@@ -289,30 +291,6 @@ def _entered(lane: Lane, ring: FloatArray) -> float | None:
     points = dense(lane.center, STEP_M)
     within = [inside(x, y, ring) for x, y in points]
     return within.index(True) / (len(points) - 1) if any(within) else None
-
-
-def _lights(kind: Any, lane: Lane, towards: tuple[int, ...]) -> Iterator[tuple[int | None, tuple[int, ...]]]:
-    """The lights of a line across a lane, and for which lanes each: it has the id of the lane that it is for."""
-    if kind != ZONE_LIGHT:
-        yield None, towards
-    elif not (towards or lane.successors):
-        yield lane.id, ()
-    else:
-        for after in towards or lane.successors:
-            yield after, (after,)
-
-
-def _joined(lines: Sequence[StopLine]) -> tuple[StopLine, ...]:
-    """Lines at the same place that mean the same are one, for all their lanes."""
-    out: dict[Any, StopLine] = {}
-    for line in lines:
-        key = (line.lane, line.points.tobytes(), line.light, line.must_stop)
-        known = out.get(key)
-        ways = (
-            () if known and not (known.towards and line.towards) else (*(known.towards if known else ()), *line.towards)
-        )
-        out[key] = replace(line, id=known.id if known else len(out), towards=tuple(dict.fromkeys(ways)))
-    return tuple(out.values())
 
 
 LIGHTS = "traffic_light_detections"

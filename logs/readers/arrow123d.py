@@ -1,4 +1,6 @@
-"""A 123D log as a scenario: ego, boxes, lights over time, and the map of the log or of its place.
+"""123D logs: folders of Arrow files, converted by py123d from nuPlan, Waymo, nuScenes, Argoverse 2 and others.
+
+The scenario has ego, boxes, lights over time, and the map of the log or of its place (`arrow123d_map`).
 
 Frames are the rows of sync.arrow. What was seen is found by the times of its own table, not by the indices of
 sync.arrow: those are one frame late in logs of 0.2.0 and up to 3 ms late in asynchronous ones. The pose of the log is
@@ -32,26 +34,30 @@ from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
 from logs.mcap.complete import completed
 from logs.observed import of_stream
-from logs.readers.arrow123d.map import LIGHTS, map_of, road_of
-from logs.readers.base import Contents, TopicSummary, beside
-from logs.readers.quaternions import heading, is_unit, rotated, unit_of_wxyz
-from logs.readers.recorded.boxes import (
+from logs.readers.arrow123d_map import LIGHTS, map_of, road_of
+from logs.readers.arrow_tables import Lists, ipc_table, metadata_of, reading, vectors, whole
+from logs.readers.base import Contents, LogSettings, Reader, TopicSummary, beside
+from logs.readers.recorded import (
     Boxes,
     car_of,
     driven,
     from_second,
     from_start,
+    heading,
     held_curvature,
+    is_unit,
     kept,
     ordered,
+    rotated,
     tracks_of,
+    unit_of_wxyz,
 )
-from logs.readers.recorded.tables import Lists, ipc_table, metadata_of, reading, vectors, whole
 from logs.scenario import Scenario
 from logs.states import Trajectory
-from logs.vehicle import VehicleParameters
 
-EGO, BOXES = "ego_state_se3", "box_detections_se3"
+SYNC, EGO, BOXES = "sync.arrow", "ego_state_se3", "box_detections_se3"
+HEAD_BYTES = 65_536
+"""Bytes in which an old log's schema says what it is."""
 SAME_MPS = 1e-5
 """Times are in whole microseconds: differences at 10 m/s come out within 2e-6 m/s."""
 TELLING_MPS = 1e-4
@@ -134,7 +140,21 @@ def read_123d(folder: Path) -> Scenario:
     rows = read_ego(folder)
     with reading(folder / f"{EGO}.arrow"):
         drive, given = _ego(rows, notes)
-        vehicle = _vehicle(rows, notes)
+        names = {"length": "length", "width": "width", "wheelbase": "wheel_base"}
+        sizes = {key: float(rows.about.get(name) or 0.0) for key, name in names.items()}
+        sizes = {key: value for key, value in sizes.items() if 0.0 < value < 50.0}
+        ahead = rows.part("center_to_imu_se3") - rows.part("rear_axle_to_imu_se3")
+        if "length" in sizes and np.any(ahead):
+            sizes["rear_overhang"] = 0.5 * sizes["length"] - float(ahead[0])
+        elif "length" in sizes:
+            notes.append(
+                "The log has the ego's rear axle in the centre of its box: it is placed as in the default car."
+            )
+        if abs(ahead[1]) > 0.05:
+            notes.append(
+                f"The ego's box is {abs(ahead[1]):.2f} m beside its rear axle in the log: taken as centred on it."
+            )
+        vehicle = car_of(sizes, notes)
     boxes, own, seen = _boxes(folder, int(rows.time_us[0]), notes)
     frames = (frames_us - rows.time_us[0]) / 1e6
     index = kept(drive.t, frames)
@@ -170,44 +190,9 @@ def read_123d(folder: Path) -> Scenario:
 # Tables
 
 
-def files_of(folder: Path) -> tuple[Path, ...]:
-    """The files of a log that are read."""
-    found = [folder / f"{name}.arrow" for name in ("sync", EGO, BOXES, LIGHTS)]
-    try:
-        found.append(map_of(folder, read_frames(folder)[1]) or folder / "map.arrow")
-    except LogError:
-        found.append(folder / "map.arrow")
-    return tuple(path for path in found if path.is_file())
-
-
-def span_of(folder: Path) -> tuple[float, float] | None:
-    """Seconds from the first frame to the last; None where the frames cannot be read."""
-    try:
-        times, _ = read_frames(folder)
-    except LogError:
-        return None
-    return (0.0, float(times[-1] - times[0]) / 1e6) if len(times) else None
-
-
-def contents_of(folder: Path) -> Contents:
-    """What each modality has at how many frames, from sync.arrow alone."""
-    try:
-        table = ipc_table(folder / "sync.arrow", ("sync.timestamp_us",))
-        times, about = whole(table, "sync.timestamp_us"), metadata_of(table)
-        topics = []
-        for key in (name for name in table.schema.names if not name.startswith("sync.")):
-            own = times[~np.asarray(table[key].is_null())]
-            first, last = (1000 * int(own[0]), 1000 * int(own[-1])) if len(own) else (None, None)
-            topics.append(TopicSummary(key, key.split(".", maxsplit=1)[0], "arrow", "arrow", len(own), first, last))
-        what = f"123D log of {about.get('dataset')}, py123d {about.get('version')}, {len(times)} frames"
-        return Contents(what, tuple(topics))
-    except (LogError, ValueError, TypeError, KeyError):
-        return Contents("123D log that cannot be read")
-
-
 def read_frames(folder: Path) -> tuple[IntArray, dict[Any, Any]]:
     """Times of the frames `(n,)`, us, and the log's metadata."""
-    path = folder / "sync.arrow"
+    path = folder / SYNC
     table = ipc_table(path, ("sync.timestamp_us",))
     with reading(path):
         return whole(table, "sync.timestamp_us"), metadata_of(table)
@@ -280,20 +265,6 @@ def _differences(t: FloatArray, place: FloatArray, after: IntArray, earlier: Int
     return np.asarray((place[after] - place[earlier]) / span[:, None])
 
 
-def _vehicle(rows: EgoRows, notes: list[str]) -> VehicleParameters:
-    names = {"length": "length", "width": "width", "wheelbase": "wheel_base"}
-    sizes = {key: float(rows.about.get(name) or 0.0) for key, name in names.items()}
-    sizes = {key: value for key, value in sizes.items() if 0.0 < value < 50.0}
-    ahead = rows.part("center_to_imu_se3") - rows.part("rear_axle_to_imu_se3")
-    if "length" in sizes and np.any(ahead):
-        sizes["rear_overhang"] = 0.5 * sizes["length"] - float(ahead[0])
-    elif "length" in sizes:
-        notes.append("The log has the ego's rear axle in the centre of its box: it is placed as in the default car.")
-    if abs(ahead[1]) > 0.05:
-        notes.append(f"The ego's box is {abs(ahead[1]):.2f} m beside its rear axle in the log: taken as centred on it.")
-    return car_of(sizes, notes)
-
-
 # Agents
 
 
@@ -313,8 +284,18 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool, 
         t = frames[lists.row]
         stored = f"{BOXES}.velocity_3d"
         has_velocity = stored in table.schema.names
-        velocity = vectors(lists.items(stored), 3) if has_velocity else np.full((len(t), 3), np.nan)
-        velocity, own = _measured(t, box[:, :3], velocity, owner, notes)
+        velocity: FloatArray = vectors(lists.items(stored), 3) if has_velocity else np.full((len(t), 3), np.nan)
+        known, order = np.asarray(np.isfinite(velocity).all(axis=1)), np.lexsort((t, owner))
+        own = False
+        if not np.isfinite(velocity).any() or not velocity[np.isfinite(velocity)].any():
+            notes.append("The log has no velocities of the other road users: backward differences of their places.")
+        elif _is_differenced(t[order], box[order, :3], velocity[order], owner[order]):
+            notes.append(
+                "The velocities of the other road users are differences to the frame after: backward ones are taken."
+            )
+        else:
+            own = True
+        velocity[~known | (not own)] = np.nan
         usable = np.isfinite(box).all(axis=1) & is_unit(box[:, 3:7])
         box[~usable, :3], box[~usable, 3:7] = np.nan, (1.0, 0.0, 0.0, 0.0)
         label, size = np.full(len(names), -1), np.zeros(len(names))  # the first label and the median length of each
@@ -328,24 +309,6 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool, 
         x, y, length, width, vx, vy = *place.T, *box[:, 7:9].T, *velocity[:, :2].T
         found = Boxes(tuple(names), kinds, t, owner, x, y, yaw, length, width, vx, vy)
         return ordered(found, notes), own, frames
-
-
-def _measured(
-    t: FloatArray, place: FloatArray, velocity: FloatArray, owner: IntArray, notes: list[str]
-) -> tuple[FloatArray, bool]:
-    """The agents' velocities, NaN where they are not the log's own, and whether they are."""
-    order = np.lexsort((t, owner))
-    nothing = np.full(velocity.shape, np.nan)
-    if not np.isfinite(velocity).any() or not velocity[np.isfinite(velocity)].any():
-        notes.append("The log has no velocities of the other road users: backward differences of their places.")
-        return nothing, False
-    if _is_differenced(t[order], place[order], velocity[order], owner[order]):
-        notes.append(
-            "The velocities of the other road users are differences to the frame after: backward ones are taken."
-        )
-        return nothing, False
-    known = np.asarray(np.isfinite(velocity).all(axis=1))
-    return np.where(known[:, None], velocity, np.nan), True
 
 
 def kinds_of(label_class: str, labels: IntArray, length: FloatArray, notes: list[str]) -> tuple[AgentKind, ...]:
@@ -364,3 +327,77 @@ def kinds_of(label_class: str, labels: IntArray, length: FloatArray, notes: list
     if any(long):
         notes.append(f"{sum(long)} vehicles are longer than {LONG_M} m and taken as lorries.")
     return tuple(_TRUCK if is_long else kind for kind, is_long in zip(kinds, long, strict=True))
+
+
+# The reader
+
+
+def _claims(path: Path) -> bool:
+    try:
+        if path.is_dir():
+            return (path / SYNC).is_file()
+        if path.suffix.lower() != ".arrow" or not path.is_file():
+            return False
+        if path.name == SYNC:
+            return True
+        with path.open("rb") as stream:
+            head = stream.read(HEAD_BYTES)
+        return head.startswith(b"ARROW1") and b"log_metadata" in head  # a log of py123d 0.0.8 or 0.0.9
+    except OSError:
+        return False
+
+
+def folder_of(path: Path) -> Path:
+    """The log's folder, where its `sync.arrow` was named."""
+    return path.parent if path.name == SYNC else path
+
+
+def _read(path: Path, settings: LogSettings) -> Scenario:
+    if path.is_file() and path.name != SYNC:
+        what = "a 123D log of py123d 0.0.8 or 0.0.9: one file with other tables"
+        raise LogError(what, file=path, remedy="convert the data set again with py123d 0.1.0 or newer")
+    with reading(folder_of(path)):
+        return read_123d(folder_of(path))
+
+
+def _files(path: Path) -> tuple[Path, ...]:
+    """The files that are read: never cameras or lidar."""
+    if not (path.is_dir() or path.name == SYNC):
+        return (path,)
+    folder = folder_of(path)
+    found = [folder / f"{name}.arrow" for name in ("sync", EGO, BOXES, LIGHTS)]
+    try:
+        found.append(map_of(folder, read_frames(folder)[1]) or folder / "map.arrow")
+    except LogError:
+        found.append(folder / "map.arrow")
+    return tuple(file for file in found if file.is_file())
+
+
+def _span(path: Path) -> tuple[float, float] | None:
+    try:
+        times, _ = read_frames(folder_of(path))
+    except LogError:
+        return None
+    return (0.0, float(times[-1] - times[0]) / 1e6) if len(times) else None
+
+
+def _contents(path: Path) -> Contents:
+    """What each modality has at how many frames, from sync.arrow alone."""
+    try:
+        table = ipc_table(folder_of(path) / SYNC, ("sync.timestamp_us",))
+        times, about = whole(table, "sync.timestamp_us"), metadata_of(table)
+        topics = []
+        for key in (name for name in table.schema.names if not name.startswith("sync.")):
+            own = times[~np.asarray(table[key].is_null())]
+            first, last = (1000 * int(own[0]), 1000 * int(own[-1])) if len(own) else (None, None)
+            topics.append(TopicSummary(key, key.split(".", maxsplit=1)[0], "arrow", "arrow", len(own), first, last))
+        what = f"123D log of {about.get('dataset')}, py123d {about.get('version')}, {len(times)} frames"
+        return Contents(what, tuple(topics))
+    except (LogError, ValueError, TypeError, KeyError):
+        return Contents("123D log that cannot be read")
+
+
+READER = Reader(
+    "123d", "123D logs (py123d 0.1.0 and newer): nuPlan, Waymo, nuScenes, Argoverse 2 ...", "folders with sync.arrow",
+    (), _claims, _read, files=_files, span=_span, contents=_contents,
+)  # fmt: skip

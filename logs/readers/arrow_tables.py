@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
@@ -56,6 +55,8 @@ def ipc_table(path: Path, columns: Sequence[str] = ()) -> Any:
 
 def parquet_table(path: Path, columns: Sequence[str]) -> Any:
     """These columns of a Parquet file."""
+    import pyarrow.parquet as pq
+
     with reading(path):
         with pq.ParquetFile(str(path)) as file:
             _demand(path, columns, file.schema_arrow.names)
@@ -81,13 +82,8 @@ def _checked(table: Any) -> Any:
 def metadata_of(table: Any) -> dict[Any, Any]:
     """The metadata of a 123D file; none: an empty table."""
     packed = (table.schema.metadata or {}).get(METADATA)
-    found = unpacked(packed) if packed is not None else {}
+    found = msgspec.msgpack.decode(packed) if packed is not None else {}
     return found if isinstance(found, dict) else {}
-
-
-def unpacked(packed: bytes) -> Any:
-    """msgpack; arrays are left as `array_of` takes them."""
-    return msgspec.msgpack.decode(packed)
 
 
 def array_of(value: Any) -> FloatArray:
@@ -110,7 +106,9 @@ def whole(table: Any, name: str) -> IntArray:
 
 def numbers(table: Any, name: str) -> FloatArray:
     """A column of numbers `(n,)`, NaN where one is missing or beyond `LARGEST`."""
-    return _bounded(np.array(table[name].cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64))
+    values = np.array(table[name].cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
+    values[~(np.abs(values) <= LARGEST)] = np.nan
+    return values
 
 
 def words(table: Any, name: str) -> tuple[IntArray, list[str]]:
@@ -129,12 +127,8 @@ def vectors(column: Any, size: int) -> FloatArray:
     out = np.full((len(array), size), np.nan)
     there = ~np.asarray(array.is_null())
     out[there] = np.asarray(array.flatten().cast(pa.float64()).to_numpy(zero_copy_only=False)).reshape(-1, size)
-    return _bounded(out)
-
-
-def _bounded(values: FloatArray) -> FloatArray:
-    values[~(np.abs(values) <= LARGEST)] = np.nan
-    return values
+    out[~(np.abs(out) <= LARGEST)] = np.nan
+    return out
 
 
 class Lists:

@@ -1,4 +1,4 @@
-"""Argoverse 2's sensor logs, motion-forecasting scenarios and vector maps as scenarios.
+"""Argoverse 2 as published: sensor logs (folders of feather files), motion-forecasting scenarios (Parquet).
 
 Sensor logs. city_SE3_egovehicle.feather has the pose of the ego's rear axle, some 170 times a second. The annotations
 have boxes in the ego's frame, 10 times a second, each at the time of one of these poses:
@@ -22,7 +22,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -32,23 +31,26 @@ from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
 from logs.mcap.complete import ASSUMED, assumed_limit, completed, road_along
 from logs.observed import of_stream
-from logs.readers.argoverse2 import POSES, scenario_id
-from logs.readers.arrow123d.log import AV2_CATEGORIES
-from logs.readers.base import Contents, LogSettings, TopicSummary, beside
-from logs.readers.quaternions import heading, is_unit, product, rotated, unit_of_wxyz
-from logs.readers.recorded.boxes import (
+from logs.readers.arrow123d import AV2_CATEGORIES
+from logs.readers.arrow_tables import ipc_table, numbers, parquet_table, reading, whole, words
+from logs.readers.base import Contents, LogSettings, Reader, TopicSummary, beside
+from logs.readers.recorded import (
     Boxes,
     car_of,
     driven,
     from_second,
     from_start,
+    heading,
+    is_unit,
     kept,
     nearest,
     ordered,
+    product,
+    rotated,
     tracks_of,
+    unit_of_wxyz,
 )
-from logs.readers.recorded.strips import LARGEST_M, Strip, lanes_of
-from logs.readers.recorded.tables import ipc_table, numbers, parquet_table, reading, whole, words
+from logs.readers.strips import LARGEST_M, Strip, lanes_of
 from logs.road import Road
 from logs.rules import Crosswalk
 from logs.scenario import Scenario
@@ -70,6 +72,8 @@ OBJECT_TYPES = {
 """Others ("static", "background", "construction", "unknown") are objects."""
 LANE_TYPES = {"VEHICLE": "surface_street", "BIKE": "bike_lane", "BUS": "bus_lane"}
 """As 123D calls them."""
+POSES = "city_SE3_egovehicle.feather"
+SCENARIO = "scenario_*.parquet"
 
 
 # Sensor logs
@@ -81,28 +85,6 @@ def annotations_of(folder: Path) -> Path | None:
         folder.glob("annotations*.feather"), key=lambda path: (path.name != "annotations.feather", path.name)
     )
     return found[0] if found else None
-
-
-def sensor_files(folder: Path) -> tuple[Path, ...]:
-    """The files of a sensor log that are read."""
-    found = (folder / POSES, annotations_of(folder), map_beside(folder))
-    return tuple(path for path in found if path is not None)
-
-
-def sensor_contents(folder: Path) -> Contents:
-    """The poses and boxes of a sensor log with their times."""
-    topics = []
-    for path in (folder / POSES, annotations_of(folder)):
-        if path is None:
-            continue
-        try:
-            times = whole(ipc_table(path, ("timestamp_ns",)), "timestamp_ns")
-        except (LogError, ValueError):
-            continue
-        first, last = (int(times.min()), int(times.max())) if len(times) else (None, None)
-        what = "poses" if path.name == POSES else "boxes"
-        topics.append(TopicSummary(path.name, what, "arrow", "feather", len(times), first, last))
-    return Contents("Argoverse 2 sensor log", tuple(topics))
 
 
 def poses_of(folder: Path) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -208,16 +190,6 @@ def _kinds(
 # Motion-forecasting scenarios
 
 
-def forecasting_contents(path: Path) -> Contents:
-    """The number of samples in a motion-forecasting scenario."""
-    try:
-        steps = whole(parquet_table(path, ("timestep",)), "timestep")
-    except (LogError, ValueError):
-        return Contents("Argoverse 2 motion-forecasting scenario that cannot be read")
-    topic = TopicSummary("tracks", "parquet", "parquet", "parquet", len(steps), None, None)
-    return Contents("Argoverse 2 motion-forecasting scenario", (topic,))
-
-
 def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
     """The scenario in a Parquet file and the map beside it.
 
@@ -280,6 +252,11 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
 # Maps
 
 
+def scenario_id(table: Path) -> str:
+    """The id of a motion-forecasting scenario, from the name of its file."""
+    return table.stem.removeprefix("scenario_")
+
+
 def map_beside(folder: Path, name: str = "*") -> Path | None:
     """The map of a log, in its folder or in the folder `map` there; None: there is none."""
     found = sorted((*folder.glob(f"map/log_map_archive_{name}.json"), *folder.glob(f"log_map_archive_{name}.json")))
@@ -296,40 +273,107 @@ def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list
         return road_along(ego, notes)
     with reading(path):
         found = msgspec.json.decode(path.read_bytes())
-        lanes, keeps_right = lanes_of([_strip(each, origin) for each in found["lane_segments"].values()], notes)
+        strips, walks = [], []
+        for lane in found["lane_segments"].values():
+            kind = LANE_TYPES.get(lane["lane_type"], "undefined")
+            strips.append(
+                Strip(
+                    int(lane["id"]),
+                    _points(lane["left_lane_boundary"]) - origin,
+                    _points(lane["right_lane_boundary"]) - origin,
+                    successors=tuple(dict.fromkeys(int(i) for i in lane["successors"])),
+                    beside=(lane["left_neighbor_id"], lane["right_neighbor_id"]),
+                    kind=kind,
+                    marks=(str(lane["left_lane_mark_type"]), str(lane["right_lane_mark_type"])),
+                    drivable=kind not in ("bike_lane", "bus_lane"),
+                )
+            )
+        lanes, keeps_right = lanes_of(strips, notes)
         if not lanes:
             raise LogError("the map has no lanes that can be used")
-        walks = [_crosswalk(each, origin) for each in found.get("pedestrian_crossings", {}).values()]
-        road = Road(lanes, drives_on_right=keeps_right, crosswalks=tuple(walk for walk in walks if walk is not None))
+        for walk in found.get("pedestrian_crossings", {}).values():  # the ground between two edges
+            one, other = (_points(walk[name]) - origin for name in ("edge1", "edge2"))
+            if min(len(one), len(other)) < 2 or not (np.abs(np.vstack([one, other])) < LARGEST_M).all():
+                continue
+            if (other[-1] - other[0]) @ (one[-1] - one[0]) > 0.0:
+                other = other[::-1]
+            walks.append(Crosswalk(int(walk["id"]), np.vstack([one, other])))
+        road = Road(lanes, drives_on_right=keeps_right, crosswalks=tuple(walks))
     notes.append("The map has no right of way, stop lines or traffic lights: priority is not known.")
     limit = assumed_limit(ego)
     notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed ({ASSUMED}).")
     return replace(road, default_speed_limit=limit)
 
 
-def _strip(lane: Mapping[str, Any], origin: FloatArray) -> Strip:
-    kind = LANE_TYPES.get(lane["lane_type"], "undefined")
-    return Strip(
-        int(lane["id"]),
-        _points(lane["left_lane_boundary"]) - origin,
-        _points(lane["right_lane_boundary"]) - origin,
-        successors=tuple(dict.fromkeys(int(i) for i in lane["successors"])),
-        beside=(lane["left_neighbor_id"], lane["right_neighbor_id"]),
-        kind=kind,
-        marks=(str(lane["left_lane_mark_type"]), str(lane["right_lane_mark_type"])),
-        drivable=kind not in ("bike_lane", "bus_lane"),
-    )
-
-
 def _points(points: list[Mapping[str, float]]) -> FloatArray:
     return np.array([(p["x"], p["y"]) for p in points], dtype=np.float64).reshape(-1, 2)
 
 
-def _crosswalk(walk: Mapping[str, Any], origin: FloatArray) -> Crosswalk | None:
-    """The ground between the two edges; None where they are no edges."""
-    one, other = (_points(walk[name]) - origin for name in ("edge1", "edge2"))
-    if min(len(one), len(other)) < 2 or not (np.abs(np.vstack([one, other])) < LARGEST_M).all():
-        return None
-    if (other[-1] - other[0]) @ (one[-1] - one[0]) > 0.0:
-        other = other[::-1]
-    return Crosswalk(int(walk["id"]), np.vstack([one, other]))
+# The reader
+
+
+def _claims(path: Path) -> bool:
+    try:
+        if path.is_dir():
+            return (path / POSES).is_file() or len(list(path.glob(SCENARIO))) == 1
+        return path.name == POSES or (
+            path.match(SCENARIO) and (path.parent / f"log_map_archive_{scenario_id(path)}.json").is_file()
+        )
+    except OSError:
+        return False
+
+
+def _located(path: Path) -> tuple[Path, bool]:
+    """The folder of a sensor log or the table of a motion-forecasting scenario, and whether it is a sensor log."""
+    if path.name == POSES:
+        return path.parent, True
+    if (path / POSES).is_file():
+        return path, True
+    return (min(path.glob(SCENARIO)) if path.is_dir() else path), False
+
+
+def _read(path: Path, settings: LogSettings) -> Scenario:
+    with reading(path):
+        log, is_sensor_log = _located(path)
+        if not is_sensor_log:
+            return read_forecasting(log, settings)
+        if settings.ego:
+            raise LogError(f"ego {settings.ego} is asked for, but a sensor log has its ego", remedy="leave ego out")
+        return read_sensor_log(log, settings)
+
+
+def _files(path: Path) -> tuple[Path, ...]:
+    log, is_sensor_log = _located(path)
+    scenario = (log, map_beside(log.parent, scenario_id(log)))
+    files = (log / POSES, annotations_of(log), map_beside(log)) if is_sensor_log else scenario
+    return tuple(file for file in files if file is not None)
+
+
+def _contents(path: Path) -> Contents:
+    log, is_sensor_log = _located(path)
+    topics = []
+    if not is_sensor_log:
+        try:
+            count = len(whole(parquet_table(log, ("timestep",)), "timestep"))
+        except (LogError, ValueError):
+            return Contents("Argoverse 2 motion-forecasting scenario that cannot be read")
+        topics.append(TopicSummary("tracks", "parquet", "parquet", "parquet", count, None, None))
+        return Contents("Argoverse 2 motion-forecasting scenario", tuple(topics))
+    for file in (log / POSES, annotations_of(log)):
+        if file is None:
+            continue
+        try:
+            times = whole(ipc_table(file, ("timestamp_ns",)), "timestamp_ns")
+        except (LogError, ValueError):
+            continue
+        first, last = (int(times.min()), int(times.max())) if len(times) else (None, None)
+        what = "poses" if file.name == POSES else "boxes"
+        topics.append(TopicSummary(file.name, what, "arrow", "feather", len(times), first, last))
+    return Contents("Argoverse 2 sensor log", tuple(topics))
+
+
+READER = Reader(
+    "argoverse2", "Argoverse 2 sensor logs and motion-forecasting scenarios",
+    f"folders with {POSES} or {SCENARIO}", (), _claims, _read, files=_files, contents=_contents,
+    settings=("ego", "car"),
+)  # fmt: skip

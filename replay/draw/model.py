@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from math import ceil, floor, log10
 from typing import TYPE_CHECKING
 
@@ -177,8 +176,14 @@ def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray, steps: St
     ego, log = trace.ego, scenario.ego.between(-np.inf, float(times[-1]))
     compared = log if trace.mode is Mode.CLOSED and len(log) > 1 else None
     jerk = steps(JERK)
+    limits = np.full(len(times), np.nan)  # of the lane that the ego is on, as in the log
+    if scenario.road.source is RoadSource.LANES:
+        x, y = np.interp(times, ego.t, ego.x), np.interp(times, ego.t, ego.y)
+        for i in range(len(times)):
+            lanes = scenario.road.lanes_at(float(x[i]), float(y[i]))
+            limits[i] = next((lane.speed_limit for lane in lanes if lane.drivable), np.nan)
     speeds = (
-        Curve("limit", "limit", times, _limits(trace, scenario, times), RED, 1.0, steps=True),
+        Curve("limit", "limit", times, limits, RED, 1.0, steps=True),
         *_columns(compared, ("log", "log", "v", GREY, 1.0)),
         *_plan_curves(trace, "v"),
         Curve("ego", "ego", ego.t, ego.v, BLUE, 2.0),
@@ -228,17 +233,6 @@ def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray, steps: St
     )
 
 
-def _limits(trace: Trace, scenario: Scenario, times: FloatArray) -> FloatArray:
-    """Speed limit of the lane that the ego is on, as in the log; NaN elsewhere."""
-    out = np.full(len(times), np.nan)
-    if scenario.road.source is RoadSource.LANES:
-        x, y = np.interp(times, trace.ego.t, trace.ego.x), np.interp(times, trace.ego.t, trace.ego.y)
-        for i in range(len(times)):
-            lanes = scenario.road.lanes_at(float(x[i]), float(y[i]))
-            out[i] = next((lane.speed_limit for lane in lanes if lane.drivable), np.nan)
-    return out
-
-
 def _plan_curves(trace: Trace, column: str) -> list[Curve]:
     """Closed loop: the plan in force. Open loop, in which each plan starts at the log: what older plans predicted."""
     if not trace.frames:
@@ -276,23 +270,26 @@ def stage_panel(timings: Sequence[StageTime], names: dict[str, str]) -> list[Pan
 # charts -----------------------------------------------------------------------------------------------------------
 
 
-def _measured(steps: Steps, legend: str, metric: str, *, gaps: bool = False, spiky: bool = False) -> Curve:
-    """A metric step by step, without steps that have no value; with `gaps` where none is known for over a second."""
-    t, values = steps(metric)
-    known = np.isfinite(values)
-    t, values = t[known], values[known]
-    if gaps:
-        far = np.flatnonzero(np.diff(t) > 1.0)
-        t, values = np.insert(t, far + 1, t[far]), np.insert(values, far + 1, np.nan)
-    return Curve(metric, legend, t, values, spiky=spiky)
-
-
 def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
     """The panels of the charts of a drive.
 
     Open loop: each plan is one step. Closed loop: the speed of the plan in force is the ego's minus the tracking error.
     """
-    ego, measured = trace.ego, partial(_measured, steps)
+    ego = trace.ego
+
+    def measured(legend: str, metric: str, *, gaps: bool = False, spiky: bool = False) -> Curve:
+        """A metric step by step, without steps that have no value; `gaps` where none is known for over a second."""
+        t, values = steps(metric)
+        known = np.isfinite(values)
+        t, values = t[known], values[known]
+        if gaps:
+            far = np.flatnonzero(np.diff(t) > 1.0)
+            t, values = np.insert(t, far + 1, t[far]), np.insert(values, far + 1, np.nan)
+        return Curve(metric, legend, t, values, spiky=spiky)
+
+    def named(some: object | None, *columns: str) -> tuple[Curve, ...]:
+        return _columns(some, *((name, name, name, BLUE, 1.5) for name in columns))
+
     if trace.mode is Mode.OPEN:
         away = tuple(measured(f"within {part}", f"ade.{part}") for part in ("1s", "3s", "5s"))
         planned = measured("along", "plan_lon_accel"), measured("across", "plan_lat_accel")
@@ -306,7 +303,6 @@ def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
             Panel("change", "Change from plan to plan [m]", change, 0.2, ("plan_change",), 0.0),
         )
     errors, done, asked = trace.tracking, trace.actuation, trace.commands
-    named = partial(_named, errors)
     plan = [Curve("plan", "plan", errors.t, np.interp(errors.t, ego.t, ego.v) - errors.speed)] if errors else []
     accelerations = measured("along", "lon_accel"), measured("across", "lat_accel")
     jerks = measured("along", JERK, spiky=True), measured("across", "lat_jerk_state", spiky=True)
@@ -321,18 +317,14 @@ def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
         Panel("gap", "Distance to the nearest [m]", gaps, 2.0, ("gap", "collision"), 0.0),
         Panel("ttc", "Time to a collision [s]", ttc, 2.0, ("ttc",), 0.0),
         Panel("steer", "Steering [rad]", steer, 0.05, ("steer_rate",)),
-        Panel("pedals", "Pedals [0 to 1]", _named(done, "throttle", "brake"), 0.3,
+        Panel("pedals", "Pedals [0 to 1]", named(done, "throttle", "brake"), 0.3,
               ("throttle", "brake", "pedals_together"), 0.0, 1.0),
-        Panel("tracking", "Tracking error [m]", named("lateral", "station"), 0.1,
+        Panel("tracking", "Tracking error [m]", named(errors, "lateral", "station"), 0.1,
               ("tracking_lateral", "tracking_station")),
-        Panel("tracking_speed", "Tracking error of the speed [m/s]", named("speed"), 0.2, ("tracking_speed",)),
-        Panel("tracking_heading", "Tracking error of the heading [rad]", named("heading"), 0.02,
+        Panel("tracking_speed", "Tracking error of the speed [m/s]", named(errors, "speed"), 0.2, ("tracking_speed",)),
+        Panel("tracking_heading", "Tracking error of the heading [rad]", named(errors, "heading"), 0.02,
               ("tracking_heading",)),
     )  # fmt: skip
-
-
-def _named(some: object | None, *columns: str) -> tuple[Curve, ...]:
-    return _columns(some, *((name, name, name, BLUE, 1.5) for name in columns))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

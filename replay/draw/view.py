@@ -28,6 +28,12 @@ from replay.draw.recording.tape import MARKDOWN, cell, document, link, recording
 from replay.draw.report.overview import ORDER, overview
 from replay.results.load import load
 
+ELSEWHERE = (
+    "copy the .rrd to a machine with one and open it there with `rerun FILE.rrd`, or add --web to see it in a browser"
+)
+MOST = 12
+"""Recordings opened at once: each takes memory in the viewer; the index has links to all."""
+
 
 def write_index(path: Path, folder: Path, most: int) -> tuple[Path, list[Path]]:
     """Write the index of a folder; returns it, and the recordings of the worst drives, at most `most`, the worst last.
@@ -65,13 +71,6 @@ def write_index(path: Path, folder: Path, most: int) -> tuple[Path, list[Path]]:
     with recording_file(path, "replan index", "index", digest, layout) as tape:
         tape.static("index", rr.TextDocument(document(lines), media_type=MARKDOWN))
     return path, [folder / row.recording for row in opened[::-1]]
-
-
-ELSEWHERE = (
-    "copy the .rrd to a machine with one and open it there with `rerun FILE.rrd`, or add --web to see it in a browser"
-)
-MOST = 12
-"""Recordings opened at once: each takes memory in the viewer; the index has links to all."""
 
 
 def recordings(target: Path, log: str | None = None) -> list[Path]:

@@ -25,7 +25,6 @@ from math import isfinite, nan
 
 import numpy as np
 
-from logs.road import Goal
 from logs.rules import RED, Colour, StopLine
 from logs.scenario import Scenario
 from logs.trace import Candidates, Decision, DecisionKind, LaneOption, Plan, StGraph, Trace
@@ -104,6 +103,12 @@ class Cause:
     left_m: float = nan
     left_at_s: float = nan
     is_met: bool = False
+
+    @property
+    def rank(self) -> tuple[bool, bool, float, float]:
+        """Confirmed by numbers before a mere decision, named before inferred, then most demanding, then first."""
+        need = self.need_mps2 if isfinite(self.need_mps2) else MOST_MPS2 if self.is_met else 0.0
+        return self.kind is CauseKind.WORD, self.inferred, -need, self.time_s if isfinite(self.time_s) else LOOK_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +192,12 @@ class Explainer:
                 decided.setdefault(each.agent, each)
         held = Held.of(plan, course)
         case = _Case(frame, course, held, self._ways.of(plan, held.reach), decided, self._scenario)
-        met = _met(case)
+        met: list[Meeting] = []
+        if frame.predictions is not None and len(frame.predictions):
+            # an agent that the planner passes (nudge, overtake) has no margin
+            named = {d.agent for d in plan.internals if isinstance(d, Decision)} - decided.keys()
+            passed = np.array([name in named for name in frame.agents.ids], np.bool_)
+            met = meetings(held, case.way, frame.agents, frame.predictions, self._scenario.vehicle, passed)
         found = [_of(one, case) for one in met if isfinite(one.time_s)]  # (1)
         found += [*_stops(case), *_limit_and_curve(case), *_goal_and_end(case)]
         known = {each.agent: each for each in plan.internals if isinstance(each, Decision)} | decided
@@ -196,8 +206,12 @@ class Explainer:
             if c.who in known else c
             for c in found
         ]  # fmt: skip
-        found += _words(case, {cause.who for cause in found})
-        found = sorted(found, key=_order)
+        explained = {cause.who for cause in found}
+        for name, d in decided.items():  # (7)
+            named_only = name not in explained and d.kind is not DecisionKind.FOLLOW
+            if named_only and (name not in frame.agents.ids or case.is_near(name)):
+                found.append(Cause(CauseKind.WORD, name, d.kind.value, d.reason, False, held.v))
+        found = sorted(found, key=lambda cause: cause.rank)
         if not found and not failed:
             near = min(met, key=lambda one: one.away_m, default=None)
             one = Cause(CauseKind.AGENT, hold_mps=held.v) if near is None else _of(near, case)
@@ -205,16 +219,6 @@ class Explainer:
             found = _passed_or_begun(case) or [none]
         why_not = not_passed(plan) if found and found[0].kind is CauseKind.AGENT else ()
         return Account(frame.planned.t, course, predicted, (*failed, *found), why_not)
-
-
-def _met(case: _Case) -> list[Meeting]:
-    """The agents in the way; an agent that the planner passes (nudge, overtake) has no margin."""
-    frame = case.frame
-    if frame.predictions is None or not len(frame.predictions):
-        return []
-    named = {d.agent for d in case.plan.internals if isinstance(d, Decision)} - case.decided.keys()
-    passed = np.array([name in named for name in frame.agents.ids], np.bool_)
-    return meetings(case.held, case.way, frame.agents, frame.predictions, case.scenario.vehicle, passed)
 
 
 def _of(one: Meeting, case: _Case) -> Cause:
@@ -237,27 +241,18 @@ def _stops(case: _Case) -> Iterator[Cause]:
         on_way = line.lane in lanes and (not line.towards or not lanes.isdisjoint(line.towards))
         if on_way and (name in case.decided or demanded):
             places[name] = _crossed(line, case.way, front)
-    for name, place in (places | _drawn(case)).items():
+    for thing in (one for each in case.plan.internals if isinstance(each, StGraph) for one in each.obstacles):
+        if thing.agent in case.frame.agents.ids or thing.agent not in case.decided or not len(thing.outline):
+            continue
+        t, s = thing.outline.T
+        place, level = float(s.min()), {float(s[t == each].min()) for each in set(t.tolist())}
+        end = float(case.plan.trajectory.t[-1]) - case.frame.planned.t - STEP_S
+        if max(level) - place < SAME_M and t.max() >= min(case.held.when(place), end):  # stands, and is there then
+            places[thing.agent] = place
+    for name, place in places.items():
         need = case.held.need(place)
         if place <= case.held.reach and (case.held.drives_off or need <= MOST_MPS2):
             yield case.cause(CauseKind.STOP, place, need, name)
-
-
-def _drawn(case: _Case) -> dict[str, float]:
-    """Stations of the obstacles of the S-T graph that the planner stops for and that are still there then, m."""
-    found: dict[str, float] = {}
-    for graph in (each for each in case.plan.internals if isinstance(each, StGraph)):
-        for thing in graph.obstacles:
-            if thing.agent in case.frame.agents.ids or thing.agent not in case.decided or not len(thing.outline):
-                continue
-            t, s = thing.outline.T
-            place, level = float(s.min()), {float(s[t == each].min()) for each in set(t.tolist())}
-            stays = t.max() >= min(
-                case.held.when(place), float(case.plan.trajectory.t[-1]) - case.frame.planned.t - STEP_S
-            )
-            if max(level) - place < SAME_M and stays:
-                found[thing.agent] = place
-    return found
 
 
 def _crossed(line: StopLine, way: Way, front: float) -> float:
@@ -305,8 +300,12 @@ def _goal_and_end(case: _Case) -> Iterator[Cause]:
     if goal is not None and inside and way.s[inside[0]] <= held.reach:
         first, last = float(way.s[inside[0]]), float(way.s[inside[-1]])
         ends = inside[-1] < len(way.s) - 1  # otherwise the region continues beyond the way
-        if ends:
-            yield from _in_time(case, goal, last)
+        t = case.frame.planned.t
+        if ends and goal.t is not None and t + held.when(last) < goal.t[0]:  # the ego leaves it before its time
+            left = goal.t[0] - t - held.t_from
+            need = 2.0 * (held.v * left - (last - held.s_from)) / left**2 if left > 0.0 else nan
+            if need >= LEAST_MPS2:
+                yield case.cause(CauseKind.GOAL, last, need, "time", goal.t[0])
         if goal.v is not None and held.v > goal.v[1] + OVER_MPS:
             ahead = max(last - held.s_from, held.v * SOON_S)
             need = (held.v**2 - goal.v[1] ** 2) / (2.0 * ahead) if ends else nan
@@ -315,26 +314,6 @@ def _goal_and_end(case: _Case) -> Iterator[Cause]:
             yield case.cause(CauseKind.GOAL, first, held.need(last), "place")
     if rests and held.planned[-1] <= way.end <= held.reach:
         yield case.cause(CauseKind.ROAD_END, way.end, held.need(way.end))
-
-
-def _in_time(case: _Case, goal: Goal, last: float) -> Iterator[Cause]:
-    """(5): the ego leaves the goal's region before the goal's time."""
-    t, held = case.frame.planned.t, case.held
-    if goal.t is None or t + held.when(last) >= goal.t[0]:
-        return
-    left = goal.t[0] - t - held.t_from
-    need = 2.0 * (held.v * left - (last - held.s_from)) / left**2 if left > 0.0 else nan
-    if need >= LEAST_MPS2:
-        yield case.cause(CauseKind.GOAL, last, need, "time", goal.t[0])
-
-
-def _words(case: _Case, named: set[str]) -> Iterator[Cause]:
-    """(7)."""
-    for name, decision in case.decided.items():
-        if name in named or decision.kind is DecisionKind.FOLLOW:
-            continue
-        if name not in case.frame.agents.ids or case.is_near(name):
-            yield Cause(CauseKind.WORD, name, decision.kind.value, decision.reason, False, case.held.v)
 
 
 def _passed_or_begun(case: _Case) -> list[Cause]:
@@ -352,12 +331,6 @@ def _passed_or_begun(case: _Case) -> list[Cause]:
         if len(over) and path.v[over[0]] > STANDING_MPS:
             return [Cause(CauseKind.BEGUN, hold_mps=held.v, time_s=float(t[over[0]]), value=a)]
     return passed
-
-
-def _order(cause: Cause) -> tuple[bool, bool, float, float]:
-    """Confirmed by numbers before a mere decision, named before inferred, then the most demanding, then the first."""
-    need = cause.need_mps2 if isfinite(cause.need_mps2) else MOST_MPS2 if cause.is_met else 0.0
-    return cause.kind is CauseKind.WORD, cause.inferred, -need, cause.time_s if isfinite(cause.time_s) else LOOK_S
 
 
 def not_passed(plan: Plan) -> tuple[str, ...]:

@@ -83,9 +83,7 @@ class Course:
 
     Attributes:
         action: What it does within the next second.
-        v_start: Speed now, m/s; `v_end` at the end of the plan, `v_least` the lowest one.
-        v_end: See there.
-        v_least: See there.
+        v_start, v_end, v_least: Speed now, at the end of the plan, and the lowest one, m/s.
         duration: Length of the plan, s.
         t_least: Time of the lowest speed.
         a_least: The hardest braking, m/s2.
@@ -210,10 +208,9 @@ class Way:
 
     Attributes:
         s: Arc length, m.
-        x: World, m; `y` likewise; `yaw` rad, without jumps; `kappa` 1/m.
-        y: See there.
-        yaw: See there.
-        kappa: See there.
+        x, y: World, m.
+        yaw: Without jumps, rad.
+        kappa: 1/m.
         limit: Speed limit of the lane that the ego is in, m/s; NaN where the way is not near its line.
         end: Arc length at which the map of that lane ends, m; inf: beyond the way.
         lanes: The lanes of that line.
@@ -391,27 +388,21 @@ def _meeting(held: Held, way: Way, agents: Agents, taken: _Taken, car: VehiclePa
     k = int(met[0]) if len(met) else int(close[0]) if len(close) and follows else -1
     if len(met) and _is_behind(way, held.s[k], taken.pose[:, k], car):
         return None
+    need = nan
+    later = np.flatnonzero(here & (np.arange(len(lower)) >= k) & (held.t > held.t_from))
+    if len(met) and len(later) and not held.drives_off:  # (6)
+        ahead, T = lower[later] - held.s_from, held.t[later] - held.t_from
+        room = np.maximum(ahead - GAP_M, 0.5 * ahead)  # nearer already: half of it is kept
+        if not (room < TOO_LATE_M).any():
+            slower = 2.0 * np.maximum(held.v * T - room, 0.0) / T**2
+            stops = slower * T > held.v
+            need = float(np.where(stops, held.v**2 / (2.0 * room), slower).max())
     least = int(np.nanargmin(left)) if np.isfinite(left).any() else -1
     return Meeting(
         agents.ids[i], float(away), speed,
         float(held.t[k]) if k >= 0 else nan, float(held.s[k]) if k >= 0 else nan,
-        _need(held, lower, k) if len(met) else nan,
-        float(left[least]) if least >= 0 else nan, float(held.t[least]) if least >= 0 else nan, len(met) > 0,
+        need, float(left[least]) if least >= 0 else nan, float(held.t[least]) if least >= 0 else nan, len(met) > 0,
     )  # fmt: skip
-
-
-def _need(held: Held, lower: FloatArray, first: int) -> float:
-    """(6) from the step `first` on."""
-    if held.drives_off:
-        return nan
-    k = np.flatnonzero(np.isfinite(lower) & (np.arange(len(lower)) >= first) & (held.t > held.t_from))
-    ahead, T = lower[k] - held.s_from, held.t[k] - held.t_from
-    room = np.maximum(ahead - GAP_M, 0.5 * ahead)  # nearer already: half of it is kept
-    if not len(k) or (room < TOO_LATE_M).any():
-        return nan
-    slower = 2.0 * np.maximum(held.v * T - room, 0.0) / T**2
-    stops = slower * T > held.v
-    return float(np.where(stops, held.v**2 / (2.0 * room), slower).max())
 
 
 def _is_behind(way: Way, s: float, pose: FloatArray, car: VehicleParameters) -> bool:

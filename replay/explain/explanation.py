@@ -17,7 +17,6 @@ from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import (
     Candidates,
-    Corridor,
     CostTerms,
     Decision,
     DecisionKind,
@@ -71,8 +70,7 @@ class Touch:
         plane: "S-T" or "S-L".
         bound: "upper" or "lower".
         agent: The agent whose outline lies beyond it; empty if there is none.
-        first: Start of the stretch, s from the frame (S-T) or station, m (S-L); `last` its end.
-        last: See there.
+        first, last: Start and end of the stretch, s from the frame (S-T) or station, m (S-L).
         at: The solution in the middle of the stretch, m.
     """
 
@@ -286,25 +284,20 @@ def main_terms(terms: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
 
 
 def touched(plan: Plan) -> Iterator[Touch]:
-    """The bounds that the solutions of a plan's graphs touch."""
+    """The stretches in which the solutions of a plan's graphs touch a bound; their given start does not count."""
     for graph in plan.internals:
-        if isinstance(graph, Graph) and graph.corridor is not None and len(graph.qp) > 1:
-            for bound in ("upper", "lower"):
-                yield from _touches(graph, graph.corridor, bound)
-
-
-def _touches(graph: Graph, corridor: Corridor, bound: str) -> Iterator[Touch]:
-    """The stretches in which the solution touches one side; its start, which is given, does not count."""
-    at, x = graph.qp.T
-    edge = np.interp(at, corridor.first, np.clip(getattr(corridor, bound), -1e6, 1e6))
-    inside = (at >= corridor.first[0]) & (at <= corridor.first[-1]) & (np.arange(len(at)) > 0)
-    marks = np.diff(np.r_[False, inside & (np.abs(x - edge) < TOUCH_M), False].astype(np.int64))
-    plane = "S-T" if isinstance(graph, StGraph) else "S-L"
-    for begin, end in zip(np.flatnonzero(marks > 0), np.flatnonzero(marks < 0) - 1, strict=True):
-        middle = (begin + end) // 2
-        who = _beyond(graph, float(at[middle]), float(edge[middle]), up=bound == "upper")
-        if who or plane == "S-L" or x[end] > x[0] + TOUCH_M:
-            yield Touch(plane, bound, who, float(at[begin]), float(at[end]), float(x[middle]))
+        if not isinstance(graph, Graph) or graph.corridor is None or len(graph.qp) < 2:
+            continue
+        (at, x), corridor, plane = graph.qp.T, graph.corridor, "S-T" if isinstance(graph, StGraph) else "S-L"
+        for bound in ("upper", "lower"):
+            edge = np.interp(at, corridor.first, np.clip(getattr(corridor, bound), -1e6, 1e6))
+            inside = (at >= corridor.first[0]) & (at <= corridor.first[-1]) & (np.arange(len(at)) > 0)
+            marks = np.diff(np.r_[False, inside & (np.abs(x - edge) < TOUCH_M), False].astype(np.int64))
+            for begin, end in zip(np.flatnonzero(marks > 0), np.flatnonzero(marks < 0) - 1, strict=True):
+                middle = (begin + end) // 2
+                who = _beyond(graph, float(at[middle]), float(edge[middle]), up=bound == "upper")
+                if who or plane == "S-L" or x[end] > x[0] + TOUCH_M:
+                    yield Touch(plane, bound, who, float(at[begin]), float(at[end]), float(x[middle]))
 
 
 def _beyond(graph: Graph, at: float, edge: float, *, up: bool) -> str:

@@ -28,7 +28,6 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
 from logs.names import ShortNames
-from logs.states import EgoState
 from logs.trace import Decision, DecisionKind, Graph, LaneOption, Mode, Plan, PlannedFrame, SlGraph, StGraph, Trace
 from replay.explain.explanation import LONGITUDINAL
 
@@ -76,7 +75,21 @@ class _Difference:
 
 def first_difference(one: Trace, two: Trace) -> FirstDifference | None:
     """The first difference of two drives of one log, from the first to the second; None: there is none (1)."""
-    found = [*_driven(one, two), *_ended(one, two)]
+    n = _together(one.ego.t, two.ego.t)
+    t, moved = one.ego.t[:n], "vehicle" if one.mode is Mode.CLOSED else "input frame"
+    found: list[_Difference] = []
+    for name, unit in (("x", "m"), ("y", "m"), ("v", "m/s")):
+        columns = getattr(one.ego, name)[:n], getattr(two.ego, name)[:n]
+        found += _rows(t, columns, ("input frame", moved), f"the ego's {name}", unit)
+    if one.commands is not None and two.commands is not None:
+        for name, unit in (("steer", "rad"), ("throttle", ""), ("brake", "")):
+            columns = getattr(one.commands, name)[:n], getattr(two.commands, name)[:n]
+            found += _rows(t, columns, ("controller", "controller"), f"commanded {name}", unit)
+    last = [float(trace.ego.t[-1]) for trace in (one, two)]
+    ends = [f"{trace.end.value}{f': {trace.detail}' if trace.detail else ''}" for trace in (one, two)]
+    if abs(last[0] - last[1]) > SAME_TIME_S or ends[0] != ends[1]:
+        what = f"{ends[0]} at {last[0]:.2f} s -> {ends[1]} at {last[1]:.2f} s"
+        found.append(_Difference(min(last), "end", inf, partial(str, what)))
     for some in _framed(one, two):
         found += some
         clear = [each.t for each in found if each.size > FINE]
@@ -89,22 +102,6 @@ def first_difference(one: Trace, two: Trace) -> FirstDifference | None:
     later = f"; more than {TOLERANCE:g} from t = {seen.t:.2f} s on ({seen.stage})" if first.size <= TOLERANCE else ""
     what = f"t = {first.t:.2f} s, {first.stage}: {first.describe()}{later}"
     return FirstDifference(first.t, first.stage, ShortNames(one.agents.ids)(what))
-
-
-# on the control rate ----------------------------------------------------------------------------------------------
-
-
-def _driven(one: Trace, two: Trace) -> Iterator[_Difference]:
-    n = _together(one.ego.t, two.ego.t)
-    t = one.ego.t[:n]
-    moved = "vehicle" if one.mode is Mode.CLOSED else "input frame"
-    for name, unit in (("x", "m"), ("y", "m"), ("v", "m/s")):
-        columns = getattr(one.ego, name)[:n], getattr(two.ego, name)[:n]
-        yield from _rows(t, columns, ("input frame", moved), f"the ego's {name}", unit)
-    if one.commands is not None and two.commands is not None:
-        for name, unit in (("steer", "rad"), ("throttle", ""), ("brake", "")):
-            columns = getattr(one.commands, name)[:n], getattr(two.commands, name)[:n]
-            yield from _rows(t, columns, ("controller", "controller"), f"commanded {name}", unit)
 
 
 def _rows(
@@ -127,14 +124,6 @@ def _together(one: FloatArray, two: FloatArray) -> int:
     return int(apart[0]) if len(apart) else n
 
 
-def _ended(one: Trace, two: Trace) -> Iterator[_Difference]:
-    last = [float(trace.ego.t[-1]) for trace in (one, two)]
-    ends = [f"{trace.end.value}{f': {trace.detail}' if trace.detail else ''}" for trace in (one, two)]
-    if abs(last[0] - last[1]) > SAME_TIME_S or ends[0] != ends[1]:
-        what = f"{ends[0]} at {last[0]:.2f} s -> {ends[1]} at {last[1]:.2f} s"
-        yield _Difference(min(last), "end", inf, partial(str, what))
-
-
 # frame by frame ---------------------------------------------------------------------------------------------------
 
 
@@ -152,20 +141,14 @@ def _framed(one: Trace, two: Trace) -> Iterator[list[_Difference]]:
             t, which = key * SAME_TIME_S, "second" if before is None else "first"
             yield [_Difference(t, "input frame", inf, partial(str, f"a plan was made in the {which} drive only"))]
         else:
-            yield list(_of_frame(one, two, before, now, kept))
-
-
-def _of_frame(
-    one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame, kept: set[type]
-) -> Iterator[_Difference]:
-    for stage, found in (
-        ("input frame", _others(one, two, before, now)),
-        ("prediction", _predicted(before, now)),
-        *_inside(before, now, kept),
-        ("plan", _planned(before, now)),
-    ):
-        for size, describe in found:
-            yield _Difference(before.t, stage, size, describe)
+            yield [
+                _Difference(before.t, stage, size, describe)
+                for stage, found in (
+                    ("input frame", _others(one, two, before, now)), ("prediction", _predicted(before, now)),
+                    *_inside(before, now, kept), ("plan", _planned(before, now)),
+                )
+                for size, describe in found
+            ]  # fmt: skip
 
 
 _Found = Iterator[tuple[float, Callable[[], str]]]
@@ -226,7 +209,12 @@ def _inside(before: PlannedFrame, now: PlannedFrame, kept: set[type]) -> Iterato
     one, two = tuple(before.plan.internals), tuple(now.plan.internals)
     if not one or not two:
         return
-    yield "lane choice", _chosen(one, two)
+    taken = [[x.name for x in side if isinstance(x, LaneOption) and not x.against] for side in (one, two)]
+    if taken[0] and taken[1] and taken[0] != taken[1]:
+        costs = "; ".join(
+            f"{x.name} {x.cost:.2f} s{f' ({x.against})' if x.against else ''}" for x in two if isinstance(x, LaneOption)
+        )
+        yield "lane choice", iter([(inf, partial(str, f"{taken[0][0]} -> {taken[1][0]} (now {costs})"))])
     paths = _graphs(one, two, SlGraph)
     if paths is not None:
         ends = [graph.corridor.first[:1] for graph in paths if graph.corridor is not None]
@@ -250,15 +238,6 @@ def _inside(before: PlannedFrame, now: PlannedFrame, kept: set[type]) -> Iterato
 def _graphs(one: Sequence[object], two: Sequence[object], kind: type[Graph]) -> tuple[Graph, Graph] | None:
     found = [next((item for item in items if isinstance(item, kind)), None) for items in (one, two)]
     return (found[0], found[1]) if found[0] is not None and found[1] is not None else None
-
-
-def _chosen(one: Sequence[object], two: Sequence[object]) -> _Found:
-    taken = [[x.name for x in side if isinstance(x, LaneOption) and not x.against] for side in (one, two)]
-    if taken[0] and taken[1] and taken[0] != taken[1]:
-        costs = "; ".join(
-            f"{x.name} {x.cost:.2f} s{f' ({x.against})' if x.against else ''}" for x in two if isinstance(x, LaneOption)
-        )
-        yield inf, partial(str, f"{taken[0][0]} -> {taken[1][0]} (now {costs})")
 
 
 def _room(one: Graph, two: Graph, value: str, at: str, *, moves: bool) -> _Found:
@@ -364,7 +343,9 @@ def planners_part(one: Trace, two: Trace) -> FirstDifference | None:
     for old, new in zip(one.frames, two.frames, strict=False):
         t, states = old.t, []
         for trace, frame in ((one, old), (two, new)):
-            states.append(trace.ego.at(t) if trace.mode is Mode.CLOSED else _ahead(frame))
+            planned = frame.plan.trajectory
+            then = min(frame.t + AHEAD_S, float(planned.t[-1]))
+            states.append(trace.ego.at(t) if trace.mode is Mode.CLOSED else planned.at(then))
         first, second = states
         across = (second.y - first.y) * np.cos(first.yaw) - (second.x - first.x) * np.sin(first.yaw)
         if abs(first.v - second.v) > PARTED_MPS or abs(across) > PARTED_M:  # (3)
@@ -376,12 +357,6 @@ def planners_part(one: Trace, two: Trace) -> FirstDifference | None:
             what = f"{when}: {before} -> {now}{side if abs(across) > PARTED_M else ''}"
             return FirstDifference(t, "plan", ShortNames(one.agents.ids)(what))
     return None
-
-
-def _ahead(frame: PlannedFrame) -> EgoState:
-    """The planned state in `AHEAD_S`, or at the plan's end."""
-    planned = frame.plan.trajectory
-    return planned.at(min(frame.t + AHEAD_S, float(planned.t[-1])))
 
 
 def decided(plan: Plan) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from logs.agents import Agents
 from logs.frame import Predictions
-from logs.kernel import FloatArray, IntArray
+from logs.kernel import FloatArray
 from logs.rules import Colour
 from logs.scenario import Scenario, Tracks
 from logs.trace import DecisionKind, PlannedFrame, StGraph, Trace
@@ -67,29 +67,22 @@ def planner_inputs(
     for frame in trace.frames:
         lights = {light.id: light.at(frame.t) for light in scenario.lights}
         if perception is None:
-            yield PlannerInput(frame, _agents(trace, frame), frame.predictions, lights)
+            shown = agents_shown(trace, frame.t)
+            row = {name: i for i, name in enumerate(shown.ids)}
+            agents = shown.some(np.array([row[name] for name in frame.agents], dtype=np.int64))
+            yield PlannerInput(frame, agents, frame.predictions, lights)
             continue
         made = perception.frame(World(trace.ego.at(frame.t), trace.agents), None)
         yield PlannerInput(frame, made.agents, PlannedFrame.of(made, frame.plan).predictions, lights)
 
 
-def _agents(trace: Trace, frame: PlannedFrame) -> Agents:
-    """The agents of a frame, in its order."""
-    if trace.perceived is None:
-        known = trace.agents.perceived(frame.t)
-        row = {name: i for i, name in enumerate(known.ids)}
-        rows = np.array([row[name] for name in frame.agents], dtype=np.int64)
-        return known.some(rows)
-    tracks = trace.perceived
-    at = np.flatnonzero(np.abs(tracks.t - frame.t) < SAME_TIME_S)
-    track = np.searchsorted(tracks.offsets, at, side="right") - 1
-    place = {tracks.ids[j]: i for i, j in enumerate(track)}
-    order = np.array([place[name] for name in frame.agents], dtype=np.int64)
-    return picked(tracks, track[order], at[order])
-
-
-def picked(some: Tracks, rows: IntArray, at: IntArray) -> Agents:
-    """The agents `rows` of some tracks, with their poses at the samples `at`."""
+def agents_shown(trace: Trace, t: float) -> Agents:
+    """The agents as the planner was shown them in the frame at `t`; their order is not that of the frame."""
+    some = trace.perceived
+    if some is None:
+        return trace.agents.perceived(t)
+    at = np.flatnonzero(np.abs(some.t - t) < SAME_TIME_S)
+    rows = np.searchsorted(some.offsets, at, side="right") - 1
     poses = (getattr(some, name)[at] for name in ("x", "y", "yaw", "vx", "vy"))
     ids, kinds = (tuple(names[i] for i in rows) for names in (some.ids, some.kinds))
     return Agents(ids, kinds, some.length[rows], some.width[rows], *poses)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from math import isfinite
 
 from replay.explain.causes import Account, Cause, CauseKind
@@ -19,6 +18,7 @@ NAMES = {
     CauseKind.BEGUN: "braking that is under way",
 }
 """How sentences name a cause; any other has a name of its own."""
+OPENINGS = {Action.STANDS: "Stands", Action.CRAWLS: "Crawls", Action.SLOWS: "Slows down"}
 
 
 def sentences(account: Account) -> list[str]:
@@ -26,16 +26,28 @@ def sentences(account: Account) -> list[str]:
     failed = [cause for cause in account.causes if cause.kind is CauseKind.FALLBACK]
     rest = conflicts(account)
     lines = [f"Fallback: {_join(cause.who, cause.reason)}." for cause in failed]
-    for i, cause in enumerate(rest[:MOST]):
-        opening = _opening(account) if i == 0 else "Also"
+    course = account.course
+    late = f"from t = {account.t + course.t_brakes:.1f} s on" if course.t_brakes >= STEP_S else "at first"
+    opening = OPENINGS.get(course.action, f"Slows down {late}")
+    for cause in rest[:MOST]:
         if cause.kind is CauseKind.NONE:
-            lines.append(f"{opening}; no cause found: {_nothing_found(account, cause)}")
+            near = f" {cause.who}, {cause.away_m:.1f} m away, is on its way, but would not be met." if cause.who else ""
+            nothing = "the trace does not hold the predictions that the planner used."
+            if account.predicted:
+                nothing = (
+                    f"{_held(account, cause)} it would meet no road user ahead of it within {cause.time_s:.0f} s, and"
+                    f" no limit, curve, stop line, goal or end of the road within {cause.distance_m:.0f} m requires"
+                    f" braking.{near}"
+                )
+            lines.append(f"{opening}; no cause found: {nothing}")
+            opening = "Also"
             continue
         mark = cause.decision if not cause.inferred else "inferred"
         if cause.inferred and cause.decision:
             mark = f"inferred; the planner decided: {cause.decision}"
         name = NAMES.get(cause.kind, cause.who)
         lines.append(f"{opening} for {name} ({mark}): {_join(cause.reason, _numbers(account, cause))}.")
+        opening = "Also"
     if len(rest) > MOST:
         lines.append(f"And {len(rest) - MOST} more.")
     return [*lines, f"{rest[0].who} is not passed: {'; '.join(account.not_passed)}."] if account.not_passed else lines
@@ -51,51 +63,19 @@ def conflicts(account: Account) -> list[Cause]:
         if cause.who not in named:
             kept.append(cause)
         if cause.kind is CauseKind.STOP:
-            named |= _named(cause.reason, agents)
+            # of several agents that a reason names, the last one: the first may be a common noun; many agents are
+            # called by a number, and a number with a fraction is a measurement
+            found = {
+                hit.start(): who
+                for who in filter(None, agents)
+                for hit in re.finditer(rf"(?<![\w.]){re.escape(who)}(?!\w|\.\d)", cause.reason)
+            }
+            named |= {found[max(found)]} if found else set()
     return kept
-
-
-def _named(reason: str, agents: Sequence[str]) -> set[str]:
-    """The agent that a reason names; of several the last one: the first may be a common noun.
-
-    Many agents are called by a number; a number with a fraction is a measurement.
-    """
-    found = {
-        hit.start(): who
-        for who in agents
-        for hit in re.finditer(rf"(?<![\w.]){re.escape(who)}(?!\w|\.\d)", reason)
-        if who
-    }
-    return {found[max(found)]} if found else set()
-
-
-def _opening(account: Account) -> str:
-    """What the plan does, by its course."""
-    course = account.course
-    if course.action is Action.STANDS:
-        return "Stands"
-    if course.action is Action.CRAWLS:
-        return "Crawls"
-    if course.action is Action.SLOWS:
-        return "Slows down"
-    return "Slows down " + (
-        f"from t = {account.t + course.t_brakes:.1f} s on" if course.t_brakes >= STEP_S else "at first"
-    )
 
 
 def _join(*parts: str) -> str:
     return "; ".join(part for part in parts if part)
-
-
-def _nothing_found(account: Account, cause: Cause) -> str:
-    """What was looked for."""
-    if not account.predicted:
-        return "the trace does not hold the predictions that the planner used."
-    near = f" {cause.who}, {cause.away_m:.1f} m away, is on its way, but would not be met." if cause.who else ""
-    return (
-        f"{_held(account, cause)} it would meet no road user ahead of it within {cause.time_s:.0f} s, and no limit,"
-        f" curve, stop line, goal or end of the road within {cause.distance_m:.0f} m requires braking.{near}"
-    )
 
 
 def _held(account: Account, cause: Cause) -> str:

@@ -97,17 +97,17 @@ def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda lin
     manoeuvres = compare([v for v in config.vehicles if v != "perfect"], list(CONTROLLERS), roads=config.roads)
     _write_table(out / "manoeuvres.csv", manoeuvres)
     say(f"the pedestrian varied: {len(config.cells)} drives")
-    cells = grid(config.cells, workers=config.workers, on_cell=lambda done: _counted(say, done, len(config.cells)))
+
+    def count(done: int) -> None:
+        if done % 20 == 0 or done == len(config.cells):
+            say(f"    {done} of {len(config.cells)}")
+
+    cells = grid(config.cells, workers=config.workers, on_cell=count)
     _write_table(out / "pedestrian_grid.csv", cells)
     write_file(out / "pedestrian_grid.png", lambda part: figures.save(figures.grid_figure(cells), part))
     page = out / "paper.md"
     write_text(page, _page(first, second, scenarios, manoeuvres, cells))
     return page
-
-
-def _counted(say: Say, done: int, of: int) -> None:
-    if done % 20 == 0 or done == of:
-        say(f"    {done} of {of}")
 
 
 def drive(scenario: Scenario, vehicle: str, controller: str) -> Drive:
@@ -172,16 +172,13 @@ def blocked_moments(frames: Sequence[PlannedFrame]) -> list[tuple[str, PlannedFr
     Raises:
         ConfigError: No agent ever is, or one is until the end.
     """
-    blocked = [i for i, frame in enumerate(frames) if _is_blocked(frame)]
+    graphs = [[one for one in frame.plan.internals if isinstance(one, StGraph)] for frame in frames]
+    blocked = [i for i, some in enumerate(graphs) if any(graph.obstacles for graph in some)]
     if not blocked or blocked[-1] + 1 >= len(frames):
         raise ConfigError("Fig. 10 needs a drive in which a road user blocks the path and leaves it")
     chosen = (blocked[0], blocked[len(blocked) // 2], blocked[-1] + 1)
     words = ("first blocked", "in the middle", "free again")
     return [(word, frames[i]) for word, i in zip(words, chosen, strict=True)]
-
-
-def _is_blocked(frame: PlannedFrame) -> bool:
-    return any(isinstance(artefact, StGraph) and artefact.obstacles for artefact in frame.plan.internals)
 
 
 SCENARIO_COLUMNS: dict[str, str] = {
@@ -224,14 +221,10 @@ def _write_table(path: Path, table: pd.DataFrame) -> None:
 def markdown(table: pd.DataFrame) -> str:
     """A table in Markdown; numbers with three digits, `-` where there is none."""
     lines = ["| " + " | ".join(table.columns) + " |", "|" + "---|" * len(table.columns)]
-    rows = ("| " + " | ".join(_cell(value) for value in row) + " |" for row in table.itertuples(index=False))
-    return "\n".join([*lines, *rows])
-
-
-def _cell(value: object) -> str:
-    if not isinstance(value, float):
-        return str(value)
-    return "-" if np.isnan(value) else f"{value:.3g}"
+    for row in table.itertuples(index=False):
+        cells = (str(v) if not isinstance(v, float) else "-" if np.isnan(v) else f"{v:.3g}" for v in row)
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
 FAILED_COLUMNS = (

@@ -5,7 +5,7 @@ The rows are the plan's status, each road user with a decision, and each broken 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,14 +13,14 @@ import numpy as np
 from logs.trace import Decision, DecisionKind, PlanStatus, PlanSummary
 from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
 from replay.draw.charts.canvas import LETTER_PX, Chart, legend, line, polyline, rect, shortened, text
-from replay.draw.charts.subject import Subject, Violation
+from replay.draw.charts.subject import Subject
 from replay.draw.model import chart_panels
 from replay.explain.explanation import STATUS_WORDS
 
 WIDTH_PX, HEIGHT_PX = 440.0, 168.0
 KINDS = ("a", "b", "c")
 """Classes of the first, second and third curve of a panel: solid, long dashes, dots."""
-LEAST_MARK_PX = 3.0
+LEAST_PX = 3.0
 BOLD_PX = 6.8
 """Width of a letter of a warning."""
 
@@ -33,8 +33,20 @@ def curves(subject: Subject) -> list[Chart]:
         shown = list(zip(panel.curves, KINDS, strict=False))
         lines = "".join(polyline(plane.at_x(curve.t), plane.at_y(curve.values), kind) for curve, kind in shown)
         broken = [some for some in subject.violations if some.series.startswith(panel.about) and panel.about]
-        shade, words = _shaded(plane, broken)
-        inside = shade + lines + now_line(plane, subject.moment.t)
+        wide, high = plane.inner
+        boxes, words, until = "", "", -np.inf  # the intervals in which a gate is broken, and the metrics above them
+        found = [(begin, end, some) for some in broken for begin, end in some.spans]
+        for begin, end, some in sorted(found, key=lambda one: (one[0], one[1], one[2].gate)):
+            left, right = plane.at_x(np.array([begin, end])).tolist()
+            left = min(max(left, 0.0), wide - LEAST_PX)
+            right = max(right, left + LEAST_PX)
+            boxes += rect(left, 0.0, right - left, high, "broken", some.gate) + line(left, 0.0, left, high, "edge")
+            room = BOLD_PX * len(some.series) + 14.0
+            at = min(left + 2.0, wide - room)
+            if at > until:
+                words += text(at, 9.0, f"\u26a0 {some.series}", "warn")
+                until = at + room
+        inside = boxes + lines + now_line(plane, subject.moment.t)
         title, largest = panel.title, float(np.abs(panel.values).max())
         if any(curve.spiky for curve in panel.curves) and largest > 1.2 * max(map(abs, panel.range)):
             title += f", up to {largest:.0f} in single steps"
@@ -49,24 +61,6 @@ def curves(subject: Subject) -> list[Chart]:
     return charts
 
 
-def _shaded(plane: Plane, broken: Sequence[Violation]) -> tuple[str, str]:
-    """The intervals in which a gate is broken, and the names of their metrics above them."""
-    wide, high = plane.inner
-    boxes, words, until = [], [], -np.inf
-    found = [(begin, end, some) for some in broken for begin, end in some.spans]
-    for begin, end, some in sorted(found, key=lambda one: (one[0], one[1], one[2].gate)):
-        left, right = plane.at_x(np.array([begin, end])).tolist()
-        left = min(max(left, 0.0), wide - LEAST_MARK_PX)
-        right = max(right, left + LEAST_MARK_PX)
-        boxes.append(rect(left, 0.0, right - left, high, "broken", some.gate) + line(left, 0.0, left, high, "edge"))
-        room = BOLD_PX * len(some.series) + 14.0
-        at = min(left + 2.0, wide - room)
-        if at > until:
-            words.append(text(at, 9.0, f"\u26a0 {some.series}", "warn"))
-            until = at + room
-    return "".join(boxes), "".join(words)
-
-
 def now_line(plane: Plane, t: float) -> str:
     """The moment of the subject."""
     x = min(max(float(plane.at_x(t)), 1.0), plane.inner[0] - 1.0)
@@ -77,7 +71,6 @@ ROWS_PX, ROW_PX, TOP_PX = 900.0, 20.0, 22.0
 LABEL_PX = 210.0
 MAX_ROWS = 12
 """Rows of road users; the list of events beside the picture has all of them."""
-LEAST_PX = 3.0
 CALM = tuple(STATUS_WORDS[status] for status in (PlanStatus.PLANNED, PlanStatus.CORRECTED))
 """Statuses that are no alarm."""
 
@@ -108,8 +101,7 @@ def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str
     `short` shortens the names of agents.
     """
     rows: dict[str, list[Span]] = {}
-    stops = [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else []
-    for plan, stop in zip(plans, stops, strict=True):
+    for plan, stop in _until(plans, end):
         now = [some for some in plan.internals if isinstance(some, Decision)]
         for one in {some.agent: some for some in now if some.kind is not DecisionKind.IGNORE}.values():
             _extend(rows.setdefault(one.agent, []), Span(plan.t, stop, one.kind.value, short(one.reason)))
@@ -119,10 +111,14 @@ def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str
 def statuses(plans: Sequence[PlanSummary], end: float) -> Row:
     """The statuses of the plans."""
     spans: list[Span] = []
-    stops = [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else []
-    for plan, stop in zip(plans, stops, strict=True):
+    for plan, stop in _until(plans, end):
         _extend(spans, Span(plan.t, stop, STATUS_WORDS[plan.status], plan.reason))
     return Row("plan", tuple(spans), "calm")
+
+
+def _until(plans: Sequence[PlanSummary], end: float) -> Iterable[tuple[PlanSummary, float]]:
+    """Each plan and the time until which it holds."""
+    return zip(plans, [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else [], strict=True)
 
 
 def _extend(spans: list[Span], one: Span) -> None:

@@ -51,7 +51,13 @@ def _graph(subject: Subject, kind: _Kind) -> Chart:
     title = f"{kind.title} of the plan at {subject.moment.t if frame is None else frame.t:.1f} s"
     graph = None if frame is None else DrawnGraph.of(frame.plan, kind.graph)
     if graph is None:
-        why = _absent(subject, kind)
+        why = f"{subject.drive.planner} reports no internals"
+        if frame is None:
+            why = "no plan yet at this time"
+        elif frame.plan.internals or any(plan.internals for plan in subject.plans):
+            why = f"this plan has no {kind.title}"
+        elif subject.drive.result.run.internals == "none":
+            why = "the internals of the plan were not kept (--set internals=none)"
         body = text(2.0, 13.0, title, "title") + text(WIDTH_PX / 2.0, 44.0, why, "says")
         return Chart(kind.name, title, f"{title}: {why}", WIDTH_PX, 64.0, body)
     plane, short = _plane(graph, kind), subject.scenario.short_names
@@ -78,17 +84,6 @@ def _graph(subject: Subject, kind: _Kind) -> Chart:
     named = ", ".join(f"{some.of.agent}: {some.of.decision.value}" for some in graph.obstacles)
     says = f"{title}: {short(named) or 'no agent in the way'}"
     return Chart(kind.name, title, says, WIDTH_PX, HEIGHT_PX, drawn + head)
-
-
-def _absent(subject: Subject, kind: _Kind) -> str:
-    """Why there is no graph."""
-    if subject.frame is None:
-        return "no plan yet at this time"
-    if subject.frame.plan.internals or any(plan.internals for plan in subject.plans):
-        return f"this plan has no {kind.title}"
-    if subject.drive.result.run.internals == "none":
-        return "the internals of the plan were not kept (--set internals=none)"
-    return f"{subject.drive.planner} reports no internals"
 
 
 def _plane(graph: DrawnGraph, kind: _Kind) -> Plane:

@@ -53,8 +53,21 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
     view = _View(plane, ego)
     planned = abs(t - subject.moment.t) < 1e-9
     agents = subject.trace.agents.truth(t)
-    others = "".join(_other(view, agents, i) for i in range(len(agents)))
-    inside = _road(view, subject) + _paths(view, subject, planned=planned) + others + _ego(view, subject)
+    driven, frame, car = subject.trace.ego, subject.frame, subject.scenario.vehicle
+    inside = _road(view, subject) + polylines(view.lines([np.column_stack([driven.x, driven.y])]), "driven")
+    if frame is not None and planned:  # the plan with a dot a second, and the others' futures
+        plan, futures = frame.plan.trajectory, frame.predictions
+        if futures is not None:
+            paths = map(np.column_stack, zip(futures.x, futures.y, strict=True))
+            inside += polylines(view.lines(paths), "foreseen")
+        inside += polylines(view.lines([np.column_stack([plan.x, plan.y])]), "planned")
+        inside += "".join(dot(x, y, 2.4, "second") for x, y in view.of(plan_seconds(frame.plan)).tolist())
+    inside += "".join(_other(view, agents, i) for i in range(len(agents)))
+    x, y = box_center(ego, car)
+    box = view.of(corners(x, y, ego.yaw, car.length, car.width))
+    front = box[np.argsort(box[:, 0])[2:]]
+    nose = np.vstack([front[0], view.of(np.array([[x, y]]))[0], front[1]])
+    inside += area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "nose")
     title = f"{word[:1].upper()}{word[1:]}: {t:.2f} s, {ego.v:.1f} m/s"
     names = _names(view, agents, subject, planned=planned)
     drawn = plane.drawn(inside, x_title="ahead of the rear axle [m]", over=names)
@@ -130,29 +143,6 @@ def _road(view: _View, subject: Subject) -> str:
                 word = lights[stop.light].at(view.ego.t).value
                 drawn += text(float(ends[:, 0].max()) + 4.0, float(ends[:, 1].mean()) + 3.5, word, "small")
     return drawn
-
-
-def _paths(view: _View, subject: Subject, *, planned: bool) -> str:
-    """The driven path, and at the moment the plan with a dot a second and the others' futures."""
-    ego, frame = subject.trace.ego, subject.frame
-    out = polylines(view.lines([np.column_stack([ego.x, ego.y])]), "driven")
-    if frame is None or not planned:
-        return out
-    plan, futures = frame.plan.trajectory, frame.predictions
-    if futures is not None:
-        out += polylines(view.lines(map(np.column_stack, zip(futures.x, futures.y, strict=True))), "foreseen")
-    seconds = view.of(plan_seconds(frame.plan)).tolist()
-    out += polylines(view.lines([np.column_stack([plan.x, plan.y])]), "planned")
-    return out + "".join(dot(x, y, 2.4, "second") for x, y in seconds)
-
-
-def _ego(view: _View, subject: Subject) -> str:
-    car = subject.scenario.vehicle
-    x, y = box_center(view.ego, car)
-    box = view.of(corners(x, y, view.ego.yaw, car.length, car.width))
-    front = box[np.argsort(box[:, 0])[2:]]
-    nose = np.vstack([front[0], view.of(np.array([[x, y]]))[0], front[1]])
-    return area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "nose")
 
 
 def _other(view: _View, agents: Agents, i: int) -> str:

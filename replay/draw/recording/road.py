@@ -67,8 +67,16 @@ def draw_road(tape: Tape, road: Road) -> None:
         ("world/road/surface", [lane for lane in lanes if lane.drivable], colours.SURFACE, -0.04),
         ("world/road/walk", [lane for lane in lanes if not lane.drivable], colours.WALK, -0.03),
     ):
+        vertices, triangles, count = list[FloatArray](), list[IntArray](), 0
+        for lane in some:  # strips of triangles between its boundaries
+            n = len(lane.left)
+            left, right = np.arange(n - 1) + count, np.arange(n - 1) + count + n
+            triangles += [np.column_stack([left, right, left + 1]), np.column_stack([left + 1, right, right + 1])]
+            vertices += [lane.left, lane.right]
+            count += 2 * n
         if some:
-            tape.static(entity, _surface(some, colour, z))
+            points, indices = at_height(np.concatenate(vertices), z), np.concatenate(triangles)
+            tape.static(entity, rr.Mesh3D(vertex_positions=points, triangle_indices=indices, albedo_factor=colour))
     faint, edges, markings, opposite = (list[FloatArray]() for _ in range(4))
     for lane in lanes:  # the left boundary; the right one is the neighbour's left
         line = dashes(lane.left) if lane.left_crossable else [lane.left]
@@ -166,19 +174,6 @@ def covered(
                 out[i] = True
                 break
     return out
-
-
-def _surface(lanes: Sequence[Lane], colour: int, z: float) -> rr.Mesh3D:
-    """The lanes as strips of triangles between their boundaries."""
-    vertices, triangles, count = [], [], 0
-    for lane in lanes:
-        n = len(lane.left)
-        left, right = np.arange(n - 1) + count, np.arange(n - 1) + count + n
-        triangles += [np.column_stack([left, right, left + 1]), np.column_stack([left + 1, right, right + 1])]
-        vertices += [lane.left, lane.right]
-        count += 2 * n
-    points = at_height(np.concatenate(vertices), z)
-    return rr.Mesh3D(vertex_positions=points, triangle_indices=np.concatenate(triangles), albedo_factor=colour)
 
 
 def draw_goal(tape: Tape, scenario: Scenario) -> None:

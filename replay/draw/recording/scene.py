@@ -21,13 +21,12 @@ from logs.kernel import FloatArray, IntArray
 from logs.scenario import AgentKind, Agents, Scenario
 from logs.states import Trajectory
 from logs.trace import Decision, Plan, PlannedFrame, Trace
-from logs.vehicle import VehicleParameters
 from replay.draw.model import decided, in_full, plan_seconds
 from replay.draw.recording import colours
 from replay.draw.recording.plots import places
 from replay.draw.recording.road import at_height, draw_goal, draw_lights, draw_lines, draw_road
 from replay.draw.recording.tape import REMOVED, Instants, Tape, joined, pixels, plain, strips
-from replay.explain.planner_input import SAME_TIME_S, picked
+from replay.explain.planner_input import agents_shown
 
 HEIGHTS = {
     AgentKind.CAR: 1.5,
@@ -44,6 +43,14 @@ FAINT = 60
 LABEL_M, EYE_BACK_M, LABEL_RISE = 2.7, 18.0, 0.03
 """Height of a label from above; distance of the eye behind the ego; rise of a name per metre from the eye."""
 PLAN_POINTS = 60
+NEAR_M = 90.0
+"""For agents farther from the ego than this, neither predictions nor missing detections are shown."""
+SHORTEST_M = 0.5
+"""A shorter predicted path is that of a standing agent."""
+SHADOW_STEP = 0.03
+"""Angle between two lines of the hatching of hidden ground, rad."""
+ARC_STEP = 0.1
+LOW = 0.06
 FILLED = rr.components.FillMode.TransparentFillMajorWireframe
 FRAME_ONLY = rr.components.FillMode.MajorWireframe
 
@@ -55,17 +62,33 @@ def quaternions(yaw: FloatArray) -> FloatArray:
 
 
 def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -> None:
-    """Road, goal, lights, ego and log; agents and plans are drawn by `draw_moving`."""
+    """Road, goal, lights, ego and log; agents and plans are drawn by `draw_moving`.
+
+    The driven path has one piece per instant: the blueprint shows all pieces up to the cursor.
+    """
     draw_road(tape, scenario.road)
     draw_goal(tape, scenario)
     draw_lights(tape, scenario, instants)
-    _draw_ego(tape, trace.ego, scenario.vehicle, instants)
+    vehicle, (xy, yaw) = scenario.vehicle, _resampled(trace.ego, instants.t)
+    poses = rr.Transform3D.columns(translation=at_height(xy, 0.0), quaternion=quaternions(yaw))
+    tape.rows("world/ego", instants, poses)
+    size = [vehicle.length / 2.0, vehicle.width / 2.0, EGO_HEIGHT / 2.0]
+    center = [vehicle.axle_to_center, 0.0, EGO_HEIGHT / 2.0]
+    box = rr.Boxes3D(centers=[center], half_sizes=[size], colors=colours.EGO, fill_mode=FILLED, labels=["ego"])
+    tape.static("world/ego/box", box, rr.Boxes3D.from_fields(show_labels=False))
+    front, half = vehicle.axle_to_front, vehicle.width / 2.0
+    nose = [[front - half, half, EGO_HEIGHT], [front, 0.0, EGO_HEIGHT], [front - half, -half, EGO_HEIGHT]]
+    tape.static("world/ego/nose", rr.LineStrips3D([nose], colors=0xFFFFFFFF, radii=0.04))
+    pieces = np.stack([xy[np.maximum(np.arange(len(xy)) - 1, 0)], xy], axis=1)
+    lines = strips(at_height(pieces.reshape(-1, 2), 0.04), np.full(len(xy), 2))
+    tape.static("world/driven", rr.LineStrips3D.from_fields(colors=[colours.EGO], radii=[0.1]))
+    tape.rows("world/driven", instants, rr.LineStrips3D.columns(strips=lines))
     if trace.ego is not scenario.ego and len(scenario.ego) > 1:
         _draw_log(tape, trace, scenario, instants)
     if scenario.repair is not None and len(scenario.repair.removed):
         shown = [scenario.repair.removed.perceived(float(t)) for t in instants.t]  # hidden by the blueprint at first
         labels = [plain(name) for some in shown for name in some.ids]
-        draw_frames(tape, REMOVED, shown, instants, EGO_HEIGHT, labels, colours.REMOVED, 0.8)
+        draw_frames(tape, REMOVED, shown, instants, labels, colours.REMOVED, 0.8)
 
 
 def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants: Instants, frames: Instants) -> None:
@@ -101,24 +124,6 @@ def _resampled(ego: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.column_stack([x, y]), yaw
 
 
-def _draw_ego(tape: Tape, ego: Trajectory, vehicle: VehicleParameters, instants: Instants) -> None:
-    """The ego, and one piece of its driven path per instant: the blueprint shows all pieces up to the cursor."""
-    xy, yaw = _resampled(ego, instants.t)
-    poses = rr.Transform3D.columns(translation=at_height(xy, 0.0), quaternion=quaternions(yaw))
-    tape.rows("world/ego", instants, poses)
-    size = [vehicle.length / 2.0, vehicle.width / 2.0, EGO_HEIGHT / 2.0]
-    center = [vehicle.axle_to_center, 0.0, EGO_HEIGHT / 2.0]
-    box = rr.Boxes3D(centers=[center], half_sizes=[size], colors=colours.EGO, fill_mode=FILLED, labels=["ego"])
-    tape.static("world/ego/box", box, rr.Boxes3D.from_fields(show_labels=False))
-    front, half = vehicle.axle_to_front, vehicle.width / 2.0
-    nose = [[front - half, half, EGO_HEIGHT], [front, 0.0, EGO_HEIGHT], [front - half, -half, EGO_HEIGHT]]
-    tape.static("world/ego/nose", rr.LineStrips3D([nose], colors=0xFFFFFFFF, radii=0.04))
-    pieces = np.stack([xy[np.maximum(np.arange(len(xy)) - 1, 0)], xy], axis=1)
-    lines = strips(at_height(pieces.reshape(-1, 2), 0.04), np.full(len(xy), 2))
-    tape.static("world/driven", rr.LineStrips3D.from_fields(colors=[colours.EGO], radii=[0.1]))
-    tape.rows("world/driven", instants, rr.LineStrips3D.columns(strips=lines))
-
-
 def _draw_log(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -> None:
     """The logged ego: its path, and in closed loop its box as a ghost until the end of the log."""
     log, vehicle = scenario.ego, scenario.vehicle
@@ -141,20 +146,19 @@ def _draw_log(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) 
 
 
 def draw_frames(
-    tape: Tape, entity: str, shown: Sequence[Agents], instants: Instants, height: float, labels: Sequence[str],
-    colour: int, wide: float,
-) -> None:  # fmt: skip
-    """Wireframe boxes of agents at instants, `wide` pixels; their labels are visible on hover."""
+    tape: Tape, entity: str, shown: Sequence[Agents], instants: Instants, labels: Sequence[str], colour: int, px: float
+) -> None:
+    """Wireframe boxes of agents at instants, with lines of `px` pixels; their labels are visible on hover."""
     x, y, yaw, length, width = (
         np.concatenate([getattr(some, name) for some in shown]) for name in ("x", "y", "yaw", "length", "width")
     )
     boxes = rr.Boxes3D.columns(
-        centers=at_height(np.column_stack([x, y]), height / 2.0),
-        half_sizes=0.5 * np.column_stack([length, width, np.full(len(x), height)]),
+        centers=at_height(np.column_stack([x, y]), EGO_HEIGHT / 2.0),
+        half_sizes=0.5 * np.column_stack([length, width, np.full(len(x), EGO_HEIGHT)]),
         quaternions=quaternions(yaw),
         labels=labels,
     )
-    style = rr.Boxes3D.from_fields(colors=[colour], fill_mode=FRAME_ONLY, radii=[pixels(wide)], show_labels=False)
+    style = rr.Boxes3D.from_fields(colors=[colour], fill_mode=FRAME_ONLY, radii=[pixels(px)], show_labels=False)
     tape.static(entity, style)
     tape.rows(entity, instants, boxes, [len(some) for some in shown])
 
@@ -234,18 +238,8 @@ def _draw_plans(tape: Tape, plans: Sequence[Plan], frames: Instants, fastest: fl
     tape.rows("world/plan/seconds", frames, rr.Points3D.columns(positions=at_height(points, 0.2)), counts)
 
 
-NEAR_M = 90.0
-"""For agents farther from the ego than this, neither predictions nor missing detections are shown."""
-SHORTEST_M = 0.5
-"""A shorter predicted path is that of a standing agent."""
-SHADOW_STEP = 0.03
-"""Angle between two lines of the hatching of hidden ground, rad."""
-ARC_STEP = 0.1
-LOW, GHOST_HEIGHT = 0.06, 1.4
-
-
 def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
-    """All of the above that the trace holds, a row per frame."""
+    """Predictions, perceived agents and the sensor, as far as the trace holds them, a row per frame."""
     if any(frame.predictions is not None for frame in trace.frames):
         _draw_predictions(tape, trace, frames)
     if trace.frames and (len(trace.agents) or trace.perceived is not None):
@@ -253,7 +247,7 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
         shown = [perceived_only(trace, float(t)) for t in frames.t]
         labels = [plain(f"{tape.short(name)} as perceived") for some in shown for name in some.ids]
         if labels:
-            draw_frames(tape, "world/perceived", shown, frames, GHOST_HEIGHT, labels, colours.PERCEIVED, 1.2)
+            draw_frames(tape, "world/perceived", shown, frames, labels, colours.PERCEIVED, 1.2)
     if not any(frame.visibility is not None for frame in trace.frames):
         return
     for name, draw, colour in (("edge", rim, colours.SENSOR), ("hidden", hatching, colours.HIDDEN)):
@@ -306,13 +300,8 @@ def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, F
 
 def perceived_only(trace: Trace, t: float) -> Agents:
     """The agents that were shown to the planner in the frame at `t`, and are not drawn as true boxes."""
-    if trace.perceived is None:
-        known, there = trace.agents.perceived(t), set(trace.agents.ids_at(t))
-        rows = np.array([i for i, name in enumerate(known.ids) if name not in there], dtype=np.int64)
-        return known.some(rows)
-    tracks = trace.perceived
-    at = np.flatnonzero(np.abs(tracks.t - t) < SAME_TIME_S)
-    return picked(tracks, np.searchsorted(tracks.offsets, at, side="right") - 1, at)
+    known, there = agents_shown(trace, t), set(trace.agents.ids_at(t) if trace.perceived is None else ())
+    return known.some(np.array([i for i, name in enumerate(known.ids) if name not in there], dtype=np.int64))
 
 
 def unseen(trace: Trace, t: float) -> list[tuple[str, float]]:

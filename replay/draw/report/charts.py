@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from logs.kernel import FloatArray
 from logs.names import counted
 from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
 from replay.draw.charts.canvas import Chart, dot, legend, line, rect, shortened, text
@@ -22,15 +20,6 @@ LABEL_SHARE = 0.4
 MAX_SHARES, MAX_PAIRS = 40, 20
 FEW = 5
 """A box of quartiles is drawn for more values than this."""
-
-
-@dataclass(frozen=True)
-class Strip:
-    """The values of one planner: `(n,)`, with the log of each."""
-
-    name: str
-    values: FloatArray
-    logs: tuple[str, ...]
 
 
 def _rows_plane(names: Sequence[str], x: tuple[float, float], top: float = TOP_PX, width: float = WIDTH_PX) -> Plane:
@@ -70,47 +59,43 @@ def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
 
 
 def distributions(columns: Sequence[Column], drives: Sequence[DriveRow]) -> list[Chart]:
-    """One chart per column of the table of drives that has several values and is no yes or no."""
+    """One chart per column of the table of drives that has several values and is no yes or no.
+
+    A row per planner: a dot per log, and the box of the quartiles with the median.
+    """
     out = []
-    for k, column in enumerate(columns):
-        strips = []
-        for planner in dict.fromkeys(drive.shown for drive in drives):
-            cells = [(drive.cells[k].value, drive.log) for drive in drives if drive.shown == planner]
-            found = [(value, log) for value, log in cells if np.isfinite(value)]
-            if found:
-                values, logs = zip(*found, strict=True)
-                strips.append(Strip(planner, np.array(values, np.float64), logs))
-        if len({value for strip in strips for value in strip.values.tolist()}) > 2:
-            out.append(_distribution(column, strips))
+    for i, column in enumerate(columns):
+        strips: dict[str, list[tuple[float, str]]] = {drive.shown: [] for drive in drives}
+        for drive in drives:
+            if np.isfinite(drive.cells[i].value):
+                strips[drive.shown].append((drive.cells[i].value, drive.log))
+        strips = {planner: strip for planner, strip in strips.items() if strip}
+        if len({value for strip in strips.values() for value, _ in strip}) < 3:
+            continue
+        names, values = list(strips), [np.array([value for value, _ in strip]) for strip in strips.values()]
+        least, most = float(min(v.min() for v in values)), float(max(v.max() for v in values))
+        low, high = widened(least, most, 1e-3, 0.04)
+        plane = _rows_plane(names, (min(low, 0.0) if least >= 0.0 and low < 0.0 else low, high), top=22.0)
+        marks = ""
+        for k, (some, strip) in enumerate(zip(values, strips.values(), strict=True)):
+            middle = ROW_PX * (k + 0.5)
+            if len(some) > FEW:
+                left, median, right = plane.at_x(np.percentile(some, (25.0, 50.0, 75.0))).tolist()
+                marks += rect(left, middle - 6.0, right - left, 12.0, "box")
+                marks += line(median, middle - 6.0, median, middle + 6.0, "whisker")
+            order = np.argsort(some, kind="stable")
+            away = np.array([0.0, -3.0, 3.0])[np.arange(len(order)) % 3]
+            for n, x, offset in zip(order, plane.at_x(some[order]).tolist(), away.tolist(), strict=True):
+                marks += dot(x, middle + offset, 2.6, "speck", f"{strip[n][1]}: {some[n]:.4g}")
+        title = f"{column.words}, {column.mode} loop"
+        drawn = plane.drawn(marks, x_title=f"{column.metric}, a dot a log", y_ticks=False, over=_names(plane, names))
+        says = f"{title}: " + "; ".join(
+            f"{name}: {some.min():.3g} to {some.max():.3g}, median {np.median(some):.3g}, {counted(len(some), 'log')}"
+            for name, some in zip(names, values, strict=True)
+        )
+        body = drawn + text(2.0, 13.0, title, "title")
+        out.append(Chart(column.metric, title, says, WIDTH_PX, plane.height, body))
     return out
-
-
-def _distribution(column: Column, strips: Sequence[Strip]) -> Chart:
-    """A dot per log, and the box of the quartiles with the median."""
-    values = np.concatenate([strip.values for strip in strips])
-    low, high = widened(float(values.min()), float(values.max()), 1e-3, 0.04)
-    names = [strip.name for strip in strips]
-    plane = _rows_plane(names, (min(low, 0.0) if values.min() >= 0.0 and low < 0.0 else low, high), top=22.0)
-    marks = ""
-    for k, strip in enumerate(strips):
-        middle = ROW_PX * (k + 0.5)
-        if len(strip.values) > FEW:
-            left, median, right = plane.at_x(np.percentile(strip.values, (25.0, 50.0, 75.0))).tolist()
-            marks += rect(left, middle - 6.0, right - left, 12.0, "box")
-            marks += line(median, middle - 6.0, median, middle + 6.0, "whisker")
-        order = np.argsort(strip.values, kind="stable")
-        away = np.array([0.0, -3.0, 3.0])[np.arange(len(order)) % 3]
-        for i, x, offset in zip(order, plane.at_x(strip.values[order]).tolist(), away.tolist(), strict=True):
-            marks += dot(x, middle + offset, 2.6, "speck", f"{strip.logs[i]}: {strip.values[i]:.4g}")
-    title = f"{column.words}, {column.mode} loop"
-    head = text(2.0, 13.0, title, "title")
-    drawn = plane.drawn(marks, x_title=f"{column.metric}, a dot a log", y_ticks=False, over=_names(plane, names))
-    says = f"{title}: " + "; ".join(
-        f"{s.name}: {s.values.min():.3g} to {s.values.max():.3g}, median {np.median(s.values):.3g},"
-        f" {counted(len(s.logs), 'log')}"
-        for s in strips
-    )
-    return Chart(column.metric, title, says, WIDTH_PX, plane.height, drawn + head)
 
 
 def moved(pairs: pd.DataFrame, title: str) -> Chart:

@@ -188,6 +188,10 @@ MARKS = {
     "jerk": ("J", "needless jerk"),
 }
 """Letters and words for the verdicts of `replay.paper.pedestrian_grid`."""
+MARK_STYLE: dict[str, Any] = {
+    "ha": "center", "va": "center", "fontsize": 7, "weight": "bold",
+    "bbox": {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "black", "lw": 0.5, "alpha": 0.85},
+}  # fmt: skip
 
 
 def grid_figure(table: pd.DataFrame) -> Figure:
@@ -200,7 +204,17 @@ def grid_figure(table: pd.DataFrame) -> Figure:
         rows = figure.subplots(len(QUANTITIES), len(speeds), squeeze=False, sharex=True, sharey=True)
         for panels, (column, label, colors, bounds) in zip(rows, QUANTITIES, strict=True):
             for axes, speed in zip(panels, speeds, strict=True):
-                mesh = _heat(axes, table[table["ego_kmh"] == speed], column, mpl.colormaps[colors], bounds)
+                cells = table[table["ego_kmh"] == speed]
+                values = cells.pivot(index="walker_mps", columns="late_s", values=column)
+                x, y = values.columns.to_numpy(dtype=float), values.index.to_numpy(dtype=float)
+                shown = np.ma.masked_invalid(values.to_numpy(dtype=float))
+                look = {"cmap": mpl.colormaps[colors], "vmin": bounds[0], "vmax": bounds[1], "shading": "nearest"}
+                axes.set_facecolor("#d0d0d0")
+                mesh = axes.pcolormesh(x, y, shown, edgecolors="w", lw=0.4, **look)
+                for late, walker, word in zip(cells["late_s"], cells["walker_mps"], cells["verdict"], strict=True):
+                    if word in MARKS:
+                        axes.text(late, walker, MARKS[word][0], **MARK_STYLE)
+                axes.set_yticks(y)
             figure.colorbar(mesh, ax=list(panels), label=label, extend="both", pad=0.01)
             panels[0].set_ylabel("walker [m/s]")
         for axes, speed in zip(rows[0], speeds, strict=True):
@@ -210,21 +224,6 @@ def grid_figure(table: pd.DataFrame) -> Figure:
         marks = ", ".join(f"{letter}: {word}" for letter, word in MARKS.values())
         figure.suptitle(f"{marks}; grey: no braking", x=0.01, ha="left", fontsize=10)
         return figure
-
-
-def _heat(axes: Axes, cells: pd.DataFrame, column: str, colors: Any, bounds: tuple[float, float]) -> Any:
-    values = cells.pivot(index="walker_mps", columns="late_s", values=column)
-    x, y = values.columns.to_numpy(dtype=float), values.index.to_numpy(dtype=float)
-    axes.set_facecolor("#d0d0d0")
-    shown = np.ma.masked_invalid(values.to_numpy(dtype=float))
-    low, high = bounds
-    mesh = axes.pcolormesh(x, y, shown, cmap=colors, vmin=low, vmax=high, shading="nearest", edgecolors="w", lw=0.4)
-    for late, walker, word in zip(cells["late_s"], cells["walker_mps"], cells["verdict"], strict=True):
-        if word in MARKS:
-            box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "black", "lw": 0.5, "alpha": 0.85}
-            axes.text(late, walker, MARKS[word][0], ha="center", va="center", fontsize=7, weight="bold", bbox=box)
-    axes.set_yticks(y)
-    return mesh
 
 
 def _scene(axes: Axes, frame: PlannedFrame, trace: Trace, scenario: Scenario) -> None:

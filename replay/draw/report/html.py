@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib import resources
@@ -41,6 +41,7 @@ T = TypeVar("T")
 MOST_REGRESSIONS, MOST_IMPROVEMENTS, MOST_GROUPS, MOST_MOVED = 60, 20, 80, 6
 """Numbers of rows in the tables of a comparison, and of metrics that are drawn."""
 _ORDER = {"fail": 0, "inconclusive": 1}
+"""Of pages; within a verdict, the drive with most trouble is first."""
 MOST_EVENTS = 60
 """Further events are only counted."""
 _WEIGHT = {outcome.value: weight for weight, outcome in enumerate(Outcome)}
@@ -94,12 +95,16 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
         for row in paged:
             anchor, attempt = anchors[row.log, row.planner], Attempts()
             made = attempt("The page of a drive", partial(drive_page, results, row, anchor, path), None)
-            page = failed_page(row, anchor, attempt.broken[0]) if made is None else made
+            page = DrivePage(anchor, row, why=attempt.broken[0], broken=(attempt.broken[0],)) if made is None else made
             broken.update(page.broken)
             yield page
 
-    paged = worst_first(overview.drives)[:drives]
-    anchors, shares = _anchors(paged), [*overview.whole, *overview.grouped]
+    paged = sorted(overview.drives, key=lambda row: (_ORDER.get(row.verdict, 2), -row.trouble))[:drives]
+    anchors, shares = dict[tuple[str, str], str](), [*overview.whole, *overview.grouped]
+    for row in paged:  # an id for each page, made of the names; a number where two would be the same
+        name = f"drive/{safe_name(row.log)}/{safe_name(row.planner)}"
+        names = (name, *(f"{name}-{k}" for k in range(2, len(paged) + 2)))
+        anchors[row.log, row.planner] = next(one for one in names if one not in anchors.values())
     attempt = Attempts()
     share = attempt("The chart of shares", lambda: _markup(pass_shares(shares, len(overview.planners))), Markup())
     drawn = attempt(
@@ -121,23 +126,6 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
         write_text(path, page)
     each = (f"{error} ({times} of {counted(len(paged), 'drive')})" for error, times in broken.items())
     return (*attempt.broken, *each)
-
-
-def worst_first(drives: Sequence[DriveRow]) -> list[DriveRow]:
-    """Failed, then inconclusive, then passed; within these the one with most trouble first."""
-    return sorted(drives, key=lambda row: (_ORDER.get(row.verdict, 2), -row.trouble))
-
-
-def _anchors(rows: Sequence[DriveRow]) -> dict[tuple[str, str], str]:
-    """An id for each page, made of the names; a number where two would be the same."""
-    found: dict[tuple[str, str], str] = {}
-    taken: set[str] = set()
-    for row in rows:
-        name = f"drive/{safe_name(row.log)}/{safe_name(row.planner)}"
-        anchor = next(one for one in (name, *(f"{name}-{k}" for k in range(2, len(rows) + 2))) if one not in taken)
-        taken.add(anchor)
-        found[row.log, row.planner] = anchor
-    return found
 
 
 def _markup(chart: Chart) -> Markup:
@@ -210,29 +198,6 @@ def _environment() -> Environment:
 
 
 @dataclass(frozen=True)
-class VerdictLine:
-    """The verdict of a gate on this drive."""
-
-    gate: str
-    mode: str
-    outcome: str
-    value: float
-    time_s: float
-    reason: str
-
-
-@dataclass(frozen=True)
-class MetricLine:
-    """One metric of this drive."""
-
-    metric: str
-    value: float
-    unit: str
-    time_s: float
-    reason: str
-
-
-@dataclass(frozen=True)
 class Recording:
     """A file to open: its name and loop, a link relative to the page, and the command that opens it."""
 
@@ -255,11 +220,11 @@ class DrivePage:
         why: Why this moment; if there are no pictures, why not.
         because: What the plan does then, and why, in sentences.
         end: How the drive ended.
-        verdicts: The verdicts of both loops, failed ones first.
+        verdicts: The rows of `DriveResult.verdicts` of both loops, failed ones first.
         pictures: Scenes and graphs; then `decided`, and `curves`.
         events: What changed, when.
         more_events: The number of events that are left out.
-        metrics: By loop, the available metrics.
+        metrics: By loop, the rows of the available metrics.
         missing: Reason, and the metrics that are not available for it.
         files: Recordings, otherwise traces.
         plot: The command that draws the same pictures.
@@ -274,31 +239,31 @@ class DrivePage:
     why: str = ""
     because: tuple[str, ...] = ()
     end: str = ""
-    verdicts: tuple[VerdictLine, ...] = ()
+    verdicts: tuple[Any, ...] = ()
     pictures: tuple[Markup, ...] = ()
     decided: Markup = field(default_factory=Markup)
     curves: tuple[Markup, ...] = ()
     events: tuple[Event, ...] = ()
     more_events: int = 0
-    metrics: tuple[tuple[str, tuple[MetricLine, ...]], ...] = ()
+    metrics: tuple[tuple[str, tuple[Any, ...]], ...] = ()
     missing: tuple[tuple[str, str], ...] = ()
     files: tuple[Recording, ...] = ()
     plot: str = ""
     broken: tuple[str, ...] = ()
 
     @property
-    def failed(self) -> tuple[VerdictLine, ...]:
+    def failed(self) -> tuple[Any, ...]:
         """Verdicts that fail or are inconclusive."""
         good = (Outcome.PASS.value, Outcome.NOT_ASKED.value)
         return tuple(line for line in self.verdicts if line.outcome not in good)
 
     @property
-    def passed(self) -> tuple[VerdictLine, ...]:
+    def passed(self) -> tuple[Any, ...]:
         """Verdicts that pass."""
         return tuple(line for line in self.verdicts if line.outcome == Outcome.PASS.value)
 
     @property
-    def not_asked(self) -> tuple[VerdictLine, ...]:
+    def not_asked(self) -> tuple[Any, ...]:
         """Gates that were not asked of this drive."""
         return tuple(line for line in self.verdicts if line.outcome == Outcome.NOT_ASKED.value)
 
@@ -329,14 +294,11 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
     because = attempt("The account of the plan", lambda: seen.because if seen else (), tuple[str, ...]())
     charts = placed(seen, results.run.charts) if seen else {}
     markup = {place: tuple(map(_markup, some)) for place, some in charts.items()}
-    verdicts, metrics, missing, files = list[VerdictLine](), [], dict[str, list[str]](), []
+    verdicts, metrics, missing, files = list[Any](), [], dict[str, list[str]](), []
     for drive in drives:
-        rows: list[Any] = list(drive.verdicts.itertuples(index=False))
-        lines = [VerdictLine(v.gate, v.mode, v.outcome, float(v.value), float(v.time_s), v.reason) for v in rows]
-        verdicts += sorted(lines, key=lambda line: _WEIGHT[line.outcome])
+        verdicts += sorted(drive.verdicts.itertuples(index=False), key=lambda line: _WEIGHT[line.outcome])
         table, available = drive.metrics, drive.metrics["available"].astype(bool)
-        columns = (table[available][name].tolist() for name in ("metric", "value", "unit", "time_s", "reason"))
-        metrics.append((drive.mode, tuple(MetricLine(*line) for line in zip(*columns, strict=True))))
+        metrics.append((drive.mode, tuple(table[available].itertuples(index=False))))
         for reason, metric in table[~available][["reason", "metric"]].itertuples(index=False):
             missing.setdefault(reason, []).append(metric)
         # the recording, or the trace if there is none
@@ -359,11 +321,6 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
         tuple((reason, ", ".join(dict.fromkeys(names))) for reason, names in missing.items()), tuple(files), plot,
         (*(chart.says for some in charts.values() for chart in some if chart.name == BROKEN), *attempt.broken),
     )  # fmt: skip
-
-
-def failed_page(row: DriveRow, anchor: str, why: str) -> DrivePage:
-    """The page of a drive whose page cannot be made, with the error."""
-    return DrivePage(anchor, row, why=why, broken=(why,))
 
 
 def _subject(drive: DriveResult) -> tuple[Subject | None, str]:

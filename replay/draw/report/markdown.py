@@ -39,7 +39,49 @@ def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
         links: Files beside the report to link to first ("report.html"), before those of the drives; None: no links at
             all, for a report by itself.
     """
-    return "\n\n".join(part for part in _parts(over, links) if part) + "\n"
+    parts = [f"# replan: {over.outcome}"]
+    rows = [(gate.outcome.upper(), gate.rule, gate.mode or NOTHING, gate.found) for gate in over.gates]
+    bad, good = ([row for row in rows if (row[0] == "PASS") is passed] for passed in (False, True))
+    if over.shard:
+        parts.append(f"Shard {over.shard}, not judged: `replan merge` judges all shards together.")
+    else:
+        fail, unsure = (sum(gate.outcome == word for gate in over.gates) for word in ("fail", "inconclusive"))
+        verdicts = f"{fail} of {len(rows)} verdicts of the gates fail, {unsure} are inconclusive"
+        look = over.worst
+        worst = f" Worst: {_text(look.log)} with {_text(look.planner)}." if look is not None and fail else ""
+        shares = "".join(f" {_text(share.planner)}: {share.text}." for share in over.whole)
+        parts.append(f"**{over.outcome.upper()}** (exit code {over.exit_code}): {verdicts}.{worst}{shares}")
+        parts.append(f"replan {_text(over.replan)}, configuration {over.config}")
+    parts.append(", ".join(f"[{_text(link)}]({quote(link)})" for link in links or ()))
+    parts.append(_list(f"Could not be evaluated ({len(over.failures)})", over.failures))
+    if not over.shard:  # the gates that do not pass, and folded those that do
+        names = ("outcome", "rule", "loop", "what was found")
+        parts += ["## Gates", _table(names, bad) if bad else ""]
+        parts.append(_folded(f"{len(good)} verdicts pass", _table(names, good)) if good else "")
+        unasked = f"{len(over.not_asked)} gates were not asked of some drives"
+        parts.append(_folded(unasked, _list("", over.not_asked)) if over.not_asked else "")
+    if over.diagnosis is not None:
+        said = [line.strip() for line in over.diagnosis["said"]]
+        parts.append(_list(f"Why {over.diagnosis['planner']} fails", said))
+    if over.comparison is not None:
+        parts += _comparison(over.comparison)
+    parts += [*_shares(over), *_drives(over, linked=links is not None)]
+    if len(over.planners) > 1:
+        each = [(label, *texts) for label, texts in over.compared]
+        parts.append(f"## Planners\n\n{_table(('over all logs', *over.planners), each)}")
+    parts.append(_list("Driven", [share.text for share in over.coverage]))
+    parts.append(_list(f"Ensemble: {len(over.fragile)} of {over.ensembles} verdicts are fragile", over.fragile))
+    parts += [_list(BROKEN, over.broken), _list("Notes", over.notes)]
+    times = [
+        (row.planner, row.stage, *(f"{ms:.2f}" for ms in (row.p50_ms, row.p95_ms, row.p99_ms)),
+         f"{100.0 * row.share:.0f}%" if isfinite(row.share) else NOTHING)
+        for row in over.latency
+    ]  # fmt: skip
+    if times:
+        head = ("planner", "stage", "p50 [ms]", "p95 [ms]", "p99 [ms]", "share")
+        title = f"Planning time (wall clock, {counted(over.frames, 'plan')})"
+        parts.append(_folded(title, _table(head, times, right=range(2, 6))))
+    return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def append_step_summary(over: Overview, environment: Mapping[str, str] = os.environ) -> None:
@@ -63,58 +105,6 @@ def shortened(text: str, most: int) -> str:
     head = text.encode()[:room].decode(errors="ignore").rpartition("\n")[0]
     folded = "\n\n</details>" if head.count("<details>") > head.count("</details>") else ""
     return head + folded + end
-
-
-def _parts(over: Overview, links: Iterable[str] | None) -> Iterator[str]:
-    yield f"# replan: {over.outcome}"
-    yield _first(over)
-    if links:
-        yield ", ".join(f"[{_text(link)}]({quote(link)})" for link in links)
-    yield _list(f"Could not be evaluated ({len(over.failures)})", over.failures)
-    yield from _gates(over)
-    if over.diagnosis is not None:
-        yield _list(f"Why {over.diagnosis['planner']} fails", [line.strip() for line in over.diagnosis["said"]])
-    if over.comparison is not None:
-        yield from _comparison(over.comparison)
-    yield from _shares(over)
-    yield from _drives(over, linked=links is not None)
-    if len(over.planners) > 1:
-        rows = [(label, *texts) for label, texts in over.compared]
-        yield f"## Planners\n\n{_table(('over all logs', *over.planners), rows)}"
-    yield _list("Driven", [share.text for share in over.coverage])
-    yield _list(f"Ensemble: {len(over.fragile)} of {over.ensembles} verdicts are fragile", over.fragile)
-    yield _list(BROKEN, over.broken)
-    yield _list("Notes", over.notes)
-    yield _latency(over)
-
-
-def _first(over: Overview) -> str:
-    """The outcome, in a sentence or two."""
-    if over.shard:
-        return f"Shard {over.shard}, not judged: `replan merge` judges all shards together."
-    fail, unsure = (sum(gate.outcome == word for gate in over.gates) for word in ("fail", "inconclusive"))
-    verdicts = f"{fail} of {len(over.gates)} verdicts of the gates fail, {unsure} are inconclusive"
-    look = over.worst
-    worst = f" Worst: {_text(look.log)} with {_text(look.planner)}." if look is not None and fail else ""
-    shares = "".join(f" {_text(share.planner)}: {share.text}." for share in over.whole)
-    made = f"replan {_text(over.replan)}, configuration {over.config}"
-    return f"**{over.outcome.upper()}** (exit code {over.exit_code}): {verdicts}.{worst}{shares}\n\n{made}"
-
-
-def _gates(over: Overview) -> Iterator[str]:
-    """The gates that do not pass, and folded those that do."""
-    if over.shard:
-        return
-    head = ("outcome", "rule", "loop", "what was found")
-    rows = [(gate.outcome.upper(), gate.rule, gate.mode or NOTHING, gate.found) for gate in over.gates]
-    bad, good = ([row for row in rows if (row[0] == "PASS") is passed] for passed in (False, True))
-    yield "## Gates"
-    if bad:
-        yield _table(head, bad)
-    if good:
-        yield _folded(f"{len(good)} verdicts pass", _table(head, good))
-    if over.not_asked:
-        yield _folded(f"{len(over.not_asked)} gates were not asked of some drives", _list("", over.not_asked))
 
 
 def _shares(over: Overview) -> Iterator[str]:
@@ -161,17 +151,6 @@ def _drives(over: Overview, *, linked: bool) -> Iterator[str]:
         more = f"{counted(len(rows) - MAX_OPEN, 'drive')} more, none of them worse"
         yield _folded(more, _raw_table(names, rows[MAX_OPEN:], right))
     yield "\n".join(f"- {_text(line)}" for line in legend(over.columns))
-
-
-def _latency(over: Overview) -> str:
-    if not over.latency:
-        return ""
-    rows = []
-    for row in over.latency:
-        share = f"{100.0 * row.share:.0f}%" if isfinite(row.share) else NOTHING
-        rows.append((row.planner, row.stage, *(f"{ms:.2f}" for ms in (row.p50_ms, row.p95_ms, row.p99_ms)), share))
-    head = ("planner", "stage", "p50 [ms]", "p95 [ms]", "p99 [ms]", "share")
-    return _folded(f"Planning time (wall clock, {counted(over.frames, 'plan')})", _table(head, rows, right=range(2, 6)))
 
 
 # with a baseline --------------------------------------------------------------------------------------------------

@@ -44,10 +44,6 @@ class Column:
         return self.title.replace("fall\nback", "fallback").replace("\n", " ")
 
 
-def _fixed(digits: int) -> Callable[[float], str]:
-    return lambda value: f"{value:.{digits}f}"
-
-
 def percent(value: float) -> str:
     """A share as "12%"; "<1%" if it is small but not zero."""
     return f"{100.0 * value:.0f}%" if value == 0.0 or value >= 0.01 else "<1%"
@@ -55,15 +51,15 @@ def percent(value: float) -> str:
 
 JERK_S = "lon_jerk_state.time_out_of_bounds"
 COLUMNS = (
-    Column("ADE\n3 s\n[m]", "ade.3s.mean", "open", _fixed(2)),
+    Column("ADE\n3 s\n[m]", "ade.3s.mean", "open", "{:.2f}".format),
     Column("fall\nback", "fallback.rate", "open", percent, lambda value: value > 0.0),
     Column("route\ndone", "route_progress.final", "closed", percent, lambda value: value < 0.5),
     Column("goal", "goal.final", "closed", lambda value: "yes" if value else "no", lambda value: value == 0.0),
-    Column("hits\nat\nfault", "collision_at_fault.count", "closed", _fixed(0), lambda value: value > 0.0),
-    Column("least\ngap\n[m]", "gap.min", "closed", _fixed(2), lambda value: value < 0.2),
-    Column("off\nplan\n[m]", "tracking_lateral.max_abs", "closed", _fixed(2)),
-    Column("TTC\n[s]", "ttc.min", "closed", _fixed(1), lambda value: value < 0.95),
-    Column("jerk\n[s]", JERK_S, "closed", _fixed(1), lambda value: value > 2.0),
+    Column("hits\nat\nfault", "collision_at_fault.count", "closed", "{:.0f}".format, lambda value: value > 0.0),
+    Column("least\ngap\n[m]", "gap.min", "closed", "{:.2f}".format, lambda value: value < 0.2),
+    Column("off\nplan\n[m]", "tracking_lateral.max_abs", "closed", "{:.2f}".format),
+    Column("TTC\n[s]", "ttc.min", "closed", "{:.1f}".format, lambda value: value < 0.95),
+    Column("jerk\n[s]", JERK_S, "closed", "{:.1f}".format, lambda value: value > 2.0),
     Column("fall\nback", "fallback.rate", "closed", percent, lambda value: value > 0.0),
 )
 """Open loop first; the columns of the closed loop follow the end of its drive."""
@@ -124,9 +120,7 @@ class DriveRow:
     """A log and a planner, both loops.
 
     Attributes:
-        log: Name of the log.
-        planner: Name of the planner.
-        shown: The name with its marks: oracle, trusted, batched, not deterministic.
+        shown: The name of the planner with its marks: oracle, trusted, batched, not deterministic.
         verdict: The worst outcome of the gates on this log; "" if no gate applies.
         asked: The number of gates that apply, of all: "24/41".
         end: How the closed loop ended.
@@ -172,8 +166,7 @@ class GateRow:
         found: In short: if it passes, the value nearest to the bound, otherwise the reason.
         reason: The whole sentence.
         why: The reason for the gate.
-        planner: "" if there was none to judge; `mode` likewise.
-        mode: See there.
+        planner, mode: "" if there was none to judge.
         group: The group of logs, for a gate over groups; otherwise "".
         log: The worst log; "" if there is none.
         value: The judged value; NaN if there is none.
@@ -275,27 +268,25 @@ class Overview:
     """The contents of a report, in its order.
 
     Attributes:
-        outcome: In words, as `replan evaluate` ends; `exit_code` likewise.
+        outcome, exit_code: As `replan evaluate` ends.
         shard: "2/5": the part of a run that this is, which is not judged; otherwise "".
         replan: Version that drove.
         config: First 12 hex digits of the SHA-256 of the resolved configuration.
         logs: The number of requested logs.
-        columns: Of `drives`.
-        drives: In the order of the run.
-        planners: Names with marks: columns of `compared`.
+        drives: In the order of the run; `columns` are those of its table.
+        planners: Names with marks.
         compared: A label, and a text per planner.
         frames: The number of plans behind the latencies.
         latency: By planner and stage, the whole plan last.
         gates: Failed and inconclusive gates first, without gates that apply to no log.
         not_asked: The gates that do not apply to some logs, with the commonest reason, a line each.
-        shares: Pass shares: suite, families, tags, datasets.
-        coverage: By planner and loop.
+        shares: Of suite, families, tags, datasets.
         ensembles: The number of verdicts that were tested with perturbed runs.
         fragile: The verdicts that changed, a sentence each.
         notes: Assumptions, with the number of logs, the commonest first.
         failures: Logs and planners that could not be evaluated.
         worst: The drive to look at first.
-        comparison: The comparison with a baseline, if there is one.
+        comparison: With a baseline, if there is one.
         diagnosis: Why drives fail, where `replan diagnose` was run: what its diagnosis.json holds.
         broken: Charts that could not be drawn, a sentence each; known after the page is written.
     """

@@ -74,11 +74,22 @@ def overview(
     for (_, planner, mode, metric), value in values.items():
         over_logs.setdefault((planner, mode, metric), []).append(value)
     verdicts = log_outcomes(results)
-    modes = [mode.value for mode in results.run.modes]
-    columns = tuple(column for column in COLUMNS if column.mode in modes)
+    columns = tuple(column for column in COLUMNS if column.mode in [mode.value for mode in results.run.modes])
     drives = _drives(results, values, columns, verdicts)
     gates = _gates(results, verdicts)
     planners = {name: marked(list(mine.itertuples())) for name, mine in results.drives.groupby("planner", sort=False)}
+    compared, latency, coverage = _of_planners(results, over_logs, [*map(str, planners)])
+    labels = results.labels | dict.fromkeys(results.unread, LogLabels())
+    crashed = [(row["log"], row["planner"], row["mode"]) for row in results.summary["failures"]]
+    stand = standings(verdicts, results.drives, list(labels), results.run.drives, crashed)
+    names = ["kind", "group", "planner", "mode", "logs", "passed", "failed", "inconclusive", "missing", "mean"]
+    rows = pass_shares(stand, labels)[[*names, "low", "high"]].itertuples(index=False)
+    shares = (PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows)
+    # look first at the drive of the gravest failure, else the first that has a recording, else the first
+    broken = [gate for gate in gates if gate.outcome == Outcome.FAIL.value and gate.log]
+    gravest = min(broken, key=lambda gate: gravity(gate.rule), default=None)
+    failed = gravest and (gravest.log, gravest.planner)
+    look = sorted(drives, key=lambda drive: ((drive.log, drive.planner) != failed, not drive.recording))
     failures = (
         f"{row['message']} [{row['planner']}, {row['mode']} loop]" if row["planner"] else str(row["message"])
         for row in results.summary["failures"]
@@ -93,13 +104,13 @@ def overview(
         columns=columns,
         drives=drives,
         planners=tuple(planners.values()),
-        compared=_compared([*map(str, planners)], modes, over_logs),
+        compared=tuple(compared),
         frames=int((results.timings["stage"] == "total").sum()),
-        latency=tuple(_latency(results.timings)),
+        latency=tuple(latency),
         gates=gates,
         not_asked=tuple(_not_asked(verdicts)),
-        shares=_shares(results, verdicts) if "shard" not in results.summary else (),
-        coverage=tuple(_coverage(results.drives, over_logs)),
+        shares=() if "shard" in results.summary else tuple(shares),
+        coverage=tuple(coverage),
         ensembles=len(ensemble),
         fragile=tuple(
             f"{row.log} [{row.planner}, {row.mode} loop]: {row.reason}"
@@ -107,7 +118,7 @@ def overview(
         ),
         notes=tuple(_notes(results.summary["logs"])),
         failures=tuple(map(without_folders(results), failures)),
-        worst=_worst(gates, drives),
+        worst=look[0] if look else None,
         comparison=comparison,
         diagnosis=diagnosis,
     )
@@ -209,55 +220,30 @@ SHORT = {
 }
 
 
-def _worst(gates: Sequence[GateRow], drives: Sequence[DriveRow]) -> DriveRow | None:
-    """The drive of the gravest failure, else the first that has a recording, else the first."""
-    broken = [gate for gate in gates if gate.outcome == Outcome.FAIL.value and gate.log]
-    gravest = min(broken, key=lambda gate: gravity(gate.rule), default=None)
-    failed = gravest and (gravest.log, gravest.planner)
-    order = sorted(drives, key=lambda drive: ((drive.log, drive.planner) != failed, not drive.recording))
-    return order[0] if order else None
-
-
-# all drives of a planner ------------------------------------------------------------------------------------------
-
-
-def _compared(
-    planners: Sequence[str], modes: Sequence[str], over_logs: OverLogs
-) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Each metric of `COMPARED` over the logs, a text per planner."""
-    return tuple(
-        (label, tuple(reduce(found) if (found := over_logs.get((p, mode, metric))) else NOTHING for p in planners))
-        for label, mode, metric, reduce in COMPARED
-        if mode in modes
-    )
-
-
-def _latency(timings: pd.DataFrame) -> Iterator[StageTime]:
-    for planner, rows in timings.groupby("planner", sort=False, observed=True):
+def _of_planners(
+    results: Results, over_logs: OverLogs, planners: Sequence[str]
+) -> tuple[list[tuple[str, tuple[str, ...]]], list[StageTime], list[Coverage]]:
+    """All drives of each planner: the metrics of `COMPARED`, the times of the stages, and what the verdicts rest on."""
+    compared = [
+        (label, tuple(combine(some) if (some := over_logs.get((p, loop, metric))) else NOTHING for p in planners))
+        for label, loop, metric, combine in COMPARED
+        if loop in [mode.value for mode in results.run.modes]
+    ]
+    latency, coverage = list[StageTime](), list[Coverage]()
+    for planner, rows in results.timings.groupby("planner", sort=False, observed=True):
         whole = float(rows.loc[rows["stage"] == "total", "seconds"].sum())
         by_stage = rows.groupby("stage", sort=False, observed=True)["seconds"]
         for stage, times in sorted(by_stage, key=lambda one: one[0] == "total"):
             p50, p95, p99 = (1e3 * float(times.quantile(q)) for q in (0.5, 0.95, 0.99))
             share = float(times.sum()) / whole if whole > 0.0 else nan
-            yield StageTime(str(planner), str(stage), p50, p95, p99, share)
-
-
-def _coverage(drives: pd.DataFrame, over_logs: OverLogs) -> Iterator[Coverage]:
-    """The time and distance on which the verdicts are based, by planner and loop."""
+            latency.append(StageTime(str(planner), str(stage), p50, p95, p99, share))
     names = ("coverage.log_s.final", "coverage.driven_s.final", "distance.final")
-    for planner, mode in dict.fromkeys(zip(drives["planner"], drives["mode"], strict=True)):
+    for planner, mode in dict.fromkeys(zip(results.drives["planner"], results.drives["mode"], strict=True)):
         logged, driven, metres = (over_logs.get((planner, mode, name), []) for name in names)
         if logged:
-            yield Coverage(planner, mode, len(logged), sum(driven), sum(logged), sum(metres) / 1e3 if metres else nan)
-
-
-def _shares(results: Results, verdicts: pd.DataFrame) -> tuple[PassShare, ...]:
-    labels = results.labels | dict.fromkeys(results.unread, LogLabels())
-    crashed = [(row["log"], row["planner"], row["mode"]) for row in results.summary["failures"]]
-    stand = standings(verdicts, results.drives, list(labels), results.run.drives, crashed)
-    names = ["kind", "group", "planner", "mode", "logs", "passed", "failed", "inconclusive", "missing", "mean"]
-    rows = pass_shares(stand, labels)[[*names, "low", "high"]].itertuples(index=False)
-    return tuple(PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows)
+            km = sum(metres) / 1e3 if metres else nan
+            coverage.append(Coverage(planner, mode, len(logged), sum(driven), sum(logged), km))
+    return compared, latency, coverage
 
 
 # gates ----------------------------------------------------------------------------------------------------------------
@@ -278,30 +264,22 @@ def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[GateRow, ...]:
         each = found.get((verdict["rule"], verdict["planner"], verdict["mode"]), {})
         mine = [outcome for log, outcome in each.items() if log in members.get(verdict.get("group"), each)]
         mine = [outcome for outcome in mine if outcome != Outcome.NOT_ASKED.value]
-        verdict = {**verdict, "reason": short(verdict["reason"])}
-        rows.append(_gate_row(verdict, unit, mine.count(Outcome.INCONCLUSIVE.value), len(mine)))
+        value, time_s = (nan if verdict[name] is None else float(verdict[name]) for name in ("value", "time_s"))
+        outcome, why, log = str(verdict["outcome"]), str(verdict["gate"]["reason"]), str(verdict["log"])
+        planner, mode, group = str(verdict["planner"]), str(verdict["mode"]), str(verdict.get("group", ""))
+        rule, over, reason = str(verdict["rule"]), str(verdict["gate"]["over"]), short(verdict["reason"])
+        if outcome == Outcome.PASS.value:  # the value; if every log must pass, also the log nearest to the bound
+            shown, lacking = 0.0 if abs(value) < 1e-9 else value, mine.count(Outcome.INCONCLUSIVE.value)
+            near = f"{shown:.3g}" if abs(shown) < 1e3 else f"{shown:.0f}"
+            near += f" {unit}" if unit not in ("", "1", "count") else ""
+            near += f", on {log}" if shown and over == "worst" else ""
+            near = f"{100.0 * value:.3g}% of the logs" if over == "pass_share" else near
+            aside = f"; no evidence in {lacking} of {len(mine)} logs" if lacking else ""
+            about = f"{', '.join(filter(None, (planner, group)))}: {near}{aside}"
+        else:
+            about = reason + (f" (the gate: {why})" if why and outcome == Outcome.FAIL.value else "")
+        rows.append(GateRow(outcome, rule, over, about, reason, why, planner, mode, group, log, value, unit, time_s))
     return tuple(sorted(rows, key=lambda row: ORDER.index(row.outcome)))
-
-
-def _gate_row(verdict: Mapping[str, Any], unit: str, lacking: int, asked: int) -> GateRow:
-    value, time_s = (nan if verdict[name] is None else float(verdict[name]) for name in ("value", "time_s"))
-    outcome, why, log = str(verdict["outcome"]), str(verdict["gate"]["reason"]), str(verdict["log"])
-    planner, mode, group = str(verdict["planner"]), str(verdict["mode"]), str(verdict.get("group", ""))
-    if outcome == Outcome.PASS.value:  # the value; if every log must pass, also the log nearest to the bound
-        shown, over = 0.0 if abs(value) < 1e-9 else value, verdict["gate"]["over"]
-        near = f"{shown:.3g}" if abs(shown) < 1e3 else f"{shown:.0f}"
-        near += f" {unit}" if unit not in ("", "1", "count") else ""
-        near += f", on {log}" if shown and over == "worst" else ""
-        near = f"{100.0 * value:.3g}% of the logs" if over == "pass_share" else near
-        aside = f"; no evidence in {lacking} of {asked} logs" if lacking else ""
-        found = f"{', '.join(filter(None, (planner, group)))}: {near}{aside}"
-    else:
-        found = str(verdict["reason"])
-        found += f" (the gate: {why})" if why and outcome == Outcome.FAIL.value else ""
-    rule, reason = str(verdict["rule"]), str(verdict["reason"])
-    return GateRow(
-        outcome, rule, str(verdict["gate"]["over"]), found, reason, why, planner, mode, group, log, value, unit, time_s
-    )
 
 
 # notes -----------------------------------------------------------------------------------------------------------

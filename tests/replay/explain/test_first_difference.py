@@ -1,4 +1,4 @@
-"""Where two drives part: what is changed in one frame is found in that frame, in its stage."""
+"""Where two drives part: what is changed in one frame is found in that frame, in its stage; where two planners part."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import sample_drive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import Mode
+from logs.catalogue import scenario
 from logs.frame import Predictions
 from logs.states import Trajectory
 from logs.trace import (
@@ -22,13 +22,24 @@ from logs.trace import (
     EndReason,
     Graph,
     LaneOption,
+    Mode,
     PlannedFrame,
     PlanStatus,
     SlGraph,
     StGraph,
     Trace,
 )
-from replay.explain.first_difference import STAGES, TOLERANCE, first_difference
+from replay.explain.first_difference import (
+    AHEAD_S,
+    PARTED_M,
+    PARTED_MPS,
+    STAGES,
+    TOLERANCE,
+    first_difference,
+    planners_part,
+)
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.open_loop import run_open_loop
 
 ROWS, FRAMES = 301, 31
 LANES = (LaneOption("keep", (("time lost", 1.0),)), LaneOption("left", (("time lost", 3.0),), "slower"))
@@ -255,3 +266,39 @@ def test_plans_at_other_times_part_at_the_first_of_them() -> None:
     found = first_difference(trace, replace(trace, frames=trace.frames[::2]))
     assert found is not None and (round(found.t, 6), found.stage) == (0.1, "input frame")
     assert "in the first drive only" in found.what
+
+
+LOOPS = {Mode.CLOSED: run_closed_loop, Mode.OPEN: run_open_loop}
+
+
+@cache
+def planner_drive(mode: Mode, planner: str = "idm") -> Trace:
+    return LOOPS[mode](scenario("everyday/nudge"), planner, keep_internals=True).trace
+
+
+@pytest.mark.parametrize("mode", LOOPS)
+def test_a_planner_does_not_part_from_itself(mode: Mode) -> None:
+    assert planners_part(planner_drive(mode), planner_drive(mode)) is None
+
+
+@given(st.integers(1, 100), st.floats(-3.0, 3.0), st.floats(-1.5, 1.5))
+def test_the_first_frame_beyond_a_bound_is_found(k: int, faster: float, aside: float) -> None:
+    one = planner_drive(Mode.CLOSED)
+    ego, since = one.ego, one.ego.t >= one.frames[k].t - 1e-9
+    moved = replace(
+        ego, v=ego.v + faster * since, x=ego.x - aside * np.sin(ego.yaw) * since,
+        y=ego.y + aside * np.cos(ego.yaw) * since,
+    )  # fmt: skip
+    found = planners_part(one, replace(one, ego=moved))
+    if abs(faster) > PARTED_MPS + 1e-6 or abs(aside) > PARTED_M + 1e-6:
+        assert found is not None and found.t == one.frames[k].t
+        assert ("to the left" in found.what) == (aside > PARTED_M + 1e-6) or abs(abs(aside) - PARTED_M) < 1e-5
+    elif abs(faster) < PARTED_MPS - 1e-6 and abs(aside) < PARTED_M - 1e-6:
+        assert found is None
+
+
+@pytest.mark.parametrize("mode", LOOPS)
+def test_what_each_planner_decides_there_is_said(mode: Mode) -> None:
+    found = planners_part(planner_drive(mode), planner_drive(mode, "dp_qp"))
+    assert found is not None and "(stop parked) -> " in found.what and "(nudge left parked)" in found.what
+    assert (f"in {AHEAD_S:g} s" in found.what) == (mode is Mode.OPEN)

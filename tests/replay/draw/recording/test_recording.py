@@ -35,11 +35,12 @@ from logs.kernel import FloatArray
 from logs.observed import MAX_AGE_S
 from logs.repair import detections_of
 from metrics import series
-from replay.draw.model import multiples, nice_step
+from replay.draw.model import NEAR_M, NEAREST, in_full, multiples, nice_step
 from replay.draw.recording import colours, scene_times, write_log_recording, write_recording
 from replay.draw.recording.graphs import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, spread
 from replay.draw.recording.pages import why
 from replay.draw.recording.pictures import Picture, arranged, click_theme, take_pictures
+from replay.draw.recording.plots import MOST_NUMBERS, with_two_numbers
 from replay.draw.recording.road import covered, dashes
 from replay.draw.recording.tape import (
     DRAWABLE,
@@ -600,3 +601,32 @@ def test_a_viewer_that_does_not_set_its_theme_is_said_in_time(tmp_path: Path) ->
     hangs.write_text("#!/bin/sh\nexec sleep 60\n", encoding="utf-8")
     hangs.chmod(0o755)
     assert click_theme("light", hangs, 1, os.environ, 0.1).endswith("did not answer within 0.1 s")
+
+
+places = st.lists(st.tuples(st.floats(-200.0, 200.0), st.floats(-200.0, 200.0)), max_size=40)
+
+
+@given(places, st.sets(st.integers(0, 39)))
+def test_the_decided_and_the_nearest_are_drawn_in_full(where: list[tuple[float, float]], about: set[int]) -> None:
+    xy, ids = np.array(where).reshape(-1, 2), [f"a{i}" for i in range(len(where))]
+    full = in_full(ids, xy[:, 0], xy[:, 1], {f"a{i}" for i in about}, (0.0, 0.0)).tolist()
+    assert full == sorted(set(full))
+    if len(ids) <= NEAREST:
+        assert full == list(range(len(ids)))
+        return
+    assert {i for i in about if i < len(ids)} <= set(full)
+    others = set(full) - about
+    assert len(others) <= NEAREST
+    away = np.hypot(xy[:, 0], xy[:, 1])
+    assert all(away[i] <= NEAR_M for i in others)
+    left = set(range(len(ids))) - set(full)
+    assert all(away[j] > NEAR_M or away[j] >= np.sort(away)[NEAREST - 1] for j in left)
+
+
+@given(st.floats(-1e3, 1e3), st.floats(1e-3, 1e3))
+def test_an_axis_holds_two_numbers_and_is_not_much_longer(low: float, span: float) -> None:
+    bottom, top = with_two_numbers(low, low + span)
+    step = 10.0 ** np.ceil(np.log10(span / MOST_NUMBERS) - 1e-9)
+    assert np.floor(top / step + 1e-6) - np.ceil(bottom / step - 1e-6) >= 1.0
+    assert bottom <= low + 1e-9 * abs(low) and top >= low + span - 1e-9 * abs(low)
+    assert top - bottom <= max(span, 0.0) + 1.2 * step

@@ -1,4 +1,4 @@
-"""What a recording tells of assumptions and choices: the others as the planner was shown them, lanes, and why."""
+"""What a recording tells: the others as the planner was shown them, lanes, why, the road; two drives in one."""
 
 from __future__ import annotations
 
@@ -15,22 +15,31 @@ from sample_drive import drive, road
 from logs import (
     AgentKind,
     Agents,
+    Colour,
+    Crosswalk,
     EgoState,
     Frame,
     LaneOption,
     Plan,
     PlannedFrame,
     Predictions,
+    Scenario,
+    StopLine,
     Trace,
     Tracks,
+    TrafficLight,
     Visibility,
 )
 from logs.catalogue import CATALOGUE
+from logs.errors import ConfigError
 from logs.trace import KEPT_STEP_S
 from replay.config import LoopConfig
-from replay.draw.recording import write_recording
+from replay.draw.recording import write_log_recording, write_recording
 from replay.draw.recording.pages import why
+from replay.draw.recording.pair import difference, write_pair
+from replay.draw.recording.pictures import span
 from replay.draw.recording.plots import changes_under_way, choices, lanes_driven
+from replay.draw.recording.road import LIGHTS
 from replay.draw.recording.scene import futures, hatching, perceived_only, rim, unseen
 from replay.drive import Drive
 from replay.explain import Explanation, accounts
@@ -269,3 +278,87 @@ def test_the_reason_of_a_plan_is_shown_and_is_an_event_once() -> None:
     found = [event.t for event in events(replace(done.trace, frames=frames)) if "leaves" in event.words]
     assert found == pytest.approx([0.1, 0.4])
     assert "**Reason: braking leaves 1.1 m**" in page(replace(done.trace, frames=frames), 2)
+
+
+def recorded(path: Path, scenario: Scenario) -> Recording:
+    write_log_recording(path / "log.rrd", scenario)
+    return Recording(path / "log.rrd")
+
+
+def lights_over_time(recording: Recording) -> dict[float, list[int]]:
+    rows = recording.column("/world/lights", "Points3D:colors").to_pylist()
+    return dict(zip(recording.times("/world/lights").tolist(), rows, strict=True))
+
+
+def test_a_light_changes_when_the_log_says_so(tmp_path: Path) -> None:
+    scenario = CATALOGUE["everyday/traffic_light"].scenario(green_s=6.0, duration_s=20.0)
+    recording = recorded(tmp_path, scenario)
+    assert lights_over_time(recording) == {
+        0.0: [LIGHTS[Colour.RED]],
+        5.0: [LIGHTS[Colour.RED_YELLOW]],
+        6.0: [LIGHTS[Colour.GREEN]],
+    }
+    x, y, z = recording.points("/world/lights", "Points3D:positions")[0]
+    np.testing.assert_allclose([x, y], scenario.road.stop_lines[0].points.mean(axis=0), atol=1e-4)
+    assert z > 0.0
+
+
+def test_a_light_that_is_not_known_is_grey_and_lines_have_their_colours(tmp_path: Path) -> None:
+    made = CATALOGUE["everyday/traffic_light"].scenario(duration_s=2.0)
+    (line,) = made.road.stop_lines
+    signed = replace(line, id=2, light=None, must_stop=True, points=line.points + 5.0)
+    unknown = StopLine(3, 1, line.points + 9.0, light=77)
+    road = replace(made.road, stop_lines=(line, signed, unknown))
+    dark = TrafficLight(1, np.array([0.0]), (Colour.GREEN,))
+    recording = recorded(tmp_path, replace(made, road=road, lights=(dark,)))
+    assert lights_over_time(recording) == {0.0: [LIGHTS[Colour.GREEN], LIGHTS[Colour.OFF]]}
+    for entity, count in (("stop_lines", 2), ("stop_signs", 1)):
+        assert len(recording.static(f"/world/road/{entity}", "LineStrips3D:strips")) == count
+
+
+@pytest.mark.parametrize("along", [0.0, 900.0])
+def test_a_crosswalk_is_hatched_wherever_others_are(tmp_path: Path, along: float) -> None:
+    made = CATALOGUE["everyday/crosswalk"].scenario(duration_s=2.0)
+    (zebra,) = made.road.crosswalks
+    others = (zebra, Crosswalk(9, zebra.polygon + np.array([along, 0.0]))) if along else (zebra,)
+    recording = recorded(tmp_path, replace(made, road=replace(made.road, crosswalks=others)))
+    assert len(recording.static("/world/road/crosswalks/fill", "LineStrips3D:strips")) == 6 * len(others)
+
+
+def test_a_log_without_rules_draws_none(tmp_path: Path) -> None:
+    recording = recorded(tmp_path, CATALOGUE["paper/free_road"].scenario())
+    entities = {*recording.moving, *recording.still}
+    assert not any("stop" in entity or "lights" in entity or "crosswalk" in entity for entity in entities)
+
+
+def test_the_difference_of_a_drive_with_itself_is_nothing_and_turns_with_the_order() -> None:
+    trace = drive()[0].trace
+    other = replace(trace, ego=replace(trace.ego, x=trace.ego.x + 3.0, y=trace.ego.y - 4.0, v=trace.ego.v + 1.0))
+    assert all((values == 0.0).all() for values in difference(trace, trace)[1].values())
+    one, two = difference(trace, other)[1], difference(other, trace)[1]
+    assert one["gap"] == pytest.approx(5.0) and (one["gap"] == two["gap"]).all()
+    assert one["v"] == pytest.approx(1.0) and (one["v"] == -two["v"]).all()
+    t, short = difference(trace, replace(trace, ego=trace.ego.between(0.0, 5.0)))
+    assert (np.isfinite(short["gap"]) == (t <= 5.0 + 1e-9)).all()
+
+
+@pytest.mark.slow
+def test_both_recordings_are_in_one_with_the_place_where_they_part(tmp_path: Path) -> None:
+    done, world = drive()
+    trace = replace(
+        done.trace, ego=replace(done.trace.ego, x=done.trace.ego.x + np.where(done.trace.ego.t > 3, 1.0, 0))
+    )
+    files = tmp_path / "one.rrd", tmp_path / "two.rrd"
+    for file, each in zip(files, (done, replace(done, trace=trace)), strict=True):
+        write_recording(file, each, world)
+    write_pair(tmp_path / "pair.rrd", files, (done.trace, trace), ("first", "se_cond"))
+    both, single = Recording(tmp_path / "pair.rrd"), Recording(files[0])
+    for side in "AB":
+        kept = {f"/{side}{entity}" for entity in single.moving if not entity.startswith("/__")}
+        assert kept <= set(both.moving)
+    page = both.static("/parting", "TextDocument:text").to_pylist()[0]
+    assert "se\\_cond" in page and "First difference: t = 3.0" in page and "apart from t = 3.0" in page
+    assert both.times("/parts") == pytest.approx([3.01], abs=0.02)
+    assert span(tmp_path / "pair.rrd") == (0.0, pytest.approx(float(trace.ego.t[-1])))
+    with pytest.raises(ConfigError, match="one log"):
+        write_pair(tmp_path / "no.rrd", files, (done.trace, replace(trace, scenario="other")), ("a", "b"))

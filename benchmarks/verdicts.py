@@ -22,7 +22,7 @@ from scipy.interpolate import PchipInterpolator
 from logs.catalogue import CATALOGUE
 from logs.road import ReferenceLine
 from logs.scenario import Scenario, Tracks
-from metrics.reference_drivers import DRIVERS, Outcome, Verdict
+from metrics.reference_drivers import DRIVERS, Avoidability, DriverVerdict
 from replay.loop.avoidability import reference_line
 
 NOISE_M = (0.02, 0.05)
@@ -55,7 +55,7 @@ def grid() -> Iterator[Scenario]:
 def drives(count: int) -> list[Drive]:
     """`count` of the grid's drives, evenly spread, in which the careful driver's verdict applies."""
     found = [(scenario, reference_line(scenario)) for scenario in grid()]
-    found = [pair for pair in found if DRIVERS["cc"](*pair, None).outcome is not Outcome.NOT_APPLICABLE]
+    found = [pair for pair in found if DRIVERS["cc"](*pair, None).outcome is not Avoidability.NOT_APPLICABLE]
     return [found[i] for i in np.unique(np.linspace(0, len(found) - 1, count).astype(int))]
 
 
@@ -79,7 +79,7 @@ def sampled(tracks: Tracks, rate: float, noise: float, seed: int, *, velocities:
     return Tracks(tracks.ids, tracks.kinds, tracks.length, tracks.width, tracks.static, offsets, t, x, y, yaw, vx, vy)
 
 
-def verdicts(drive: Drive, rate: float, noise: float, seed: int, *, velocities: bool) -> dict[str, Verdict]:
+def verdicts(drive: Drive, rate: float, noise: float, seed: int, *, velocities: bool) -> dict[str, DriverVerdict]:
     """The verdict of each driver on one drive, resampled."""
     scenario, line = drive
     made = replace(scenario, tracks=sampled(scenario.tracks, rate, noise, seed, velocities=velocities))

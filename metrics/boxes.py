@@ -55,6 +55,14 @@ class Others(NamedTuple):
     size: FloatArray
 
 
+@once
+def grid_of(trace: Trace) -> Trajectory:
+    """The ego's drive every `GRID_S` from its start, and at its last step."""
+    first, last = float(trace.ego.t[0]), float(trace.ego.t[-1])
+    steps = first + GRID_S * np.arange(int((last - first) / GRID_S - 1e-6) + 1)
+    return trace.ego.resampled(np.r_[steps, last] if last > steps[-1] else steps)
+
+
 def others_at(tracks: Tracks, t: FloatArray) -> Others:
     """The agents at the increasing times `t` `(k,)`, interpolated as `Tracks.truth` does."""
     return _others_at(tracks, np.asarray(t, np.float64).tobytes())
@@ -83,10 +91,10 @@ def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, Oth
     begin = 0
     while begin < len(t):
         end = min(begin + PIECE_STEPS, len(t))
-        agents = there_between(tracks, t[begin], t[end - 1])
+        agents = present_between(tracks, t[begin], t[end - 1])
         while len(agents) * (end - begin) > MOST_CELLS and end - begin > 1:
             end = begin + (end - begin) // 2
-            agents = there_between(tracks, t[begin], t[end - 1])
+            agents = present_between(tracks, t[begin], t[end - 1])
         yield slice(begin, end), agents, some_at(tracks, agents, t[begin:end])
         begin = end
 
@@ -117,16 +125,16 @@ def nearest(
 ) -> tuple[FloatArray, IntArray]:
     """What a kernel finds in each of the `pieces`: values `(..., k)`, and tracks `(k,)`, -1 where it names no row."""
     found = [(seen, *measure(steps, others)) for steps, seen, others in pieces(tracks, t)]
-    agents = [named(seen, rows) for seen, _, rows in found]
+    agents = [indices_of(seen, rows) for seen, _, rows in found]
     return np.concatenate([values for _, values, _ in found], axis=-1), np.concatenate(agents)
 
 
-def named(agents: IntArray, rows: IntArray) -> IntArray:
+def indices_of(agents: IntArray, rows: IntArray) -> IntArray:
     """The tracks of rows `(k,)` of a piece, -1 of row -1."""
     return np.append(agents, -1)[rows]
 
 
-def there_between(tracks: Tracks, first: float, last: float) -> IntArray:
+def present_between(tracks: Tracks, first: float, last: float) -> IntArray:
     """The tracks that have a sample before `last` and one after `first`, s, or are static, in their order."""
     spans = (tracks.t[tracks.offsets[:-1]] <= last + 1e-9) & (tracks.t[tracks.offsets[1:] - 1] >= first - 1e-9)
     return np.flatnonzero(spans | tracks.static)
@@ -197,7 +205,7 @@ def ego_boxes(ego: Trajectory, scenario: Scenario) -> FloatArray:
 
 
 @inner_kernel
-def apart(x: float, y: float, car: Car, others: Others, i: int, k: int) -> float:
+def distance_bound(x: float, y: float, car: Car, others: Others, i: int, k: int) -> float:
     """A lower bound of the distance between box i at step k and the ego's box with the centre (x, y), m."""
     size, reach = others.size, 0.5 * hypot(car.length, car.width)
     return hypot(others.pose[0, i, k] - x, others.pose[1, i, k] - y) - reach - 0.5 * hypot(size[i, 0], size[i, 1])

@@ -1,6 +1,6 @@
 """Comfort of the drive: accelerations, jerk, yaw rate; `proposals` has that of plans.
 
-State signals, not filtered (in simulation they are free of noise), differentiated by `metric.changed` over W = 0.1 s:
+State signals, not filtered (in simulation they are free of noise), with `metric.rate_of_change` over W = 0.1 s:
 
 (1) a_lat = v^2 kappa,  at the rear axle
 (2) lon_jerk_state = (a(t) - a(t - W)) / W,  lat_jerk_state the same of a_lat
@@ -68,7 +68,7 @@ def jerk(drive: Trajectory) -> FloatArray:
     """(3), `(n,)`, m/s3."""
     c, s, aside = np.cos(drive.yaw), np.sin(drive.yaw), lat_accel(drive)
     x, y = drive.a * c - aside * s, drive.a * s + aside * c
-    return np.hypot(metric.changed(drive.t, x, WINDOW_S), metric.changed(drive.t, y, WINDOW_S))
+    return np.hypot(metric.rate_of_change(drive.t, x, WINDOW_S), metric.rate_of_change(drive.t, y, WINDOW_S))
 
 
 def yaw_accel(drive: Trajectory) -> FloatArray:
@@ -96,7 +96,7 @@ def r79_jerk(drive: Trajectory) -> FloatArray:
 
     lateral, (sections, rest) = lat_accel(drive), _low_pass()
     low, _ = sosfilt(sections, lateral, zi=rest * lateral[0])  # (8)
-    return metric.changed(drive.t, np.asarray(low), R79_MEAN_S)  # (9)
+    return metric.rate_of_change(drive.t, np.asarray(low), R79_MEAN_S)  # (9)
 
 
 @cache
@@ -173,11 +173,11 @@ LAT_ACCEL = _state_metric(
     "lat_accel", lat_accel, NUPLAN_BOUNDS["lat_accel"], "Lateral acceleration at the rear axle.", "v^2 kappa"
 )
 LON_JERK_STATE = _state_metric(
-    "lon_jerk_state", lambda drive: metric.changed(drive.t, drive.a, WINDOW_S), NUPLAN_BOUNDS["lon_jerk"],
+    "lon_jerk_state", lambda drive: metric.rate_of_change(drive.t, drive.a, WINDOW_S), NUPLAN_BOUNDS["lon_jerk"],
     "Backward difference of the state's acceleration.", "(a(t) - a(t - W)) / W", caused=True,
 )  # fmt: skip
 LAT_JERK_STATE = _state_metric(
-    "lat_jerk_state", lambda drive: metric.changed(drive.t, lat_accel(drive), WINDOW_S), R79_BOUNDS,
+    "lat_jerk_state", lambda drive: metric.rate_of_change(drive.t, lat_accel(drive), WINDOW_S), R79_BOUNDS,
     "Backward difference of the lateral acceleration.", "(v^2 kappa (t) - v^2 kappa (t - W)) / W",
     "bound: UN R79, there on a filtered signal",
 )  # fmt: skip
@@ -187,7 +187,7 @@ JERK_STATE = _state_metric(
     "bounds: nuPlan devkit e9241677, ego_is_comfortable, which takes d|A|/dt",
 )  # fmt: skip
 YAW_RATE = _state_metric(
-    "yaw_rate", lambda drive: metric.changed(drive.t, drive.yaw, WINDOW_S), NUPLAN_BOUNDS["yaw_rate"],
+    "yaw_rate", lambda drive: metric.rate_of_change(drive.t, drive.yaw, WINDOW_S), NUPLAN_BOUNDS["yaw_rate"],
     "Backward difference of the heading.", "(yaw(t) - yaw(t - W)) / W",
 )  # fmt: skip
 YAW_ACCEL = _state_metric(

@@ -50,7 +50,7 @@ def _steer_rate(trace: Trace, scenario: Scenario) -> Measured:
     controls = trace.actuation if trace.actuation is not None else trace.commands
     if controls is None or not len(controls):
         return Unavailable("the drive has no commands")
-    rate = metric.changed(controls.t, controls.steer, WINDOW_S)
+    rate = metric.rate_of_change(controls.t, controls.steer, WINDOW_S)
     return Series(controls.t, rate, missing=f"the drive is shorter than {WINDOW_S} s")
 
 

@@ -34,16 +34,16 @@ from metrics.boxes import (
     NO_TTC_MPS,
     Car,
     Others,
-    apart,
     car_of,
+    distance_bound,
     each,
     ego_boxes,
+    grid_of,
     is_behind,
     labels_of,
     name_of,
     nearest,
 )
-from metrics.following import grid_of
 from metrics.metric import MIN, Measured, Metric, Series, once, time_below
 from metrics.safety import CATALOGUE
 
@@ -145,7 +145,7 @@ def _accelerated(ego: FloatArray, ego_accel: FloatArray, car: Car, others: Other
                 continue
             u, a = hypot(pose[3, i, k], pose[4, i, k]), others.accel[i, k]
             a = a if np.isfinite(a) else 0.0
-            if apart(x, y, car, others, i, k) > _travelled(v, ego_accel[k], best) + _travelled(u, a, best):
+            if distance_bound(x, y, car, others, i, k) > _travelled(v, ego_accel[k], best) + _travelled(u, a, best):
                 continue
             one = Body(x, y, yaw, car.length, car.width, vx, vy, ego_accel[k])
             found = time_to_contact_accelerated(one, _body(others, i, k, a), best)

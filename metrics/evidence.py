@@ -7,7 +7,7 @@ EVIDENCE measures where a drive had what verdicts about it rest on, a series of 
     limit     the lane under the ego's centre has a speed limit of the log's own, not an assumed one
     lane      a lane of the log's map lies under the ego's centre
 
-(1) share = sum of held time of the steps with evidence / held time of all steps that need it     (`metric.holds`)
+(1) share = sum of held time of the steps with evidence / held time of all steps that need it     (`metric.durations`)
 (2) way_share = the same with the way driven in place of the time; (1) where the ego does not move
 
 The others react to the log's ego. With the ego's place p(t), the logged q(t), speed v(t) and heading h(t):
@@ -83,7 +83,7 @@ def _series_of(trace: Trace, known: BoolArray, why: str, needed: BoolArray | Non
     needed = np.ones(len(known), np.bool_) if needed is None else needed
     value = np.where(needed, known.astype(np.float64), np.nan)
     labels = tuple(why if lacking else "" for lacking in (needed & ~known).tolist())
-    return Evidence(ego.t, value, labels, way=metric.shared(np.hypot(np.diff(ego.x), np.diff(ego.y))))
+    return Evidence(ego.t, value, labels, way=metric.split_to_neighbours(np.hypot(np.diff(ego.x), np.diff(ego.y))))
 
 
 def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
@@ -110,8 +110,8 @@ def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> M
 def _share(series: Series, *, of_way: bool = False) -> tuple[float, int]:
     """(1), (2); its step is the first without evidence."""
     known = series.known
-    weight = series.way if of_way and isinstance(series, Evidence) else metric.holds(series.t)
-    weight = weight if weight[known].sum() > 0.0 else metric.holds(series.t)
+    weight = series.way if of_way and isinstance(series, Evidence) else metric.durations(series.t)
+    weight = weight if weight[known].sum() > 0.0 else metric.durations(series.t)
     weight = weight if weight[known].sum() > 0.0 else np.ones(len(known))
     return float(np.average(series.value[known], weights=weight[known])), metric.first_of(series.value == 0.0)
 

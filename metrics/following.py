@@ -45,9 +45,8 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
-from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics.boxes import GRID_S, STANDING_MPS, Car, Others, car_of, labels_of, nearest
+from metrics.boxes import GRID_S, STANDING_MPS, Car, Others, car_of, grid_of, labels_of, nearest
 from metrics.metric import MAX, MIN, Measured, Metric, Series, once, time_below, time_outside
 from metrics.safety import CATALOGUE
 
@@ -90,14 +89,6 @@ class Ahead:
     low: FloatArray
     high: FloatArray
     facing: FloatArray
-
-
-@once
-def grid_of(trace: Trace) -> Trajectory:
-    """The ego's drive every `GRID_S` from its start, and at its last step."""
-    first, last = float(trace.ego.t[0]), float(trace.ego.t[-1])
-    steps = first + GRID_S * np.arange(int((last - first) / GRID_S - 1e-6) + 1)
-    return trace.ego.resampled(np.r_[steps, last] if last > steps[-1] else steps)
 
 
 @once

@@ -246,12 +246,12 @@ def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
     return reduce
 
 
-def holds(t: FloatArray) -> FloatArray:
+def durations(t: FloatArray) -> FloatArray:
     """How long each step `(n,)` stands for, s: half of the time to each of its neighbours; they add up to the drive."""
-    return shared(np.diff(t))
+    return split_to_neighbours(np.diff(t))
 
 
-def shared(between: FloatArray) -> FloatArray:
+def split_to_neighbours(between: FloatArray) -> FloatArray:
     """What lies between the steps `(n - 1,)`, half of it to each neighbour `(n,)`."""
     out = np.zeros(len(between) + 1)
     out[:-1] += 0.5 * between
@@ -265,7 +265,7 @@ def longest(series: Series, flags: BoolArray) -> tuple[float, int]:
         return 0.0, -1
     edge = np.diff(np.r_[False, flags, False].astype(np.int64))
     first, end = np.flatnonzero(edge > 0), np.flatnonzero(edge < 0)
-    until = np.r_[0.0, np.cumsum(holds(series.t))]
+    until = np.r_[0.0, np.cumsum(durations(series.t))]
     length = until[end] - until[first]
     best = int(np.argmax(length > length.max() - 1e-9))
     return float(length[best]), int(first[best])
@@ -305,7 +305,7 @@ def _marked_time(
     """Seconds of the marked steps, or their share of the `whole` of what all steps stand for; its time is the first."""
 
     def reduce(series: Series) -> tuple[float, int]:
-        flags, weight = mark(series), holds(series.t)
+        flags, weight = mark(series), durations(series.t)
         if not flags.any():
             return 0.0, -1
         total = whole(series, weight) if whole else 1.0
@@ -353,7 +353,7 @@ def share_beyond(bound: float, name: str) -> Reduction:
     )
 
 
-def changed(t: FloatArray, value: FloatArray, window: float) -> FloatArray:
+def rate_of_change(t: FloatArray, value: FloatArray, window: float) -> FloatArray:
     """Rate of change `(n,)` of a sampled value, per s: the declared differentiator of all metrics.
 
     (1) rate(t) = (value(t) - value(t - window)) / window, linear between the samples; NaN in the first `window` s

@@ -47,8 +47,8 @@ from logs.rules import Colour
 from logs.scenario import Scenario, Tracks
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics.boxes import GRID_S, Car, Others, car_of, each, labels_of, others_at, phantoms, touches
-from metrics.following import ahead_of, grid_of
+from metrics.boxes import GRID_S, Car, Others, car_of, each, grid_of, labels_of, others_at, phantoms, touches
+from metrics.following import ahead_of
 from metrics.lanes import drivable_lanes, limits_at, points_inside
 from metrics.metric import COUNT, MAX, RATE, Measured, Metric, Series, once, worst_episode
 from metrics.progress import WINDOW_M, route_of

@@ -93,7 +93,7 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
 
 
 @last(2)  # the log's drive and the one that is judged
-def gained(route: Route, drive: Trajectory) -> Gain:
+def gain_along(route: Route, drive: Trajectory) -> Gain:
     """How far a drive came on a route (c)."""
     station = line_project_many(route.line.s, route.line.coef, drive.x, drive.y, 0.0, WINDOW_M)[:, 0]  # (b)
     step = np.diff(station)
@@ -143,14 +143,17 @@ def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
     if len(scenario.ego) > 1:
         in_time = trace.end is EndReason.GOAL and _is_time_only(scenario.goal)  # the log's driver had no longer either
         until = trace.ego.t[-1] if in_time else scenario.ego.t[-1]
-        yardstick, who = float(np.interp(until, scenario.ego.t, gained(route, scenario.ego).metres)), "the log's driver"
+        yardstick, who = (
+            float(np.interp(until, scenario.ego.t, gain_along(route, scenario.ego).metres)),
+            "the log's driver",
+        )
     elif FOLLOWER_M in scenario.metadata:
         yardstick, who = float(scenario.metadata[FOLLOWER_M]), "the route follower"
     else:
         return Unavailable("the log holds one ego state only, and no route follower was driven")
     if yardstick < FLOOR_M:
         return Unavailable(f"{who} gets {yardstick:.1f} m along the route: no yardstick for progress")
-    gain = gained(route, trace.ego)
+    gain = gain_along(route, trace.ego)
     return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, gain.metres / yardstick))
 
 
@@ -162,7 +165,7 @@ def _progress(trace: Trace, scenario: Scenario) -> Measured:
     if len(scenario.ego) < 2:
         return _ALONE
     route = route_of(scenario)
-    yardstick, gain = gained(route, scenario.ego).metres[-1], gained(route, trace.ego)
+    yardstick, gain = gain_along(route, scenario.ego).metres[-1], gain_along(route, trace.ego)
     ratio = np.minimum(np.maximum(gain.metres, FLOOR_M) / max(yardstick, FLOOR_M), 1.0)
     return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, np.where(gain.metres < -FLOOR_M, 0.0, ratio)))
 
@@ -171,7 +174,7 @@ def _completion(trace: Trace, scenario: Scenario) -> Measured:
     route = route_of(scenario)
     if not np.isfinite(route.length):
         return Unavailable("the log has neither a goal that lanes lead to nor a drive of 10 m")
-    gain = gained(route, trace.ego)
+    gain = gain_along(route, trace.ego)
     return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, np.clip(gain.metres / route.length, 0.0, 1.0)))
 
 
@@ -218,13 +221,13 @@ def _assumed_excess(trace: Trace, scenario: Scenario) -> Measured:
 
 def compliance(series: Series) -> tuple[float, int]:
     """(6)."""
-    span = metric.holds(series.t)[series.known]
+    span = metric.durations(series.t)[series.known]
     over = float(np.sum(series.value[series.known] * span))
     return max(0.0, 1.0 - over / (EXCESS_MPS * float(span.sum()))) if span.sum() > 0.0 else float(not over), -1
 
 
 def _share_over(series: Series) -> tuple[float, int]:
-    span, over = metric.holds(series.t) * series.known, series.value > OVER_MPS
+    span, over = metric.durations(series.t) * series.known, series.value > OVER_MPS
     share = float(np.sum(span[over]) / np.sum(span)) if span.sum() > 0.0 else float(over.any())
     return share, metric.first_of(over)
 

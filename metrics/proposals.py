@@ -41,14 +41,14 @@ from metrics.boxes import (
     NO_TTC_MPS,
     Car,
     Others,
-    apart,
     car_of,
     contact_time,
+    distance_bound,
+    indices_of,
     is_behind,
     labels_of,
-    named,
+    present_between,
     some_at,
-    there_between,
     touches,
 )
 from metrics.lanes import keeps_lane
@@ -127,7 +127,7 @@ def _off_road(plan: FloatArray, scenario: Scenario) -> FloatArray:
 def _contacts_and_ttc(times: FloatArray, plan: FloatArray, agents: Tracks, scenario: Scenario) -> Rows:
     """(1) and (3) with the agents that they are about."""
     grid_ns, column = np.unique(np.rint(times * 1e9).astype(np.int64), return_inverse=True)
-    seen = there_between(agents, grid_ns[0] / 1e9, grid_ns[-1] / 1e9)
+    seen = present_between(agents, grid_ns[0] / 1e9, grid_ns[-1] / 1e9)
     others, car = some_at(agents, seen, grid_ns / 1e9), car_of(scenario)
     objects = np.array([agents.kinds[i] is AgentKind.OBJECT for i in seen.tolist()], np.bool_)
     step, hit, ttc, near = _meet_agents(plan, column.reshape(times.shape), car, others, objects)
@@ -138,8 +138,8 @@ def _contacts_and_ttc(times: FloatArray, plan: FloatArray, agents: Tracks, scena
             step[0, f], hit[0, f] = step[1, f], hit[1, f]
     at_fault = step[0] >= 0
     return {
-        "contact": np.where(at_fault, STEP_S * step[0], np.nan), "contact_agent": named(seen, hit[0]),
-        "ttc": np.where(at_fault, 0.0, ttc), "ttc_agent": named(seen, np.where(at_fault, hit[0], near)),
+        "contact": np.where(at_fault, STEP_S * step[0], np.nan), "contact_agent": indices_of(seen, hit[0]),
+        "ttc": np.where(at_fault, 0.0, ttc), "ttc_agent": indices_of(seen, np.where(at_fault, hit[0], near)),
     }  # fmt: skip
 
 
@@ -166,7 +166,7 @@ def _meet_agents(
                     continue
                 c, s, turn = cos(yaw), sin(yaw), car.axle * plan[5, f, j] * v
                 x, y, vx, vy = rear_x + car.axle * c, rear_y + car.axle * s, v * c - turn * s, v * s + turn * c
-                gap, closing = apart(x, y, car, others, i, k), hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
+                gap, closing = distance_bound(x, y, car, others, i, k), hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
                 if gap > closing * best:
                     continue
                 if gap <= 0.0 and touches(x, y, yaw, car, others, i, k):

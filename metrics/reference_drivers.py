@@ -70,7 +70,7 @@ from logs.scenario import FINDING, Scenario, Tracks
 from logs.shapes import clearance
 from logs.states import EgoState
 from logs.trace import Mode, Trace
-from metrics.boxes import STANDING_MPS, Car, Others, car_of, is_behind, name_of, others_at, there_between, touches
+from metrics.boxes import STANDING_MPS, Car, Others, car_of, is_behind, name_of, others_at, present_between, touches
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 
 STEP_S = 0.02  # So fine that a step more or less of braking is within what noise does anyway
@@ -93,7 +93,7 @@ PASSIVE, CC, FSM = 0, 1, 2
 ANY = -1  # As the agent that a drive's least distance is about
 
 
-class Outcome(Enum):
+class Avoidability(Enum):
     """Whether a reference driver avoids a collision."""
 
     AVOIDABLE = "avoidable"
@@ -102,7 +102,7 @@ class Outcome(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class DriverVerdict:
     """What a reference driver ("cc" or "fsm") makes of a scenario, and why.
 
     Attributes:
@@ -115,7 +115,7 @@ class Verdict:
     """
 
     driver: str
-    outcome: Outcome
+    outcome: Avoidability
     reason: str
     brakes: float = nan
     meets: float = nan
@@ -149,7 +149,7 @@ class Course:
     def of(scenario: Scenario, line: ReferenceLine, start: EgoState) -> Course:
         """The course of an ego that starts at a state, `LONGEST_S` at most."""
         t, tracks = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S), scenario.tracks
-        there = there_between(tracks, t[0], t[-1])
+        there = present_between(tracks, t[0], t[-1])
         if len(there) < len(tracks):
             tracks = tracks.taken(np.isin(np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets)), there))
         eased = Line(line.s, line.coef, curve_speeds(line.s, line.kappa))
@@ -168,17 +168,19 @@ def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
     return Course.of(scenario, line, scenario.ego.state(0)).drive(CC)
 
 
-def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, start: EgoState | None = None) -> Verdict:
+def _verdict(
+    name: str, driver: int, scenario: Scenario, line: ReferenceLine, start: EgoState | None = None
+) -> DriverVerdict:
     start = scenario.ego.state(0) if start is None else start
     if start.v <= STANDING_MPS:
-        return Verdict(name, Outcome.NOT_APPLICABLE, "the ego does not drive at the start")
+        return DriverVerdict(name, Avoidability.NOT_APPLICABLE, "the ego does not drive at the start")
     course = Course.of(scenario, line, start)
     t, passive = course.t, course.drive(PASSIVE)
     if passive.meets < 0:
         marginal = passive.least < MARGINAL_M
         by = f", by {passive.least:.1f} m, marginal" if marginal else ""
         reason = f"at constant speed the ego has no collision{by}"
-        return Verdict(name, Outcome.NOT_APPLICABLE, reason, margin=passive.least, marginal=marginal)
+        return DriverVerdict(name, Avoidability.NOT_APPLICABLE, reason, margin=passive.least, marginal=marginal)
     found = course.drive(driver, about=passive.agent)
     agent, margin, end = passive.agent if found.meets < 0 else found.agent, found.least, found.meets
     near = min(abs(margin), abs(passive.least)) < MARGINAL_M
@@ -186,14 +188,14 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
     about, by = name_of(course.tracks, agent), f"by {abs(margin):.1f} m{', marginal' if marginal else ''}"
     if end < 0:
         met = f"which it would meet after {t[passive.meets] - t[0]:.1f} s"
-        outcome, reason = Outcome.AVOIDABLE, f"avoidable {by}: stays clear of {about}, {met}"
+        outcome, reason = Avoidability.AVOIDABLE, f"avoidable {by}: stays clear of {about}, {met}"
     else:
         met = f"meets {about} after {t[end] - t[0]:.1f} s at {found.v[end]:.1f} m/s"
-        outcome, reason = Outcome.UNAVOIDABLE, f"unavoidable {by}: {met}"
+        outcome, reason = Avoidability.UNAVOIDABLE, f"unavoidable {by}: {met}"
     braking = np.flatnonzero(found.a < -1.0)
     brakes, meets = float(t[braking[0]]) if len(braking) else nan, float(t[end]) if end >= 0 else nan
     speed, who = float(found.v[end]), course.tracks.ids[agent]
-    return Verdict(name, outcome, reason, brakes, meets, speed, who, margin, marginal=marginal)
+    return DriverVerdict(name, outcome, reason, brakes, meets, speed, who, margin, marginal=marginal)
 
 
 careful_driver = partial(_verdict, "cc", CC)
@@ -453,7 +455,7 @@ APPLIES = Reduction("applies", lambda series: (1.0, -1), "1", "none", empty=0.0)
 MARGIN = Reduction("margin", lambda series: (float(series.value[0]), -1), "m", "higher")
 
 
-def metadata_of(verdict: Verdict) -> dict[str, str]:
+def metadata_of(verdict: DriverVerdict) -> dict[str, str]:
     """The metadata entries of a verdict."""
     key = f"{FINDING}{verdict.driver}"
     entries = {key: verdict.outcome.value, f"{key}.reason": verdict.reason}
@@ -465,10 +467,10 @@ def metadata_of(verdict: Verdict) -> dict[str, str]:
 def _reference(trace: Trace, scenario: Scenario, *, driver: str) -> Measured:
     key = f"{FINDING}{driver}"
     found = scenario.metadata.get(key)
-    if found not in {outcome.value for outcome in Outcome}:
+    if found not in {outcome.value for outcome in Avoidability}:
         return Unavailable("the reference drivers were not asked")
     reason = scenario.metadata[f"{key}.reason"]
-    applies = Outcome(found) is not Outcome.NOT_APPLICABLE
+    applies = Avoidability(found) is not Avoidability.NOT_APPLICABLE
     value = np.array([float(scenario.metadata[f"{key}.margin"]) if applies else np.nan])
     return Series(trace.ego.t[:1], value, (reason,), f"not applicable: {reason}")
 

@@ -31,8 +31,8 @@ from logs.kernel import BoolArray, FloatArray, kernel
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
-from metrics.boxes import GRID_S, STANDING_MPS, Car, Others, car_of, each, name_of
-from metrics.following import LOOK_M, arc_point, extent, grid_of, within_look
+from metrics.boxes import GRID_S, STANDING_MPS, Car, Others, car_of, each, grid_of, name_of
+from metrics.following import LOOK_M, arc_point, extent, within_look
 from metrics.metric import MIN, Measured, Metric, Series, Unavailable, once, share_while, time_below, time_outside
 
 RHO_S = 0.75

@@ -73,14 +73,14 @@ from metrics.boxes import (
     car_of,
     each,
     ego_boxes,
+    grid_of,
     name_of,
     phantoms,
+    present_between,
     some_at,
-    there_between,
     without_phantoms,
 )
 from metrics.encounters import CROSSING_RAD, encroachment, may_meet
-from metrics.following import grid_of
 from metrics.lanes import Under, mapped_lanes, under
 from metrics.metric import COUNT, MIN, Measured, Metric, Reduction, Series, Unavailable, counted, once
 from metrics.needless import reasons
@@ -180,7 +180,7 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
             if first == 0:  # a passage that is under way at the start
                 continue
             way = np.ascontiguousarray(ego[:2, first:end])
-            seen = np.intersect1d(walkers, there_between(trace.agents, t[first], t[end - 1]))
+            seen = np.intersect1d(walkers, present_between(trace.agents, t[first], t[end - 1]))
             others = some_at(trace.agents, seen, t[first:end])
             for row, i in enumerate(seen.tolist()):
                 on = _on_half(others.pose[:2, row], way, crosswalk.polygon)
@@ -367,7 +367,7 @@ def _lane_line(trace: Trace, scenario: Scenario) -> Measured:
 
 def _metres(series: Series) -> FloatArray:
     """Metres driven against the lanes in each step `(n,)`."""
-    return np.where(series.known, series.value, 0.0) * metric.holds(series.t)
+    return np.where(series.known, series.value, 0.0) * metric.durations(series.t)
 
 
 def worst_metres(series: Series) -> tuple[float, int]:

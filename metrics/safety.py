@@ -21,7 +21,7 @@ that goes away from it.
 
 Time to collision: both boxes go on with their velocity vectors and headings (`shapes.time_to_contact`), up to 10 s;
 agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, with anyone. Each
-step, the last too, holds for w_k (`metric.holds`):
+step, the last too, holds for w_k (`metric.durations`):
 
 (1) TET = sum of w_k [TTC_k < tau],  time exposed, s;  TIT = sum of w_k (tau - TTC_k) [TTC_k <= tau],  time integrated,
     s2: the published variant; the other one integrates 1 / TTC - 1 / tau and is infinite at a contact
@@ -62,14 +62,14 @@ from metrics.boxes import (
     STANDING_MPS,
     Car,
     Others,
-    apart,
     car_of,
     contact_time,
+    distance_bound,
     ego_boxes,
+    indices_of,
     is_behind,
     labels_of,
     name_of,
-    named,
     pieces,
     some_at,
     touches,
@@ -191,7 +191,7 @@ def _first_contacts(ego: FloatArray, car: Car, others: Others) -> IntArray:
     for i in range(len(out)):
         for k in range(others.there.shape[1]):
             x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
-            if not others.there[i, k] or apart(x, y, car, others, i, k) > 0.0:
+            if not others.there[i, k] or distance_bound(x, y, car, others, i, k) > 0.0:
                 continue
             if touches(x, y, yaw, car, others, i, k):
                 out[i] = k
@@ -214,7 +214,7 @@ def _gaps(
         for turn in range(len(size)):
             i = (recent + turn) % len(size)
             x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
-            if not (wanted[i] and there[i, k]) or apart(x, y, car, others, i, k) >= best:
+            if not (wanted[i] and there[i, k]) or distance_bound(x, y, car, others, i, k) >= best:
                 continue
             px, py, heading = pose[0, i, k], pose[1, i, k], pose[2, i, k]
             found = distance(x, y, yaw, car.length, car.width, px, py, heading, size[i, 0], size[i, 1])
@@ -240,7 +240,7 @@ def _contact_times(
             if not (wanted[i] and others.there[i, k]) or is_behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
                 continue
             closing = hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
-            if apart(x, y, car, others, i, k) > closing * best:
+            if distance_bound(x, y, car, others, i, k) > closing * best:
                 continue
             found = contact_time((x, y, yaw, vx, vy), car, others, i, k)
             if found < best:
@@ -318,7 +318,7 @@ def _gap(
         there = _approachable(ego[:, steps], car, others, leaving) if kept else others.there
         after = int(np.searchsorted(seen, recent)) % max(len(seen), 1)
         gap[steps], row = _gaps(ego[:, steps], car, others, there, wanted[seen], after)
-        agents[steps] = named(seen, row)
+        agents[steps] = indices_of(seen, row)
         recent = max(int(agents[steps.stop - 1]), 0)
     where = "beside or ahead of an ego that drives" if kept else "in the scene"
     return Series(trace.ego.t, gap, labels_of(trace, agents), f"no {who} {where}")
@@ -339,7 +339,7 @@ def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured
     least, nearest = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
     for steps, seen, others in pieces(trace.agents, trace.ego.t):
         least[steps], row = _contact_times(ego[:, steps], car, others, wanted[seen], TTC_HORIZON_S)
-        nearest[steps] = named(seen, row)
+        nearest[steps] = indices_of(seen, row)
     for contact in contacts(trace, scenario):
         if contact.at_fault and wanted[contact.agent]:
             least[contact.step], nearest[contact.step] = 0.0, contact.agent
@@ -351,7 +351,7 @@ def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured
 def _integrated(series: Series) -> tuple[float, int]:
     """TIT (1)."""
     flags = series.known & (series.value <= TAU_S)
-    return float(np.sum((metric.holds(series.t) * (TAU_S - series.value))[flags])), metric.first_of(flags)
+    return float(np.sum((metric.durations(series.t) * (TAU_S - series.value))[flags])), metric.first_of(flags)
 
 
 def known_lanes(scenario: Scenario) -> LaneArrays | Unavailable:

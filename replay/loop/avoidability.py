@@ -15,7 +15,7 @@ from logs.route import find_route
 from logs.scenario import FINDING, Scenario
 from logs.states import EgoState
 from metrics.metric import once
-from metrics.reference_drivers import DRIVERS, Verdict, metadata_of
+from metrics.reference_drivers import DRIVERS, DriverVerdict, metadata_of
 from planners.frenet.reference_path import make_line
 
 
@@ -35,7 +35,7 @@ def _line(road: Road, start: EgoState, goal: Goal | None) -> ReferenceLine:
     return make_line(road, replace(route, lanes=route.lanes[:kept]), start)[1]
 
 
-def verdicts(scenario: Scenario) -> tuple[Verdict, ...]:
+def verdicts(scenario: Scenario) -> tuple[DriverVerdict, ...]:
     """What each reference driver makes of a scenario, from the ego's first state on."""
     line = reference_line(scenario)
     return tuple(driver(scenario, line, None) for driver in DRIVERS.values())

@@ -30,7 +30,7 @@ from metrics import GROUPS, METRICS
 from metrics.boxes import ego_boxes, name_of, phantoms, without_phantoms
 from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
 from metrics.metric import FINAL, Series
-from metrics.progress import FOLLOWER_M, GOAL, gained, route_of
+from metrics.progress import FOLLOWER_M, GOAL, gain_along, route_of
 from metrics.reference_drivers import RETURN_S, STEP_S, careful_drive
 from metrics.safety import CLOSE_S, TTC, contacts
 from replay.config import LoopConfig
@@ -57,7 +57,7 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
     ttc = TTC.found(trace, scenario)
     near = np.asarray(ttc.value < CLOSE_S) if isinstance(ttc, Series) else np.zeros(1, np.bool_)
     last = int(np.argmax(near)) if near.any() else -1
-    gain = gained(route_of(scenario), trace.ego).metres[last]
+    gain = gain_along(route_of(scenario), trace.ego).metres[last]
     scenario = replace(scenario, metadata={**scenario.metadata, FOLLOWER_M: repr(float(gain))})
     return scenario, _measured([(trace, ("safety", "progress"))], scenario)
 

@@ -19,7 +19,7 @@ from logs.errors import LogError
 from logs.road import ReferenceLine, thinned
 from logs.scenario import Scenario, Tracks
 from logs.states import EgoState
-from metrics.boxes import there_between
+from metrics.boxes import present_between
 from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
 
 FASTEST = 2.0
@@ -100,5 +100,5 @@ class ReplayedByEgoPosition:
         return float(self._log_t[k - 1] + u * (self._log_t[k] - self._log_t[k - 1]))
 
     def _add(self, t: float, rate: float) -> None:
-        who = there_between(self._replay.log, self._phase, self._phase)
+        who = present_between(self._replay.log, self._phase, self._phase)
         self._replay.add(t, who, np.full(len(who), self._phase), np.full(len(who), rate))

@@ -32,8 +32,7 @@ from logs.trace import EndReason
 from logs.variations import VARIATIONS, varied
 from metrics.judge import worst
 from metrics.judge.gates import Outcome
-from metrics.reference_drivers import APPLIES, AVOIDS, MARGIN
-from metrics.reference_drivers import Outcome as Careful
+from metrics.reference_drivers import APPLIES, AVOIDS, MARGIN, Avoidability
 from replay.config import RunConfig
 from replay.draw.report.figures import save
 from replay.results.load import Results
@@ -243,7 +242,7 @@ def _judged(results: Results, log: str) -> dict[str, Any]:
     table = table[(table["log"] == log) & (table["planner"] == results.run.planners[0])].set_index("metric")
     value = table["value"].where(table["available"], nan)
     careful, drive = _careful(value), drives.iloc[0]
-    excused = outcome is Outcome.INCONCLUSIVE and careful == Careful.UNAVOIDABLE.value
+    excused = outcome is Outcome.INCONCLUSIVE and careful == Avoidability.UNAVOIDABLE.value
     blamed = verdicts[(verdicts["outcome"] == outcome.value) & (outcome is not Outcome.PASS)]
     contact = drive.end in _CONTACTS
     return {
@@ -264,9 +263,9 @@ def _careful(value: pd.Series[float]) -> str:
     """Whether the careful driver avoids a contact: as `metrics.reference_drivers.Outcome` says it."""
     applies = float(value.get(f"reference_cc.{APPLIES.name}", nan))
     if applies == 0.0:
-        return Careful.NOT_APPLICABLE.value
+        return Avoidability.NOT_APPLICABLE.value
     avoids = float(value.get(f"reference_cc.{AVOIDS.name}", nan))
-    return Careful.AVOIDABLE.value if avoids > 0.0 else Careful.UNAVOIDABLE.value
+    return Avoidability.AVOIDABLE.value if avoids > 0.0 else Avoidability.UNAVOIDABLE.value
 
 
 # files ------------------------------------------------------------------------------------------------------------

@@ -43,9 +43,9 @@ from metrics.metric import (
     RATE,
     RMS,
     Measured,
-    changed,
     last,
     once,
+    rate_of_change,
     time_above,
     time_below,
     time_outside,
@@ -108,7 +108,7 @@ def test_reductions_by_hand() -> None:
 @given(st.floats(-9.0, 9.0), st.floats(0.03, 0.3))
 def test_a_ramp_keeps_its_slope(slope: float, step: float) -> None:
     t = step * np.arange(40)
-    rate = changed(t, 1.0 + slope * t, 0.1)
+    rate = rate_of_change(t, 1.0 + slope * t, 0.1)
     assert np.isnan(rate[t < 0.1 - 1e-9]).all()
     assert np.allclose(rate[t >= 0.1], slope, atol=1e-9)
 
@@ -117,7 +117,7 @@ def test_a_ramp_keeps_its_slope(slope: float, step: float) -> None:
 def test_the_differentiator_is_causal(cut: int) -> None:
     t = 0.01 * np.arange(100)
     value = np.sin(7.0 * t)
-    whole, part = changed(t, value, 0.1), changed(t[: cut + 1], value[: cut + 1], 0.1)
+    whole, part = rate_of_change(t, value, 0.1), rate_of_change(t[: cut + 1], value[: cut + 1], 0.1)
     assert whole[: cut + 1].tobytes() == part.tobytes()
 
 

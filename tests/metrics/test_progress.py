@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from logs import EndReason, Goal, Lane, RoadSource, Scenario, TrackingErrors, Trajectory
 from metrics import GROUPS, evaluate
-from metrics.progress import FOLLOWER_M, gained, route_of
+from metrics.progress import FOLLOWER_M, gain_along, route_of
 
 ASKED = {metric.name: metric for group in ("progress", "rules", "tracking") for metric in GROUPS[group]}
 
@@ -172,7 +172,7 @@ def test_a_lane_change_in_the_middle_of_the_route_is_no_leap() -> None:
                    goal=Goal((region,)), metadata={FOLLOWER_M: "200"})  # fmt: skip
     ego = along(grid(20.0), 10.0)
     ego = replace(ego, y=3.5 / (1.0 + np.exp(-(ego.x - 140.0) / 5.0)))
-    assert gained(route_of(log), ego).cut == 0.0
+    assert gain_along(route_of(log), ego).cut == 0.0
     assert judged(log, ego).loc["route_progress.final", "value"] == pytest.approx(1.0, abs=0.01)
     assert route_of(log).length == pytest.approx(200.0 - log.vehicle.axle_to_center, abs=1.5)
 

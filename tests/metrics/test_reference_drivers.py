@@ -23,8 +23,8 @@ from metrics.reference_drivers import (
     JUDGED_S,
     MARGINAL_M,
     STEP_S,
-    Outcome,
-    Verdict,
+    Avoidability,
+    DriverVerdict,
     careful_drive,
     careful_driver,
     fsm_critical,
@@ -68,7 +68,7 @@ def stopping_distance(v: float) -> float:
 @given(st.floats(8.0, 29.0).filter(lambda v: abs(stopping_distance(v) - 2.0 * v) > 1.5 * v * STEP_S))
 def test_cc_begins_to_brake_before_an_obstacle_at_ttc_two_seconds(v: float) -> None:
     verdict = careful_driver(log(v, standing(120.0)), LINE)
-    assert verdict.outcome is (Outcome.AVOIDABLE if stopping_distance(v) < 2.0 * v else Outcome.UNAVOIDABLE)
+    assert verdict.outcome is (Avoidability.AVOIDABLE if stopping_distance(v) < 2.0 * v else Avoidability.UNAVOIDABLE)
     assert verdict.brakes == pytest.approx(120.0 / v - 2.0 + 1.0 / JERK_MPS3, abs=2.0 * STEP_S)
 
 
@@ -77,9 +77,9 @@ def test_the_nearest_avoidable_obstacle_is_the_distance_of_reaction_and_braking(
     """0.4 s and 0.75 s of reaction; the released pedal takes off 0.12 m, 0.3 m/s, and the begin of the ramp."""
     least, released = 1.15 * v + stopping_distance(v), 0.12 + (0.3 / CC_BRAKE_MPS2 + 0.4 / JERK_MPS3) * v
     near, far = least - released - 2.0 * STEP_S * v, least + 2.0 * STEP_S * v
-    assert careful_driver(log(v, standing(near)), LINE).outcome is Outcome.UNAVOIDABLE
+    assert careful_driver(log(v, standing(near)), LINE).outcome is Avoidability.UNAVOIDABLE
     if far < 2.0 * v:  # nearer than where it would brake anyway
-        assert careful_driver(log(v, standing(far)), LINE).outcome is Outcome.AVOIDABLE
+        assert careful_driver(log(v, standing(far)), LINE).outcome is Avoidability.AVOIDABLE
 
 
 @given(st.floats(0.0, 80.0), st.floats(0.0, 40.0), st.floats(0.0, 40.0), st.floats(-8.0, 2.0))
@@ -119,7 +119,7 @@ def grid() -> dict[str, np.ndarray]:
     found = {}
     for name, driver in (("cc", careful_driver), ("fsm", fuzzy_driver)):
         outcomes = [[driver(cut_in(60.0 * KMH, g, d, 1.2), LINE).outcome for d in slower] for g in gaps]
-        found[name] = np.array([[outcome is not Outcome.UNAVOIDABLE for outcome in row] for row in outcomes])
+        found[name] = np.array([[outcome is not Avoidability.UNAVOIDABLE for outcome in row] for row in outcomes])
     return found
 
 
@@ -162,15 +162,15 @@ def braking_lead(v: float, gap: float, decel: float, to: float = 0.0) -> Scenari
 
 def test_a_lead_that_brakes_with_1_g_at_2_s_headway_can_be_avoided() -> None:
     v = 60.0 * KMH
-    assert careful_driver(braking_lead(v, 2.0 * v, 9.81), LINE).outcome is Outcome.AVOIDABLE
+    assert careful_driver(braking_lead(v, 2.0 * v, 9.81), LINE).outcome is Avoidability.AVOIDABLE
 
 
 def test_ccrb_needs_a_reaction_of_less_than_gap_over_speed() -> None:
     """50 km/h, 6 m/s2: 12 m leave 0.86 s, less than the careful driver's 1.15 s; 40 m suffice."""
     v = 50.0 * KMH
-    assert careful_driver(braking_lead(v, 12.0, 6.0, 2.0 * KMH), LINE).outcome is Outcome.UNAVOIDABLE
-    assert careful_driver(braking_lead(v, 40.0, 6.0, 2.0 * KMH), LINE).outcome is Outcome.AVOIDABLE
-    assert fuzzy_driver(braking_lead(v, 40.0, 6.0, 2.0 * KMH), LINE).outcome is Outcome.AVOIDABLE
+    assert careful_driver(braking_lead(v, 12.0, 6.0, 2.0 * KMH), LINE).outcome is Avoidability.UNAVOIDABLE
+    assert careful_driver(braking_lead(v, 40.0, 6.0, 2.0 * KMH), LINE).outcome is Avoidability.AVOIDABLE
+    assert fuzzy_driver(braking_lead(v, 40.0, 6.0, 2.0 * KMH), LINE).outcome is Avoidability.AVOIDABLE
 
 
 def walker(v: float, at: float, begins: float, side: float, speed: float = 5.0 * KMH) -> dict[str, object]:
@@ -187,7 +187,7 @@ def test_a_pedestrian_in_sight_can_be_avoided(kmh: float) -> None:
     made = log(v, walker(v, v * 6.0, 6.0 - 5.0 / (5.0 * KMH), 5.0))
     for driver in (careful_driver, fuzzy_driver):
         verdict = driver(made, LINE)
-        assert verdict.outcome is Outcome.AVOIDABLE, verdict
+        assert verdict.outcome is Avoidability.AVOIDABLE, verdict
         assert verdict.brakes < 6.0
 
 
@@ -195,7 +195,7 @@ def test_a_pedestrian_who_steps_out_a_second_ahead_cannot() -> None:
     v = 60.0 * KMH
     made = log(v, walker(v, v * 6.0, 5.0, 1.5, 1.5))
     for driver in (careful_driver, fuzzy_driver):
-        assert driver(made, LINE).outcome is Outcome.UNAVOIDABLE
+        assert driver(made, LINE).outcome is Avoidability.UNAVOIDABLE
 
 
 def test_a_pedestrian_who_is_gone_in_time_is_no_hazard() -> None:
@@ -229,14 +229,14 @@ def test_nothing_to_avoid_is_not_applicable() -> None:
     lead = track("lead", T, 20.0 + 10.0 * T, np.zeros(len(T)))
     for made in (log(10.0), log(10.0, lead), log(0.0, standing(5.0))):
         for driver in (careful_driver, fuzzy_driver):
-            assert driver(made, LINE).outcome is Outcome.NOT_APPLICABLE
+            assert driver(made, LINE).outcome is Avoidability.NOT_APPLICABLE
 
 
 def test_who_runs_into_the_driver_from_behind_does_not_count() -> None:
     follower = track("follower", T, -12.0 + 14.0 * T, np.zeros(len(T)))
-    assert careful_driver(log(10.0, follower), LINE).outcome is Outcome.NOT_APPLICABLE
+    assert careful_driver(log(10.0, follower), LINE).outcome is Avoidability.NOT_APPLICABLE
     braking = careful_driver(log(10.0, follower, standing(80.0)), LINE)
-    assert braking.outcome is Outcome.AVOIDABLE
+    assert braking.outcome is Avoidability.AVOIDABLE
     drive = careful_drive(log(10.0, follower), LINE)
     gap = 12.0 - 0.5 * (CAR.length + 4.5) + CAR.axle_to_center
     assert STEP_S * drive.touched == pytest.approx(gap / 4.0, abs=2.0 * STEP_S)
@@ -282,7 +282,7 @@ def test_the_verdict_is_on_the_car_that_is_driven() -> None:
 def test_the_margin_before_an_obstacle_is_the_gap_that_is_left(v: float, gap: float) -> None:
     """Avoided: where it stands. Not avoided: how far it would have come into it, at most as deep as the boxes are."""
     verdict, stop = careful_driver(log(v, standing(gap)), LINE), careful_drive(log(v, standing(gap + 60.0)), LINE)
-    if verdict.outcome is Outcome.AVOIDABLE:
+    if verdict.outcome is Avoidability.AVOIDABLE:
         rest = careful_drive(log(v, standing(gap)), LINE)
         assert rest.v[-1] == 0.0
         assert verdict.margin == pytest.approx(gap - rest.s[-1] + 50.0, abs=1e-6)
@@ -300,7 +300,7 @@ def test_the_margin_passes_through_0_where_the_verdict_changes() -> None:
     gaps = np.arange(18.0, 40.0, 0.1)
     found = [careful_driver(log(v, standing(gap)), LINE) for gap in gaps]
     margins = np.array([one.margin for one in found])
-    assert [one.outcome is Outcome.AVOIDABLE for one in found] == (margins > 0.0).tolist()
+    assert [one.outcome is Avoidability.AVOIDABLE for one in found] == (margins > 0.0).tolist()
     flip = int(np.argmax(margins > 0.0))
     assert 0 < flip < len(gaps) - 1 and (margins[flip:] > 0.0).all()
     assert np.abs(np.diff(margins)).max() < 0.1 + 2.0 * STEP_S * v
@@ -309,7 +309,7 @@ def test_the_margin_passes_through_0_where_the_verdict_changes() -> None:
 
 
 def test_a_pass_by_a_hairs_breadth_is_marginal() -> None:
-    for aside, outcome in ((0.05, Outcome.NOT_APPLICABLE), (-0.05, Outcome.AVOIDABLE)):
+    for aside, outcome in ((0.05, Avoidability.NOT_APPLICABLE), (-0.05, Avoidability.AVOIDABLE)):
         beside = track("b", [0.0], [80.0], [0.5 * (CAR.width + 1.9) + aside], static=True, **SIZE)
         verdict = careful_driver(log(10.0, beside), LINE)
         assert (verdict.outcome, verdict.marginal) == (outcome, True)
@@ -333,7 +333,7 @@ def test_who_judges_little_later_and_would_not_avoid_is_marginal() -> None:
 
 @pytest.mark.parametrize("driver", [careful_driver, fuzzy_driver])
 @pytest.mark.parametrize("rate", [10.0, 25.0, 100.0])
-def test_5_cm_of_noise_leave_verdicts_that_are_not_marginal(rate: float, driver: Callable[..., Verdict]) -> None:
+def test_5_cm_of_noise_leave_verdicts_that_are_not_marginal(rate: float, driver: Callable[..., DriverVerdict]) -> None:
     """Rows of cut-ins and pedestrians without velocities; before, a third of them flipped."""
     t, v, flips = np.round(np.arange(0.0, 14.0, 1.0 / rate), 9), 60.0 * KMH, 0
     made = [cut_in(v, gap, slower * KMH, 1.2) for gap in (20.0, 30.0, 40.0) for slower in (15.0, 25.0, 35.0)]
@@ -363,15 +363,20 @@ def test_the_wandering_zone_is_left_by_motion_and_not_by_noise() -> None:
 
 @pytest.mark.parametrize(
     ("outcome", "applies", "avoids"),
-    [(Outcome.AVOIDABLE, 1.0, 1.0), (Outcome.UNAVOIDABLE, 1.0, 0.0), (Outcome.NOT_APPLICABLE, 0.0, None), (None,) * 3],
+    [
+        (Avoidability.AVOIDABLE, 1.0, 1.0),
+        (Avoidability.UNAVOIDABLE, 1.0, 0.0),
+        (Avoidability.NOT_APPLICABLE, 0.0, None),
+        (None,) * 3,
+    ],
 )
 def test_the_table_counts_all_three_outcomes(
-    outcome: Outcome | None, applies: float | None, avoids: float | None
+    outcome: Avoidability | None, applies: float | None, avoids: float | None
 ) -> None:
     made = log(10.0)
     if outcome is not None:
-        margin = {Outcome.AVOIDABLE: 0.8, Outcome.UNAVOIDABLE: -0.3}.get(outcome, 5.0)
-        made = replace(made, metadata=metadata_of(Verdict("cc", outcome, "because", margin=margin)))
+        margin = {Avoidability.AVOIDABLE: 0.8, Avoidability.UNAVOIDABLE: -0.3}.get(outcome, 5.0)
+        made = replace(made, metadata=metadata_of(DriverVerdict("cc", outcome, "because", margin=margin)))
     trace = Trace(made.name, "p", Mode.CLOSED, False, made.ego, made.tracks, (), EndReason.END_OF_LOG)
     rows = evaluate(trace, made).set_index("metric")
     for name, value in (("reference_cc.applies", applies), ("reference_cc.avoids", avoids)):

@@ -121,10 +121,10 @@ def in_spans(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, slice, Others
 
 
 def nearest(
-    tracks: Tracks, t: FloatArray, measure: Callable[[slice, Others], tuple[FloatArray, IntArray]]
+    tracks: Tracks, t: FloatArray, measure: Callable[[slice, IntArray, Others], tuple[FloatArray, IntArray]]
 ) -> tuple[FloatArray, IntArray]:
     """What a kernel finds in each of the `pieces`: values `(..., k)`, and tracks `(k,)`, -1 where it names no row."""
-    found = [(seen, *measure(steps, others)) for steps, seen, others in pieces(tracks, t)]
+    found = [(seen, *measure(steps, seen, others)) for steps, seen, others in pieces(tracks, t)]
     agents = [indices_of(seen, rows) for seen, _, rows in found]
     return np.concatenate([values for _, values, _ in found], axis=-1), np.concatenate(agents)
 

@@ -210,7 +210,9 @@ def encroachment(
 def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
     ego, car = grid_of(trace), car_of(scenario)
     boxes, forth = ego_boxes(ego, scenario), ego.a * np.where(ego.v < 0.0, -1.0, 1.0)
-    least, agent = nearest(trace.agents, ego.t, lambda k, others: _accelerated(boxes[:, k], forth[k], car, others))
+    least, agent = nearest(
+        trace.agents, ego.t, lambda k, seen, others: _accelerated(boxes[:, k], forth[k], car, others)
+    )
     return Series(ego.t, least, labels_of(trace, agent), f"never on a course to touch within {HORIZON_S:g} s")
 
 
@@ -218,7 +220,7 @@ def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
 def _encounters(trace: Trace, scenario: Scenario) -> tuple[FloatArray, IntArray]:
     """`_closest` of all road users present, and the nearest one's index."""
     boxes, car = ego_boxes(grid_of(trace), scenario), car_of(scenario)
-    return nearest(trace.agents, grid_of(trace).t, lambda k, others: _closest(boxes[:, k], car, others))
+    return nearest(trace.agents, grid_of(trace).t, lambda k, seen, others: _closest(boxes[:, k], car, others))
 
 
 def _encounter(trace: Trace, scenario: Scenario, *, row: int) -> Measured:

@@ -96,7 +96,7 @@ def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
     """Who was in front, on `grid_of(trace)`."""
     ego, car = grid_of(trace), car_of(scenario)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
-    rows, agent = nearest(trace.agents, ego.t, lambda k, others: _leads(states[:, k], car, others))
+    rows, agent = nearest(trace.agents, ego.t, lambda k, seen, others: _leads(states[:, k], car, others))
     return Ahead(ego.t, ego.v, ego.a, agent, *rows)
 
 

@@ -109,7 +109,15 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
     since = np.maximum.accumulate(np.where(flags, ego.t, -np.inf), axis=1)
     slow, stand, steer = ego.t - since <= AFTER_S + 1e-9
     off = np.abs(l) > ASIDE_M
-    caps, end = _caps(line, scenario), np.searchsorted(line.s, s + _look_ahead(ego.v, 0.0), side="right")
+    lanes, default = drivable_lanes(scenario.road), scenario.road.default_speed_limit
+    x, y = np.ascontiguousarray(line.xy[:, 0]), np.ascontiguousarray(line.xy[:, 1])
+    limit = np.nan_to_num(limits_at(lanes, x, y), nan=default) if lanes is not None else np.full(len(x), default)
+    caps = np.minimum(limit, np.sqrt(CURVE_MPS2 / np.maximum(np.abs(line.kappa), 1e-9)))
+    if scenario.is_recorded and len(scenario.ego) > 1:
+        logged = scenario.ego
+        passed = line_project_many(line.s, line.coef, logged.x, logged.y, 0.0, WINDOW_M)[:, 0]
+        np.minimum.at(caps, np.clip(np.searchsorted(line.s, passed), 0, len(caps) - 1), np.abs(logged.v))
+    end = np.searchsorted(line.s, s + _look_ahead(ego.v, 0.0), side="right")
     first = np.clip(np.searchsorted(line.s, s) - 1, 0, len(caps) - 1)
     least = np.array([caps[a : max(b, a + 1)].min() for a, b in zip(first, end, strict=True)])
     slow |= off | (ego.v > least + SLACK_MPS)
@@ -189,20 +197,6 @@ def _places_to_stop(
         yield route.length, np.inf, always, NEAR_M
     elif scenario.is_recorded:
         yield float(line.project(scenario.ego.x[-1], scenario.ego.y[-1], route.length)[0]), np.inf, always, NEAR_M
-
-
-def _caps(line: ReferenceLine, scenario: Scenario) -> FloatArray:
-    """The speed at each station of a route `(n,)` above which the limit, a curve or the log's driver calls for less."""
-    lanes, default = drivable_lanes(scenario.road), scenario.road.default_speed_limit
-    x, y = np.ascontiguousarray(line.xy[:, 0]), np.ascontiguousarray(line.xy[:, 1])
-    limit = np.nan_to_num(limits_at(lanes, x, y), nan=default) if lanes is not None else np.full(len(x), default)
-    cap = np.minimum(limit, np.sqrt(CURVE_MPS2 / np.maximum(np.abs(line.kappa), 1e-9)))
-    if scenario.is_recorded and len(scenario.ego) > 1:
-        ego = scenario.ego
-        s = line_project_many(line.s, line.coef, ego.x, ego.y, 0.0, WINDOW_M)[:, 0]
-        at = np.clip(np.searchsorted(line.s, s), 0, len(cap) - 1)
-        np.minimum.at(cap, at, np.abs(ego.v))
-    return np.asarray(cap)
 
 
 def _braking(trace: Trace, scenario: Scenario) -> Measured:

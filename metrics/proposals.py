@@ -68,15 +68,22 @@ Rows = Mapping[str, NDArray[Any]]
 
 @once
 def _measure_plans(trace: Trace, scenario: Scenario) -> Rows:
-    """What (1) and (3) to (6) need, `(f,)` each; NaN where a frame has none, -1 for no agent."""
+    """What (1) to (6) need, `(f,)` each; NaN where a frame has none, -1 for no agent."""
     drive = trace.ego if trace.mode is Mode.CLOSED or len(scenario.ego) < 2 else scenario.ego
-    found, all_times = [], times_after(trace, 0, STEPS)
+    found, all_times, lanes = [], times_after(trace, 0, STEPS), safety.known_lanes(scenario)
     for which in np.split(np.arange(len(all_times)), range(PIECE, len(all_times), PIECE)):
         times = all_times[which]
         plan = plan_columns(trace, times, _COLUMNS, which)
         witnessed = np.where(times <= drive.t[-1] + 1e-6, plan, np.nan)
+        off = np.full(times.shape, np.nan if isinstance(lanes, Unavailable) else 0.0)  # (2)
+        if not isinstance(lanes, Unavailable):
+            there = np.isfinite(witnessed[0])
+            x, y, yaw = witnessed[:3, there]
+            ahead = scenario.vehicle.axle_to_center
+            box = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
+            off[there] = safety.box_off_lanes(lanes, box, scenario.vehicle, np.inf)
         found.append({
-            "off": _off_road(witnessed, scenario), **_comfort_signals(plan), **_against_drive(times, witnessed, drive),
+            "off": off.max(axis=1) - off[:, 0], **_comfort_signals(plan), **_against_drive(times, witnessed, drive),
             **_contacts_and_ttc(times, witnessed, trace.agents, scenario),
         })  # fmt: skip
     return {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
@@ -110,18 +117,6 @@ def _comfort_signals(plan: FloatArray) -> Rows:
         "lon_accel": largest[0], "lat_accel": largest[1], "lon_jerk": largest[2],
         "comfort": np.fmax.reduce(ratio), "signal": np.argmax(np.nan_to_num(ratio), axis=0),
     }  # fmt: skip
-
-
-def _off_road(plan: FloatArray, scenario: Scenario) -> FloatArray:
-    """(2) `(f,)`; NaN where the log has no lanes."""
-    lanes, there = safety.known_lanes(scenario), np.isfinite(plan[0])
-    if isinstance(lanes, Unavailable):
-        return np.full(len(there), np.nan)
-    x, y, yaw = plan[:3, there]
-    ahead, off = scenario.vehicle.axle_to_center, np.zeros(there.shape)
-    box = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
-    off[there] = safety.box_off_lanes(lanes, box, scenario.vehicle, np.inf)
-    return np.asarray(off.max(axis=1) - off[:, 0])
 
 
 def _contacts_and_ttc(times: FloatArray, plan: FloatArray, agents: Tracks, scenario: Scenario) -> Rows:

@@ -70,6 +70,7 @@ from metrics.boxes import (
     is_behind,
     labels_of,
     name_of,
+    nearest,
     pieces,
     some_at,
     touches,
@@ -336,16 +337,16 @@ def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured
     ego, car, wanted = ego_boxes(trace.ego, scenario), car_of(scenario), _wanted(trace, vulnerable_only)
     if not wanted.any():
         return Unavailable(f"no {'pedestrian or rider' if vulnerable_only else 'other road user'} in the scene")
-    least, nearest = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
-    for steps, seen, others in pieces(trace.agents, trace.ego.t):
-        least[steps], row = _contact_times(ego[:, steps], car, others, wanted[seen], TTC_HORIZON_S)
-        nearest[steps] = indices_of(seen, row)
+
+    def contact_times(k: slice, seen: IntArray, others: Others) -> tuple[FloatArray, IntArray]:
+        return _contact_times(ego[:, k], car, others, wanted[seen], TTC_HORIZON_S)
+
+    least, agents = nearest(trace.agents, trace.ego.t, contact_times)
     for contact in contacts(trace, scenario):
         if contact.at_fault and wanted[contact.agent]:
-            least[contact.step], nearest[contact.step] = 0.0, contact.agent
-    return Series(
-        trace.ego.t, least, labels_of(trace, nearest), f"never on a course to touch within {TTC_HORIZON_S:g} s"
-    )
+            least[contact.step], agents[contact.step] = 0.0, contact.agent
+    never = f"never on a course to touch within {TTC_HORIZON_S:g} s"
+    return Series(trace.ego.t, least, labels_of(trace, agents), never)
 
 
 def _integrated(series: Series) -> tuple[float, int]:

@@ -169,30 +169,25 @@ def compare_runs(
     one, two = side_of(baseline), side_of(candidate)
     own = (load_metric(spec) for spec in dict.fromkeys((*one.metrics, *two.metrics)))
     known = {**METRICS, **{metric.name: metric for metric in own}}
-    one, two = _align_planners(one, two, pair)
+    common = set(_driven_planners(one)) & set(_driven_planners(two))
+    if pair is not None:  # under one name that both sides share
+        if one.label == two.label:
+            one, two = replace(one, label=f"{one.label}: {pair[0]}"), replace(two, label=f"{two.label}: {pair[1]}")
+        name = pair[0] if pair[0] == pair[1] else " -> ".join(pair)
+        one, two = _select_planner(one, pair[0], name), _select_planner(two, pair[1], name)
+        common = {pair[0]} & {pair[1]}
+    settings = tuple(f"planner.{planner}." for planner in common)  # those of planners of one side alone are left out
+    one, two = (
+        replace(side, facts={key: value for key, value in side.facts.items()
+                             if not key.startswith("planner.") or key.startswith(settings)})
+        for side in (one, two)
+    )  # fmt: skip
     rules = (*load_rules(gates, metrics=known), *more)
     comparison = compare(one, two, load_gates(gates, metrics=known), {rule.metric for rule in rules} - {""})
     comparison = judge_rules(rules, comparison, one.labels | two.labels)
     if not (isinstance(baseline, Results) and isinstance(candidate, Results) and partings):
         return comparison
     return _with_first_differences(comparison, (baseline, candidate), pair, partings)
-
-
-def _align_planners(one: Side, two: Side, pair: tuple[str, str] | None) -> tuple[Side, Side]:
-    """Both sides with the planners asked for under common names, and without the settings of planners of one alone."""
-    kept = set(_driven_planners(one)) & set(_driven_planners(two))
-    if pair is not None:
-        if one.label == two.label:
-            one, two = replace(one, label=f"{one.label}: {pair[0]}"), replace(two, label=f"{two.label}: {pair[1]}")
-        name = pair[0] if pair[0] == pair[1] else " -> ".join(pair)
-        one, two = _select_planner(one, pair[0], name), _select_planner(two, pair[1], name)
-        kept = {pair[0]} & {pair[1]}
-
-    def is_common(key: str) -> bool:
-        return not key.startswith("planner.") or any(key.startswith(f"planner.{planner}.") for planner in kept)
-
-    facts = ({key: value for key, value in side.facts.items() if is_common(key)} for side in (one, two))
-    return replace(one, facts=next(facts)), replace(two, facts=next(facts))
 
 
 def _driven_planners(side: Side) -> tuple[str, ...]:

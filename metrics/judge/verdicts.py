@@ -175,7 +175,18 @@ def _judge_gate(
     unknown = LogLabels()  # of a log that failed before its labels were known: it may be asked for
     logs = [log for log in known if gate.selects(labels.get(log, unknown)) or (log in failed and log not in labels)]
     if not logs:
-        return [Verdict(gate, Outcome.INCONCLUSIVE, f"nothing to judge: no log has {_describe_filters(gate, labels)}")]
+        known_words = {
+            "tags": {tag for mine in labels.values() for tag in mine.tags},
+            "families": {mine.family for mine in labels.values()},
+            "datasets": {mine.dataset for mine in labels.values()},
+        }
+        filters = []  # "the tags rian, did you mean 'rain'?"
+        for kind, there in known_words.items():
+            words = [f"{word}{'' if word in there else meant(word, sorted(there), cutoff=0.7)}"
+                     for word in getattr(gate, kind)]  # fmt: skip
+            filters += [f"the {kind} {', '.join(words)}"] if words else []
+        reason = f"nothing to judge: no log has {' and '.join(filters) or 'a result'}"
+        return [Verdict(gate, Outcome.INCONCLUSIVE, reason)]
     asked = [
         (planner, mode)
         for planner, mode in drives.rows
@@ -204,20 +215,6 @@ def _judge_gate(
     reason = f"nothing to judge: {gate.metric} was not measured for {planner}{loop} in this run{lost}"
     misspelt = gate.planner is not None and all(gate.planner != name for name, _ in drives.rows)
     return [Verdict(gate, Outcome.INCONCLUSIVE, reason)] if misspelt or not gate.optional else []
-
-
-def _describe_filters(gate: Gate, labels: Mapping[str, LogLabels]) -> str:
-    """What the gate asks of logs, and what was meant where no log has it: "the tags rian, did you mean 'rain'?"."""
-    known = {
-        "tags": {tag for mine in labels.values() for tag in mine.tags},
-        "families": {mine.family for mine in labels.values()},
-        "datasets": {mine.dataset for mine in labels.values()},
-    }
-    return " and ".join(
-        f"the {kind} " + ", ".join(f"{word}{meant(word, sorted(there), cutoff=0.7) if word not in there else ''}"
-                                   for word in getattr(gate, kind))
-        for kind, there in known.items() if getattr(gate, kind)
-    ) or "a result"  # fmt: skip
 
 
 def _judge_log(case: Case, failed: Mapping[str, str]) -> LogOutcome:

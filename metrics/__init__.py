@@ -206,7 +206,7 @@ def rows_of(
 
 
 def _report_error(metric: Metric, function: Callable[..., object], error: BaseException, broken: Broken | None) -> str:
-    """Why a function of a metric raised, after `broken` was called with it; the error again where there is none."""
+    """The reason of an error in a metric's function, after a call of `broken`; without `broken` it is raised again."""
     if broken is None:
         raise error
     reason = raised(error, of=function)

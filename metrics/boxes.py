@@ -84,7 +84,7 @@ def some_at(tracks: Tracks, agents: IntArray, t: FloatArray) -> Others:
 
 
 def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, Others]]:
-    """Steps of the increasing times `t` `(k,)`, the tracks who are there then in their order, and `some_at` of both."""
+    """Pieces of the increasing times `t` `(k,)`: steps, the tracks that are there in their order, `some_at` of both."""
     if len(tracks) * len(t) <= MOST_CELLS:
         yield slice(0, len(t)), np.arange(len(tracks)), others_at(tracks, t)
         return
@@ -123,7 +123,7 @@ def in_spans(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, slice, Others
 def nearest(
     tracks: Tracks, t: FloatArray, measure: Callable[[slice, IntArray, Others], tuple[FloatArray, IntArray]]
 ) -> tuple[FloatArray, IntArray]:
-    """What a kernel finds in each of the `pieces`: values `(..., k)`, and tracks `(k,)`, -1 where it names no row."""
+    """The result of a kernel over all `pieces`: values `(..., k)`, and tracks `(k,)`, -1 where it names no row."""
     found = [(seen, *measure(steps, seen, others)) for steps, seen, others in pieces(tracks, t)]
     agents = [indices_of(seen, rows) for seen, _, rows in found]
     return np.concatenate([values for _, values, _ in found], axis=-1), np.concatenate(agents)
@@ -155,7 +155,7 @@ def labels_of(trace: Trace, agents: IntArray) -> tuple[str, ...]:
 def _on_grid(
     offsets: IntArray, static: BoolArray, t: FloatArray, gap_after: BoolArray, columns: FloatArray, times: FloatArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Who is there `(n, k)`, and the interpolated `columns` `(6, m)` as `(6, n, k)`, NaN where not."""
+    """Which agents are there `(n, k)`, and the interpolated `columns` `(6, m)` as `(6, n, k)`, NaN where not."""
     n, k = len(offsets) - 1, len(times)
     there, out = np.zeros((n, k), np.bool_), np.full((len(columns), n, k), np.nan)
     for i in range(n):

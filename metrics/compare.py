@@ -181,7 +181,7 @@ class Comparison:
         return worse[worse.groupby(DRIVE).cumcount() < each].head(most)
 
     def improvements(self, most: int, each: int = 2) -> pd.DataFrame:
-        """Likewise, the greatest improvement first."""
+        """As `regressions`, the greatest improvement first."""
         better = self.pairs[self.pairs["worse"] < 0.0]
         better = better.sort_values(["asked", "relative"], ascending=[False, True], kind="stable")
         return better[better.groupby(DRIVE).cumcount() < each].head(most)

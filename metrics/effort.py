@@ -55,7 +55,7 @@ def _steer_rate(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _reports(trace: Trace) -> list[tuple[SolverReport, ...]]:
-    """The solver reports of each frame, those of repeated stages too."""
+    """All solver reports of each frame."""
     return [tuple(item for item in f.plan.internals if isinstance(item, SolverReport)) for f in trace.frames]
 
 

@@ -68,7 +68,7 @@ class Body(NamedTuple):
 
 @inner_kernel
 def _travelled(v: float, a: float, t: float) -> float:
-    """Way after t of who does not reverse: stops where v + a t = 0."""
+    """Distance after t without reversing: the motion stops where v + a t = 0."""
     if a < 0.0 and v + a * t < 0.0:
         return -0.5 * v * v / a
     return v * t + 0.5 * a * t * t
@@ -76,7 +76,7 @@ def _travelled(v: float, a: float, t: float) -> float:
 
 @kernel
 def time_to_contact_accelerated(one: Body, two: Body, horizon: float) -> float:
-    """(1), s; inf if they do not touch within the horizon. Who stands sets off along the heading where a > 0."""
+    """(1), s; inf without a touch within the horizon. A standing box with a > 0 sets off along its heading."""
     x1, y1, yaw1, length1, width1, vx1, vy1, a1 = one
     x2, y2, yaw2, length2, width2, vx2, vy2, a2 = two
     v1, v2 = hypot(vx1, vy1), hypot(vx2, vy2)

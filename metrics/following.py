@@ -93,7 +93,7 @@ class Ahead:
 
 @once
 def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
-    """Who was in front, on `grid_of(trace)`."""
+    """The lead at each step of `grid_of(trace)`."""
     ego, car = grid_of(trace), car_of(scenario)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
     rows, agent = nearest(trace.agents, ego.t, lambda k, seen, others: _leads(states[:, k], car, others))

@@ -252,7 +252,7 @@ def durations(t: FloatArray) -> FloatArray:
 
 
 def split_to_neighbours(between: FloatArray) -> FloatArray:
-    """What lies between the steps `(n - 1,)`, half of it to each neighbour `(n,)`."""
+    """Values between the steps `(n - 1,)` as values of the steps `(n,)`: half to each neighbour."""
     out = np.zeros(len(between) + 1)
     out[:-1] += 0.5 * between
     out[1:] += 0.5 * between

@@ -179,7 +179,7 @@ def _completion(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _full_at_goal(trace: Trace, scenario: Scenario, gain: Gain, share: FloatArray) -> FloatArray:
-    """A share `(n,)` that is 1 at least where the drive ended in the goal's region, at most 2 m of it cut."""
+    """The share `(n,)`, at least 1 at a drive's end in the goal's region, unless more than 2 m of the gain were cut."""
     if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M and not _is_time_only(scenario.goal):
         share[-1] = max(share[-1], 1.0)
     return share

@@ -158,7 +158,7 @@ class Course:
         return Course(eased, ego, car_of(scenario), t, tracks, others_at(tracks, t), vulnerable)
 
     def drive(self, driver: int, about: int = ANY, late: float = 0.0) -> Driven:
-        """A driver's drive to its first touch; `about`: whose distance is asked for; it judges `late` s later."""
+        """A drive to the first touch; `about`: the agent to which `least` is; the driver judges `late` s later."""
         rows, *found = _drive(driver, self.line, self.start, self.car, self.others, self.vulnerable, about, late)
         return Driven(*rows, *found)
 
@@ -239,7 +239,7 @@ def curve_speeds(s: FloatArray, kappa: FloatArray) -> FloatArray:
 def _observe(
     line: Line, k: int, s: float, l_ego: float, car: Car, others: Others, vulnerable: BoolArray, out: FloatArray
 ) -> None:
-    """Fill per agent at step k what the driver sees of it, `(n, 7)`.
+    """Fill the driver's view of each agent at step k, `(n, 7)`.
 
     Gap, u, lateral gap, lateral speed towards the band, extent along the line, whether it crosses, extent across.
     Gap is NaN for who is not there, too far, or not ahead. In the band the lateral gap is negative.
@@ -268,7 +268,7 @@ def _observe(
 
 @inner_kernel
 def _comes_in(seen: FloatArray, v: float, car: Car, slack: float, late: float) -> bool:
-    """Whether who is beside the band will be in it before the ego is past it and, if it crosses, not out too early.
+    """Whether an agent beside the band will be in it before the ego is past and, if it crosses, not out too early.
 
     `slack` s are given to the one, and `late` s less to both.
     """

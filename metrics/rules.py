@@ -192,7 +192,7 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
 
 @kernel
 def _over(ego: FloatArray, car: Car, polygon: FloatArray) -> BoolArray:
-    """At which steps a box (rows x, y, yaw) lies over a polygon, on a raster of 9 by 5 points of it."""
+    """The steps at which a box (rows x, y, yaw) lies over a polygon, by a raster of 9 by 5 points of the box."""
     out = np.zeros(ego.shape[1], np.bool_)
     for k in range(ego.shape[1]):
         c, s = np.cos(ego[2, k]), np.sin(ego[2, k])

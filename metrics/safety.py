@@ -256,7 +256,7 @@ def _collision(trace: Trace, scenario: Scenario, *, fault_only: bool) -> Measure
 
 
 def label(contact: Contact, trace: Trace) -> str:
-    """Who, how and whose fault: "car 12: from behind, not at fault"."""
+    """The road user, the kind and the fault: "car 12: from behind, not at fault"."""
     fault = "at fault" if contact.at_fault else "not at fault"
     return f"{name_of(trace.agents, contact.agent)}: {contact.kind.value}, {fault}"
 

@@ -146,7 +146,7 @@ def _inside_lanes(trace: Trace, scenario: Scenario) -> Value:
 
 
 def _open_loop(metric: Metric, judge: Callable[[list[Series]], bool]) -> Part:
-    """A part that is a function of a metric's series at those of nuPlan's horizons that the log allows."""
+    """A part that is a function of a metric's series at nuPlan's horizons, as far as the log lasts."""
 
     def part(trace: Trace, scenario: Scenario) -> Value:
         found = metric.found(trace, scenario)

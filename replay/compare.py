@@ -91,7 +91,7 @@ def side_of(run: Run) -> Side:
 
 
 def _vehicle_hash(results: Results, drives: Sequence[Mapping[str, Any]]) -> str:
-    """Hash of the vehicle as a trace says it; "" where there is none."""
+    """Hash of the vehicle in a trace of the drives; "" without a trace."""
     for drive in drives:
         for file in drive["files"]:
             if file.endswith(".mcap") and (results.path / file).is_file():
@@ -210,7 +210,7 @@ def _select_planner(side: Side, planner: str, name: str) -> Side:
 def _with_first_differences(
     comparison: Comparison, both: tuple[Results, Results], pair: tuple[str, str] | None, most: int
 ) -> Comparison:
-    """Drives with flips first, then those with the worst regressions."""
+    """The comparison with first differences: of drives with flips first, then of the worst regressions."""
     order = pd.concat([comparison.flips[DRIVE], comparison.pairs[DRIVE]]).drop_duplicates()
     rows: list[tuple[Any, ...]] = []
     looked = 0

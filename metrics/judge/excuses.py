@@ -100,7 +100,7 @@ class Case:
         return self.drives.rows[self.planner, self.mode].get(self.log, {}).get(metric, NOTHING)
 
     def reference(self, planner: str, metric: str) -> Row:
-        """A row of a reference drive of the log, likewise."""
+        """A row of a reference drive of the log; `NOTHING` where the table has none."""
         return self.drives.rows.get((planner, REFERENCE), {}).get(self.log, {}).get(metric, NOTHING)
 
     def value(self, metric: str) -> float:

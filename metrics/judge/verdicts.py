@@ -172,7 +172,7 @@ def _judge_gate(
     gate: Gate, drives: Drives, known: Sequence[str], labels: Mapping[str, LogLabels], failed: Mapping[str, str]
 ) -> list[Verdict]:
     """The verdicts of a gate, by planner, mode and group."""
-    unknown = LogLabels()  # of a log that failed before its labels were known: it may be asked for
+    unknown = LogLabels()  # of a log that failed before its labels were known: gates may select it
     logs = [log for log in known if gate.selects(labels.get(log, unknown)) or (log in failed and log not in labels)]
     if not logs:
         known_words = {
@@ -349,7 +349,7 @@ def with_ensemble(
 
 
 def with_asked(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """The table with the row `asked.share` of each drive: the share of the other gates that are asked of it."""
+    """The table with the row `asked.share` of each drive: the share of the other gates that judged it."""
     rules = replace(gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ASKED.name)))
     values: Values = {}
     for drive, found in _drive_outcomes(rules, table, labels).items():

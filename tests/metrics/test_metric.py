@@ -18,18 +18,7 @@ from typer.testing import CliRunner
 
 from logs import AgentKind, ConfigError, EndReason, Goal, Mode, RoadSource, Scenario, Trace
 from logs.kernel import FloatArray
-from metrics import (
-    COLUMNS,
-    GROUPS,
-    METRICS,
-    Metric,
-    Series,
-    Unavailable,
-    evaluate,
-    evaluate_with_series,
-    load_metric,
-    series,
-)
+from metrics import COLUMNS, GROUPS, METRICS, evaluate, evaluate_with_series, load_metric, series
 from metrics.metric import (
     COUNT,
     FINAL,
@@ -43,6 +32,9 @@ from metrics.metric import (
     RATE,
     RMS,
     Measured,
+    Metric,
+    Series,
+    Unavailable,
     last,
     once,
     rate_of_change,

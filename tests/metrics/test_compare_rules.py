@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from gate_rows import row, table
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import ConfigError
-from metrics import COLUMNS
 from metrics.compare import MIN_PAIRS, MIN_SIGNIFICANT, Comparison, Side, compare, intervals, judge_rules, noise
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Gate, Gates, Outcome, Rule, load_gates, load_rules
@@ -20,22 +20,13 @@ from metrics.judge.gates import Gate, Gates, Outcome, Rule, load_gates, load_rul
 GAP = Gate("gap.min", min=0.5)
 
 
-def row(log: str, value: float, **changes: object) -> dict[str, object]:
-    known = not np.isnan(value)
-    return {
-        "log": log, "planner": "dp_qp", "mode": "closed", "oracle": False, "metric": "gap.min", "value": value,
-        "unit": "m", "direction": "higher", "available": known, "reason": "car 7" if known else "nobody there",
-        "time_s": 3.2 if known else np.nan, "version": 1, "source": "",
-    } | changes  # fmt: skip
-
-
 def side(label: str, *rows: dict[str, object], facts: dict[str, str] | None = None, sha: str = "1") -> Side:
-    table = pd.DataFrame(list(rows), columns=list(COLUMNS))
+    found = table(*rows)
     logs = pd.DataFrame(
-        [(log, sha, log[0], "here", ["synthetic", log[0]], "") for log in dict.fromkeys(table["log"])],
+        [(log, sha, log[0], "here", ["synthetic", log[0]], "") for log in dict.fromkeys(found["log"])],
         columns=["log", "sha256", "family", "dataset", "tags", "vehicle"],
     )
-    return Side(label, table, logs, facts or {}, {})
+    return Side(label, found, logs, facts or {}, {})
 
 
 def of(before: dict[str, float], now: dict[str, float], *gates: Gate, **changes: object) -> Comparison:

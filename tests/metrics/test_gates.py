@@ -7,30 +7,18 @@ import numpy as np
 import pandas as pd
 import pytest
 from drives import along, drive, grid, scenario
+from gate_rows import row, table
 from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import ConfigError, EndReason, LogError
-from metrics import COLUMNS, METRICS, evaluate
+from metrics import METRICS, evaluate
 from metrics.judge import Verdict, judge, outcomes, worst
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Gate, Gates, Outcome, load_gates
 from metrics.judge.verdicts import with_asked
 
 PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
-
-
-def row(log: str, value: float, **changes: object) -> dict[str, object]:
-    available = not np.isnan(value)
-    return {
-        "log": log, "planner": "dp_qp", "mode": "closed", "oracle": False, "metric": "gap.min", "value": value,
-        "unit": "m", "direction": "higher", "available": available, "reason": "car 7" if available else "nobody there",
-        "time_s": 3.2, "version": 1, "source": "",
-    } | changes  # fmt: skip
-
-
-def table(*rows: dict[str, object]) -> pd.DataFrame:
-    return pd.DataFrame(list(rows), columns=list(COLUMNS))
 
 
 def verdicts(gate: Gate, rows: pd.DataFrame, **how: object) -> tuple[Verdict, ...]:

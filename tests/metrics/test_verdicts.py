@@ -11,13 +11,14 @@ import numpy as np
 import pandas as pd
 import pytest
 from drives import along, drive, grid, moving, scenario
+from gate_rows import row, table
 from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import AgentKind
 from logs.errors import ConfigError
 from logs.transform import sampled
-from metrics import COLUMNS, METRICS, evaluate
+from metrics import METRICS, evaluate
 from metrics.judge import Verdict, judge, outcomes
 from metrics.judge.aggregate import LogLabels, wilson
 from metrics.judge.excuses import INTERVAL, marginal
@@ -30,21 +31,16 @@ GAP = "gap.min"
 DRIVEN = "coverage.driven_s.final"
 
 
-def table(values: dict[str, float | None], metric: str = GAP) -> pd.DataFrame:
+def of_logs(values: dict[str, float | None], metric: str = GAP) -> pd.DataFrame:
     """A row per log; None: it has no value."""
-    rows = [
-        {"log": log, "planner": "dp_qp", "mode": "closed", "oracle": False, "metric": metric, "unit": "m",
-         "value": np.nan if value is None else value, "available": value is not None, "reason": "", "time_s": 3.2}
-        for log, value in values.items()
-    ]  # fmt: skip
-    return pd.DataFrame(rows, columns=list(COLUMNS))
+    return table(*(row(log, np.nan if v is None else v, metric=metric, reason="") for log, v in values.items()))
 
 
 def verdicts(
     gate: Gate, values: dict[str, float | None], labels: dict[str, LogLabels] | None = None, lost: tuple[str, ...] = ()
 ) -> tuple[Verdict, ...]:
     known = labels or dict.fromkeys(values, LogLabels())
-    return judge(Gates((gate,), "test"), table(values, gate.metric), known, failed=dict.fromkeys(lost, "broken"))
+    return judge(Gates((gate,), "test"), of_logs(values, gate.metric), known, failed=dict.fromkeys(lost, "broken"))
 
 
 def verdict(gate: Gate, values: dict[str, float | None], **how: object) -> Verdict:
@@ -113,7 +109,7 @@ def test_what_is_lost_counts_as_failed_and_what_is_inconclusive_as_neither(
 def test_a_drive_that_crashed_can_fail_and_not_pass(gate: Gate) -> None:
     crashed = {("a", "dp_qp", "closed"): "out of ideas"}
     labels = {"a": LogLabels(), "b": LogLabels()}
-    good, bad = (judge(Gates((gate,), "test"), table({"a": value, "b": 1.0}), labels, crashed=crashed)[0]
+    good, bad = (judge(Gates((gate,), "test"), of_logs({"a": value, "b": 1.0}), labels, crashed=crashed)[0]
                  for value in (1.0, -1.0))  # fmt: skip
     assert good.outcome is (FAIL if gate.over == "pass_share" else INCONCLUSIVE)
     assert "1 log could not be evaluated (a: out of ideas)" in good.reason

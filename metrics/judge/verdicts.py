@@ -182,9 +182,11 @@ def _judge_gate(
         }
         filters = []  # "the tags rian, did you mean 'rain'?"
         for kind, there in known_words.items():
-            words = [f"{word}{'' if word in there else meant(word, sorted(there), cutoff=0.7)}"
-                     for word in getattr(gate, kind)]  # fmt: skip
-            filters += [f"the {kind} {', '.join(words)}"] if words else []
+            names = [
+                word if word in there else f"{word}{meant(word, sorted(there), cutoff=0.7)}"
+                for word in getattr(gate, kind)
+            ]
+            filters += [f"the {kind} {', '.join(names)}"] if names else []
         reason = f"nothing to judge: no log has {' and '.join(filters) or 'a result'}"
         return [Verdict(gate, Outcome.INCONCLUSIVE, reason)]
     asked = [

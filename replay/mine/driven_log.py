@@ -24,7 +24,7 @@ from logs.road import ReferenceLine, line_frame, line_project, thinned
 from logs.scenario import AgentKind, Scenario
 from logs.states import Trajectory, wrap
 from metrics.boxes import GRID_S, Car, car_of, ego_boxes, in_spans, phantoms, without_phantoms
-from metrics.metric import changed
+from metrics.metric import rate_of_change
 
 NEAR_M = 80.0
 SEARCH_M, FOLLOW_M = 120.0, 15.0
@@ -115,7 +115,7 @@ class DrivenLog:
     @cached_property
     def accel(self) -> FloatArray:
         """Change of the ego's speed over `FELT_S` `(n,)`, m/s2; NaN in the first `FELT_S`."""
-        return changed(self.t, self.ego.v, FELT_S)
+        return rate_of_change(self.t, self.ego.v, FELT_S)
 
     @cached_property
     def lead(self) -> tuple[IntArray, FloatArray]:

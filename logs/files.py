@@ -1,15 +1,27 @@
-"""Files that users name, checked before they are opened: pipes never end, and nested tables can exhaust the stack."""
+"""Files that users name: checked before they are opened, and at URLs: listed, fetched, written.
+
+Pipes never end, and nested tables can exhaust the stack: both are refused.
+
+A URL (`s3://`, `gs://`, and all others that fsspec knows) may take the place of a path, also as a `Path`, which loses a
+slash ("s3:/bucket/key"); `file://` is a local path. Credentials come from the environment as fsspec documents
+(AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL ...); they are never options, and never stored in a file of a run.
+"""
 
 from __future__ import annotations
 
 import re
+import shutil
 import stat
+import tempfile
 import tomllib
-from collections.abc import Iterator
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from logs.errors import ConfigError, LogError
+from logs.errors import ConfigError, LogError, OutputError, ReplanError
 
 LARGEST_TOML_BYTES = 1 << 20
 """Limit of a configuration or file of gates: the largest in use have some 10 KiB."""
@@ -25,6 +37,9 @@ SPECIAL = (
     (stat.S_ISBLK, "a device"),
 )
 WRITE_A_FILE = "write its content to a file and name that"
+_URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.IGNORECASE | re.DOTALL)  # a drive of Windows has one letter
+_VERSIONS = ("ETag", "etag", "md5Hash", "LastModified", "last_modified", "mtime", "created")
+"""Keys under which file systems state a version of the content, the most reliable first."""
 
 
 def special_kind(path: Path) -> str:
@@ -74,8 +89,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: not TOML: {error}") from None
     except RecursionError:
         raise _too_deep(path) from None
-    if any(depth > DEEPEST_TOML for depth in _depths(table)):
-        raise _too_deep(path)
+    left: list[tuple[Any, int]] = [(table, 0)]  # without recursion
+    while left:
+        value, depth = left.pop()
+        if depth > DEEPEST_TOML:
+            raise _too_deep(path)
+        inner = value.values() if isinstance(value, dict) else value
+        left += [(each, depth + 1) for each in inner if isinstance(each, dict | list)]
     return table
 
 
@@ -83,12 +103,213 @@ def _too_deep(path: Path) -> ConfigError:
     return ConfigError(f"{path}: tables or lists nested deeper than {DEEPEST_TOML}; nest them less")
 
 
-def _depths(table: dict[str, Any]) -> Iterator[int]:
-    """The depth of every table and list in a table, without recursion."""
-    left: list[tuple[Any, int]] = [(table, 0)]
-    while left:
-        value, depth = left.pop()
-        yield depth
-        if depth <= DEEPEST_TOML:
-            inner = value.values() if isinstance(value, dict) else value
-            left += [(each, depth + 1) for each in inner if isinstance(each, dict | list)]
+@dataclass(frozen=True)
+class RemoteFile:
+    """A file at a URL.
+
+    Attributes:
+        url: Where.
+        name: Under the URL that was listed, "/" between folders.
+        size: Bytes.
+        version: Changes with the content; "": not known.
+    """
+
+    url: str
+    name: str
+    size: int
+    version: str
+
+
+def url_of(place: Path | str) -> str:
+    """The URL of a place; "" where it is a local path."""
+    found = _URL.fullmatch(str(place).replace("\\", "/"))
+    return f"{found[1].lower()}://{found[2]}".rstrip("/") if found and found[1].lower() != "file" else ""
+
+
+def local_path(place: Path | str) -> Path:
+    """A local path, also of `file:///...`."""
+    found = _URL.fullmatch(str(place))
+    return Path(f"/{found[2]}") if found and found[1].lower() == "file" else Path(place)
+
+
+def listed(url: str) -> tuple[RemoteFile, ...]:
+    """The file at a URL, or all files under it, sorted; empty where nothing exists.
+
+    Raises:
+        ConfigError: The URL cannot be listed.
+    """
+    with _asked(url, ConfigError):
+        system, path = _system(url)
+        system.invalidate_cache()
+        found: dict[str, Any] = system.find(path, detail=True)
+    base = path.rstrip("/")
+    files = []
+    for key, info in sorted(found.items()):
+        name = key.removeprefix(base).lstrip("/") or Path(base).name
+        if ".." in name.split("/"):
+            raise ConfigError(f"{url}/{name}: has '..' in its name, which would lead out of a folder; rename it")
+        version = next((str(info[word]).strip('"') for word in _VERSIONS if info.get(word)), "")
+        files.append(RemoteFile(url if key == base else f"{url}/{name}", name, int(info.get("size") or 0), version))
+    return tuple(file for file in files if not file.url.endswith("/"))
+
+
+def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
+    """The first bytes of files, fetched together; ConfigError where one cannot be."""
+    if not files:
+        return []
+    with _asked(files[0].url, ConfigError):
+        system = _system(files[0].url)[0]
+        ends = [min(size, file.size) for file in files]
+        found: list[bytes | Exception] = system.cat_ranges(
+            [system._strip_protocol(file.url) for file in files], [0] * len(ends), ends
+        )
+    out = []
+    for file, head in zip(files, found, strict=True):
+        with _asked(file.url, ConfigError):
+            if isinstance(head, Exception):
+                raise head
+            out.append(head)
+    return out
+
+
+def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
+    """Copy files under their names into a local folder.
+
+    Raises:
+        LogError: A file is gone or has changed, or the disk has too little space.
+    """
+    need, free = sum(file.size for file in files), shutil.disk_usage(folder).free
+    if need > free:
+        what = f"{need / 1e6:.0f} MB are to be fetched, {free / 1e6:.0f} MB are free in {folder.parent}"
+        raise LogError(what, file=files[0].url, remedy="set TMPDIR to a folder with room")
+    for file in files:
+        target = folder / file.name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with _asked(file.url, LogError):
+            system, path = _system(file.url)
+            system.get_file(path, str(target))
+        if target.stat().st_size != file.size:
+            raise LogError("has changed since it was listed", file=file.url, remedy="evaluate again")
+
+
+def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
+    """A function that returns the bytes of a file from one offset up to another; it raises LogError where it fails."""
+
+    def fetched(begin: int, end: int) -> bytes:
+        with _asked(file.url, LogError):
+            system, path = _system(file.url)
+            found: bytes = system.cat_file(path, start=begin, end=end)
+            return found
+
+    return fetched
+
+
+def put(content: Path, url: str) -> None:
+    """Copy a local file to a URL; OutputError where it cannot be written."""
+    with _asked(url, OutputError):
+        system, path = _system(url)
+        system.put_file(str(content), path)
+
+
+def put_new(content: bytes, url: str) -> bool:
+    """Write bytes to a URL unless a file exists there; returns whether it wrote. ConfigError: it cannot write there."""
+    with _asked(url, ConfigError):
+        system, path = _system(url)
+        try:
+            system.pipe_file(path, content, mode="create")
+        except FileExistsError:
+            return False
+        return True
+
+
+def content(url: str) -> bytes:
+    """The content of the file at a URL; ConfigError where it cannot be read."""
+    with _asked(url, ConfigError):
+        system, path = _system(url)
+        found: bytes = system.cat_file(path)
+        return found
+
+
+def remove(urls: Sequence[str]) -> None:
+    """Remove files; OutputError where one cannot be removed."""
+    for url in urls:
+        with _asked(url, OutputError):
+            system, path = _system(url)
+            system.rm_file(path)
+
+
+class Near:
+    """A local path for a path or URL; the local copy of a URL is removed together with this object.
+
+    Args:
+        place: Path or URL.
+        but: Endings of files of a folder that are not copied (".rrd").
+
+    Attributes:
+        path: The local path.
+        place: Path or URL, for messages.
+
+    Raises:
+        ConfigError: Nothing exists at the URL.
+        LogError: It cannot be fetched.
+    """
+
+    def __init__(self, place: Path | str, but: tuple[str, ...] = ()) -> None:
+        url, self.path = url_of(place), local_path(place)
+        self.place = url or str(self.path)
+        self._remove: Callable[[], object] | None = None
+        if not url:
+            return
+        files = listed(url)
+        if not files:
+            raise ConfigError(f"{url}: nothing is there")
+        scratch = tempfile.mkdtemp(prefix="replan-")
+        self._remove = weakref.finalize(self, shutil.rmtree, scratch, ignore_errors=True)
+        self.path = Path(scratch, Path(url).name)
+        if files[0].url == url:
+            fetch(files, self.path.parent)
+        else:
+            self.path.mkdir()
+            fetch([file for file in files if not file.name.endswith(but)], self.path)
+
+    def close(self) -> None:
+        """Remove the copy now."""
+        if self._remove is not None:
+            self._remove()
+
+
+@contextmanager
+def here(place: Path | str) -> Iterator[Path]:
+    """`Near.path` within a `with` block."""
+    with closing(Near(place)) as near:
+        yield near.path
+
+
+def _system(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the path in it."""
+    try:
+        from fsspec.core import url_to_fs
+    except ImportError:
+        raise ConfigError(f"{url}: URLs need fsspec: pip install 'replan[s3]'") from None
+    try:
+        system, path = url_to_fs(url)
+    except (ImportError, ValueError) as error:
+        raise ConfigError(f"{url}: {error}; of S3: pip install 'replan[s3]'") from None
+    return system, str(path)
+
+
+@contextmanager
+def _asked(url: str, kind: type[ReplanError]) -> Iterator[None]:
+    """Turn any error of a file system's library into one line of kind `kind`."""
+    try:
+        yield
+    except (ReplanError, FileExistsError):
+        raise
+    except FileNotFoundError:
+        raise kind(f"{url}: not there; look at bucket and key") from None
+    except Exception as error:
+        if isinstance(error, PermissionError) or "Credentials" in type(error).__name__:  # botocore's are no such error
+            hint = "set what fsspec documents for it in the environment (S3: AWS_ACCESS_KEY_ID, AWS_PROFILE)"
+            raise kind(f"{url}: no permission: {error}; {hint}") from None
+        what = " ".join(str(error).split())[:200]
+        raise kind(f"{url}: no connection or an error there: {type(error).__name__}: {what}; try again") from None

@@ -10,8 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.agents import OLDEST_S, AgentKind, Agents, among, codes_of
-from logs.detections import Detections, Repair
+from logs.agents import OLDEST_S, AgentKind, Agents, Detections, Repair, among, codes_of
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.motion import Motion, estimated
 from logs.names import ShortNames
@@ -206,7 +205,7 @@ class Tracks:
 
     @property
     def whole(self) -> Tracks:
-        """What these are a part of (`logs.nearby.Recent`): themselves."""
+        """What these are a part of (`logs.memory.Recent`): themselves."""
         return self
 
     def samples(self, index: int) -> slice:

@@ -42,6 +42,17 @@ def _axis_reach(ax: float, ay: float, c: float, s: float, length: float, width: 
     return 0.5 * (length * abs(ax * c + ay * s) + width * abs(ay * c - ax * s))
 
 
+@inner_kernel
+def _axis(
+    i: int, yaw1: float, length1: float, width1: float, yaw2: float, length2: float, width2: float
+) -> tuple[float, float, float]:
+    """The face normal i of two boxes (1), and half of the sum of their extents along it, m."""
+    yaw = yaw1 if i < 2 else yaw2
+    ax, ay = (cos(yaw), sin(yaw)) if i % 2 == 0 else (-sin(yaw), cos(yaw))
+    reach = _axis_reach(ax, ay, cos(yaw1), sin(yaw1), length1, width1)
+    return ax, ay, reach + _axis_reach(ax, ay, cos(yaw2), sin(yaw2), length2, width2)
+
+
 @kernel
 def overlap(
     x1: float, y1: float, yaw1: float, length1: float, width1: float,
@@ -115,11 +126,7 @@ def clearance(
     """Smallest distance between two boxes, m; where they overlap, minus the shortest shift that parts them (1)."""
     depth = inf
     for i in range(4):
-        yaw = yaw1 if i < 2 else yaw2
-        ax, ay = (cos(yaw), sin(yaw)) if i % 2 == 0 else (-sin(yaw), cos(yaw))
-        reach = _axis_reach(ax, ay, cos(yaw1), sin(yaw1), length1, width1) + _axis_reach(
-            ax, ay, cos(yaw2), sin(yaw2), length2, width2
-        )
+        ax, ay, reach = _axis(i, yaw1, length1, width1, yaw2, length2, width2)
         depth = min(depth, reach - abs((x2 - x1) * ax + (y2 - y1) * ay))
     if depth >= 0.0:
         return -depth
@@ -128,18 +135,17 @@ def clearance(
 
 @kernel
 def time_to_contact(
-    x1: float, y1: float, yaw1: float, length1: float, width1: float, vx1: float, vy1: float,
-    x2: float, y2: float, yaw2: float, length2: float, width2: float, vx2: float, vy2: float,
+    x1: float, y1: float, yaw1: float, length1: float, width1: float,
+    x2: float, y2: float, yaw2: float, length2: float, width2: float, dvx: float, dvy: float,
 ) -> float:  # fmt: skip
-    """Time until two boxes touch at constant velocity vectors and headings (2), s; inf if they never do."""
-    dx, dy, dvx, dvy = x2 - x1, y2 - y1, vx2 - vx1, vy2 - vy1
+    """Time until two boxes touch at constant velocity vectors and headings (2), s; inf if they never do.
+
+    `dvx` and `dvy` are the velocity of the second box less that of the first, m/s.
+    """
+    dx, dy = x2 - x1, y2 - y1
     t_in, t_out = 0.0, inf
     for i in range(4):
-        yaw = yaw1 if i < 2 else yaw2
-        ax, ay = (cos(yaw), sin(yaw)) if i % 2 == 0 else (-sin(yaw), cos(yaw))
-        reach = _axis_reach(ax, ay, cos(yaw1), sin(yaw1), length1, width1) + _axis_reach(
-            ax, ay, cos(yaw2), sin(yaw2), length2, width2
-        )
+        ax, ay, reach = _axis(i, yaw1, length1, width1, yaw2, length2, width2)
         gap, rate = dx * ax + dy * ay, dvx * ax + dvy * ay
         if rate == 0.0:
             if abs(gap) > reach:

@@ -369,7 +369,7 @@ class Trace:
         oracle: Whether the planner knew the log's future.
         ego: As driven: at the control rate in closed loop, on the frame grid in open loop.
         agents: As they moved.
-        frames: The plans, in order of time; a tuple, of a long drive a `logs.frame_store.FrameStore`.
+        frames: The plans, in order of time; a tuple, of a long drive a `logs.memory.FrameStore`.
         commands: What the controller asked for, on `ego.t`; None in open loop.
         actuation: What the actuators did, on `ego.t`; None in open loop.
         tracking: On `ego.t`; None in open loop.

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from logs.detections import Detections
+from logs.agents import Detections
 from logs.kernel import FloatArray
 from logs.road import Goal, Lane, Road
 from logs.scenario import Scenario, Tracks

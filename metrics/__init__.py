@@ -19,7 +19,7 @@ import pandas as pd
 import replan.own
 from logs.errors import raised
 from logs.extension import Kind, an_instance
-from logs.frame_store import light
+from logs.memory import light
 from logs.scenario import Scenario
 from logs.trace import Trace
 from metrics import (

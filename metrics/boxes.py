@@ -225,8 +225,8 @@ def contact_time(ego: tuple[float, float, float, float, float], car: Car, others
     """`shapes.time_to_contact` of box i at step k and the ego's box (x, y, yaw, vx, vy), s."""
     pose, size = others.pose, others.size
     return time_to_contact(
-        ego[0], ego[1], ego[2], car.length, car.width, ego[3], ego[4], pose[0, i, k], pose[1, i, k], pose[2, i, k],
-        size[i, 0], size[i, 1], pose[3, i, k], pose[4, i, k],
+        ego[0], ego[1], ego[2], car.length, car.width, pose[0, i, k], pose[1, i, k], pose[2, i, k],
+        size[i, 0], size[i, 1], pose[3, i, k] - ego[3], pose[4, i, k] - ego[4],
     )  # fmt: skip
 
 

@@ -91,7 +91,7 @@ def time_to_contact_accelerated(one: Body, two: Body, horizon: float) -> float:
         if hypot(dx, dy) - reach <= (e1 - d1) + (e2 - d2):
             u1, u2 = (e1 - d1) / PIECE_S, (e2 - d2) / PIECE_S
             found = time_to_contact(
-                0.0, 0.0, yaw1, length1, width1, u1 * c1, u1 * s1, dx, dy, yaw2, length2, width2, u2 * c2, u2 * s2
+                0.0, 0.0, yaw1, length1, width1, dx, dy, yaw2, length2, width2, u2 * c2 - u1 * c1, u2 * s2 - u1 * s1
             )
             if found <= PIECE_S:
                 return i * PIECE_S + found
@@ -104,10 +104,10 @@ def closest_encounter(one: Body, two: Body, horizon: float) -> tuple[float, floa
     """(2): DCE, m, and TTCE, s. Boxes that do not touch are nearest at an end of the time or corner to corner."""
     x1, y1, yaw1, length1, width1, vx1, vy1, _ = one
     x2, y2, yaw2, length2, width2, vx2, vy2, _ = two
-    contact = time_to_contact(x1, y1, yaw1, length1, width1, vx1, vy1, x2, y2, yaw2, length2, width2, vx2, vy2)
+    vx, vy = vx2 - vx1, vy2 - vy1
+    contact = time_to_contact(x1, y1, yaw1, length1, width1, x2, y2, yaw2, length2, width2, vx, vy)
     if contact <= horizon:
         return 0.0, contact
-    vx, vy = vx2 - vx1, vy2 - vy1
     best, when = distance(x1, y1, yaw1, length1, width1, x2, y2, yaw2, length2, width2), 0.0
     later = distance(x1, y1, yaw1, length1, width1, x2 + horizon * vx, y2 + horizon * vy, yaw2, length2, width2)
     square = vx * vx + vy * vy

@@ -42,8 +42,8 @@ from types import MappingProxyType
 import numpy as np
 
 from logs.frame import PLAN_HORIZON_S
-from logs.frame_store import light, loaded
 from logs.kernel import FloatArray, IntArray, kernel
+from logs.memory import light, loaded
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, wrapped

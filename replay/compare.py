@@ -19,10 +19,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from logs.errors import ConfigError, LogError, unknown_name
-from logs.files import check_named, read_toml
+from logs.files import Near, check_named, read_toml
 from logs.mcap import read_trace
 from logs.mcap.container import read_container
-from logs.remote import Near
 from metrics import COLUMNS, METRICS, load_metric
 from metrics.compare import PARTING_COLUMNS, Comparison, Side, compare, judge_rules
 from metrics.judge import REFERENCE

@@ -12,8 +12,7 @@ from math import atan2, hypot
 
 import numpy as np
 
-from logs.agents import USUAL_SIZE_M, AgentKind, among, codes_of
-from logs.detections import Detections
+from logs.agents import USUAL_SIZE_M, AgentKind, Detections, among, codes_of
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.scenario import Tracks
 from logs.shapes import overlap

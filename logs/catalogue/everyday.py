@@ -108,7 +108,7 @@ def cut_in(p: Mapping[str, float]) -> Scenario:
     driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
     metadata = {**expects(cutter=(DecisionKind.FOLLOW, *WAITS)), "entered_lane_s": repr(entered)}
     road = two_lanes(path, v, ego_on_right=False)
-    return finished(path, driven, [cutter], road, duration, right=-3.0 * HALF_LANE, metadata=metadata)
+    return finished(path, driven, [cutter], road, duration, edges=(-3.0 * HALF_LANE, HALF_LANE), metadata=metadata)
 
 
 @family(
@@ -128,7 +128,7 @@ def nudge(p: Mapping[str, float]) -> Scenario:
     straight = curve((path.length, 0.0, 0.0))
     cars, road = [parked("parked", at, edge - 0.5 * CAR[1])], two_lanes(straight, v, ego_on_right=True)
     metadata = expects(parked=(DecisionKind.NUDGE_LEFT,))
-    return finished(straight, driven, cars, road, duration, left=3.0 * HALF_LANE, metadata=metadata)
+    return finished(straight, driven, cars, road, duration, edges=(-HALF_LANE, 3.0 * HALF_LANE), metadata=metadata)
 
 
 @family(

@@ -84,7 +84,7 @@ def static_obstacles(p: Mapping[str, float]) -> Scenario:
     straight = curve((path.length, 0.0, 0.0))
     left, right = (DecisionKind.NUDGE_LEFT,), (DecisionKind.NUDGE_RIGHT,)
     road, metadata = two_lanes(straight, v, ego_on_right=True), expects(right_1=left, left=right, right_2=left)
-    return finished(straight, driven, cars, road, duration, left=3.0 * HALF_LANE, metadata=metadata)
+    return finished(straight, driven, cars, road, duration, edges=(-HALF_LANE, 3.0 * HALF_LANE), metadata=metadata)
 
 
 @family(

@@ -128,7 +128,7 @@ def straight_path(speed: float, duration: float) -> Path:
 
 def finished(
     path: Path, driven: Trajectory, agents: Sequence[Agent], road: Road, duration: float, *, begin: float | None = None,
-    right: float = -HALF_LANE, left: float = HALF_LANE, metadata: Mapping[str, str] | None = None,
+    edges: tuple[float, float] = (-HALF_LANE, HALF_LANE), metadata: Mapping[str, str] | None = None,
 ) -> Scenario:  # fmt: skip
     """The scenario of a drive, without a name.
 
@@ -139,10 +139,9 @@ def finished(
         road: Of the scene.
         duration: Of the drive, s; a planner has `SPARE_S` more.
         begin: Station at which the goal begins, m; None: 10 m before the x at which the drive ends.
-        right: Edge of the goal, m to the left of the path; `left` likewise.
-        left: See there.
+        edges: Right and left edge of the goal, m to the left of the path.
         metadata: The accepted decisions, and what else is known.
     """
     first = float(driven.x[-1]) - 10.0 if begin is None else begin
-    goal = Goal((stretch(path, first, first + 40.0, right=right, left=left),))
+    goal = Goal((stretch(path, first, first + 40.0, right=edges[0], left=edges[1]),))
     return Scenario("", driven, tracks(agents), road, duration + SPARE_S, goal, metadata=dict(metadata or {}))

@@ -16,9 +16,8 @@ import msgspec
 import numpy as np
 
 from logs import road as nouns
-from logs.agents import codes_of
+from logs.agents import Change, Detections, Repair, codes_of
 from logs.codec import noun_of
-from logs.detections import Change, Detections, Repair
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.mcap import native, osi

@@ -25,7 +25,6 @@ from logs import trace as nouns
 from logs.codec import message_of, noun_of
 from logs.errors import LogError
 from logs.frame import Predictions
-from logs.frame_store import light
 from logs.mcap import native
 from logs.mcap.container import MEND, Container, Stream, read_container
 from logs.mcap.reader import marked_tracks, sampled, scenario_of, seconds
@@ -40,6 +39,7 @@ from logs.mcap.writer import (
     table_of,
     write_log,
 )
+from logs.memory import light
 from logs.scenario import Scenario, Tracks
 from logs.states import TRAJECTORY_COLUMNS, Controls
 

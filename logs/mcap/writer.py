@@ -23,8 +23,8 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 
+from logs.agents import Detections
 from logs.codec import message_of, scalar_as_number
-from logs.detections import Detections
 from logs.errors import LogError, writing
 from logs.kernel import BoolArray, FloatArray
 from logs.mcap import native

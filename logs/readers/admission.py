@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from logs.agents import USUAL_SIZE_M
-from logs.detections import Detections
+from logs.agents import USUAL_SIZE_M, Detections
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
 from logs.names import counted, visible_name

@@ -19,7 +19,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from logs.detections import Detections, Repair
+from logs.agents import Detections, Repair
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
 from logs.observed import clipped

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.detections import Detections, Repair
+from logs.agents import Detections, Repair
 from logs.mcap.complete import passed_width
 from logs.readers.admission import detections_within
 from logs.readers.cut import DETECTED_S, framed

@@ -13,8 +13,7 @@ from math import cos, hypot, sin
 
 import numpy as np
 
-from logs.agents import USUAL_SIZE_M, AgentKind, among
-from logs.detections import Detections
+from logs.agents import USUAL_SIZE_M, AgentKind, Detections, among
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
 from logs.shapes import corners
 

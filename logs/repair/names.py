@@ -15,8 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.agents import Agents
-from logs.detections import Detections, Repair
+from logs.agents import Agents, Detections, Repair
 from logs.kernel import FloatArray
 
 STEP_S, FASTEST_MPS, JUMPS = 0.5, 60.0, 0.02

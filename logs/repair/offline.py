@@ -18,8 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.agents import codes_of
-from logs.detections import Change, Detections, Repair
+from logs.agents import Change, Detections, Repair, codes_of
 from logs.kernel import FloatArray, IntArray, frozen
 from logs.repair.association import Association
 from logs.repair.boxes import CLUSTER, NOISE, OTHER_PART, PERSON, VEHICLE, Boxes, shares, stronger_twins

@@ -21,8 +21,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents
-from logs.detections import Detections
+from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents, Detections
 from logs.kernel import FloatArray, frozen
 from logs.repair.association import Association
 from logs.repair.boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, Boxes, stronger_twins

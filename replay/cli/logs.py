@@ -172,7 +172,7 @@ def inspect(
 ) -> None:
     """List what a log contains, over which time, and what is missing for which evaluation."""
     with handle_errors():
-        from logs.remote import here
+        from logs.files import here
         from logs.summary import summarise
         from replay.cli.progress import sign_of_life
         from replay.cli.repair import before

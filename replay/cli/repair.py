@@ -8,14 +8,14 @@ from dataclasses import astuple, fields, replace
 from io import StringIO
 from pathlib import Path
 
-from logs.detections import Change
+from logs.agents import Change
 from logs.errors import ConfigError, writing
 from logs.mcap import write_scenario
 from logs.readers import LogSettings, read_log, reader_of
 from logs.scenario import Scenario
 
 COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(Change))
-"""Of the table: those of `logs.detections.Change`."""
+"""Of the table: those of `logs.agents.Change`."""
 
 
 def repair_log(log: Path, target: Path, table: Path | None, settings: LogSettings) -> Scenario:

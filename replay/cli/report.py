@@ -38,7 +38,7 @@ def report(
       replan report results/run-001 --baseline baseline.parquet -o reports
     """
     with handle_errors():
-        from logs.remote import url_of
+        from logs.files import url_of
         from replay.compare import compare_runs, read_run
         from replay.diagnose.findings import read_diagnosis
         from replay.draw.report.overview import overview

@@ -63,7 +63,7 @@ def view(
     with handle_errors():
         import tempfile
 
-        from logs.remote import Near
+        from logs.files import Near
         from replay.draw.recording.pictures import LAYOUTS
         from replay.draw.view import picture, show
 

@@ -19,8 +19,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from logs.agents import AgentKind
-from logs.detections import Detections
+from logs.agents import AgentKind, Detections
 from logs.errors import ConfigError, writing
 from logs.scenario import Scenario
 

@@ -34,7 +34,7 @@ def merge(
     with handle_errors():
         from contextlib import ExitStack
 
-        from logs.remote import here
+        from logs.files import here
         from replay.config import load_run
         from replay.run.merge import gates_in
         from replay.run.merge import merge as merged

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logs.frame_store import loaded
 from logs.kernel import FloatArray, IntArray
+from logs.memory import loaded
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.states import Controls

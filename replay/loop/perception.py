@@ -19,7 +19,7 @@ import numpy as np
 from logs.extension import Kind
 from logs.frame import Frame, Predictions, Visibility
 from logs.kernel import FloatArray
-from logs.nearby import NearbyTracks
+from logs.memory import NearbyTracks
 from logs.scenario import Agents, Scenario, Tracks
 from logs.trace import Plan
 from replay.config import LoopConfig

@@ -24,7 +24,7 @@ import numpy as np
 from logs.agents import NUMBERS, Agents
 from logs.errors import LogError
 from logs.kernel import IntArray, frozen
-from logs.nearby import NearbyTracks
+from logs.memory import NearbyTracks
 from logs.repair.names import Owners
 from logs.scenario import Scenario
 from logs.states import wrapped

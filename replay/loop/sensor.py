@@ -26,7 +26,7 @@ import numpy as np
 from logs.agents import NUMBERS, OLDEST_S, codes_of
 from logs.frame import Visibility
 from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
-from logs.nearby import NearbyTracks
+from logs.memory import NearbyTracks
 from logs.scenario import Agents, Scenario
 from logs.shapes import corners
 from logs.states import wrap

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import FloatArray, IntArray, inner_kernel, kernel
-from logs.nearby import NearbyTracks
+from logs.memory import NearbyTracks
 from logs.road import Goal, Road, RoadSource, inside
 from logs.scenario import Scenario, Tracks
 from logs.shapes import point_segment

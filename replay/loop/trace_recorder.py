@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from logs.frame import Frame
-from logs.frame_store import FrameStore
+from logs.memory import FrameStore
 from logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
 from logs.trace import Plan, PlannedFrame, TrackingErrors
 from replay.vehicle.base import Vehicle

@@ -169,8 +169,8 @@ def _contact_times(
         if away - reach > horizon * closing or is_behind(rear_x, rear_y, yaw, pose[0, m], pose[1, m]):
             continue
         out[m] = time_to_contact(
-            x, y, yaw, car.length, car.width, vx, vy, pose[0, m], pose[1, m], pose[2, m], size[0], size[1],
-            pose[3, m], pose[4, m],
+            x, y, yaw, car.length, car.width, pose[0, m], pose[1, m], pose[2, m], size[0], size[1],
+            pose[3, m] - vx, pose[4, m] - vy,
         )  # fmt: skip
     return out
 

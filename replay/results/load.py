@@ -24,10 +24,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from logs.errors import ConfigError, LogError, unknown_name
-from logs.files import check_regular
+from logs.files import Near, check_regular
 from logs.kernel import FloatArray
 from logs.mcap import read_trace
-from logs.remote import Near
 from logs.scenario import Scenario
 from logs.trace import Decision, Plan, PlannedFrame, Trace
 from metrics.judge.aggregate import LogLabels

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError
+from logs.files import local_path, url_of
 from logs.mcap import read_scenario
 from logs.readers import LogSettings
-from logs.remote import local_path, url_of
 from logs.scenario import Scenario
 from replay.results.tables import ORIGIN, write_json
 from replay.run.sources import LogSource, log_hash, select

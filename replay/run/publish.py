@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from logs.errors import ConfigError, ReplanError
-from logs.remote import content, fetch, listed, local_path, put, put_new, remove, url_of
+from logs.files import content, fetch, listed, local_path, put, put_new, remove, url_of
 from replay.results.log_result import LogResult
 from replay.results.tables import FILES, LOCK, LOG_CARD, PARTIAL
 from replay.run.lock import card, has_ended

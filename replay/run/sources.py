@@ -16,7 +16,7 @@ from pathlib import Path
 
 from logs.catalogue import CATALOGUE, FAMILY, scenario, suite
 from logs.errors import ConfigError, LogError
-from logs.files import check_regular, read_toml
+from logs.files import RemoteFile, check_regular, fetch, heads, listed, local_path, ranged, read_toml, url_of
 from logs.maps import map_files
 from logs.readers import (
     FORMATS,
@@ -30,7 +30,6 @@ from logs.readers import (
     windows,
     with_tracks,
 )
-from logs.remote import RemoteFile, fetch, heads, listed, local_path, ranged, url_of
 from logs.scenario import Scenario
 from replay.results.tables import LOG_CARD
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from logs.catalogue import FAMILY, families
 from logs.catalogue.family import Family
 from logs.errors import ConfigError, LogError
+from logs.files import here
 from logs.readers import LogSettings
-from logs.remote import here
 from logs.scenario import Scenario
 from logs.variations import VARIATIONS, varied
 from replay.run.sources import LogSource

@@ -40,7 +40,7 @@ class Traffic(Protocol):
         """The tracks of the others up to `ego.t`; they have seen the ego's states until then.
 
         The tracks may reach beyond `ego.t`; readers take only what is known by then (`Tracks.perceived`). They may
-        hold only the road users around now (`logs.nearby.Recent`); the drive keeps their `whole`.
+        hold only the road users around now (`logs.memory.Recent`); the drive keeps their `whole`.
         """
         ...
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
-from logs.nearby import BACK_S, Recent, Spans, heads
+from logs.memory import BACK_S, Recent, Spans, heads
 from logs.scenario import Tracks
 
 PERIOD_S = 0.1

@@ -10,8 +10,8 @@ from typing import Any
 
 from logs.catalogue import CATALOGUE
 from logs.errors import ConfigError
+from logs.files import here
 from logs.readers import LogSettings
-from logs.remote import here
 from logs.scenario import Scenario
 from logs.variations import VARIATIONS
 from replay.config import RunConfig

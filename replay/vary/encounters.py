@@ -119,7 +119,7 @@ def _conflict(boxes: FloatArray, t: FloatArray, car: Car, others: Others, i: int
         x2, y2, yaw2, vx2, vy2 = pose[:5, k].tolist()
         if (x2 - x) * cos(yaw) + (y2 - y) * sin(yaw) + car.axle < 0.0:
             continue  # behind the rear axle
-        contact = time_to_contact(x, y, yaw, car.length, car.width, vx, vy, x2, y2, yaw2, length, width, vx2, vy2)
+        contact = time_to_contact(x, y, yaw, car.length, car.width, x2, y2, yaw2, length, width, vx2 - vx, vy2 - vy)
         least = min(least, contact) if contact <= SOON_S else least  # (2)
     return float(least) if least < inf else nan
 

@@ -10,9 +10,9 @@ import msgspec
 import pytest
 
 from logs.catalogue import scenario
-from logs.frame_store import Filed, FrameStore, light
 from logs.mcap import write_trace
 from logs.mcap.trace import plan_message
+from logs.memory import Filed, FrameStore, light
 from logs.trace import Graph, PlannedFrame
 from metrics import evaluate
 from replay.drive import Drive

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import AgentKind, Agents, Tracks
-from logs.nearby import BACK_S, SPAN_S, NearbyTracks, Recent
+from logs.memory import BACK_S, SPAN_S, NearbyTracks, Recent
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from replay.world import World, contact

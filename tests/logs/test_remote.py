@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from logs.errors import ConfigError
-from logs.remote import heads, listed
+from logs.files import heads, listed
 
 fsspec = pytest.importorskip("fsspec", reason="the extra s3 is not installed: pip install 'replan[s3]'")
 

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from logs.shapes import corners, distance, overlap, point_segment, time_to_contact
+from logs import shapes
+from logs.shapes import corners, distance, overlap, point_segment
 
 place, angle, side, rate = st.floats(-8.0, 8.0), st.floats(-7.0, 7.0), st.floats(0.3, 6.0), st.floats(-5.0, 5.0)
 box = st.tuples(place, place, angle, side, side)
@@ -36,6 +37,10 @@ def point_to_box(b: Box, points: np.ndarray) -> np.ndarray:
 def sampled_distance(one: Box, two: Box) -> float:
     """Upper bound by points on the edges: exact where a corner is the nearest point."""
     return min(point_to_box(one, outline(two)).min(), point_to_box(two, outline(one)).min())
+
+
+def time_to_contact(one: Box, v1: tuple, two: Box, v2: tuple) -> float:
+    return shapes.time_to_contact(*one, *two, v2[0] - v1[0], v2[1] - v1[1])
 
 
 def turned(b: Box, turn: float, dx: float, dy: float) -> Box:
@@ -98,7 +103,7 @@ def test_all_are_symmetric_in_the_boxes(one: Box, two: Box) -> None:
 
 @given(box, box, velocity, velocity)
 def test_time_to_contact_is_symmetric(one: Box, two: Box, v1: tuple, v2: tuple) -> None:
-    forth, back = time_to_contact(*one, *v1, *two, *v2), time_to_contact(*two, *v2, *one, *v1)
+    forth, back = time_to_contact(one, v1, two, v2), time_to_contact(two, v2, one, v1)
     assert forth == back or forth == pytest.approx(back, abs=1e-9)
 
 
@@ -110,16 +115,16 @@ def test_invariant_under_turning_shifting_and_mirroring(
     moved = distance(*turned(one, turn, dx, dy), *turned(two, turn, dx, dy))
     assert gap == pytest.approx(moved, abs=1e-7)
     assert distance(*mirrored(one), *mirrored(two)) == pytest.approx(gap, abs=1e-9)
-    touch = time_to_contact(*one, *v1, *two, *v2)
+    touch = time_to_contact(one, v1, two, v2)
     w1, w2 = (turned((*v, 0.0, 1.0, 1.0), turn, 0.0, 0.0)[:2] for v in (v1, v2))
-    again = time_to_contact(*turned(one, turn, dx, dy), *w1, *turned(two, turn, dx, dy), *w2)
+    again = time_to_contact(turned(one, turn, dx, dy), w1, turned(two, turn, dx, dy), w2)
     grazing = _closest(one, two, v1, v2) < 1e-4
     assert grazing or touch == again == inf or again == pytest.approx(touch, abs=1e-5, rel=1e-5)
 
 
 def _closest(one: Box, two: Box, v1: tuple, v2: tuple) -> float:
     """How nearly the outcome turns over: |margin| by which a slightly larger box changes the answer."""
-    a, b = (time_to_contact(*grown(one, by), *v1, *two, *v2) for by in (1e-4, -1e-4))
+    a, b = (time_to_contact(grown(one, by), v1, two, v2) for by in (1e-4, -1e-4))
     return inf if (a == inf) == (b == inf) and (a == b or abs(a - b) < 1.0) else 0.0
 
 
@@ -127,7 +132,7 @@ def _closest(one: Box, two: Box, v1: tuple, v2: tuple) -> float:
 @given(box, box, velocity, velocity)
 def test_time_to_contact_is_when_stepping_finds_the_first_touch(one: Box, two: Box, v1: tuple, v2: tuple) -> None:
     assume(_closest(one, two, v1, v2) > 0.0)
-    exact, step = time_to_contact(*one, *v1, *two, *v2), 0.01
+    exact, step = time_to_contact(one, v1, two, v2), 0.01
     found = inf
     for t in np.arange(0.0, 8.0, step):
         at = ((b[0] + t * v[0], b[1] + t * v[1], *b[2:]) for b, v in ((one, v1), (two, v2)))
@@ -147,7 +152,7 @@ def test_time_to_contact_is_when_stepping_finds_the_first_touch(one: Box, two: B
 
 @given(box, box, velocity)
 def test_no_relative_motion_touches_now_or_never(one: Box, two: Box, v: tuple) -> None:
-    assert time_to_contact(*one, *v, *two, *v) == (0.0 if overlap(*one, *two) else inf)
+    assert time_to_contact(one, v, two, v) == (0.0 if overlap(*one, *two) else inf)
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.5, 1.5, 2.1, 3.14159, -2.0])
@@ -156,12 +161,12 @@ def test_lead_vehicle_examples(turn: float) -> None:
     a, b = turned(ego, turn, 5.0, -3.0), turned(lead, turn, 5.0, -3.0)
     fast, slow = ((v * cos(turn), v * sin(turn)) for v in (15.0, 10.0))
     assert distance(*a, *b) == pytest.approx(30.0)
-    assert time_to_contact(*a, *fast, *b, *slow) == pytest.approx(6.0)
-    assert time_to_contact(*a, *slow, *b, *fast) == inf
+    assert time_to_contact(a, fast, b, slow) == pytest.approx(6.0)
+    assert time_to_contact(a, slow, b, fast) == inf
 
 
 def test_a_thin_box_cannot_slip_through() -> None:
-    assert time_to_contact(0, 0, 0, 4, 2, 0, 0, 0, 30, 0, 0.01, 0.01, 0, -1000) == pytest.approx(0.028995)
+    assert shapes.time_to_contact(0, 0, 0, 4, 2, 0, 30, 0, 0.01, 0.01, 0, -1000) == pytest.approx(0.028995)
 
 
 def test_touching_boxes_overlap_and_a_segment_has_length() -> None:

@@ -185,7 +185,7 @@ def test_gap_and_ttc_are_the_least_over_all_agents(seed: int) -> None:
             gap.append(distance(*ego, *box))
             behind = np.degrees(np.abs(np.arctan2(others.y[i], others.x[i] - 7.0 * t))) > 150.0
             if not behind:
-                ttc.append(time_to_contact(*ego, 7.0, 0.0, *box, others.vx[i], others.vy[i]))
+                ttc.append(time_to_contact(*ego, *box, others.vx[i] - 7.0, others.vy[i]))
         assert gaps[k] == pytest.approx(min(gap), abs=1e-9)
         assert times[k] == pytest.approx(min(ttc), abs=1e-6) if min(ttc) < 10.0 else np.isnan(times[k])
 

@@ -27,7 +27,7 @@ from logs import (
     Trajectory,
     VehicleParameters,
 )
-from logs.detections import Change, Detections, Repair
+from logs.agents import Change, Detections, Repair
 
 START_NS = 1_700_000_000_123_456_789
 RECORD = {"replan.scenario": {"format_version": "1", "name": "by hand"}}

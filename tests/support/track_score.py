@@ -17,8 +17,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from logs import AgentKind, Scenario
+from logs.agents import Detections
 from logs.catalogue.detector import Sight, detected, sight
-from logs.detections import Detections
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers import read_log
 from logs.repair import Tracked, repair

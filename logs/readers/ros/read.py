@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.detections import Detections
+from logs.agents import Detections
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap.complete import derived_acceleration, derived_curvature, road_along

@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from logs.agents import USUAL_SIZE_M, AgentKind, codes_of
-from logs.detections import Detections
+from logs.agents import USUAL_SIZE_M, AgentKind, Detections, codes_of
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers.ros.ego import AGENT_WINDOW_S, OBJECT_WINDOW_S, rates, spread
 from logs.repair.names import no_identities

@@ -15,10 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from logs.frame_store import light
 from logs.kernel import FloatArray
-from logs.memory import trim_memory
-from logs.nearby import NearbyTracks
+from logs.memory import NearbyTracks, light, trim_memory
 from logs.scenario import Scenario
 from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
 from replay.draw.model import DrawnGraph, motion_panels, stage_panel, steps_of

@@ -9,8 +9,8 @@ import pytest
 from track_score import repaired_score
 
 from logs import ConfigError, Scenario
+from logs.agents import Detections
 from logs.catalogue import CATALOGUE, FAMILIES, raw
-from logs.detections import Detections
 from logs.readers import read_log
 from logs.repair import needs_repair
 from replay.cli.synth import ROS2, synthesise

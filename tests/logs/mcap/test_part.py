@@ -15,7 +15,7 @@ from mcap.writer import Writer
 from mcap_cases import differences
 
 from logs import Scenario
-from logs.detections import Repair
+from logs.agents import Repair
 from logs.mcap import write_scenario
 from logs.mcap.container import read_container
 from logs.mcap.records import write_part

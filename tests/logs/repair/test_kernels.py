@@ -12,10 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import AgentKind
-from logs.agents import codes_of
+from logs.agents import Detections, codes_of
 from logs.catalogue import CATALOGUE
 from logs.catalogue.detector import detected
-from logs.detections import Detections
 from logs.kernel import BoolArray, FloatArray
 from logs.readers import read_log
 from logs.repair import detections_of, needs_repair

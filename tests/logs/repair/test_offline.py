@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from track_score import repaired_score
 
 from logs import AgentKind, Scenario, Trajectory
-from logs.agents import codes_of
+from logs.agents import Detections, Repair, codes_of
 from logs.catalogue.detector import detected
-from logs.detections import Detections, Repair
 from logs.kernel import FloatArray, IntArray
 from logs.readers import read_log
 from logs.repair import detections_of, repair

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from track_score import near_ego, reported, score, tracked_points, true_points
 
 from logs import Agents, Scenario
-from logs.agents import NUMBERS, OLDEST_S
+from logs.agents import NUMBERS, OLDEST_S, Detections
 from logs.catalogue.detector import detected, sight
-from logs.detections import Detections
 from logs.readers import read_log
 from logs.repair import Tracked, detections_of, tracked
 

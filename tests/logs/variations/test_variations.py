@@ -16,8 +16,7 @@ from logs import AgentKind, ConfigError, Goal, LogError, Scenario
 from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
 from logs.mcap import read_scenario, write_scenario
-from logs.variations import VARIATIONS, varied
-from logs.variations.ego import driven_line
+from logs.variations import VARIATIONS, driven_line, varied
 
 STEP = 0.1
 T = np.arange(0.0, 8.05, STEP)

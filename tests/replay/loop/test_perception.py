@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import AgentKind, Agents, ConfigError, EgoState, Frame, LogError, Scenario, Tracks, VehicleParameters
-from logs.detections import Detections, Repair
+from logs.agents import Detections, Repair
 from logs.kernel import FloatArray
 from logs.repair import detections_of
 from logs.repair.names import named_as_tracked

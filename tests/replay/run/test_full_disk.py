@@ -16,8 +16,8 @@ from short_logs import QUICK, identical, run
 from typer.testing import CliRunner
 
 from logs.errors import OutputError
-from logs.frame_store import Scratch
 from logs.mcap import read_scenario, write_scenario, write_trace
+from logs.memory import Scratch
 from logs.scenario import Scenario
 from logs.trace import Trace
 from metrics import evaluate, evaluate_with_series

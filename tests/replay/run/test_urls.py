@@ -13,8 +13,8 @@ import pytest
 from command_line import CliRunner, app
 from short_logs import short
 
+from logs.files import listed, local_path, url_of
 from logs.mcap import write_scenario
-from logs.remote import listed, local_path, url_of
 from replay.results.load import load
 from replay.run.sources import select
 

@@ -137,7 +137,7 @@ def test_around_an_ego_that_drives_as_logged_all_drive_as_logged(mode: str) -> N
 
 @pytest.mark.parametrize("mode", ["give_way", "reactive", "ego_position"])
 def test_those_around_now_are_as_all_have_them(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("logs.nearby.BACK_S", 3.0)
+    monkeypatch.setattr("logs.memory.BACK_S", 3.0)
     monkeypatch.setattr("replay.traffic.phase_replay.BACK_S", 3.0)
     log, fewer = busy(3), 0
     traffic = TRAFFIC[mode](log)

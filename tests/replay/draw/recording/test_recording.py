@@ -29,7 +29,7 @@ from logs import (
     StGraph,
     Tracks,
 )
-from logs.detections import Repair
+from logs.agents import Repair
 from logs.errors import ConfigError, OutputError
 from logs.kernel import FloatArray
 from logs.observed import MAX_AGE_S

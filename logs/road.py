@@ -185,13 +185,6 @@ class Road:
         return cls({0: lane}, RoadSource.DRIVEN_PATH, default_speed_limit=speed_limit)
 
 
-def _in_arc(yaw: float, first: float, last: float, slack: float = 1e-9) -> bool:
-    """Whether a heading lies in the arc from `first` counter-clockwise to `last`; 2 pi and more is any heading."""
-    if last - first >= 2.0 * np.pi - slack:
-        return True
-    return bool((yaw - first + slack) % (2.0 * np.pi) <= (last - first) % (2.0 * np.pi) + 2.0 * slack)
-
-
 @dataclass(frozen=True, eq=False)
 class Goal:
     """Where, when and how the ego should arrive; what is None is free.
@@ -248,8 +241,10 @@ class Goal:
             return False
         if self.v is not None and not self.v[0] <= v <= self.v[1]:
             return False
-        if self.yaw is not None and not _in_arc(yaw, *self.yaw):
-            return False
+        if self.yaw is not None and self.yaw[1] - self.yaw[0] < 2.0 * np.pi - 1e-9:  # 2 pi and more is any heading
+            arc = (self.yaw[1] - self.yaw[0]) % (2.0 * np.pi)
+            if not (yaw - self.yaw[0] + 1e-9) % (2.0 * np.pi) <= arc + 2.0 * 1e-9:
+                return False
         return self.holds_place(x, y)
 
 

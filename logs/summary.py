@@ -18,7 +18,7 @@ from logs.names import counted
 from logs.observed import ENOUGH, MAX_AGE_S, Spans, clipped, described
 from logs.readers import LogSettings, read_log, reader_of
 from logs.readers.base import Contents, TopicSummary
-from logs.road import Goal, Road, RoadSource
+from logs.road import Goal, RoadSource
 from logs.scenario import Scenario
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
@@ -84,6 +84,29 @@ class ScenarioSummary:
     metadata: Mapping[str, str]
     notes: tuple[str, ...]
 
+    def lines(self) -> list[str]:
+        """The scenario as text, one line each."""
+        road, agents = self.road, ", ".join(counted(count, kind) for kind, count in self.agents.items())
+        ego = f"{counted(self.ego_samples, 'state')} from {self.ego_span[0]:.2f} to {self.ego_span[1]:.2f} s"
+        if self.ego_samples > 1:
+            ego += f" ({self.ego_rate:.1f} Hz), {self.ego_speed[0]:.1f} to {self.ego_speed[1]:.1f} m/s"
+        return [
+            f"name: {self.name}" + (f" [{', '.join(self.tags)}]" if self.tags else ""),
+            f"source: {self.source or 'not stated'}; licence: {self.licence or 'not stated'}",
+            f"duration: {self.duration:.2f} s",
+            f"ego: {ego}",
+            f"agents: {agents or 'none'}; obstacles: {self.obstacles}; recorded {described(self.traffic)} of"
+            f" {self.duration:.1f} s",
+            f"road: {counted(road.lanes, 'lane')} ({road.drivable} drivable), {road.length_km:.2f} km,"
+            f" {road.without_speed_limit} without speed limit; {road.source}",
+            f"rules: {counted(road.stop_lines, 'stop line')} ({road.with_light} with a light, {road.must_stop} with a"
+            f" stop sign), {counted(self.lights, 'light')}, {counted(road.crosswalks, 'crosswalk')},"
+            f" {counted(road.giving_way, 'lane')} giving way",
+            f"goal: {self.goal or 'none'}",
+            *(f"metadata {key}: {value}" for key, value in self.metadata.items()),
+            *(f"note: {note}" for note in self.notes),
+        ]
+
 
 @dataclass(frozen=True)
 class LogSummary:
@@ -107,7 +130,7 @@ class LogSummary:
                 line += f", {topic.first_ns / 1e9:.3f} to {topic.last_ns / 1e9:.3f} s"
             out.append(line)
         if self.scenario is not None:
-            out += _scenario_lines(self.scenario)
+            out += self.scenario.lines()
         out += [f"{'yes' if e.possible else 'no ':3}  {e.name}: {e.reason}" for e in self.evaluations]
         if self.error is not None:
             out.append(f"error: {self.error}")
@@ -143,25 +166,10 @@ def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
 
 
 def _scenario(scenario: Scenario) -> ScenarioSummary:
-    ego, tracks = scenario.ego, scenario.tracks
-    span = float(ego.t[-1] - ego.t[0])
+    ego, tracks, road = scenario.ego, scenario.tracks, scenario.road
+    lanes, span = road.lanes.values(), float(ego.t[-1] - ego.t[0])
     kinds = Counter(kind.value for kind, static in zip(tracks.kinds, tracks.static, strict=True) if not static)
-    return ScenarioSummary(
-        name=scenario.name, source=scenario.source, licence=scenario.licence, tags=scenario.tags,
-        duration=scenario.duration, traffic=scenario.traffic_spans, ego_samples=len(ego),
-        ego_span=(float(ego.t[0]), float(ego.t[-1])),
-        ego_rate=(len(ego) - 1) / span if span > 0.0 else float("nan"),
-        ego_speed=(float(ego.v.min()), float(ego.v.max())), agents=dict(kinds.most_common()),
-        obstacles=int(tracks.static.sum()), road=_road(scenario.road), lights=len(scenario.lights),
-        goal=None if scenario.goal is None else _goal(scenario.goal),
-        controls=0 if scenario.controls is None else len(scenario.controls), metadata=scenario.metadata,
-        notes=scenario.notes,
-    )  # fmt: skip
-
-
-def _road(road: Road) -> RoadSummary:
-    lanes = road.lanes.values()
-    return RoadSummary(
+    found = RoadSummary(
         source=road.source.value, lanes=len(lanes), drivable=sum(lane.drivable for lane in lanes),
         length_km=sum(lane.length for lane in lanes) / 1000.0,
         without_speed_limit=sum(not np.isfinite(lane.speed_limit) for lane in lanes),
@@ -169,6 +177,17 @@ def _road(road: Road) -> RoadSummary:
         with_light=sum(line.light is not None for line in road.stop_lines),
         must_stop=sum(line.must_stop for line in road.stop_lines), crosswalks=len(road.crosswalks),
         giving_way=sum(bool(lane.yields_to) for lane in lanes),
+    )  # fmt: skip
+    return ScenarioSummary(
+        name=scenario.name, source=scenario.source, licence=scenario.licence, tags=scenario.tags,
+        duration=scenario.duration, traffic=scenario.traffic_spans, ego_samples=len(ego),
+        ego_span=(float(ego.t[0]), float(ego.t[-1])),
+        ego_rate=(len(ego) - 1) / span if span > 0.0 else float("nan"),
+        ego_speed=(float(ego.v.min()), float(ego.v.max())), agents=dict(kinds.most_common()),
+        obstacles=int(tracks.static.sum()), road=found, lights=len(scenario.lights),
+        goal=None if scenario.goal is None else _goal(scenario.goal),
+        controls=0 if scenario.controls is None else len(scenario.controls), metadata=scenario.metadata,
+        notes=scenario.notes,
     )  # fmt: skip
 
 
@@ -199,22 +218,7 @@ def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, .
     limits = f"{unlimited} of {len(road.lanes)} lanes have none: {road.default_speed_limit:.1f} m/s is assumed there"
     vehicle = "the log's vehicle" if has_vehicle else "vehicle partly or all assumed"
     controls = scenario.controls is not None
-    return (
-        Evaluation("open loop against the driven ego", len(ego) > 1, compared),
-        Evaluation("closed loop", scenario.duration > 0.0, lasting),
-        Evaluation("collisions, gaps, time to collision", len(tracks) > 0 and met, others),
-        Evaluation("goal reached", scenario.goal is not None, "named in the log" if scenario.goal else "no goal"),
-        Evaluation("off road, lane keeping", lanes, road.source.value),
-        Evaluation("speed limits", lanes and unlimited < len(road.lanes), limits if lanes else "no lanes"),
-        Evaluation("lights, stop signs, crosswalks, right of way", *_rules(scenario)),
-        Evaluation("tracking", scenario.duration > 0.0, vehicle),
-        Evaluation("steering and pedals against the log", controls, "logged" if controls else "no /controls"),
-    )
-
-
-def _rules(scenario: Scenario) -> tuple[bool, str]:
-    """Whether there are rules that can be kept or broken, and which."""
-    road, shown = scenario.road, {light.id for light in scenario.lights}
+    shown = {light.id for light in scenario.lights}
     counts = {
         "stop line": sum(line.light in shown for line in road.stop_lines),
         "stop sign": sum(line.must_stop for line in road.stop_lines),
@@ -222,28 +226,15 @@ def _rules(scenario: Scenario) -> tuple[bool, str]:
         "lane": sum(bool(lane.yields_to) for lane in road.lanes.values()),
     }
     detail = {"stop line": " with a light", "lane": " giving way"}
-    held = ", ".join(f"{counted(count, name)}{detail.get(name, '')}" for name, count in counts.items() if count)
-    return bool(held), held or "the log names none"
-
-
-def _scenario_lines(scenario: ScenarioSummary) -> list[str]:
-    road, agents = scenario.road, ", ".join(counted(count, kind) for kind, count in scenario.agents.items())
-    ego = f"{counted(scenario.ego_samples, 'state')} from {scenario.ego_span[0]:.2f} to {scenario.ego_span[1]:.2f} s"
-    if scenario.ego_samples > 1:
-        ego += f" ({scenario.ego_rate:.1f} Hz), {scenario.ego_speed[0]:.1f} to {scenario.ego_speed[1]:.1f} m/s"
-    return [
-        f"name: {scenario.name}" + (f" [{', '.join(scenario.tags)}]" if scenario.tags else ""),
-        f"source: {scenario.source or 'not stated'}; licence: {scenario.licence or 'not stated'}",
-        f"duration: {scenario.duration:.2f} s",
-        f"ego: {ego}",
-        f"agents: {agents or 'none'}; obstacles: {scenario.obstacles}; recorded {described(scenario.traffic)} of"
-        f" {scenario.duration:.1f} s",
-        f"road: {counted(road.lanes, 'lane')} ({road.drivable} drivable), {road.length_km:.2f} km,"
-        f" {road.without_speed_limit} without speed limit; {road.source}",
-        f"rules: {counted(road.stop_lines, 'stop line')} ({road.with_light} with a light, {road.must_stop} with a"
-        f" stop sign), {counted(scenario.lights, 'light')}, {counted(road.crosswalks, 'crosswalk')},"
-        f" {counted(road.giving_way, 'lane')} giving way",
-        f"goal: {scenario.goal or 'none'}",
-        *(f"metadata {key}: {value}" for key, value in scenario.metadata.items()),
-        *(f"note: {note}" for note in scenario.notes),
-    ]
+    rules = ", ".join(f"{counted(count, name)}{detail.get(name, '')}" for name, count in counts.items() if count)
+    return (
+        Evaluation("open loop against the driven ego", len(ego) > 1, compared),
+        Evaluation("closed loop", scenario.duration > 0.0, lasting),
+        Evaluation("collisions, gaps, time to collision", len(tracks) > 0 and met, others),
+        Evaluation("goal reached", scenario.goal is not None, "named in the log" if scenario.goal else "no goal"),
+        Evaluation("off road, lane keeping", lanes, road.source.value),
+        Evaluation("speed limits", lanes and unlimited < len(road.lanes), limits if lanes else "no lanes"),
+        Evaluation("lights, stop signs, crosswalks, right of way", bool(rules), rules or "the log names none"),
+        Evaluation("tracking", scenario.duration > 0.0, vehicle),
+        Evaluation("steering and pedals against the log", controls, "logged" if controls else "no /controls"),
+    )

@@ -21,7 +21,7 @@ import numpy as np
 
 from logs.agents import Detections
 from logs.kernel import FloatArray
-from logs.road import Goal, Lane, Road
+from logs.road import Goal, Road
 from logs.scenario import Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
 
@@ -74,8 +74,17 @@ def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
     first sample.
     """
     tracks, ego = scenario.tracks, scenario.ego
-    times = [_seen(tracks, i, rate_hz) for i in range(len(tracks))]
-    columns = [_between(tracks, i, t) for i, t in enumerate(times)]
+    times, columns = [], []
+    for i in range(len(tracks)):
+        mine = tracks.samples(i)
+        old, t = tracks.t[mine], tracks.t[mine]
+        if not tracks.static[i]:  # a static one stays as it was
+            t = _multiples(old, rate_hz)
+            k = np.searchsorted(old, t + 1e-9, side="right") - 1
+            kept = t[~(tracks.gap_after[mine][k] & (t > old[k] + 1e-9))]
+            t = kept if len(kept) else old[:1]
+        times.append(t)
+        columns.append(_between(tracks, i, t))
     x, y, yaw, vx, vy = np.hstack(columns) if columns else np.empty((5, 0))
     offsets = np.r_[0, np.cumsum([len(t) for t in times])].astype(np.int64)
     t = np.concatenate([np.empty(0), *times])
@@ -85,18 +94,6 @@ def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
         ego=ego.resampled(asked[np.r_[True, np.diff(asked) > 1e-6]]) if len(ego) > 1 else ego,
         tracks=replace(tracks, offsets=offsets, t=t, x=x, y=y, yaw=yaw, vx=vx, vy=vy),
     )
-
-
-def _seen(tracks: Tracks, i: int, rate_hz: float) -> FloatArray:
-    """When a track is sampled at `rate_hz`: not in its gaps; a static one as it was."""
-    mine = tracks.samples(i)
-    old = tracks.t[mine]
-    if tracks.static[i]:
-        return old
-    t = _multiples(old, rate_hz)
-    k = np.searchsorted(old, t + 1e-9, side="right") - 1
-    kept = t[~(tracks.gap_after[mine][k] & (t > old[k] + 1e-9))]
-    return kept if len(kept) else old[:1]
 
 
 def _multiples(t: FloatArray, rate_hz: float) -> FloatArray:
@@ -155,6 +152,11 @@ def mirrored(scenario: Scenario) -> Scenario:
     Sizes, times, speeds, right of way, lights, and the name except for its ending stay.
     """
     goal, controls, name = scenario.goal, scenario.controls, scenario.name
+
+    def flipped(one: Goal) -> Goal:
+        yaw = None if one.yaw is None else (-one.yaw[1], -one.yaw[0])
+        return replace(one, regions=tuple(region[::-1] * _FLIP for region in one.regions), yaw=yaw)
+
     metadata = dict(scenario.metadata)
     if "expected_decisions" in metadata:
         text = metadata["expected_decisions"].replace("nudge left", "nudge\0").replace("nudge right", "nudge left")
@@ -166,7 +168,7 @@ def mirrored(scenario: Scenario) -> Scenario:
         onboard=_with_trajectories(scenario.onboard, mirrored_trajectory),
         **_with_boxes(scenario, lambda one: replace(one, y=-one.y, yaw=-one.yaw, vy=-one.vy)),
         road=_mirrored_road(scenario.road),
-        goal=None if goal is None else goal.changed(_mirrored_goal),
+        goal=None if goal is None else goal.changed(flipped),
         controls=None if controls is None else Controls(controls.t, -controls.steer, controls.throttle, controls.brake),
         origin=(scenario.origin[0], -scenario.origin[1]),
         metadata=metadata,
@@ -235,29 +237,19 @@ def placed_road(road: Road, points: _Points) -> Road:
 
 
 def _mirrored_road(road: Road) -> Road:
+    lanes = {
+        lane.id: replace(
+            lane, left=lane.right * _FLIP, right=lane.left * _FLIP,
+            left_neighbour=lane.right_neighbour, right_neighbour=lane.left_neighbour,
+            left_opposite=lane.right_opposite, right_opposite=lane.left_opposite,
+            left_crossable=lane.right_crossable, right_crossable=lane.left_crossable,
+        )
+        for lane in road.lanes.values()
+    }  # fmt: skip
     return replace(
         road,
-        lanes={lane.id: _mirrored_lane(lane) for lane in road.lanes.values()},
+        lanes=lanes,
         drives_on_right=not road.drives_on_right,
         stop_lines=tuple(replace(line, points=line.points[::-1] * _FLIP) for line in road.stop_lines),
         crosswalks=tuple(replace(each, polygon=each.polygon[::-1] * _FLIP) for each in road.crosswalks),
     )
-
-
-def _mirrored_lane(lane: Lane) -> Lane:
-    return replace(
-        lane,
-        left=lane.right * _FLIP,
-        right=lane.left * _FLIP,
-        left_neighbour=lane.right_neighbour,
-        right_neighbour=lane.left_neighbour,
-        left_opposite=lane.right_opposite,
-        right_opposite=lane.left_opposite,
-        left_crossable=lane.right_crossable,
-        right_crossable=lane.left_crossable,
-    )
-
-
-def _mirrored_goal(goal: Goal) -> Goal:
-    yaw = None if goal.yaw is None else (-goal.yaw[1], -goal.yaw[0])
-    return replace(goal, regions=tuple(region[::-1] * _FLIP for region in goal.regions), yaw=yaw)

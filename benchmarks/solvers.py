@@ -31,8 +31,8 @@ from scipy.optimize import linprog
 from logs.kernel import FloatArray
 from planners.dp_qp.path import qp as path_qp
 from planners.dp_qp.speed import qp as speed_qp
-from planners.piecewise_jerk.problem import PiecewiseJerkProblem, matrices, structure, vectors
-from planners.piecewise_jerk.solvers import SOLVERS, solve
+from planners.piecewise_jerk.problem import PiecewiseJerkProblem
+from planners.piecewise_jerk.solvers import SOLVERS, matrices, solve, structure, vectors
 from planners.qp import QPResult
 from replay.loop.closed_loop import run_closed_loop
 from replay.run.sources import LogSource, builtin_suite

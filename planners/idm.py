@@ -29,10 +29,9 @@ from logs.states import EgoState
 from logs.trace import Artefact, Corridor, Internals, Plan, SlGraph, StGraph
 from logs.vehicle import VehicleParameters
 from planners.frenet.fallback import along, fall_back
-from planners.frenet.occupancy import Occupancy, on_path
 from planners.frenet.path import Path, make_path, quintic
 from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, limit_profile
-from planners.frenet.scene import RouteTracker, Scene, behind
+from planners.frenet.scene import Occupancy, RouteTracker, Scene, behind, on_path
 from planners.frenet.st_boundaries import (
     StBoundaries,
     StGraphConfig,

@@ -1,13 +1,13 @@
 """The paper's planner: route -> candidate lanes -> (path DP, path QP) -> (speed DP, speed QP) -> choice -> trajectory.
 
-    path      which side of each obstacle, the smoothest path            stage, bounds, dp, qp, steering, oncoming_lane
-    speed     the order of passing, the smoothest speed, the braking     stage, problem, dp, qp, doubt, braking
-    scene     what asks to drive slower; the goal; who is passed         caps, goal_window, moving_obstacles
-    lane      both stages in one lane and what that costs; passing;      plan, passing, choice
-              keep the lane or change, and who would be endangered
+    path      which side of each obstacle, the smoothest path; passing   stage, bounds, corridor, dp, qp, passing
+    speed     the order of passing, the smoothest speed, the braking     stage, caps, problem, dp, qp, doubt, braking
+    lane      both stages in one lane and what that costs
+    choice    keep the lane, pass within it, or change, and who would be endangered
+    goal_window    arriving when, as fast and where the goal says
 
-What the speed DP sees of the obstacles: `frenet.st_boundaries` (when they take the path), `frenet.occupancy` (stops),
-`speed.doubt` (how far a prediction binds), `scene.caps` (limits of speed), and `speed.problem`, which joins these.
+What the speed DP sees of the obstacles: `frenet.st_boundaries` (when they take the path), `frenet.scene` (stops),
+`speed.doubt` (how far a prediction binds), `speed.caps` (limits of speed), and `speed.problem`, which joins these.
 
 Cost to go, reference path, start, S-T boundaries and fallback are those of `planners.frenet`. docs/planner.md has the
 picture.

@@ -8,10 +8,9 @@ from math import inf
 from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
 from logs.trace import Artefact, Internals, Plan, PlanStatus
+from planners.dp_qp.choice import PassMemory, choose, hopeless, passing, worth_looking
 from planners.dp_qp.config import DpQpConfig
-from planners.dp_qp.lane.choice import choose, hopeless, worth_looking
-from planners.dp_qp.lane.passing import PassMemory, passing
-from planners.dp_qp.lane.plan import LaneMemory, LanePlan, LanePlanner
+from planners.dp_qp.lane import LaneMemory, LanePlan, LanePlanner
 from planners.frenet.fallback import Stops, along, fall_back
 from planners.frenet.lane_sequence import LaneSequence, LaneSequences
 from planners.frenet.scene import start_of

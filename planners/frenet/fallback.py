@@ -18,7 +18,7 @@ from logs.shapes import overlap
 from logs.states import EgoState, Trajectory
 from logs.trace import Artefact, Plan, PlanStart, PlanStatus
 from logs.vehicle import VehicleParameters
-from planners.frenet.path import Path, states_on_path
+from planners.frenet.path import Path, path_through, states_on_path
 from planners.frenet.profiles import COMFORT, EMERGENCY, HORIZON_KNOTS, STEP_S, SpeedLimits, braking
 
 MIN_REST_S = 3.0
@@ -67,7 +67,9 @@ def fall_back(
     if rest is not None and not meets(rest, frame, vehicle):
         return Plan(rest, PlanStatus.PREVIOUS, reason, PlanStart.PREVIOUS_PLAN, artefacts)
     stitched = rest is not None and start_kind is PlanStart.PREVIOUS_PLAN and rest.v[0] > 0.5
-    path = path or (_path_of(rest) if rest is not None and stitched else None)
+    if path is None and rest is not None and stitched:
+        kept = path_through(rest.x, rest.y, rest.yaw, rest.kappa)
+        path = kept if len(kept.sigma) > 1 else None
     if path is None:
         sigma, still = np.linspace(0.0, 200.0, 201), np.zeros(201)
         x, y = start.x + sigma * np.cos(start.yaw), start.y + sigma * np.sin(start.yaw)
@@ -102,13 +104,3 @@ def _meets(ego: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, sizes
             if overlap(cx, cy, ego[2, k], car[1], car[2], x[i, k], y[i, k], yaw[i, k], sizes[0, i], sizes[1, i]):
                 return True
     return False
-
-
-def _path_of(trajectory: Trajectory) -> Path | None:
-    step = np.hypot(np.diff(trajectory.x), np.diff(trajectory.y))
-    keep = np.r_[True, step > 1e-3]
-    if keep.sum() < 2:
-        return None
-    x, y, yaw, kappa = (column[keep] for column in (trajectory.x, trajectory.y, trajectory.yaw, trajectory.kappa))
-    sigma = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
-    return Path(sigma, x, y, yaw, kappa, sigma)

@@ -113,6 +113,14 @@ def make_path(line: ReferenceLine, s0: float, step: float, offsets: FloatArray) 
     return drivable_path(line, s0, step, offsets, inf, inf)[0]
 
 
+def path_through(x: FloatArray, y: FloatArray, yaw: FloatArray, kappa: FloatArray) -> Path:
+    """The path through points `(n,)`, those nearer than a millimetre to the one before left out."""
+    keep = np.r_[True, np.hypot(np.diff(x), np.diff(y)) > 1e-3]
+    x, y, yaw, kappa = (column[keep] for column in (x, y, yaw, kappa))
+    sigma = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
+    return Path(sigma, x, y, yaw, kappa, sigma)
+
+
 def out_of_frame(line: ReferenceLine, state: EgoState, s: float, l: float) -> str:  # noqa: E741
     """Why a state with foot point (s, l) has no l', l'' in the Frenet frame; empty where it has."""
     _, _, yaw_r, kappa_r = line.frame(s)

@@ -1,15 +1,21 @@
-"""The scene: one frame in one lane, worked out once, which every stage reads; and where a plan begins.
+"""The scene: one frame in one lane, worked out once, which every stage reads; where a plan begins; what takes the lane.
 
 For an agent whose centre has its foot at station s on the reference line, with the line's heading yaw_r there,
 
 (1) v_s = vx cos yaw_r + vy sin yaw_r,  v_l = vy cos yaw_r - vx sin yaw_r             along and across the line
 (2) turn = yaw - yaw_r, a principal value
+
+What takes a part of the lane for a time, a standing car, a cyclist, a red light, is an `Occupancy`: a box of stations
+and offsets with the time until which it holds. The path passes boxes or stops before them; the speed stage meets them
+as stations that must not be passed (`StBoundaries.with_stops`). Whoever moves is met where they are predicted, by their
+footprints (`st_boundaries`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import atan2, cos, hypot, pi, sin
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import atan2, cos, hypot, inf, isfinite, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -20,9 +26,9 @@ from logs.kernel import BoolArray, FloatArray, IntArray, interpolated, kernel
 from logs.road import line_frame, line_project
 from logs.route import find_route
 from logs.states import EgoState, wrap
-from logs.trace import PlanStart
+from logs.trace import Decision, DecisionKind, PlanStart
 from logs.vehicle import VehicleParameters
-from planners.frenet.path import frenet_start, out_of_frame
+from planners.frenet.path import Path, frenet_start, out_of_frame
 from planners.frenet.reference_path import ReferencePath, Section, make_reference_path, write_sections
 
 STITCH_M = 0.5
@@ -250,3 +256,70 @@ class RouteTracker:
         scene = scene_of(frame, start, self.reference, self._vehicle, near)
         self._station = scene.s
         return scene, kind
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Occupancy:
+    """A row.
+
+    Attributes:
+        agent: Who or what it is: an agent's id, or a name ("stop line 7").
+        s_from: Station at which it begins, m; `s_to` at which it ends.
+        l_from: Offset of its right side, m; `l_to` of its left side.
+        aside: How much of the box on either side is room for the agent, not the agent, m.
+        until: How long it lasts, s from the frame; inf: not known to end.
+        aim: Where the ego's front should come to rest before it, m; inf: it is no stop.
+        kind: What is decided about it; IGNORE: nothing yet.
+        reason: Why.
+    """
+
+    agent: str
+    s_from: float
+    s_to: float = inf
+    l_from: float = -inf
+    l_to: float = inf
+    aside: float = 0.0
+    until: float = inf
+    aim: float = inf
+    kind: DecisionKind = DecisionKind.IGNORE
+    reason: str = ""
+
+    @property
+    def s_middle(self) -> float:
+        """Between its ends, m."""
+        return 0.5 * (self.s_from + self.s_to)
+
+    @property
+    def decision(self) -> Decision:
+        """What is decided about it, and why."""
+        return Decision(self.agent, self.kind, "speed", self.reason)
+
+
+def on_reference(stops: tuple[Occupancy, ...], s: float, vehicle: VehicleParameters) -> tuple[Occupancy, ...]:
+    """Stops as distances ahead of a rear axle at station `s` that keeps to the reference line, m, not negative."""
+    here = s + vehicle.axle_to_front
+    return tuple(replace(stop, s_from=max(stop.s_from - here, 0.0), aim=max(stop.aim - here, 0.0)) for stop in stops)
+
+
+def on_path(stops: tuple[Occupancy, ...], path: Path, vehicle: VehicleParameters) -> tuple[Occupancy, ...]:
+    """The stops that lie on a path, as arc lengths of the rear axle, m, not negative."""
+    found = []
+    for stop in stops:
+        bound, aim = (station - vehicle.axle_to_front for station in (stop.s_from, stop.aim))
+        if bound < path.s[-1]:
+            bound, aim = (max(float(np.interp(at, path.s, path.sigma)), 0.0) for at in (bound, aim))
+            found.append(replace(stop, s_from=bound, aim=aim))
+    return tuple(found)
+
+
+def open_end(stops: Sequence[Occupancy]) -> float:
+    """Where the ego should come to rest before the first stop that is not known to end, m; inf: there is none."""
+    return min((stop.aim for stop in stops if not isfinite(stop.until)), default=inf)
+
+
+def upper_bound(stops: Sequence[Occupancy], times: FloatArray, length: float) -> FloatArray:
+    """Greatest station `(n,)` that stops on a path allow at times `(n,)`, m; `length` where none stands."""
+    upper = np.full(len(times), length)
+    for stop in stops:
+        upper = np.where(times < stop.until, np.minimum(upper, stop.s_from), upper)
+    return upper

@@ -29,9 +29,8 @@ from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.shapes import axis_gap
 from logs.states import wrap
 from logs.trace import Decision, DecisionKind, GraphObstacle
-from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
-from planners.frenet.scene import STANDING_MPS, Bodies, Futures, Scene
+from planners.frenet.scene import STANDING_MPS, Bodies, Futures, Occupancy, Scene
 
 NO_ONE = np.zeros(0, np.bool_)
 """None of the agents."""

@@ -1,15 +1,20 @@
 """The planner's one screen: start, scene, pairs, the first of them in order of cost that passes; or the fallback.
 
-And what a recording shows of a plan: both graphs, decisions, costs.
+Before it, which polynomials are tried; after it, what a recording shows of a plan: both graphs, decisions, costs.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import cos, floor, sin, tan
+
 import numpy as np
 
 from logs.frame import Frame, PlannerContext
-from logs.kernel import FloatArray
-from logs.states import Trajectory
+from logs.kernel import FloatArray, IntArray
+from logs.shapes import overlap
+from logs.states import Trajectory, wrap
 from logs.trace import (
     Artefact,
     Candidates,
@@ -23,30 +28,289 @@ from logs.trace import (
     SlGraph,
     StGraph,
 )
+from logs.vehicle import VehicleParameters
 from planners.frenet.fallback import fall_back
-from planners.frenet.occupancy import on_reference
-from planners.frenet.path import Path
-from planners.frenet.profiles import HORIZON_STEPS, STEP_S
-from planners.frenet.scene import RouteTracker, Scene
+from planners.frenet.path import Path, path_through
+from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, limit_profile
+from planners.frenet.reference_path import ReferencePath
+from planners.frenet.scene import (
+    TRACK_M,
+    Occupancy,
+    RouteTracker,
+    Scene,
+    behind,
+    on_reference,
+    open_end,
+    upper_bound,
+)
 from planners.frenet.st_boundaries import StGraphConfig, decide_speed, outlines, st_boundaries
-from planners.lattice.candidates import COST_PARTS, LatticeConfig, Sampler, ego_frenet, futures_of
-from planners.lattice.checks import (
+from planners.lattice.candidates import (
+    COST_PARTS,
     REASONS,
     REST_MPS,
+    STRIDE,
     Body,
     Ego,
+    Fault,
     Futures,
+    Longitudinal,
     Pairs,
     Room,
     first_feasible,
+    futures_frenet,
+    headway,
+    keep_speed,
+    lateral_costs,
     lateral_polynomial,
+    reach_point,
     sampled,
+    speed_faults,
+    squared_jerks,
     states,
 )
 from planners.rules import Rulebook, RuleMemory
 
+SHORT = 4.0
+"""Weight of each metre short of a stop that the rules require: the ego should visibly have stopped there."""
+STOP_S = 1.0
+"""The ego brakes for a stop that the rules demand so long, s ..."""
+STOP_M = 2.0
+"""... and so far, m, before gentle braking would have to begin."""
+NEAR_M = 30.0
+"""Who stays farther than this from what the ego can reach is not in the scene."""
 EVERY = 4
 """Samples of the plan per point of the S-L graph."""
+Row = tuple[float, float, float, float, float, float, float]
+"""A longitudinal polynomial: c3, c4, c5, duration, end speed, missed distance, track or -1."""
+
+
+@dataclass(frozen=True)
+class LatticeConfig:
+    """Settings of `lattice`; in brackets the names of `candidates`, (4) and (5).
+
+    Attributes:
+        speeds: Number of end speeds between 0 and the wanted one.
+        durations_s: Of longitudinal polynomials (T).
+        lateral_durations_s: Of lateral ones (T_l).
+        offset_spacing_m: Between two end offsets.
+        w_jerk: Weight k_j; `w_time` k_t, `w_offset` k_l, `w_speed` k_v, `w_point` k_s, `w_gap` k_gap.
+        w_lateral: Weight of the lateral part (K_LAT).
+        w_lateral_time: Weight of the lateral duration (k_u): so small that an offset of `offset_spacing_m` is undone.
+        standstill_gap_m: Wanted gap at standstill (g0).
+        time_gap_s: Wanted time gap (tau).
+        accel_mps2: Greatest acceleration.
+        decel_mps2: Hardest deceleration, positive.
+        lat_accel_mps2: Greatest lateral acceleration.
+        curve_accel_mps2: Lateral acceleration from which the wanted speed in curves comes.
+        ease_mps2: Deceleration towards lower limits and curves.
+        margin_m: To vehicles and objects; `vulnerable_margin_m` to pedestrians and riders.
+        edge_m: To the road's edge.
+    """
+
+    speeds: int = 8
+    durations_s: tuple[float, ...] = (2.0, 3.0, 4.0, 6.0, 8.0)
+    lateral_durations_s: tuple[float, ...] = (2.5, 4.0, 6.0)
+    offset_spacing_m: float = 0.5
+    w_jerk: float = 1.0
+    w_time: float = 1.0
+    w_offset: float = 2.0
+    w_speed: float = 1.0
+    w_point: float = 0.1
+    w_gap: float = 150.0
+    w_lateral: float = 1.0
+    w_lateral_time: float = 0.1
+    standstill_gap_m: float = 2.0
+    time_gap_s: float = 1.2
+    accel_mps2: float = 2.5
+    decel_mps2: float = 7.5
+    lat_accel_mps2: float = 4.0
+    curve_accel_mps2: float = 2.5
+    ease_mps2: float = 1.5
+    margin_m: float = 0.3
+    vulnerable_margin_m: float = 0.5
+    edge_m: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.speeds < 2 or not self.durations_s or not self.lateral_durations_s or not self.offset_spacing_m > 0.0:
+            raise ValueError("lattice needs two speeds, durations and a positive offset_spacing_m")
+        if min((*self.durations_s, *self.lateral_durations_s)) < STEP_S:
+            raise ValueError(f"lattice durations must be at least {STEP_S} s")
+
+
+def ego_frenet(scene: Scene) -> Ego:
+    """The start in the Frenet frame: `candidates.states` read backwards.
+
+    Near standstill a deceleration that would soon be a reverse is not taken over.
+    """
+    line, start, s0, l0, lateral = scene.reference.line, scene.start, scene.s, scene.l, scene.frenet
+    _, _, yaw_r, kappa_r = line.frame(s0)
+    R, turn = 1.0 - kappa_r * l0, wrap(start.yaw - yaw_r)
+    speed = max(start.v, 0.0) * cos(turn) / R
+    dkappa_r = 2.0 * (line.frame(s0 + 0.25)[3] - line.frame(s0 - 0.25)[3])
+    turning = R * tan(turn) * (start.kappa * R / cos(turn) - kappa_r) - (dkappa_r * l0 + kappa_r * lateral[1])
+    accel = (start.a - speed**2 / cos(turn) * turning) * cos(turn) / R
+    return Ego(s0, lateral, speed, max(accel, -6.0 * speed))
+
+
+def futures_of(scene: Scene, ego: Ego, config: LatticeConfig) -> Futures:
+    """The others of a scene as they are predicted, on the plan's grid of times; before and after they stay."""
+    frame, start, line, car = scene.frame, scene.start, scene.reference.line, scene.vehicle
+    agents, futures = frame.agents, frame.predictions
+    used = _near(scene, ego)
+    agent, t = futures.agent[used], futures.t - frame.t
+    at = np.clip(STEP_S * np.arange(HORIZON_KNOTS), t[0], t[-1])
+    first = np.clip(np.searchsorted(t, at + 1e-9) - 1, 0, max(len(t) - 2, 0))
+    after = np.minimum(first + 1, len(t) - 1)
+    u = (at - t[first]) / np.where(after > first, t[after] - t[first], 1.0)
+    rows = np.stack([futures.x[used], futures.y[used], futures.yaw[used]])
+    pose = np.ascontiguousarray(rows[:, :, first] + u * (rows[:, :, after] - rows[:, :, first]))
+    sizes = np.vstack([agents.length[agent], agents.width[agent], np.zeros(len(agent))])
+    x, y = start.x + car.axle_to_center * cos(start.yaw), start.y + car.axle_to_center * sin(start.yaw)
+    for j, i in enumerate(agent):
+        margin = config.vulnerable_margin_m if scene.vulnerable[i] else config.margin_m
+        length, width = car.length + 2.0 * margin, car.width + 2.0 * margin
+        px, py, yaw = pose[:, j, 0]
+        is_near = overlap(x, y, start.yaw, length, width, px, py, yaw, sizes[0, j], sizes[1, j])
+        sizes[2, j] = 0.0 if is_near else margin  # nothing is kept to who is nearer already
+    thin = [np.ascontiguousarray(rows[:, ::STRIDE]) for rows in pose]
+    frenet = futures_frenet(line.s, line.coef, thin[0], thin[1], thin[2], sizes, ego.s)
+    speed = (frenet[0, :, 1] - frenet[0, :, 0]) / (STRIDE * STEP_S)
+    follow = [behind(scene, keeps_track=keeps) for keeps in (True, False)]
+    return Futures(agent, pose, frenet, speed, sizes, np.array([rows[agent] for rows in follow]))
+
+
+def _near(scene: Scene, ego: Ego) -> IntArray:
+    """The predictions that come near the reference line as far as the ego can get."""
+    line, futures, start = scene.reference.line, scene.frame.predictions, scene.start
+    if not len(futures):
+        return np.empty(0, np.int64)
+    reach = HORIZON_STEPS * STEP_S * (ego.speed + 3.0) + NEAR_M
+    way = np.vstack([line.xy[(line.s > ego.s - NEAR_M) & (line.s < ego.s + reach)], [[start.x, start.y]]])
+    low, high = way.min(axis=0) - NEAR_M, way.max(axis=0) + NEAR_M
+    near = (futures.x.max(axis=1) > low[0]) & (futures.x.min(axis=1) < high[0])
+    near &= (futures.y.max(axis=1) > low[1]) & (futures.y.min(axis=1) < high[1])
+    return np.flatnonzero(near)
+
+
+class Sampler:
+    """Makes the pairs along one reference.
+
+    Attributes:
+        left: Greatest offset of the rear axle along the reference line, m; `right` the least.
+        limit: Speed limit along it, curves included, m/s.
+    """
+
+    def __init__(
+        self, reference: ReferencePath, vehicle: VehicleParameters, config: LatticeConfig, *, passes_left: bool
+    ) -> None:
+        self._reference, self._vehicle, self._config = reference, vehicle, config
+        self._first_side = 1.0 if passes_left else -1.0
+        line = reference.line
+        self.limit = limit_profile(line.s, line.kappa, reference.limit, config.curve_accel_mps2, config.ease_mps2)
+        side, middle = 0.5 * vehicle.width + config.edge_m, 0.5 * (reference.road_left + reference.road_right)
+        self.left = np.maximum(reference.road_left - side, middle)
+        self.right = np.minimum(reference.road_right + side, middle)
+
+    def pairs(self, ego: Ego, futures: Futures, stops: Sequence[Occupancy] = ()) -> Pairs:
+        """Every longitudinal polynomial that keeps limits and stops, with every lateral one of its tracks."""
+        config, stations, aim = self._config, self._reference.line.s, open_end(stops)
+        spacing, there = config.offset_spacing_m, ego.s + 2.0 * ego.speed + 10.0
+        left, right = (float(np.interp(there, stations, edge)) for edge in (self.left, self.right))
+        count = max(floor(left / spacing), floor(-right / spacing), 0)
+        both = [side * k * spacing for k in range(1, count + 1) for side in (self._first_side, -self._first_side)]
+        offsets = np.array([0.0, *(offset for offset in both if right <= offset <= left)])  # the middle first
+        rests = aim < ego.speed * STOP_S + 0.5 * ego.speed**2 / config.ease_mps2 + STOP_M
+        soon = np.linspace(ego.s, ego.s + 3.0 * ego.speed + 5.0, 8)  # within the next 3 s
+        wanted = 0.0 if rests else float(np.interp(soon, stations, self.limit).min())
+        rows = [*self._keeping(ego, wanted, aim if rests else np.inf), *self._reaching(ego, futures, offsets)]
+        columns = np.array(rows).T.copy()
+        coef = np.array([(0.0, ego.speed, 0.5 * ego.accel, *row[:3]) for row in rows])
+        lon = Longitudinal(coef, columns[3], columns[4], columns[5], columns[6].astype(np.int64))
+        motion = sampled(lon.coef, lon.T, HORIZON_STEPS)
+        allowed = braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, HORIZON_KNOTS)[1] + 0.3
+        bounds, t = np.array([config.accel_mps2, config.decel_mps2, 0.5]), STEP_S * np.arange(HORIZON_KNOTS)
+        upper = upper_bound(stops, t, np.inf)  # how far the rules let the ego go
+        if not rests:  # far from an open stop only at first
+            timed = upper_bound([stop for stop in stops if stop.until < np.inf], t, np.inf)
+            upper = np.where(t < STOP_S, upper, timed)
+        faults = speed_faults(motion, ego.s, stations, self.limit, allowed, upper, bounds)
+        each = np.where(lon.track < 0, len(offsets), 1) * len(config.lateral_durations_s)
+        counts = np.bincount(faults, weights=each, minlength=len(Fault)).astype(np.int64)
+        counts[Fault.NONE] = 0
+        fit = faults == Fault.NONE
+        kept = Longitudinal(*(column[fit] for column in lon))
+        return self._paired(ego, futures, kept, motion[fit], offsets, wanted, counts)
+
+    def _keeping(self, ego: Ego, wanted: float, aim: float) -> list[Row]:
+        """Polynomials to speeds up to the wanted one, also the ego's own; rests, from gentle to as hard as allowed.
+
+        Where the rules demand a stop at `aim`, m (inf: none), a row that ends before it misses it, and others reach it.
+        """
+        config, rows = self._config, list[Row]()
+        speeds = [*np.linspace(0.0, wanted, config.speeds), min(ego.speed, wanted)]
+        decels = (0.4 * config.ease_mps2, config.ease_mps2, 3.0, 5.0, 0.95 * config.decel_mps2)
+        ends = [(v1, T) for v1 in speeds for T in config.durations_s]
+        ends += [(0.0, max(1.5 * ego.speed / decel, 0.5)) for decel in decels]  # a cubic s_dot: 1.5 times the mean
+        for v1, T in ends:
+            c3, c4, c5 = keep_speed(ego.speed, ego.accel, v1, T)
+            end = T * (ego.speed + T * (0.5 * ego.accel + T * (c3 + T * (c4 + T * c5))))
+            rows.append((c3, c4, c5, T, v1, SHORT * max(aim - end, 0.0) if aim < np.inf else 0.0, -1.0))
+        if 0.0 < aim < np.inf:
+            rows += [(*reach_point(ego.speed, ego.accel, aim, 0.0, T), T, 0.0, 0.0, -1.0) for T in config.durations_s]
+        return rows
+
+    def _reaching(self, ego: Ego, futures: Futures, offsets: FloatArray) -> list[Row]:
+        """Points behind whoever is first on each track when T has passed: at the wanted gap, and nearer."""
+        config, car, rows = self._config, self._vehicle, list[Row]()
+        if not len(futures.agent):
+            return rows
+        samples = [min(round(T / (STRIDE * STEP_S)), futures.frenet.shape[2] - 1) for T in config.durations_s]
+        s, l, half_s, half_l = futures.frenet[:, :, samples]  # noqa: E741
+        is_ahead = ((futures.frenet[0, :, 0] > ego.s) & ~futures.behind[0])[:, None]
+        for track, offset in enumerate(offsets.tolist()):
+            on_track = np.abs(l - offset) < half_l + (0.5 * car.width + config.margin_m)
+            rears = np.where(on_track & is_ahead, s - half_s, np.inf)
+            for T, leader, rear in zip(config.durations_s, np.argmin(rears, axis=0), rears.min(axis=0), strict=True):
+                if not np.isfinite(rear):
+                    continue
+                v1 = max(float(futures.speed[leader]), 0.0)
+                for share in (1.0, 0.5):
+                    time_gap = share * config.time_gap_s * v1
+                    s1 = rear - (ego.s + car.axle_to_front) - config.standstill_gap_m - time_gap
+                    if s1 > 0.0 or v1 > 0.0:
+                        c3, c4, c5 = reach_point(ego.speed, ego.accel, s1, v1, T)
+                        rows.append((c3, c4, c5, T, v1, config.time_gap_s * v1 - time_gap, track))
+        return rows
+
+    def _paired(
+        self, ego: Ego, futures: Futures, lon: Longitudinal, motion: FloatArray, offsets: FloatArray, wanted: float,
+        faults: IntArray,
+    ) -> Pairs:  # fmt: skip
+        """The pairs with their costs (`candidates`, (4))."""
+        c, car = self._config, self._vehicle
+        T = np.array(c.lateral_durations_s)
+        jerk = squared_jerks(lon.coef, lon.T)
+        own = np.array(
+            [c.w_jerk * jerk, c.w_time * lon.T, c.w_speed * (lon.v1 - wanted) ** 2 + c.w_point * lon.missed**2]
+        )
+        box = np.array([car.axle_to_front, car.rear_overhang, 0.5 * car.width])
+        gaps, weights = np.array([c.standstill_gap_m, c.time_gap_s]), np.array([c.w_jerk, c.w_lateral_time, c.w_offset])
+        row, l1, length, changes, costs = [], [], [], [], []
+        for track, offset in enumerate(offsets):
+            rows = np.flatnonzero((lon.track < 0) | (lon.track == track))
+            moves = abs(float(offset) - ego.lateral[0]) > TRACK_M
+            tracked = motion[rows]
+            missing = headway(tracked, ego.s, futures.frenet, futures.speed, futures.behind, offset, box, gaps, moves)
+            sideways, D = lateral_costs(tracked, np.array(ego.lateral), offset, T, weights)
+            n = len(rows) * len(T)
+            row.append(np.repeat(rows, len(T)))
+            l1.append(np.full(n, offset))
+            length.append(D.ravel())
+            changes.append(np.full(n, moves))
+            lateral = np.array([c.w_lateral * sideways.ravel(), np.repeat(c.w_gap * missing, len(T))])
+            costs.append(np.vstack([np.repeat(own[:, rows], len(T), axis=1), lateral]))
+        flat = [np.concatenate(part) for part in (row, l1, length, changes)]
+        return Pairs(lon, flat[0], flat[1], flat[2], flat[3], np.concatenate(costs, axis=1), faults)
 
 
 class Lattice:
@@ -92,92 +356,88 @@ class Lattice:
         if chosen < 0:
             reason = "no candidate can be driven: " + ", ".join(f"{n} {why}" for why, n in counted.rejected)
             return fall_back(frame, scene.start, start_kind, None, reason, (counted,), self._vehicle)
-        row, line = int(pairs.row[chosen]), scene.reference.line
+        row = int(pairs.row[chosen])
         motion = sampled(pairs.lon.coef[row, None], pairs.lon.T[row, None], HORIZON_STEPS)[0]
         lateral = lateral_polynomial(np.array(ego.lateral), pairs.l1[chosen], pairs.length[chosen])
         at = states(line.s, line.coef, scene.s, lateral, pairs.length[chosen], motion)
+        x, y, yaw, v, a, kappa = at[:6]
+        t, rest = frame.t + STEP_S * np.arange(at.shape[1]), v < 1e-3  # a rest is a rest
+        way = Trajectory(t, x, y, yaw, np.where(rest, 0.0, v), np.where(rest & (np.abs(a) < REST_MPS), 0.0, a), kappa)
 
         def internals() -> tuple[Artefact, ...]:
-            shown = artefacts(scene, ego, futures, pairs, chosen, at, motion, self._config)
+            shown = artefacts(Chosen(scene, ego, futures, pairs, chosen, at, motion), self._config)
             return (*shown, *(stop.decision for stop in stops), counted)
 
-        return Plan(trajectory(frame.t, at), start=start_kind, internals=Internals((), internals))
+        return Plan(way, start=start_kind, internals=Internals((), internals))
 
 
-def trajectory(t: float, at: FloatArray) -> Trajectory:
-    """The trajectory from time `t` of `states` `(9, k)`; a rest is a rest."""
-    x, y, yaw, v, a, kappa = at[:6]
-    rest = v < 1e-3
-    times = t + STEP_S * np.arange(at.shape[1])
-    return Trajectory(times, x, y, yaw, np.where(rest, 0.0, v), np.where(rest & (np.abs(a) < REST_MPS), 0.0, a), kappa)
+@dataclass(frozen=True, eq=False, slots=True)
+class Chosen:
+    """The pair that is driven, of those in a scene: its `states` `(9, k)`, and its s, s_dot, s_ddot `(3, k)`."""
+
+    scene: Scene
+    ego: Ego
+    futures: Futures
+    pairs: Pairs
+    pair: int
+    at: FloatArray
+    motion: FloatArray
 
 
-def artefacts(
-    scene: Scene, ego: Ego, futures: Futures, pairs: Pairs, chosen: int, at: FloatArray, motion: FloatArray,
-    config: LatticeConfig,
-) -> tuple[Artefact, ...]:  # fmt: skip
-    """Graphs, decisions and costs of the pair `chosen` with `states` `at` `(9, k)` and `motion` `(3, k)`."""
-    passed = _passed(scene, ego, futures, float(pairs.l1[chosen]), at, motion, config)
-    costs = CostTerms("lattice", tuple(zip(COST_PARTS, pairs.costs[:, chosen].tolist(), strict=True)))
-    graph = _sl_graph(scene, ego, futures, passed, at, motion)
-    return (graph, *_along(scene, ego, futures, pairs.changes[chosen], at, config), *passed, costs)
+def artefacts(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
+    """Graphs, decisions and costs of the pair that is driven."""
+    passed = _passed(chosen, config)
+    costs = CostTerms("lattice", tuple(zip(COST_PARTS, chosen.pairs.costs[:, chosen.pair].tolist(), strict=True)))
+    return (_sl_graph(chosen, passed), *_along(chosen, config), *passed, costs)
 
 
-def _along(
-    scene: Scene, ego: Ego, futures: Futures, changes: bool, at: FloatArray, config: LatticeConfig
-) -> tuple[Artefact, ...]:  # fmt: skip
+def _along(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
     """The S-T graph along the planned path, and who is followed, let go first or driven ahead of."""
-    step = np.hypot(np.diff(at[0]), np.diff(at[1]))
-    keep = np.r_[True, step > 1e-3]
-    x, y, yaw, kappa = at[0, keep], at[1, keep], at[2, keep], at[5, keep]
-    sigma = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
-    d = np.arange(1.0, 30.0)  # straight on beyond the end, so that the one it stops for is seen
-    sigma, kappa = np.r_[sigma, sigma[-1] + d], np.r_[kappa, np.zeros(len(d))]
-    x, y = np.r_[x, x[-1] + d * np.cos(yaw[-1])], np.r_[y, y[-1] + d * np.sin(yaw[-1])]
-    path = Path(sigma, x, y, np.r_[yaw, np.full(len(d), yaw[-1])], kappa, ego.s + sigma)
+    scene, at, futures = chosen.scene, chosen.at, chosen.futures
+    way, d = path_through(at[0], at[1], at[2], at[5]), np.arange(1.0, 30.0)
+    sigma, yaw = np.r_[way.sigma, way.sigma[-1] + d], way.yaw[-1]  # straight on, so that the one it stops for is seen
+    x, y = np.r_[way.x, way.x[-1] + d * np.cos(yaw)], np.r_[way.y, way.y[-1] + d * np.sin(yaw)]
+    turned, bent = np.r_[way.yaw, np.full(len(d), yaw)], np.r_[way.kappa, np.zeros(len(d))]
+    path = Path(sigma, x, y, turned, bent, chosen.ego.s + sigma)
     skip = np.ones(len(scene.frame.agents), np.bool_)
-    skip[futures.agent[~futures.behind[int(changes)]]] = False
+    skip[futures.agent[~futures.behind[int(chosen.pairs.changes[chosen.pair])]]] = False
     exact = StGraphConfig(config.margin_m, config.vulnerable_margin_m, early_s=0.0, late_s=0.0)
     blocks = st_boundaries(scene, path, skip, frozenset(), exact)
     t = STEP_S * np.arange(at.shape[1])
-    driven = np.r_[0.0, np.cumsum(step)]
+    driven = np.r_[0.0, np.cumsum(np.hypot(np.diff(at[0]), np.diff(at[1])))]
     decisions = decide_speed(blocks, scene, np.interp(blocks.t, t, driven))
-    profile = np.column_stack([t, driven])
-    graph = StGraph(None, None, np.empty((0, 2)), profile, outlines(blocks, decisions))
+    graph = StGraph(None, None, np.empty((0, 2)), np.column_stack([t, driven]), outlines(blocks, decisions))
     return (graph, *({decision.agent: decision for decision in decisions}.values()))
 
 
-def _passed(
-    scene: Scene, ego: Ego, futures: Futures, l1: float, at: FloatArray, motion: FloatArray, config: LatticeConfig
-) -> tuple[Decision, ...]:  # fmt: skip
+def _passed(chosen: Chosen, config: LatticeConfig) -> tuple[Decision, ...]:
     """The standing agents in the middle of the road that the pair drives past, and on which side."""
-    found = {}
-    for j, i in enumerate(futures.agent):
-        s, l, half_s, half_l = futures.frenet[:, j, 0]  # noqa: E741
+    scene, ego, motion, found = chosen.scene, chosen.ego, chosen.motion, {}
+    half, l1 = 0.5 * scene.vehicle.width, float(chosen.pairs.l1[chosen.pair])
+    for j, i in enumerate(chosen.futures.agent):
+        s, l, half_s, half_l = chosen.futures.frenet[:, j, 0]  # noqa: E741
         reached = ego.s < s and s + half_s < ego.s + motion[0, -1]
-        in_the_way = abs(l) < half_l + 0.5 * scene.vehicle.width + config.margin_m
-        if scene.standing[i] and reached and in_the_way:
-            beside = float(np.interp(s - ego.s, motion[0], at[6]))
+        if scene.standing[i] and reached and abs(l) < half_l + half + config.margin_m:
+            beside = float(np.interp(s - ego.s, motion[0], chosen.at[6]))
             kind = DecisionKind.NUDGE_LEFT if beside > l else DecisionKind.NUDGE_RIGHT
-            gap = abs(beside - l) - half_l - 0.5 * scene.vehicle.width
+            gap = abs(beside - l) - half_l - half
             reason = f"stands in the middle of the lane: passed with {gap:.2f} m at the end offset {l1:.1f} m"
             found[scene.frame.agents.ids[i]] = Decision(scene.frame.agents.ids[i], kind, "path", reason)
     return tuple(found.values())
 
 
-def _sl_graph(
-    scene: Scene, ego: Ego, futures: Futures, passed: tuple[Decision, ...], at: FloatArray, motion: FloatArray
-) -> SlGraph:  # fmt: skip
+def _sl_graph(chosen: Chosen, passed: tuple[Decision, ...]) -> SlGraph:
     """The chosen offsets over the stations, the road's edges, and who stands near."""
-    lane, s = scene.reference, ego.s + motion[0, ::EVERY]
-    line = np.column_stack([s, at[6, ::EVERY]])[np.r_[True, np.diff(s) > 1e-3]]
-    grid = ego.s + np.arange(0.0, max(float(motion[0, -1]), 10.0), 4.0)
+    scene, motion, frenet = chosen.scene, chosen.motion, chosen.futures.frenet
+    lane, s = scene.reference, chosen.ego.s + motion[0, ::EVERY]
+    line = np.column_stack([s, chosen.at[6, ::EVERY]])[np.r_[True, np.diff(s) > 1e-3]]
+    grid = chosen.ego.s + np.arange(0.0, max(float(motion[0, -1]), 10.0), 4.0)
     side = 0.5 * scene.vehicle.width
     edges = [np.interp(grid, lane.line.s, edge) for edge in (lane.road_right + side, lane.road_left - side)]
     kinds = {decision.agent: decision.kind for decision in passed}
     boxes = []
-    for j, i in enumerate(futures.agent):
-        s_mid, l, half_s, half_l = futures.frenet[:, j, 0]  # noqa: E741
+    for j, i in enumerate(chosen.futures.agent):
+        s_mid, l, half_s, half_l = frenet[:, j, 0]  # noqa: E741
         if scene.standing[i] and abs(l) < 10.0:
             name = scene.frame.agents.ids[i]
             outline = np.array([(s_mid + a * half_s, l + b * half_l) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])

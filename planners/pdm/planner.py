@@ -39,10 +39,9 @@ from logs.states import EgoState, Trajectory, wrap
 from logs.trace import Artefact, Candidates, Corridor, CostTerms, Internals, Plan, SlGraph, StGraph
 from logs.vehicle import VehicleParameters
 from planners.frenet.fallback import along, fall_back
-from planners.frenet.occupancy import Occupancy, on_path
 from planners.frenet.path import Path, make_path, states_on_path
 from planners.frenet.profiles import EMERGENCY, HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking
-from planners.frenet.scene import RouteTracker, Scene
+from planners.frenet.scene import Occupancy, RouteTracker, Scene, on_path
 from planners.frenet.st_boundaries import (
     StBoundaries,
     StGraphConfig,

@@ -1,6 +1,6 @@
 """Mehrotra's interior-point method for the piecewise-jerk QP, in B-spline coefficients.
 
-`spline` has the rows (1), the fixed coefficients (2), and the problem
+`problem` has the rows (its (7)), the fixed coefficients (its (8)), and the problem (its (9))
 
 (3) minimise  1/2 sum q (y - r)^2 + 1/2 sum e^2 / give    subject to   y = A c,   lower <= y + e <= upper
 
@@ -44,8 +44,9 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import FloatArray, inner_kernel, kernel
-from planners.piecewise_jerk.problem import DDDX, PiecewiseJerkProblem, largest_violation
-from planners.piecewise_jerk.spline import (
+from planners.piecewise_jerk.problem import (
+    DDDX,
+    PiecewiseJerkProblem,
     Rows,
     apply,
     back_substitute,
@@ -53,6 +54,7 @@ from planners.piecewise_jerk.spline import (
     curve_of,
     factorise,
     gather,
+    largest_violation,
     multiply,
     rows_of,
 )

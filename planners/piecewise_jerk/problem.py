@@ -1,4 +1,4 @@
-"""The piecewise-jerk QP: a curve x(t) at n knots, its third derivative constant between two knots.
+"""The piecewise-jerk QP: a curve x(t) at n knots, its third derivative constant between two knots; and as a B-spline.
 
 The path QP (x = offset, t = station) and the speed QP (x = station, t = time) are both of this form (Zhang et al.,
 "Optimal Vehicle Path Planning Using Quadratic Optimization for Baidu Apollo Open Platform", 2020). With the step h:
@@ -12,21 +12,44 @@ The path QP (x = offset, t = station) and the speed QP (x = station, t = time) a
 (6) softly: the rows x and x + lead_j x' are replaced by row + e, and soft e^2 is added to the cost
 
 Units: those of x (m) and t (m or s); cost without unit.
+
+Such a curve is a cubic B-spline with uniform knots. Its coefficients c_0 .. c_{n+1} fulfil the dynamics (1), (2) by
+themselves, and each row of its bounds reads four neighbours:
+
+(7) x_i       = (c_i + 4 c_{i+1} + c_{i+2}) / 6              h x'_i      = (c_{i+2} - c_i) / 2
+    h^2 x''_i = c_i - 2 c_{i+1} + c_{i+2}                    h^3 x'''_i  = c_{i+3} - 3 c_{i+2} + 3 c_{i+1} - c_i
+(8) the start fixes c_0, c_1, c_2:  c_1 = x_0 - h^2 x''_0 / 6,   c_0, c_2 = x_0 -+ h x'_0 + h^2 x''_0 / 3
+
+Scaled by 1, h, h^2, h^3 all rows are of the size of x. With A the matrix of (7), the cost is divided by the curvature
+that it has in x at least, so that cost is the square of a distance (m2), and the problem is
+
+(9) minimise  1/2 sum q (y - r)^2 + 1/2 sum e^2 / give    subject to   y = A c,   lower <= y + e <= upper
+
+over all rows; give = 0 (thus e = 0) for rows that do not give way.
+
+The matrix A' diagonal A is symmetric with four bands, stored by its lower diagonals. Where it is positive definite,
+factors and solution take O(n):
+
+(10) M = L D L',   L u = b,   D v = u,   L' x = v
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
 from math import isfinite, nan
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel, kernel
 
 X, DX, DDX, DDDX, LEADS = 0, 1, 2, 3, 4
 """Rows of the bounds; rows x + lead x' from `LEADS` on."""
+NARROW_M = 1e-6
+"""Bounds that are nearer to each other than twice this are moved apart to that: the method needs an inside."""
+FAR_M = 1e6
+"""A bound that is farther away than this is none."""
+ROUNDING, HUGE = 1e-15, 1e128
+"""Pivots that are less than this share of their diagonal are rounding, and are replaced by a huge one."""
 
 
 class Weights(NamedTuple):
@@ -89,81 +112,165 @@ def largest_violation(problem: PiecewiseJerkProblem, curve: FloatArray) -> float
     return worst
 
 
-class Structure(NamedTuple):
-    """What problems must share to share a solver's workspace: the arguments of `matrices`."""
+class Rows(NamedTuple):
+    """The rows of (9); K kinds (x, x', x'', x''', x + lead x'), m = n - 1 rows each, N = K m.
 
-    knots: int
-    step: float
-    leads: tuple[float, ...]
-    weights: Weights
-    soft: float
+    Row j of each kind reads c_j .. c_{j+3}. Arrays `(N,)` are kind by kind; `(2, N)` of lower and upper bounds.
 
-
-class Matrices(NamedTuple):
-    """P and A of the sparse form, the count of its equalities (the first rows), the typical size of each unknown."""
-
-    P: sparse.csc_matrix
-    A: sparse.csc_matrix
-    equalities: int
-    sizes: FloatArray
-
-
-def structure(problem: PiecewiseJerkProblem) -> Structure:
-    """The structure of a problem."""
-    leads = tuple(float(lead) for lead in problem.leads)
-    return Structure(problem.lower.shape[1], float(problem.step), leads, problem.weights, float(problem.soft))
-
-
-@lru_cache(maxsize=64)
-def matrices(kind: Structure) -> Matrices:
-    """The sparse form: minimise 1/2 z' P z + q' z subject to l <= A z <= u, z = (x, x', x'') and, softly, the shifts e.
-
-    Rows of A: (1), (2), the start, then (5) in the order x, x', x'', x''', x + lead x'. P and q are divided by w_x
-    where that is positive.
+    Attributes:
+        stencil: Coefficients of (7) `(K, 4)`.
+        cost: q `(N,)`; `wanted` r likewise.
+        give: Of (9) `(N,)`.
+        bound: `(2, N)`.
     """
-    n, h = kind.knots, kind.step
-    now, then = sparse.eye(n - 1, n), sparse.eye(n - 1, n, k=1)
-    none = sparse.csc_matrix((n - 1, n))
-    third = (then - now) / h  # (3)
-    rows: list[list[Any]] = [
-        [now - then, h * now, h**2 / 3.0 * now + h**2 / 6.0 * then],  # (2)
-        [none, now - then, 0.5 * h * (now + then)],  # (1)
-        *(_picked(sparse.eye(1, n), k) for k in range(3)),  # the start
-        *(_picked(then, k) for k in range(3)),
-        [none, none, third],
-        *([then, lead * then, none] for lead in kind.leads),
-    ]
-    A: Any = sparse.bmat(rows, format="csc")
-    weights = kind.weights
-    squares: list[Any] = [w * sparse.eye(n) for w in weights[:3]]
-    squares[DDX] = squares[DDX] + weights.dddx * (third.T @ third)
-    unit = weights.x or 1.0
-    sizes = np.repeat([np.sqrt(unit / w) if w > 0.0 else 1.0 for w in weights[:3]], n)
-    equalities = 2 * (n - 1) + 3
-    if kind.soft > 0.0:
-        gives = np.r_[np.arange(n - 1), np.arange(4 * (n - 1), A.shape[0] - equalities)] + equalities
-        shifts = sparse.csc_matrix((np.ones(len(gives)), (gives, np.arange(len(gives)))), (A.shape[0], len(gives)))
-        A = sparse.hstack([A, shifts], format="csc")
-        squares.append(kind.soft * sparse.eye(len(gives)))
-        sizes = np.r_[sizes, np.full(len(gives), np.sqrt(unit / kind.soft))]
-    P = 2.0 / unit * sparse.block_diag(squares, format="csc")
-    return Matrices(sparse.csc_matrix(P), sparse.csc_matrix(A), equalities, sizes)
+
+    stencil: FloatArray
+    cost: FloatArray
+    wanted: FloatArray
+    give: FloatArray
+    bound: FloatArray
 
 
-def vectors(problem: PiecewiseJerkProblem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """q, l and u of the sparse form."""
-    n, weights = problem.lower.shape[1], problem.weights
-    q = np.zeros(len(matrices(structure(problem)).sizes))
-    q[: 2 * n] = (-2.0 / (weights.x or 1.0) * np.array([[weights.x], [weights.dx]]) * problem.references).ravel()
-    dynamics = np.zeros(2 * (n - 1))
+@inner_kernel
+def rows_of(problem: PiecewiseJerkProblem) -> Rows:
+    """The rows (7) of a problem, scaled, with their cost and bounds (9)."""
+    kinds, n = problem.lower.shape
+    h, m = problem.step, n - 1
+    stencil, scale, curvature = np.zeros((kinds, 4)), np.ones(kinds), np.zeros(kinds)
+    stencil[0, 1], stencil[0, 2], stencil[0, 3] = 1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0  # (7)
+    stencil[1, 1], stencil[1, 3] = -0.5, 0.5
+    stencil[2, 1], stencil[2, 2], stencil[2, 3] = 1.0, -2.0, 1.0
+    stencil[3, 0], stencil[3, 1], stencil[3, 2], stencil[3, 3] = -1.0, 3.0, -3.0, 1.0
+    scale[1], scale[2], scale[3] = h, h * h, h * h * h
+    for k in range(4):
+        curvature[k] = 2.0 * problem.weights[k] / scale[k] ** 2
+    for k in range(4, kinds):
+        for i in range(4):
+            stencil[k, i] = stencil[0, i] + problem.leads[k - 4] / h * stencil[1, i]
+    # curvature of the cost in x: |x_j|^2 <= m^(2k-1) sum_i |scaled row i of kind k|^2, by Cauchy and Schwarz
+    unit = max(curvature[0], curvature[1] / m, curvature[2] / m**3, curvature[3] / m**5)
+    cost, wanted, give = np.zeros(kinds * m), np.zeros(kinds * m), np.zeros(kinds * m)
+    bound = np.empty((2, kinds * m))
+    for k in range(kinds):
+        first = 0 if k == DDDX else 1
+        for j in range(m):
+            i = k * m + j
+            cost[i] = curvature[k] / unit
+            if k <= DX:
+                wanted[i] = scale[k] * problem.references[k, j + 1]
+            if problem.soft > 0.0 and (k == X or k > DDDX):
+                give[i] = unit / (2.0 * problem.soft)
+            low = max(scale[k] * problem.lower[k, j + first], -FAR_M)
+            high = min(scale[k] * problem.upper[k, j + first], FAR_M)
+            if high - low < 2.0 * NARROW_M:
+                middle = 0.5 * (low + high)
+                low, high = middle - NARROW_M, middle + NARROW_M
+            bound[0, i], bound[1, i] = low, high
+    return Rows(stencil, cost, wanted, give, bound)
 
-    def bounds(of: FloatArray) -> FloatArray:
-        return np.concatenate([dynamics, problem.start, of[:3, 1:].ravel(), of[3, :-1], of[4:, 1:].ravel()])
 
-    return q, bounds(problem.lower), bounds(problem.upper)
+@inner_kernel
+def coast(problem: PiecewiseJerkProblem, c: FloatArray) -> None:
+    """Write the coefficients `(m + 3,)` of the start going on with constant x'; the first three are those of (8)."""
+    h = problem.step
+    x, dx, ddx = problem.start[0], h * problem.start[1], h * h * problem.start[2]
+    c[0], c[1], c[2] = x - dx + ddx / 3.0, x - ddx / 6.0, x + dx + ddx / 3.0  # (8)
+    for i in range(3, len(c)):
+        c[i] = 2.0 * c[i - 1] - c[i - 2]
 
 
-def _picked(rows: Any, k: int) -> list[Any]:
-    """The blocks of rows of A that pick x, x' or x'' (k = 0, 1, 2)."""
-    none = sparse.csc_matrix(rows.shape)
-    return [rows if k == j else none for j in range(3)]
+@inner_kernel
+def apply(stencil: FloatArray, c: FloatArray, out: FloatArray) -> None:
+    """Write A c."""
+    m = len(c) - 3
+    for k in range(len(stencil)):
+        a0, a1, a2, a3 = stencil[k, 0], stencil[k, 1], stencil[k, 2], stencil[k, 3]
+        row = out[k * m : (k + 1) * m]
+        for j in range(m):
+            row[j] = a0 * c[j] + a1 * c[j + 1] + a2 * c[j + 2] + a3 * c[j + 3]
+
+
+@inner_kernel
+def gather(stencil: FloatArray, of_rows: FloatArray, out: FloatArray) -> None:
+    """Write A' of_rows."""
+    m = len(out) - 3
+    out[:] = 0.0
+    for k in range(len(stencil)):
+        row = of_rows[k * m : (k + 1) * m]
+        for i in range(4):
+            a = stencil[k, i]
+            if a != 0.0:
+                to = out[i : i + m]
+                for j in range(m):
+                    to[j] += a * row[j]
+
+
+@inner_kernel
+def multiply(stencil: FloatArray, diagonal: FloatArray, band: FloatArray) -> None:
+    """Write A' diagonal A by its lower diagonals, with rows of the identity for the fixed coefficients."""
+    m = band.shape[1] - 3
+    band[:] = 0.0
+    for k in range(len(stencil)):
+        row = diagonal[k * m : (k + 1) * m]
+        for i in range(4):
+            for d in range(4 - i):
+                product = stencil[k, i] * stencil[k, i + d]
+                if product != 0.0:
+                    to = band[d, i : i + m]
+                    for j in range(m):
+                        to[j] += product * row[j]
+    for i in range(3):
+        band[0, i] = 1.0
+        band[1, i] = band[2, i] = band[3, i] = 0.0
+
+
+@inner_kernel
+def curve_of(c: FloatArray, h: float) -> FloatArray:
+    """x, x', x'' `(3, n)` of (7)."""
+    n = len(c) - 2
+    curve = np.empty((3, n))
+    for i in range(n):
+        curve[0, i] = (c[i] + 4.0 * c[i + 1] + c[i + 2]) / 6.0
+        curve[1, i] = (c[i + 2] - c[i]) / (2.0 * h)
+        curve[2, i] = (c[i] - 2.0 * c[i + 1] + c[i + 2]) / (h * h)
+    return curve
+
+
+@inner_kernel
+def factorise(band: FloatArray) -> bool:
+    """L D L' (10) in place: D in the first row, L below the diagonal in the others; False where a number is not finite.
+
+    A pivot that is nothing but rounding becomes infinite, so that its coefficient does not move (Wright, "Modified
+    Cholesky factorizations in interior-point algorithms for linear programming", 1999).
+    """
+    size = band.shape[1]
+    diagonal = band[0].copy()
+    for i in range(size):
+        if not isfinite(band[0, i]):
+            return False
+        if band[0, i] < ROUNDING * diagonal[i]:
+            band[0, i] = HUGE
+        inverse = 1.0 / band[0, i]
+        for d in range(1, min(4, size - i)):
+            share = band[d, i] * inverse
+            for e in range(d, min(4, size - i)):
+                band[e - d, i + d] -= share * band[e, i]
+        for d in range(1, 4):
+            band[d, i] *= inverse
+    return True
+
+
+@inner_kernel
+def back_substitute(band: FloatArray, x: FloatArray) -> None:
+    """Replace x by (L D L')^-1 x."""
+    size = len(x)
+    for i in range(size):
+        for d in range(1, min(4, size - i)):
+            x[i + d] -= band[d, i] * x[i]
+    for i in range(size):
+        x[i] /= band[0, i]
+    for i in range(size - 1, -1, -1):
+        value = x[i]
+        for d in range(min(3, size - 1 - i), 0, -1):
+            value -= band[d, i] * x[i + d]
+        x[i] = value

@@ -13,12 +13,16 @@ from copy import deepcopy
 from dataclasses import replace
 from functools import lru_cache, partial
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import sparse
 
 from logs.errors import unknown_name
+from logs.kernel import FloatArray
 from logs.trace import SolverReport
 from planners.piecewise_jerk import interior_point
-from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Structure, matrices, structure, vectors
+from planners.piecewise_jerk.problem import DDX, PiecewiseJerkProblem, Weights
 from planners.qp import QPConfig, QPResult, QuadraticProgram
 
 DEFAULT = "interior_point"
@@ -103,3 +107,77 @@ SOLVERS: MappingProxyType[str, Callable[[PiecewiseJerkProblem, str, float], QPRe
     }
 )
 """By the names that `[planner.dp_qp] solver` takes."""
+
+
+class Structure(NamedTuple):
+    """What problems must share to share a solver's workspace: the arguments of `matrices`."""
+
+    knots: int
+    step: float
+    leads: tuple[float, ...]
+    weights: Weights
+    soft: float
+
+
+class Matrices(NamedTuple):
+    """P and A of the sparse form, the count of its equalities (the first rows), the typical size of each unknown."""
+
+    P: sparse.csc_matrix
+    A: sparse.csc_matrix
+    equalities: int
+    sizes: FloatArray
+
+
+def structure(problem: PiecewiseJerkProblem) -> Structure:
+    """The structure of a problem."""
+    leads = tuple(float(lead) for lead in problem.leads)
+    return Structure(problem.lower.shape[1], float(problem.step), leads, problem.weights, float(problem.soft))
+
+
+@lru_cache(maxsize=64)
+def matrices(kind: Structure) -> Matrices:
+    """The sparse form: minimise 1/2 z' P z + q' z subject to l <= A z <= u, z = (x, x', x'') and, softly, the shifts e.
+
+    Rows of A: (1), (2) of `problem`, the start, then (5) in the order x, x', x'', x''', x + lead x'. P and q are
+    divided by w_x where that is positive.
+    """
+    n, h = kind.knots, kind.step
+    now, then = sparse.eye(n - 1, n), sparse.eye(n - 1, n, k=1)
+    none, other = sparse.csc_matrix((n - 1, n)), sparse.csc_matrix((1, n))
+    third, first = (then - now) / h, sparse.eye(1, n)  # (3)
+    rows: list[list[Any]] = [
+        [now - then, h * now, h**2 / 3.0 * now + h**2 / 6.0 * then],  # (2)
+        [none, now - then, 0.5 * h * (now + then)],  # (1)
+        *([first if k == j else other for j in range(3)] for k in range(3)),  # the start
+        *([then if k == j else none for j in range(3)] for k in range(3)),
+        [none, none, third],
+        *([then, lead * then, none] for lead in kind.leads),
+    ]
+    A: Any = sparse.bmat(rows, format="csc")
+    weights = kind.weights
+    squares: list[Any] = [w * sparse.eye(n) for w in weights[:3]]
+    squares[DDX] = squares[DDX] + weights.dddx * (third.T @ third)
+    unit = weights.x or 1.0
+    sizes = np.repeat([np.sqrt(unit / w) if w > 0.0 else 1.0 for w in weights[:3]], n)
+    equalities = 2 * (n - 1) + 3
+    if kind.soft > 0.0:
+        gives = np.r_[np.arange(n - 1), np.arange(4 * (n - 1), A.shape[0] - equalities)] + equalities
+        shifts = sparse.csc_matrix((np.ones(len(gives)), (gives, np.arange(len(gives)))), (A.shape[0], len(gives)))
+        A = sparse.hstack([A, shifts], format="csc")
+        squares.append(kind.soft * sparse.eye(len(gives)))
+        sizes = np.r_[sizes, np.full(len(gives), np.sqrt(unit / kind.soft))]
+    P = 2.0 / unit * sparse.block_diag(squares, format="csc")
+    return Matrices(sparse.csc_matrix(P), sparse.csc_matrix(A), equalities, sizes)
+
+
+def vectors(problem: PiecewiseJerkProblem) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """q, l and u of the sparse form."""
+    n, weights = problem.lower.shape[1], problem.weights
+    q = np.zeros(len(matrices(structure(problem)).sizes))
+    q[: 2 * n] = (-2.0 / (weights.x or 1.0) * np.array([[weights.x], [weights.dx]]) * problem.references).ravel()
+    dynamics = np.zeros(2 * (n - 1))
+
+    def bounds(of: FloatArray) -> FloatArray:
+        return np.concatenate([dynamics, problem.start, of[:3, 1:].ravel(), of[3, :-1], of[4:, 1:].ravel()])
+
+    return q, bounds(problem.lower), bounds(problem.upper)

@@ -1,7 +1,6 @@
 """Traffic rules for every planner: where the ego must stop now, and for what.
 
-    zones      what stands along a reference path: stop lines, crosswalks, lanes that go first; found once
-    windows    when the others take a crosswalk or a place where lanes meet
+    zones      what stands along a reference path: stop lines, crosswalks, lanes that go first; when others take these
     rulebook   the demands at one frame, and what is remembered of them
 
 Give a `Rulebook` the reference path, and each frame its scene; it answers with the stops ahead, as occupancy, and with

@@ -38,12 +38,21 @@ from logs.road import Road
 from logs.rules import RED, Colour
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
-from planners.frenet.occupancy import Occupancy
 from planners.frenet.profiles import HORIZON_KNOTS, STEP_S, braking, cruising, limit_profile
 from planners.frenet.reference_path import ReferencePath
-from planners.frenet.scene import Scene
-from planners.rules.windows import ASKEW_RAD, Window, windows
-from planners.rules.zones import ROOM_M, Line, Priority, Walk, Zone, lines_along, zones_along
+from planners.frenet.scene import Occupancy, Scene
+from planners.rules.zones import (
+    ASKEW_RAD,
+    ROOM_M,
+    Line,
+    Priority,
+    Walk,
+    Window,
+    Zone,
+    lines_along,
+    windows,
+    zones_along,
+)
 
 COMFORT = 2.8, 2.8
 """Deceleration (m/s2) and jerk (m/s3) with which the ego stops where it comfortably can; below ITE's 3.05 m/s2."""
@@ -211,52 +220,53 @@ class Rulebook:
 
     def _at_zones(self, visit: _Visit, barrier: float) -> Iterator[Occupancy]:
         """The stops before zones, as far as the stop lines let the ego come."""
-        near = [zone for zone in self._zones if visit.scene.front < zone.s_in and self._looks(zone, visit, barrier)]
+        scene, front, v = visit.scene, visit.scene.front, visit.scene.start.v
+        near = []
+        for zone in self._zones:
+            if front < zone.s_in:
+                ahead = next(hold for hold in zone.holds if hold >= front)
+                if ahead < barrier and ahead - front < 0.5 * v**2 / self._ease + v + LOOK_M:
+                    near.append(zone)
         names = {zone.name for zone in near}
         visit.taken &= names
         visit.since = {name: t for name, t in visit.since.items() if name in names}
         if not near:
             return
-        visit.leader = self._leader(visit)
-        accel = visit.scene.start.a
-        sooner, later = (self._motion(visit, at_first) for at_first in (max(accel, 0.0), accel))
+        visit.leader = rear, speed, _ = self._leader(visit)
+        accel = scene.start.a
+        sooner, later = (self._driven(scene.s, scene.v, at_first) for at_first in (max(accel, 0.0), accel))
+        if isfinite(rear):  # not into the one ahead
+            behind = rear - front - ROOM_M + speed * STEP_S * np.arange(HORIZON_KNOTS)
+            for motion in (sooner, later):
+                motion[0] = np.minimum(motion[0], np.maximum(behind, 0.0))
         for zone in near:
             stop = self._at_zone(zone, visit, sooner, later)
             if stop is not None:
                 visit.taken.discard(zone.name)
                 yield stop
 
-    def _looks(self, zone: Zone, visit: _Visit, barrier: float) -> bool:
-        ahead = next(hold for hold in zone.holds if hold >= visit.scene.front)
-        return (
-            ahead < barrier
-            and ahead - visit.scene.front < 0.5 * visit.scene.start.v**2 / self._ease + visit.scene.start.v + LOOK_M
-        )
-
     def _at_zone(self, zone: Zone, visit: _Visit, sooner: FloatArray, later: FloatArray) -> Occupancy | None:
         """The stop before a zone, by (4); the ego enters as with one motion, rows s, v, and leaves as with another."""
+        scene, front = visit.scene, visit.scene.front
         held, late = zone.name in visit.stopping, isinstance(zone.by, Walk)
-        t_in, t_out = (
-            self._passage(zone, visit.scene.front, sooner)[0],
-            self._passage(zone, visit.scene.front, later)[1],
-        )
-        until, why = 0.0, self._no_room(zone, visit)
-        if why:
-            until = inf
+        t_in, t_out = self._passage(zone, front, sooner)[0], self._passage(zone, front, later)[1]
+        until, why, (rear, speed, leader) = 0.0, "", visit.leader
+        if speed < ROLLING_MPS and zone.s_in < rear < zone.s_out + self._vehicle.length + ROOM_M:
+            until, why = inf, f"no room behind it: {scene.name(leader)} stands there"
         elif isfinite(t_in):
-            taken = windows(zone, self._reference.line, self._road, visit.scene.frame)
+            taken = windows(zone, self._reference.line, self._road, scene.frame)
             less = KEPT_S if zone.name in visit.taken else 0.0
             against = [each for each in taken if not self._passes(zone, each, t_in, t_out, later, less)]
             late = late and not all(each.waits for each in against)
             if not against or (not late and self._has_waited(zone, against, visit)):
                 visit.taken.add(zone.name)
                 return None
-            until, why = (
-                self._release(zone, visit, taken, sooner),
-                _describe_claim(against[0], visit.scene, t_in, t_out),
-            )
+            first, until = against[0], self._release(zone, visit, taken, sooner)
+            end, out = (f"to {t:.1f} s" if isfinite(t) else "on" for t in (first.end, t_out))
+            why = f"{scene.name(first.agent)} goes first: takes it from {first.begin:.1f} s {end}, "
+            why += f"the ego would from {t_in:.1f} s {out}"
         for hold in zone.holds if why else ():
-            room = hold - visit.scene.front
+            room = hold - front
             if room >= 0.0 and (visit.hard if held or late else visit.soft) <= room:
                 return _stop(hold, visit, until, zone.name, DecisionKind.YIELD, why)
         return None
@@ -284,14 +294,6 @@ class Rulebook:
             return inf, 0.0, -1
         i = int(np.argmin(rear))
         return float(rear[i]), float(scene.speed[i]), i
-
-    def _motion(self, visit: _Visit, accel: float) -> FloatArray:
-        """Rows s, v `(2, HORIZON_KNOTS)` of driving freely, at first with this acceleration, not into the one ahead."""
-        motion, leader = self._driven(visit.scene.s, visit.scene.v, accel), visit.leader
-        if isfinite(leader[0]):
-            behind = leader[0] - visit.scene.front - ROOM_M + leader[1] * STEP_S * np.arange(HORIZON_KNOTS)
-            motion[0] = np.minimum(motion[0], np.maximum(behind, 0.0))
-        return motion
 
     def _driven(self, s: float, v: float, a: float) -> FloatArray:
         stations = self._reference.line.s
@@ -334,13 +336,6 @@ class Rulebook:
                 return wait
         return inf
 
-    def _no_room(self, zone: Zone, visit: _Visit) -> str:
-        """Why the ego would have to stop in a zone: an agent stands behind it; empty where there is room."""
-        rear, speed, i = visit.leader
-        if speed >= ROLLING_MPS or not zone.s_in < rear < zone.s_out + self._vehicle.length + ROOM_M:
-            return ""
-        return f"no room behind it: {visit.scene.name(i)} stands there"
-
 
 def _merges(zone: Zone) -> bool:
     return isinstance(zone.by, Priority) and zone.by.merges
@@ -368,12 +363,3 @@ def _when(motion: FloatArray, distance: float) -> float:
         return inf
     step = float(motion[0, k] - motion[0, k - 1])
     return STEP_S * (k - 1 + (distance - float(motion[0, k - 1])) / step)
-
-
-def _describe_claim(window: Window, scene: Scene, t_in: float, t_out: float) -> str:
-    """Which agent goes first, and why."""
-    end, out = (f"to {t:.1f} s" if isfinite(t) else "on" for t in (window.end, t_out))
-    return (
-        f"{scene.name(window.agent)} goes first: takes it from {window.begin:.1f} s {end}, "
-        f"the ego would from {t_in:.1f} s {out}"
-    )

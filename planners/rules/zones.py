@@ -1,4 +1,4 @@
-"""What the rules of the road hold along one reference: its stop lines, and the zones where others may go first.
+"""What the rules of the road hold along one reference: its stop lines, the zones where others go first, and when.
 
 A zone is the stretch of the reference line on which the ego's body would be in the way of those who go first:
 
@@ -7,24 +7,39 @@ A zone is the stretch of the reference line on which the ego's body would be in 
                      of a lane that the ego's lane yields to
 
 Zones with less room between them than the ego is long are waited for together, before the first: not on a crosswalk,
-not where lanes cross.
+not where lanes cross. The others take a zone in time windows, from where they are and how they are predicted.
+
+Crosswalk: a pedestrian who is on it, or within `EDGE_M` of it and walks towards it, takes it while a hypothesis has it
+in the ego's half, `KEPT_M` more on each side. Who stands there waits: takes it as if starting now with `START_MPS` the
+way it faces, for an unknown time.
+
+Priority lane: a vehicle on it or on a lane that leads to it, in its direction, takes the zone
+
+(3) while the box of a hypothesis touches the zone, where its hypotheses that do weigh `UNLIKELY` together
+(4) on the priority lane itself also from (p_in - front) / v to (p_out - rear) / v: it may be predicted to leave the
+    lane, and does not; one that stands in the zone takes it until it has left
+
+but not where a red light holds it on its way there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from math import hypot
+from math import hypot, inf
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
-from logs.road import Lane, ReferenceLine, Road, inside
-from logs.rules import Crosswalk, StopLine
-from logs.shapes import point_segment
+from logs.frame import Frame
+from logs.kernel import BoolArray, FloatArray, kernel
+from logs.road import Lane, ReferenceLine, Road, inside, line_project_many
+from logs.rules import RED, Crosswalk, StopLine
+from logs.scenario import AgentKind
+from logs.shapes import overlap, point_segment
 from logs.states import wrap
 from logs.vehicle import VehicleParameters
 from planners.frenet.reference_path import ReferencePath
+from planners.frenet.scene import STANDING_MPS, UNLIKELY
 
 SIDE_M = 0.3
 """Room beside the ego's body that (1) and (2) count, m."""
@@ -42,6 +57,16 @@ ASIDE_M = 1.0
 """A stop line counts where the reference line runs within this of it, m."""
 MERGED_M = 1.5
 """Two lanes whose ends are nearer than this merge, m."""
+EDGE_M = 1.5
+"""Who stands within this of a crosswalk may want to cross, m."""
+TOWARDS_MPS = 0.3
+"""Who comes nearer to it faster than this walks towards it; who is slower stands, m/s."""
+KEPT_M = 0.3
+"""Room beside the ego's half of a crosswalk that pedestrians have, m."""
+START_MPS = 1.2
+"""With which who stands sets off, m/s: as RiLSA 2010 counts pedestrians' clearing times."""
+ASKEW_RAD = 1.0
+"""A vehicle drives along a lane where its heading differs less than this, rad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +128,7 @@ class Zone:
 
 def lines_along(road: Road, reference: ReferencePath, width: float) -> tuple[Line, ...]:
     """The stop lines of a reference path that lights or stop signs may make the ego stop at, in driving order."""
-    found = [(mark, _station(mark, reference.line, width)) for mark in _marks(road, reference.lanes)]
+    found = [(mark, _stop_station(mark, reference.line, width)) for mark in _marks(road, reference.lanes)]
     binding = [
         Line(mark.id, s, mark.light, mark.must_stop)
         for mark, s in found
@@ -113,31 +138,25 @@ def lines_along(road: Road, reference: ReferencePath, width: float) -> tuple[Lin
 
 
 def zones_along(road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> tuple[Zone, ...]:
-    """The zones of a reference path in driving order."""
-    zones = [
-        *_walks(road, reference, vehicle.width),
-        *_joined(_priorities(road, reference, vehicle.width), vehicle.length),
-    ]
+    """The zones of a reference path in driving order, with their `holds`.
+
+    These are a stop line before the group of zones, the begin of the group, and the zone itself.
+    """
+    zones = [*_walks(road, reference, vehicle.width), *_priorities(road, reference, vehicle)]
     if not zones:
         return ()
     waiting = [
         station
         for mark in _marks(road, reference.lanes)
-        if mark.light is None and (station := _station(mark, reference.line, vehicle.width)) is not None
+        if mark.light is None and (station := _stop_station(mark, reference.line, vehicle.width)) is not None
     ]
-    return _held(sorted(zones, key=lambda zone: (zone.s_in, zone.name)), waiting, vehicle.length)
-
-
-def _held(zones: list[Zone], waiting: list[float], length: float) -> tuple[Zone, ...]:
-    """The zones with their `holds`: a stop line before the group, the begin of the group, the zone itself."""
     held, begin, end = [], -np.inf, -np.inf
-    for zone in zones:
-        if zone.s_in - end > length + 2.0 * ROOM_M:
+    for zone in sorted(zones, key=lambda zone: (zone.s_in, zone.name)):
+        if zone.s_in - end > vehicle.length + 2.0 * ROOM_M:
             begin = zone.s_in
         end = max(end, zone.s_out)
         lines = [s for s in waiting if begin - LINE_BEFORE_M < s <= begin]
-        holds = {*lines, begin, zone.s_in}
-        held.append(replace(zone, holds=tuple(sorted(holds))))
+        held.append(replace(zone, holds=tuple(sorted({*lines, begin, zone.s_in}))))
     return tuple(held)
 
 
@@ -152,7 +171,7 @@ def _marks(road: Road, lanes: tuple[int, ...]) -> Iterator[StopLine]:
             yield mark
 
 
-def _station(mark: StopLine, line: ReferenceLine, width: float) -> float | None:
+def _stop_station(mark: StopLine, line: ReferenceLine, width: float) -> float | None:
     """The station at which a front `width` m wide first comes over a stop line; None where it passes beside it."""
     x, y = mark.points.mean(axis=0)
     middle, _ = line.project(x, y)
@@ -167,58 +186,44 @@ def _walks(road: Road, reference: ReferencePath, width: float) -> Iterator[Zone]
     line, half = reference.line, 0.5 * width + SIDE_M
     for crosswalk in road.crosswalks:
         polygon = crosswalk.polygon
-        s = np.arange(*_near(line, polygon, half), 0.5 * STEP_M)
+        low, high = polygon.min(axis=0) - half - 1.0, polygon.max(axis=0) + half + 1.0
+        close = np.flatnonzero(((line.xy >= low) & (line.xy <= high)).all(axis=1))
+        if not len(close):
+            continue
+        s = np.arange(float(line.s[close[0]]) - 1.0, float(line.s[close[-1]]) + 1.0, 0.5 * STEP_M)
         over = [at for at in s if any(inside(*line.point(at, l), polygon) for l in (0.0, half, -half))]  # (1)  # noqa: E741
         if over:
             middle = 0.5 * (over[0] + over[-1])
-            right, left = (
-                float(np.interp(middle, line.s, edge)) for edge in (reference.lane_right, reference.lane_left)
-            )
+            edges = reference.lane_right, reference.lane_left
+            right, left = (float(np.interp(middle, line.s, edge)) for edge in edges)
             yield Zone(f"crosswalk {crosswalk.id}", Walk(crosswalk, right, left), float(over[0]), float(over[-1]))
 
 
-def _near(line: ReferenceLine, polygon: FloatArray, half: float) -> tuple[float, float]:
-    """The stations between which a line, `half` m to each side, may be over a polygon; equal where it cannot."""
-    low, high = polygon.min(axis=0) - half - 1.0, polygon.max(axis=0) + half + 1.0
-    close = np.flatnonzero(((line.xy >= low) & (line.xy <= high)).all(axis=1))
-    if not len(close):
-        return 0.0, 0.0
-    return float(line.s[close[0]]) - 1.0, float(line.s[close[-1]]) + 1.0
-
-
-def _priorities(road: Road, reference: ReferencePath, width: float) -> Iterator[Zone]:
+def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> list[Zone]:
+    """The zones (2), one per priority lane, where two lanes of the ego meet it one after the other."""
     yielding = [road.lanes[i] for i in reference.lanes if road.lanes[i].yields_to]
     before: dict[int, list[int]] = {}
     for lane in road.lanes.values() if yielding else ():
         for after in lane.successors:
             before.setdefault(after, []).append(lane.id)
-    for lane in yielding:
-        for other in lane.yields_to:
-            if other in road.lanes and other not in reference.lanes:
-                zone = _conflict(reference.line, lane, road.lanes[other], width)
-                if zone is not None:
-                    feeds = _feeds(road, other, before, reference.lanes)
-                    assert isinstance(zone.by, Priority)
-                    yield replace(zone, by=replace(zone.by, feeds=feeds))
-
-
-def _joined(zones: Iterable[Zone], length: float) -> list[Zone]:
-    """The zones with one per priority lane, where two lanes of the ego meet it one after the other."""
     found: list[Zone] = []
-    for zone in zones:
-        same = [old for old in found if old.name == zone.name and zone.s_in - old.s_out < length]
+    for own, first in [(mine, other) for mine in yielding for other in mine.yields_to]:
+        if first not in road.lanes or first in reference.lanes:
+            continue
+        zone = _conflict(reference.line, own, road.lanes[first], vehicle.width)
+        if zone is None:
+            continue
+        assert isinstance(zone.by, Priority)
+        zone = replace(zone, by=replace(zone.by, feeds=_feeds(road, first, before, reference.lanes)))
+        same = [old for old in found if old.name == zone.name and zone.s_in - old.s_out < vehicle.length]
         if not same:
             found.append(zone)
             continue
         old = same[0]
         assert isinstance(old.by, Priority) and isinstance(zone.by, Priority)
-        by = replace(
-            old.by,
-            p_in=min(old.by.p_in, zone.by.p_in),
-            p_out=max(old.by.p_out, zone.by.p_out),
-            boxes=np.vstack([old.by.boxes, zone.by.boxes]),
-            merges=old.by.merges or zone.by.merges,
-        )
+        p_in, p_out = min(old.by.p_in, zone.by.p_in), max(old.by.p_out, zone.by.p_out)
+        boxes, merges = np.vstack([old.by.boxes, zone.by.boxes]), old.by.merges or zone.by.merges
+        by = replace(old.by, p_in=p_in, p_out=p_out, boxes=boxes, merges=merges)
         whole = replace(old, by=by, s_in=min(old.s_in, zone.s_in), s_out=max(old.s_out, zone.s_out))
         found[found.index(old)] = whole
     return found
@@ -282,4 +287,142 @@ def distances(points: FloatArray, line: FloatArray) -> FloatArray:
         out[i] = hypot(x - line[0, 0], y - line[0, 1])
         for k in range(1, len(line)):
             out[i] = min(out[i], point_segment(x, y, line[k - 1, 0], line[k - 1, 1], line[k, 0], line[k, 1]))
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """An agent takes a zone from `begin` to `end`, s from the frame; inf: it is not known how long.
+
+    Attributes:
+        agent: Index into the frame's agents; `speed` of it, m/s.
+        waits: Whether it stands at a crosswalk: it may take it, but has not begun to.
+    """
+
+    begin: float
+    end: float
+    agent: int
+    speed: float
+    waits: bool = False
+
+
+def windows(zone: Zone, line: ReferenceLine, road: Road, frame: Frame) -> tuple[Window, ...]:
+    """The windows in which others take a zone, in order of their begin."""
+    found = _walking(zone, zone.by, line, frame) if isinstance(zone.by, Walk) else _driving(zone.by, road, frame)
+    return tuple(sorted(found, key=lambda window: (window.begin, window.end, window.agent)))
+
+
+def _walking(zone: Zone, walk: Walk, line: ReferenceLine, frame: Frame) -> Iterator[Window]:
+    futures, agents = frame.predictions, frame.agents
+    ahead = futures.t - frame.t
+    for i in _at_crosswalk(walk, frame):
+        found = False
+        for row in np.flatnonzero(futures.agent == i):
+            for window in _span(_on_half(zone, walk, line, futures.x[row], futures.y[row]), ahead, i, frame):
+                found = True
+                yield replace(window, end=inf, waits=True) if agents.speed[i] < TOWARDS_MPS else window
+        if not found and agents.speed[i] < TOWARDS_MPS:
+            yaw, way = agents.yaw[i], START_MPS * ahead
+            taken = _on_half(zone, walk, line, agents.x[i] + way * np.cos(yaw), agents.y[i] + way * np.sin(yaw))
+            yield from (replace(window, end=inf, waits=True) for window in _span(taken, ahead, i, frame))
+
+
+def _on_half(zone: Zone, walk: Walk, line: ReferenceLine, x: FloatArray, y: FloatArray) -> BoolArray:
+    """Which points `(k,)` of a way lie on the ego's half of a crosswalk."""
+    frenet = line_project_many(line.s, line.coef, x, y, zone.s_in, 30.0)
+    s, l = frenet[:, 0], frenet[:, 1]  # noqa: E741
+    along = (s > zone.s_in - EDGE_M) & (s < zone.s_out + EDGE_M)
+    return np.asarray(along & (l > walk.right - KEPT_M) & (l < walk.left + KEPT_M))
+
+
+def _at_crosswalk(walk: Walk, frame: Frame) -> Iterator[int]:
+    """The pedestrians who are on a crosswalk, or near it and do not walk along or away from it."""
+    agents, polygon = frame.agents, walk.crosswalk.polygon
+    low, high = polygon.min(axis=0) - EDGE_M, polygon.max(axis=0) + EDGE_M
+    near = (agents.x > low[0]) & (agents.x < high[0]) & (agents.y > low[1]) & (agents.y < high[1])
+    edge = np.vstack([polygon, polygon[:1]])
+    for i in np.flatnonzero(near).tolist():
+        if agents.kinds[i] is not AgentKind.PEDESTRIAN:
+            continue
+        x, y = float(agents.x[i]), float(agents.y[i])
+        now, soon = distances(np.array([[x, y], [x + 0.1 * agents.vx[i], y + 0.1 * agents.vy[i]]]), edge)
+        comes = now - soon > 0.1 * TOWARDS_MPS or agents.speed[i] < TOWARDS_MPS
+        if inside(x, y, polygon) or (now < EDGE_M and comes):
+            yield i
+
+
+def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[Window]:
+    futures = frame.predictions
+    for i, lane in _claimants(priority, road, frame):
+        if lane == priority.lane.id:
+            yield from _passage(priority, i, frame)
+        rows = np.flatnonzero(futures.agent == i)
+        size = np.array([frame.agents.length[i], frame.agents.width[i]])
+        taken = _touched(priority.boxes, futures.x[rows], futures.y[rows], futures.yaw[rows], size)
+        if futures.probability[rows][taken.any(axis=1)].sum() < UNLIKELY:  # (3)
+            continue
+        for mine in taken:
+            yield from _span(mine, futures.t - frame.t, i, frame)
+
+
+def _claimants(priority: Priority, road: Road, frame: Frame) -> Iterator[tuple[int, int]]:
+    """The vehicles that may claim the zone, with the lane that they are on: the priority lane before all others."""
+    agents = frame.agents
+    taken: set[int] = set()
+    for lane_id, lights in priority.feeds.items():
+        if any(frame.lights.get(light) in RED for light in lights):
+            continue
+        lane = road.lanes[lane_id]
+        low, high = lane.polygon.min(axis=0), lane.polygon.max(axis=0)
+        near = (agents.x >= low[0]) & (agents.x <= high[0]) & (agents.y >= low[1]) & (agents.y <= high[1])
+        for i in np.flatnonzero(near).tolist():
+            x, y = float(agents.x[i]), float(agents.y[i])
+            drives = agents.kinds[i] not in (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
+            if i in taken or not drives or not inside(x, y, lane.polygon):
+                continue
+            if turned(lane, x, y, float(agents.yaw[i])) < ASKEW_RAD:
+                taken.add(i)
+                yield i, lane_id
+
+
+def _passage(priority: Priority, i: int, frame: Frame) -> Iterator[Window]:
+    """(4), for a vehicle on the priority lane."""
+    agents, center = frame.agents, priority.lane.center
+    x, y, step = float(agents.x[i]), float(agents.y[i]), np.diff(center, axis=0)
+    length = np.hypot(*step.T)
+    u = ((x - center[:-1, 0]) * step[:, 0] + (y - center[:-1, 1]) * step[:, 1]) / np.maximum(length, 1e-9) ** 2
+    u = np.clip(u, 0.0, 1.0)
+    away = np.hypot(center[:-1, 0] + u * step[:, 0] - x, center[:-1, 1] + u * step[:, 1] - y)
+    k = int(np.argmin(away))
+    p = float(length[:k].sum() + u[k] * length[k])  # along the lane, to the point nearest to it
+    v, half = float(agents.speed[i]), 0.5 * float(agents.length[i])
+    if p - half > priority.p_out:
+        return
+    if v >= STANDING_MPS:
+        yield Window(max(priority.p_in - p - half, 0.0) / v, (priority.p_out - p + half) / v, i, v)  # (4)
+    elif p + half > priority.p_in:
+        yield Window(0.0, inf, i, v)
+
+
+def _span(taken: BoolArray, ahead: FloatArray, i: int, frame: Frame) -> Iterator[Window]:
+    """The window from the first to the last time that is taken; open where that is the last time at all."""
+    at = np.flatnonzero(taken)
+    if len(at):
+        end = inf if at[-1] == len(ahead) - 1 else float(ahead[at[-1]])
+        yield Window(float(ahead[at[0]]), end, i, float(frame.agents.speed[i]))
+
+
+@kernel
+def _touched(boxes: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, size: FloatArray) -> BoolArray:
+    """Which boxes at `(n, k)` poses of one size (length, width) overlap any of the `boxes` `(m, 5)`."""
+    out = np.zeros(x.shape, np.bool_)
+    for i in range(x.shape[0]):
+        for k in range(x.shape[1]):
+            for j in range(len(boxes)):
+                if overlap(
+                    boxes[j, 0], boxes[j, 1], boxes[j, 2], boxes[j, 3], boxes[j, 4],
+                    x[i, k], y[i, k], yaw[i, k], size[0], size[1],
+                ):  # fmt: skip
+                    out[i, k] = True
+                    break
     return out

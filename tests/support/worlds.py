@@ -30,9 +30,9 @@ from logs.shapes import distance
 from logs.transform import mirrored
 from planners.base import Planner
 from planners.dp_qp import DpQp
-from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PathView, SpeedCap, SpeedTask, lowered
-from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
-from planners.dp_qp.scene.moving_obstacles import PassTarget
+from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
+from planners.dp_qp.path.passing import PassTarget
+from planners.dp_qp.speed.caps import CautionConfig, LoweredLimit, PathView, SpeedCap, SpeedTask, lowered
 from planners.frenet.path import Path
 from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.frenet.scene import Scene, scene_of

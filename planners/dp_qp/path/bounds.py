@@ -1,19 +1,18 @@
 """Path bounds: who stands in the way, on which side they are passed, and what they leave of the corridor.
 
-Only what stands still, or goes slowly along the lane (`scene.moving_obstacles`), is passed by the path; what else moves
-is met in the S-T graph. (The path DP, coarser than `corridor`, moves the rear axle past boxes grown by the ego's
-length.)
+Only what stands still, or goes slowly along the lane (`passing`), is passed by the path; what else moves is met in the
+S-T graph. (The path DP, coarser than `corridor`, moves the rear axle past boxes grown by the ego's length.)
 
 (1) nudge left of an obstacle:  lower >= its left side + half width + clearance     over its stations
     nudge right:                upper <= its right side - half width - clearance
 
 A bound that steering cannot reach from the start any more is loosened to what it can (`corridor`); who is then not
-cleared is a stop (`given_up`).
+cleared is a stop (`cleared`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot
 
@@ -25,9 +24,8 @@ from logs.shapes import corners
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.corridor import Borrowed, lane_edges, narrowed_beside, room_beside
-from planners.frenet.occupancy import Occupancy
 from planners.frenet.reference_path import ReferencePath
-from planners.frenet.scene import Bodies, Scene
+from planners.frenet.scene import Bodies, Occupancy, Scene
 
 SIDES = {DecisionKind.NUDGE_LEFT: 1.0, DecisionKind.NUDGE_RIGHT: -1.0}
 """The decisions to pass, by the side as kernels take it."""
@@ -118,15 +116,6 @@ class PathBounds:
         between = max(0.5 * vehicle.axle_to_front / max(len(self.s) - 1, 1), vehicle.rear_overhang)
         return between + max(config.gap_m, float(self.s[0, 1] - self.s[0, 0]))
 
-    def reported(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """One corridor at the knots that holds bounds `(points, n)` of all points."""
-        s = self.s[0]
-        low, high = lower[0].copy(), upper[0].copy()
-        for k in range(1, len(self.s)):
-            low = np.minimum(low, np.interp(s, self.s[k], lower[k], left=np.inf))
-            high = np.maximum(high, np.interp(s, self.s[k], upper[k], left=-np.inf))
-        return low, high
-
 
 def standing_obstacles(scene: Scene, length: float, *, facing: bool = False) -> tuple[Occupancy, ...]:
     """The standing agents beside or ahead of the ego, up to `length` m, that stand on the road or near its edge.
@@ -139,8 +128,6 @@ def standing_obstacles(scene: Scene, length: float, *, facing: bool = False) -> 
     left, right = (road.facing_left, road.facing_right) if facing else (road.road_left, road.road_right)
     near = ego.x, ego.y, length + NEAR_PATH_M
     rows, boxes = _standing_boxes(line.s, line.coef, scene.bodies, scene.standing, scene.agents.s, left, right, near)
-    if not len(rows):
-        return ()
     begin, end = scene.rear, scene.front + length
     found = [
         Occupancy(ids[i], *box)
@@ -181,17 +168,6 @@ def _standing_boxes(
             rows[count] = i
             count += 1
     return rows[:count].copy(), boxes[:count].copy()
-
-
-def grown(box: Occupancy, vehicle: VehicleParameters, clearance: float, gap: float) -> tuple[float, ...]:
-    """Stations and offsets (s from, s to, l from, l to) that the rear axle must avoid."""
-    side = 0.5 * vehicle.width + clearance
-    return (
-        box.s_from - vehicle.axle_to_front - gap,
-        box.s_to + vehicle.rear_overhang + gap,
-        box.l_from - side,
-        box.l_to + side,
-    )
 
 
 def borrowed(way: InTheWay, speed: float, vehicle: VehicleParameters) -> Borrowed:
@@ -310,31 +286,27 @@ def narrowed(
     return PathBounds(space.s, lower, upper), tuple(final)
 
 
-def rooms_left(
+def cleared(
     path: PathBounds, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...], vehicle: VehicleParameters,
     config: CorridorConfig,
-) -> dict[str, float]:  # fmt: skip
-    """The room that a path leaves to each agent that it passes, m: its points' offsets are both bounds."""
+) -> tuple[dict[str, float], tuple[Decision, ...]]:  # fmt: skip
+    """The room that a path leaves to each agent that it passes, m: its points' offsets are both bounds.
+
+    And the decisions, with a stop for each agent that it does not clear.
+    """
     if not any(decision.kind in SIDES for decision in decisions):
-        return {}
-    rooms = zip(obstacles, decisions, path.room(obstacles, vehicle, config), strict=True)
-    return {
-        box.agent: (least - box.l_to if SIDES[decision.kind] > 0.0 else box.l_from - most) - 0.5 * vehicle.width
-        for box, decision, (most, least) in rooms
-        if decision.kind in SIDES
-    }
-
-
-def given_up(
-    rooms: Mapping[str, float], decisions: tuple[Decision, ...], config: CorridorConfig
-) -> tuple[Decision, ...]:
-    """The decisions, with a stop for each agent that a path does not clear, by the rooms that it leaves."""
-    return tuple(
-        Decision(each.agent, DecisionKind.STOP, "path", f"steering cannot keep clear of it: {rooms[each.agent]:.2f} m")
-        if rooms.get(each.agent, np.inf) < config.min_clearance_m - TOLERANCE_M
-        else each
-        for each in decisions
-    )
+        return {}, decisions
+    rooms, final = dict[str, float](), []
+    for box, each, (most, least) in zip(obstacles, decisions, path.room(obstacles, vehicle, config), strict=True):
+        decision = each
+        if each.kind in SIDES:
+            beside = least - box.l_to if each.kind is DecisionKind.NUDGE_LEFT else box.l_from - most
+            room = rooms[box.agent] = beside - 0.5 * vehicle.width
+            if room < config.min_clearance_m - TOLERANCE_M:
+                reason = f"steering cannot keep clear of it: {room:.2f} m"
+                decision = Decision(each.agent, DecisionKind.STOP, "path", reason)
+        final.append(decision)
+    return rooms, tuple(final)
 
 
 def _boxes(obstacles: Sequence[Occupancy], decisions: Sequence[Decision] = ()) -> FloatArray:

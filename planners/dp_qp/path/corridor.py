@@ -5,24 +5,35 @@ corners stay in the bounds widened by half its width. They are built in named st
 
 (1) `within_lane`   lower <= l <= upper, the lane (or, beside an obstacle, the reachable road) less half the ego's
                     width, and 1 - kappa l >= MIN_REGULAR: short of the centre of a turn
-(2) `for_the_nose`  wider where the ego's nose needs it in a sharp turn
-(3) `towards`       within the sides of the goal region, as near to them as it goes
-(4) `widened`       where the ego is outside the lane: holding a quintic from its state back into it
-(5) `loosened`      to the reach of comfortable steering (`steering`), where a bound asks for more; of hard steering
-                    where comfort would leave the road's room by more than `FORCED_M` and that leaves it by less
+(2) `_for_the_nose` wider where the ego's nose needs it in a sharp turn
+(3) `_towards`      within the sides of the goal region, as near to them as it goes
+(4) `_widened`      where the ego is outside the lane: holding a quintic from its state back into it
+(5) `loosened`      to the reach (8) of comfortable steering, where a bound asks for more; of hard steering where
+                    comfort would leave the road's room by more than `FORCED_M` and that leaves it by less
 
-What obstacles leave of it stands in `bounds`.
+What obstacles leave of it stands in `bounds`. With the speed v(s) that is expected along the reference line, the lock
+K and the steering rate d(delta)/dt, steering keeps
+
+(6) |kappa| <= min(K, a_lat / v^2)           (7) |kappa'| <= rate / (wheelbase v)
+
+For a path at offset l the curvature is kappa_r / (1 - kappa_r l) + l'' / (1 - kappa_r l)^2 where l' is small.
+
+(8) The reach: l, l' and l'' of steering to one side as hard as (6) and (7) let it. A bound that asks for more cannot be
+    kept; it is loosened to the reach, so that a path is found, and whoever is then met is met in the S-T graph.
+
+A point of the ego's axis `lead` m before the rear axle has the offset, from the reference line at s + lead,
+
+(9) l + lead l' - swing,      swing = (sqrt(1 + (kappa_r lead)^2) - 1) / kappa_r
 """
 
 from __future__ import annotations
 
-from math import isfinite
+from math import isfinite, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import TIE, BoolArray, FloatArray, inner_kernel, kernel
-from planners.dp_qp.path.steering import AHEAD, COMFORT, HARD, bounded, swing_of
+from logs.kernel import TIE, BoolArray, FloatArray, frozen, inner_kernel, kernel
 from planners.frenet.path import MIN_REGULAR, quintic
 from planners.frenet.reference_path import Section, sections
 from planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, X
@@ -30,7 +41,7 @@ from planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, X
 KNOT, LIMIT, KAPPA = 0, 1, 2
 """Rows of `RoadAhead.along`: station of a knot, m; speed limit, m/s; curvature of the reference line, 1/m."""
 S, SWING, LOWER, UPPER, LEAST, MOST = 0, 1, 2, 3, 4, 5
-"""Rows of `RoadAhead.points`: stations, m; how far the points swing out (`steering`, (4)), m; bounds (1) to (4) of
+"""Rows of `RoadAhead.points`: stations, m; how far the points swing out (9), m; bounds (1) to (4) of
 their offsets, m; the same without (3), m."""
 MAX_DL = 1.0
 """Bound of l': 45 degrees off the reference line."""
@@ -46,6 +57,18 @@ NEAR_GOAL_M = 15.0
 """Who stands within this of the goal is passed as anywhere else: its sides are not kept to then, m."""
 HERE = np.empty(0)
 """`loosened`: near the reference line."""
+COMFORT = frozen(np.array([4.0, 3.0, 1.8]))
+"""Lateral acceleration that a path may need, braking and acceleration that the expected speed counts on, m/s2 ..."""
+HARD = frozen(np.array([6.0, 5.0, 0.0]))
+"""... and those where comfort would leave the lane by more than `FORCED_M`."""
+SHARPEST = 1.0
+"""Largest rate of the curvature, 1/m2, however slow the ego is."""
+SHARE = 0.8
+"""Share of the bounds with which the reach (8) steers: what is left makes the path smooth."""
+SLOWEST_MPS = 1.0
+"""v of (6) and (7) is not less than this, m/s."""
+AHEAD = 1.0 / 3.0
+"""The swing (9) is that of the curvature at s + lead / 3: exact to second order where the curvature rises linearly."""
 
 
 class Ego(NamedTuple):
@@ -54,7 +77,7 @@ class Ego(NamedTuple):
     Attributes:
         start: s, l, l', l'' and speed, m, 1, 1/m, m/s `(5,)`.
         leads: How far its points are before the rear axle `(k,)`, the first 0, m.
-        car: As of `steering.bounded` `(3,)`.
+        car: As of `bounded` `(3,)`.
         side: Half its width and what is kept to the lane's edge, m.
     """
 
@@ -77,6 +100,14 @@ class Borrowed(NamedTuple):
     right: bool
 
 
+class Knots(NamedTuple):
+    """Of the path QP: how many, the step between two, m, and its share of the middle of the bounds (`qp.PathQp`)."""
+
+    number: int
+    step: float
+    middle: float
+
+
 class RoadAhead(NamedTuple):
     """The road at the n knots of the path QP, for k points of the ego.
 
@@ -95,22 +126,15 @@ class RoadAhead(NamedTuple):
 
 @kernel
 def road_ahead(
-    line_s: FloatArray, table: FloatArray, ego: Ego, step: float, n: int, middle: float, borrowed: Borrowed,
-    sides: FloatArray, standing: FloatArray,
+    line_s: FloatArray, table: FloatArray, ego: Ego, knots: Knots, borrowed: Borrowed, sides: FloatArray,
+    standing: FloatArray,
 ) -> RoadAhead:  # fmt: skip
-    """(1) to (5) at n knots, `step` m apart.
+    """(1) to (5) at the knots, along a reference line's stations and a reference path's table.
 
-    Args:
-        line_s: Of the reference line.
-        table: Of the reference path.
-        ego: The ego.
-        step: m.
-        n: Knots.
-        middle: As of `loosened`.
-        borrowed: Road beside the lane.
-        sides: Of the goal `(3, m)` (`GoalWindow.sides`).
-        standing: Stations from, to, of those who stand `(c, 2)`, m: (3) is left out where one does near the goal.
+    `sides` of the goal `(3, m)` are those of `GoalWindow.sides`; (3) is left out where one of those who stand, at
+    stations from, to `(c, 2)`, m, is near the goal.
     """
+    n, step = knots.number, knots.step
     along, points = np.empty((3, n)), np.empty((6, len(ego.leads), n))
     for k in range(len(ego.leads)):
         lead, turning = ego.leads[k], np.empty(n)
@@ -121,14 +145,15 @@ def road_ahead(
         within_lane(road, points[S, k], borrowed, ego.side, points[LOWER, k], points[UPPER, k])
         turned = road.kappa if k == 0 else sections(line_s, table, turning).kappa
         for i in range(n):
-            points[SWING, k, i] = swing_of(turned[i], lead)
+            turn = turned[i] * lead
+            points[SWING, k, i] = lead * turn / (1.0 + sqrt(1.0 + turn**2))  # (9): m to the right in a left turn
             if k == 0:
                 along[LIMIT, i], along[KAPPA, i] = road.limit[i], road.kappa[i]
-    for_the_nose(points)
-    towards(points, sides, standing)
-    widened(points[S], points[LOWER], points[UPPER], ego.start)
-    widened(points[S], points[LEAST], points[MOST], ego.start)
-    references, rows = loosened(along, points, points[LOWER], points[UPPER], np.empty(0), ego, step, middle)
+    _for_the_nose(points)
+    _towards(points, sides, standing)
+    _widened(points[S], points[LOWER], points[UPPER], ego.start)
+    _widened(points[S], points[LEAST], points[MOST], ego.start)
+    references, rows = loosened(along, points, points[LOWER], points[UPPER], np.empty(0), ego, knots)
     return RoadAhead(along, points, references, rows)
 
 
@@ -169,7 +194,7 @@ def within_lane(
 
 
 @inner_kernel
-def for_the_nose(points: FloatArray) -> None:
+def _for_the_nose(points: FloatArray) -> None:
     """(2), and the room with it as `LEAST` and `MOST`."""
     for i in range(points.shape[2]):
         least, most = -np.inf, np.inf
@@ -184,7 +209,7 @@ def for_the_nose(points: FloatArray) -> None:
 
 
 @inner_kernel
-def towards(points: FloatArray, sides: FloatArray, standing: FloatArray) -> None:
+def _towards(points: FloatArray, sides: FloatArray, standing: FloatArray) -> None:
     """(3), where the sides are within reach and no agent stands near the goal."""
     if sides.shape[1] == 0:
         return
@@ -222,7 +247,7 @@ def _at(s: float, stations: FloatArray, values: FloatArray) -> float:
 
 
 @inner_kernel
-def widened(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArray) -> None:
+def _widened(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArray) -> None:
     """(4) in place, of bounds `(points, n)` at stations of that shape, for a start as of `Ego`."""
     l0, dl0, ddl0, speed = start[1], start[2], start[3], start[4]
     ahead = l0 + dl0 * min(5.0, 0.5 * speed)
@@ -243,21 +268,21 @@ def widened(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArr
 @kernel
 def loosened(
     along: FloatArray, points: FloatArray, lower: FloatArray, upper: FloatArray, near: FloatArray, ego: Ego,
-    step: float, middle: float,
+    knots: Knots,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """References and rows of the path QP (`RoadAhead`) for bounds `(points, n)`, loosened to what steering reaches (5).
 
     The bounds of the curvature are those at the offsets `near` `(n,)`, or where `HERE` as near to the reference line as
-    the bounds are. The references are `middle` times the sum of the bounds (`qp`, (1) and (5)).
+    the bounds are. The references are `knots.middle` times the sum of the bounds (`qp`, (1) and (5)).
     """
-    n = lower.shape[1]
+    n, step = lower.shape[1], knots.step
     references, rows = np.zeros((2, n)), np.zeros((2, 3 + len(ego.leads), n))
     offsets, least = np.empty(n), np.inf
     for i in range(n):
         offsets[i] = near[i] if len(near) > 0 else min(max(0.0, lower[0, i]), upper[0, i])
     for hard in range(2):
         bend, rate, left, right = bounded(
-            ego.start[1:4], ego.start[4], along[LIMIT], along[KAPPA], offsets, step, ego.car, HARD if hard else COMFORT
+            ego.start[1:], along[LIMIT], along[KAPPA], offsets, step, ego.car, HARD if hard else COMFORT
         )
         reached = np.empty((2, len(ego.leads), n))
         forced = -np.inf
@@ -281,7 +306,7 @@ def loosened(
             break
         least = forced
     for i in range(n):
-        references[0, i] = middle * (rows[0, X, i] + rows[1, X, i])
+        references[0, i] = knots.middle * (rows[0, X, i] + rows[1, X, i])
     return references, rows
 
 
@@ -351,3 +376,85 @@ def narrowed_beside(
 @inner_kernel
 def _is_beside(s: float, box: FloatArray, gap: float) -> bool:
     return box[0] - gap - TIE <= s <= box[1] + gap + TIE
+
+
+@kernel
+def expected_speed(
+    v0: float, limit: FloatArray, kappa: FloatArray, step: float, accel: float, decel: float, lateral: float
+) -> FloatArray:
+    """Speed `(n,)` at stations `step` m apart: the limit and the curves, with as much braking as `decel`, m/s."""
+    out = np.empty(len(limit))
+    for i in range(len(limit)):
+        out[i] = min(limit[i], sqrt(lateral / max(abs(kappa[i]), 1e-6)))
+    for i in range(len(limit) - 2, -1, -1):
+        most = out[i + 1] ** 2 + 2.0 * decel * step
+        if out[i] ** 2 > most:
+            out[i] = sqrt(most)
+    out[0] = v0
+    for i in range(1, len(limit)):
+        least, most = out[i - 1] ** 2 - 2.0 * decel * step, out[i - 1] ** 2 + 2.0 * accel * step
+        if out[i] ** 2 > most:
+            out[i] = sqrt(most)
+        elif out[i] ** 2 < least:
+            out[i] = sqrt(least)
+    return out
+
+
+@inner_kernel
+def _bend_bounds(bend: float, kappa: float, offset: float) -> tuple[float, float]:
+    """Bounds of l'' that keep the curvature of a path near an offset within +-`bend`."""
+    regular = max(1.0 - kappa * offset, MIN_REGULAR)
+    return (-bend - kappa / regular) * regular**2, (bend - kappa / regular) * regular**2
+
+
+@inner_kernel
+def _reach(start: FloatArray, aim: FloatArray, low: FloatArray, high: FloatArray, step: float) -> FloatArray:
+    """Rows l, l', l'' `(3, n)` of (8): l'' goes to `aim` `(n,)` as fast as the bounds of its rate `(n - 1,)` let it."""
+    n = len(aim)
+    out = np.empty((3, n))
+    out[:, 0] = start[:3]
+    for i in range(n - 1):
+        now = out[2, i]
+        then = min(max(aim[i + 1], now + step * low[i]), now + step * high[i])  # (8)
+        out[2, i + 1] = then
+        out[1, i + 1] = out[1, i] + 0.5 * step * (now + then)
+        out[0, i + 1] = out[0, i] + step * out[1, i] + step * step * (now / 3.0 + then / 6.0)
+    return out
+
+
+@kernel
+def bounded(
+    start: FloatArray, limit: FloatArray, kappa: FloatArray, offset: FloatArray, step: float, car: FloatArray,
+    limits: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Bounds of l'' `(2, n)` and of its rate `(2, n - 1)`, and the reach (8) to the left and to the right `(3, n)`.
+
+    Args:
+        start: l, l', l'' and the speed (m/s) at the first knot; the bounds of l'' are widened to the reach from there.
+        limit: Speed limit at the knots `(n,)`, m/s.
+        kappa: Of the reference line at the knots `(n,)`, 1/m.
+        offset: Near which the path is `(n,)`, m.
+        step: Between two knots, m.
+        car: Curvature at the lock, 1/m, its rate over time, 1/(m s), and the lateral acceleration for which the speed
+            stage slows down in curves, m/s2.
+        limits: `COMFORT` or `HARD`.
+    """
+    n = len(limit)
+    v = expected_speed(start[3], limit, kappa, step, limits[2], limits[1], car[2])
+    bounds, aims, rates, share = np.empty((2, n)), np.empty((2, n)), np.empty((2, n - 1)), np.empty((2, n - 1))
+    quickest = np.inf
+    for i in range(n):
+        fast = max(v[i], SLOWEST_MPS)
+        bend = min(car[0], limits[0] / fast**2)  # (6)
+        bounds[0, i], bounds[1, i] = _bend_bounds(bend, kappa[i], offset[i])
+        aim = max(SHARE * bend, min(bend, 1.02 * abs(kappa[i])))
+        aims[0, i], aims[1, i] = _bend_bounds(aim, kappa[i], offset[i])
+        before, quickest = quickest, min(car[1] / fast, SHARPEST)
+        if i > 0:
+            rate, turning = min(before, quickest), (kappa[i] - kappa[i - 1]) / step  # (7)
+            rates[0, i - 1], rates[1, i - 1] = -rate - turning, rate - turning
+            share[0, i - 1], share[1, i - 1] = -SHARE * rate - turning, SHARE * rate - turning
+    left, right = _reach(start, aims[1], share[0], share[1], step), _reach(start, aims[0], share[0], share[1], step)
+    for i in range(n):
+        bounds[0, i], bounds[1, i] = min(bounds[0, i], left[2, i]), max(bounds[1, i], right[2, i])
+    return bounds, rates, left, right

@@ -20,16 +20,15 @@ from logs.trace import (
     SlGraph,
     SolverReport,
 )
+from planners.dp_qp.goal_window import GoalWindow
 from planners.dp_qp.path import bounds
 from planners.dp_qp.path.bounds import SIDES, CorridorConfig, InTheWay, PathBounds
-from planners.dp_qp.path.corridor import HERE, KNOT, LOWER, SWING, UPPER, Ego, RoadAhead, S, loosened, road_ahead
+from planners.dp_qp.path.corridor import HERE, KNOT, LOWER, SWING, UPPER, Ego, Knots, RoadAhead, S, loosened, road_ahead
 from planners.dp_qp.path.dp import PathDpConfig, SlGrid, solve_path_dp
-from planners.dp_qp.path.oncoming_lane import blocking, may_block, passed_by_oncoming_lane, waiting_place
+from planners.dp_qp.path.passing import blocking, may_block, passed_by_oncoming_lane, waiting_place
 from planners.dp_qp.path.qp import PathQp, PathQpConfig
-from planners.dp_qp.scene.goal_window import GoalWindow
-from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path, drivable_path
-from planners.frenet.scene import Scene
+from planners.frenet.scene import Occupancy, Scene
 from planners.piecewise_jerk.problem import LEADS, PiecewiseJerkProblem, X
 from planners.piecewise_jerk.solvers import DEFAULT
 from planners.qp import QPResult
@@ -82,7 +81,7 @@ class ChosenPath:
         passed: The room that the path leaves to each agent that it passes on purpose, m.
         shift: Largest change of the offset from the reference line within `SHIFT_AHEAD_M`, m.
         reports: Of the solver.
-        artefacts: Makes graph, decisions, costs and reports for whoever wants to see them.
+        artefacts: Makes graph, decisions, costs and reports when they are read.
     """
 
     path: Path | None
@@ -95,19 +94,13 @@ class ChosenPath:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Task:
-    """What the path QP is asked.
+    """What the path QP is asked: from where, along which road, and the problem in its room without obstacles.
 
-    Attributes:
-        scene: The scene.
-        program: The QP for one length.
-        ego: Where the path begins.
-        road: At its knots.
-        space: Bounds of the ego's points `(points, knots)`, without obstacles.
-        problem: The QP in them.
+    `space` holds the bounds of the ego's points `(points, knots)`.
     """
 
-    scene: Scene
     program: PathQp
+    knots: Knots
     ego: Ego
     road: RoadAhead
     space: PathBounds
@@ -118,7 +111,7 @@ class _Task:
 class _Found:
     """l, l', l'' `(3, knots)` or None; what the solver answered; what was decided in the end; the problem, reports.
 
-    `rooms` as of `bounds.rooms_left`.
+    `rooms` as of `bounds.cleared`.
     """
 
     offsets: FloatArray | None
@@ -149,43 +142,55 @@ class PathStage:
         """The path from the scene's start, past those who move, too; and what is remembered."""
         if scene.trouble:
             return ChosenPath(None, scene.trouble, {}, 0.0, (), tuple), PathMemory()
-        program = self._program(scene.start.v)
-        way, standing = self._in_the_way(scene, program, memory.standing)
-        boxes = way.obstacles
-        way = way.and_moving(moving) if moving else way
-        task = self._task(scene, program, way, boxes)
-        grid, decisions = self._sides(task, way, memory.sides)
+        task, way, standing = self._task(scene, memory.standing, moving)
+        program = task.program
+        grid, decisions = self._sides(scene, task, way, memory.sides)
         self._lap("path DP")
-        found, road = self._solved(task, way.obstacles, decisions), task.road
+        found = self._solved(task, way.obstacles, decisions)
         self._lap("path QP")
-        offsets, path, shift = found.offsets, None, 0.0
-        if offsets is not None:
-            path, shift = self._path(task, offsets, way.wait)
+        path, shift = None, 0.0
+        if found.offsets is not None:  # to where it is to wait, if it can stop there, or turns beyond the lock
+            stops = scene.s + scene.start.v**2 / (2.0 * WAITING_MPS2) < way.wait + 0.5
+            until = max(way.wait, scene.s + 1.0) if stops else np.inf
+            sharpest = LOCK_SLACK * self._vehicle.max_kappa
+            path, shift = drivable_path(scene.reference.line, scene.s, program.step, found.offsets, sharpest, until)
         reason = "" if path is not None else f"path QP: {found.reports[-1].status}"
         sides = {decision.agent: SIDES[decision.kind] for decision in found.decisions if decision.kind in SIDES}
         passed = {name: found.rooms[name] for name in sides if name in found.rooms}
 
         def artefacts() -> tuple[Artefact, ...]:
-            graph = self._graph(road, way, grid, found)
+            graph = self._graph(task.road, way, grid, found)
             kept = (decision for decision in found.decisions if decision.kind is not DecisionKind.IGNORE)
             return (graph, *kept, program.costs(found.x, found.problem), *found.reports)
 
         chosen = ChosenPath(path, reason, passed, shift, found.reports, artefacts)
         return chosen, PathMemory(standing, sides)
 
-    def _task(self, scene: Scene, program: PathQp, way: InTheWay, boxes: tuple[Occupancy, ...]) -> _Task:
-        """The corridor without obstacles; the goal's sides are kept where none of the `boxes`, who stand, is near."""
+    def _task(
+        self, scene: Scene, before: Mapping[str, float], moving: InTheWay | None
+    ) -> tuple[_Task, InTheWay, Mapping[str, float]]:
+        """The corridor without obstacles, who is in the way, and who has stood there since when.
+
+        The goal's sides are kept where none of those who stand is near.
+        """
         reference, car, speed = scene.reference, self._vehicle, scene.start.v
+        wanted = (speed + 4.0) * self._horizon + 10.0
+        length = next((candidate for candidate in LENGTHS_M if candidate >= wanted - TIE), LENGTHS_M[-1])
+        if length not in self._programs:
+            suited, leads = length / self._horizon - 5.0, tuple(self._leads)
+            self._programs[length] = PathQp(length, suited, leads, self._config.qp, self._solver)
+        program = self._programs[length]
+        way, standing = self._in_the_way(scene, length, before)
+        sides = self._goal.sides(scene.s, scene.s + length + car.axle_to_front)
+        near = np.array([(box.s_from, box.s_to) for box in way.obstacles]) if way.obstacles and sides.size else NO_ONE
+        way = way.and_moving(moving) if moving else way
         start = np.array((scene.s, *scene.frenet, speed))
         ego = Ego(start, self._leads, self._car, 0.5 * car.width + self._config.corridor.edge_m)
-        sides = self._goal.sides(scene.s, scene.s + program.length + car.axle_to_front)
-        near = np.array([(box.s_from, box.s_to) for box in boxes]) if boxes and sides.size else NO_ONE
-        road = road_ahead(
-            reference.line.s, reference.table, ego, program.step, program.knots, program.middle,
-            bounds.borrowed(way, speed, car), sides, near,
-        )  # fmt: skip
+        knots, beside = Knots(program.knots, program.step, program.middle), bounds.borrowed(way, speed, car)
+        road = road_ahead(reference.line.s, reference.table, ego, knots, beside, sides, near)
         space = PathBounds(road.points[S], road.points[LOWER], road.points[UPPER])
-        return _Task(scene, program, ego, road, space, program.stated(start[1:4], road.references, road.rows))
+        problem = program.stated(start[1:4], road.references, road.rows)
+        return _Task(program, knots, ego, road, space, problem), way, standing
 
     def _solved(self, task: _Task, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...]) -> _Found:
         """The path within the bounds, else out of them as little as can be; then without those that it cannot clear."""
@@ -205,8 +210,7 @@ class PathStage:
             final, rooms = decisions, dict[str, float]()
             if obstacles:
                 at = offsets[0] + self._leads[:, None] * offsets[1] - task.road.points[SWING]
-                rooms = bounds.rooms_left(PathBounds(narrow.s, at, at), obstacles, decisions, car, config)
-                final = bounds.given_up(rooms, decisions, config)
+                rooms, final = bounds.cleared(PathBounds(narrow.s, at, at), obstacles, decisions, car, config)
             if in_bounds or final == decisions:
                 return _Found(offsets, result.x, final, narrow, problem, reports, rooms)
             decisions = final
@@ -234,36 +238,15 @@ class PathStage:
 
     def _problem(self, task: _Task, space: PathBounds, near: FloatArray) -> PiecewiseJerkProblem:
         """The path QP in a space, as far as steering can keep it; bounds of the curvature as at offsets `near`."""
-        road, program = task.road, task.program
-        asked = loosened(
-            road.along, road.points, space.lower, space.upper, near, task.ego, program.step, program.middle
-        )
-        return program.stated(task.ego.start[1:4], *asked)
-
-    def _path(self, task: _Task, offsets: FloatArray, wait: float) -> tuple[Path, float]:
-        """The path to the station at which to wait, if it can stop there, or to where it turns beyond the lock.
-
-        And its shift.
-        """
-        scene, until = task.scene, np.inf
-        if scene.s + scene.start.v**2 / (2.0 * WAITING_MPS2) < wait + 0.5:
-            until = max(wait, scene.s + 1.0)
-        sharpest = LOCK_SLACK * self._vehicle.max_kappa
-        return drivable_path(scene.reference.line, scene.s, task.program.step, offsets, sharpest, until)
-
-    def _program(self, speed: float) -> PathQp:
-        wanted = (speed + 4.0) * self._horizon + 10.0
-        length = next((candidate for candidate in LENGTHS_M if candidate >= wanted - TIE), LENGTHS_M[-1])
-        if length not in self._programs:
-            suited, leads = length / self._horizon - 5.0, tuple(self._leads)
-            self._programs[length] = PathQp(length, suited, leads, self._config.qp, self._solver)
-        return self._programs[length]
+        road = task.road
+        asked = loosened(road.along, road.points, space.lower, space.upper, near, task.ego, task.knots)
+        return task.program.stated(task.ego.start[1:4], *asked)
 
     def _in_the_way(
-        self, scene: Scene, program: PathQp, standing: Mapping[str, float]
+        self, scene: Scene, length: float, standing: Mapping[str, float]
     ) -> tuple[InTheWay, Mapping[str, float]]:
         """Who stands in the way and what of the road beside the lane is free; and who has stood there since when."""
-        config, length = self._config.corridor, program.length
+        config, car, agents = self._config.corridor, self._vehicle, scene.frame.agents
         obstacles = bounds.standing_obstacles(scene, length)
         since = {box.agent: standing.get(box.agent, scene.frame.t) for box in obstacles}
         if not obstacles:
@@ -272,65 +255,59 @@ class PathStage:
         if not may_block(scene, obstacles):
             return way, since
         near = scene.s + np.arange(0.0, length, 2.0) + np.zeros((1, 1))
-        blocked = tuple(
-            box
-            for box in blocking(obstacles, self._lane_bounds(scene, near, way), self._vehicle, config)
-            if self._stays(scene, box, since)
-        )
+        space = bounds.lane_bounds(scene.reference, near, way, scene.start.v, car, config)
+        stay = []  # who will not drive on soon: no vehicles, and those that stood long with nothing to wait for
+        for box in blocking(obstacles, space, car, config):
+            queues = any(box.s_from < place < box.s_to + JUNCTION_M for place in scene.reference.waits)
+            has_stood = scene.frame.t - since[box.agent] >= config.patience_s
+            is_object = agents.kinds[agents.ids.index(box.agent)] is AgentKind.OBJECT
+            if is_object or (has_stood and not queues):
+                stay.append(box)
+        blocked = tuple(stay)
         by_oncoming = passed_by_oncoming_lane(scene, blocked, config)
         wait = waiting_place(scene, blocked, by_oncoming)
         if by_oncoming:
             obstacles = bounds.standing_obstacles(scene, length, facing=True)
         return replace(way, obstacles=obstacles, facing=by_oncoming, wait=wait), since
 
-    def _stays(self, scene: Scene, box: Occupancy, since: Mapping[str, float]) -> bool:
-        """Whether an agent will not drive on soon: no vehicle, or one that stood long with nothing to wait for."""
-        agents = scene.frame.agents
-        if agents.kinds[agents.ids.index(box.agent)] is AgentKind.OBJECT:
-            return True
-        queues = any(box.s_from < place < box.s_to + JUNCTION_M for place in scene.reference.waits)
-        return not queues and scene.frame.t - since[box.agent] >= self._config.corridor.patience_s
-
-    def _lane_bounds(self, scene: Scene, s: FloatArray, way: InTheWay) -> PathBounds:
-        return bounds.lane_bounds(scene.reference, s, way, scene.start.v, self._vehicle, self._config.corridor)
-
     def _sides(
-        self, task: _Task, way: InTheWay, before: Mapping[str, float]
+        self, scene: Scene, task: _Task, way: InTheWay, before: Mapping[str, float]
     ) -> tuple[SlGrid | None, tuple[Decision, ...]]:
         """On which side each obstacle is passed; the path DP is run only where there is room on both, to decide."""
-        config, car = self._config.corridor, self._vehicle
+        config, car, columns = self._config.corridor, self._vehicle, self._config.dp.columns
         choices = bounds.side_choices(way.obstacles, task.space, car, config)
         if not any(choice.is_open(config.min_clearance_m) for choice in choices):
             return None, tuple(choice.decided(choice.left > choice.right, None, config) for choice in choices)
-        grid = self._dp(task.scene, task.program, way, before)
+        side, gap = 0.5 * car.width + config.min_clearance_m, config.gap_m
+        boxes = [  # what the rear axle must avoid
+            (
+                box.s_from - car.axle_to_front - gap, box.s_to + car.rear_overhang + gap,
+                box.l_from - side, box.l_to + side, before.get(box.agent, 0.0),
+            )
+            for box in way.obstacles
+        ]  # fmt: skip
+
+        def room(s: FloatArray) -> tuple[FloatArray, FloatArray]:
+            space = bounds.lane_bounds(scene.reference, s, way, scene.start.v, car, config)
+            return space.lower, space.upper
+
+        stations, start = scene.s + task.program.length / columns * np.arange(1, columns + 1), task.ego.start[:4]
+        grid = solve_path_dp(stations, self._rows, start, np.reshape(boxes, (-1, 5)), room, self._config.dp)
         decisions = []
         for choice, (left, right) in zip(choices, grid.sides.tolist(), strict=True):
             goes_left = grid.offset(choice.box.s_middle) > 0.5 * (choice.box.l_from + choice.box.l_to)
             decisions.append(choice.decided(goes_left, (left, right), config))
         return grid, tuple(decisions)
 
-    def _dp(self, scene: Scene, program: PathQp, way: InTheWay, sides: Mapping[str, float]) -> SlGrid:
-        gaps, columns = self._config.corridor, self._config.dp.columns
-        boxes = [
-            (*bounds.grown(box, self._vehicle, gaps.min_clearance_m, gaps.gap_m), sides.get(box.agent, 0.0))
-            for box in way.obstacles
-        ]
-        stations = scene.s + program.length / columns * np.arange(1, columns + 1)
-
-        def room(s: FloatArray) -> tuple[FloatArray, FloatArray]:
-            space = self._lane_bounds(scene, s, way)
-            return space.lower, space.upper
-
-        start = np.array([scene.s, *scene.frenet])
-        return solve_path_dp(stations, self._rows, start, np.reshape(boxes, (-1, 5)), room, self._config.dp)
-
     def _graph(self, road: RoadAhead, way: InTheWay, grid: SlGrid | None, found: _Found) -> SlGraph:
-        """The S-L graph, with the DP where it was run."""
-        offsets, knots = found.offsets, road.along[KNOT]
+        """The S-L graph, with the DP where it was run; its corridor at the knots holds the bounds of all points."""
+        offsets, knots, at = found.offsets, road.along[KNOT], found.narrow.s
         points = [X, *range(LEADS, len(found.problem.lower))]
-        low, high = found.narrow.reported(
-            *(of[points] - road.points[SWING] for of in (found.problem.lower, found.problem.upper))
-        )
+        lower, upper = (of[points] - road.points[SWING] for of in (found.problem.lower, found.problem.upper))
+        low, high = lower[0].copy(), upper[0].copy()
+        for k in range(1, len(at)):
+            low = np.minimum(low, np.interp(at[0], at[k], lower[k], left=np.inf))
+            high = np.maximum(high, np.interp(at[0], at[k], upper[k], left=-np.inf))
         obstacles = []
         for box, decision in zip(way.obstacles, found.decisions, strict=True):
             s, l = (box.s_from, box.s_to), (box.l_from, box.l_to)  # noqa: E741

@@ -42,14 +42,6 @@ RESTING_MPS = 0.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Asked:
-    """A QP and its answer."""
-
-    problem: SpeedProblem
-    result: QPResult
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class SolvedSpeed:
     """What was found.
 
@@ -58,34 +50,19 @@ class SolvedSpeed:
         reason: Why it is not comfortable, or why there is none; empty otherwise.
         unavoidable: Whether nothing could avoid a contact.
         is_full: Whether it brakes as hard as it can.
-        asked: The QPs of all attempts.
+        attempts: The QPs that were tried, with their answers.
     """
 
     profile: FloatArray | None
     reason: str
     unavoidable: bool = False
     is_full: bool = False
-    asked: tuple[Asked, ...] = ()
+    attempts: tuple[tuple[SpeedProblem, QPResult], ...] = ()
 
     @property
     def reports(self) -> tuple[SolverReport, ...]:
         """Of all attempts."""
-        return tuple(each.result.report for each in self.asked)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Case:
-    """One frame's problem on the ladder.
-
-    Attributes:
-        problem: Its bounds and what is wanted.
-        taken: The S-T boundaries with any margins, stops included.
-        braked_fully: Whether the ego braked as hard as it can, in the frame before.
-    """
-
-    problem: SpeedProblem
-    taken: Callable[[StGraphConfig], StBoundaries]
-    braked_fully: bool = False
+        return tuple(result.report for _, result in self.attempts)
 
 
 class Rung(NamedTuple):
@@ -131,52 +108,50 @@ class BrakingLadder:
             Rung(hardest, LEAST_RESERVE, half, f"{words[-1]} half of the distance", after_full=False),
         )
 
-    def solve(self, case: Case) -> SolvedSpeed:
-        """The profile of a frame."""
-        tried: list[Asked] = []
+    def solve(
+        self, problem: SpeedProblem, taken: Callable[[StGraphConfig], StBoundaries], *, braked_fully: bool = False
+    ) -> SolvedSpeed:
+        """The profile of a frame.
+
+        `taken` gives the S-T boundaries with any margins, stops included; `braked_fully`: whether the ego braked as
+        hard as it can, in the frame before.
+        """
+        tried: list[tuple[SpeedProblem, QPResult]] = []
         for rung in self._rungs:
-            if case.braked_fully and not rung.after_full:
+            if braked_fully and not rung.after_full:
                 continue
             comfort = self._config.comfort.decel_mps2
-            fits, problem, rows = eased(case.problem, rung.limits.columns, rung.share, rung.given, comfort)
+            fits, posed, rows = eased(problem, rung.limits.columns, rung.share, rung.given, comfort)
             if fits:
                 result = self.program.solve(rows)
-                tried.append(Asked(problem, result))
+                tried.append((posed, result))
                 if result.report.solved:
-                    return SolvedSpeed(tidied(result.x), rung.reason, asked=tuple(tried))
-            if tried and case.problem.overtakes:
+                    return SolvedSpeed(tidied(result.x), rung.reason, attempts=tuple(tried))
+            if tried and problem.overtakes:
                 break
-        return (
-            SolvedSpeed(None, "speed QP: no profile found", asked=tuple(tried)) if tried else self._full_braking(case)
-        )
+        if tried:
+            return SolvedSpeed(None, "speed QP: no profile found", attempts=tuple(tried))
+        return self._last_resort(problem, taken)
 
-    def _full_braking(self, case: Case) -> SolvedSpeed:
+    def _last_resort(self, problem: SpeedProblem, taken: Callable[[StGraphConfig], StBoundaries]) -> SolvedSpeed:
         """(3): all that the brakes can do where that leaves some of the gap or does not touch; else driving on."""
-        full = self._utmost.braking(case.problem.start, self._config.knots)
-        left = self._gap - float((full[0] - case.problem.upper).max())
+        times, full = self._times, self._utmost.braking(problem.start, self._config.knots)
+        left = self._gap - float((full[0] - problem.upper).max())
         if left > 0.0:
             return SolvedSpeed(full, f"full braking, which leaves {left:.1f} m", is_full=True)
-        touching, no_touch = case.taken(TOUCHING), "full braking, which just does not touch"
-        if touching.leave(self._times, full[0], 0.0):
-            return SolvedSpeed(full, no_touch, is_full=True)
-        short = f"full braking comes {-left:.1f} m too far"
-        onward = self._onward(case)
-        if onward is not None:
-            return SolvedSpeed(onward, f"driving on, which just does not touch: {short}")
-        if not touching.meets(self._times, full[0]):
-            return SolvedSpeed(full, no_touch, is_full=True)
-        return SolvedSpeed(full, short, unavoidable=True, is_full=True)
-
-    def _onward(self, case: Case) -> FloatArray | None:
-        """Driving on, at the present speed or accelerating, where that does not touch; rows s, v, a `(3, knots)`."""
-        problem, taken = case.problem, case.taken(BARE)
-        v0, a0 = problem.start
-        for accel in (0.0, self._config.comfort.accel_mps2):
-            released = np.minimum(min(a0, 0.0) + RELEASE_MPS3 * self._times, 0.0)
-            a = released + max(a0, 0.0) + (accel - max(a0, 0.0)) * np.minimum(self._times / ONWARD_S, 1.0)
+        touching = taken(TOUCHING)
+        if touching.leave(times, full[0], 0.0):
+            return SolvedSpeed(full, "full braking, which just does not touch", is_full=True)
+        short, bare, (v0, a0) = f"full braking comes {-left:.1f} m too far", taken(BARE), problem.start
+        for accel in (0.0, self._config.comfort.accel_mps2):  # driving on, at the present speed or accelerating
+            released = np.minimum(min(a0, 0.0) + RELEASE_MPS3 * times, 0.0)
+            a = released + max(a0, 0.0) + (accel - max(a0, 0.0)) * np.minimum(times / ONWARD_S, 1.0)
             v = np.maximum(v0 + np.r_[0.0, np.cumsum(0.5 * STEP_S * (a[1:] + a[:-1]))], 0.0)
             v = np.minimum(v, np.maximum(problem.limit, v0))
             s = np.r_[0.0, np.cumsum(0.5 * STEP_S * (v[1:] + v[:-1]))]
-            if v[-1] > RESTING_MPS and s[-1] <= problem.end and not taken.meets(self._times, s):
-                return np.vstack([s, v, np.gradient(v, STEP_S)])
-        return None
+            if v[-1] > RESTING_MPS and s[-1] <= problem.end and not bare.meets(times, s):
+                onward = np.vstack([s, v, np.gradient(v, STEP_S)])
+                return SolvedSpeed(onward, f"driving on, which just does not touch: {short}")
+        if not touching.meets(times, full[0]):
+            return SolvedSpeed(full, "full braking, which just does not touch", is_full=True)
+        return SolvedSpeed(full, short, unavoidable=True, is_full=True)

@@ -171,7 +171,12 @@ def speed_dp(
             v0 = speed[i, j]
             low = max(0, int(np.ceil((v0 - weights.max_decel * DT_S) * DT_S / DS_M - TIE)))
             high = min(max(low, int((v0 + weights.max_accel * DT_S) * DT_S / DS_M + TIE)), rows - 1 - j)
-            _price_edges(totals, j, low, high, cost[i, j], v0, accel[i, j], needed, limit, weights)
+            for k in range(j + low, j + high + 1):  # without the map: no branch, so quick
+                v = (k - j) * DS_M / DT_S
+                a = (v - v0) / DT_S
+                lost, over = max(DT_S - needed[k] + needed[j], 0.0), max(v - limit[k], 0.0)
+                total = cost[i, j] + weights.accel * a * a + weights.jerk * (a - accel[i, j]) ** 2  # (1)
+                totals[k - j] = total + (weights.time * lost + weights.over * over * over)
             for k in range(j + low, j + high + 1):
                 total = totals[k - j]
                 if total > ahead[k] - TIE:
@@ -191,17 +196,3 @@ def speed_dp(
     for i in range(columns, 0, -1):
         chosen[i - 1] = parent[i, chosen[i]]
     return cost, chosen
-
-
-@inner_kernel
-def _price_edges(
-    totals: FloatArray, j: int, low: int, high: int, before: float, v0: float, a0: float, needed: FloatArray,
-    limit: FloatArray, weights: SpeedDpWeights,
-) -> None:  # fmt: skip
-    """Write the cost of the ways over row `j` to rows j + low .. j + high, without the map (1): no branch, so quick."""
-    for k in range(j + low, j + high + 1):
-        v = (k - j) * DS_M / DT_S
-        a = (v - v0) / DT_S
-        lost, over = max(DT_S - needed[k] + needed[j], 0.0), max(v - limit[k], 0.0)
-        total = before + weights.accel * a * a + weights.jerk * (a - a0) ** 2  # (1)
-        totals[k - j] = total + (weights.time * lost + weights.over * over * over)

@@ -89,7 +89,7 @@ class Settings(NamedTuple):
     w_near: float
 
 
-class Posed(NamedTuple):
+class BuiltProblem(NamedTuple):
     """A problem and what it came from.
 
     Attributes:
@@ -112,7 +112,7 @@ class Posed(NamedTuple):
 @kernel
 def build_problem(
     path: PathLimits, taken: Taken, start: tuple[float, float], time_gap: float, is_drawn: bool, settings: Settings
-) -> Posed:
+) -> BuiltProblem:
     """The problem on a path.
 
     Args:
@@ -149,7 +149,7 @@ def build_problem(
     s_dp: FloatArray = np.zeros(settings.knots)
     times, at = STEP_S * np.arange(settings.knots), np.empty(len(taken.t))
     if n + len(stops) > 0 and (is_drawn or moves or not waits):
-        cost, chosen = _grid(v_limit, sigma, taken, start, time_gap, settings, inf if is_drawn else LIKELY)
+        cost, chosen = _search(v_limit, sigma, taken, start, time_gap, settings, inf if is_drawn else LIKELY)
         s_dp = _resampled(STEP_S, settings.knots, DT_S * np.arange(len(chosen)), DS_M * chosen)
     for k in range(len(at)):
         at[k] = interpolated(taken.t[k], times, s_dp)
@@ -167,7 +167,7 @@ def build_problem(
     bound = _speed_bound(path, v_limit, s_ref, start, settings)
     low, high = _station_bounds(taken, kinds, sigma[-1], settings)
     problem = SpeedProblem(start, low, high, bound, s_ref, v_ref, sigma[-1])
-    return Posed(problem, kinds, free_m, cost, chosen, s_dp)
+    return BuiltProblem(problem, kinds, free_m, cost, chosen, s_dp)
 
 
 @inner_kernel
@@ -187,7 +187,7 @@ def _resampled(step: float, n: int, xp: FloatArray, fp: FloatArray) -> FloatArra
 
 
 @inner_kernel
-def _grid(
+def _search(
     v_limit: FloatArray, sigma: FloatArray, taken: Taken, start: tuple[float, float], time_gap: float,
     settings: Settings, worth: float,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip

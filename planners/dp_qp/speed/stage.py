@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
 from logs.frame import PlannerContext
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.trace import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
-from planners.dp_qp.scene.caps import (
+from planners.dp_qp.goal_window import HURRIED_GAP_S
+from planners.dp_qp.speed import doubt
+from planners.dp_qp.speed.braking import RESERVE, BrakingLadder, SolvedSpeed
+from planners.dp_qp.speed.caps import (
     OTHERS,
     OWN,
     CautionConfig,
@@ -26,11 +28,8 @@ from planners.dp_qp.scene.caps import (
     came_to_path,
     lowered,
 )
-from planners.dp_qp.scene.goal_window import HURRIED_GAP_S
-from planners.dp_qp.speed import doubt
-from planners.dp_qp.speed.braking import RESERVE, Asked, BrakingLadder, Case, SolvedSpeed
 from planners.dp_qp.speed.dp import COLLISION, DS_M, DT_S, SpeedDpConfig
-from planners.dp_qp.speed.problem import PathLimits, Posed, Settings, Taken, build_problem
+from planners.dp_qp.speed.problem import BuiltProblem, PathLimits, Settings, Taken, build_problem
 from planners.dp_qp.speed.qp import TOLERANCE, SpeedQpConfig
 from planners.frenet.path import Path
 from planners.frenet.profiles import STEP_S
@@ -52,14 +51,8 @@ CHANGE_S = 0.5
 DOUBTED = "that is doubted: comfortable braking is all that is done"
 
 
-class _Order(NamedTuple):
-    """An order of passing between which the speed DP decides: its name, and the bound (m) that leaves it alone."""
-
-    word: str
-    bound: float
-
-
-ORDERS = {DecisionKind.YIELD: _Order("yielding", 1e6), DecisionKind.OVERTAKE: _Order("going first", -1e6)}
+ORDERS = {DecisionKind.YIELD: ("yielding", 1e6), DecisionKind.OVERTAKE: ("going first", -1e6)}
+"""The orders of passing between which the speed DP decides: the name, and the bound (m) that leaves it alone."""
 COLLIDES = 0.01 * COLLISION
 """A way of the DP that costs more is inside a blocked interval."""
 NO_STOPS = np.empty((0, 2))
@@ -133,7 +126,7 @@ class _Planned:
     """A solved speed and what it came from."""
 
     solved: SolvedSpeed
-    posed: Posed
+    built: BuiltProblem
     blocks: StBoundaries
     may_overtake: BoolArray
     sure: IntArray
@@ -181,16 +174,16 @@ class SpeedStage:
         planned, unlikely = self._believed(way, found)
         solved = planned.solved
         chosen = ChosenSpeed(
-            solved.profile, solved.reason, solved.unavoidable, planned.posed.free_m, solved.reports,
+            solved.profile, solved.reason, solved.unavoidable, planned.built.free_m, solved.reports,
             lambda: self._artefacts(way, planned, unlikely),
         )  # fmt: skip
-        waits = frozenset(scene.frame.agents.ids[who] for who in planned.blocks.agent[planned.posed.kinds == YIELD])
+        waits = frozenset(scene.frame.agents.ids[who] for who in planned.blocks.agent[planned.built.kinds == YIELD])
         return chosen, SpeedMemory(solved.is_full, came, waits)
 
-    def _believed(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries | None]:
+    def _believed(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries]:
         """The speed that keeps to the rows as far as they are believed (`doubt`), and the rows that do not bind."""
         if not len(found):
-            return self._planned(way, found), None
+            return self._planned(way, found), found
         scene = way.view.scene
         p = doubt.weights(scene, way.view.path, found)
         binds = p >= doubt.CERTAIN
@@ -198,7 +191,7 @@ class SpeedStage:
         planned = self._planned(way, found if is_sure else found.only(binds))
         solved = planned.solved
         if is_sure and not solved.reason:
-            return planned, None
+            return planned, found.only(~binds)
         eased = ~binds & (p >= doubt.NEGLIGIBLE)
         if eased.any():
             eased &= ~self._safe(solved.profile, found)
@@ -210,7 +203,7 @@ class SpeedStage:
             rows = doubt.let_go(found, eased, np.interp(found.t, self._times, stop), gap)
             planned = self._planned(way, rows.only(binds | eased), found.agent[binds & ~eased])
         binds |= eased
-        return planned, None if binds.all() else replace(found, probability=p).only(~binds)
+        return planned, replace(found, probability=p).only(~binds)
 
     def _planned(self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None) -> _Planned:
         """The speed that keeps to these boundaries; those of the agents `sure` (None: all) with other margins, too.
@@ -219,24 +212,22 @@ class SpeedStage:
         jerk.
         """
         who, ids = blocks.agent if sure is None else sure, way.view.scene.frame.agents.ids
-        may, tried = np.ones(len(blocks), np.bool_), tuple[Asked, ...]()
+        may, solved = np.ones(len(blocks), np.bool_), SolvedSpeed(None, "")
         while True:
-            posed = self._posed(way, blocks, may)
+            built, tried = self._build(way, blocks, may), solved.attempts
             self._lap("speed DP")
-            solved = self._ladder.solve(Case(posed.problem, partial(way.taken, who), way.memory.braked_fully))
-            solved = replace(solved, asked=(*tried, *solved.asked)) if tried else solved
-            refused = posed.kinds == OVERTAKE
-            if not refused.any():
-                break
-            if solved.profile is not None:
+            solved = self._ladder.solve(built.problem, partial(way.taken, who), braked_fully=way.memory.braked_fully)
+            solved = replace(solved, attempts=(*tried, *solved.attempts)) if tried else solved
+            refused = built.kinds == OVERTAKE
+            if solved.profile is not None and refused.any():
                 late = np.array([CHANGE_S if ids[each] in way.memory.waits else 0.0 for each in blocks.agent])
                 s = np.interp(blocks.t - late[:, None], self._times, solved.profile[0])
                 refused &= ((s > blocks.lower) & (s < blocks.upper)).any(axis=1)
-                if not refused.any():
-                    break
-            may, tried = may & ~refused, solved.asked
+            if not refused.any():
+                break
+            may = may & ~refused
         self._lap("speed QP")
-        return _Planned(solved, posed, blocks, may, who)
+        return _Planned(solved, built, blocks, may, who)
 
     def _safe(self, profile: FloatArray | None, rows: StBoundaries) -> BoolArray:
         """(4) of `doubt`, of all rows `(n,)`."""
@@ -249,7 +240,9 @@ class SpeedStage:
         met = ((driven > rows.lower) & (driven < rows.upper)).any(axis=1)
         return np.asarray(~met | ~(stopped > rows.lower).any(axis=1))
 
-    def _posed(self, way: _Way, blocks: StBoundaries, may_overtake: BoolArray, *, is_drawn: bool = False) -> Posed:
+    def _build(
+        self, way: _Way, blocks: StBoundaries, may_overtake: BoolArray, *, is_drawn: bool = False
+    ) -> BuiltProblem:
         """The problem with these boundaries, and the speed DP where it decides or `is_drawn`."""
         scene, time_gap = way.view.scene, self._config.dp.time_gap_s
         pace = scene.speed[blocks.agent]
@@ -257,11 +250,11 @@ class SpeedStage:
         gap = min(time_gap, HURRIED_GAP_S) if way.view.task.target.hurried else time_gap
         return build_problem(way.limits, taken, (scene.v, scene.start.a), gap, is_drawn, self._settings)
 
-    def _artefacts(self, way: _Way, planned: _Planned, unlikely: StBoundaries | None) -> tuple[Artefact, ...]:
+    def _artefacts(self, way: _Way, planned: _Planned, unlikely: StBoundaries) -> tuple[Artefact, ...]:
         """Graph (with the DP where it was run), decisions, costs and reports."""
         scene, path, stops = way.view.scene, way.view.path, way.view.task.stops
-        blocks, solved, problem = planned.blocks, planned.solved, planned.posed.problem
-        drawn, decisions = self._posed(way, blocks, planned.may_overtake, is_drawn=True), []
+        blocks, solved, problem = planned.blocks, planned.solved, planned.built.problem
+        drawn, decisions = self._build(way, blocks, planned.may_overtake, is_drawn=True), []
         doubted = np.isin(blocks.agent, planned.sure, invert=True)
         decided = decide_speed(blocks, scene, np.interp(blocks.t, self._times, drawn.s_dp))
         for i, (decision, may) in enumerate(zip(decided, planned.may_overtake, strict=True)):
@@ -285,11 +278,14 @@ class SpeedStage:
             np.column_stack([self._times, profile[0]]) if profile is not None else np.empty((0, 2)),
             (*outlines(blocks, decisions), *stop_outlines(stops, float(self._times[-1]), path.length)),
         )
-        ignored = _ignored(unlikely, scene) if unlikely is not None else ()
-        asked = (stop.decision for stop in stops)
-        costs = self._ladder.program.costs
-        asked_qps = (part for each in solved.asked for part in (costs(each.result.x, each.problem), each.result.report))
-        return (graph, *decisions, *asked_qps, *ignored, *asked, *way.decisions)
+        ignored = []
+        for who, lower, share in zip(unlikely.agent, unlikely.lower, unlikely.probability, strict=True):
+            begin = f"may take the path from {float(np.nanmin(lower)):.1f} m on"
+            reason = f"{begin}, but that is unlikely ({share:.0%}); the ego is past, or could still stop"
+            ignored.append(Decision(scene.frame.agents.ids[who], DecisionKind.IGNORE, "speed", reason))
+        asked, costs = (stop.decision for stop in stops), self._ladder.program.costs
+        qps = (part for qp, result in solved.attempts for part in (costs(result.x, qp), result.report))
+        return (graph, *decisions, *qps, *ignored, *asked, *way.decisions)
 
     def _orders(
         self, way: _Way, planned: _Planned, i: int, kind: DecisionKind, known: Mapping[DecisionKind, float]
@@ -297,32 +293,18 @@ class SpeedStage:
         """By how much the solution stays clear of a boundary, and what each order costs in the speed DP."""
         blocks, profile, costs = planned.blocks, planned.solved.profile, dict(known)
         took = np.isfinite(blocks.lower[i])
-        for order in ORDERS.keys() - known.keys():
-            lower, upper = blocks.lower.copy(), blocks.upper.copy()
-            (upper if order is DecisionKind.YIELD else lower)[i, took] = ORDERS[order].bound
-            cost = self._posed(way, replace(blocks, lower=lower, upper=upper), planned.may_overtake).cost
-            costs[order] = float(cost[-1].min())
-        words = [
-            f"{ORDERS[order].word} {_cost(costs[order])}" for order in sorted(ORDERS, key=lambda one: one is not kind)
-        ]
+        for order, (_, bound) in ORDERS.items():
+            if order not in known:
+                lower, upper = blocks.lower.copy(), blocks.upper.copy()
+                (upper if order is DecisionKind.YIELD else lower)[i, took] = bound
+                cost = self._build(way, replace(blocks, lower=lower, upper=upper), planned.may_overtake).cost
+                costs[order] = float(cost[-1].min())
+        words = []
         if profile is not None:
             s = np.interp(blocks.t[took], self._times, profile[0])
             keeps = (blocks.lower[i, took] - s if kind is DecisionKind.YIELD else s - blocks.upper[i, took]).min()
-            words.insert(0, f"keeps {keeps:.1f} m")
+            words.append(f"keeps {keeps:.1f} m")
+        for order in sorted(ORDERS, key=lambda one: one is not kind):
+            costly = f"costs {costs[order]:.1f}" if costs[order] < COLLIDES else "would collide"
+            words.append(f"{ORDERS[order][0]} {costly}")
         return ", ".join(words)
-
-
-def _cost(value: float) -> str:
-    return f"costs {value:.1f}" if value < COLLIDES else "would collide"
-
-
-def _ignored(blocks: StBoundaries, scene: Scene) -> tuple[Decision, ...]:
-    """What is decided about hypotheses that do not bind."""
-    return tuple(
-        Decision(
-            scene.frame.agents.ids[who], DecisionKind.IGNORE, "speed",
-            f"may take the path from {float(np.nanmin(lower)):.1f} m on, but that is unlikely ({share:.0%}); "
-            "the ego is past, or could still stop",
-        )
-        for who, lower, share in zip(blocks.agent, blocks.lower, blocks.probability, strict=True)
-    )  # fmt: skip

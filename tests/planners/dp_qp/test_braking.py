@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs.kernel import FloatArray
-from planners.dp_qp.speed.braking import BrakingLadder, Case, SolvedSpeed
+from planners.dp_qp.speed.braking import BrakingLadder, SolvedSpeed
 from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
 from planners.frenet.profiles import STEP_S, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries
@@ -41,7 +41,7 @@ def solved(
     v: float, blocks: StBoundaries, ladder: BrakingLadder = LADDER, *, braked_fully: bool = False
 ) -> SolvedSpeed:
     """What is driven behind the agent who blocks."""
-    return ladder.solve(Case(behind(v, blocks), lambda margins: blocks, braked_fully))
+    return ladder.solve(behind(v, blocks), lambda margins: blocks, braked_fully=braked_fully)
 
 
 speeds = st.floats(3.0, 20.0)
@@ -100,7 +100,7 @@ def test_the_end_of_the_path_is_not_driven_over_where_braking_can_keep_it(end: f
         T, np.zeros(0, np.int64), np.empty((0, len(T))), np.empty((0, len(T))), np.empty(0), np.empty(0)
     )
     short = problem(10.0, 0.0, np.full(len(T), end))._replace(end=end)
-    found = LADDER.solve(Case(short, lambda margins: free))
+    found = LADDER.solve(short, lambda margins: free)
     hardest = CONFIG.emergency.braking((10.0, 0.0), CONFIG.knots)
     assert found.profile is not None and found.reason
     assert found.profile[0, -1] <= max(end, hardest[0, -1]) + 0.06

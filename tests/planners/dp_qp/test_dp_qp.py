@@ -36,7 +36,7 @@ from logs.transform import mirrored, moved
 from planners.base import Planner
 from planners.dp_qp import DpQp, DpQpConfig
 from planners.dp_qp.config import LaneConfig
-from planners.dp_qp.lane.plan import LaneMemory, LanePlanner
+from planners.dp_qp.lane import LaneMemory, LanePlanner
 from planners.dp_qp.path.qp import PathQp
 from planners.dp_qp.speed.qp import SpeedQp, SpeedQpConfig
 from planners.dp_qp.speed.stage import DOUBTED

@@ -15,7 +15,7 @@ from logs import EgoState, Goal, Road, Scenario, Tracks, Trajectory
 from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
 from logs.trace import EndReason, Trace
-from planners.dp_qp.scene.goal_window import LEAST, GoalWindow, SpeedTarget
+from planners.dp_qp.goal_window import LEAST, GoalWindow, SpeedTarget
 from replay.loop.closed_loop import run_closed_loop
 
 EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0, 0.0, 0.0)

@@ -10,8 +10,8 @@ import pytest
 
 from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
-from planners.dp_qp.scene.caps import LEAST_MPS, OTHERS, LoweredLimit, PathView, Producer, SpeedCap, lowered
 from planners.dp_qp.speed import stage
+from planners.dp_qp.speed.caps import LEAST_MPS, OTHERS, LoweredLimit, PathView, Producer, SpeedCap, lowered
 from planners.dp_qp.speed.qp import SpeedQpConfig
 from planners.frenet.path import Path
 from planners.frenet.profiles import STEP_S, braking

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from worlds import CAR, Other, along_x, limit_of, path_of, reference, scene, view
 
 from logs import AgentKind, EgoState
-from planners.dp_qp.scene.caps import (
+from planners.dp_qp.speed.caps import (
     LEAST_MPS,
     REACTION_S,
     CautionConfig,

@@ -16,10 +16,10 @@ from logs import AgentKind, Colour, EgoState, Road, Scenario, StopLine, TrafficL
 from logs.frame import Visibility
 from logs.kernel import FloatArray
 from logs.trace import Candidates, EndReason, Trace
-from planners.dp_qp.lane.choice import borrowing_endangers
+from planners.dp_qp.choice import endangered
 from planners.dp_qp.path.bounds import CorridorConfig
-from planners.dp_qp.scene.caps import LEAST_MPS, REACTION_S, CautionConfig, passing_caps
-from planners.dp_qp.scene.moving_obstacles import ASIDE_M, NEAR_M, SPARE_S, along_lane, gone_on, pass_targets, to_pass
+from planners.dp_qp.path.passing import ASIDE_M, NEAR_M, SPARE_S, along_lane, gone_on, pass_targets, to_pass
+from planners.dp_qp.speed.caps import LEAST_MPS, REACTION_S, CautionConfig, passing_caps
 from planners.frenet.path import make_path
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
@@ -331,7 +331,7 @@ def test_the_lane_beside_is_borrowed_only_before_who_need_not_brake_hard(
     course = reference(road, ego=ego, lane=lane)
     x = ego.x - CAR.rear_overhang - gap - 2.25
     now = scene(course, ego, [driving("car", x, beside, ego.v + closing, length=4.5, width=1.8)])
-    against = borrowing_endangers(now, left=left)
+    against = endangered(now, "left" if left else "right")
     needed = 2.0 + closing + closing**2 / 4.0
     assert bool(against) == (gap < needed) or gap == pytest.approx(needed, abs=0.01)
-    assert borrowing_endangers(now, left=not left) == ""
+    assert endangered(now, "right" if left else "left") == ""

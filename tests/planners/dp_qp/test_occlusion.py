@@ -12,7 +12,7 @@ from worlds import CAR, Other, agents, along_x, limit_of, path_of, reference, sc
 
 from logs import Decision, EgoState, Visibility
 from logs.catalogue import CATALOGUE
-from planners.dp_qp.scene.caps import (
+from planners.dp_qp.speed.caps import (
     LEAST_MPS,
     PERSON_M,
     REACTION_S,

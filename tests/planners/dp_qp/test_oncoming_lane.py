@@ -11,7 +11,7 @@ from worlds import Drive, Other, driving, followed, gaps, reference, scene, stan
 
 from logs import AgentKind, DecisionKind, EgoState, PlanStatus, Road
 from planners.dp_qp.path.bounds import CorridorConfig, standing_obstacles
-from planners.dp_qp.path.oncoming_lane import passed_by_oncoming_lane
+from planners.dp_qp.path.passing import passed_by_oncoming_lane
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
 THING = Other("thing", lambda t: (60.0, 0.0, 0.0, 0.0, 0.0), AgentKind.OBJECT, 5.0, 3.0)

@@ -14,9 +14,8 @@ from logs import AgentKind, DecisionKind, EgoState
 from logs.kernel import FloatArray
 from logs.shapes import overlap
 from planners.dp_qp.speed.braking import BARE, TOUCHING
-from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
-from planners.frenet.scene import Scene, behind
+from planners.frenet.scene import Occupancy, Scene, behind
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, decide_speed, st_boundaries
 
 SEED = st.integers(0, 2**32 - 1)

@@ -49,18 +49,20 @@ from logs.mcap import write_trace
 from planners.frenet.fallback import meets
 from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 from planners.lattice import Lattice, LatticeConfig
-from planners.lattice.candidates import ego_frenet, headway, lateral_costs
-from planners.lattice.checks import (
+from planners.lattice.candidates import (
     LEAST_M,
     REST_MPS,
     evaluated,
+    headway,
     keep_speed,
+    lateral_costs,
     lateral_polynomial,
     reach_point,
     sampled,
     states,
     third_square,
 )
+from planners.lattice.planner import ego_frenet
 from replay.draw.recording.pages import why
 from replay.explain import Explanation, accounts
 from replay.loop.closed_loop import run_closed_loop

@@ -32,9 +32,8 @@ from logs import (
 from logs.kernel import FloatArray
 from logs.route import find_route
 from planners import PLANNERS
-from planners.frenet.occupancy import Occupancy
 from planners.frenet.reference_path import ReferencePath, make_reference_path
-from planners.frenet.scene import Scene, scene_of
+from planners.frenet.scene import Occupancy, Scene, scene_of
 from planners.rules import Rulebook, RuleMemory, RulesConfig
 from replay.loop.closed_loop import run_closed_loop
 from replay.prediction import predict

@@ -15,7 +15,9 @@ from worlds import CAR, Other, along_x, driving, followed, lanes, path_of, refer
 
 from logs import AgentKind, Decision, DecisionKind, EgoState, Visibility
 from logs.kernel import FloatArray
-from planners.dp_qp.scene.caps import (
+from planners.dp_qp.path.passing import gone_on, pass_targets
+from planners.dp_qp.speed import stage
+from planners.dp_qp.speed.caps import (
     OTHERS,
     WORTH_MPS,
     LoweredLimit,
@@ -26,8 +28,6 @@ from planners.dp_qp.scene.caps import (
     lowered,
     passing_caps,
 )
-from planners.dp_qp.scene.moving_obstacles import gone_on, pass_targets
-from planners.dp_qp.speed import stage
 
 SIGMA = np.arange(0.0, 60.0, 0.5)
 SPEEDS, STATIONS = st.sampled_from([0.0, 2.5, 4.0, 6.5, 9.0, 20.0]), st.floats(-5.0, 65.0)

@@ -19,23 +19,20 @@ from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
 from logs.trace import Artefact, CostTerms, SolverReport
 from planners.dp_qp.config import DpQpConfig
+from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
 from planners.dp_qp.path.bounds import InTheWay
+from planners.dp_qp.path.passing import PassTarget, along_lane, gone_on, pass_targets
 from planners.dp_qp.path.stage import ChosenPath, PathMemory, PathStage
-from planners.dp_qp.scene.caps import SpeedTask
-from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
-from planners.dp_qp.scene.moving_obstacles import PassTarget, along_lane, gone_on, pass_targets
+from planners.dp_qp.speed.caps import SpeedTask
 from planners.dp_qp.speed.stage import ChosenSpeed, SpeedMemory, SpeedStage
 from planners.frenet.lane_sequence import LaneSequence
-from planners.frenet.occupancy import on_path
-from planners.frenet.scene import TRACK_M, Scene, behind, scene_of
+from planners.frenet.scene import TRACK_M, Scene, behind, on_path, scene_of
 from planners.rules import Rulebook, RuleMemory
 
 FORGET_S = 0.5
 """A lane that was not planned for so long is planned as if for the first time, s."""
 LOST_M = 15.0
 """A start that is farther from the last one is looked for anew: its foot point is not near the last one's, m."""
-Term = tuple[str, float]
-"""A term of a cost, by name, s."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -157,7 +154,7 @@ class LanePlanner:
         `name` is "keep" for the lane that is driven; `past` those that a plan is to pass while they go on. A path that
         does not pass the nearest of them is no such plan, and gets no speed.
         """
-        t, start = scene.frame.t, scene.start
+        t, start, config = scene.frame.t, scene.start, self._config
         if not 0.0 <= t - memory.t <= FORGET_S:
             memory = LaneMemory()
         target = self._goal.target(t, scene.s, start.v)
@@ -166,57 +163,31 @@ class LanePlanner:
         if path.path is not None and (past is None or past.way.obstacles[0].agent in path.passed):
             moving = {box.agent for box in past.way.obstacles} if past else set()
             standing = {name: room for name, room in path.passed.items() if name not in moving}
-            stops, rules = self._rules.stops(scene, memory.rules, frozenset(standing))
-            task = SpeedTask(
-                passed=standing,
-                skip=behind(scene, keeps_track=path.shift < TRACK_M and past is None),
-                stops=on_path(stops, path.path, self._vehicle),
-                targets=past.targets if past else self._beside(scene),
-                is_pass=past is not None,
-                goal=self._goal,
-                target=target,
-            )
+            demanded, rules = self._rules.stops(scene, memory.rules, frozenset(standing))
+            stops = on_path(demanded, path.path, self._vehicle)
+            skip = behind(scene, keeps_track=path.shift < TRACK_M and past is None)
+            who, beside = [] if past else along_lane(scene), past.targets if past else ()
+            if who:  # they are beside an ego that drives at the limit, which comes there soonest; else followed
+                beside = pass_targets(scene, who, gone_on(scene.frame.predictions.t, scene.s, start.v, scene.limit))
+            task = SpeedTask(standing, skip, stops, beside, past is not None, self._goal, target)
             speed, speed_memory = self._speed.choose(scene, path.path, task, memory.speed)
-        plan = LanePlan(name, self.lane, scene, path, speed, self._costs(name, scene, speed, target))
+        lost, braking = self._horizon, config.failed_s
+        if speed is not None and speed.profile is not None:
+            lost = (speed.free_m - float(speed.profile[0, -1])) / max(scene.limit, 1.0)  # (1)
+            braking = config.failed_s if speed.unavoidable else config.hard_s if speed.reason else 0.0  # (4)
+        changes, change, late = self.least_costs(name, scene, target).terms
+        costs = CostTerms(f"lane {name}", (("time lost", lost), changes, change, ("braking", braking), late))
+        plan = LanePlan(name, self.lane, scene, path, speed, costs)
         return plan, LaneMemory(t, (start.x, start.y, scene.s), path_memory, speed_memory, rules)
 
-    def least_costs(self, name: str, scene: Scene) -> CostTerms:
+    def least_costs(self, name: str, scene: Scene, target: SpeedTarget | None = None) -> CostTerms:
         """(2), (3) and (5) of a plan in this lane, without making it: it costs no less, but for time gained."""
-        missed = self._goal.target(scene.frame.t, scene.s, scene.start.v).missed_s
-        return CostTerms(f"lane {name}", self._own_terms(name, scene, missed))
-
-    def _own_terms(self, name: str, scene: Scene, missed_s: float) -> tuple[Term, Term, Term]:
-        return (
-            ("lane changes", self._route_cost(scene)),  # (2)
-            ("change", self._config.change_s if name in ("left", "right") else 0.0),  # (3)
-            ("late", missed_s),  # (5)
-        )
-
-    def _beside(self, scene: Scene) -> tuple[PassTarget, ...]:
-        """Those who go along the lane, where the ego would come beside them if it drove at the limit.
-
-        That is when it comes beside them soonest, and what it needs to know: who is followed is not beside it.
-        """
-        who = along_lane(scene)
-        if not who:
-            return ()
-        expected = gone_on(scene.frame.predictions.t, scene.s, scene.start.v, scene.limit)
-        return pass_targets(scene, who, expected)
-
-    def _costs(self, name: str, scene: Scene, speed: ChosenSpeed | None, target: SpeedTarget) -> CostTerms:
-        lost, braking = self._horizon, self._config.failed_s
-        if speed is not None and speed.profile is not None:
-            lost = (speed.free_m - float(speed.profile[0, -1])) / max(scene.limit, 1.0)
-            braking = self._config.failed_s if speed.unavoidable else self._config.hard_s if speed.reason else 0.0
-        changes, change, late = self._own_terms(name, scene, target.missed_s)
-        return CostTerms(f"lane {name}", (("time lost", lost), changes, change, ("braking", braking), late))  # (1), (4)
-
-    def _route_cost(self, scene: Scene) -> float:
-        lane, start = self.lane, scene.start
-        if lane.changes is None:
-            return self._config.dead_end_s
-        if lane.changes == 0:
-            return 0.0
-        seconds = min((lane.change_by - scene.s) / max(start.v, 5.0), self._goal.time_left(start.t))
-        left = seconds / (self._config.due_s * lane.changes)
-        return lane.changes * (self._config.route_s + self._config.urgency_s * min(max(1.0 - left, 0.0), 1.0))
+        lane, start, config = self.lane, scene.start, self._config
+        target = target or self._goal.target(scene.frame.t, scene.s, start.v)
+        route = 0.0 if lane.changes == 0 else config.dead_end_s
+        if lane.changes:
+            seconds = min((lane.change_by - scene.s) / max(start.v, 5.0), self._goal.time_left(start.t))
+            left = seconds / (config.due_s * lane.changes)
+            route = lane.changes * (config.route_s + config.urgency_s * min(max(1.0 - left, 0.0), 1.0))  # (2)
+        change = config.change_s if name in ("left", "right") else 0.0  # (3)
+        return CostTerms(f"lane {name}", (("lane changes", route), ("change", change), ("late", target.missed_s)))

@@ -44,13 +44,12 @@ from logs.kernel import TIE, BoolArray, FloatArray, kernel
 from logs.scenario import Agents
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
-from planners.dp_qp.scene.moving_obstacles import NEAR_M, PassTarget
-from planners.frenet.occupancy import Occupancy, open_end
+from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
+from planners.dp_qp.path.passing import NEAR_M, PassTarget
 from planners.frenet.path import Path
-from planners.frenet.scene import Scene
+from planners.frenet.scene import Occupancy, Scene, open_end
 from planners.frenet.st_boundaries import StBoundaries
-from planners.rules.windows import TOWARDS_MPS
+from planners.rules.zones import TOWARDS_MPS
 
 WORTH_MPS = 0.5
 """A cap is reported as a decision where it lowers the limit by more than this, m/s."""

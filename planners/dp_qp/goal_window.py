@@ -61,9 +61,10 @@ NO_SIDES = np.empty((3, 0))
 
 @dataclass(frozen=True, slots=True)
 class SpeedTarget:
-    """What the goal asks of the speed now: a cap, m/s, up to a station, m; whether the ego is late, and how much, s.
+    """What the goal asks of the speed now.
 
-    And the station, m, beyond which it must not be yet.
+    A cap, m/s, up to a station, m; whether the ego is late, and how much, s; the station, m, beyond which it must not
+    be yet.
     """
 
     cap: float = np.inf
@@ -190,7 +191,12 @@ def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
         first, last = _region(Goal((region,)), reference, np.inf)
         for k in np.flatnonzero((first <= stations) & (stations <= last)):
             x, y, yaw, _ = reference.line.frame(float(stations[k]))
-            pieces[k] += _across(region - (x, y), yaw)
+            along = (region - (x, y)) @ (np.cos(yaw), np.sin(yaw))
+            aside = (region - (x, y)) @ (-np.sin(yaw), np.cos(yaw))
+            after, then = np.roll(along, -1), np.roll(aside, -1)
+            cut = (along > 0.0) != (after > 0.0)  # where the normal of the line runs through the region
+            at = np.sort(aside[cut] + (then - aside)[cut] * along[cut] / (along - after)[cut])
+            pieces[k] += [(float(low), float(high)) for low, high in zip(at[::2], at[1::2], strict=True)]
     low, high = np.array([_nearest(each) for each in pieces]).reshape(-1, 2).T
     width = high - low
     narrow = ~(width >= NARROW * np.nanmax(width, initial=0.0))
@@ -208,13 +214,3 @@ def _nearest(pieces: list[tuple[float, float]]) -> tuple[float, float]:
             joined.append((low, high))
     near = [piece for piece in joined if piece[0] < BESIDE_M and piece[1] > -BESIDE_M]
     return min(near, key=lambda piece: (max(piece[0], -piece[1], 0.0), piece[1] - piece[0]), default=(np.nan, np.nan))
-
-
-def _across(region: FloatArray, yaw: float) -> list[tuple[float, float]]:
-    """Where the normal of a line through the origin with heading `yaw` runs through a polygon `(n, 2)`: offsets, m."""
-    along = region @ (np.cos(yaw), np.sin(yaw))
-    aside = region @ (-np.sin(yaw), np.cos(yaw))
-    after, then = np.roll(along, -1), np.roll(aside, -1)
-    cut = (along > 0.0) != (after > 0.0)
-    at = np.sort(aside[cut] + (then - aside)[cut] * along[cut] / (along - after)[cut])
-    return [(float(low), float(high)) for low, high in zip(at[::2], at[1::2], strict=True)]

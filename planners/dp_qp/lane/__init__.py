@@ -1,1 +1,0 @@
-"""One candidate lane planned, and the choice between lanes."""

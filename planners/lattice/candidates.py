@@ -81,6 +81,8 @@ REASONS = {
     Fault.STOP_LINE: "passes a place where it must stop",
 }
 """The faults in words."""
+FAULTS = len(Fault)
+"""Length of a count by fault: kernels cannot count an enumeration."""
 
 
 @kernel
@@ -360,7 +362,7 @@ def first_feasible(
     pairs: Pairs, order: IntArray, ego: Ego, room: Room, others: Futures, body: Body
 ) -> tuple[int, IntArray]:
     """The first pair in `order` without a fault, -1 where there is none, and how many were found with which fault."""
-    found, start = np.zeros(len(Fault), np.int64), np.array(ego.lateral)
+    found, start = np.zeros(FAULTS, np.int64), np.array(ego.lateral)
     for pair in order:
         i = pairs.row[pair]
         motion = sampled(pairs.lon.coef[i : i + 1], pairs.lon.T[i : i + 1], HORIZON_STEPS)[0]

@@ -24,10 +24,9 @@ from math import cos, inf, sin, sqrt
 import numpy as np
 
 from logs.frame import Frame, PlannerContext
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import FloatArray, IntArray, kernel
 from logs.states import EgoState
 from logs.trace import Artefact, Corridor, Internals, Plan, SlGraph, StGraph
-from logs.vehicle import VehicleParameters
 from planners.frenet.fallback import along, fall_back
 from planners.frenet.path import Path, make_path, quintic
 from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, limit_profile
@@ -104,21 +103,24 @@ class Idm:
     def plan(self, frame: Frame) -> Plan:
         """The roll-out of (1) along the path; a stop where the ego is outside of the reference line's frame."""
         scene, start_kind = self._tracker.scene(frame)
-        start = scene.start
+        start, car, agents = scene.start, self._vehicle, frame.agents
         if frame.previous is None:
             self._memory = RuleMemory()
         if scene.trouble:
-            return fall_back(frame, start, start_kind, None, scene.trouble, (), self._vehicle)
-        line = scene.reference.line
+            return fall_back(frame, start, start_kind, None, scene.trouble, (), car)
         reach = HORIZON_STEPS * STEP_S * (scene.v + 4.0) + 20.0  # as far as the horizon can
-        d = KNOT_M * np.arange(int(reach / KNOT_M) + 2)
+        d, (l0, dl0, ddl0) = KNOT_M * np.arange(int(reach / KNOT_M) + 2), scene.frenet
         span = max(15.0, self._config.return_s * scene.v)
-        path = make_path(line, scene.s, KNOT_M, _return(d, scene.frenet, span))
+        back = np.polynomial.Polynomial([l0, dl0, 0.5 * ddl0, *quintic(l0, dl0, ddl0, 0.0, span)])
+        offsets = np.array([np.where(d < span, part(d), 0.0) for part in (back, back.deriv(), back.deriv(2))])
+        path = make_path(scene.reference.line, scene.s, KNOT_M, offsets)
         self._lap("path")
-        skip = behind(scene, keeps_track=True) | _beside(frame, start, self._vehicle)
+        x, y = agents.x - start.x, agents.y - start.y
+        aside = x * cos(start.yaw) + y * sin(start.yaw) < car.wheelbase  # not ahead of the front axle: not followed
+        skip = behind(scene, keeps_track=True) | (aside & (np.hypot(x, y) < car.length + 0.5 * agents.length))
         blocks = st_boundaries(scene, path, skip, frozenset(), EXACT)
         demanded, self._memory = self._rules.stops(scene, self._memory)
-        stops = on_path(demanded, path, self._vehicle)
+        stops = on_path(demanded, path, car)
         self._lap("S-T graph")
         profile, leader = self._profile(path, blocks, stops, start)
         internals = Internals((), lambda: _artefacts(scene, path, blocks, stops, profile, leader))
@@ -154,24 +156,6 @@ def idm_acceleration(
 
 
 @kernel
-def _leader(lower: FloatArray, upper: FloatArray, k: int, ahead: int, s: float) -> tuple[int, float]:
-    """Row of the nearest block ahead of station `s` from step k to k + ahead, and the gap; -1, inf: free road.
-
-    A block that the ego is in now has gap 0; one that begins later behind the ego is not its leader.
-    """
-    nearest, least = -1, inf
-    for i in range(len(lower)):
-        for j in range(k, min(k + ahead + 1, lower.shape[1])):
-            if not np.isfinite(lower[i, j]) or upper[i, j] <= s or (j > k and lower[i, j] <= s):
-                continue
-            gap = max(lower[i, j] - s, 0.0)
-            if gap < least:
-                nearest, least = i, gap
-            break
-    return nearest, least
-
-
-@kernel
 def _rolled_out(
     sigma: FloatArray, limit: FloatArray, t: FloatArray, lower: FloatArray, upper: FloatArray, speed: FloatArray,
     ahead: int, start: FloatArray, driver: FloatArray,
@@ -185,7 +169,14 @@ def _rolled_out(
             here += 1
         while k < len(t) - 1 and t[k + 1] <= n * STEP_S + 1e-9:
             k += 1
-        led[n], gap = _leader(lower, upper, k, ahead, s)
+        gap = inf  # to the nearest block ahead, 0 in one; not one that begins later behind the ego
+        for i in range(len(lower)):
+            for j in range(k, min(k + ahead + 1, lower.shape[1])):
+                if not np.isfinite(lower[i, j]) or upper[i, j] <= s or (j > k and lower[i, j] <= s):
+                    continue
+                if max(lower[i, j] - s, 0.0) < gap:
+                    led[n], gap = i, max(lower[i, j] - s, 0.0)
+                break
         v_lead = max(speed[led[n]], 0.0) if led[n] >= 0 else 0.0
         slope = (limit[here + 1] - limit[here]) / (sigma[here + 1] - sigma[here])
         wanted = idm_acceleration(v, limit[here], slope, gap, v_lead, driver[0], driver[1], driver[2], driver[3])
@@ -199,51 +190,25 @@ def _rolled_out(
     return out, led
 
 
-def _return(d: FloatArray, start: tuple[float, float, float], span: float) -> FloatArray:
-    """Rows l, l', l'' `(3, n)` at distances `d` `(n,)` of the quintic to 0 over `span` m."""
-    l0, dl0, ddl0 = start
-    c3, c4, c5 = quintic(l0, dl0, ddl0, 0.0, span)
-    poly = np.polynomial.Polynomial([l0, dl0, 0.5 * ddl0, c3, c4, c5])
-    return np.array([np.where(d < span, part(d), 0.0) for part in (poly, poly.deriv(), poly.deriv(2))])
-
-
-def _beside(frame: Frame, start: EgoState, vehicle: VehicleParameters) -> BoolArray:
-    """The agents `(n,)` whose centre is not ahead of the ego's front axle: the ego does not follow them."""
-    agents = frame.agents
-    along_ego = (agents.x - start.x) * cos(start.yaw) + (agents.y - start.y) * sin(start.yaw)
-    found: BoolArray = (along_ego < vehicle.wheelbase) & (
-        np.hypot(agents.x - start.x, agents.y - start.y) < vehicle.length + 0.5 * agents.length
-    )
-    return found
-
-
 def _artefacts(
     scene: Scene, path: Path, blocks: StBoundaries, stops: tuple[Occupancy, ...], profile: FloatArray, leader: IntArray
 ) -> tuple[Artefact, ...]:  # fmt: skip
-    """Both graphs, and a decision about whoever leads at some time."""
-    t = STEP_S * np.arange(profile.shape[1])
+    """Both graphs, the S-L graph every few metres, and a decision about whoever leads at some time."""
+    t, nothing = STEP_S * np.arange(profile.shape[1]), np.empty((0, 2))
     decisions = decide_speed(blocks, scene, np.interp(blocks.t, t, profile[0]))
     leads = [decision for i, decision in enumerate(decisions) if (leader == i).any()]
     upper, lead = np.full(len(t), path.length), blocks.with_stops(stops)
     for n in np.flatnonzero(leader >= 0):
         k = int(np.searchsorted(lead.t, t[n] + 1e-9)) - 1
         upper[n] = np.fmin(lead.lower[leader[n], k], path.length)
-    st_graph = StGraph(
-        None, Corridor(t, np.zeros(len(t)), upper), np.empty((0, 2)), np.column_stack([t, profile[0]]),
-        (*outlines(blocks, decisions), *stop_outlines(stops, float(t[-1]), path.length)),
-    )  # fmt: skip
-    by_agent = {decision.agent: decision for decision in leads}  # several hypotheses of an agent may lead
-    return (st_graph, _sl_graph(scene, path), *by_agent.values(), *(stop.decision for stop in stops))
-
-
-def _sl_graph(scene: Scene, path: Path) -> SlGraph:
-    """The path in its lane, every few metres."""
+    shown = (*outlines(blocks, decisions), *stop_outlines(stops, float(t[-1]), path.length))
+    free, driven = Corridor(t, np.zeros(len(t)), upper), np.column_stack([t, profile[0]])
+    st_graph = StGraph(None, free, nothing, driven, shown)
     at = np.arange(0, len(path.s), 8)
-    s, side, reference = path.s[at], 0.5 * scene.vehicle.width, scene.reference
-    room = Corridor(
-        s,
-        np.interp(s, reference.line.s, reference.lane_right) + side,
-        np.interp(s, reference.line.s, reference.lane_left) - side,
-    )
-    offset = np.array([reference.line.project(path.x[i], path.y[i], path.s[i], 2.0)[1] for i in at])
-    return SlGraph(None, room, np.empty((0, 2)), np.column_stack([s, offset]), ())
+    s, side, lane = path.s[at], 0.5 * scene.vehicle.width, scene.reference
+    right, left = (np.interp(s, lane.line.s, edge) for edge in (lane.lane_right, lane.lane_left))
+    offset = np.array([lane.line.project(path.x[i], path.y[i], path.s[i], 2.0)[1] for i in at])
+    room = Corridor(s, right + side, left - side)
+    sl_graph = SlGraph(None, room, nothing, np.column_stack([s, offset]), ())
+    by_agent = {decision.agent: decision for decision in leads}  # several hypotheses of an agent may lead
+    return (st_graph, sl_graph, *by_agent.values(), *(stop.decision for stop in stops))

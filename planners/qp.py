@@ -12,7 +12,7 @@ own tolerance flatters, so the bounds are checked again here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import osqp
@@ -97,7 +97,14 @@ class QuadraticProgram:
         self._A.sort_indices()
         self._rows = self._A.tocsr()
         self._zero = np.zeros(columns), np.zeros(rows)
-        self._fast = _admm(self._P, self._A, self._config) if self._config.max_iterations else None
+        self._fast = osqp.OSQP(algebra="builtin") if self._config.max_iterations else None
+        if self._fast is not None:
+            self._fast.setup(
+                P=sparse.triu(self._P, format="csc"), q=np.zeros(columns), A=self._A, l=-np.ones(rows),
+                u=np.ones(rows), rho=RHO, eps_abs=self._config.eps, eps_rel=self._config.eps,
+                max_iter=self._config.max_iterations, check_termination=self._config.check_every,
+                adaptive_rho_interval=50, scaling=0, polishing=False, verbose=False,
+            )  # fmt: skip
         self._sure: piqp.SparseSolver | None = None
         self._refilling: tuple[FloatArray, IntArray] | None = None
 
@@ -135,26 +142,20 @@ class QuadraticProgram:
         q, lower, upper = self._scale * q, self._row_scale * lower, self._row_scale * upper
         if self._fast is None:
             return self._solve_surely(q, lower, upper, 0, fresh=fresh)
-        result = self._solve_fast(self._fast, q, lower, upper, fresh=fresh)
+        self._fast.update(q=q, l=lower, u=upper)
+        if fresh:
+            self._fast.update_settings(rho=RHO)
+            self._fast.warm_start(x=self._zero[0], y=self._zero[1])
+        answer = self._fast.solve(raise_error=False)
+        info, solved = answer.info, answer.info.status_val == SOLVED
+        report = SolverReport(
+            self._stage, solved, str(info.status), int(info.iter), float(info.prim_res), float(info.dual_res)
+        )
+        result = self._checked(np.asarray(answer.x), report, lower, upper)
         if result.report.solved:
             return result
         self._fast.warm_start(x=self._zero[0], y=self._zero[1])
-        return self._solve_surely(q, lower, upper, result.report.iterations, fresh=fresh)
-
-    def _solve_fast(
-        self, fast: osqp.OSQP, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool
-    ) -> QPResult:
-        fast.update(q=q, l=lower, u=upper)
-        if fresh:
-            fast.update_settings(rho=RHO)
-            fast.warm_start(x=self._zero[0], y=self._zero[1])
-        answer = fast.solve(raise_error=False)
-        info = answer.info
-        solved = info.status_val == SOLVED
-        return self._checked(
-            np.asarray(answer.x), solved, str(info.status), int(info.iter), (info.prim_res, info.dual_res),
-            lower, upper,
-        )  # fmt: skip
+        return self._solve_surely(q, lower, upper, report.iterations, fresh=fresh)
 
     def _solve_surely(
         self, q: FloatArray, lower: FloatArray, upper: FloatArray, spent: int, *, fresh: bool
@@ -167,53 +168,27 @@ class QuadraticProgram:
         else:
             self._sure.update(c=q, b=lower[:k], h_l=lower[k:], h_u=upper[k:])
         status = self._sure.solve()
-        found, info = self._sure.result, self._sure.result.info
-        if (
-            status == piqp.PIQP_SOLVED and self._refilling is not None and self._fast is not None
-        ):  # the next problem is near this one
+        found, info, solved = self._sure.result, self._sure.result.info, status == piqp.PIQP_SOLVED
+        if solved and self._refilling is not None and self._fast is not None:  # the next problem is near this one
             self._fast.warm_start(x=np.array(found.x), y=np.r_[found.y, found.z_u - found.z_l])
-        solved = status == piqp.PIQP_SOLVED
-        words = WORDS.get(status, "numerical trouble")
-        name = f"{words} by PIQP after {spent} OSQP iterations" if spent else f"{words} by PIQP"
-        return self._checked(
-            np.array(self._sure.result.x), solved, name, spent + int(info.iter), (info.primal_res, info.dual_res),
-            lower, upper,
-        )  # fmt: skip
+        name = f"{WORDS.get(status, 'numerical trouble')} by PIQP" + (
+            f" after {spent} OSQP iterations" if spent else ""
+        )
+        report = SolverReport(
+            self._stage, solved, name, spent + int(info.iter), float(info.primal_res), float(info.dual_res)
+        )
+        return self._checked(np.array(found.x), report, lower, upper)
 
-    def _checked(
-        self, z: FloatArray, solved: bool, status: str, iterations: int, residuals: tuple[float, float],
-        lower: FloatArray, upper: FloatArray,
-    ) -> QPResult:  # fmt: skip
-        if solved:
+    def _checked(self, z: FloatArray, report: SolverReport, lower: FloatArray, upper: FloatArray) -> QPResult:
+        """The answer to a scaled problem, not solved where a bound is violated by more than the tolerance."""
+        if report.solved:
             value = self._rows @ z
             excess = np.maximum(lower - value, value - upper) / self._row_scale
             violation = float(np.max(excess, initial=0.0))
             if not np.isfinite(z).all() or not violation <= self._config.tolerance:
-                solved, status = False, f"{status}, but a bound is violated by {violation:.3g}"
-        report = SolverReport(self._stage, solved, status, iterations, float(residuals[0]), float(residuals[1]))
+                status = f"{report.status}, but a bound is violated by {violation:.3g}"
+                report = replace(report, solved=False, status=status)
         return QPResult(self._scale * z, report)
 
     def _unsolved(self, status: str) -> QPResult:
         return QPResult(self._zero[0], SolverReport(self._stage, False, status, 0, np.nan, np.nan))
-
-
-def _admm(P: sparse.csc_matrix, A: sparse.csc_matrix, config: QPConfig) -> osqp.OSQP:
-    rows, columns = A.shape
-    solver = osqp.OSQP(algebra="builtin")
-    solver.setup(
-        P=sparse.triu(P, format="csc"),
-        q=np.zeros(columns),
-        A=A,
-        l=np.full(rows, -1.0),
-        u=np.full(rows, 1.0),
-        eps_abs=config.eps,
-        eps_rel=config.eps,
-        max_iter=config.max_iterations,
-        check_termination=config.check_every,
-        adaptive_rho_interval=50,
-        rho=RHO,
-        scaling=0,
-        polishing=False,
-        verbose=False,
-    )
-    return solver

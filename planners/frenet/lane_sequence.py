@@ -110,21 +110,16 @@ class LaneSequences:
             length += self._road.lanes[before].length
         lanes = (*behind, *onward)
         reference = make_reference_path(self._road, Route(lanes, False, 0.0), self._start, self._car)
-        return LaneSequence(lanes, reference, *self._changes(lanes, len(behind)))
-
-    def _changes(self, lanes: tuple[int, ...], first: int) -> tuple[int | None, float]:
-        """Lane changes that the route still needs from lanes (1), and the station by which the first is due (2)."""
         if not self._to_go:
-            return 0, np.inf
-        needs = [self._to_go[lane].changes if lane in self._to_go else None for lane in lanes]
-        reachable = [i for i in range(first, len(lanes)) if needs[i] is not None]
-        if not reachable:
-            return None, np.inf
-        fewest = min(needs[i] for i in reachable)  # type: ignore[type-var]
-        if fewest == 0:
-            return 0, np.inf
-        ends = np.cumsum([self._road.lanes[lane].length for lane in lanes])
-        return fewest, float(ends[max(i for i in reachable if needs[i] == fewest)])  # (1), (2)
+            return LaneSequence(lanes, reference, 0, np.inf)
+        needs = [self._to_go[each].changes if each in self._to_go else None for each in lanes]
+        known = [(need, i) for i, need in enumerate(needs) if need is not None and i >= len(behind)]
+        fewest = min((need for need, _ in known), default=None)
+        if not fewest:
+            return LaneSequence(lanes, reference, fewest, np.inf)
+        ends = np.cumsum([self._road.lanes[each].length for each in lanes])
+        due = float(ends[max(i for need, i in known if need == fewest)])
+        return LaneSequence(lanes, reference, fewest, due)  # (1), (2)
 
 
 def _rank(to_go: CostToGo | None) -> tuple[float, float]:

@@ -143,43 +143,59 @@ def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehiclePar
     lanes, line = make_line(road, route, ego, car)
     extents = _lane_extents(road, line)
     lane_left, lane_right, limit = _own_lane(road, line, lanes, extents)
-    road_left, road_right = _reachable(road, extents, lane_left, lane_right)
-    facing_left, facing_right = _facing(road, line, extents, road_left, road_right)
-    return ReferencePath(
-        line,
-        lane_left,
-        lane_right,
-        road_left,
-        road_right,
-        limit,
-        lanes,
-        facing_left,
-        facing_right,
-        _waits(road, line, lanes),
-    )
+    own = [(road.lanes[i], left, right) for i, (left, right) in extents.items()]
+    to_left = [(right, left, lane.right_crossable, lane.left_crossable) for lane, left, right in own]
+    to_right = [(-left, -right, lane.left_crossable, lane.right_crossable) for lane, left, right in own]
+    road_left, road_right = lane_left, -lane_right
+    for _ in range(3):
+        road_left, road_right = _one_lane_further(road_left, to_left), _one_lane_further(road_right, to_right)
+    against = [(road.lanes[i], *edges) for i, edges in _lane_extents(road, line, opposite=True).items()]
+    to_left += [(left, right, lane.left_crossable, lane.right_crossable) for lane, left, right in against]
+    to_right += [(-right, -left, lane.right_crossable, lane.left_crossable) for lane, left, right in against]
+    facing_left, facing_right = _one_lane_further(road_left, to_left), -_one_lane_further(road_right, to_right)
+    into = Counter(after for lane in road.lanes.values() if lane.drivable for after in lane.successors)
+    waits, s = list[float](), 0.0
+    for now, then in pairwise(lanes):
+        onward = road.lanes[now].successors
+        if then in onward:
+            x, y = road.lanes[now].center[-1]
+            s = line.project(x, y, s + road.lanes[now].length, 50.0)[0]
+            if len(onward) > 1 or into[then] > 1:  # the lanes part or meet others
+                waits.append(s)
+    edges = lane_left, lane_right, road_left, -road_right
+    return ReferencePath(line, *edges, limit, lanes, facing_left, facing_right, tuple(waits))
 
 
 def make_line(
     road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None
 ) -> tuple[tuple[int, ...], ReferenceLine]:
-    """The lanes of a route, carried on straight, and the line along them: what `make_reference_path` begins with."""
-    lanes = _extended(road, route)
+    """The lanes of a route, carried on straight for `BEYOND_M` or to the end of the map, and the line along them.
+
+    It is smoothed more where the car could not be steered along it and the lanes' width allows it.
+    """
+    lanes, beyond = list(route.lanes), 0.0
+    while beyond < BEYOND_M:
+        onward = straight_on(road, lanes[-1])
+        if onward is None or onward in lanes[len(route.lanes) :]:
+            break
+        lanes.append(onward)
+        beyond += road.lanes[onward].length
+    groups: list[list[Lane]] = []  # of lanes side by side
+    for before, now in zip((None, *lanes), lanes, strict=False):
+        if before is not None and now in (road.lanes[before].left_neighbour, road.lanes[before].right_neighbour):
+            groups[-1].append(road.lanes[now])
+        else:
+            groups.append([road.lanes[now]])
+    points = thinned(np.vstack([_blended(group, ego if i == 0 else None) for i, group in enumerate(groups)]), 1.0)
     across = (road.lanes[lane].left - road.lanes[lane].right for lane in lanes)
     width = min(float(np.median(np.hypot(*each.T))) for each in across)
-    return lanes, _steerable(_joined(road, lanes, ego), width, car)
-
-
-def _steerable(points: FloatArray, width: float, car: VehicleParameters | None) -> ReferenceLine:
-    """The smoothed line; smoothed more where the car could not be steered along it and the lanes' width allows it."""
     line = ReferenceLine.through(smoothed(points))
-    if car is None:
-        return line
-    room = 0.5 * (width - car.width) - EDGE_M
+    room = 0.5 * (width - car.width) - EDGE_M if car is not None else 0.0
     for shift, weight in HARDER:
-        if _sharpest(line) <= LOCK_SHARE * car.max_kappa or room <= MAX_SHIFT_M:
+        if car is None or _sharpest(line) <= LOCK_SHARE * car.max_kappa or room <= MAX_SHIFT_M:
             break
         line = min(line, ReferenceLine.through(smoothed(points, min(shift, room), weight)), key=_sharpest)
-    return line
+    return tuple(lanes), line
 
 
 def _sharpest(line: ReferenceLine) -> float:
@@ -217,32 +233,6 @@ def smoothed(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float =
     return raw + across * normal + along * tangent
 
 
-def _extended(road: Road, route: Route) -> tuple[int, ...]:
-    """The route, carried straight on for `BEYOND_M` after its last lane or to the end of the map."""
-    lanes, beyond = list(route.lanes), 0.0
-    while beyond < BEYOND_M:
-        onward = straight_on(road, lanes[-1])
-        if onward is None or onward in lanes[len(route.lanes) :]:
-            break
-        lanes.append(onward)
-        beyond += road.lanes[onward].length
-    return tuple(lanes)
-
-
-def _joined(road: Road, lanes: tuple[int, ...], ego: EgoState) -> FloatArray:
-    """The raw centre line `(n, 2)` of a lane sequence, about 1 m between points."""
-    groups: list[list[Lane]] = []
-    for before, now in zip((None, *lanes), lanes, strict=False):
-        lane = road.lanes[now]
-        beside = before is not None and now in (road.lanes[before].left_neighbour, road.lanes[before].right_neighbour)
-        if beside:
-            groups[-1].append(lane)
-        else:
-            groups.append([lane])
-    parts = [_blended(group, ego if i == 0 else None) for i, group in enumerate(groups)]
-    return thinned(np.vstack(parts), 1.0)
-
-
 def _blended(group: list[Lane], ego: EgoState | None) -> FloatArray:
     """The centre line of lanes side by side: from the first to the last, over as much of their length as is left."""
     if len(group) == 1:
@@ -263,33 +253,30 @@ def _blended(group: list[Lane], ego: EgoState | None) -> FloatArray:
     return (1.0 - w)[:, None] * first + w[:, None] * last
 
 
-@inner_kernel
-def _crossing(x: float, y: float, yaw: float, boundary: FloatArray, reach: float) -> float:
-    """Offset l at which the normal at (x, y, yaw) crosses a polyline, the nearest; nan beyond `reach`."""
-    c, s = cos(yaw), sin(yaw)
-    best = np.nan
-    along = (boundary[0, 0] - x) * c + (boundary[0, 1] - y) * s
-    left = (boundary[0, 1] - y) * c - (boundary[0, 0] - x) * s
-    for i in range(1, len(boundary)):
-        along_next = (boundary[i, 0] - x) * c + (boundary[i, 1] - y) * s
-        left_next = (boundary[i, 1] - y) * c - (boundary[i, 0] - x) * s
-        crosses = min(along, along_next) <= TIE and max(along, along_next) >= -TIE  # one that ends there does, too
-        if crosses and abs(along - along_next) > TIE:
-            offset = left + (left_next - left) * along / (along - along_next)
-            if abs(offset) <= reach and not abs(offset) >= abs(best):
-                best = offset
-        along, left = along_next, left_next
-    return best
-
-
 @kernel
 def _crossings(xy: FloatArray, yaw: FloatArray, boundary: FloatArray, reach: float) -> FloatArray:
+    """Offsets l `(n,)` at which the normals at points cross a polyline, each the nearest; nan beyond `reach`."""
     out = np.full(len(yaw), np.nan)
     low_x, high_x = boundary[:, 0].min() - reach - 1.0, boundary[:, 0].max() + reach + 1.0
     low_y, high_y = boundary[:, 1].min() - reach - 1.0, boundary[:, 1].max() + reach + 1.0
-    for i in range(len(yaw)):
-        if low_x <= xy[i, 0] <= high_x and low_y <= xy[i, 1] <= high_y:
-            out[i] = _crossing(xy[i, 0], xy[i, 1], yaw[i], boundary, reach)
+    for k in range(len(yaw)):
+        x, y = xy[k, 0], xy[k, 1]
+        if not (low_x <= x <= high_x and low_y <= y <= high_y):
+            continue
+        c, s = cos(yaw[k]), sin(yaw[k])
+        best = np.nan
+        along = (boundary[0, 0] - x) * c + (boundary[0, 1] - y) * s
+        left = (boundary[0, 1] - y) * c - (boundary[0, 0] - x) * s
+        for i in range(1, len(boundary)):
+            along_next = (boundary[i, 0] - x) * c + (boundary[i, 1] - y) * s
+            left_next = (boundary[i, 1] - y) * c - (boundary[i, 0] - x) * s
+            crosses = min(along, along_next) <= TIE and max(along, along_next) >= -TIE  # one that ends there does, too
+            if crosses and abs(along - along_next) > TIE:
+                offset = left + (left_next - left) * along / (along - along_next)
+                if abs(offset) <= reach and not abs(offset) >= abs(best):
+                    best = offset
+            along, left = along_next, left_next
+        out[k] = best
     return out
 
 
@@ -313,20 +300,6 @@ def _lane_extents(
     return extents
 
 
-def _waits(road: Road, line: ReferenceLine, lanes: tuple[int, ...]) -> tuple[float, ...]:
-    """The stations where lanes of the route part or meet others."""
-    into = Counter(after for lane in road.lanes.values() if lane.drivable for after in lane.successors)
-    ends, s = [], 0.0
-    for now, then in pairwise(lanes):
-        onward = road.lanes[now].successors
-        if then in onward:
-            x, y = road.lanes[now].center[-1]
-            s = line.project(x, y, s + road.lanes[now].length, 50.0)[0]
-            if len(onward) > 1 or into[then] > 1:
-                ends.append(s)
-    return tuple(ends)
-
-
 def _own_lane(
     road: Road, line: ReferenceLine, lanes: tuple[int, ...], extents: dict[int, tuple[FloatArray, FloatArray]]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -347,33 +320,6 @@ def _own_lane(
         np.minimum(_filled(right, -HALF_LANE_M), -floor),
         _filled(limit, road.default_speed_limit),
     )
-
-
-def _reachable(
-    road: Road, extents: dict[int, tuple[FloatArray, FloatArray]], lane_left: FloatArray, lane_right: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Edges `(n,)` of the same-direction lanes that adjoin the own lane, as far as the markings may be crossed."""
-    lanes = [(road.lanes[i], left, right) for i, (left, right) in extents.items()]
-    to_left = [(right, left, lane.right_crossable, lane.left_crossable) for lane, left, right in lanes]
-    to_right = [(-left, -right, lane.left_crossable, lane.right_crossable) for lane, left, right in lanes]
-    left, right = lane_left, -lane_right
-    for _ in range(3):
-        left, right = _one_lane_further(left, to_left), _one_lane_further(right, to_right)
-    return left, -right
-
-
-def _facing(
-    road: Road, line: ReferenceLine, extents: dict[int, tuple[FloatArray, FloatArray]], left: FloatArray,
-    right: FloatArray,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Edges `(n,)` of the reachable road with the lane of the opposite direction, where it adjoins."""
-    own = [(road.lanes[i], *edges) for i, edges in extents.items()]
-    against = [(road.lanes[i], *edges) for i, edges in _lane_extents(road, line, opposite=True).items()]
-    to_left = [(b, a, lane.right_crossable, lane.left_crossable) for lane, a, b in own]
-    to_left += [(a, b, lane.left_crossable, lane.right_crossable) for lane, a, b in against]
-    to_right = [(-a, -b, lane.left_crossable, lane.right_crossable) for lane, a, b in own]
-    to_right += [(-b, -a, lane.right_crossable, lane.left_crossable) for lane, a, b in against]
-    return _one_lane_further(left, to_left), -_one_lane_further(-right, to_right)
 
 
 def _one_lane_further(edge: FloatArray, beside: list[tuple[FloatArray, FloatArray, bool, bool]]) -> FloatArray:

@@ -55,8 +55,7 @@ class StGraphConfig:
     """Margins of the swept footprint, added to each side of the ego, m.
 
     Attributes:
-        margin_m: To vehicles and objects.
-        vulnerable_margin_m: To pedestrians and riders.
+        margin_m: To vehicles and objects; `vulnerable_margin_m` to pedestrians and riders.
         passed_margin_m: To an obstacle that the path passes on purpose.
         step_s: Between two time samples.
         early_s: An agent that crosses may come sooner by this, or by a third of the time that is left until then.
@@ -126,15 +125,11 @@ class StBoundaries:
         """These and a row per stop on the path, which belongs to no agent (-1)."""
         if not stops:
             return self
-        lower = np.array([np.where(self.t < stop.until, stop.s_from, np.nan) for stop in stops])
-        return StBoundaries(
-            self.t,
-            np.r_[self.agent, np.full(len(stops), -1)],
-            np.vstack([self.lower, lower]),
-            np.vstack([self.upper, np.where(np.isfinite(lower), np.inf, np.nan)]),
-            np.r_[self.speed, np.zeros(len(stops))],
-            np.r_[self.probability, np.ones(len(stops))],
-        )
+        n, lower = len(stops), np.array([np.where(self.t < stop.until, stop.s_from, np.nan) for stop in stops])
+        upper = np.where(np.isfinite(lower), np.inf, np.nan)
+        agent, speed, sure = np.r_[self.agent, np.full(n, -1)], np.r_[self.speed, np.zeros(n)], np.ones(n)
+        lowest, highest = np.vstack([self.lower, lower]), np.vstack([self.upper, upper])
+        return StBoundaries(self.t, agent, lowest, highest, speed, np.r_[self.probability, sure])
 
 
 def st_boundaries(
@@ -299,7 +294,13 @@ def _takes(
     taken = False
     around = _envelopes(other, np.int64(SAMPLES), other_size[0], other_size[1])
     for group in range(around.shape[1]):
-        begin, end = _parts_met(parts, around, group)
+        begin, end = 0, 0  # the points of the parts whose envelopes meet that of these samples; 0, 0: none
+        x, y, c, s = around[0, group], around[1, group], around[2, group], around[3, group]
+        length, width = around[4, group] + ROUNDING_M, around[5, group] + ROUNDING_M
+        for e in range(parts.shape[1]):
+            part = parts[0, e], parts[1, e], parts[2, e], parts[3, e], parts[4, e], parts[5, e]
+            if _touch(x, y, c, s, length, width, part):
+                begin, end = (begin if end else e * PART), (e + 1) * PART
         end = min(end, boxes.shape[1])
         for k in range(group * SAMPLES, min((group + 1) * SAMPLES, len(lower)) if begin < end else 0):
             before = max(k - 1, 0)
@@ -356,19 +357,6 @@ def _envelopes(boxes: FloatArray, every: np.int64, length: float, width: float) 
         out[0, e], out[1, e] = x + c * along - s * aside, y + s * along + c * aside
         out[2, e], out[3, e], out[4, e], out[5, e] = c, s, 0.5 * (front - rear), 0.5 * (left - right)
     return out
-
-
-@inner_kernel
-def _parts_met(parts: FloatArray, around: FloatArray, group: int) -> tuple[int, int]:
-    """From which point of the path to which, exclusive, its parts' envelopes meet one of a prediction; 0, 0: none."""
-    begin, end = 0, 0
-    x, y, c, s = around[0, group], around[1, group], around[2, group], around[3, group]
-    length, width = around[4, group] + ROUNDING_M, around[5, group] + ROUNDING_M
-    for e in range(parts.shape[1]):
-        part = parts[0, e], parts[1, e], parts[2, e], parts[3, e], parts[4, e], parts[5, e]
-        if _touch(x, y, c, s, length, width, part):
-            begin, end = (begin if end else e * PART), (e + 1) * PART
-    return begin, end
 
 
 @inner_kernel

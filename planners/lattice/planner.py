@@ -156,7 +156,14 @@ def futures_of(scene: Scene, ego: Ego, config: LatticeConfig) -> Futures:
     """The others of a scene as they are predicted, on the plan's grid of times; before and after they stay."""
     frame, start, line, car = scene.frame, scene.start, scene.reference.line, scene.vehicle
     agents, futures = frame.agents, frame.predictions
-    used = _near(scene, ego)
+    reach = HORIZON_STEPS * STEP_S * (ego.speed + 3.0) + NEAR_M  # as far as the ego can get
+    way = np.vstack([line.xy[(line.s > ego.s - NEAR_M) & (line.s < ego.s + reach)], [[start.x, start.y]]])
+    low, high = way.min(axis=0) - NEAR_M, way.max(axis=0) + NEAR_M
+    near = np.zeros(len(futures), np.bool_)
+    if len(futures):
+        near = (futures.x.max(axis=1) > low[0]) & (futures.x.min(axis=1) < high[0])
+        near &= (futures.y.max(axis=1) > low[1]) & (futures.y.min(axis=1) < high[1])
+    used = np.flatnonzero(near)
     agent, t = futures.agent[used], futures.t - frame.t
     at = np.clip(STEP_S * np.arange(HORIZON_KNOTS), t[0], t[-1])
     first = np.clip(np.searchsorted(t, at + 1e-9) - 1, 0, max(len(t) - 2, 0))
@@ -177,19 +184,6 @@ def futures_of(scene: Scene, ego: Ego, config: LatticeConfig) -> Futures:
     speed = (frenet[0, :, 1] - frenet[0, :, 0]) / (STRIDE * STEP_S)
     follow = [behind(scene, keeps_track=keeps) for keeps in (True, False)]
     return Futures(agent, pose, frenet, speed, sizes, np.array([rows[agent] for rows in follow]))
-
-
-def _near(scene: Scene, ego: Ego) -> IntArray:
-    """The predictions that come near the reference line as far as the ego can get."""
-    line, futures, start = scene.reference.line, scene.frame.predictions, scene.start
-    if not len(futures):
-        return np.empty(0, np.int64)
-    reach = HORIZON_STEPS * STEP_S * (ego.speed + 3.0) + NEAR_M
-    way = np.vstack([line.xy[(line.s > ego.s - NEAR_M) & (line.s < ego.s + reach)], [[start.x, start.y]]])
-    low, high = way.min(axis=0) - NEAR_M, way.max(axis=0) + NEAR_M
-    near = (futures.x.max(axis=1) > low[0]) & (futures.x.min(axis=1) < high[0])
-    near &= (futures.y.max(axis=1) > low[1]) & (futures.y.min(axis=1) < high[1])
-    return np.flatnonzero(near)
 
 
 class Sampler:
@@ -385,10 +379,24 @@ class Chosen:
 
 
 def artefacts(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
-    """Graphs, decisions and costs of the pair that is driven."""
-    passed = _passed(chosen, config)
+    """Graphs, decisions and costs of the pair that is driven.
+
+    A decision for each agent that stands in the middle of the road and is driven past, and on which side.
+    """
+    scene, ego, motion, passed = chosen.scene, chosen.ego, chosen.motion, dict[str, Decision]()
+    half, l1 = 0.5 * scene.vehicle.width, float(chosen.pairs.l1[chosen.pair])
+    for j, i in enumerate(chosen.futures.agent):
+        s, l, half_s, half_l = chosen.futures.frenet[:, j, 0]  # noqa: E741
+        reached = ego.s < s and s + half_s < ego.s + motion[0, -1]
+        if scene.standing[i] and reached and abs(l) < half_l + half + config.margin_m:
+            beside = float(np.interp(s - ego.s, motion[0], chosen.at[6]))
+            kind = DecisionKind.NUDGE_LEFT if beside > l else DecisionKind.NUDGE_RIGHT
+            gap = abs(beside - l) - half_l - half
+            reason = f"stands in the middle of the lane: passed with {gap:.2f} m at the end offset {l1:.1f} m"
+            passed[scene.frame.agents.ids[i]] = Decision(scene.frame.agents.ids[i], kind, "path", reason)
+    decided = tuple(passed.values())
     costs = CostTerms("lattice", tuple(zip(COST_PARTS, chosen.pairs.costs[:, chosen.pair].tolist(), strict=True)))
-    return (_sl_graph(chosen, passed), *_along(chosen, config), *passed, costs)
+    return (_sl_graph(chosen, decided), *_along(chosen, config), *decided, costs)
 
 
 def _along(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
@@ -408,22 +416,6 @@ def _along(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
     decisions = decide_speed(blocks, scene, np.interp(blocks.t, t, driven))
     graph = StGraph(None, None, np.empty((0, 2)), np.column_stack([t, driven]), outlines(blocks, decisions))
     return (graph, *({decision.agent: decision for decision in decisions}.values()))
-
-
-def _passed(chosen: Chosen, config: LatticeConfig) -> tuple[Decision, ...]:
-    """The standing agents in the middle of the road that the pair drives past, and on which side."""
-    scene, ego, motion, found = chosen.scene, chosen.ego, chosen.motion, {}
-    half, l1 = 0.5 * scene.vehicle.width, float(chosen.pairs.l1[chosen.pair])
-    for j, i in enumerate(chosen.futures.agent):
-        s, l, half_s, half_l = chosen.futures.frenet[:, j, 0]  # noqa: E741
-        reached = ego.s < s and s + half_s < ego.s + motion[0, -1]
-        if scene.standing[i] and reached and abs(l) < half_l + half + config.margin_m:
-            beside = float(np.interp(s - ego.s, motion[0], chosen.at[6]))
-            kind = DecisionKind.NUDGE_LEFT if beside > l else DecisionKind.NUDGE_RIGHT
-            gap = abs(beside - l) - half_l - half
-            reason = f"stands in the middle of the lane: passed with {gap:.2f} m at the end offset {l1:.1f} m"
-            found[scene.frame.agents.ids[i]] = Decision(scene.frame.agents.ids[i], kind, "path", reason)
-    return tuple(found.values())
 
 
 def _sl_graph(chosen: Chosen, passed: tuple[Decision, ...]) -> SlGraph:

@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.frame import Frame, PlannerContext, Predictions
-from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from logs.kernel import BoolArray, FloatArray, kernel
 from logs.states import EgoState, Trajectory, wrap
 from logs.trace import Artefact, Candidates, Corridor, CostTerms, Internals, Plan, SlGraph, StGraph
 from logs.vehicle import VehicleParameters
@@ -158,10 +158,15 @@ class Pdm:
         track, row = tracks[chosen // len(c.speed_shares)], chosen % len(c.speed_shares)
         internals = Internals((), lambda: self._artefacts(scene, track, row, found, chosen))
         if found.contact[chosen] <= c.brake_within_s and frame.ego.v <= c.brake_below_mps:
-            profile = braking(scene.v, scene.start.a, c.brake_mps2, EMERGENCY.jerk_mps3, STEP_S, HORIZON_KNOTS)
-            way, name = along(_arc(scene.start), profile, frame.t), scene.name(int(found.agent[chosen]))
-            reason = f"emergency brake: the best proposal meets {name} in {found.contact[chosen]:.1f} s"
-            return Plan(way, reason=reason, start=start_kind, internals=internals)
+            start, sigma = scene.start, np.linspace(0.0, BEYOND_M, 61)  # on with the curvature of now
+            half = 0.5 * start.kappa * sigma
+            x, y = (sigma * np.sinc(half / np.pi) * turn(start.yaw + half) for turn in (np.cos, np.sin))
+            bent = np.full(len(sigma), start.kappa)
+            arc = Path(sigma, start.x + x, start.y + y, start.yaw + 2.0 * half, bent, sigma)
+            profile = braking(scene.v, start.a, c.brake_mps2, EMERGENCY.jerk_mps3, STEP_S, HORIZON_KNOTS)
+            name, within = scene.name(int(found.agent[chosen])), found.contact[chosen]
+            reason = f"emergency brake: the best proposal meets {name} in {within:.1f} s"
+            return Plan(along(arc, profile, frame.t), reason=reason, start=start_kind, internals=internals)
         x, y, yaw, v, a, kappa = tracked(track.path, track.profiles[row], scene.start, car, HORIZON_KNOTS)
         way = Trajectory(frame.t + STEP_S * np.arange(HORIZON_KNOTS), x, y, yaw, v, a, kappa)
         return Plan(way, start=start_kind, internals=internals)
@@ -207,15 +212,6 @@ def straight_on(frame: Frame) -> Predictions:
     x, y = agents.x[:, None] + agents.vx[:, None] * ahead, agents.y[:, None] + agents.vy[:, None] * ahead
     yaw = np.repeat(agents.yaw[:, None], len(ahead), axis=1)
     return Predictions(frame.t + ahead, np.arange(len(agents)), np.ones(len(agents)), x, y, yaw, "constant velocity")
-
-
-def _arc(start: EgoState) -> Path:
-    """The way on with the curvature of now, as far as an emergency brake needs it."""
-    sigma = np.linspace(0.0, BEYOND_M, 61)
-    half = 0.5 * start.kappa * sigma
-    chord = sigma * np.sinc(half / np.pi)
-    x, y = start.x + chord * np.cos(start.yaw + half), start.y + chord * np.sin(start.yaw + half)
-    return Path(sigma, x, y, start.yaw + 2.0 * half, np.full(len(sigma), start.kappa), sigma)
 
 
 class Driver(NamedTuple):
@@ -288,7 +284,15 @@ def followed(
             N = STEP_S * AHEAD
             wanted = N * Q_SPEED * (speed[then] - v) / (N * N * Q_SPEED + 1.0)  # (2)
             e = (y - pose[1, at]) * cos(pose[2, at]) - (x - pose[0, at]) * sin(pose[2, at])
-            rate = _steer_rate(e, wrap(yaw - pose[2, at]), steer, v, wanted, pose[3], at, wheelbase)
+            psi = wrap(yaw - pose[2, at])
+            e1, psi1, steer1 = 0.0, 0.0, 0.0  # the response to a rate of 1; e and psi become the free one
+            for i in range(AHEAD):
+                way = STEP_S * max(v + i * STEP_S * wanted, 0.0)
+                e, psi = e + way * psi, psi + way * (steer / wheelbase - pose[3, min(at + i, last)])
+                e1, psi1, steer1 = e1 + way * psi1, psi1 + way * steer1 / wheelbase, steer1 + STEP_S
+            psi = atan2(sin(psi), cos(psi))
+            gain = Q_OFFSET * e1**2 + Q_HEADING * psi1**2 + 1.0
+            rate = -(Q_OFFSET * e1 * e + Q_HEADING * psi1 * psi) / gain  # (3)
         a += STEP_S / (STEP_S + ACCEL_LAG_S) * (wanted - a)  # (4)
         v_next = max(v + STEP_S * a, 0.0)
         if v_next == 0.0:
@@ -299,17 +303,3 @@ def followed(
         yaw, v = yaw + turn, v_next
         steer = min(max(steer + STEP_S / (STEP_S + STEER_LAG_S) * STEP_S * rate, -max_steer), max_steer)
     return out
-
-
-@inner_kernel
-def _steer_rate(
-    e: float, psi: float, steer: float, v: float, a: float, kappa: FloatArray, first: int, wheelbase: float
-) -> float:
-    """The rate u of (3), rad/s, from the free response of (3) and that to a rate of 1."""
-    e1, psi1, steer1 = 0.0, 0.0, 0.0
-    for k in range(AHEAD):
-        way = STEP_S * max(v + k * STEP_S * a, 0.0)
-        e, psi = e + way * psi, psi + way * (steer / wheelbase - kappa[min(first + k, len(kappa) - 1)])
-        e1, psi1, steer1 = e1 + way * psi1, psi1 + way * steer1 / wheelbase, steer1 + STEP_S
-    psi = atan2(sin(psi), cos(psi))
-    return -(Q_OFFSET * e1 * e + Q_HEADING * psi1 * psi) / (Q_OFFSET * e1**2 + Q_HEADING * psi1**2 + 1.0)

@@ -161,7 +161,12 @@ class Solution(NamedTuple):
 def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -> Solution:
     """The curve of a problem, `accuracy` m from the optimum at most."""
     rows = rows_of(problem)
-    point, step, newton = _blank(rows), _blank(rows), _workspace(rows)
+    point, step = _blank(rows), _blank(rows)
+    size, ends = len(point.y), len(point.c)
+    newton = Newton(
+        np.empty((2, size)), np.empty((2, size)), np.empty((2, size)), np.empty(size), np.empty(size), np.empty(size),
+        np.empty(ends), np.empty(ends), np.empty((4, ends)),
+    )  # fmt: skip
     coast(problem, point.c)
     apply(rows.stencil, point.c, point.y)
     status, iteration, primal, dual, gap = _fault(problem), 0, np.nan, np.nan, np.nan
@@ -198,7 +203,14 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
                 newton.product[side, i] += step.slack[side, i] * step.multiplier[side, i] - target
         _direction(rows, point, newton, step, proximal)
         primal_step, dual_step = _step_lengths(point, newton, step, TO_BOUNDARY, together)
-        _advance(point, step, primal_step, dual_step)
+        for i in range(ends):
+            point.c[i] += primal_step * step.c[i]
+        for i in range(size):
+            point.y[i] += primal_step * step.y[i]
+        for side in range(2):
+            for i in range(size):
+                point.slack[side, i] += primal_step * step.slack[side, i]
+                point.multiplier[side, i] += dual_step * step.multiplier[side, i]
     curve = curve_of(point.c, problem.step)
     return Solution(curve, status, iteration, primal, dual, gap, largest_violation(problem, curve))
 
@@ -262,16 +274,6 @@ def _blank(rows: Rows) -> Point:
     size = len(rows.cost)
     ends = size // len(rows.stencil) + 3
     return Point(np.zeros(ends), np.zeros(size), np.zeros(size), np.zeros((2, size)), np.zeros((2, size)))
-
-
-@inner_kernel
-def _workspace(rows: Rows) -> Newton:
-    size = len(rows.cost)
-    ends = size // len(rows.stencil) + 3
-    return Newton(
-        np.empty((2, size)), np.empty((2, size)), np.empty((2, size)), np.empty(size), np.empty(size), np.empty(size),
-        np.empty(ends), np.empty(ends), np.empty((4, ends)),
-    )  # fmt: skip
 
 
 @inner_kernel
@@ -397,16 +399,3 @@ def _gap_after(point: Point, step: Point, primal: float, dual: float) -> float:
         above = slack[1, i] + primal * opening[1, i]
         total += below + above * (multiplier[1, i] + dual * change[1, i])
     return total
-
-
-@inner_kernel
-def _advance(point: Point, step: Point, primal: float, dual: float) -> None:
-    """The point after a step."""
-    for i in range(len(point.c)):
-        point.c[i] += primal * step.c[i]
-    for i in range(len(point.y)):
-        point.y[i] += primal * step.y[i]
-    for side in range(2):
-        for i in range(len(point.y)):
-            point.slack[side, i] += primal * step.slack[side, i]
-            point.multiplier[side, i] += dual * step.multiplier[side, i]

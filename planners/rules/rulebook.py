@@ -232,8 +232,14 @@ class Rulebook:
         visit.since = {name: t for name, t in visit.since.items() if name in names}
         if not near:
             return
-        visit.leader = rear, speed, _ = self._leader(visit)
-        accel = scene.start.a
+        agents, along, accel = scene.frame.agents, scene.agents, scene.start.a
+        rears = along.s - 0.5 * agents.length
+        in_way = (np.abs(along.turn) < ASKEW_RAD) & (np.abs(along.l) < 0.5 * (agents.width + self._vehicle.width))
+        in_way &= np.array([name not in visit.passed for name in agents.ids], bool) & (rears > front - 1.0)
+        if in_way.any():
+            i = int(np.argmin(np.where(in_way, rears, inf)))
+            visit.leader = float(rears[i]), float(scene.speed[i]), i
+        rear, speed, _ = visit.leader
         sooner, later = (self._driven(scene.s, scene.v, at_first) for at_first in (max(accel, 0.0), accel))
         if isfinite(rear):  # not into the one ahead
             behind = rear - front - ROOM_M + speed * STEP_S * np.arange(HORIZON_KNOTS)
@@ -281,19 +287,6 @@ class Rulebook:
         elif frame.ego.v > ROLLING_MPS and zone.name not in visit.taken:
             since.pop(zone.name, None)
         return zone.name in since and frame.t - since[zone.name] >= self._config.patience_s - TIE
-
-    def _leader(self, visit: _Visit) -> tuple[float, float, int]:
-        """Station of the rear of the one ahead in the ego's way, its speed, its index; inf, 0, -1: there is none."""
-        scene = visit.scene
-        agents, along = scene.frame.agents, scene.agents
-        rear = along.s - 0.5 * agents.length
-        in_way = (np.abs(along.turn) < ASKEW_RAD) & (np.abs(along.l) < 0.5 * (agents.width + self._vehicle.width))
-        in_way &= np.array([name not in visit.passed for name in agents.ids], bool)
-        rear = np.where(in_way & (rear > scene.front - 1.0), rear, inf)
-        if not np.isfinite(rear).any():
-            return inf, 0.0, -1
-        i = int(np.argmin(rear))
-        return float(rear[i]), float(scene.speed[i]), i
 
     def _driven(self, s: float, v: float, a: float) -> FloatArray:
         stations = self._reference.line.s

@@ -313,18 +313,34 @@ def windows(zone: Zone, line: ReferenceLine, road: Road, frame: Frame) -> tuple[
 
 
 def _walking(zone: Zone, walk: Walk, line: ReferenceLine, frame: Frame) -> Iterator[Window]:
-    futures, agents = frame.predictions, frame.agents
-    ahead = futures.t - frame.t
-    for i in _at_crosswalk(walk, frame):
-        found = False
-        for row in np.flatnonzero(futures.agent == i):
-            for window in _span(_on_half(zone, walk, line, futures.x[row], futures.y[row]), ahead, i, frame):
-                found = True
-                yield replace(window, end=inf, waits=True) if agents.speed[i] < TOWARDS_MPS else window
-        if not found and agents.speed[i] < TOWARDS_MPS:
-            yaw, way = agents.yaw[i], START_MPS * ahead
+    """Of the pedestrians who are on a crosswalk, or near it and do not walk along or away from it."""
+    futures, agents, polygon, ahead = (
+        frame.predictions,
+        frame.agents,
+        walk.crosswalk.polygon,
+        frame.predictions.t - frame.t,
+    )
+    low, high = polygon.min(axis=0) - EDGE_M, polygon.max(axis=0) + EDGE_M
+    near = (agents.x > low[0]) & (agents.x < high[0]) & (agents.y > low[1]) & (agents.y < high[1])
+    edge = np.vstack([polygon, polygon[:1]])
+    for i in np.flatnonzero(near).tolist():
+        if agents.kinds[i] is not AgentKind.PEDESTRIAN:
+            continue
+        x, y, stands = float(agents.x[i]), float(agents.y[i]), agents.speed[i] < TOWARDS_MPS
+        now, soon = distances(np.array([[x, y], [x + 0.1 * agents.vx[i], y + 0.1 * agents.vy[i]]]), edge)
+        comes = now - soon > 0.1 * TOWARDS_MPS or stands
+        if not (inside(x, y, polygon) or (now < EDGE_M and comes)):
+            continue
+        rows, yaw, way = np.flatnonzero(futures.agent == i), agents.yaw[i], START_MPS * ahead
+        found = [
+            window
+            for row in rows
+            for window in _span(_on_half(zone, walk, line, futures.x[row], futures.y[row]), ahead, i, frame)
+        ]
+        if stands and not found:
             taken = _on_half(zone, walk, line, agents.x[i] + way * np.cos(yaw), agents.y[i] + way * np.sin(yaw))
-            yield from (replace(window, end=inf, waits=True) for window in _span(taken, ahead, i, frame))
+            found = list(_span(taken, ahead, i, frame))
+        yield from (replace(window, end=inf, waits=True) if stands else window for window in found)
 
 
 def _on_half(zone: Zone, walk: Walk, line: ReferenceLine, x: FloatArray, y: FloatArray) -> BoolArray:
@@ -335,39 +351,9 @@ def _on_half(zone: Zone, walk: Walk, line: ReferenceLine, x: FloatArray, y: Floa
     return np.asarray(along & (l > walk.right - KEPT_M) & (l < walk.left + KEPT_M))
 
 
-def _at_crosswalk(walk: Walk, frame: Frame) -> Iterator[int]:
-    """The pedestrians who are on a crosswalk, or near it and do not walk along or away from it."""
-    agents, polygon = frame.agents, walk.crosswalk.polygon
-    low, high = polygon.min(axis=0) - EDGE_M, polygon.max(axis=0) + EDGE_M
-    near = (agents.x > low[0]) & (agents.x < high[0]) & (agents.y > low[1]) & (agents.y < high[1])
-    edge = np.vstack([polygon, polygon[:1]])
-    for i in np.flatnonzero(near).tolist():
-        if agents.kinds[i] is not AgentKind.PEDESTRIAN:
-            continue
-        x, y = float(agents.x[i]), float(agents.y[i])
-        now, soon = distances(np.array([[x, y], [x + 0.1 * agents.vx[i], y + 0.1 * agents.vy[i]]]), edge)
-        comes = now - soon > 0.1 * TOWARDS_MPS or agents.speed[i] < TOWARDS_MPS
-        if inside(x, y, polygon) or (now < EDGE_M and comes):
-            yield i
-
-
 def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[Window]:
-    futures = frame.predictions
-    for i, lane in _claimants(priority, road, frame):
-        if lane == priority.lane.id:
-            yield from _passage(priority, i, frame)
-        rows = np.flatnonzero(futures.agent == i)
-        size = np.array([frame.agents.length[i], frame.agents.width[i]])
-        taken = _touched(priority.boxes, futures.x[rows], futures.y[rows], futures.yaw[rows], size)
-        if futures.probability[rows][taken.any(axis=1)].sum() < UNLIKELY:  # (3)
-            continue
-        for mine in taken:
-            yield from _span(mine, futures.t - frame.t, i, frame)
-
-
-def _claimants(priority: Priority, road: Road, frame: Frame) -> Iterator[tuple[int, int]]:
-    """The vehicles that may claim the zone, with the lane that they are on: the priority lane before all others."""
-    agents = frame.agents
+    """Of the vehicles that may claim the zone, by the lane that they are on: the priority lane before all others."""
+    agents, futures = frame.agents, frame.predictions
     taken: set[int] = set()
     for lane_id, lights in priority.feeds.items():
         if any(frame.lights.get(light) in RED for light in lights):
@@ -380,9 +366,16 @@ def _claimants(priority: Priority, road: Road, frame: Frame) -> Iterator[tuple[i
             drives = agents.kinds[i] not in (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
             if i in taken or not drives or not inside(x, y, lane.polygon):
                 continue
-            if turned(lane, x, y, float(agents.yaw[i])) < ASKEW_RAD:
-                taken.add(i)
-                yield i, lane_id
+            if turned(lane, x, y, float(agents.yaw[i])) >= ASKEW_RAD:
+                continue
+            taken.add(i)
+            if lane_id == priority.lane.id:
+                yield from _passage(priority, i, frame)
+            rows, size = np.flatnonzero(futures.agent == i), np.array([agents.length[i], agents.width[i]])
+            touches = _touched(priority.boxes, futures.x[rows], futures.y[rows], futures.yaw[rows], size)
+            if futures.probability[rows][touches.any(axis=1)].sum() >= UNLIKELY:  # (3)
+                for mine in touches:
+                    yield from _span(mine, futures.t - frame.t, i, frame)
 
 
 def _passage(priority: Priority, i: int, frame: Frame) -> Iterator[Window]:

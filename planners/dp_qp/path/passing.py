@@ -322,8 +322,11 @@ def passed_by_oncoming_lane(
             x, y = futures.x[rows][:, now].ravel(), futures.y[rows][:, now].ravel()
             near = np.hypot(x - frame.ego.x, y - frame.ego.y) < end - scene.s + 30.0
             s, l = line_project_many(line.s, line.coef, x[near], y[near], scene.s, 250.0).T  # noqa: E741
+            road, side = scene.reference.at(s), 0.5 * widest
+            on_left = (road.facing_left > road.road_left) & (l > road.road_left - side) & (l < road.facing_left)
+            on_right = (road.facing_right < road.road_right) & (l < road.road_right + side) & (l > road.facing_right)
             on_way = (s > min(scene.s, begin) - widest) & (s < end + 10.0)
-            if (_on_oncoming_lane(scene.reference, s, l, widest) & on_way).any():  # (3)
+            if ((on_left | on_right) & on_way).any():  # (3)
                 continue
             if stations is not None and not _in_sight(scene, place, back - frame.t):  # (5)
                 continue
@@ -344,14 +347,6 @@ def _in_sight(scene: Scene, place: float, lasts: float) -> bool:
     middle = np.where(by_left, road.road_left + road.facing_left, road.road_right + road.facing_right) / 2.0
     points = [reference.line.point(float(at), float(aside)) for at, aside in zip(s, middle, strict=True)]
     return not view.hides(np.reshape(points, (-1, 2))).any()
-
-
-def _on_oncoming_lane(reference: ReferencePath, s: FloatArray, l: FloatArray, width: float) -> BoolArray:  # noqa: E741
-    """Which points `(n,)` lie on the oncoming lane, or nearer to it than half a width, m."""
-    road = reference.at(s)
-    on_left = (road.facing_left > road.road_left) & (l > road.road_left - 0.5 * width) & (l < road.facing_left)
-    on_right = (road.facing_right < road.road_right) & (l < road.road_right + 0.5 * width) & (l > road.facing_right)
-    return np.asarray(on_left | on_right)
 
 
 def waiting_place(scene: Scene, blocked: tuple[Occupancy, ...], passed: frozenset[str]) -> float:

@@ -193,8 +193,13 @@ class SpeedStage:
         if is_sure and not solved.reason:
             return planned, found.only(~binds)
         eased = ~binds & (p >= doubt.NEGLIGIBLE)
-        if eased.any():
-            eased &= ~self._safe(solved.profile, found)
+        if eased.any() and solved.profile is not None:  # (4) of `doubt`
+            k = round(doubt.SHARED_S / STEP_S)
+            s, v, a = solved.profile[:, k]
+            stop = np.r_[solved.profile[0, :k], s + self._shared.braking((v, a), self._config.qp.knots - k)[0]]
+            driven, stopped = (np.interp(found.t, self._times, each) for each in (solved.profile[0], stop))
+            met = ((driven > found.lower) & (driven < found.upper)).any(axis=1)
+            eased &= met & (stopped > found.lower).any(axis=1)
         if solved.reason:
             eased |= binds & doubt.from_beside(scene, found) & ((p < doubt.SURE) | solved.unavoidable)
         if eased.any():
@@ -228,17 +233,6 @@ class SpeedStage:
             may = may & ~refused
         self._lap("speed QP")
         return _Planned(solved, built, blocks, may, who)
-
-    def _safe(self, profile: FloatArray | None, rows: StBoundaries) -> BoolArray:
-        """(4) of `doubt`, of all rows `(n,)`."""
-        if profile is None:
-            return np.zeros(len(rows), np.bool_)
-        k = round(doubt.SHARED_S / STEP_S)
-        s, v, a = profile[:, k]
-        stop = np.r_[profile[0, :k], s + self._shared.braking((v, a), self._config.qp.knots - k)[0]]
-        driven, stopped = (np.interp(rows.t, self._times, each) for each in (profile[0], stop))
-        met = ((driven > rows.lower) & (driven < rows.upper)).any(axis=1)
-        return np.asarray(~met | ~(stopped > rows.lower).any(axis=1))
 
     def _build(
         self, way: _Way, blocks: StBoundaries, may_overtake: BoolArray, *, is_drawn: bool = False

@@ -139,8 +139,8 @@ def measured(console: Console, scenario: Scenario, mode: Mode, chosen: argparse.
     import metrics
     from logs.mcap import write_trace
     from replay.loop.reference_drives import reference_table
+    from replay.results.log_result import Steps, StepsFile
     from replay.run.one_log import LOOPS, SHOWN
-    from replay.run.steps import Steps, StepsFile
 
     keep = not chosen.no_recording or chosen.internals != "none"
     if mode is Mode.CLOSED:

@@ -29,10 +29,10 @@ from replay.loop import reference_drives
 from replay.results.log_result import LogResult
 from replay.run import evaluate_logs, one_log
 from replay.run.engine import Engine, Local
-from replay.run.evaluate import gates_of, judge_and_write
+from replay.run.judging import gates_of, judge_and_write
 from replay.run.on_ray import OnRay
 from replay.run.pool import run_all
-from replay.run.shard import Shard
+from replay.run.shards import Shard
 from replay.run.sources import LogSource, Selection
 
 RUN = RunConfig(recording=False, internals="none")

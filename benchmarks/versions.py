@@ -92,12 +92,12 @@ def _logs(paths: list[str]) -> list[str]:
 
 def _driver() -> Callable[..., Measured]:
     """Drives a log by its label, with `crowd` agents in place of its own; what has been read stays."""
-    import replay.planner_process.stopwatch
+    import replay.drive
     from replay.loop.closed_loop import run_closed_loop
     from replay.loop.perception import Perception
     from replay.run.sources import LogSource
 
-    replay.planner_process.stopwatch.perf_counter = time.thread_time  # type: ignore[attr-defined]
+    replay.drive.perf_counter = time.thread_time  # type: ignore[attr-defined]
     chooses = "keep_internals" in inspect.signature(run_closed_loop).parameters
     scenarios: dict[tuple[str, int], Any] = {}
     frames: list[float] = []

@@ -14,7 +14,7 @@ import numpy as np
 from logs.errors import PlannerError
 from logs.frame import Frame, PlannerContext
 from logs.scenario import Scenario
-from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
+from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import Plan, PlanStart, PlanStatus
 from planners.base import Planner
 from planners.constant_speed import arc
@@ -41,20 +41,13 @@ class Logged:
         """The log from `frame.t` on, its own samples, so that both interpolate to the same."""
         start = PlanStart.EGO if frame.previous is None else PlanStart.PREVIOUS_PLAN
         if frame.t >= self._log.t[-1] - 1e-6:
-            return Plan(self._beyond(frame.t), reason="nothing of the log lies ahead: carried on", start=start)
+            last = self._log.state(len(self._log) - 1)
+            state = [np.array([frame.t if name == "t" else getattr(last, name)]) for name in TRAJECTORY_COLUMNS]
+            rest = Trajectory(*state) if frame.t <= last.t + 1e-6 else arc(last, np.array([frame.t]))
+            return Plan(rest, reason="nothing of the log lies ahead: carried on", start=start)
         end = min(frame.t + self._horizon, float(self._log.t[-1]))
         within = self._log.t[(self._log.t > frame.t) & (self._log.t < end)]
         return Plan(self._log.resampled(np.r_[frame.t, within, end]), start=start)
-
-    def _beyond(self, t: float) -> Trajectory:
-        """One state: the last of the log, carried on to `t`."""
-        last = self._log.state(len(self._log) - 1)
-        return _single(last, t) if t <= last.t + 1e-6 else arc(last, np.array([t]))
-
-
-def _single(state: EgoState, t: float) -> Trajectory:
-    """A trajectory of one state, at the time `t`."""
-    return Trajectory(*(np.array([t if name == "t" else getattr(state, name)]) for name in TRAJECTORY_COLUMNS))
 
 
 class Onboard:

@@ -53,18 +53,10 @@ def keywords_of(factory: Callable[..., Any], table: Table, where: str) -> dict[s
     return dict(table)
 
 
-def resolved(factory: Callable[..., Any], table: Table, where: str) -> dict[str, Any]:
-    """The table with every default spelled out; `keywords_of` makes the same of it; ConfigError as there."""
-    keywords, config = keywords_of(factory, table, where), _config_class(factory)
-    if config is not None:
-        return asdict(keywords.get("config") or config())
-    parameters = inspect.signature(factory).parameters.values()
-    defaults = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.default is not p.empty}
-    return {**defaults, **keywords}
+def resolved(factory: Callable[..., Any], table: Table, where: str, what: str, given: int) -> dict[str, Any]:
+    """The table with every default spelled out, checked that something can be built with it.
 
-
-def check(factory: Callable[..., Any], table: Table, where: str, what: str, given: int) -> None:
-    """Refuse what a factory cannot be called with; ConfigError says what is missing or too much.
+    `keywords_of` makes the same of it.
 
     Args:
         factory: What is called.
@@ -72,13 +64,22 @@ def check(factory: Callable[..., Any], table: Table, where: str, what: str, give
         where: Dotted name of the table.
         what: The thing, for messages ("planner 'idm'").
         given: How many arguments it is given before the keywords.
+
+    Raises:
+        ConfigError: As `keywords_of`; or says which keyword is missing or too much.
     """
+    keywords, config = keywords_of(factory, table, where), _config_class(factory)
     try:
-        inspect.signature(factory).bind(*given * (None,), **keywords_of(factory, table, where))
+        inspect.signature(factory).bind(*given * (None,), **keywords)
     except TypeError as error:
         raise ConfigError(
             f"{what} cannot be built so: {error}; it is given {given} argument{'s' * (given != 1)} and its settings"
         ) from None
+    if config is not None:
+        return asdict(keywords.get("config") or config())
+    parameters = inspect.signature(factory).parameters.values()
+    defaults = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.default is not p.empty}
+    return {**defaults, **keywords}
 
 
 def configured(kind: Kind[F], name: str, settings: Mapping[str, Table]) -> F:
@@ -127,7 +128,11 @@ def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
     try:
         return msgspec.convert(dict(table), cls)
     except msgspec.ValidationError as error:
-        raise ConfigError(_said_plainly(str(error), where)) from None
+        # "Expected `float`, got `str` - at `$.loop.period`" becomes "loop.period: expected float, got str"
+        what, _, place = str(error).replace("`", "").partition(" - at ")
+        what = what[:1].lower() + what[1:] if what.startswith("Expected") else what
+        key = ".".join(filter(None, [where, place.removeprefix("$").removeprefix(".")]))
+        raise ConfigError(f"{key}: {what}" if key else what) from None
 
 
 def _known_tree(cls: type, table: Mapping[str, Any], where: str) -> None:
@@ -155,15 +160,6 @@ def dotted(where: str, key: str) -> str:
     """`where.key`, the key quoted where TOML would."""
     name = key if key.replace("_", "").replace("-", "").isalnum() else f'"{key}"'
     return f"{where}.{name}" if where else name
-
-
-def _said_plainly(message: str, where: str) -> str:
-    """Turn "Expected `float`, got `str` - at `$.loop.period`" into "loop.period: expected float, got str"."""
-    what, _, place = message.partition(" - at ")
-    key = ".".join(filter(None, [where, place.strip("`").removeprefix("$").removeprefix(".")]))
-    what = what.replace("`", "")
-    what = what[:1].lower() + what[1:] if what.startswith("Expected") else what
-    return f"{key}: {what}" if key else what
 
 
 def dotted_keys(cls: type, where: str = "") -> Iterator[str]:

@@ -35,7 +35,7 @@ from metrics.judge import CAREFUL
 from planners.idm import Idm, IdmConfig
 from replay.config import load_run
 from replay.results.tables import write_file, write_text
-from replay.run.lock import held
+from replay.run.output import held
 from replay.search.axes import box_of, search_axes
 from replay.search.falsify import Drives, Question, falsify
 from replay.search.mildest import BATCH, Point, norm

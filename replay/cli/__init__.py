@@ -3,49 +3,22 @@
 Commands by subject:
 
 evaluate.py    drive: evaluate, vary, paper, calibrate
-diagnose.py    why drives fail: diagnose
-search.py      search: falsify, tune
-shards.py      put the shards of a run together: merge
-report.py      write the reports of results: report
+search.py      search: falsify, tune, diagnose
+report.py      the end of a run, reports, shards put together: merge, report
 logs.py        read and write logs: synth, convert, repair, inspect, salvage, export
-warmup.py      compile kernels beforehand: warmup
-results.py     look at results: view
 compare.py     run against run: compare, baseline
-plot.py        pictures of a drive: plot
-explain.py     a drive in words: explain
+drives.py      look at one drive: view, plot, explain, frame
 mine.py        what happened in logs: mine, query, cut, suite, coverage
-frame.py       plan one frame again: frame
-about.py       what replan knows: list, metrics
-chosen.py      the drive that plot, explain, frame and view show
-renamed.py     options of the last version that have another name now
-names.py       names and keys for shell completion
-ending.py      the end of a run: reports, exit code
+about.py       what replan knows: list, metrics; kernels compiled beforehand: warmup
+options.py     options of several commands, shell completion, old spellings
 app.py         what the commands share
 """
 
-from replay.cli import evaluate, diagnose, search, shards, report, logs, results, compare  # isort: skip  # the order of the help
-from replay.cli import plot, explain, frame, mine, about, warmup  # isort: skip
+from replay.cli import evaluate, search, report, logs, compare, drives, mine, about  # isort: skip  # the order of the help
 from replay.cli.app import app, bug
 from replay.interruption import end_at_once
 
-__all__ = [
-    "about",
-    "app",
-    "compare",
-    "diagnose",
-    "evaluate",
-    "explain",
-    "frame",
-    "logs",
-    "main",
-    "mine",
-    "plot",
-    "report",
-    "results",
-    "search",
-    "shards",
-    "warmup",
-]
+__all__ = ["about", "app", "compare", "drives", "evaluate", "logs", "main", "mine", "report", "search"]
 
 COLLECTED_EVERY = 10_000
 """New objects between two garbage collections: with Python's 700, they took a twelfth of a first verdict."""

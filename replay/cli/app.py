@@ -1,26 +1,25 @@
-"""What the commands share: the app, errors as one line and an exit code, and options of several commands."""
+"""What the commands share: the app, errors as one line and an exit code, and what is printed."""
 
 from __future__ import annotations
 
 import errno
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from logs.errors import ConfigError, ReplanError, raised, unknown_name
-from replay.cli.names import complete_setting, completion
+from logs.errors import ConfigError, ReplanError, raised
 from replay.interruption import EXIT_CODE, as_exception
 
 if TYPE_CHECKING:
-    from replay.config import RunConfig
+    from replay.draw.report.console import SafeConsole
 
 app = typer.Typer(
     name="replan",
@@ -31,54 +30,6 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-LOGS, LOOP, JUDGE, OUTPUT, RUNNING = "Logs", "Drive", "Judge", "Output", "Run"
-"""The groups in which the options of `replan evaluate` are shown."""
-
-
-def option(panel: str | None, words: str, *names: str, complete: str = "", **more: Any) -> Any:
-    """A `typer.Option` in a group of the help.
-
-    Args:
-        panel: The group; None: that of all options.
-        words: What the help says.
-        names: As the option is written; none: by its parameter.
-        complete: The table of `replay.cli.names` that the shell completes it from.
-        more: As `typer.Option` takes it.
-    """
-    if complete:
-        more["autocompletion"] = completion(complete)
-    make: Any = typer.Option
-    return make(*names, rich_help_panel=panel, help=words, **more)
-
-
-Ego = Annotated[str | None, option(LOGS, "Take this road user of the log as the ego.", "--ego", metavar="ID")]
-Map = Annotated[Path | None, option(LOGS, "A map that replaces that of the log.", "--map", metavar="FILE")]
-Repair = Annotated[
-    Literal["auto", "on", "off"] | None,
-    option(LOGS, "Make tracks of raw detections: auto (if it has no tracks).", "--repair"),
-]
-Begin = Annotated[float | None, option(LOGS, "Begin this many seconds after the log does.", "--from", metavar="S")]
-End = Annotated[float | None, option(LOGS, "End this many seconds after the log begins.", "--to", metavar="S")]
-Suite = Annotated[
-    str | None,
-    option(
-        LOGS, "Built-in logs: smoke, full, nightly, or a family or group.", "--suite", metavar="NAME", complete="suite"
-    ),
-]
-Foxglove = Annotated[bool, option(OUTPUT, "Also write channels that Foxglove can draw.", "--foxglove")]
-Json = Annotated[bool, option(OUTPUT, "Write one JSON document, and nothing else, to stdout.", "--json")]
-Quiet = Annotated[bool, option(OUTPUT, "Print errors and the outcome only.", "--quiet", "-q")]
-Settings = Annotated[Path | None, option(None, "TOML file of a run: its \\[log] table.", "--config", metavar="FILE")]
-Set = Annotated[
-    list[str] | None,
-    option(
-        RUNNING, "Any other setting, by its key in the file; repeatable.", "--set", metavar="KEY=VALUE",
-        autocompletion=complete_setting,
-    ),
-]  # fmt: skip
-Gates = Annotated[Path | None, option(JUDGE, "TOML file of thresholds. Default: the packaged ones.", metavar="FILE")]
-Workers = Annotated[int | None, option(RUNNING, "Processes; 0: this one. Default: one per core.", min=0, metavar="N")]
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a full disk."""
@@ -127,6 +78,24 @@ def say(text: object = "", *, err: bool = False) -> None:
     typer.echo(visible(text), err=err)
 
 
+def console_of(width: int) -> SafeConsole:
+    """The console of stdout for tables; `width` characters where it is no terminal and COLUMNS is not set."""
+    from replay.draw.report.console import SafeConsole
+
+    wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else width
+    return SafeConsole(width=wide, soft_wrap=False)
+
+
+def progress_lines(*, quiet: bool = False) -> Callable[[str], None]:
+    """The function that prints a line of progress to stderr; with `quiet` it prints nothing."""
+
+    def print_line(line: str) -> None:
+        if not quiet:
+            say(line, err=True)
+
+    return print_line
+
+
 def say_error(message: str) -> None:
     """Print one line to stderr."""
     say(f"error: {message}", err=True)
@@ -159,7 +128,7 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, (str, int, type(None))) else str(value)
 
 
-def _version(asked: bool) -> None:
+def _print_version(asked: bool) -> None:
     if asked:
         from replay.results.version import replan_version
 
@@ -170,48 +139,28 @@ def _version(asked: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
     pass
 
 
-def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[str] = ()) -> RunConfig:
-    """The configuration of a run: the file, over it the options, over these the words of `--set`.
-
-    Args:
-        config: A TOML file, or None.
-        options: A table like that of the file; None and empty lists are options that were not given.
-        words: "KEY=VALUE" each, the key dotted, the value as TOML has it; a value that is not TOML is taken as text.
-
-    Raises:
-        ConfigError: A key is unknown, a value is wrong, or the file cannot be read.
-    """
-    from replay.config import RunConfig, load_run
-    from replay.settings import dotted_keys, merged, set_table
-
-    changed = set_table(words)
-    keys = list(dotted_keys(RunConfig))
-    for key in changed:
-        if not any(key == known.partition(".")[0] for known in keys):
-            raise unknown_name("key", key, keys)
-    return load_run(config, merged(_given(options), changed))
-
-
-def _given(options: Mapping[str, Any]) -> dict[str, Any]:
-    """A table without the options that were not given."""
-    tables = {key: _given(value) if isinstance(value, Mapping) else value for key, value in options.items()}
-    return {key: value for key, value in tables.items() if value is not None and value != []}
-
-
-def log_table(
-    ego: str | None, road_map: Path | None, begin: float | None, end: float | None, repair: str | None
-) -> dict[str, Any]:
-    """The options about logs as the table [log] of a run."""
-    place = None if road_map is None else str(road_map)
-    return {"ego": ego, "map": place, "begin": begin, "end": end, "repair": repair}
-
-
-def cores() -> int:
-    """Cores that this process may use."""
+def worker_count(workers: int | None) -> int:
+    """The number of worker processes of `--workers`; by default one for each core that this process may use."""
+    if workers is not None:
+        return workers
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def resumable_folder(out: Path | None, *, resume: bool) -> Iterator[Path]:
+    """The result folder of a search, the next free one by default; an interruption says how to continue."""
+    from replay.results.tables import next_free
+
+    if resume and out is None:
+        raise ConfigError("name the folder of the search to be resumed with --out")
+    try:
+        yield next_free() if out is None else out
+    except KeyboardInterrupt:
+        how = "" if out is None else f"; to continue, give the same command with --out {out} --resume"
+        raise KeyboardInterrupt(f"interrupted: finished trials are kept{how}") from None

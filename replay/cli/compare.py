@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import Json, app, handle_errors, say, say_json
-from replay.cli.renamed import CompareCommand
+from replay.cli import options as opt
+from replay.cli.app import app, console_of, handle_errors, say, say_json
+from replay.cli.options import CompareCommand
 
 if TYPE_CHECKING:
     from metrics.compare import Comparison
@@ -39,7 +38,7 @@ def compare(
     gates: Annotated[
         Path | None, typer.Option(help="TOML file of thresholds and \\[\\[compare]] rules. Default: the packaged ones.")
     ] = None,
-    as_json: Json = False,
+    as_json: opt.Json = False,
     no_first_difference: Annotated[
         bool,
         typer.Option("--no-first-difference", help="Do not look for the first difference of drives: read no trace."),
@@ -74,12 +73,9 @@ def compare(
 def print_tables(comparison: Comparison, candidate: Run, *, alone: bool = True) -> None:
     """Print a comparison as tables; `alone`: its exit code is that of the command."""
     from replay.compare import view_command
-    from replay.draw.report.console import SafeConsole
     from replay.draw.report.terminal import print_comparison
 
-    wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 130
-    console = SafeConsole(width=wide, soft_wrap=False)
-    print_comparison(comparison, console, lambda *drive: view_command(candidate, *drive), alone=alone)
+    print_comparison(comparison, console_of(130), lambda *drive: view_command(candidate, *drive), alone=alone)
 
 
 @app.command()

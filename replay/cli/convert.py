@@ -1,17 +1,24 @@
-"""`replan convert`: logs of any format to native MCAP, and the list of formats."""
+"""`replan convert | repair`: logs of any format to native MCAP, the list of formats, and the table of repairs."""
 
 from __future__ import annotations
 
+import csv
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import astuple, fields, replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from logs.agents import Change
 from logs.errors import ConfigError, LogError, writing
 from logs.mcap import write_scenario
 from logs.mcap.writer import Entry
 from logs.readers import READER, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
 from logs.scenario import Scenario
+
+CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(Change))
+"""Of the table: those of `logs.agents.Change`."""
 
 
 def listing() -> Iterator[str]:
@@ -58,23 +65,25 @@ def convert_all(
     single = out.suffix == ".mcap"
     if single and len(found) > 1:
         raise ConfigError(f"{len(found)} logs do not go into one log: give a folder with -o")
-    targets = [out if single else out / _name(log) for log in found]
+    names = [f"{log.name if log.is_dir() else log.stem.removesuffix('.cr')}.mcap" for log in found]
+    targets = [out if single else out / name for name in names]
     _check_targets(found, targets, settings)
-    channels = _channels(foxglove)
-    done = [
-        _converted(log, target, settings, reader, channels, say, say_error)
-        for log, target in zip(found, targets, strict=True)
-    ]
-    return all(done)
-
-
-def _channels(foxglove: bool) -> Callable[[Scenario], Iterable[Entry]]:
-    """What is written beside a scenario."""
-    if not foxglove:
-        return lambda scenario: ()
-    from replay.draw.foxglove import scenario_channels
-
-    return scenario_channels
+    channels: Callable[[Scenario], Iterable[Entry]] | None = None
+    if foxglove:
+        from replay.draw.foxglove import scenario_channels as channels
+    all_read = True
+    for log, target in zip(found, targets, strict=True):
+        try:
+            scenario = read_log(log, settings, reader)
+            with writing(target):
+                target.parent.mkdir(parents=True, exist_ok=True)
+            write_scenario(target, scenario, beside=channels(scenario) if channels else ())
+        except LogError as error:
+            say_error(str(error))
+            all_read = False
+            continue
+        say("\n".join([str(target), *(f"    note: {note}" for note in scenario.notes)]))
+    return all_read
 
 
 def _logs_at(path: Path, asked: Reader | None, settings: LogSettings, say: Callable[[str], None]) -> Iterator[Path]:
@@ -106,26 +115,59 @@ def _check_targets(logs: Sequence[Path], targets: Sequence[Path], settings: LogS
         taken[place] = log
 
 
-def _name(log: Path) -> str:
-    return f"{log.name if log.is_dir() else log.stem.removesuffix('.cr')}.mcap"
+def repair_log(log: Path, target: Path, table: Path | None, settings: LogSettings) -> Scenario:
+    """Read a log, write it as native MCAP, and its changes as CSV; the scenario, whose `repair` may be None.
+
+    Raises:
+        ConfigError: There is no such log, or a file of it would be overwritten. Nothing was written then.
+        LogError: The log cannot be read.
+        OutputError: A file cannot be written.
+    """
+    if not log.exists():
+        raise ConfigError(f"{log}: no such file or folder")
+    reader = reader_of(log, settings)
+    inputs = {file.resolve() for file in (reader.files(log) if reader is not None else (log,))}
+    places = [place for place in (target, table) if place is not None]
+    for place in places:
+        if place.resolve() in inputs:
+            raise ConfigError(f"{place} is the log itself and would be overwritten; give another place")
+    if len({place.resolve() for place in places}) < len(places):
+        raise ConfigError(f"{target} is to be the log and the table: give two places")
+    scenario = read_log(log, settings, reader)
+    for place in places:
+        with writing(place):
+            place.parent.mkdir(parents=True, exist_ok=True)
+    write_scenario(target, scenario)
+    if table is not None:
+        from replay.results.tables import write_text
+
+        text = StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(CHANGE_COLUMNS)
+        for change in changes(scenario):
+            *values, sources = astuple(change)
+            writer.writerow((*values, " ".join(sources)))
+        write_text(table, text.getvalue())
+    return scenario
 
 
-def _converted(
-    log: Path,
-    target: Path,
-    settings: LogSettings,
-    reader: Reader | None,
-    channels: Callable[[Scenario], Iterable[Entry]],
-    say: Callable[[str], None],
-    say_error: Callable[[str], None],
-) -> bool:
-    try:
-        scenario = read_log(log, settings, reader)
-        with writing(target):
-            target.parent.mkdir(parents=True, exist_ok=True)
-        write_scenario(target, scenario, beside=channels(scenario))
-    except LogError as error:
-        say_error(str(error))
-        return False
-    say("\n".join([str(target), *(f"    note: {note}" for note in scenario.notes)]))
-    return True
+def changes(scenario: Scenario) -> tuple[Change, ...]:
+    """What was changed."""
+    return () if scenario.repair is None else scenario.repair.changes
+
+
+def changes_as_text(scenario: Scenario) -> Iterator[str]:
+    """The changes as text, one line each."""
+    if scenario.repair is None:
+        yield "    not repaired: the log's road users are tracks already (--repair on does it all the same)"
+    width = max((len(change.agent) for change in changes(scenario)), default=0)
+    for change in changes(scenario):
+        yield f"    {change.what:10} {change.agent:{width}} {change.begin:7.2f} to {change.end:7.2f} s  {change.why}"
+
+
+def unrepaired(log: Path, settings: LogSettings, scenario: Scenario) -> Scenario | None:
+    """The log of a repaired scenario without the repair; None where the log does not hold it so."""
+    if scenario.repair is None:
+        return None
+    raw = read_log(log, replace(settings, repair="off"))
+    return raw if raw.repair is None and len(raw.tracks) else None

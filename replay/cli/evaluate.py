@@ -2,49 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import (
-    JUDGE,
-    LOGS,
-    LOOP,
-    OUTPUT,
-    RUNNING,
-    Begin,
-    Ego,
-    End,
-    Foxglove,
-    Gates,
-    Json,
-    Map,
-    Quiet,
-    Repair,
-    Set,
-    Suite,
-    Workers,
-    app,
-    cores,
-    handle_errors,
-    log_table,
-    option,
-    run_config,
-    say,
-    say_json,
-)  # fmt: skip
-from replay.cli.ending import EXIT_CODES, Baseline, NoReport, Printed, finish_run, load_baseline
-from replay.cli.renamed import EvaluateCommand
+from replay.cli import options as opt
+from replay.cli.app import app, handle_errors, progress_lines, say, say_json, worker_count
+from replay.cli.options import JUDGE, LOGS, LOOP, OUTPUT, RUNNING, EvaluateCommand, log_table, option, run_config
+from replay.cli.report import EXIT_CODES, finish_run, load_baseline
 
 if TYPE_CHECKING:
-    from replay.results.load import Results
     from replay.results.log_result import LogResult
     from replay.run.engine import Engine
-    from replay.run.publish import OutputLocation
     from replay.run.sources import Selection
 
 
@@ -90,52 +61,42 @@ def evaluate(
     perception: Annotated[
         str | None, option(LOOP, "ground_truth, recorded, sensor or auto.", metavar="NAME", complete="perception")
     ] = None,
-    suite: Suite = None,
-    ego: Ego = None,
-    road_map: Map = None,
-    begin: Begin = None,
-    end: End = None,
-    repair: Repair = None,
+    suite: opt.Suite = None,
+    ego: opt.Ego = None,
+    road_map: opt.Map = None,
+    begin: opt.Begin = None,
+    end: opt.End = None,
+    repair: opt.Repair = None,
     window: Annotated[
         float | None, option(LOGS, "Split each log into windows of S seconds.", min=1.0, metavar="S")
     ] = None,
-    gates: Gates = None,
-    baseline: Baseline = None,
+    gates: opt.Gates = None,
+    baseline: opt.Baseline = None,
     ensemble: Annotated[
         int | None, option(JUDGE, "Perturbed runs per log: do the verdicts hold?", min=0, metavar="N")
     ] = None,
-    metric: Annotated[
-        list[str] | None, option(JUDGE, "A metric of your own, module:NAME; repeatable.", metavar="NAME")
-    ] = None,
-    out: Annotated[
-        Path | None, option(OUTPUT, "Result folder. Default: results/run-NNN.", "--out", "-o", metavar="FOLDER")
-    ] = None,
+    metric: opt.Metric = None,
+    out: opt.Out = None,
     chart: Annotated[
         list[str] | None, option(OUTPUT, "A report chart of your own, module:NAME; repeatable.", metavar="NAME")
     ] = None,
-    foxglove: Foxglove = False,
+    foxglove: opt.Foxglove = False,
     no_recording: Annotated[bool, option(OUTPUT, "Write no .rrd files: faster.", "--no-recording")] = False,
-    no_report: NoReport = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    no_report: opt.NoReport = False,
+    as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
     verbose: Annotated[
         bool, option(OUTPUT, "Print each log as it ends: its time, how its drives ended.", "--verbose", "-v")
     ] = False,
-    config: Annotated[
-        Path | None, option(RUNNING, "TOML file of settings; options win over it.", metavar="FILE")
-    ] = None,
-    settings: Set = None,
-    workers: Workers = None,
+    config: opt.Config = None,
+    settings: opt.Set = None,
+    workers: opt.Workers = None,
     resume: Annotated[bool, option(RUNNING, "Continue the interrupted run in --out.", "--resume")] = False,
     shard: Annotated[
         str | None, option(RUNNING, "Drive every N-th log, from the I-th: replan merge.", metavar="I/N")
     ] = None,
-    engine: Annotated[
-        Literal["local", "ray"], option(RUNNING, "Where logs are driven. Default: local.", show_default=False)
-    ] = "local",
-    address: Annotated[
-        str | None, option(RUNNING, "Ray cluster (or auto). Default: one for this run.", metavar="HOST:PORT")
-    ] = None,
+    engine: opt.Engine = "local",
+    address: opt.Address = None,
 ) -> None:
     """Drive planners over logs, measure, judge by gates, and record.
 
@@ -151,17 +112,14 @@ def evaluate(
     The keys of --set are those of a run's TOML file: docs/use.md.
     """
     with handle_errors():
+        from replay.cli.progress import progress
         from replay.run import evaluate_logs
-        from replay.run.publish import output_location
-        from replay.run.shard import Shard
+        from replay.run.output import output_location
+        from replay.run.pool import freeze_gc
+        from replay.run.shards import Shard
 
-        loop = {
-            "vehicle": vehicle,
-            "controller": controller,
-            "traffic": traffic,
-            "prediction": prediction,
-            "perception": perception,
-        }
+        loop = {"vehicle": vehicle, "controller": controller, "traffic": traffic}
+        loop |= {"prediction": prediction, "perception": perception}
         options = {
             "planners": planner,
             "metrics": metric,
@@ -181,25 +139,24 @@ def evaluate(
         before = None if baseline is None else load_baseline(baseline, run, run.gates_path, out)
         part = None if shard is None else Shard.parsed(shard)
         driven_on = engine_of(engine, address, workers)
+        freeze_gc()
         with output_location(out, resume=resume) as location:
-            result = _evaluated(
-                partial(
-                    evaluate_logs,
-                    logs or [],
-                    run,
-                    location.folder,
-                    engine=driven_on,
-                    resume=resume,
-                    shard=part,
-                    window=window,
-                    suite=suite,
-                ),
-                location,
-                quiet=quiet,
-                verbose=verbose,
-            )
-            printed = Printed(as_json=as_json, quiet=quiet, report=not no_report)
-            code = finish_run(result, before, location.url, run.gates_path, printed)
+            with progress(quiet=quiet, verbose=verbose) as (on_start, on_log):
+
+                def check_and_start(selection: Selection, folder: Path) -> None:
+                    location.check_outside(selection.sources)
+                    on_start(selection, folder)
+
+                def log_and_send(result: LogResult) -> None:
+                    on_log(result)
+                    location.keep(result)
+
+                result = evaluate_logs(
+                    logs or [], run, location.folder, engine=driven_on, resume=resume, shard=part, window=window,
+                    suite=suite, on_start=check_and_start, on_log=log_and_send,
+                )  # fmt: skip
+            show = {"as_json": as_json, "quiet": quiet, "report": not no_report}
+            code = finish_run(result, before, location.url, run.gates_path, **show)
         if location.url and not quiet:
             say(f"all of it is at {location.url}", err=True)
         raise typer.Exit(code)
@@ -223,17 +180,17 @@ def vary(
     list_agents: Annotated[bool, option(None, "List the agents, the nearest first.", "--list-agents")] = False,
     listing: Annotated[bool, option(None, "List what can be varied.", "--list")] = False,
     config: Annotated[Path | None, typer.Option(help="TOML file of a run; options win over it.")] = None,
-    settings: Set = None,
-    gates: Gates = None,
+    settings: opt.Set = None,
+    gates: opt.Gates = None,
     recording: Annotated[bool, typer.Option("--recording", help="Write the .rrd file of each drive.")] = False,
-    workers: Workers = None,
-    ego: Ego = None,
-    road_map: Map = None,
-    begin: Begin = None,
-    end: End = None,
-    repair: Repair = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    workers: opt.Workers = None,
+    ego: opt.Ego = None,
+    road_map: opt.Map = None,
+    begin: opt.Begin = None,
+    end: opt.End = None,
+    repair: opt.Repair = None,
+    as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
 ) -> None:
     """Vary one log: a surface of pass and fail over one or two parameters, as a table and a picture.
 
@@ -245,11 +202,13 @@ def vary(
       replan vary my_log.mcap --vary standing_car=20:80:7 --vary ego_speed=0.5:1.5:5
     """
     with handle_errors():
-        from replay.vary import command
-        from replay.vary.encounters import encounters
+        from replay.results.tables import next_free
+        from replay.vary.axes import variation_table, variations
+        from replay.vary.encounters import encounters, lines, opened, question_about
+        from replay.vary.surface import vary as evaluate_surface
 
         if listing:
-            say_json(command.variation_table()) if as_json else say("\n".join(command.variations()))
+            say_json(variation_table()) if as_json else say("\n".join(variations()))
             return
         if log is None:
             raise ConfigError("name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9")
@@ -261,15 +220,16 @@ def vary(
             "internals": "summary" if recording else "none",
         }
         run = run_config(config, options, settings or ())
-        scenario = command.opened(log, run.log)
+        scenario = opened(log, run.log)
         if list_agents:
-            say_json(encounters(scenario)) if as_json else say("\n".join(command.agents(scenario)))
+            found = encounters(scenario)
+            say_json(found) if as_json else say("\n".join(lines(found, scenario.short_names)))
             return
-        asked = command.asked(scenario, variation or [], agent or [], resolution)
-        count = cores() if workers is None else workers
-        result = command.vary(
-            scenario, asked, run, out, workers=count, say=lambda line: None if quiet else say(line, err=True)
-        )
+        asked = question_about(scenario, variation or [], agent or [], resolution)
+        out, say_progress = next_free() if out is None else out, progress_lines(quiet=quiet)
+        if asked.agents:
+            say_progress(f"varied: {', '.join(map(scenario.short_names, asked.agents))}")
+        result = evaluate_surface(scenario, asked, run, out, workers=worker_count(workers), say=say_progress)
         if as_json:
             say_json(
                 {"results": result.out, "exit_code": result.exit_code, "edges": result.edges, "table": result.table}
@@ -293,26 +253,7 @@ def engine_of(name: str, address: str | None, workers: int | None) -> Engine:
         return OnRay(address or "", workers)
     if address is not None:
         raise ConfigError("--address names a Ray cluster: give --engine ray, too")
-    return Local(cores() if workers is None else workers)
-
-
-def _evaluated(evaluate: Callable[..., Results], location: OutputLocation, *, quiet: bool, verbose: bool) -> Results:
-    """The run, with progress on stderr; the results of each log are sent to a URL when they are complete."""
-    from replay.cli.progress import progress
-    from replay.run.pool import freeze_gc
-
-    freeze_gc()
-    with progress(quiet=quiet, verbose=verbose) as (on_start, on_log):
-
-        def check_and_start(selection: Selection, folder: Path) -> None:
-            location.check_outside(selection.sources)
-            on_start(selection, folder)
-
-        def log_and_send(result: LogResult) -> None:
-            on_log(result)
-            location.keep(result)
-
-        return evaluate(on_start=check_and_start, on_log=log_and_send)
+    return Local(worker_count(workers))
 
 
 @app.command()
@@ -325,7 +266,7 @@ def paper(
         ),
     ] = None,
     roads: Annotated[int, typer.Option(min=0, help="Seeded roads in the table of controllers.")] = 50,
-    workers: Workers = None,
+    workers: opt.Workers = None,
 ) -> None:
     """Run the experiments of the paper: its figures 9, 10 and 12, recordings, controllers compared, pedestrians.
 
@@ -334,9 +275,8 @@ def paper(
     with handle_errors():
         from replay.paper.reproduce import PaperConfig, reproduce
 
-        count = cores() if workers is None else workers
-        config = PaperConfig(tuple(vehicle or ("single_track",)), roads=roads, workers=count)
-        say(reproduce(out, config, say=lambda line: say(line, err=True)))
+        config = PaperConfig(tuple(vehicle or ("single_track",)), roads=roads, workers=worker_count(workers))
+        say(reproduce(out, config, say=progress_lines()))
 
 
 @app.command()

@@ -8,24 +8,9 @@ from typing import Annotated
 import typer
 
 from logs.errors import ConfigError, unknown_name, writing
-from replay.cli.app import (
-    Begin,
-    Ego,
-    End,
-    Foxglove,
-    Json,
-    Map,
-    Repair,
-    Settings,
-    Suite,
-    app,
-    handle_errors,
-    log_table,
-    run_config,
-    say,
-    say_error,
-    say_json,
-)
+from replay.cli import options as opt
+from replay.cli.app import app, handle_errors, progress_lines, say, say_error, say_json
+from replay.cli.options import log_table, run_config
 
 
 @app.command()
@@ -37,13 +22,13 @@ def synth(
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="parameter=number; may be repeated.", metavar="KEY=VALUE")
     ] = None,
-    suite: Suite = None,
+    suite: opt.Suite = None,
     form: Annotated[
         str, typer.Option("--as", help="native, or ros2: a bag of raw detections (group raw).", metavar="FORM")
     ] = "native",
     listing: Annotated[bool, typer.Option("--list", help="List the families and their parameters.")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print docs/catalogue.md.")] = False,
-    as_json: Json = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Write synthesised logs of the catalogue.
 
@@ -56,7 +41,8 @@ def synth(
       replan synth raw --as ros2 -o my_bags
     """
     with handle_errors():
-        from replay.cli.synth import FORMS, chosen, listed, markdown_page, overrides, synthesise, table, write_suite
+        from logs.catalogue import numbers
+        from replay.cli.synth import FORMS, chosen, listed, markdown_page, synthesise, table, write_suite
 
         if as_json:
             if not listing:
@@ -74,7 +60,7 @@ def synth(
             raise ConfigError("--set changes families that are named; the logs of a suite have their parameters")
         if form not in FORMS:
             raise unknown_name("form", form, FORMS)
-        changed = overrides(settings or [])
+        changed = numbers(settings or [], "--set")
         written = write_suite(suite, out, form) if suite else synthesise(chosen(names or ()), out, changed, form)
         for path in written:
             say(path)
@@ -86,18 +72,18 @@ def convert(
         list[Path] | None, typer.Argument(help="Logs of any format; a format's name before them chooses it.")
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="FILE.mcap for one log, else a folder.")] = None,
-    ego: Ego = None,
+    ego: opt.Ego = None,
     problem: Annotated[
         int | None, typer.Option(help="CommonRoad: the planning problem, its id or its place from 1.")
     ] = None,
-    road_map: Map = None,
-    begin: Begin = None,
-    end: End = None,
-    repair: Repair = None,
-    config: Settings = None,
-    foxglove: Foxglove = False,
+    road_map: opt.Map = None,
+    begin: opt.Begin = None,
+    end: opt.End = None,
+    repair: opt.Repair = None,
+    config: opt.Settings = None,
+    foxglove: opt.Foxglove = False,
     formats: Annotated[bool, typer.Option("--formats", help="List the formats that replan reads.")] = False,
-    as_json: Json = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Convert logs of other formats to replan's own MCAP.
 
@@ -124,7 +110,7 @@ def convert(
             raise ConfigError("name logs and where to write them: replan convert LOG ... -o FOLDER; see --formats")
         options = log_table(ego, road_map, begin, end, repair)
         settings = run_config(config, {"log": {**options, "problem": problem}}).log
-        with sign_of_life(lambda line: say(line, err=True), lambda: "converting"):
+        with sign_of_life(progress_lines(), lambda: "converting"):
             done = convert_all(logs, out, settings, foxglove=foxglove, say=say, say_error=say_error)
         if not done:
             raise typer.Exit(3)
@@ -135,12 +121,12 @@ def repair(
     log: Annotated[Path, typer.Argument(help="A log of raw detections, of any format.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The FILE.mcap to write.")],
     table: Annotated[Path | None, typer.Option("--table", help="Write the changes as FILE.csv, not to stdout.")] = None,
-    ego: Ego = None,
-    road_map: Map = None,
-    begin: Begin = None,
-    end: End = None,
-    repair: Repair = None,
-    config: Settings = None,
+    ego: opt.Ego = None,
+    road_map: opt.Map = None,
+    begin: opt.Begin = None,
+    end: opt.End = None,
+    repair: opt.Repair = None,
+    config: opt.Settings = None,
 ) -> None:
     """Make tracks of a log's raw detections, and list what was joined, removed and extended, and why.
 
@@ -149,48 +135,48 @@ def repair(
       replan repair my_bag/ -o my_bag.mcap --table changes.csv
     """
     with handle_errors():
+        from replay.cli.convert import changes_as_text, repair_log
         from replay.cli.progress import sign_of_life
-        from replay.cli.repair import lines, repair_log
 
         settings = run_config(config, {"log": log_table(ego, road_map, begin, end, repair)}).log
-        with sign_of_life(lambda line: say(line, err=True), lambda: f"repairing {log}"):
+        with sign_of_life(progress_lines(), lambda: f"repairing {log}"):
             scenario = repair_log(log, out, table, settings)
         say("\n".join([str(out), *(f"    note: {note}" for note in scenario.notes)]))
-        say("\n".join(lines(scenario)) if table is None else table)
+        say("\n".join(changes_as_text(scenario)) if table is None else table)
 
 
 @app.command()
 def inspect(
     log: Annotated[Path, typer.Argument(help="A log of any format.")],
-    ego: Ego = None,
-    road_map: Map = None,
-    begin: Begin = None,
-    end: End = None,
-    repair: Repair = None,
-    config: Settings = None,
-    as_json: Json = False,
+    ego: opt.Ego = None,
+    road_map: opt.Map = None,
+    begin: opt.Begin = None,
+    end: opt.End = None,
+    repair: opt.Repair = None,
+    config: opt.Settings = None,
+    as_json: opt.Json = False,
 ) -> None:
     """List what a log contains, over which time, and what is missing for which evaluation."""
     with handle_errors():
         from logs.files import here
         from logs.summary import summarise
+        from replay.cli.convert import unrepaired
         from replay.cli.progress import sign_of_life
-        from replay.cli.repair import before
 
-        with here(log) as near, sign_of_life(lambda line: say(line, err=True), lambda: f"reading {log}"):
+        with here(log) as near, sign_of_life(progress_lines(), lambda: f"reading {log}"):
             if not near.exists():
                 raise ConfigError(f"{log}: no such file or folder")
             settings = run_config(config, {"log": log_table(ego, road_map, begin, end, repair)}).log
             summary = summarise(near, settings)
-            raw = None if summary.read is None else before(near, settings, summary.read)
+            raw = None if summary.read is None else unrepaired(near, settings, summary.read)
         if as_json:
             from metrics.health import findings
 
             health = None if summary.read is None else findings(summary.read)
-            said = {key: value for key, value in vars(summary).items() if key != "read"}
-            unrepaired = None if raw is None else {"agents": len(raw.tracks), "health": findings(raw)}
-            said |= {"error": summary.error and str(summary.error), "health": health, "before_repair": unrepaired}
-            say_json(said)
+            before = None if raw is None else {"agents": len(raw.tracks), "health": findings(raw)}
+            document = {key: value for key, value in vars(summary).items() if key != "read"}
+            document |= {"error": summary.error and str(summary.error), "health": health, "before_repair": before}
+            say_json(document)
             raise typer.Exit(0 if summary.error is None else 3)
         say("\n".join(summary.lines()))
         if summary.error is not None:
@@ -198,7 +184,7 @@ def inspect(
         if summary.read is not None:
             from metrics.health import report
 
-            with sign_of_life(lambda line: say(line, err=True), lambda: f"checking {log}"):
+            with sign_of_life(progress_lines(), lambda: f"checking {log}"):
                 say("\n".join(report(summary.read, raw)))
 
 

@@ -7,50 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from logs.errors import ConfigError
-from replay.cli.app import (
-    Begin,
-    Ego,
-    End,
-    Json,
-    Map,
-    Quiet,
-    Repair,
-    Set,
-    Suite,
-    Workers,
-    app,
-    cores,
-    handle_errors,
-    log_table,
-    option,
-    run_config,
-    say,
-    say_error,
-    say_json,
-)
+from replay.cli import options as opt
+from replay.cli.app import app, handle_errors, progress_lines, say, say_error, say_json, worker_count
+from replay.cli.options import log_table, option, run_config
 
 if TYPE_CHECKING:
     from replay.mine.mine import MinedLog
-    from replay.run.sources import Selection
 
 Mined = Annotated[Path, typer.Argument(help="A folder that replan mine wrote.", metavar="RUN")]
 Run = Annotated[Path, typer.Argument(help="A folder that replan mine or replan evaluate wrote.", metavar="RUN")]
-
-
-def _selection(logs: list[Path] | None, suite: str | None, run_log: object) -> Selection:
-    """The logs, or those of a suite."""
-    from logs.readers import LogSettings
-    from replay.run.sources import builtin_suite, named_suite, select, suite_file
-
-    assert isinstance(run_log, LogSettings)
-    if suite is not None and suite.endswith(".toml") and not logs:
-        return select(suite_file(Path(suite)), run_log)
-    if suite is None:
-        return select(logs, run_log) if logs else builtin_suite()
-    if logs:
-        raise ConfigError(f"--suite {suite} are logs by themselves: leave out other logs")
-    return named_suite(suite)
 
 
 @app.command()
@@ -70,18 +35,18 @@ def mine(
             complete="planner",
         ),
     ] = None,
-    suite: Suite = None,
-    ego: Ego = None,
-    road_map: Map = None,
-    begin: Begin = None,
-    end: End = None,
-    repair: Repair = None,
+    suite: opt.Suite = None,
+    ego: opt.Ego = None,
+    road_map: opt.Map = None,
+    begin: opt.Begin = None,
+    end: opt.End = None,
+    repair: opt.Repair = None,
     config: Annotated[Path | None, typer.Option(help="TOML file of a run; options win over it.")] = None,
-    settings: Set = None,
-    workers: Workers = None,
+    settings: opt.Set = None,
+    workers: opt.Workers = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print docs/events.md.")] = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
 ) -> None:
     """Find what happened in logs, without driving: cut-ins, crossings, hard braking, near misses and more.
 
@@ -103,6 +68,7 @@ def mine(
         from replay.cli.progress import sign_of_life
         from replay.mine.mine import mine as mine_logs
         from replay.mine.mine import summary, write
+        from replay.run.evaluate import selected
 
         planners = list(dict.fromkeys(planner or []))
         options = {"log": log_table(ego, road_map, begin, end, repair), "planners": planners or None}
@@ -111,7 +77,7 @@ def mine(
             from replay.run.checks import checked
 
             run, _ = checked(run)
-        selection = _selection(logs, suite, run.log)
+        selection = selected(logs or [], run, None, suite)
         done: list[MinedLog] = []
 
         def ended(log: MinedLog) -> None:
@@ -122,9 +88,8 @@ def mine(
         def progress() -> str:
             return f"mined {len(done)} of {len(selection.sources)} logs"
 
-        count = cores() if workers is None else workers
-        kinds = tuple(kind or ())
-        with sign_of_life(lambda line: None if quiet else say(line, err=True), progress):
+        kinds, count = tuple(kind or ()), worker_count(workers)
+        with sign_of_life(progress_lines(quiet=quiet), progress):
             mined = mine_logs(selection, run, kinds=kinds, planners=planners, workers=count, on_log=ended)
         folder = write(mined, run, kinds, planners, out)
         if as_json:
@@ -141,7 +106,7 @@ def query(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write the rows to FILE.csv, .parquet or .json.")
     ] = None,
-    as_json: Json = False,
+    as_json: opt.Json = False,
 ) -> None:
     r"""Ask a result folder in SQL: events, metrics, verdicts, frames, health and more as views, read only.
 
@@ -203,7 +168,7 @@ def suite(run: Mined, out: Annotated[Path, typer.Option("--out", "-o", help="The
         from replay.mine.mine import read_mined
         from replay.mine.query import check_mined
         from replay.mine.suite import suite_of, write_suite
-        from replay.run.origin import begun_in
+        from replay.run.output import begun_in
 
         check_mined(run)
         mined = read_mined(run)
@@ -219,8 +184,8 @@ def coverage(
     against: Annotated[
         Path | None, typer.Option(help="Compare with another mined folder. Default: the catalogue.", metavar="RUN")
     ] = None,
-    workers: Workers = None,
-    as_json: Json = False,
+    workers: opt.Workers = None,
+    as_json: opt.Json = False,
 ) -> None:
     """List which cells of event, road, road user and speed mined logs have, and which they lack.
 
@@ -241,9 +206,8 @@ def coverage(
             from replay.config import RunConfig
             from replay.mine.coverage import catalogue
 
-            count = cores() if workers is None else workers
-            with sign_of_life(lambda line: say(line, err=True), lambda: "mining the catalogue"):
-                other = mine_logs(catalogue(), RunConfig(), workers=count).events
+            with sign_of_life(progress_lines(), lambda: "mining the catalogue"):
+                other = mine_logs(catalogue(), RunConfig(), workers=worker_count(workers)).events
         else:
             check_mined(against)
             other = read_mined(against).events

@@ -1,14 +1,128 @@
-"""`replan report`: write the reports of finished runs."""
+"""`replan merge | report`, and the end of a run: reports, what is printed, the exit code."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import app, handle_errors, say
+from replay.cli import options as opt
+from replay.cli.app import app, console_of, handle_errors, say, say_json
+
+if TYPE_CHECKING:
+    from replay.compare import Run
+    from replay.config import RunConfig
+    from replay.results.load import Results
+
+EXIT_CODES = (
+    "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
+    " evaluated (the others were); 4 inconclusive: a gate had nothing to judge; 70 a bug in replan; 130 interrupted."
+)
+
+
+def load_baseline(path: Path, run: RunConfig, gates: Path | None, out: Path | None) -> Run:
+    """Read the run to compare with, and the rules, before anything is driven: an error in them costs no run.
+
+    Raises:
+        ConfigError: One of them cannot be read, or the baseline lies in the result folder.
+    """
+    from metrics.judge.gates import load_rules
+    from replay.compare import read_run
+    from replay.run.one_log import all_metrics
+
+    if out is not None and path.resolve().is_relative_to(out.resolve()):
+        raise ConfigError(f"--baseline {path}: is in the result folder {out}, which is cleared")
+    load_rules(gates, metrics=all_metrics(run))
+    return read_run(path)
+
+
+def finish_run(
+    results: Results, before: Run | None, url: str, gates: Path | None, *, as_json: bool, quiet: bool, report: bool
+) -> int:
+    """Write the reports of a run, print its report, and return the exit code.
+
+    Args:
+        results: The run.
+        before: The run to compare with.
+        url: Where the results are sent from their folder; "": they stay there.
+        gates: The file of thresholds and rules; None: the packaged ones.
+        as_json: Print one JSON document.
+        quiet: Print the outcome alone.
+        report: Write the report files.
+    """
+    from replay.cli.compare import print_tables
+    from replay.compare import compare_runs
+    from replay.draw.report.overview import overview
+    from replay.draw.report.terminal import document, last_line, print_ending, print_report
+    from replay.draw.report.write import write_reports
+    from replay.run.output import held
+
+    place = url or str(results.path)
+    with held(results.path):
+        comparison = None if before is None else compare_runs(before, results, gates=gates)
+        over = overview(results, comparison)
+        if report:
+            over = write_reports(results, over, results.path)
+    if as_json:
+        more = {} if comparison is None else {"comparison": document(comparison)}
+        say_json({"results": place, **results.summary, **more})
+    elif quiet:
+        if comparison is not None:
+            say(last_line(comparison, alone=False))
+        say(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {place}")
+    else:
+        console = console_of(110)
+        if results.resumed:
+            say(f"Resumed: {results.resumed} of {len(results.logs)} logs are those of the interrupted run")
+        print_report(over, console, results.path, ending=False)
+        if comparison is not None:
+            print_tables(comparison, results, alone=False)
+        print_ending(over, console, results.path, place)
+    return over.exit_code
+
+
+@app.command(epilog=EXIT_CODES)
+def merge(
+    shards: Annotated[list[Path], typer.Argument(help="Result folders of all shards of a run, in any order.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Result folder.")],
+    baseline: opt.Baseline = None,
+    no_report: opt.NoReport = False,
+    as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
+) -> None:
+    """Put the shards of a run together and judge it: the tables are those of a run without shards, byte for byte.
+
+    Times are a clock's (timings.parquet): they are those of the shards. Shards of other logs, gates, settings or code,
+    that overlap, or of which one is missing, are refused.
+
+    [bold]Example[/bold]
+
+      replan evaluate my_logs/ --shard 1/2 -o shard-1
+      replan evaluate my_logs/ --shard 2/2 -o shard-2
+      replan merge shard-1 shard-2 -o results/merged
+    """
+    with handle_errors():
+        from contextlib import ExitStack
+
+        from logs.files import here
+        from replay.config import load_run
+        from replay.run.output import output_location
+        from replay.run.shards import gates_in
+        from replay.run.shards import merge as merged
+
+        with ExitStack() as near:
+            folders = [near.enter_context(here(shard)) for shard in shards]
+            gates = near.enter_context(gates_in(folders[0]))
+            run = load_run(folders[0] / "run.toml")
+            before = None if baseline is None else load_baseline(baseline, run, gates, out)
+            place = near.enter_context(output_location(out))
+            assert place.folder is not None
+            result = merged(folders, place.folder)
+            show = {"as_json": as_json, "quiet": quiet, "report": not no_report}
+            code = finish_run(result, before, place.url, gates, **show)
+        raise typer.Exit(code)
 
 
 @app.command()

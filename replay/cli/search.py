@@ -1,53 +1,19 @@
-"""`replan falsify | tune`: the mildest failure of a planner, and better settings."""
+"""`replan falsify | tune | diagnose`: the mildest failure of a planner, better settings, why drives fail."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import (
-    JUDGE,
-    LOGS,
-    LOOP,
-    OUTPUT,
-    RUNNING,
-    Begin,
-    Ego,
-    End,
-    Gates,
-    Json,
-    Map,
-    Quiet,
-    Repair,
-    Set,
-    Suite,
-    Workers,
-    app,
-    cores,
-    handle_errors,
-    log_table,
-    option,
-    run_config,
-    say,
-    say_json,
-)  # fmt: skip
-
-if TYPE_CHECKING:
-    from replay.search.tune import Tuned
+from replay.cli import options as opt
+from replay.cli.app import app, handle_errors, progress_lines, resumable_folder, say, say_json, worker_count
+from replay.cli.options import JUDGE, LOGS, LOOP, RUNNING, log_table, option, run_config
 
 SHOWN = 20
 """Trials of a Pareto front that are printed; pareto.csv has all."""
-Config = Annotated[Path | None, option(RUNNING, "TOML file of settings; options win over it.", metavar="FILE")]
-Out = Annotated[
-    Path | None, option(OUTPUT, "Result folder. Default: results/run-NNN.", "--out", "-o", metavar="FOLDER")
-]
-Seed = Annotated[int, option(RUNNING, "Another seed, another search.", min=0, metavar="N")]
-Resume = Annotated[bool, option(RUNNING, "Continue the interrupted search in --out.", "--resume")]
 FALSIFY_CODES = (
     "Exit codes: 0 no such case found; 1 one is found: falsified; 2 wrong usage or configuration; 3 the recorded case"
     " could not be driven; 130 interrupted."
@@ -74,21 +40,21 @@ def falsify(
         list[str] | None, option(LOGS, "Agent to vary, repeatable. Default: the one in conflict.", metavar="ID")
     ] = None,
     budget: Annotated[int, option(RUNNING, "The most drives of the search.", metavar="N")] = 200,
-    seed: Seed = 0,
+    seed: opt.Seed = 0,
     resolution: Annotated[float, option(RUNNING, "Of the distance, at the end.", metavar="D")] = 0.02,
-    out: Out = None,
-    resume: Resume = False,
-    config: Config = None,
-    settings: Set = None,
-    gates: Gates = None,
-    workers: Workers = None,
-    ego: Ego = None,
-    road_map: Map = None,
-    begin: Begin = None,
-    end: End = None,
-    repair: Repair = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    out: opt.Out = None,
+    resume: opt.Resume = False,
+    config: opt.Config = None,
+    settings: opt.Set = None,
+    gates: opt.Gates = None,
+    workers: opt.Workers = None,
+    ego: opt.Ego = None,
+    road_map: opt.Map = None,
+    begin: opt.Begin = None,
+    end: opt.End = None,
+    repair: opt.Repair = None,
+    as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
 ) -> None:
     """Find the mildest variation of a log in which a planner fails its gates and the careful driver does not.
 
@@ -100,7 +66,6 @@ def falsify(
       replan falsify my_log.mcap -p my_pkg.mine:MyPlanner --against dp_qp --axis standing_car=15:80
     """
     with handle_errors():
-        from replay.results.tables import next_free
         from replay.search.axes import search_axes
         from replay.search.falsify import Question
         from replay.search.falsify import falsify as falsified
@@ -118,39 +83,17 @@ def falsify(
         axes = search_axes(axis or [], scale or [], subject.family, with_agents=len(subject.scenario.tracks) > 0)
         agents = agents_of(subject, axes, agent or [])
         question = Question(subject.of(agents), axes, run, against, budget, seed, resolution)
-        with kept(out, resume=resume) as folder:
-            folder = next_free() if folder is None else folder
-            count = cores() if workers is None else workers
-            tell(f"varied: {', '.join(axis.name for axis in axes)}{_of(subject.of(agents).short_agents)}", quiet=quiet)
-            result = falsified(question, folder, workers=count, resume=resume, say=lambda line: tell(line, quiet=quiet))
+        with resumable_folder(out, resume=resume) as folder:
+            whose = ", ".join(question.subject.short_agents)
+            say_progress = progress_lines(quiet=quiet)
+            say_progress(f"varied: {', '.join(axis.name for axis in axes)}{f' of {whose}' if whose else ''}")
+            result = falsified(question, folder, workers=worker_count(workers), resume=resume, say=say_progress)
         if as_json:
             say_json({"results": result.out, "exit_code": result.exit_code, "distance": result.found.distance,
                       "case": result.case, "said": result.lines()})  # fmt: skip
         else:
             say("\n".join([*result.lines(), *result.next_steps(), f"written to {result.out}"]))
         raise typer.Exit(result.exit_code)
-
-
-def _of(agents: tuple[str, ...]) -> str:
-    return f" of {', '.join(agents)}" if agents else ""
-
-
-def tell(line: str, *, quiet: bool) -> None:
-    """Print a line of progress to stderr."""
-    if not quiet:
-        say(line, err=True)
-
-
-@contextmanager
-def kept(out: Path | None, *, resume: bool) -> Iterator[Path | None]:
-    """The folder; an interruption says how to continue."""
-    if resume and out is None:
-        raise ConfigError("name the folder of the search to be resumed with --out")
-    try:
-        yield out
-    except KeyboardInterrupt:
-        how = "" if out is None else f"; to continue, give the same command with --out {out} --resume"
-        raise KeyboardInterrupt(f"interrupted: finished trials are kept{how}") from None
 
 
 TUNE_CODES = (
@@ -173,28 +116,22 @@ def tune(
         option(JUDGE, "A metric of the table, ttc.min for example; repeatable.", "--objective", metavar="METRIC"),
     ] = None,
     trials: Annotated[int, option(RUNNING, "How many settings are tried.", min=1, metavar="N")] = 50,
-    seed: Seed = 0,
+    seed: opt.Seed = 0,
     held_out: Annotated[
         float, option(LOGS, "Share of the logs that judge, and are not searched.", "--held-out", min=0.0, max=1.0)
     ] = 0.3,
-    suite: Suite = None,
-    out: Out = None,
-    resume: Resume = False,
-    config: Config = None,
-    settings: Set = None,
-    gates: Gates = None,
-    metric: Annotated[
-        list[str] | None, option(JUDGE, "A metric of your own, module:NAME; repeatable.", metavar="NAME")
-    ] = None,
-    workers: Workers = None,
-    engine: Annotated[
-        Literal["local", "ray"], option(RUNNING, "Where logs are driven. Default: local.", show_default=False)
-    ] = "local",
-    address: Annotated[
-        str | None, option(RUNNING, "Ray cluster (or auto). Default: one for this run.", metavar="HOST:PORT")
-    ] = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    suite: opt.Suite = None,
+    out: opt.Out = None,
+    resume: opt.Resume = False,
+    config: opt.Config = None,
+    settings: opt.Set = None,
+    gates: opt.Gates = None,
+    metric: opt.Metric = None,
+    workers: opt.Workers = None,
+    engine: opt.Engine = "local",
+    address: opt.Address = None,
+    as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
 ) -> None:
     """Search settings of a planner on a part of the logs, and judge them on the others against the defaults.
 
@@ -205,8 +142,9 @@ def tune(
       replan evaluate my_logs/ --config results/tuned/best.toml
     """
     with handle_errors():
+        from replay.cli.compare import print_tables
         from replay.cli.evaluate import engine_of
-        from replay.results.tables import next_free
+        from replay.results.load import load
         from replay.run.evaluate import selected
         from replay.run.one_log import all_metrics
         from replay.search.gains import DEFAULT_OBJECTIVES, objectives
@@ -220,27 +158,72 @@ def tune(
         plan = Plan(run, load_space(space, run), asked, trials, seed, held_out)
         selection = selected(logs or [], run, None, suite)
         driven_on = engine_of(engine, address, workers)
-        with kept(out, resume=resume) as folder:
-            folder = next_free() if folder is None else folder
-            result = tuned(plan, selection, folder, engine=driven_on, resume=resume,
-                           say=lambda line: tell(line, quiet=quiet))  # fmt: skip
+        with resumable_folder(out, resume=resume) as folder:
+            say_progress = progress_lines(quiet=quiet)
+            result = tuned(plan, selection, folder, engine=driven_on, resume=resume, say=say_progress)
         if as_json:
             say_json({"results": result.out, "exit_code": result.exit_code, "chosen": result.chosen,
                       "said": result.lines()})  # fmt: skip
-        else:
-            print_tuned(result, quiet=quiet)
+            raise typer.Exit(result.exit_code)
+        if not quiet:
+            front = result.table[result.table["pareto"]].sort_values("total", ascending=False, kind="stable")
+            shown = front.drop(columns=["feasible", "refused", "pareto"]).head(SHOWN)
+            say(shown.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+            if result.comparison is not None:
+                print_tables(result.comparison, load(result.out / "held_out" / "chosen"), alone=False)
+        say("\n".join([*result.lines(), f"written to {result.out}"]))
         raise typer.Exit(result.exit_code)
 
 
-def print_tuned(result: Tuned, *, quiet: bool) -> None:
-    """Print the Pareto table, the comparison on the held-out logs, and what is said of both."""
-    from replay.cli.compare import print_tables
-    from replay.results.load import load
+DIAGNOSE_CODES = (
+    "Exit codes: 0 the diagnosis is done; 2 wrong usage; 3 a drive cannot be driven again, the others are diagnosed;"
+    " 130 interrupted: --resume goes on."
+)
 
-    if not quiet:
-        front = result.table[result.table["pareto"]].sort_values("total", ascending=False, kind="stable")
-        shown = front.drop(columns=["feasible", "refused", "pareto"]).head(SHOWN)
-        say(shown.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
-        if result.comparison is not None:
-            print_tables(result.comparison, load(result.out / "held_out" / "chosen"), alone=False)
-    say("\n".join([*result.lines(), f"written to {result.out}"]))
+
+@app.command(epilog=DIAGNOSE_CODES)
+def diagnose(
+    run: Annotated[Path, typer.Argument(help="A result folder of replan evaluate.", metavar="RUN")],
+    log: Annotated[list[str] | None, option(LOGS, "Only this log; repeatable.", metavar="NAME")] = None,
+    planner: Annotated[
+        str | None, option(LOOP, "Whose drives. Default: the run's only planner.", "--planner", "-p", metavar="NAME")
+    ] = None,
+    changes: Annotated[
+        Path | None, option(LOOP, "TOML file of further changes to try (docs/diagnose.md).", metavar="FILE")
+    ] = None,
+    space: Annotated[
+        Path | None,
+        option(LOOP, "TOML file: settings with ranges; finds the smallest change that passes.", metavar="FILE"),
+    ] = None,
+    out: opt.Out = None,
+    resume: opt.Resume = False,
+    workers: opt.Workers = None,
+    as_json: opt.Json = False,
+    quiet: opt.Quiet = False,
+) -> None:
+    """Find out why drives fail: drive them again with one thing changed, and see what turns FAIL into PASS.
+
+    [bold]Examples[/bold]
+
+      replan diagnose results/run-001 -o results/diagnosed
+      replan diagnose results/run-001 --log everyday/cut_in --planner idm
+      replan diagnose results/run-001 --space space.toml
+    """
+    with handle_errors():
+        from replay.diagnose.changes import load_changes
+        from replay.diagnose.diagnose import diagnose as diagnosed
+        from replay.diagnose.diagnose import question
+        from replay.results.load import load
+        from replay.search.space import load_space
+
+        asked = question(load(run), planner, log or (), load_changes(changes))
+        settings = () if space is None else load_space(space, asked.run)
+        with resumable_folder(out, resume=resume) as folder:
+            count, say_progress = worker_count(workers), progress_lines(quiet=quiet)
+            result = diagnosed(asked, folder, settings, workers=count, resume=resume, say=say_progress)
+        if as_json:
+            say_json({**result.document(), "results": str(result.out)})
+        else:
+            say("\n".join([*result.lines(), f"written to {result.out}"]))
+        if result.exit_code:
+            raise typer.Exit(result.exit_code)

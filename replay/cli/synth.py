@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from logs.catalogue import FAMILY, SEED, SUITES, Family, families, groups, numbers, scenario, suite
+from logs.catalogue import FAMILY, SEED, SUITES, Family, families, groups, scenario, suite
 from logs.errors import unknown_name
 from logs.mcap import write_scenario
 from logs.names import counted
@@ -39,11 +39,6 @@ def chosen(names: Sequence[str]) -> tuple[Family, ...]:
             raise unknown_name("family", name, [*known, "all"])
         found.update(matches)
     return tuple(found.values())
-
-
-def overrides(settings: Sequence[str]) -> dict[str, float]:
-    """Parameters from "key=value" words; ConfigError where one is none."""
-    return numbers(settings, "--set")
 
 
 def synthesise(
@@ -99,9 +94,8 @@ def _written(one: Scenario, out: Path, form: str) -> Path:
 def listed() -> Iterator[str]:
     """Families with parameters and the size of their grids, then the suites: lines for the terminal."""
     for family in families().values():
-        values = ", ".join(f"{key}={value:g}" for key, value in family.parameters.items())
         grid = f"\n    grid of {_count(family)}: {_grid(family)}" if family.grid else ""
-        yield f"{family.name}: {family.summary}\n    {values}{grid}"
+        yield f"{family.name}: {family.summary}\n    {_defaults(family)}{grid}"
     for name, one in SUITES.items():
         yield f"--suite {name}: {counted(one.size, 'log')}; {one.summary}"
 
@@ -119,30 +113,29 @@ def _count(family: Family) -> int:
 
 
 def _grid(family: Family) -> str:
-    return "; ".join(f"{key} {_values(values)}" for key, values in family.grid.items())
-
-
-def _values(values: Sequence[float]) -> str:
-    """All of them, or where they are evenly spaced and many: first, second ... last."""
-    steps = {round(b - a, 9) for a, b in pairwise(values)}
-    shown = [f"{value:g}" for value in values]
-    return ", ".join(shown) if len(values) < 5 or len(steps) > 1 else f"{shown[0]}, {shown[1]} ... {shown[-1]}"
+    """The values of each parameter; where they are evenly spaced and many: first, second ... last."""
+    parts = []
+    for key, values in family.grid.items():
+        steps = {round(b - a, 9) for a, b in pairwise(values)}
+        shown = [f"{value:g}" for value in values]
+        few = len(values) < 5 or len(steps) > 1
+        parts.append(f"{key} {', '.join(shown) if few else f'{shown[0]}, {shown[1]} ... {shown[-1]}'}")
+    return "; ".join(parts)
 
 
 def markdown_page() -> str:
     """docs/catalogue.md."""
-    parts = [INTRODUCTION, *(_section(name, families) for name, families in groups().items())]
+    parts = [INTRODUCTION]
+    for name, group in groups().items():
+        lines = [f"## {name}", "", ABOUT[name], ""]
+        lines += ["| family | what happens | cells | grid (else the defaults) |", "|---|---|---|---|"]
+        for one in group:
+            lines.append(f"| `{one.name}` | {one.summary} | {_count(one)} | {_grid(one) or _defaults(one)} |")
+        sources = dict.fromkeys(one.source for one in group if one.source)
+        parts.append("\n".join([*lines, "", *(f"Source: {source}." for source in sources)]))
     rows = [f"| `{name}` | {one.size} | {one.summary} |" for name, one in SUITES.items()]
     suites = ["## Suites", "", SUITES_SAID.format(seed=SEED), "", "| suite | logs | for |", "|---|---|---|", *rows]
     return "\n\n".join(part.strip() for part in (*parts, "\n".join(suites)))
-
-
-def _section(name: str, families: Sequence[Family]) -> str:
-    lines = [f"## {name}", "", ABOUT[name], ""]
-    lines += ["| family | what happens | cells | grid (else the defaults) |", "|---|---|---|---|"]
-    lines += [f"| `{one.name}` | {one.summary} | {_count(one)} | {_grid(one) or _defaults(one)} |" for one in families]
-    sources = dict.fromkeys(one.source for one in families if one.source)
-    return "\n".join([*lines, "", *(f"Source: {source}." for source in sources)])
 
 
 def _defaults(family: Family) -> str:

@@ -36,8 +36,7 @@ from replay.explain.causes import accounts
 from replay.explain.explanation import Explanation
 from replay.results.load import DriveResult, Results, load
 from replay.results.tables import PARTIAL
-from replay.run.lock import held
-from replay.run.origin import scenario_of
+from replay.run.output import held, scenario_of
 from replay.run.perturb import PERTURBATIONS, perturbed
 from replay.run.resume import stamp_of
 from replay.search.space import Setting, Value, shown, with_values

@@ -24,7 +24,8 @@ from metrics.reference_drivers import APPLIES, AVOIDS
 from replay.config import RunConfig
 from replay.explain.first_difference import first_difference, planners_part
 from replay.results.load import DriveResult, Results
-from replay.run.evaluate import evaluate_logs, gates_of
+from replay.run.evaluate import evaluate_logs
+from replay.run.judging import gates_of
 
 MODE = "closed"
 INCONCLUSIVE = Outcome.INCONCLUSIVE.value

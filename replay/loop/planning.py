@@ -18,12 +18,11 @@ from logs.states import EgoState
 from logs.trace import Plan
 from planners.base import Planner
 from replay.config import LoopConfig, PlannerProcessConfig
-from replay.drive import BATCHED, FIRST, TRUSTED, DriveKey, StageTime
+from replay.drive import BATCHED, FIRST, TRUSTED, DriveKey, StageTime, Stopwatch
 from replay.loop.plan_check import checked
 from replay.oracle import ORACLES
 from replay.planner_process.connection import ApartPlanner, FaultError, current_log
 from replay.planner_process.planner_config import is_apart, is_built_in, planner_factory, prepared
-from replay.planner_process.stopwatch import Stopwatch
 
 SHORTEST_DRIVE_M = 10.0
 """A goal is made of a drive's end only where the drive led at least this far away."""

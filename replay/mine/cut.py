@@ -24,7 +24,7 @@ from metrics.boxes import ego_boxes
 from replay.config import load_run
 from replay.mine.query import query, views
 from replay.results.tables import safe_name
-from replay.run.origin import scenario_of
+from replay.run.output import scenario_of
 
 TIMES = (("t_from_s", "t_to_s"), ("time_s", "time_s"), ("t_s", "t_s"))
 LEAST_S = 0.5

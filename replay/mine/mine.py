@@ -35,8 +35,7 @@ from replay.results.schema import names_of
 from replay.results.tables import claim, joined, next_free, write_json, write_parquet, write_text
 from replay.results.version import replan_version
 from replay.run.engine import longest_first
-from replay.run.lock import held
-from replay.run.origin import write_origin
+from replay.run.output import held, write_origin
 from replay.run.pool import WorkerLost, run_all
 from replay.run.sources import LogSource, Selection, log_hash
 

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from replay.config import PlannerProcessConfig
-from replay.drive import DriveKey
+from replay.drive import DriveKey, Stopwatch
 from replay.planner_process import schema
 from replay.planner_process.connection import Connection, FaultError, PlannerConnection, set_current_log
 from replay.planner_process.processes import Load
-from replay.planner_process.stopwatch import Stopwatch
 
 R = TypeVar("R")
 

@@ -20,17 +20,16 @@ from logs.frame import Frame
 from logs.states import Trajectory
 from logs.trace import Plan
 from planners.base import Planner
+from replay.drive import Stopwatch
 from replay.planner_process import schema
 from replay.planner_process.channel import Channel, GoneError
 from replay.planner_process.planner_config import (
-    check_keywords,
     of_class,
     planner_factory,
     planner_keywords,
     prepared,
     resolved_table,
 )
-from replay.planner_process.stopwatch import Stopwatch
 
 
 def main() -> None:
@@ -100,9 +99,18 @@ class PlannerServer:
         if isinstance(question, schema.Frame):
             return self._sent(self._planned(lambda planners, frames: planners[0].plan(frames[0]), [0], [question]))
         if isinstance(question, schema.Frames):
-            return self._planned_together(question)
+            seats = question.seats
+            plans = self._planned(lambda planners, frames: self._together(frames, planners), seats, question.each)
+            if not isinstance(plans, list | tuple) or len(plans) != len(seats):
+                what = f"{len(plans)} plans" if isinstance(plans, list | tuple) else type(plans).__name__
+                return schema.Failed(f"plan_batch returned {what} instead of {len(seats)} plans", "contract")
+            return schema.Answers([self._sent(plan) for plan in plans])
         if isinstance(question, schema.Describe):
-            return _described(question)
+            table = resolved_table(question.planner, question.config)
+            if question.batch and of_class(planner_factory(question.planner), "plan_batch") is None:
+                remedy = "add the class method plan_batch(cls, frames, planners), or leave out loop.apart.batch"
+                raise ConfigError(f"planner '{question.planner}' has no plan_batch: {remedy}")
+            return schema.Described(table)
         if isinstance(question, schema.Hellos):
             return schema.Answers([_tried(self._built, hello) for hello in question.each])
         return self._built(question)
@@ -115,13 +123,6 @@ class PlannerServer:
         self._planners[-1] = factory(context, **keywords)
         self._together, self._keep = of_class(factory, "plan_batch"), hello.keep_internals
         return schema.Ready()
-
-    def _planned_together(self, question: schema.Frames) -> msgspec.Struct:
-        plans = self._planned(lambda planners, frames: self._together(frames, planners), question.seats, question.each)
-        if not isinstance(plans, list | tuple) or len(plans) != len(question.seats):
-            what = f"{len(plans)} plans" if isinstance(plans, list | tuple) else type(plans).__name__
-            return schema.Failed(f"plan_batch returned {what} instead of {len(question.seats)} plans", "contract")
-        return schema.Answers([self._sent(plan) for plan in plans])
 
     def _planned(
         self, plan: Callable[[list[Any], list[Frame]], Any], seats: list[int], sent: list[schema.Frame]
@@ -152,12 +153,3 @@ def _tried(answer: Callable[[Any], Any], question: Any) -> Any:
     except BaseException as error:  # also SystemExit: the planner has raised, and no more
         planning = isinstance(question, schema.Frame | schema.Frames)
         return schema.Failed(raised(error), "raised" if planning else "build")
-
-
-def _described(question: schema.Describe) -> schema.Described:
-    table = resolved_table(question.planner, question.config)
-    check_keywords(question.planner, table)
-    if question.batch and of_class(planner_factory(question.planner), "plan_batch") is None:
-        remedy = "add the class method plan_batch(cls, frames, planners), or leave out loop.apart.batch"
-        raise ConfigError(f"planner '{question.planner}' has no plan_batch: {remedy}")
-    return schema.Described(table)

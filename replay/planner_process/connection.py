@@ -18,12 +18,11 @@ from logs.errors import ConfigError, PlannerError
 from logs.frame import Frame, PlannerContext
 from logs.trace import Plan
 from replay.config import PlannerProcessConfig
-from replay.drive import FIRST, DriveKey
+from replay.drive import FIRST, DriveKey, Stopwatch
 from replay.planner_process import schema
 from replay.planner_process.channel import Channel, GarbageError, GoneError, LateError
 from replay.planner_process.planner_config import is_foreign
 from replay.planner_process.processes import Load, Process, start_process
-from replay.planner_process.stopwatch import Stopwatch
 
 LAST_CHARACTERS, LAST_LINES = 300, 3
 """How much of what a planner printed last is shown where it fails."""

@@ -177,7 +177,9 @@ def _become(asked: dict[str, Any], given: list[int], parent: int) -> NoReturn:
     code = 1
     try:
         os.setsid()
-        _end_with_parent(parent)
+        _prctl(PDEATHSIG, signal.SIGKILL)  # a launcher that has died takes this process along, even if it hangs
+        if os.getppid() != parent:  # it died before that
+            os._exit(1)
         _prctl(CHILD_SUBREAPER, 1)
         for name in (signal.SIGINT, signal.SIGTERM):
             if signal.getsignal(name) is signal.SIG_IGN:
@@ -187,7 +189,15 @@ def _become(asked: dict[str, Any], given: list[int], parent: int) -> NoReturn:
             _at_places(nothing, nothing, nothing)
             _limit(asked["memory"])
             planner, settings = asked["load"]
-            _template(planner, settings, socket.socket(fileno=given[0]))
+            control, before = socket.socket(fileno=given[0]), _descriptors()
+            try:
+                child.load(planner, bytes.fromhex(settings))
+                unfit = _unfit(before)
+            except BaseException as error:  # the drive's own process will say it
+                unfit = raised(error)
+            control.sendall(json.dumps({"unfit": unfit}).encode() + b"\n")
+            if not unfit:
+                Forks(control, seed=True).serve()
         else:
             _at_places(*given)
             _limit(asked["memory"])
@@ -209,19 +219,6 @@ def _at_places(*given: int) -> None:
         os.dup2(fd, place)
     for fd in set(given):
         os.close(fd)
-
-
-def _template(planner: str, settings: str, control: socket.socket) -> None:
-    """Load a planner's module, and serve where this process may be forked then."""
-    before = _descriptors()
-    try:
-        child.load(planner, bytes.fromhex(settings))
-        unfit = _unfit(before)
-    except BaseException as error:  # the drive's own process will say it
-        unfit = raised(error)
-    control.sendall(json.dumps({"unfit": unfit}).encode() + b"\n")
-    if not unfit:
-        Forks(control, seed=True).serve()
 
 
 def _unfit(before: set[int]) -> str:
@@ -274,13 +271,6 @@ def _limit(memory: int) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
-
-
-def _end_with_parent(parent: int) -> None:
-    """A launcher that has died takes this process along, even if it hangs (Linux; elsewhere the closed stdin does)."""
-    _prctl(PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it died before that
-        os._exit(1)
 
 
 def _prctl(option: int, value: int) -> None:

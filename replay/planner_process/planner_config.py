@@ -9,7 +9,7 @@ from typing import Any
 from planners import PLANNER, PLANNERS, load_planner
 from replay.config import PlannerProcessConfig
 from replay.oracle import ORACLES
-from replay.settings import check, dotted, keywords_of, resolved
+from replay.settings import dotted, keywords_of, resolved
 
 Factory = Callable[..., Any]
 
@@ -69,11 +69,6 @@ def planner_keywords(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def resolved_table(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The table with every default spelled out; ConfigError as `planner_keywords`."""
-    return resolved(planner_factory(spec), table, dotted("planner", spec))
-
-
-def check_keywords(spec: str, table: Mapping[str, Any]) -> None:
-    """Refuse what the planner cannot be built with; ConfigError says what is missing or too much."""
+    """The table with every default spelled out; ConfigError where the planner cannot be built with it."""
     given = 2 if spec in ORACLES else 1  # the context, and for an oracle the log
-    check(planner_factory(spec), table, dotted("planner", spec), f"planner '{spec}'", given)
+    return resolved(planner_factory(spec), table, dotted("planner", spec), f"planner '{spec}'", given)

@@ -195,7 +195,14 @@ class Results:
     @cached_property
     def decisions(self) -> pd.DataFrame:
         """A row per frame and decision, of all drives: reads every trace."""
-        rows = [row for drive in self.drives.itertuples() for row in self._decided(drive)]
+        rows = []
+        for key in self.drives[["log", "planner", "mode"]].itertuples(index=False, name=None):
+            one = self.drive(*key)
+            for frame in one.trace.frames:
+                for item in frame.plan.internals:
+                    if isinstance(item, Decision):
+                        where = one.log, one.planner, one.mode, frame.t
+                        rows.append((*where, item.agent, item.kind.value, item.stage, item.reason))
         return pd.DataFrame(rows, columns=list(DECISION_COLUMNS))
 
     def drive(self, log: str, planner: str | None = None, mode: str = "closed") -> DriveResult:
@@ -227,15 +234,6 @@ class Results:
         table = _table(file, pd.read_parquet) if file.is_file() else pd.DataFrame(columns=["planner", "mode", "t_s"])
         table.insert(0, "log", log)
         return table
-
-    def _decided(self, drive: Any) -> list[tuple[Any, ...]]:
-        one = self.drive(drive.log, drive.planner, drive.mode)
-        return [
-            (one.log, one.planner, one.mode, frame.t, item.agent, item.kind.value, item.stage, item.reason)
-            for frame in one.trace.frames
-            for item in frame.plan.internals
-            if isinstance(item, Decision)
-        ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ python -c 'from replay.results.schema import markdown; print(markdown())' > docs
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -307,18 +307,14 @@ def arrow(file: str, table: pd.DataFrame) -> pa.Table:
 
 def markdown() -> str:
     """docs/results.md."""
-    return "\n".join([INTRODUCTION.format(version=SCHEMA_VERSION).strip(), *_files(), BELOW.strip(), *_frames()])
-
-
-def _files() -> Iterator[str]:
+    lines = INTRODUCTION.format(version=SCHEMA_VERSION).strip().splitlines()
     for file, table in TABLES.items():
         same = "The same inputs give the same bytes." if table.same else "Not the same twice: it holds a clock."
-        yield from ("", f"## {file}", "", f"{table.rows} {same}", "", *_rows(table.columns))
-
-
-def _frames() -> Iterator[str]:
+        lines += ["", f"## {file}", "", f"{table.rows} {same}", "", *_rows(table.columns)]
+    lines.append(BELOW.strip())
     for name, table in FRAMES.items():
-        yield from ("", f"### result.{name}", "", table.rows, "", *_rows(table.columns))
+        lines += ["", f"### result.{name}", "", table.rows, "", *_rows(table.columns)]
+    return "\n".join(lines)
 
 
 def _rows(columns: Sequence[Column]) -> list[str]:

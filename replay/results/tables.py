@@ -7,8 +7,8 @@
     OUT/summary.json            outcome, gates, drives, failures
     OUT/report.md, junit.xml    the reports, by `replan evaluate` and `replan report`
     OUT/run.toml                the resolved configuration
-    OUT/origin.json             the directory in which the run was started: where its logs are (`replay.run.origin`)
-    OUT/shard.json              of a part of a run: which, of what (`replay.run.shard`)
+    OUT/origin.json             the directory in which the run was started: where its logs are (`replay.run.output`)
+    OUT/shard.json              of a part of a run: which, of what (`replay.run.shards`)
     OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
                                 tables above are made of: metrics.parquet, timings.parquet, log.json; ensemble.parquet
                                 (with several planners open.PLANNER.mcap and so on; log.mcap where the log was no MCAP)
@@ -43,13 +43,13 @@ LOG_CARD = "log.json"
 """A file that replan puts beside the traces of a log: what lies beside it is a result, not an input."""
 OUTCOMES = {0: "pass", 1: "fail", 2: "configuration error", 3: "not all could be evaluated", 4: "inconclusive"}
 LOCK = ".lock"
-"""The file by which a run holds its folder (`replay.run.lock`)."""
+"""The file by which a run holds its folder (`replay.run.output`)."""
 
 SHARD_CARD = "shard.json"
-"""Which part of a run the folder holds (`replay.run.shard`)."""
+"""Which part of a run the folder holds (`replay.run.shards`)."""
 
 ORIGIN = "origin.json"
-"""Where the run was started (`replay.run.origin`)."""
+"""Where the run was started (`replay.run.output`)."""
 
 TABLES = (
     "metrics.parquet",
@@ -161,7 +161,7 @@ def next_free(parent: Path = Path("results")) -> Path:
 
 
 def claim(out: Path) -> None:
-    """Empty a folder that is held (`replay.run.lock`); ConfigError as `check_ours`."""
+    """Empty a folder that is held (`replay.run.output`); ConfigError as `check_ours`."""
     check_ours(out)
     for entry in out.iterdir():
         if entry.name != LOCK:

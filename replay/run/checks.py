@@ -21,7 +21,6 @@ from replay.loop.simulation_setup import controller_of
 from replay.oracle import ORACLES
 from replay.planner_process.connection import describe_planner
 from replay.planner_process.planner_config import (
-    check_keywords,
     is_apart,
     is_built_in,
     planner_keywords,
@@ -29,7 +28,7 @@ from replay.planner_process.planner_config import (
 )
 from replay.prediction import PREDICTION, LaneMap, predict
 from replay.results.log_result import Failure
-from replay.settings import SETTINGS, check, configured, dotted, keywords_of, resolved
+from replay.settings import SETTINGS, configured, dotted, keywords_of, resolved
 from replay.traffic import TRAFFIC_KIND
 from replay.vehicle import VEHICLE
 from replay.vehicle.plant import build, parted
@@ -57,7 +56,7 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
             what Foxglove needs is not installed.
         PlannerError: No planner is left.
     """
-    tables: dict[str, Any] = {SETTINGS[key]: _table(key, run) for key in KINDS}
+    tables: dict[str, Any] = {SETTINGS[key]: _resolve_choice(key, run) for key in KINDS}
     run = replace(run, **tables)
     _check_plant(run)
     _check_others(run)
@@ -78,7 +77,7 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
     errors: list[PlannerError] = []
     for planner in run.planners:
         try:
-            left[planner] = _resolved(planner, run)
+            left[planner] = _resolve_planner(planner, run)
         except PlannerError as error:
             errors.append(error)
     if not left:
@@ -87,7 +86,7 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
     return replace(run, planners=tuple(left), planner=left), failures
 
 
-def _table(key: str, run: RunConfig) -> Mapping[str, Mapping[str, Any]]:
+def _resolve_choice(key: str, run: RunConfig) -> Mapping[str, Mapping[str, Any]]:
     """The settings of what a key of [loop] names, with its defaults; ConfigError where they or the name are wrong."""
     kind, given = KINDS[key]
     tables, chosen = getattr(run, SETTINGS[key]), getattr(run.loop, key)
@@ -103,22 +102,18 @@ def _table(key: str, run: RunConfig) -> Mapping[str, Mapping[str, Any]]:
     except ConfigError as error:
         raise ConfigError(f"loop.{key}: {error}") from None
     where = dotted(SETTINGS[key], chosen)
-    table = tables.get(chosen, {})
-    check(factory, table, where, f"{key} '{chosen}'", given)
-    found = resolved(factory, table, where)
+    found = resolved(factory, tables.get(chosen, {}), where, f"{key} '{chosen}'", given)
     return {chosen: found} if found else {}
 
 
-def _resolved(planner: str, run: RunConfig) -> dict[str, Any]:
+def _resolve_planner(planner: str, run: RunConfig) -> dict[str, Any]:
     """The planner's table with its defaults, found out where it will run; checked that it can be built of it."""
     table, apart = run.planner.get(planner, {}), run.loop.apart
     if is_apart(planner, apart):
         return describe_planner(planner, table, apart)
     if apart.batch and not is_built_in(planner):
         raise ConfigError("loop.apart.batch is for planners in a process of their own: leave out loop.apart.trust")
-    resolved = resolved_table(planner, table)
-    check_keywords(planner, resolved)
-    return resolved
+    return resolved_table(planner, table)
 
 
 def _check_plant(run: RunConfig) -> None:
@@ -129,11 +124,11 @@ def _check_plant(run: RunConfig) -> None:
     parted(loop.plant)
     table = {key: value for key, value in loop.plant.items() if key not in _OF_THE_LOG}
     model, start = configured(VEHICLE, loop.vehicle, loop.settings), EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
-    with _built("vehicle", loop.vehicle):
+    with _building("vehicle", loop.vehicle):
         built = build(model, loop.vehicle, vehicle, start, table)
     if loop.controller in CONTROLLER.builtin:
         return
-    with _built("controller", loop.controller):
+    with _building("controller", loop.controller):
         controller_of(built, vehicle, loop.controller, loop.control_period_ns / 1e9, loop.settings)
 
 
@@ -175,7 +170,7 @@ def _refusal(make: Callable[[Any], object], factory: Any) -> BaseException | Non
 
 
 @contextmanager
-def _built(kind: str, name: str) -> Iterator[None]:
+def _building(kind: str, name: str) -> Iterator[None]:
     """What code of the user's raises where it is built, as ConfigError: each log would fail."""
     try:
         yield

@@ -60,18 +60,14 @@ class Local:
         """As `Engine.evaluate`."""
         teams = [sources[places.start : places.stop] for places in teams_of(len(sources), run.loop.apart.batch)]
         job, begins = Job(run, out, stamp), list(accumulate(map(len, teams), initial=0))
-        for index, results in self._evaluated(teams, job):
+        if self.workers == 0:
+            ended: Iterator[tuple[int, list[LogResult] | WorkerLost]] = _in_this_process(job, teams)
+        else:
+            drive = partial(run_all, job, workers=max(1, min(self.workers, len(teams))), one_first=cold())
+            ended = longest_first(teams, drive, lambda team: sum(source.expected_s for source in team))
+        for index, results in ended:
             every = [results] * len(teams[index]) if isinstance(results, WorkerLost) else results
             yield from enumerate(every, begins[index])
-
-    def _evaluated(
-        self, teams: Sequence[Sequence[LogSource]], job: Job
-    ) -> Iterator[tuple[int, list[LogResult] | WorkerLost]]:
-        if self.workers == 0:
-            return _here(job, teams)
-        workers = max(1, min(self.workers, len(teams)))
-        drive = partial(run_all, job, workers=workers, one_first=cold())
-        return longest_first(teams, drive, lambda team: sum(source.expected_s for source in team))
 
 
 def teams_of(count: int, batch: int) -> list[range]:
@@ -103,7 +99,7 @@ class Job:
         return in_lockstep(tasks) if self.run.loop.apart.batch else [task() for task in tasks]
 
 
-def _here(job: Job, teams: Sequence[Sequence[LogSource]]) -> Iterator[tuple[int, list[LogResult]]]:
+def _in_this_process(job: Job, teams: Sequence[Sequence[LogSource]]) -> Iterator[tuple[int, list[LogResult]]]:
     """In this process, which may go on to other things."""
     try:
         for index, team in enumerate(teams):

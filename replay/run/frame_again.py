@@ -13,7 +13,7 @@ from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Plan, PlannedFrame, SolverReport
 from planners.piecewise_jerk.solvers import Asked, watched
-from replay.drive import Drive
+from replay.drive import Drive, Stopwatch
 from replay.explain.causes import Explainer
 from replay.explain.explanation import Explanation, lines_of
 from replay.explain.planner_input import PlannerInput
@@ -21,11 +21,10 @@ from replay.loop.plan_check import checked
 from replay.loop.planning import Planning
 from replay.oracle import ORACLES
 from replay.planner_process.planner_config import is_foreign, planner_factory, planner_keywords
-from replay.planner_process.stopwatch import Stopwatch
 from replay.results.load import DriveResult
 from replay.run.frame_dump import FrameDump
 from replay.run.one_log import LOOPS
-from replay.run.origin import scenario_of
+from replay.run.output import scenario_of
 
 SAME_TIME_S = 1e-6
 
@@ -90,18 +89,23 @@ def planned_again(drive: DriveResult, at: float, planner: str | None = None, *, 
     row = drive.result.logs.set_index("log").loc[drive.log].to_dict()
     scenario = scenario_of(drive.result.path, row, run.log)
     scenario, table = scenario.in_vehicle(run.driven(scenario.vehicle)), run.planner.get(drive.planner, {})
-    watch, made = _driven(drive, scenario, recorded.t, debug=debug and planner is None)
+    watch, made = _drive_up_to(drive, scenario, recorded.t, debug=debug and planner is None)
     if planner is not None:
-        return _by_another(drive, scenario, watch, planner, debug=debug)
+        return _plan_with(drive, scenario, watch, planner, debug=debug)
     last = watch.frames[-1]
     frames = tuple(watch.frames) if last.previous is not None else (last,)
     plan = made.trace.frames[-1].plan
     dump = FrameDump(drive.log, drive.planner, table, watch.context, frames, plan, tuple(watch.asked))
     seconds = {time.stage: time.seconds for time in made.timings if abs(time.t - last.t) < SAME_TIME_S}
-    return PlannedAgain(scenario, dump, seconds, _same(plan, recorded.plan))
+    new, old = plan.trajectory, recorded.plan.trajectory
+    rows = [int(abs(new.t - t).argmin()) for t in old.t]  # a trace without internals has only every few samples
+    same = all((getattr(new, name)[rows] == getattr(old, name)).all() for name in ("x", "y", "yaw", "v", "a"))
+    return PlannedAgain(scenario, dump, seconds, same)
 
 
-def _driven(drive: DriveResult, scenario: Scenario, until_s: float, *, debug: bool) -> tuple[WatchedPlanning, Drive]:
+def _drive_up_to(
+    drive: DriveResult, scenario: Scenario, until_s: float, *, debug: bool
+) -> tuple[WatchedPlanning, Drive]:
     """The drive up to a frame, in this process."""
     run, kept = drive.result.run, list[WatchedPlanning]()
 
@@ -119,7 +123,7 @@ def _driven(drive: DriveResult, scenario: Scenario, until_s: float, *, debug: bo
     return kept[0], made
 
 
-def _by_another(
+def _plan_with(
     drive: DriveResult, scenario: Scenario, watch: WatchedPlanning, planner: str, *, debug: bool
 ) -> PlannedAgain:
     """The last frame planned by another planner, fresh."""
@@ -142,13 +146,6 @@ def _by_another(
     return PlannedAgain(scenario, dump, {time.stage: time.seconds for time in clock.times}, None)
 
 
-def _same(plan: Plan, recorded: Plan) -> bool:
-    """Whether two plans have the same trajectory; of a trace without internals only every few samples are there."""
-    new, old = plan.trajectory, recorded.trajectory
-    rows = [int(abs(new.t - t).argmin()) for t in old.t]
-    return all((getattr(new, name)[rows] == getattr(old, name)).all() for name in ("x", "y", "yaw", "v", "a"))
-
-
 def report_of(again: PlannedAgain) -> Iterator[str]:
     """What a person who debugs the frame wants to read."""
     dump, frame, plan = again.dump, again.dump.frame, again.dump.plan
@@ -164,7 +161,16 @@ def report_of(again: PlannedAgain) -> Iterator[str]:
     stages = ", ".join(f"{stage} {1e3 * seconds:.2f}" for stage, seconds in again.seconds.items())
     yield f"  stages [ms, with compiling]: {stages}"
     for asked in dump.problems:
-        yield f"  {_qp(asked)}"
+        problem, report = asked.problem, asked.result.report
+        knots, leads = problem.lower.shape[1], len(problem.leads)
+        bounds = int((abs(problem.lower) < 1e9).sum() + (abs(problem.upper) < 1e9).sum())
+        outcome = "solved" if report.solved else "NOT SOLVED"
+        yield (
+            f"  {report.stage}: {3 * knots} unknowns, {2 * (knots - 1) + 3} equalities,"
+            f" {counted(bounds, 'finite bound')}, {counted(leads, 'lead')}; {outcome} ({report.status}),"
+            f" {counted(report.iterations, 'iteration')}, residuals {report.primal_residual:.1e},"
+            f" {report.dual_residual:.1e}"
+        )
     for report in (each for each in plan.internals if isinstance(each, SolverReport) and not dump.problems):
         yield f"  {report.stage}: {report.status}, {counted(report.iterations, 'iteration')}"
     yield ""
@@ -172,16 +178,3 @@ def report_of(again: PlannedAgain) -> Iterator[str]:
     shown = PlannerInput(planned, frame.agents, planned.predictions, frame.lights)
     lines = lines_of(Explanation.of(planned, Explainer(again.scenario).account(shown)))
     yield from map(again.scenario.short_names, lines)
-
-
-def _qp(asked: Asked) -> str:
-    """A QP: its size, and how it was solved."""
-    problem, report = asked.problem, asked.result.report
-    knots, leads = problem.lower.shape[1], len(problem.leads)
-    bounds = int((abs(problem.lower) < 1e9).sum() + (abs(problem.upper) < 1e9).sum())
-    said = "solved" if report.solved else "NOT SOLVED"
-    return (
-        f"{report.stage}: {3 * knots} unknowns, {2 * (knots - 1) + 3} equalities, {counted(bounds, 'finite bound')},"
-        f" {counted(leads, 'lead')}; {said} ({report.status}), {counted(report.iterations, 'iteration')},"
-        f" residuals {report.primal_residual:.1e}, {report.dual_residual:.1e}"
-    )

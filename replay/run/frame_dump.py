@@ -105,6 +105,11 @@ class FrameDump:
 
 def dump(path: Path, one: FrameDump) -> None:
     """Write a dump; OutputError where the file cannot be written."""
+    problems = []
+    for problem, result in one.problems:
+        arrays = {name: packed(getattr(problem, name)) for name in ("leads", "start", "references", "lower", "upper")}
+        numbers = [problem.step, problem.soft, *problem.weights]
+        problems.append(Problem(report=result.report, numbers=numbers, x=packed(result.x), **arrays))
     file = File(
         version=VERSION,
         log=one.log,
@@ -113,7 +118,7 @@ def dump(path: Path, one: FrameDump) -> None:
         context=schema.context_message(one.context),
         frames=[schema.frame_message(frame) for frame in one.frames],
         plan=schema.plan_message(one.plan, inside=True),
-        problems=[_problem(asked) for asked in one.problems],
+        problems=problems,
     )
     with writing(path):
         path.write_bytes(schema.encode(file))
@@ -129,27 +134,16 @@ def load(path: Path) -> FrameDump:
             log=file.log,
             planner=file.planner,
             config=file.config,
-            context=schema.context_of(file.context, _no_clock),
+            context=schema.context_of(file.context, lambda stage: None),
             frames=tuple(map(schema.frame_of, file.frames)),
             plan=schema.plan_of(file.plan),
-            problems=tuple(map(_asked, file.problems)),
+            problems=tuple(map(_asked_of, file.problems)),
         )
     except (OSError, ValueError, KeyError, msgspec.MsgspecError) as error:
         raise LogError(f"is no dump of a frame: {error}", file=path) from None
 
 
-def _no_clock(stage: str) -> None:
-    """Nothing is measured."""
-
-
-def _problem(asked: Asked) -> Problem:
-    problem, result = asked
-    arrays = {name: packed(getattr(problem, name)) for name in ("leads", "start", "references", "lower", "upper")}
-    numbers = [problem.step, problem.soft, *problem.weights]
-    return Problem(report=result.report, numbers=numbers, x=packed(result.x), **arrays)
-
-
-def _asked(message: Problem) -> Asked:
+def _asked_of(message: Problem) -> Asked:
     step, soft, *weights = message.numbers
     columns = (message.leads, message.start, message.references, message.lower, message.upper, message.x)
     leads, start, references, lower, upper, x = (np.frombuffer(column, WIRE).copy() for column in columns)

@@ -79,7 +79,7 @@ class OnRay:
             task = ray.remote(_on_node).options(max_retries=RETRIES, num_cpus=1)
             yield from longest_first(
                 absolute,
-                lambda ordered: _kept(self._streamed(ray, lambda one: task.remote(one, job), ordered), out),
+                lambda ordered: _write_folders(self._streamed(ray, lambda one: task.remote(one, job), ordered), out),
                 lambda source: source.expected_s,
             )
 
@@ -93,7 +93,13 @@ class OnRay:
         if ray.is_initialized():
             yield ray
             return
-        _check_answers(self.address)
+        host, _, port = self.address.rpartition("/")[2].rpartition(":")
+        if host and port.isdecimal():  # where nothing answers, Ray itself would try for minutes
+            try:
+                socket.create_connection((host, int(port)), CONNECT_S).close()
+            except OSError as error:
+                what = f"no connection: {error.strerror or error}"
+                raise ConfigError(f"--address {self.address}: {what}; {BEGIN}") from None
         with tempfile.TemporaryDirectory(prefix="replan-") as folder:
             code = code_of(run, Path(folder))
             options: dict[str, Any] = {"address": self.address or "local", "runtime_env": {"working_dir": str(code)}}
@@ -124,7 +130,14 @@ class OnRay:
                     return
                 for reference in ray.wait(list(flying), num_returns=1)[0]:
                     index = flying.pop(reference)
-                    yield index, _answer(ray, reference)
+                    try:
+                        yield index, ray.get(reference)
+                    except ray.exceptions.RayTaskError as error:
+                        yield index, WorkerLost(f"its task raised {type(error.cause).__name__}: {error.cause}")
+                    except ray.exceptions.RayError as error:
+                        first_line, tries = str(error).strip().partition("\n")[0], f"{RETRIES + 1} tries"
+                        why = f"lost on the cluster after {tries}: {type(error).__name__}: {first_line}"
+                        yield index, WorkerLost(why)
         finally:
             for reference in flying:
                 ray.cancel(reference, force=True)
@@ -173,54 +186,23 @@ def _place_of(package: str) -> Path | None:
     return file.parent if spec.submodule_search_locations else file
 
 
-def _check_answers(address: str) -> None:
-    """ConfigError where nothing answers at HOST:PORT: Ray itself would try for minutes."""
-    host, _, port = address.rpartition("/")[2].rpartition(":")
-    if not (host and port.isdecimal()):
-        return
-    try:
-        socket.create_connection((host, int(port)), CONNECT_S).close()
-    except OSError as error:
-        raise ConfigError(f"--address {address}: no connection: {error.strerror or error}; {BEGIN}") from None
-
-
-def _answer(ray: Any, reference: Any) -> tuple[Any, Any] | WorkerLost:
-    """What a task returned, or why it did not."""
-    try:
-        answer: tuple[Any, Any] = ray.get(reference)
-    except ray.exceptions.RayTaskError as error:
-        return WorkerLost(f"its task raised {type(error.cause).__name__}: {error.cause}")
-    except ray.exceptions.RayError as error:
-        said = str(error).strip().partition("\n")[0]
-        return WorkerLost(f"lost on the cluster after {RETRIES + 1} tries: {type(error).__name__}: {said}")
-    return answer
-
-
 def _on_node(source: LogSource, job: tuple[RunConfig, Stamp, str]) -> tuple[LogResult, dict[str, bytes]]:
     """A task: a log's result, and the files of its folder by their names in the result folder."""
     run, stamp, name = job
-    wrong = _refusal(run, stamp, source)
-    if wrong is not None:
-        return LogResult(source.label, source.label, failures=(wrong,)), {}
+    theirs, wrong = _stamp_here(run.planners, run.metrics, _of_loop(run), run.log.reader), ""
+    if theirs != stamp:  # it would be driven by other code than here
+        what = f"node {platform.node()} has replan {theirs.replan} with code {theirs.code[:8]}"
+        wrong = f"{source.label}: {what}; install there what is here: {stamp.replan} with code {stamp.code[:8]}"
+    elif source.path is not None and not source.path.exists():
+        remedy = "logs on a cluster must lie in a folder that all nodes share, or be named by URL"
+        wrong = str(LogError(f"not there on node {platform.node()}", file=source.path, remedy=remedy))
+    if wrong:
+        return LogResult(source.label, source.label, failures=(Failure(source.label, wrong),)), {}
     with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
         (result,) = Job(run, Path(scratch), stamp, name)([source])
         files = {path.relative_to(scratch).as_posix(): path.read_bytes() for path in Path(scratch).glob("*/*")}
         _settled()
         return result, files
-
-
-def _refusal(run: RunConfig, stamp: Stamp, source: LogSource) -> Failure | None:
-    """Why this node may not drive the log: it would be by other code than here, or it cannot see it."""
-    theirs = _stamp_here(run.planners, run.metrics, _of_loop(run), run.log.reader)
-    if theirs != stamp:
-        what = f"node {platform.node()} has replan {theirs.replan} with code {theirs.code[:8]}"
-        remedy = f"install there what is here: {stamp.replan} with code {stamp.code[:8]}"
-        return Failure(source.label, f"{source.label}: {what}; {remedy}")
-    if source.path is not None and not source.path.exists():
-        remedy = "logs on a cluster must lie in a folder that all nodes share, or be named by URL"
-        missing = LogError(f"not there on node {platform.node()}", file=source.path, remedy=remedy)
-        return Failure(source.label, str(missing))
-    return None
 
 
 @cache
@@ -234,7 +216,7 @@ _settled = cache(freeze_gc)
 """Once in each process, behind its first log: by then all kernels are loaded."""
 
 
-def _kept(
+def _write_folders(
     ended: Iterator[tuple[int, tuple[LogResult, dict[str, bytes]] | WorkerLost]], out: Path
 ) -> Iterator[tuple[int, LogResult | WorkerLost]]:
     """The results, whose folders are in `out` by then."""
@@ -244,18 +226,13 @@ def _kept(
             continue
         result, files = answer
         if result.folder:
-            _write_folder(out, result.folder, files)
+            partial = out / f"{PARTIAL}{result.folder}"  # until all of it is there
+            try:
+                with writing(out / result.folder):
+                    partial.mkdir()
+                    for file, content in files.items():
+                        (partial / Path(file).name).write_bytes(content)
+                    partial.rename(out / result.folder)
+            finally:
+                shutil.rmtree(partial, ignore_errors=True)
         yield index, result
-
-
-def _write_folder(out: Path, name: str, files: dict[str, bytes]) -> None:
-    """A log's folder: under a temporary name until all of it is there."""
-    partial = out / f"{PARTIAL}{name}"
-    try:
-        with writing(out / name):
-            partial.mkdir()
-            for file, content in files.items():
-                (partial / Path(file).name).write_bytes(content)
-            partial.rename(out / name)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)

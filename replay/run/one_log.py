@@ -39,11 +39,10 @@ from replay.loop.open_loop import run_open_loop
 from replay.loop.planning import Planning
 from replay.loop.reference_drives import late_follower, with_references
 from replay.planner_process.planner_config import is_apart, is_built_in, planner_keywords
-from replay.results.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, keep
+from replay.results.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, Steps, StepsFile, keep
 from replay.results.tables import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name
 from replay.run.perturb import perturbed
 from replay.run.sources import LogSource, file_hash
-from replay.run.steps import Steps, StepsFile
 
 SHOWN = (LON_JERK_STATE.name,)
 """The metrics of which a recording shows the steps."""
@@ -91,19 +90,6 @@ class _Progress:
 
         return noted
 
-    def filled(self, result: LogResult) -> LogResult:
-        """The result with what there is so far."""
-        return replace(result, drives=tuple(self.drives), failures=tuple(self.failures))
-
-    def tables_with(self, found: pd.DataFrame) -> LogTables:
-        """The tables of what there is so far, and the log's health."""
-        return LogTables(
-            metrics=joined(self.tables, KEYS, metrics.COLUMNS),
-            members=joined(self.members, [MEMBER, *KEYS]),
-            health=found,
-            timings=joined(self.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS),
-        )
-
 
 def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> LogResult:
     """Drive one log with each planner in each mode, measure, and write the log's folder into `out`.
@@ -119,14 +105,20 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
         with progress.attempt(), source.fetched() as near:
             identity = source.identity()
             scenario = near.read()
-            result, found = _identified(near, scenario, partial, run)
+            result, found = _describe_log(near, scenario, partial, run)
             progress.log = scenario.name
             driven = with_avoidability(scenario.in_vehicle(run.driven(scenario.vehicle)))
             _drive_all(driven, run, partial, result.folder, progress)
             for member in range(1, run.ensemble + 1):
                 _drive_member(driven, run, member, progress)
-            result = progress.filled(result)
-            keep(partial, result, progress.tables_with(found), identity, stamp)
+            result = replace(result, drives=tuple(progress.drives), failures=tuple(progress.failures))
+            tables = LogTables(
+                metrics=joined(progress.tables, KEYS, metrics.COLUMNS),
+                members=joined(progress.members, [MEMBER, *KEYS]),
+                health=found,
+                timings=joined(progress.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS),
+            )
+            keep(partial, result, tables, identity, stamp)
             with writing(out / result.folder):
                 partial.rename(out / result.folder)
             done = result
@@ -152,7 +144,9 @@ def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
     return found
 
 
-def _identified(source: LogSource, scenario: Scenario, folder: Path, run: RunConfig) -> tuple[LogResult, pd.DataFrame]:
+def _describe_log(
+    source: LogSource, scenario: Scenario, folder: Path, run: RunConfig
+) -> tuple[LogResult, pd.DataFrame]:
     """The log by name and content, and its health; what was no native or OSI MCAP is written as one, `log.mcap`.
 
     Channels for Foxglove do not count as content.
@@ -188,7 +182,18 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
                 if trace.end is EndReason.PLANNER_FAILURE:
                     progress.failures.append(Failure(progress.log, trace.detail, place.planner, loop))
                 files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
-                progress.drives.append(_record(trace, scenario, files))
+                record = DriveRecord(
+                    log=trace.scenario,
+                    planner=trace.planner,
+                    mode=loop,
+                    oracle=trace.oracle,
+                    end=trace.end.value,
+                    detail=scenario.short_names(trace.detail),
+                    t_end_s=float(trace.ego.t[-1]),
+                    notes=tuple(map(scenario.short_names, trace.notes)),
+                    files=files,
+                )
+                progress.drives.append(record)
                 del trace  # before the next one is driven: of an hour it is large
         steps.write()
     with progress.attempt():
@@ -212,7 +217,7 @@ def _places(run: RunConfig, member: int = 0) -> Iterator[_Place]:
 def _drive_one(
     scenario: Scenario, place: _Place, run: RunConfig, file: Path, progress: _Progress, steps: StepsFile
 ) -> Trace:
-    """Drive, measure and write one planner in one loop; `file` is without its suffix."""
+    """Drive, measure and write one planner in one loop: the trace as `file`.mcap, its recording as `file`.rrd."""
     drive = _probed(_driven(scenario, place, run, keep=run.keep_internals), scenario, place, run)
     found: dict[str, Steps] = {}
 
@@ -234,7 +239,17 @@ def _drive_one(
     progress.timings.append(pd.DataFrame(timings, columns=TIMING_COLUMNS))
     with progress.attempt(place.planner, place.mode):
         shown = steps.table([found[name] for name in SHOWN if name in found])
-        _write_drive(file, drive, scenario, table, shown, run)
+        beside: Iterable[Entry] = ()
+        if run.foxglove:
+            from replay.draw.foxglove import trace_channels
+
+            beside = trace_channels(drive.trace, scenario)
+        write_trace(Path(f"{file}.mcap"), drive.trace, scenario, internals=run.internals, beside=beside)
+        _tidy(drive.trace)
+        if run.recording:
+            from replay.draw.recording import write_recording
+
+            write_recording(Path(f"{file}.rrd"), drive, scenario, table, shown)
     return drive.trace
 
 
@@ -287,34 +302,3 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
             tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
     tables += late_follower(tables, other, run.drive_loop)
     progress.members.extend(table.assign(member=member, perturbation=name) for table in tables)
-
-
-def _write_drive(
-    file: Path, drive: Drive, scenario: Scenario, table: pd.DataFrame, steps: pd.DataFrame, run: RunConfig
-) -> None:
-    """The trace as `file`.mcap, its recording as `file`.rrd."""
-    beside: Iterable[Entry] = ()
-    if run.foxglove:
-        from replay.draw.foxglove import trace_channels
-
-        beside = trace_channels(drive.trace, scenario)
-    write_trace(Path(f"{file}.mcap"), drive.trace, scenario, internals=run.internals, beside=beside)
-    _tidy(drive.trace)
-    if run.recording:
-        from replay.draw.recording import write_recording
-
-        write_recording(Path(f"{file}.rrd"), drive, scenario, table, steps)
-
-
-def _record(trace: Trace, scenario: Scenario, files: tuple[str, ...]) -> DriveRecord:
-    return DriveRecord(
-        log=trace.scenario,
-        planner=trace.planner,
-        mode=trace.mode.value,
-        oracle=trace.oracle,
-        end=trace.end.value,
-        detail=scenario.short_names(trace.detail),
-        t_end_s=float(trace.ego.t[-1]),
-        notes=tuple(map(scenario.short_names, trace.notes)),
-        files=files,
-    )

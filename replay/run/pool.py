@@ -74,7 +74,11 @@ def run_all(
     try:
         while waiting or crew:
             while waiting and len(crew) < (1 if one_first else workers):
-                crew.append(_hired(function))
+                ours, theirs = _CONTEXT.Pipe()
+                process = _CONTEXT.Process(target=_serve, args=(theirs, function), daemon=True)
+                process.start()
+                theirs.close()
+                crew.append(_Worker(process, ours))
                 _hand_out(crew[-1], items, waiting)
             answered = wait([worker.pipe for worker in crew])
             for worker in [each for each in crew if each.pipe in answered]:
@@ -92,14 +96,6 @@ def run_all(
         for worker in crew:
             worker.process.kill()
             _dismiss(worker)
-
-
-def _hired(function: Callable[[T], R]) -> _Worker[T, R]:
-    ours, theirs = _CONTEXT.Pipe()
-    process = _CONTEXT.Process(target=_serve, args=(theirs, function), daemon=True)
-    process.start()
-    theirs.close()
-    return _Worker(process, ours)
 
 
 def _hand_out(worker: _Worker[T, R], items: Sequence[T], waiting: list[int]) -> None:

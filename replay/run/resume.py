@@ -43,12 +43,12 @@ def stamp_of(run: RunConfig) -> Stamp:
     digest = sha256()
     for file in files:
         digest.update(f"{file.relative_to(root)}\n".encode() + file.read_bytes())
-    for file in _files_of(run):
+    for file in _users_files(run):
         digest.update(f"{file.name}\n".encode() + file.read_bytes())
     return Stamp(replan_version(), digest.hexdigest())
 
 
-def _files_of(run: RunConfig) -> Iterator[Path]:
+def _users_files(run: RunConfig) -> Iterator[Path]:
     """The files of all that is not ours: modules ("module:NAME", entry points), and what commands name."""
     for name in run.planners:
         if name.startswith("exec:"):
@@ -97,7 +97,12 @@ def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Sta
                 f" logs as before, or {START_OVER}"
             )
         results[inputs[identity]] = replace(result, source=sources[inputs[identity]].label)
-    _clear(out, [folder for folder, content in found.items() if content is None])
+    clear_partial(out)
+    for folder in (folder for folder, content in found.items() if content is None):
+        shutil.rmtree(folder)
+    for name in FILES:  # the tables are written anew at the end
+        if name != "run.toml":
+            (out / name).unlink(missing_ok=True)
     return results
 
 
@@ -113,19 +118,9 @@ def changes(before: Mapping[str, Any], now: Mapping[str, Any], besides: str = ""
     """In which keys but `besides` two configurations differ, in words; "": in none."""
     was, now = dict(flat(before)), dict(flat(now))
     changed = [key for key in dict.fromkeys([*was, *now]) if was.get(key) != now.get(key) and key != besides]
-    said = ", ".join(f"{key} was {_said(was, key)}, is {_said(now, key)}" for key in changed[:3])
+    said = ", ".join(f"{key} was {_describe(was, key)}, is {_describe(now, key)}" for key in changed[:3])
     return f"{said} and {len(changed) - 3} more" if len(changed) > 3 else said
 
 
-def _said(table: Mapping[str, Any], key: str) -> str:
+def _describe(table: Mapping[str, Any], key: str) -> str:
     return repr(table[key]) if key in table else "not set"
-
-
-def _clear(out: Path, broken: Sequence[Path]) -> None:
-    """Remove what was not finished, and the tables: they are written anew at the end."""
-    clear_partial(out)
-    for folder in broken:
-        shutil.rmtree(folder)
-    for name in FILES:
-        if name != "run.toml":
-            (out / name).unlink(missing_ok=True)

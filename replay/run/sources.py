@@ -9,7 +9,7 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
@@ -21,7 +21,6 @@ from logs.maps import map_files
 from logs.readers import (
     FORMATS,
     LogSettings,
-    Reader,
     foreign,
     logs_in,
     read_log,
@@ -96,21 +95,18 @@ class LogSource:
             yield self
             return
         with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
-            if not self._part_fetched(Path(scratch, self._entry)):
+            begin, end, (file, *more) = self.settings.begin, self.settings.end, self.remote
+            fetched = False
+            if self.format == "native" and not more and (begin > 0.0 or end < inf):  # its part is enough
+                from logs.mcap.records import write_part
+
+                fetched = write_part(ranged(file), file.size, begin, end, Path(scratch, self._entry))
+            if not fetched:
                 fetch(self.remote, Path(scratch))
             try:
                 yield replace(self, path=Path(scratch, self._entry), remote=())
             except LogError as error:
                 raise error.at(self.label) from None
-
-    def _part_fetched(self, path: Path) -> bool:
-        """Whether the part that is asked for is at `path` now: of native MCAP no more needs to be fetched."""
-        begin, end, (file, *more) = self.settings.begin, self.settings.end, self.remote
-        if self.format != "native" or more or not (begin > 0.0 or end < inf):
-            return False
-        from logs.mcap.records import write_part
-
-        return write_part(ranged(file), file.size, begin, end, path)
 
     @property
     def _entry(self) -> str:
@@ -132,7 +128,10 @@ class LogSource:
             size = sum(file.size for file in self.remote)
             return size / BYTES_PER_S.get(self.format, _OTHER_BYTES_PER_S)
         reader = reader_of(self.path, self.settings)
-        files = () if reader is None else _files(reader, self.path)
+        try:
+            files = () if reader is None else reader.files(self.path)
+        except LogError:  # the evaluation will say why
+            files = ()
         size = sum(file.stat().st_size for file in files if file.is_file())
         return size / BYTES_PER_S.get(reader.name if reader else "", _OTHER_BYTES_PER_S)
 
@@ -206,7 +205,10 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
             looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers(settings.reader)))
             raise ConfigError(f"{url or place}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}")
         for log, reason in candidates:
-            source = log if reason or log.path is None else replace(log, digest=_digest(log.path, settings))
+            source = log
+            if not reason and log.path is not None:
+                with suppress(LogError):  # the evaluation will say why
+                    source = replace(log, digest=log_hash(log.path, settings))
             key = _version(log.remote) or source.digest or (os.path.realpath(log.path) if log.path else log.label)
             twin = kept.get(key)
             reason = reason or (f"the same bytes as {twin.label}" if twin else "")
@@ -214,23 +216,20 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
                 dropped.append(f"{log.label}: {reason}")
             else:
                 kept[key] = source
-    sources = tuple(kept.values()) if window is None else tuple(p for s in kept.values() for p in _parts(s, window))
-    selection = Selection(sources, tuple(dropped))
+    sources: list[LogSource] = []
+    for source in kept.values():
+        parts: Sequence[LogSettings] = (source.settings,)
+        if window is None:
+            sources.append(source)
+            continue
+        with suppress(LogError), source.fetched() as near:  # the evaluation will say why it cannot be read
+            assert near.path is not None
+            parts = windows(near.path, source.settings, window)
+        sources += [replace(source, label=f"{source.label} from {part.begin:g} s", settings=part) for part in parts]
+    selection = Selection(tuple(sources), tuple(dropped))
     if not kept:
         raise ConfigError(f"no logs to evaluate: {selection}")
     return selection
-
-
-def _parts(source: LogSource, window: float) -> Iterator[LogSource]:
-    """The windows of a log; the log whole where it cannot be read (the evaluation will say why)."""
-    try:
-        with source.fetched() as near:
-            assert near.path is not None
-            parts = windows(near.path, source.settings, window)
-    except LogError:
-        parts = (source.settings,)
-    for part in parts:
-        yield replace(source, label=f"{source.label} from {part.begin:g} s", settings=part)
 
 
 def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
@@ -250,21 +249,14 @@ def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
         for log, reason in _logs(root, settings):
             reader = reader_of(log, settings)
             names = log.relative_to(root.parent).as_posix().removeprefix(root.name)
-            parts = [
-                replace(at[path], name=path.relative_to(log.parent).as_posix()) for path in _needed(reader, log, at)
-            ]
+            try:
+                needed = [path for path in (() if reader is None else reader.files(log)) if path in at]
+            except Exception:  # of a reader to which empty files are damaged ones
+                needed = []
+            if not needed or not all(path.is_relative_to(log.parent) for path in needed):
+                needed = [path for path in at if path == log or path.is_relative_to(log)]
+            parts = [replace(at[path], name=path.relative_to(log.parent).as_posix()) for path in needed]
             yield LogSource(url + names, None, settings, "", tuple(parts), reader.name if reader else ""), reason
-
-
-def _needed(reader: Reader | None, log: Path, at: Mapping[Path, RemoteFile]) -> list[Path]:
-    """The files of a log of which only the names are known; all under it where its reader wants to see more."""
-    try:
-        named = [path for path in (() if reader is None else reader.files(log)) if path in at]
-    except Exception:  # of a reader to which empty files are damaged ones
-        named = []
-    if named and all(path.is_relative_to(log.parent) for path in named):
-        return named
-    return [path for path in at if path == log or path.is_relative_to(log)]
 
 
 def _version(files: Sequence[RemoteFile]) -> str:
@@ -295,22 +287,6 @@ def _logs(path: Path, settings: LogSettings) -> Iterator[tuple[Path, str]]:
         raise ConfigError(str(foreign(path)))
 
 
-def _files(reader: Reader, log: Path) -> tuple[Path, ...]:
-    """The files of a log; none where it cannot be read (the evaluation will say why)."""
-    try:
-        return reader.files(log)
-    except LogError:
-        return ()
-
-
-def _digest(log: Path, settings: LogSettings) -> str:
-    """Hash of the bytes; "" where they cannot be read (the evaluation will say why)."""
-    try:
-        return log_hash(log, settings)
-    except LogError:
-        return ""
-
-
 def log_hash(path: Path, settings: LogSettings | None = None) -> str:
     """SHA-256 of a log's bytes: of the file, or of the names and hashes of its files (a map may lie elsewhere)."""
     reader = reader_of(path, settings)
@@ -320,13 +296,11 @@ def log_hash(path: Path, settings: LogSettings | None = None) -> str:
         raise error if error.file is not None else error.at(path) from None
     if files == (path,):
         return file_hash(path)
-    listed = "".join(f"{_beside(file, path)} {file_hash(file)}\n" for file in files)
-    return hashlib.sha256(listed.encode()).hexdigest()
-
-
-def _beside(file: Path, path: Path) -> str:
-    """Where a file is, seen from a log: the same wherever both are."""
-    return Path(os.path.relpath(os.path.realpath(file), os.path.realpath(path))).as_posix()
+    digest, log = hashlib.sha256(), os.path.realpath(path)
+    for file in files:  # each by where it is, seen from the log: the same wherever both are
+        beside = Path(os.path.relpath(os.path.realpath(file), log)).as_posix()
+        digest.update(f"{beside} {file_hash(file)}\n".encode())
+    return digest.hexdigest()
 
 
 def file_hash(path: Path) -> str:

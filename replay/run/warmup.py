@@ -72,17 +72,15 @@ def warm_up(*runs: RunConfig) -> Warmed:
         OutputError: There is no room for what the drives write.
     """
     begin = perf_counter()
-    failures = tuple(failure for run in runs for failure in _driven(run))
-    return Warmed(perf_counter() - begin, compiled_here(), cache_folder(), failures)
-
-
-def _driven(run: RunConfig) -> tuple[Failure, ...]:
-    """Drive the scenes as a run does; what could not be driven."""
-    run, failures = checked(run)
-    with TemporaryDirectory(prefix="replan-warmup-") as folder:
-        sources = [LogSource(scene) for scene in SCENES]
-        ended = [result for _, result in Local().evaluate(sources, run, Path(folder), stamp_of(run))]
-    results = [result for result in ended if isinstance(result, LogResult)]
-    for stopped in filter(None, (result.stopped for result in results)):
-        raise OutputError(stopped)
-    return (*failures, *(failure for result in results for failure in result.failures))
+    failures: list[Failure] = []
+    for run in runs:
+        run, refused = checked(run)
+        failures += refused
+        with TemporaryDirectory(prefix="replan-warmup-") as folder:
+            sources = [LogSource(scene) for scene in SCENES]
+            ended = [result for _, result in Local().evaluate(sources, run, Path(folder), stamp_of(run))]
+        results = [result for result in ended if isinstance(result, LogResult)]
+        for stopped in filter(None, (result.stopped for result in results)):
+            raise OutputError(stopped)
+        failures += [failure for result in results for failure in result.failures]
+    return Warmed(perf_counter() - begin, compiled_here(), cache_folder(), tuple(failures))

@@ -33,8 +33,8 @@ from replay.results.tables import PARTIAL, write_file, write_json, write_parquet
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
 from replay.run.checks import checked
-from replay.run.evaluate import gates_of
-from replay.run.lock import held
+from replay.run.judging import gates_of
+from replay.run.output import held
 from replay.run.resume import stamp_of
 from replay.search.axes import SearchAxis, box_of, values_at
 from replay.search.cases import BOTH, ERROR, FAIL, Case, judged

@@ -24,7 +24,7 @@ class Study:
     """The trials of a study, by key.
 
     Args:
-        out: The folder, which is held (`replay.run.lock`).
+        out: The folder, which is held (`replay.run.output`).
         head: What is asked for, as JSON has it: a study with another head is another study.
         resume: Take what the file there holds; else an earlier study of this kind is removed from the folder.
 

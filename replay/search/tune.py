@@ -38,7 +38,7 @@ from replay.results.version import replan_version
 from replay.run import evaluate_logs
 from replay.run.checks import checked
 from replay.run.engine import Engine, Local
-from replay.run.lock import held
+from replay.run.output import held
 from replay.run.resume import identity_of
 from replay.run.sources import Selection
 from replay.search.figures import pareto_figure

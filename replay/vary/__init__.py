@@ -2,8 +2,7 @@
 
     axes.py        what is varied, over which values
     encounters.py  who comes how near to the ego: which agents to vary
-    bisection.py   where a row goes from pass to something else
-    surface.py     cells -> varied logs -> `replay.run` -> table, edges, picture
+    surface.py     cells -> varied logs -> `replay.run` -> table, edges (where a row stops passing), picture
 
 The picture is drawn by `replay.vary.surface_figure`.
 """

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from math import isfinite
+from typing import Any
 
 import numpy as np
 
@@ -85,7 +86,7 @@ def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float
     axes: list[Axis] = []
     fixed: dict[str, float] = {}
     for word in words:
-        name, values = _parsed(word)
+        name, values = _parse(word)
         if name in fixed or any(axis.name == name for axis in axes):
             raise ConfigError(f"--vary {word}: {name} is varied twice")
         if len(values) > 1:
@@ -99,7 +100,7 @@ def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float
     return Question(tuple(axes), fixed, tuple(agents), resolution or axes[0].spacing / FINER)
 
 
-def _parsed(word: str) -> tuple[str, tuple[float, ...]]:
+def _parse(word: str) -> tuple[str, tuple[float, ...]]:
     name, separator, text = word.partition("=")
     if not separator:
         raise ConfigError(f"--vary {word}: {FORM}")
@@ -118,3 +119,17 @@ def _parsed(word: str) -> tuple[str, tuple[float, ...]]:
     for value in values:
         VARIATIONS[name].check(value)
     return name, values
+
+
+def variations() -> Iterator[str]:
+    """What may be varied, a line each."""
+    width = max(map(len, VARIATIONS))
+    for one in VARIATIONS.values():
+        neutral = f"; {one.shown(one.neutral)}: as recorded" if isfinite(one.neutral) else ""
+        yield f"{one.name:{width}}  {one.summary} ({one.low:g} to {one.shown(one.high)}{neutral})"
+
+
+def variation_table() -> list[dict[str, Any]]:
+    """What `variations` says, as data."""
+    keys = ("name", "summary", "low", "high", "neutral")
+    return [{key: getattr(one, key) for key in keys} for one in VARIATIONS.values()]

@@ -9,22 +9,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import cos, hypot, inf, isnan, nan, sin
 
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.catalogue import CATALOGUE
 from logs.errors import ConfigError
+from logs.files import here
 from logs.kernel import FloatArray
 from logs.names import ShortNames
+from logs.readers import LogSettings
 from logs.scenario import Scenario
 from logs.shapes import clearance, time_to_contact
-from logs.states import Trajectory
 from metrics.boxes import NO_TTC_MPS, Car, Others, car_of, ego_boxes, others_at, phantoms, without_phantoms
 from metrics.encounters import CROSSING_RAD, encroachment, may_meet
 from replay.loop.planning import goal_of
 from replay.loop.reference_drives import reference_drives
+from replay.run.sources import LogSource
+from replay.vary.axes import Question, question
 
 GRID_S = 0.1
 SEEN_S = 1.0
@@ -74,12 +79,28 @@ def prepared(scenario: Scenario) -> Scenario:
     return replace(scenario, tracks=tracks, goal=goal, notes=(*scenario.notes, *notes))
 
 
+def opened(log: str, settings: LogSettings) -> Scenario:
+    """The scenario of a file, folder or family, as it is varied.
+
+    Raises:
+        ConfigError: There is no such file, folder or family.
+        LogError: It cannot be read.
+    """
+    with here(log) as path:
+        if path.exists():
+            return prepared(LogSource(log, path, settings).read())
+    if log not in CATALOGUE:
+        raise ConfigError(f"{log}: no such file or folder, and no family of the catalogue (replan synth --list)")
+    return prepared(LogSource(log).read())
+
+
 def encounters(scenario: Scenario) -> tuple[Encounter, ...]:
     """All who are there while the ego drives as logged (the careful driver, where the log holds no drive).
 
     The nearest first.
     """
-    ego, tracks = _drive(scenario), scenario.tracks
+    tracks = scenario.tracks
+    ego = scenario.ego if len(scenario.ego) > 1 else next(reference_drives(scenario)).ego
     t = np.arange(ego.t[0], ego.t[-1] + 1e-9, GRID_S)
     others, boxes, car = others_at(tracks, t), ego_boxes(ego.resampled(t), scenario), scenario.vehicle
     found, own_box = [], car_of(scenario)
@@ -124,10 +145,6 @@ def _conflict(boxes: FloatArray, t: FloatArray, car: Car, others: Others, i: int
     return float(least) if least < inf else nan
 
 
-def _drive(scenario: Scenario) -> Trajectory:
-    return scenario.ego if len(scenario.ego) > 1 else next(reference_drives(scenario)).ego
-
-
 def conflicting_agent(scenario: Scenario) -> str:
     """The agent in the conflict of the drive: the least (3) of those that move, of equals the nearest.
 
@@ -143,15 +160,27 @@ def conflicting_agent(scenario: Scenario) -> str:
     return min(going, key=lambda one: inf if isnan(one.conflict) else one.conflict).agent
 
 
-def listing(found: tuple[Encounter, ...], short: ShortNames) -> list[str]:
+def question_about(
+    scenario: Scenario, words: Sequence[str], agents: Sequence[str], resolution: float | None
+) -> Question:
+    """The question of words of `--vary` about agents, named by whole id or short name; by default the one in conflict.
+
+    Raises:
+        ConfigError: As `replay.vary.axes.question` and `conflicting_agent`.
+    """
+    found = question(words, [*map(scenario.short_names.whole, agents)], resolution)
+    return found if agents or not found.varies_agents else replace(found, agents=(conflicting_agent(scenario),))
+
+
+def lines(found: tuple[Encounter, ...], short: ShortNames) -> list[str]:
     """A line per road user, the nearest `SHOWN` first."""
     width = max([len(short(one.agent)) for one in found[:SHOWN]], default=5)
-    lines = [f"{'agent':{width}}  kind        from     to    way  nearest     at  conflict"]
-    lines += [
+    rows = [f"{'agent':{width}}  kind        from     to    way  nearest     at  conflict"]
+    rows += [
         f"{short(one.agent):{width}}  {one.kind:10} {one.t_from:5.1f}  {one.t_to:5.1f}  {one.way:5.1f}"
         f"  {one.least:7.2f}  {one.at:5.1f}  {'none' if isnan(one.conflict) else f'{one.conflict:.1f}':>8}"
         for one in found[:SHOWN]
     ]
-    lines[0] += "   [s, s, m, m, s, s]"
+    rows[0] += "   [s, s, m, m, s, s]"
     more = len(found) - SHOWN
-    return lines + ([f"and {more} that come less near"] if more > 0 else [])
+    return rows + ([f"and {more} that come less near"] if more > 0 else [])

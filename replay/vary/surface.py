@@ -10,6 +10,9 @@
 The outcome of a point is what the gates say of its log, the worst of them: "pass", "fail" or "inconclusive". What is
 inconclusive where the careful driver of UN R157 collides is "unavoidable"; "error" is a point that could not be made
 or driven. Points without a log, and logs that cannot be driven, cost only themselves.
+
+Where a row goes from pass to something else is found by halving between two cells, of all rows at once, so that the
+points of a round are evaluated beside each other.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -39,17 +43,79 @@ from replay.results.load import Results
 from replay.results.tables import LOCK, safe_name, write_file, write_json, write_parquet
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
-from replay.run.lock import held
+from replay.run.output import held
 from replay.vary.axes import Question
-from replay.vary.bisection import ERROR, Bracket, bisected, brackets
 from replay.vary.surface_figure import surface_figure
 
-UNAVOIDABLE = "unavoidable"
+PASS, ERROR, UNAVOIDABLE = "pass", "error", "unavoidable"
 CARD = "vary.json"
 TABLES = ("surface.parquet", "surface.csv", "edges.csv", "surface.png")
 _CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
 
 Cell = tuple[float, ...]
+
+
+# edges ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Bracket:
+    """Two points of a row, on one of which the outcome is pass and on the other it is not.
+
+    Attributes:
+        row: Where the row is: the second axis' value; empty with one axis.
+        low: The lower point, `high` the higher one.
+        at_low: The outcome there; `at_high` likewise.
+        is_open: Whether it can be halved: False after a point between could not be evaluated.
+    """
+
+    row: tuple[float, ...]
+    low: float
+    high: float
+    at_low: str
+    at_high: str
+    is_open: bool = True
+
+    @property
+    def middle(self) -> float:
+        """Half way."""
+        return 0.5 * (self.low + self.high)
+
+    def halved(self, outcome: str) -> Bracket:
+        """The half that holds the edge, by the outcome in the middle."""
+        if outcome == ERROR:
+            return replace(self, is_open=False)
+        if (outcome == PASS) == (self.at_low == PASS):
+            return replace(self, low=self.middle, at_low=outcome)
+        return replace(self, high=self.middle, at_high=outcome)
+
+
+def brackets(outcomes: Mapping[Cell, str]) -> tuple[Bracket, ...]:
+    """Neighbouring cells `(x, *row)` that differ in whether they pass; a cell with an error is no end of a bracket."""
+    found = []
+    for row in sorted({cell[1:] for cell in outcomes}):
+        line = sorted((cell[0], outcome) for cell, outcome in outcomes.items() if cell[1:] == row)
+        for (low, at_low), (high, at_high) in pairwise(line):
+            if ERROR not in (at_low, at_high) and (at_low == PASS) != (at_high == PASS):
+                found.append(Bracket(row, low, high, at_low, at_high))
+    return tuple(found)
+
+
+def bisected(
+    found: Sequence[Bracket], evaluate: Callable[[Sequence[Cell]], Sequence[str]], resolution: float
+) -> tuple[Bracket, ...]:
+    """The brackets halved until they are no wider than `resolution`; `evaluate` gives the outcomes of cells."""
+    current = list(found)
+    while True:
+        wide = [k for k, one in enumerate(current) if one.is_open and one.high - one.low > resolution * (1.0 + 1e-9)]
+        if not wide:
+            return tuple(current)
+        outcomes = evaluate([(current[k].middle, *current[k].row) for k in wide])
+        for k, outcome in zip(wide, outcomes, strict=True):
+            current[k] = current[k].halved(outcome)
+
+
+# surface ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,34 +178,33 @@ def vary(
     if len(run.planners) != 1:
         raise ConfigError(f"a surface is of one planner, got {', '.join(run.planners)}")
     run = replace(run, mode="closed", deadline_s=0.0, log=LogSettings(), ensemble=0)
-    _check_agents(scenario, question)
-    with held(out):
-        return _surface(scenario, question, run, out, workers, say)
-
-
-def _surface(
-    scenario: Scenario, question: Question, run: RunConfig, out: Path, workers: int, say: Callable[[str], None]
-) -> VaryResult:
-    _claim(out)
-    write_json(out / CARD, _card(scenario, question, run))
-    rounds = _Rounds(scenario, question, run, out, workers, say)
-    rounds.evaluate(list(question.cells), "grid")
-    edges: tuple[Bracket, ...] = ()
-    if not VARIATIONS[question.axes[0].name].is_choice:
-        found = brackets({row["cell"]: row["outcome"] for row in rounds.rows})
-        edges = bisected(found, rounds.between, question.resolution)
-    table = pd.DataFrame([{**row, "cell": None} for row in rounds.rows]).drop(columns="cell")
-    result = VaryResult(out, question, table, edges)
-    _write(result, scenario, run.planners[0])
-    return result
-
-
-def _check_agents(scenario: Scenario, question: Question) -> None:
     there = {*scenario.tracks.ids, *(VARIATIONS[name].inserts for name in question.values(next(question.cells)))}
     missing = [agent for agent in question.agents if agent not in there]
     if missing or (question.varies_agents and not question.agents):
         what = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
         raise ConfigError(f"{what}; `replan vary LOG --list-agents` lists them")
+    with held(out):
+        _claim(out)
+        card = {
+            "replan": replan_version(),
+            "log": scenario.name,
+            "planner": run.planners[0],
+            "axes": [asdict(axis) for axis in question.axes],
+            "fixed": dict(question.fixed),
+            "agents": list(question.agents),
+            "resolution": question.resolution,
+        }
+        write_json(out / CARD, card)
+        rounds = _Rounds(scenario, question, run, out, workers, say)
+        rounds.evaluate(list(question.cells), "grid")
+        edges: tuple[Bracket, ...] = ()
+        if not VARIATIONS[question.axes[0].name].is_choice:
+            found = brackets({row["cell"]: row["outcome"] for row in rounds.rows})
+            edges = bisected(found, rounds.between, question.resolution)
+        table = pd.DataFrame([{**row, "cell": None} for row in rounds.rows]).drop(columns="cell")
+        result = VaryResult(out, question, table, edges)
+        _write(result, scenario, run.planners[0])
+        return result
 
 
 def _claim(out: Path) -> None:
@@ -150,18 +215,6 @@ def _claim(out: Path) -> None:
     for entry in entries:
         shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
     (out / "logs").mkdir()
-
-
-def _card(scenario: Scenario, question: Question, run: RunConfig) -> dict[str, Any]:
-    return {
-        "replan": replan_version(),
-        "log": scenario.name,
-        "planner": run.planners[0],
-        "axes": [asdict(axis) for axis in question.axes],
-        "fixed": dict(question.fixed),
-        "agents": list(question.agents),
-        "resolution": question.resolution,
-    }
 
 
 # points -----------------------------------------------------------------------------------------------------------
@@ -190,29 +243,27 @@ class _Rounds:
     def evaluate(self, cells: Sequence[Cell], part: str) -> list[str]:
         """The outcomes of a round."""
         self.say(f"{part}: {counted(len(cells), 'point')}")
-        made = {cell: self._log(cell) for cell in cells}
+        made: dict[Cell, Path | str] = {}
+        for cell in cells:  # the file of a varied log, or why there is none
+            values = self.question.values(cell)
+            path = self.out / "logs" / _file(values)
+            try:
+                write_scenario(path, varied(self.scenario, self.question.agents, values))
+                made[cell] = path
+            except LogError as error:
+                made[cell] = str(error)
         logs = [path for path in made.values() if isinstance(path, Path)]
         found = evaluate_logs(logs, self.run, self.out / part, workers=self.workers) if logs else None
         names = {} if found is None else dict(zip(found.logs["source"], found.logs["log"], strict=True))
-        for cell, path in made.items():
-            if isinstance(path, str):
-                said = _broken(path)
+        for cell, made_as in made.items():
+            if isinstance(made_as, str):
+                outcome = _broken(made_as)
             else:
                 assert found is not None
-                said = _judged(found, names[str(path)])
+                outcome = _judged(found, names[str(made_as)])
             log = _file(self.question.values(cell))
-            self.rows.append({"cell": cell, **self.question.values(cell), "part": part, **said, "log": log})
+            self.rows.append({"cell": cell, **self.question.values(cell), "part": part, **outcome, "log": log})
         return [row["outcome"] for row in self.rows[-len(cells) :]]
-
-    def _log(self, cell: Cell) -> Path | str:
-        """The file of a varied log, or why there is none."""
-        values = self.question.values(cell)
-        path = self.out / "logs" / _file(values)
-        try:
-            write_scenario(path, varied(self.scenario, self.question.agents, values))
-        except LogError as error:
-            return str(error)
-        return path
 
 
 def _file(values: Mapping[str, float]) -> str:
@@ -241,7 +292,10 @@ def _judged(results: Results, log: str) -> dict[str, Any]:
     table = results.metrics
     table = table[(table["log"] == log) & (table["planner"] == results.run.planners[0])].set_index("metric")
     value = table["value"].where(table["available"], nan)
-    careful, drive = _careful(value), drives.iloc[0]
+    drive, careful = drives.iloc[0], Avoidability.NOT_APPLICABLE.value
+    if float(value.get(f"reference_cc.{APPLIES.name}", nan)) != 0.0:
+        avoids = float(value.get(f"reference_cc.{AVOIDS.name}", nan)) > 0.0
+        careful = Avoidability.AVOIDABLE.value if avoids else Avoidability.UNAVOIDABLE.value
     excused = outcome is Outcome.INCONCLUSIVE and careful == Avoidability.UNAVOIDABLE.value
     blamed = verdicts[(verdicts["outcome"] == outcome.value) & (outcome is not Outcome.PASS)]
     contact = drive.end in _CONTACTS
@@ -257,15 +311,6 @@ def _judged(results: Results, log: str) -> dict[str, Any]:
         "careful": careful,
         "careful_margin_m": float(value.get(f"reference_cc.{MARGIN.name}", nan)),
     }
-
-
-def _careful(value: pd.Series[float]) -> str:
-    """Whether the careful driver avoids a contact: as `metrics.reference_drivers.Outcome` says it."""
-    applies = float(value.get(f"reference_cc.{APPLIES.name}", nan))
-    if applies == 0.0:
-        return Avoidability.NOT_APPLICABLE.value
-    avoids = float(value.get(f"reference_cc.{AVOIDS.name}", nan))
-    return Avoidability.AVOIDABLE.value if avoids > 0.0 else Avoidability.UNAVOIDABLE.value
 
 
 # files ------------------------------------------------------------------------------------------------------------

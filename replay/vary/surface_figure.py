@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from replay.vary.axes import Question
-    from replay.vary.bisection import Bracket
+    from replay.vary.surface import Bracket
 
 LOOKS = {
     "pass": ("P", "#56b4e9", "passes all gates"),

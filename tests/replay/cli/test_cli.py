@@ -15,7 +15,7 @@ from rich.console import Console
 
 from logs.errors import ConfigError
 from logs.mcap import read_scenario
-from replay.cli.renamed import EVALUATE, replaced
+from replay.cli.options import EVALUATE, replaced
 from replay.config import RunConfig, load_run
 from replay.draw.report.overview import overview
 from replay.draw.report.terminal import print_report

@@ -25,7 +25,7 @@ from logs.vehicle import vehicle_names
 from metrics import METRICS
 from planners import PLANNERS
 from replay.cli.listing import KINDS, entries
-from replay.cli.names import complete_setting, names
+from replay.cli.options import complete_setting, names
 from replay.cli.progress import LEAST_S, Pace, progress, sign_of_life
 from replay.control import CONTROLLERS
 from replay.draw.charts.layout import CHARTS

@@ -45,10 +45,9 @@ from logs.trace import Artefact, Internals
 from metrics.safety import contacts
 from planners.constant_speed import ConstantSpeed
 from replay.config import LoopConfig, PlannerProcessConfig
-from replay.drive import Drive
+from replay.drive import Drive, Stopwatch
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import frame_times, run_open_loop
-from replay.planner_process.stopwatch import Stopwatch
 from replay.world import World, box_center, contact, logged_ego
 
 BY_TIME = LoopConfig(traffic="time")

@@ -25,7 +25,7 @@ from metrics.judge.gates import Outcome
 from replay.config import PlannerProcessConfig, RunConfig, load_run
 from replay.results.tables import claim, next_free, safe_name
 from replay.run import evaluate_logs
-from replay.run.evaluate import exit_code_of
+from replay.run.judging import exit_code_of
 from replay.run.one_log import Failure
 from replay.run.pool import WorkerLost, run_all
 from replay.run.sources import builtin_suite, select

@@ -24,9 +24,9 @@ from metrics import evaluate, evaluate_with_series
 from replay.cli import app
 from replay.draw.recording import write_log_recording, write_recording
 from replay.loop.closed_loop import run_closed_loop
+from replay.results.log_result import Steps, StepsFile
 from replay.results.tables import write_metrics, write_text
 from replay.run import evaluate_logs
-from replay.run.steps import Steps, StepsFile
 
 LONG_LINE = "the disk is full " * 40
 

@@ -20,9 +20,9 @@ from typer.testing import CliRunner
 from logs import ConfigError
 from replay.cli import app
 from replay.results.tables import LOCK
-from replay.run.lock import held
+from replay.run.output import held
 
-HOLDER = "import sys, time; from pathlib import Path; from replay.run.lock import held\n" \
+HOLDER = "import sys, time; from pathlib import Path; from replay.run.output import held\n" \
     "with held(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from logs.errors import ConfigError
 from logs.mcap import write_scenario
 from logs.readers import LogSettings
 from replay.results.load import load
-from replay.run.origin import log_of, write_origin
+from replay.run.output import log_of, write_origin
 from replay.run.sources import log_hash
 
 SOURCE = Path("my_logs", "a.mcap")

@@ -16,7 +16,7 @@ from logs.mcap import write_scenario
 from replay.results.load import load
 from replay.results.log_result import LogResult
 from replay.results.tables import LOG_CARD
-from replay.run.publish import output_location
+from replay.run.output import output_location
 
 fsspec = pytest.importorskip("fsspec", reason="the extra s3 is not installed: pip install 'replan[s3]'")
 OUT = "memory://fleet/out"

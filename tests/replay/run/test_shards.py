@@ -20,8 +20,7 @@ from replay.config import RunConfig
 from replay.results.load import Results
 from replay.results.tables import REPORTS, TABLES
 from replay.run import evaluate_logs
-from replay.run.merge import merge
-from replay.run.shard import Shard
+from replay.run.shards import Shard, merge
 
 CLOCK = {"timings.parquet", "report.md", "report.html", "origin.json"}
 """Not the same twice."""

@@ -21,9 +21,9 @@ from metrics.judge import worst
 from metrics.judge.gates import Outcome
 from replay.config import RunConfig
 from replay.run import evaluate_logs
-from replay.vary import VaryResult, command, encounters, prepared, question, vary
-from replay.vary.bisection import Bracket, bisected, brackets
-from replay.vary.encounters import conflicting_agent
+from replay.vary import VaryResult, encounters, prepared, question, vary
+from replay.vary.encounters import conflicting_agent, lines, opened, question_about
+from replay.vary.surface import Bracket, bisected, brackets
 
 RUN = RunConfig(planners=("constant_speed",), recording=False, internals="none")
 GATES = """
@@ -177,7 +177,7 @@ def test_who_crosses_is_in_conflict_and_not_the_nearer_bystander() -> None:
 
 
 def test_the_conflict_of_a_recorded_drive_is_the_pedestrian_who_crosses(shared_data: Path) -> None:
-    made = command.opened(str(shared_data / "tartu" / "ros2" / "pedestrian_crossing_10"), LogSettings())
+    made = opened(str(shared_data / "tartu" / "ros2" / "pedestrian_crossing_10"), LogSettings())
     by_agent = {one.agent: one for one in encounters(made)}
     agent = conflicting_agent(made)
     assert by_agent[agent].kind == "pedestrian" and by_agent[agent].conflict < 4.0
@@ -246,9 +246,9 @@ def test_exit_2_is_one_line(tmp_path: Path, words: list[str], said: str) -> None
 def test_an_agent_is_named_by_the_whole_id_or_by_its_short_name() -> None:
     whole = "23f7a1c8-0d5e-4b8e-9a53-6a3ef1f0c2b4"
     coded = replace(log(), tracks=replace(log().tracks, ids=(whole, *log().tracks.ids[1:])))
-    assert [line.split()[0] for line in command.agents(coded)[1:]] == ["blink", "23f7", "far"]
+    assert [line.split()[0] for line in lines(encounters(coded), coded.short_names)[1:]] == ["blink", "23f7", "far"]
     for name in (whole, "23f7"):
-        assert command.asked(coded, ["time=0:1:2"], [name], None).agents == (whole,)
+        assert question_about(coded, ["time=0:1:2"], [name], None).agents == (whole,)
 
 
 def test_a_family_is_a_log(tmp_path: Path) -> None:

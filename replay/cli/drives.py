@@ -1,0 +1,336 @@
+"""`replan view | plot | explain | frame`: look at one drive of a run: the one that the options name, else the worst."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+
+import typer
+
+from logs.errors import ConfigError, unknown_name
+from logs.names import counted
+from replay.cli import options as opt
+from replay.cli.app import app, handle_errors, say, say_json
+from replay.cli.options import completion, log_table, option, run_config
+
+if TYPE_CHECKING:
+    from logs.readers import LogSettings
+    from replay.results.load import DriveResult, Results
+
+Loop = Literal["open", "closed"]
+OfLog = Annotated[str | None, option(None, "Which log. Default: the worst drive.", "--log", metavar="NAME")]
+OfPlanner = Annotated[str | None, option(None, "Which planner. Default: the worst drive.", "--planner", metavar="NAME")]
+OfMode = Annotated[Loop | None, option(None, "Default: the loop with a failed gate, else closed.", "--mode")]
+
+
+class Chosen(NamedTuple):
+    """A drive, and why it is this one: a remark in brackets that follows its name; "" where no other fits."""
+
+    drive: DriveResult
+    remark: str
+
+    @property
+    def title(self) -> str:
+        """Log, planner and loop."""
+        return f"{self.drive.log}, {self.drive.planner}, {self.drive.mode} loop"
+
+
+def chosen_drive(results: Results, log: str | None, planner: str | None, mode: Loop | None) -> Chosen:
+    """The worst drive of those that fit, as `worst_drive`.
+
+    Args:
+        results: The run.
+        log: Name of a log; None: any.
+        planner: Name of a planner; None: any.
+        mode: "open" or "closed"; None: either.
+
+    Raises:
+        ConfigError: No drive fits.
+    """
+    table, asked = results.drives, {"log": log, "planner": planner, "mode": mode}
+    for column, value in asked.items():
+        if value is not None and value not in set(table[column]):
+            raise unknown_name(f"{column} (in the run)", value, list(dict.fromkeys(table[column])))
+        table = table if value is None else table[table[column] == value]
+    if table.empty:
+        raise ConfigError(f"{results.path}: no drive with these options")
+    drives = [results.drive(*key) for key in table[["log", "planner", "mode"]].itertuples(index=False, name=None)]
+    return worst_drive(results, drives, ", ".join(f"--{name}" for name, value in asked.items() if value is None))
+
+
+def worst_drive(results: Results, drives: Sequence[DriveResult], options: str) -> Chosen:
+    """The worst of some drives of a run; the remark says by which options another is chosen.
+
+    Worst is a drive with a failed gate, then an inconclusive one, then the one with the most coloured cells in the
+    report; of two loops the one in which a gate failed, else the closed one.
+    """
+    from replay.draw.report.overview import overview
+
+    if len(drives) == 1:
+        return Chosen(drives[0], "")
+    order = {"fail": 0, "inconclusive": 1}
+    rows = {(row.log, row.planner): (order.get(row.verdict, 2), -row.trouble) for row in overview(results).drives}
+
+    def rank(drive: DriveResult) -> tuple[tuple[int, int], bool, bool]:
+        failed = bool((drive.verdicts["outcome"] == "fail").any())
+        return rows[drive.log, drive.planner], not failed, drive.mode != "closed"
+
+    return Chosen(min(drives, key=rank), f" (the worst of {len(drives)} drives; another: {options})")
+
+
+@app.command()
+def view(
+    targets: Annotated[
+        list[Path], typer.Argument(help="A log, a recording (.rrd), or a folder of results; or two drives of one log.")
+    ],
+    log: Annotated[
+        str | None, typer.Option("--log", metavar="NAME", help="Of a folder, the recordings of this log: both loops.")
+    ] = None,
+    save: Annotated[
+        Path | None, typer.Option(help="Write the recording of the log, or of both drives, and open nothing.")
+    ] = None,
+    screenshot: Annotated[
+        Path | None,
+        typer.Option("--screenshot", help="Write a picture (PNG) and open nothing; of a run: of the worst drive."),
+    ] = None,
+    video: Annotated[
+        Path | None, typer.Option("--video", help="Write a video: FILE.gif, or with ffmpeg FILE.mp4; --from, --to.")
+    ] = None,
+    at: Annotated[float, typer.Option(help="Time of the picture, s.")] = 0.0,
+    layout: Annotated[str, typer.Option(help="Layout of picture and video: overview, planner, control.")] = "overview",
+    tile: Annotated[str | None, typer.Option("--tile", help="A picture of this view only, by its title.")] = None,
+    size: Annotated[str, typer.Option(help="Size of picture and video, pixels.")] = "1920x1080",
+    theme: Annotated[Literal["dark", "light"], typer.Option(help="Theme of picture and video.")] = "dark",
+    memory_limit: Annotated[str, typer.Option(help="Memory limit of the viewer.")] = "2GB",
+    web: Annotated[bool, typer.Option("--web", help="Show it in a browser.")] = False,
+    port: Annotated[
+        int, typer.Option(min=1, max=65535, help="Port of the page, with --web; on this machine only.")
+    ] = 9090,
+    ego: opt.Ego = None,
+    road_map: opt.Map = None,
+    begin: opt.Begin = None,
+    end: opt.End = None,
+    repair: opt.Repair = None,
+    config: opt.Settings = None,
+) -> None:
+    """Open a log or recordings in the Rerun viewer; or two drives of one log in one window.
+
+    [bold]Examples[/bold]
+
+      replan view results/run-001
+      replan view my_log.mcap --save my_log.rrd
+      replan view results/main results/mine --log everyday/cut_in
+      replan view results/run-001 --screenshot worst.png
+      replan view results/run-001 --log cut_in --screenshot cut_in.png --at 6.5 --layout planner
+    """
+    with handle_errors():
+        import tempfile
+
+        from logs.files import Near
+        from replay.draw.recording.pictures import LAYOUTS
+        from replay.draw.view import picture, show
+
+        if layout not in LAYOUTS:
+            raise ConfigError(f"--layout {layout}: there are {', '.join(LAYOUTS)}")
+        drawn = screenshot is not None or video is not None
+        with tempfile.TemporaryDirectory() as kept:
+            span = (None, None) if video is not None else (begin, end)
+            settings = run_config(config, {"log": log_table(ego, road_map, *span, repair)}).log
+            copies = [Near(target) for target in targets]
+            files, remark = _files([copy.path for copy in copies], log, Path(kept), settings, save, one=drawn)
+            if save is not None:
+                say(save)
+            if screenshot is not None:
+                picture(files[-1], screenshot, at, layout, tile, size, theme)
+                say(f"{screenshot}{remark}")
+            if video is not None:
+                from replay.draw.view import filmed
+
+                say(f"{video}{remark}: {counted(filmed(files[-1], video, begin, end, layout, size, theme), 'frame')}")
+            if save is None and not drawn:
+                show(files, memory_limit, web=web, port=port)
+
+
+def _files(
+    targets: list[Path], log: str | None, kept: Path, settings: LogSettings, save: Path | None, *, one: bool
+) -> tuple[list[Path], str]:
+    """The recordings to open, made as `save`, else in `kept`; and with `one`, which takes the worst, which it is."""
+    from logs.files import check_named
+    from logs.readers import reader_of
+    from replay.draw.view import pair, recordings, save_log, to_open, write_pair
+    from replay.results.load import load
+
+    for target in targets:
+        check_named(target)
+        if not target.exists():
+            raise ConfigError(f"{target}: no such file or folder")
+    if len(targets) > 2:
+        raise ConfigError("name one log, recording or folder, or two drives of one log")
+    if len(targets) == 2:
+        both, recording = pair(targets[0], targets[1], log), _place(save) or kept / "pair.rrd"
+        write_pair(recording, both)
+        return [recording], ""
+    (target,) = targets
+    if target.suffix != ".rrd" and (target.is_file() or reader_of(target) is not None):
+        recording = _place(save) or kept / f"{target.stem}.rrd"
+        save_log(target, recording, settings)
+        return [recording], ""
+    if save is not None:
+        raise ConfigError(f"--save writes the recording of a log or of two drives; {target} has its recordings already")
+    if target.is_file():
+        return [target], ""
+    if not one:
+        return to_open(target, log, kept), ""
+    found = recordings(target, log)
+    if len(found) == 1:
+        return found, ""
+    if not (target / "summary.json").is_file():
+        raise ConfigError(f"{target}: {len(found)} recordings; name one, for example {found[0]}")
+    results = load(target)
+    drives = [results.drive(*row) for row in results.drives[["log", "planner", "mode"]].itertuples(index=False)]
+    there = [drive for drive in drives if drive.trace_file.with_suffix(".rrd") in found]
+    worst = worst_drive(results, there, "--log, or name a recording")
+    return [worst.drive.trace_file.with_suffix(".rrd")], f"  {worst.title}{worst.remark}"
+
+
+def _place(save: Path | None) -> Path | None:
+    """Where a recording is saved, its folder made; ConfigError where it is called otherwise."""
+    from logs.errors import writing
+
+    if save is not None and save.suffix != ".rrd":
+        raise ConfigError(f"--save {save}: a recording is called FILE.rrd")
+    if save is not None:
+        with writing(save):
+            save.parent.mkdir(parents=True, exist_ok=True)
+    return save
+
+
+class Look(StrEnum):
+    """Light or dark ground; auto: an SVG follows its reader's system, a PNG is light."""
+
+    auto = "auto"
+    light = "light"
+    dark = "dark"
+
+
+@app.command()
+def plot(
+    result: Annotated[Path, typer.Argument(help="A folder of results.")],
+    log: OfLog = None,
+    planner: OfPlanner = None,
+    mode: OfMode = None,
+    at: Annotated[float | None, typer.Option(help="Time, s. Default: the worst moment.")] = None,
+    chart: Annotated[
+        str,
+        typer.Option(
+            autocompletion=completion("chart"),
+            help="What is drawn: scene, st, sl, curves, decisions, all, or module:NAME of your own.",
+        ),
+    ] = "all",
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="FILE.png, FILE.svg, or a folder: each by itself.")
+    ] = None,
+    theme: Annotated[Look, typer.Option(help="Auto: an SVG follows its reader's system, a PNG is light.")] = Look.auto,
+    width: Annotated[int, typer.Option(min=200, max=8000, help="Width of the picture, pixels.")] = 1400,
+) -> None:
+    """Draw a drive as SVG or PNG: scene, S-T and S-L graph, curves, decisions.
+
+    [bold]Examples[/bold]
+
+      replan plot results/run-001
+      replan plot results/run-001 --log paper/crossing_pedestrian --at 6.5 --chart st -o st.svg
+    """
+    with handle_errors():
+        from replay.draw.charts.layout import charts_of, save, together
+        from replay.draw.charts.subject import subject
+        from replay.results.load import load
+        from replay.results.tables import safe_name
+
+        chosen = chosen_drive(load(result), log, planner, mode)
+        drive, title = chosen.drive, chosen.title
+        name = f"{safe_name(drive.log)}-{safe_name(drive.planner)}-{drive.mode}"
+        path = Path(f"{name}-{safe_name(chart)}.png") if out is None else out
+        if path.suffix not in ("", ".png", ".svg") and not path.is_dir():
+            raise ConfigError(f"{path}: a picture ends with .png or .svg, a folder has no ending")
+        seen = subject(drive, at)
+        charts = charts_of(seen, chart, width)
+        why = "" if at is not None else f": {seen.moment.why}"
+        if path.suffix in (".png", ".svg") and not path.is_dir():
+            save(together(charts, title, f"at {seen.moment.t:.2f} s{why}", width), path, theme=theme.value, width=width)
+            say(f"{path}  ({title}, at {seen.moment.t:.2f} s{why}){chosen.remark}")
+            return
+        for one in charts:
+            for ending in (".png", ".svg"):
+                file = path / f"{name}-{one.name}{ending}"
+                save(one, file, theme=theme.value, width=width)
+                say(file)
+
+
+@app.command()
+def explain(
+    result: Annotated[Path, typer.Argument(help="A folder of results.")],
+    log: OfLog = None,
+    planner: OfPlanner = None,
+    mode: OfMode = None,
+    at: Annotated[float | None, typer.Option(help="Time, s. Default: each change of a decision.")] = None,
+    as_json: opt.Json = False,
+) -> None:
+    """Print each decision of a drive: about which agent, why, the alternatives and their costs (docs/why.md).
+
+    [bold]Examples[/bold]
+
+      replan explain results/run-001
+      replan explain results/run-001 --log paper/crossing_pedestrian --at 6.5
+    """
+    with handle_errors():
+        from replay.explain.explanation import explained, lines_of
+        from replay.results.load import load
+
+        chosen = chosen_drive(load(result), log, planner, mode)
+        drive = chosen.drive
+        found = explained(drive, at)
+        if as_json:
+            say_json({"log": drive.log, "planner": drive.planner, "mode": drive.mode, "frames": found})
+            return
+        say(f"{chosen.title}: {drive.info['end']} after {drive.info['t_end_s']:.2f} s{chosen.remark}")
+        for one in found:
+            say()
+            for line in lines_of(one):
+                say(drive.scenario.short_names(line))
+
+
+@app.command()
+def frame(
+    result: Annotated[Path, typer.Argument(help="A folder of results.")],
+    at: Annotated[float, typer.Option(help="Time, s; the last frame up to it is planned again.")],
+    log: OfLog = None,
+    of: Annotated[str | None, typer.Option("--of", help="The drive of this planner. Default: the worst drive.")] = None,
+    planner: Annotated[
+        str | None, typer.Option(help="Plan the frame with this planner instead; it gets this frame only.")
+    ] = None,
+    mode: OfMode = None,
+    dump: Annotated[Path | None, typer.Option(help="Write frames, plan and QPs to FILE.msgpack.")] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Open the debugger before the frame is planned.")] = False,
+) -> None:
+    """Drive up to a frame again, in one process, and plan it with a report: stages, times, sizes, residuals.
+
+    [bold]Examples[/bold]
+
+      replan frame results/run-001 --at 6.5 --dump frame.msgpack
+      replan frame results/run-001 --at 6.5 --planner idm
+    """
+    with handle_errors():
+        from replay.results.load import load
+        from replay.run.frame_again import planned_again, report_of
+        from replay.run.frame_dump import dump as write_dump
+
+        chosen = chosen_drive(load(result), log, of, mode)
+        again = planned_again(chosen.drive, at, planner, debug=debug)
+        say(f"{chosen.title}{chosen.remark}")
+        for line in report_of(again):
+            say(line)
+        if dump is not None:
+            write_dump(dump, again.dump)
+            say(f"\n{dump}: {dump.stat().st_size / 1e6:.1f} MB; replay.run.frame_dump.load reads it")

@@ -1,0 +1,240 @@
+"""Options of several commands: what the shell completes, their old names, the configuration that they make."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+from typer.core import TyperCommand
+
+from logs.errors import unknown_name
+from replay.cli.app import say
+
+if TYPE_CHECKING:
+    from replay.config import RunConfig
+
+# names for shell completion ------------------------------------------------------------------------------------------
+
+ROOT = Path(__file__).parents[2]
+TABLES = {
+    "planner": (("planners/__init__.py", "PLANNERS"), ("replay/oracle.py", "ORACLES")),
+    "controller": (("replay/control/__init__.py", "CONTROLLERS"),),
+    "vehicle": (("replay/vehicle/__init__.py", "VEHICLES"),),
+    "traffic": (("replay/traffic/__init__.py", "TRAFFIC"),),
+    "prediction": (("replay/prediction/__init__.py", "PREDICTORS"),),
+    "perception": (("replay/loop/perception.py", "PERCEPTIONS"),),
+    "chart": (("replay/draw/charts/layout.py", "CHARTS"),),
+    "suite": (("logs/catalogue/__init__.py", "SUITES"),),
+    "kind": (("replay/cli/listing.py", "KINDS"),),
+}
+"""Of each option the tables of its names: file and variable."""
+
+BESIDES = {"prediction": ("oracle",), "chart": ("all",)}
+"""Names that are in no table."""
+
+
+def names(option: str) -> tuple[str, ...]:
+    """The names that an option takes, in the order of their tables, read from the source: importing them takes longer.
+
+    A table is a dictionary of string keys that is written out in a module: `PLANNERS: ... = {"dp_qp": DpQp, ...}`.
+    """
+    if option == "car":
+        return tuple(sorted(file.stem for file in (ROOT / "logs" / "vehicles").glob("*.toml")))
+    found: list[str] = []
+    for file, table in TABLES[option]:
+        for node in ast.parse((ROOT / file).read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id == table:
+                keys = node.value.keys if isinstance(node.value, ast.Dict) else ()
+                found += [str(key.value) for key in keys if isinstance(key, ast.Constant)]
+    return (*found, *BESIDES.get(option, ()))
+
+
+def completion(option: str) -> Callable[[str], list[str]]:
+    """What `typer.Option(autocompletion=...)` takes; a file that cannot be read completes nothing."""
+
+    def complete(incomplete: str) -> list[str]:
+        try:
+            return [name for name in names(option) if name.startswith(incomplete)]
+        except (OSError, SyntaxError):
+            return []
+
+    return complete
+
+
+def complete_setting(incomplete: str) -> list[str]:
+    """The keys that `--set` takes, each with "="; of a planner, controller ... that is named, those of its table."""
+    from replay.config import RunConfig
+    from replay.settings import SETTINGS, dotted_keys
+
+    tables = {"planner": "planner", **{table: option for option, table in SETTINGS.items()}}
+    keys: list[str] = []
+    for key in dotted_keys(RunConfig):
+        keys += [f"{key}.{name}." for name in names(tables[key])] if key in tables else [f"{key}="]
+    return [key for key in keys if key.startswith(incomplete)]
+
+
+# options of several commands -----------------------------------------------------------------------------------------
+
+LOGS, LOOP, JUDGE, OUTPUT, RUNNING = "Logs", "Drive", "Judge", "Output", "Run"
+"""The groups in which the options of `replan evaluate` are shown."""
+
+
+def option(panel: str | None, words: str, *names: str, complete: str = "", **more: Any) -> Any:
+    """A `typer.Option` in a group of the help.
+
+    Args:
+        panel: The group; None: that of all options.
+        words: What the help says.
+        names: As the option is written; none: by its parameter.
+        complete: The table of `TABLES` that the shell completes it from.
+        more: As `typer.Option` takes it.
+    """
+    if complete:
+        more["autocompletion"] = completion(complete)
+    make: Any = typer.Option
+    return make(*names, rich_help_panel=panel, help=words, **more)
+
+
+Ego = Annotated[str | None, option(LOGS, "Take this road user of the log as the ego.", "--ego", metavar="ID")]
+Map = Annotated[Path | None, option(LOGS, "A map that replaces that of the log.", "--map", metavar="FILE")]
+Repair = Annotated[
+    Literal["auto", "on", "off"] | None,
+    option(LOGS, "Make tracks of raw detections: auto (if it has no tracks).", "--repair"),
+]
+Begin = Annotated[float | None, option(LOGS, "Begin this many seconds after the log does.", "--from", metavar="S")]
+End = Annotated[float | None, option(LOGS, "End this many seconds after the log begins.", "--to", metavar="S")]
+Suite = Annotated[
+    str | None,
+    option(
+        LOGS, "Built-in logs: smoke, full, nightly, or a family or group.", "--suite", metavar="NAME", complete="suite"
+    ),
+]
+Foxglove = Annotated[bool, option(OUTPUT, "Also write channels that Foxglove can draw.", "--foxglove")]
+Json = Annotated[bool, option(OUTPUT, "Write one JSON document, and nothing else, to stdout.", "--json")]
+Quiet = Annotated[bool, option(OUTPUT, "Print errors and the outcome only.", "--quiet", "-q")]
+Settings = Annotated[Path | None, option(None, "TOML file of a run: its \\[log] table.", "--config", metavar="FILE")]
+Set = Annotated[
+    list[str] | None,
+    option(
+        RUNNING, "Any other setting, by its key in the file; repeatable.", "--set", metavar="KEY=VALUE",
+        autocompletion=complete_setting,
+    ),
+]  # fmt: skip
+Gates = Annotated[Path | None, option(JUDGE, "TOML file of thresholds. Default: the packaged ones.", metavar="FILE")]
+Workers = Annotated[int | None, option(RUNNING, "Processes; 0: this one. Default: one per core.", min=0, metavar="N")]
+Config = Annotated[Path | None, option(RUNNING, "TOML file of settings; options win over it.", metavar="FILE")]
+Out = Annotated[
+    Path | None, option(OUTPUT, "Result folder. Default: results/run-NNN.", "--out", "-o", metavar="FOLDER")
+]
+Seed = Annotated[int, option(RUNNING, "Another seed, another search.", min=0, metavar="N")]
+Resume = Annotated[bool, option(RUNNING, "Continue the interrupted search in --out.", "--resume")]
+Metric = Annotated[list[str] | None, option(JUDGE, "A metric of your own, module:NAME; repeatable.", metavar="NAME")]
+Engine = Annotated[
+    Literal["local", "ray"], option(RUNNING, "Where logs are driven. Default: local.", show_default=False)
+]
+Address = Annotated[
+    str | None, option(RUNNING, "Ray cluster (or auto). Default: one for this run.", metavar="HOST:PORT")
+]
+Baseline = Annotated[Path | None, option(JUDGE, "A run, or file of replan baseline, to compare with.", metavar="RUN")]
+NoReport = Annotated[bool, option(OUTPUT, "Write no report.html, report.md and junit.xml.", "--no-report")]
+
+
+# options as a run's configuration ------------------------------------------------------------------------------------
+
+
+def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[str] = ()) -> RunConfig:
+    """The configuration of a run: the file, over it the options, over these the words of `--set`.
+
+    Args:
+        config: A TOML file, or None.
+        options: A table like that of the file; None and empty lists are options that were not given.
+        words: "KEY=VALUE" each, the key dotted, the value as TOML has it; a value that is not TOML is taken as text.
+
+    Raises:
+        ConfigError: A key is unknown, a value is wrong, or the file cannot be read.
+    """
+    from replay.config import RunConfig, load_run
+    from replay.settings import dotted_keys, merged, set_table
+
+    changed = set_table(words)
+    keys = list(dotted_keys(RunConfig))
+    for key in changed:
+        if not any(key == known.partition(".")[0] for known in keys):
+            raise unknown_name("key", key, keys)
+    return load_run(config, merged(_given(options), changed))
+
+
+def _given(options: Mapping[str, Any]) -> dict[str, Any]:
+    """A table without the options that were not given."""
+    tables = {key: _given(value) if isinstance(value, Mapping) else value for key, value in options.items()}
+    return {key: value for key, value in tables.items() if value is not None and value != []}
+
+
+def log_table(
+    ego: str | None, road_map: Path | None, begin: float | None, end: float | None, repair: str | None
+) -> dict[str, Any]:
+    """The options about logs as the table [log] of a run."""
+    place = None if road_map is None else str(road_map)
+    return {"ego": ego, "map": place, "begin": begin, "end": end, "repair": repair}
+
+
+# options of the last version that have another name now: still taken, with a hint on stderr, until the next version ---
+
+EVALUATE: Mapping[str, str] = {
+    "--trust": "loop.apart.trust=true",
+    "--plan-timeout": "loop.apart.plan_timeout_s={}",
+    "--log-timeout": "loop.apart.log_timeout_s={}",
+    "--planner-memory": "loop.apart.memory_gb={}",
+    "--batch": "loop.apart.batch={}",
+    "--internals": "internals={}",
+    "--deadline": "deadline_s={}",
+    "--plant": "loop.plant.{}",
+    "--end-with-evidence": "loop.end_with_evidence=true",
+}
+"""Options of `replan evaluate`, and what `--set` takes in their place; {} is the option's value."""
+COMPARE = {"--no-partings": "--no-first-difference"}
+"""Options of `replan compare`, and their new names."""
+
+
+class EvaluateCommand(TyperCommand):
+    """`replan evaluate`, which also takes the options in `EVALUATE`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """The words with the old options replaced, parsed."""
+        left: list[str] = super().parse_args(ctx, list(replaced(args, EVALUATE)))
+        return left
+
+
+class CompareCommand(TyperCommand):
+    """`replan compare`, which also takes the options in `COMPARE`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """The words with the old options replaced, parsed."""
+        for old in COMPARE.keys() & set(args):
+            say(f"hint: {old} is now {COMPARE[old]}; the old option goes with the next version", err=True)
+        left: list[str] = super().parse_args(ctx, [COMPARE.get(word, word) for word in args])
+        return left
+
+
+def replaced(words: Sequence[str], table: Mapping[str, str]) -> Iterator[str]:
+    """The words of a command line in which the old options of a table are `--set KEY=VALUE`; hints go to stderr."""
+    left = iter(words)
+    for word in left:
+        option, equals, value = word.partition("=")
+        if option not in table:
+            yield word
+            if word == "--":
+                yield from left
+            continue
+        setting = table[option]
+        if "{}" in setting:
+            given: Any = value if equals else next(left, None)
+            if given is None:  # click says that there is no such option
+                yield word
+                return
+            setting = setting.format(given)
+        say(f"hint: {option} is now --set {setting}; the old option goes with the next version", err=True)
+        yield from ("--set", setting)

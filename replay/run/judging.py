@@ -1,0 +1,154 @@
+"""The end of a run: its logs judged by the gates, its tables and its summary written."""
+
+from __future__ import annotations
+
+import platform
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, replace
+from enum import Enum
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from metrics import COLUMNS, health
+from metrics.judge import Verdict, judge, outcomes
+from metrics.judge.aggregate import LogLabels, groups, standings
+from metrics.judge.gates import Gates, Outcome, load_gates
+from metrics.judge.verdicts import LATE, judge_deadline, with_asked, with_ensemble
+from replay.config import RunConfig
+from replay.results.load import Results, load
+from replay.results.log_result import HEALTH, MEMBERS, METRICS, TIMINGS, Failure, LogResult, table_of, timings_of
+from replay.results.tables import (
+    KEYS,
+    OUTCOMES,
+    joined,
+    read_timings,
+    write_json,
+    write_metrics,
+    write_parquet,
+    write_timings,
+)
+from replay.results.version import replan_version
+from replay.run.one_log import all_metrics
+from replay.run.sources import Selection
+
+
+def gates_of(run: RunConfig, path: Path | None) -> Gates:
+    """The thresholds in a file, or the packaged ones on what the run drives; ConfigError as `load_gates`."""
+    gates = load_gates(path, metrics=all_metrics(run))
+    return gates.asked_of(mode.value for mode in run.modes) if path is None else gates
+
+
+def judge_and_write(
+    out: Path,
+    run: RunConfig,
+    selection: Selection,
+    results: Sequence[LogResult],
+    gates: Gates,
+    failures: Sequence[Failure],
+    *,
+    resumed: int = 0,
+    shard: str = "",
+) -> Results:
+    """Judge the results of a run (those of a shard are not judged), and write its tables.
+
+    Args:
+        out: The result folder, where the folders of the logs are; the tables go there.
+        run: As it was driven.
+        selection: The logs.
+        results: Of each log, in the order of the selection.
+        gates: The thresholds.
+        failures: What could not be evaluated and is not about a log.
+        resumed: How many logs were taken from an interrupted run.
+        shard: Which part of a run it is; "": all of it.
+    """
+    results = _distinct(results)
+    table = joined([table_of(out, results, METRICS)], KEYS, COLUMNS).astype({"value": float, "time_s": float})
+    labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in results}
+    read = {log.name: labels[log.name] for log in results if log.digest}
+    members = joined([table_of(out, results, MEMBERS)], KEYS, COLUMNS)
+    table = with_asked(with_ensemble(table, members, gates, read), gates, read)
+    sorted_ = sorted((result for result in results if result.folder), key=lambda result: result.name)
+    write_timings(out / TIMINGS, (timings_of(out, result) for result in sorted_))
+    verdicts: tuple[Verdict, ...] = ()
+    errors = [failure for result in results for failure in result.failures]
+    if not shard:
+        unread = {result.name: "see the errors" for result in results if not result.digest}
+        crashed = {(one.log, one.planner, one.mode): one.message for one in errors if one.planner and one.mode}
+        verdicts = tuple(judge(gates, table, read, failed=unread, crashed=crashed))
+        if run.deadline_s > 0.0:
+            verdicts += tuple(judge_deadline(read_timings(out / TIMINGS), run.deadline_s, read))
+    errors = [*failures, *errors]
+    write_metrics(out, table)
+    found = table_of(out, results, HEALTH)
+    write_parquet(out / HEALTH, found if len(found) else health.table("", ()))
+    rows = outcomes([verdict for verdict in verdicts if verdict.gate.metric != LATE])
+    write_parquet(out / "verdicts.parquet", rows)
+    records = [asdict(drive) for result in results for drive in result.drives]
+    drives = pd.DataFrame(records, columns=["log", "planner", "mode", "oracle"])
+    stand = standings(rows, drives, list(labels), run.drives, [(one.log, one.planner, one.mode) for one in errors])
+    write_parquet(out / "groups.parquet", groups(table, stand, labels))
+    _write_summary(out, selection, results, verdicts, errors, shard)
+    return replace(load(out), resumed=resumed)
+
+
+def _write_summary(
+    out: Path, selection: Selection, results: Sequence[LogResult], verdicts: Sequence[Verdict],
+    errors: Sequence[Failure], shard: str,
+) -> None:  # fmt: skip
+    """summary.json; of a verdict without its rows by log, which are in verdicts.parquet; NaN is null."""
+    code = exit_code_of(errors, None if shard else [verdict.outcome for verdict in verdicts])
+    gates: list[dict[str, Any]] = []
+    for verdict in verdicts:
+        gates.append({"rule": str(verdict.gate)})
+        for key, value in asdict(verdict).items():
+            if key != "logs":
+                plain = value.value if isinstance(value, Enum) else value
+                gates[-1][key] = None if isinstance(plain, float) and not isfinite(plain) else plain
+    summary = {
+        "replan": replan_version(),
+        "python": platform.python_version(),
+        **({"shard": shard} if shard else {}),
+        "outcome": "not judged" if shard and code == 0 else OUTCOMES[code],
+        "exit_code": code,
+        "logs_left_out": list(selection.dropped),
+        "logs": [log.record() for log in results],
+        "gates": gates,
+        "failures": [asdict(failure) for failure in errors],
+    }
+    write_json(out / "summary.json", summary)
+
+
+def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None) -> int:
+    """Exit code of a run: 0 pass, 1 a gate failed, 2 configuration, 3 not all could be evaluated, 4 inconclusive.
+
+    Args:
+        failures: What could not be evaluated.
+        outcomes: Of the gates; None: the run is not judged, and 0 means that it is done.
+    """
+    codes = {failure.exit_code for failure in failures}
+    if codes:
+        return 2 if 2 in codes else 3
+    if outcomes is None:
+        return 0
+    asked = set(outcomes) - {Outcome.NOT_ASKED}
+    if Outcome.FAIL in asked:
+        return 1
+    return 4 if Outcome.INCONCLUSIVE in asked or not asked else 0
+
+
+def _distinct(results: Sequence[LogResult]) -> tuple[LogResult, ...]:
+    """The results with different names: logs that share one get the hash of their content behind it."""
+    names, distinct = Counter(result.name for result in results), []
+    for result in results:
+        if names[result.name] > 1 and result.digest:
+            name = f"{result.name}@{result.digest[:8]}"
+            drives = tuple(replace(drive, log=name) for drive in result.drives)
+            failures = tuple(replace(failure, log=name) for failure in result.failures)
+            distinct.append(replace(result, name=name, drives=drives, failures=failures))
+        else:
+            distinct.append(result)
+    return tuple(distinct)

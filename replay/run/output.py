@@ -1,0 +1,327 @@
+"""Where a run writes its results: a folder that it holds alone, or a URL; and where its logs were.
+
+A folder is locked by the operating system's lock on the file `.lock` in it: it ends with the process however that ends,
+holds between containers that share a folder, and on network file systems between machines. Where a file system has no
+locks, the file itself is one: that of a process of this machine that has ended is taken over, that of another machine
+is not.
+
+A result folder at a URL is a folder of this machine while the run lasts, from which each log's folder is sent. What is
+there at any time is what an interrupted run would have left: `run.toml`, and the folders of the logs that are finished,
+each with its card `log.json` written last; a folder without card is not whole and is not taken. Tables and reports
+follow at the end. `--resume` fetches what is there first. What an earlier run left there is removed as the first log
+is sent: a run that cannot begin (a name is wrong, a log is not there) removes nothing. The object `.lock` is written
+only where there is none, which S3 (conditional writes) and Google's store do in one step. No object store ends a lock
+with its holder: that of a process of this machine that has ended is taken over, that of another machine is named, and
+removed by hand.
+
+`origin.json` says in which directory a run was started. Logs are named as they were given, mostly relative to that
+directory. It is kept as seen from the results, for those that are moved together with their logs, and as it was
+called, for those that are moved without.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import socket
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from logs.errors import ConfigError, ReplanError, writing
+from logs.files import content, fetch, listed, local_path, put, put_new, remove, url_of
+from logs.mcap import read_scenario
+from logs.readers import LogSettings
+from logs.scenario import Scenario
+from replay.results.log_result import LogResult
+from replay.results.tables import FILES, LOCK, LOG_CARD, ORIGIN, PARTIAL, write_json
+from replay.run.sources import LogSource, log_hash, select
+
+_NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
+_CARD_BYTES = 4096
+_FAR = 1 << 30
+"""Windows locks bytes, and none may read them: this one is behind all that is written."""
+
+
+@contextmanager
+def held(out: Path) -> Iterator[None]:
+    """Hold the folder, which is made where it is not there; nothing of the lock stays behind.
+
+    Raises:
+        ConfigError: Another run holds it (says which, where and since when), or it cannot be made or written to.
+    """
+    made, path = not out.exists(), out / LOCK
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        handle = _lock(path)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
+    try:
+        with writing(path):
+            os.ftruncate(handle, 0)
+            os.lseek(handle, 0, os.SEEK_SET)
+            os.write(handle, lock_card())
+        yield
+    finally:
+        if sys.platform == "win32":  # has no file removed that is open
+            os.close(handle)
+            path.unlink(missing_ok=True)
+        else:
+            path.unlink(missing_ok=True)
+            os.close(handle)
+        if made:
+            with suppress(OSError):  # there is something in it, as there should be
+                out.rmdir()
+
+
+def _lock(path: Path) -> int:
+    """The lock's file, open and locked; ConfigError where another run has it."""
+    while True:
+        try:
+            handle, is_new = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), True
+        except FileExistsError:
+            handle, is_new = os.open(path, os.O_RDWR | os.O_CREAT, 0o666), False
+        locked = _locked(handle)
+        os.lseek(handle, 0, os.SEEK_SET)
+        try:
+            card: dict[str, Any] = dict(json.loads(os.read(handle, _CARD_BYTES)))
+        except ValueError:  # its holder has not written it yet
+            card = {}
+        if not (locked or (locked is None and (is_new or has_ended(card)))):
+            os.close(handle)
+            wait = "wait for it, or give --out another folder"
+            if not card:
+                raise ConfigError(f"{path.parent}: another run writes into it just now; {wait}")
+            who = f"process {card['pid']} on {card['host']} since {card['since']}"
+            raise ConfigError(f"{path.parent}: another run writes into it ({who}); {wait}; if it has ended: rm {path}")
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(handle), path.stat()):
+                return handle
+        os.close(handle)  # its holder removed it between our opening and our locking
+
+
+def _locked(handle: int) -> bool | None:
+    """Lock the file; False: another has it; None: the file system has no locks."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            os.lseek(handle, _FAR, os.SEEK_SET)
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+            os.lseek(handle, 0, os.SEEK_SET)
+        else:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return None if error.errno in _NO_LOCKS else False
+    return True
+
+
+def lock_card() -> bytes:
+    """Who holds it, for people and for a file system without locks."""
+    since = datetime.now(UTC).isoformat(timespec="seconds")
+    card = {"pid": os.getpid(), "host": socket.gethostname(), "since": since, "started": _started(os.getpid())}
+    return json.dumps(card).encode()
+
+
+def has_ended(card: dict[str, Any]) -> bool:
+    """Whether the holder was a process of this machine, and is no more."""
+    if card.get("host") != socket.gethostname():
+        return False
+    try:
+        os.kill(card["pid"], 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        return False
+    return bool(card["started"] != _started(card["pid"]))
+
+
+def _started(pid: int) -> str:
+    """When a process was started, in the system's ticks: another process of its number has another; "": not known."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
+    except (OSError, IndexError):
+        return ""
+
+
+@dataclass
+class OutputLocation:
+    """Where the results of a run are written.
+
+    Attributes:
+        folder: On this machine; None: the next free one.
+        url: Where it goes from there; "": nowhere.
+        there: When each file was written that is at the URL and need not go there again unless it is written anew.
+        old: What is at the URL and goes before anything is sent.
+    """
+
+    folder: Path | None
+    url: str = ""
+    there: dict[str, int] = field(default_factory=dict)
+    old: list[str] = field(default_factory=list)
+
+    def check_outside(self, sources: Sequence[LogSource]) -> None:
+        """ConfigError where the URL holds a log that is to be driven: it would be removed."""
+        urls = [file.url for source in sources for file in source.remote]
+        inside = [url for url in urls if self.url and url.startswith(f"{self.url}/")]
+        if inside:
+            where = f"lies in the results {self.url}, which are replaced"
+            raise ConfigError(f"{inside[0]}: {where}; give --out another place")
+
+    def keep(self, result: LogResult) -> None:
+        """Send a log's folder, and before the first `run.toml`; OutputError."""
+        if self.url and self.folder is not None and result.folder:
+            files = sorted((self.folder / result.folder).iterdir(), key=lambda path: (path.name == LOG_CARD, path.name))
+            self._send([self.folder / "run.toml", *files])
+
+    def finish(self) -> None:
+        """Send all that is not there yet; OutputError."""
+        if self.url and self.folder is not None:
+            files = (path for path in sorted(self.folder.rglob("*")) if path.is_file() and path.name != LOCK)
+            self._send([path for path in files if not path.relative_to(self.folder).parts[0].startswith(PARTIAL)])
+
+    def _send(self, files: Sequence[Path]) -> None:
+        assert self.folder is not None
+        remove(self.old)
+        self.old = []
+        for path in files:
+            name, written = path.relative_to(self.folder).as_posix(), path.stat().st_mtime_ns
+            if self.there.get(name) != written:
+                put(path, f"{self.url}/{name}")
+                self.there[name] = written
+
+
+@contextmanager
+def output_location(out: Path | str | None, *, resume: bool = False) -> Iterator[OutputLocation]:
+    """A place for a run's results; at a URL it is held, and what is there is fetched (`resume`) or replaced.
+
+    Raises:
+        ConfigError: Another run writes there, it holds something else than results, or it cannot be written.
+        OutputError: The connection is lost; finished logs are there for `resume`.
+    """
+    url = "" if out is None else url_of(out)
+    if not url:
+        yield OutputLocation(None if out is None else local_path(out))
+        return
+    lock = f"{url}/{LOCK}"
+    while not put_new(lock_card(), lock):
+        try:
+            holder = dict(json.loads(content(lock)))
+        except ValueError:
+            holder = {}
+        if not has_ended(holder):
+            who = f"process {holder.get('pid')} on {holder.get('host')} since {holder.get('since')}"
+            remedy = f"wait for it, or give --out another place; if it has ended, remove {lock}"
+            raise ConfigError(f"{url}: another run writes into it ({who}); {remedy}")
+        remove([lock])
+    try:
+        with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
+            folder = Path(scratch, "results")
+            place = _open_url(url, folder, resume=resume)
+            try:
+                yield place
+                place.finish()
+            except (ReplanError, KeyboardInterrupt) as error:
+                raise type(error)(str(error).replace(str(folder), url)) from error
+    finally:
+        remove([lock])
+
+
+def _open_url(url: str, folder: Path, *, resume: bool) -> OutputLocation:
+    """The location, with what stays of the results that are there."""
+    files = [file for file in listed(url) if file.name != LOCK]
+    cards = {file.name.partition("/")[0] for file in files if file.name.endswith(f"/{LOG_CARD}")}
+    logs = [file for file in files if "/" in file.name]
+    foreign = [file for file in files if "/" not in file.name and file.name not in FILES]
+    if not any(file.name == "run.toml" for file in files):
+        foreign += files
+    if foreign:
+        raise ConfigError(f"{url}: contains {foreign[0].name}, not a replan result; give --out a new or empty place")
+    whole = [file for file in logs if file.name.partition("/")[0] in cards] if resume else []
+    kept = [*whole, *(file for file in files if resume and file.name == "run.toml")]
+    if kept:
+        folder.mkdir()
+        fetch(kept, folder)
+    there = {file.name: (folder / file.name).stat().st_mtime_ns for file in kept}
+    # removed first are the cards, so that no folder looks whole that is not, and last run.toml, which says whose it is
+    order = sorted(files, key=lambda file: (file.name == "run.toml", not file.name.endswith(LOG_CARD), file.name))
+    return OutputLocation(folder, url, there, [file.url for file in order if file not in kept])
+
+
+def write_origin(out: Path, begun: Path | None = None) -> None:
+    """Note beside the results where they were begun (None: in the working directory); OutputError."""
+    here = begun or Path.cwd()
+    try:
+        seen = Path(os.path.relpath(here, out.resolve())).as_posix()
+    except ValueError:  # on another drive of Windows
+        seen = ""
+    write_json(out / ORIGIN, {"directory": str(here), "from_results": seen})
+
+
+def begun_in(out: Path, sources: Iterable[str]) -> Path:
+    """Where results were begun: the first place from which one of their logs is seen, else the working directory."""
+    logs = [local_path(source) for source in sources if not url_of(source)]
+    seen = (place for place in _directories(out) if any((place / log).exists() for log in logs))
+    return Path(os.path.normpath(next(seen, Path.cwd())))
+
+
+def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Scenario:
+    """The log of a row of `Results.logs`: the copy in the results where there is one, else from where it was read.
+
+    Raises:
+        ConfigError: It is not where it was, or another.
+        LogError: It cannot be read.
+    """
+    folder = str(row.get("folder", ""))
+    if folder and (out / folder / "log.mcap").is_file():
+        return read_scenario(out / folder / "log.mcap")
+    if not str(row["sha256"]):
+        return LogSource(str(row["source"])).read()
+    return log_of(out, str(row["source"]), str(row["sha256"]), settings)
+
+
+def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenario:
+    """The log that a run read, from where it was read.
+
+    Args:
+        out: The result folder.
+        source: The log's path or URL as it was given.
+        digest: SHA-256 of its bytes.
+        settings: How it is read.
+
+    Raises:
+        ConfigError: It is not where it was, or another.
+        LogError: It cannot be read.
+    """
+    if url_of(source):
+        found = select([source], settings).sources[0]
+    else:
+        places = list(dict.fromkeys(Path(os.path.normpath(place / local_path(source))) for place in _directories(out)))
+        there = [LogSource(str(place), place, settings) for place in places if place.exists()]
+        if not there:
+            where = " nor at ".join(map(str, places))
+            raise ConfigError(f"{source}: the log of these results is not at {where}; put it back there")
+        found = next((one for one in there if one.path and log_hash(one.path, settings) == digest), there[0])
+    with found.fetched() as near:
+        assert near.path is not None
+        if log_hash(near.path, settings) != digest:
+            raise ConfigError(f"{found.label}: is not the log of these results any more, its bytes are others")
+        return near.read()
+
+
+def _directories(out: Path) -> list[Path]:
+    """Where the paths of a run may begin, in the order in which they are tried."""
+    try:
+        card = json.loads((out / ORIGIN).read_text(encoding="utf-8"))
+        seen, called = str(card["from_results"]), Path(card["directory"])
+    except (OSError, ValueError, KeyError, TypeError):  # results of an older replan
+        return [Path.cwd()]
+    return [*([out.resolve() / seen] if seen else []), called, Path.cwd()]

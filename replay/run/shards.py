@@ -1,0 +1,274 @@
+"""A run in parts, on as many machines: shard i of n drives every n-th log, `merge` makes the tables of all of them.
+
+The i-th of n shards (from 1) has the logs i, i + n, i + 2n, ... of the selection. The logs of a folder are in the order
+of their names and those of a suite with its families mixed, so that logs of one kind, which take about as long, are
+dealt out evenly; and a log's shard depends on nothing but its place.
+
+A shard measures and does not judge: a gate's outcome on a part (a mean, a share, missing logs) need not hold for all.
+Its folder also holds `shard.json`: the number of the shard, all logs of the run, the gates, and the failures of logs
+without a folder. The tables of all shards are made from the folders of the logs, as by `--resume`: they are those of
+the run that drives all logs itself, byte for byte. What cannot be the same is a clock: `timings.parquet`, and what is
+judged by it (`deadline_s`).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from logs.errors import ConfigError, writing
+from logs.files import read_toml
+from logs.names import counted
+from replay.config import RunConfig, load_run
+from replay.planner_process.planner_config import planner_factory
+from replay.results.load import Results
+from replay.results.log_result import Failure, LogResult, Stamp, load_result
+from replay.results.schema import SCHEMA_VERSION
+from replay.results.tables import PARTIAL, SHARD_CARD, claim, write_json, write_text
+from replay.run.judging import gates_of, judge_and_write
+from replay.run.output import begun_in, held, write_origin
+from replay.run.resume import changes, identity_of, stamp_of
+from replay.run.sources import LogSource, Selection
+
+
+@dataclass(frozen=True)
+class Shard:
+    """A part of a run.
+
+    Attributes:
+        number: Which, from 1.
+        of: How many there are.
+    """
+
+    number: int
+    of: int
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.number <= self.of:
+            raise ConfigError(f"shard {self}: write it as I/N with I from 1 to N, for example 2/5")
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.of}"
+
+    @classmethod
+    def parsed(cls, text: str) -> Shard:
+        """The shard that "2/5" means; ConfigError where it means none."""
+        number, _, of = text.partition("/")
+        if not (number.isdecimal() and of.isdecimal()):
+            raise ConfigError(f"shard {text!r}: write it as I/N with I from 1 to N, for example 2/5")
+        return cls(int(number), int(of))
+
+    def places(self, count: int) -> range:
+        """Which of `count` logs it has, from 0."""
+        return range(self.number - 1, count, self.of)
+
+    def part(self, selection: Selection) -> Selection:
+        """Its logs; none where there are fewer logs than shards."""
+        return replace(selection, sources=selection.sources[self.number - 1 :: self.of])
+
+
+def write_card(
+    out: Path, shard: Shard, whole: Selection, run: RunConfig, stamp: Stamp,
+    failures: Iterable[Failure], results: Iterable[LogResult],
+) -> None:  # fmt: skip
+    """Write `shard.json` into a shard's folder: it is whole now.
+
+    Args:
+        out: The folder.
+        shard: Which it is.
+        whole: The logs of all shards.
+        run: As it was driven.
+        stamp: What it depends on beside.
+        failures: What is about no log.
+        results: In the order of the shard's logs, under the names that they have in their own folders.
+    """
+    card: dict[str, Any] = {
+        **asdict(shard),
+        "inputs": [identity_of(source) for source in whole.sources],
+        "logs_left_out": list(whole.dropped),
+        "gates": None if run.gates_path is None else run.gates_path.read_text(encoding="utf-8"),
+        **asdict(stamp),
+        "failures": [asdict(failure) for failure in failures],
+        "logs": [],
+    }
+    for result in results:
+        log: dict[str, Any] = {"source": result.source, "folder": result.folder}
+        if not result.folder:
+            log |= {"log": result.name, "failures": [asdict(failure) for failure in result.failures]}
+        card["logs"].append(log)
+    write_json(out / SHARD_CARD, card)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A shard's folder, read.
+
+    Attributes:
+        folder: Where it is.
+        shard: Which it is.
+        inputs: Of all logs of the run: what tells them from every other (`LogSource.identity`).
+        dropped: Why logs were left out of the selection.
+        gates: The text of the thresholds; None: the packaged ones.
+        stamp: Version and code of replan and of the user's planners and metrics.
+        failures: What is about no log.
+        results: What came of its logs, in their order.
+    """
+
+    folder: Path
+    shard: Shard
+    inputs: tuple[str, ...]
+    dropped: tuple[str, ...]
+    gates: str | None
+    stamp: Stamp
+    failures: tuple[Failure, ...]
+    results: tuple[LogResult, ...]
+
+
+def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
+    """Judge the logs of all shards together and write one result folder.
+
+    Args:
+        folders: Of all shards of a run (`evaluate_logs(shard=...)`), in any order.
+        out: Result folder: new, empty, or results of an earlier run, which are replaced.
+
+    Raises:
+        ConfigError: A folder is no whole shard; they are of different runs (logs, configuration, gates, version, code),
+            or of another version or code than there is now; one is there twice or missing; `out` is not ours to write,
+            or in use.
+        OutputError: The disk is full.
+    """
+    found, out = _read_parts([Path(folder) for folder in folders]), Path(out)
+    for part in found:
+        theirs, ours = part.folder.resolve(), out.resolve()
+        if theirs.is_relative_to(ours) or ours.is_relative_to(theirs):
+            raise ConfigError(f"{out}: the shard {part.folder} lies there; give -o another folder")
+    text = (found[0].folder / "run.toml").read_text(encoding="utf-8")
+    run = replace(load_run(found[0].folder / "run.toml"), gates=str(read_toml(found[0].folder / "run.toml")["gates"]))
+    with gates_in(found[0].folder) as path:
+        gates = gates_of(run, path)
+    with held(out):
+        claim(out)
+        write_text(out / "run.toml", text)
+        write_origin(out, begun_in(found[0].folder, (result.source for result in found[0].results)))
+        placed: dict[int, LogResult] = {}
+        for part in found:
+            placed.update(zip(part.shard.places(len(part.inputs)), part.results, strict=True))
+            for folder in (result.folder for result in part.results if result.folder):
+                partial = out / f"{PARTIAL}{folder}"
+                try:
+                    with writing(out / folder):
+                        shutil.copytree(part.folder / folder, partial, copy_function=_link_or_copy)
+                        partial.rename(out / folder)
+                finally:
+                    shutil.rmtree(partial, ignore_errors=True)
+        results = tuple(placed[place] for place in range(len(placed)))
+        sources = tuple(LogSource(result.source) for result in results)  # by label alone: no log is read any more
+        return judge_and_write(out, run, Selection(sources, found[0].dropped), results, gates, found[0].failures)
+
+
+@contextmanager
+def gates_in(shard: Path) -> Iterator[Path | None]:
+    """The thresholds of a shard as a file, for a while; None: the packaged ones. ConfigError: it is no whole shard."""
+    text = _card(shard)["gates"]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "gates.toml"
+        path.write_text(text or "", encoding="utf-8")
+        yield None if text is None else path
+
+
+def _read_parts(folders: Sequence[Path]) -> tuple[Part, ...]:
+    """The shards in these folders, by number: all of one run, each once, of what replan is now; else ConfigError."""
+    if not folders:
+        raise ConfigError("name the folders of all shards: replan merge SHARD1 SHARD2 ... -o OUT")
+    found = sorted((_read_part(folder) for folder in folders), key=lambda one: (one.shard.number, str(one.folder)))
+    one = found[0]
+    for other in found[1:]:
+        both = f"{one.folder} and {other.folder} are not of one run"
+        if one.shard.of != other.shard.of:
+            raise ConfigError(f"{both}: shard {one.shard} and shard {other.shard}")
+        if one.inputs != other.inputs:
+            mine, theirs = Counter(one.inputs), Counter(other.inputs)
+            differing = [*(mine - theirs), *(theirs - mine)] or ["their order"]
+            counts = f"{len(one.inputs)} and {counted(len(other.inputs), 'log')}"
+            raise ConfigError(f"{both}: {counts}; they differ in {differing[0]}")
+        if one.stamp != other.stamp:
+            raise ConfigError(f"{both}: driven with {_describe(one.stamp)} and with {_describe(other.stamp)}")
+        changed = changes(read_toml(one.folder / "run.toml"), read_toml(other.folder / "run.toml"))
+        if changed:
+            raise ConfigError(f"{both}: {changed}")
+        if one.gates != other.gates:
+            raise ConfigError(f"{both}: their gates are not the same")
+    of, numbers = one.shard.of, Counter(part.shard.number for part in found)
+    twice = [part for part in found if numbers[part.shard.number] > 1]
+    if twice:
+        raise ConfigError(f"{twice[0].folder} and {twice[1].folder} are both shard {twice[0].shard}")
+    missing = [str(Shard(number, of)) for number in range(1, of + 1) if number not in numbers]
+    if missing:
+        raise ConfigError(f"shards are missing: {', '.join(missing)}; given are {len(found)} of {of}")
+    run = load_run(one.folder / "run.toml")
+    for planner in run.planners:
+        planner_factory(planner)  # says what is not installed
+    now = stamp_of(run)
+    if now != one.stamp:
+        raise ConfigError(f"{one.folder}: was driven with {_describe(one.stamp)}, this is {_describe(now)}")
+    return tuple(found)
+
+
+def _card(folder: Path) -> Mapping[str, Any]:
+    """What `shard.json` says; ConfigError where it is not there or of another version."""
+    try:
+        card: Mapping[str, Any] = json.loads((folder / SHARD_CARD).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        hint = "it was evaluated without --shard, or interrupted: `--resume` finishes it"
+        raise ConfigError(f"{folder}: is no whole shard: no {SHARD_CARD} in it; {hint}") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{folder / SHARD_CARD}: cannot be read: {error}") from None
+    if card.get("schema_version") != SCHEMA_VERSION:
+        was = card.get("schema_version")
+        raise ConfigError(f"{folder}: its tables are of version {was}, this replan reads {SCHEMA_VERSION}")
+    return card
+
+
+def _read_part(folder: Path) -> Part:
+    card, results = _card(folder), list[LogResult]()
+    for log in card["logs"]:
+        if not log["folder"]:
+            failures = tuple(Failure(**failure) for failure in log["failures"])
+            results.append(LogResult(log["source"], log["log"], failures=failures))
+            continue
+        content = load_result(folder / log["folder"])
+        if content is None:
+            raise ConfigError(
+                f"{folder}: the folder {log['folder']} in it is not there or not whole; copy the shard again"
+            )
+        results.append(replace(content[0], source=log["source"]))
+    return Part(
+        folder,
+        Shard(card["number"], card["of"]),
+        tuple(card["inputs"]),
+        tuple(card["logs_left_out"]),
+        card["gates"],
+        Stamp(card["replan"], card["code"]),
+        tuple(Failure(**failure) for failure in card["failures"]),
+        tuple(results),
+    )
+
+
+def _describe(stamp: Stamp) -> str:
+    return f"replan {stamp.replan}, code {stamp.code[:8]}"
+
+
+def _link_or_copy(source: str, target: str) -> str:
+    """A hard link where the file system has them: no file of a log's folder is ever written again."""
+    with suppress(OSError):
+        os.link(source, target)
+        return target
+    return str(shutil.copy2(source, target))

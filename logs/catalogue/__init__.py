@@ -36,13 +36,7 @@ CATALOGUE: dict[str, Family] = {
 """The families that the built-in suite has, by name, in the order in which they are listed."""
 FAMILIES: dict[str, Family] = CATALOGUE | {
     family.name: family
-    for family in (
-        *euro_ncap.FAMILIES,
-        *unece_r157.FAMILIES,
-        *iso3888.FAMILIES,
-        *faults.FAMILIES,
-        *raw.FAMILIES,
-    )
+    for family in (*euro_ncap.FAMILIES, *unece_r157.FAMILIES, *iso3888.FAMILIES, *faults.FAMILIES, *raw.FAMILIES)
 }
 """Those and the ones with published grids."""
 FAMILY: Kind[Family] = Kind("family", "families", FAMILIES, an_instance(Family, "replan.Family"))

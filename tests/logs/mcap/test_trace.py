@@ -58,10 +58,7 @@ def drive() -> Trace:
         SlGraph(grid, corridor, line, line, (obstacle,)),
         StGraph(None, None, line, line, ()),
     )
-    plans = (
-        Plan(ego.between(0.0, 0.1)),
-        Plan(ego, PlanStatus.HARD_STOP, "no way", PlanStart.PREVIOUS_PLAN, internals),
-    )
+    plans = (Plan(ego.between(0.0, 0.1)), Plan(ego, PlanStatus.HARD_STOP, "no way", PlanStart.PREVIOUS_PLAN, internals))
     half = np.full(len(t), 0.5)
     return Trace(
         scenario.name, "dp_qp", Mode.CLOSED, False, ego, scenario.tracks,

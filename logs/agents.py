@@ -193,12 +193,12 @@ class Detections:
         return replace(self.taken((self.t >= first) & (self.t <= last)), frames=frames)
 
     def shifted(self, seconds: float) -> Detections:
-        """Those, so much later."""
+        """The same boxes and frames, `seconds` later."""
         return replace(self, t=self.t + seconds, frames=self.frames + seconds)
 
     @cached_property
     def tracked(self) -> Tracked:
-        """The road users as they could be known at each time; made when it is first asked for."""
+        """The road users as they could be known at each time; made at the first use."""
         from logs.repair.tracker import tracked
 
         return tracked(self)

@@ -71,7 +71,7 @@ def array_of(kind: Any, value: Any) -> Any:
 
 
 def message_of(kind: Callable[..., M], noun: Any, **given: Any) -> M:
-    """The message of a noun; fields that are `given` are taken instead of the noun's."""
+    """The message of a noun; `given` fields replace those of the noun."""
     values = given
     for name, source, convert in _writers(kind, noun.__class__):
         if name not in given:
@@ -81,7 +81,7 @@ def message_of(kind: Callable[..., M], noun: Any, **given: Any) -> M:
 
 
 def noun_of(kind: Callable[..., N], message: Any, **given: Any) -> N:
-    """The noun of a message; fields that are `given` are taken instead of the message's.
+    """The noun of a message; `given` fields replace those of the message.
 
     Raises:
         ValueError: Columns do not fit each other, or the noun refuses them.

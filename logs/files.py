@@ -138,7 +138,7 @@ def listed(url: str) -> tuple[RemoteFile, ...]:
     Raises:
         ConfigError: The URL cannot be listed.
     """
-    with _asked(url, ConfigError):
+    with _errors_as(url, ConfigError):
         system, path = _system(url)
         system.invalidate_cache()
         found: dict[str, Any] = system.find(path, detail=True)
@@ -157,7 +157,7 @@ def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
     """The first bytes of files, fetched together; ConfigError where one cannot be."""
     if not files:
         return []
-    with _asked(files[0].url, ConfigError):
+    with _errors_as(files[0].url, ConfigError):
         system = _system(files[0].url)[0]
         ends = [min(size, file.size) for file in files]
         found: list[bytes | Exception] = system.cat_ranges(
@@ -165,7 +165,7 @@ def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
         )
     out = []
     for file, head in zip(files, found, strict=True):
-        with _asked(file.url, ConfigError):
+        with _errors_as(file.url, ConfigError):
             if isinstance(head, Exception):
                 raise head
             out.append(head)
@@ -185,7 +185,7 @@ def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
     for file in files:
         target = folder / file.name
         target.parent.mkdir(parents=True, exist_ok=True)
-        with _asked(file.url, LogError):
+        with _errors_as(file.url, LogError):
             system, path = _system(file.url)
             system.get_file(path, str(target))
         if target.stat().st_size != file.size:
@@ -196,7 +196,7 @@ def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
     """A function that returns the bytes of a file from one offset up to another; it raises LogError where it fails."""
 
     def fetched(begin: int, end: int) -> bytes:
-        with _asked(file.url, LogError):
+        with _errors_as(file.url, LogError):
             system, path = _system(file.url)
             found: bytes = system.cat_file(path, start=begin, end=end)
             return found
@@ -206,14 +206,14 @@ def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
 
 def put(content: Path, url: str) -> None:
     """Copy a local file to a URL; OutputError where it cannot be written."""
-    with _asked(url, OutputError):
+    with _errors_as(url, OutputError):
         system, path = _system(url)
         system.put_file(str(content), path)
 
 
 def put_new(content: bytes, url: str) -> bool:
     """Write bytes to a URL unless a file exists there; returns whether it wrote. ConfigError: it cannot write there."""
-    with _asked(url, ConfigError):
+    with _errors_as(url, ConfigError):
         system, path = _system(url)
         try:
             system.pipe_file(path, content, mode="create")
@@ -224,7 +224,7 @@ def put_new(content: bytes, url: str) -> bool:
 
 def content(url: str) -> bytes:
     """The content of the file at a URL; ConfigError where it cannot be read."""
-    with _asked(url, ConfigError):
+    with _errors_as(url, ConfigError):
         system, path = _system(url)
         found: bytes = system.cat_file(path)
         return found
@@ -233,7 +233,7 @@ def content(url: str) -> bytes:
 def remove(urls: Sequence[str]) -> None:
     """Remove files; OutputError where one cannot be removed."""
     for url in urls:
-        with _asked(url, OutputError):
+        with _errors_as(url, OutputError):
             system, path = _system(url)
             system.rm_file(path)
 
@@ -299,7 +299,7 @@ def _system(url: str) -> tuple[Any, str]:
 
 
 @contextmanager
-def _asked(url: str, kind: type[ReplanError]) -> Iterator[None]:
+def _errors_as(url: str, kind: type[ReplanError]) -> Iterator[None]:
     """Turn any error of a file system's library into one line of kind `kind`."""
     try:
         yield

@@ -104,7 +104,7 @@ class Frame:
         ego: State at the rear axle.
         agents: As perceived: no sample later than `t` went into them.
         predictions: Their assumed futures.
-        previous: The plan being driven now; None in open loop and at the start. A planner given None must not use
+        previous: The plan being driven now; None in open loop and at the start. A planner that gets None must not use
             anything it remembers (solver warm starts included).
         visibility: What the sensor can see; None: everything (perception by ground truth).
         lights: What each traffic light of the road shows now, by its id.
@@ -120,7 +120,7 @@ class Frame:
 
 
 PLAN_HORIZON_S = 3.0
-"""Plans have to reach so far: nuPlan's and NAVSIM's shortest horizons are 3 and 4 s."""
+"""How far plans have to reach, s: nuPlan's and NAVSIM's shortest horizons are 3 and 4 s."""
 
 
 def _no_clock(stage: str) -> None:

@@ -53,13 +53,13 @@ def stamp(kernel: Any) -> str:
 
 def _parts(function: FunctionType, seen: set[Any]) -> Iterator[str]:
     """A function's code, and what its global names stand for; kernels in `seen` are left out, and added to it."""
-    yield f"{function.__module__}.{function.__qualname__} {_spelled(function.__defaults__)}"  # it is loaded from there
-    yield from (_spelled(each) for each in _hinted(function.__annotations__, function.__globals__))
+    yield f"{function.__module__}.{function.__qualname__} {_as_text(function.__defaults__)}"  # it is loaded from there
+    yield from (_as_text(each) for each in _hinted_classes(function.__annotations__, function.__globals__))
     for code in _codes(function.__code__):
-        yield f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {[_spelled(c) for c in code.co_consts]}"
-        for value in _named(code, function.__globals__):
+        yield f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {[_as_text(c) for c in code.co_consts]}"
+        for value in _globals_of(code, function.__globals__):
             if not isinstance(value, Dispatcher):
-                yield _spelled(value)
+                yield _as_text(value)
             elif value not in seen:
                 seen.add(value)
                 yield from _parts(value.py_func, seen)
@@ -73,7 +73,7 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
             yield from _codes(each)
 
 
-def _named(code: CodeType, names: dict[str, Any]) -> Iterator[Any]:
+def _globals_of(code: CodeType, names: dict[str, Any]) -> Iterator[Any]:
     """What the global names of a code stand for, and attributes of modules of ours."""
     found = [names[name] for name in code.co_names if name in names]
     yield from found
@@ -82,7 +82,7 @@ def _named(code: CodeType, names: dict[str, Any]) -> Iterator[Any]:
             yield from (vars(module)[name] for name in code.co_names if name in vars(module))
 
 
-def _hinted(hints: dict[str, Any], names: dict[str, Any]) -> Iterator[type]:
+def _hinted_classes(hints: dict[str, Any], names: dict[str, Any]) -> Iterator[type]:
     """The classes that annotations name: a kernel's machine code has the places of their fields."""
     for hint in hints.values():
         text = getattr(hint, "__forward_arg__", hint)
@@ -90,32 +90,32 @@ def _hinted(hints: dict[str, Any], names: dict[str, Any]) -> Iterator[type]:
         yield from (each for each in found if isinstance(each, type))
 
 
-def _spelled(value: Any) -> str:
+def _as_text(value: Any) -> str:
     """A value in words that change where it does, and are the same in every process."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, frozenset):
-        return f"frozenset {sorted(map(_spelled, value))}"
+        return f"frozenset {sorted(map(_as_text, value))}"
     if isinstance(value, tuple):
-        return f"{getattr(value, '_fields', '')}({', '.join(map(_spelled, value))})"
+        return f"{getattr(value, '_fields', '')}({', '.join(map(_as_text, value))})"
     if isinstance(value, Enum):  # also of whole numbers
         return f"{type(value).__qualname__}.{value.name} {value.value!r}"
     if isinstance(value, type):
-        return f"{value.__module__}.{value.__qualname__} {_held(value)}"
+        return f"{value.__module__}.{value.__qualname__} {_class_as_text(value)}"
     if value is None or isinstance(value, bool | int | float | complex | str | bytes):
         return repr(value)
     return f"{type(value).__qualname__} {getattr(value, '__name__', '')}"
 
 
-def _held(cls: type) -> str:
+def _class_as_text(cls: type) -> str:
     """What a class of constants or a named tuple holds, in words; "": it is another."""
     if issubclass(cls, Enum):
-        return str([_spelled(member) for member in cls])
+        return str([_as_text(member) for member in cls])
     fields = getattr(cls, "_fields", None)
     if fields is None:
         return ""
-    within = _hinted(getattr(cls, "__annotations__", {}), vars(sys.modules[cls.__module__]))
-    return f"{fields} {_spelled(tuple(cls._field_defaults.values()))} {[*map(_spelled, within)]}"  # type: ignore[attr-defined]
+    within = _hinted_classes(getattr(cls, "__annotations__", {}), vars(sys.modules[cls.__module__]))
+    return f"{fields} {_as_text(tuple(cls._field_defaults.values()))} {[*map(_as_text, within)]}"  # type: ignore[attr-defined]
 
 
 class KernelIndex(IndexDataCacheFile):
@@ -213,7 +213,7 @@ if (
     _CONFIG.CPU_NAME, _CONFIG.CPU_FEATURES = PORTABLE, ""
 
 
-class _Brought(caching.InTreeCacheLocator):
+class _ShippedLocator(caching.InTreeCacheLocator):
     """Beside the source, to be read: the last of all places, where none can be written and a wheel brought kernels."""
 
     def ensure_cache_path(self) -> None:
@@ -240,7 +240,7 @@ def _compiled(function: Callable[P, R], **unlisted: Any) -> Callable[P, R]:
     try:
         compiled = njit(cache=True, **options)(function)
     except RuntimeError:  # no folder for it that can be written
-        say_not_kept()
+        warn_not_kept()
         return cast("Callable[P, R]", njit(**options)(function))
     store = getattr(compiled, "_cache", None)  # not there with NUMBA_DISABLE_JIT
     if store is not None:
@@ -250,7 +250,7 @@ def _compiled(function: Callable[P, R], **unlisted: Any) -> Callable[P, R]:
             try:
                 save(*arguments)
             except OSError:  # a full disk costs another compilation, and not the drive
-                say_not_kept()
+                warn_not_kept()
 
         store.save_overload = save_if_possible
         _STORED.append(compiled)
@@ -258,7 +258,7 @@ def _compiled(function: Callable[P, R], **unlisted: Any) -> Callable[P, R]:
 
 
 @cache
-def say_not_kept() -> None:
+def warn_not_kept() -> None:
     """Say once, and not in workers, that kernels are compiled anew in each process."""
     if multiprocessing.parent_process() is None:
         sys.stderr.write(
@@ -267,7 +267,7 @@ def say_not_kept() -> None:
         )
 
 
-class _Uncollected(event.Listener):
+class _NoCollection(event.Listener):
     """No garbage is collected while a kernel is compiled: looking for it took 8 to 18 % of the time."""
 
     def __init__(self) -> None:
@@ -285,11 +285,11 @@ class _Uncollected(event.Listener):
             gc.enable()
 
 
-cast("Any", event).register("numba:compile", _Uncollected())
+cast("Any", event).register("numba:compile", _NoCollection())
 
 
 @cache
-def _usable(folder: str) -> None:
+def _check_folder(folder: str) -> None:
     """Make sure of a folder for machine code; OSError if it is of no use.
 
     It must be one that can be written, but for a `NUMBA_CACHE_DIR` with kernels: of that, reading is enough (an image
@@ -302,9 +302,9 @@ def _usable(folder: str) -> None:
     tempfile.TemporaryFile(dir=folder).close()
 
 
-cast("Any", caching)._CacheLocator.ensure_cache_path = lambda self: _usable(self.get_cache_path())
+cast("Any", caching)._CacheLocator.ensure_cache_path = lambda self: _check_folder(self.get_cache_path())
 """As numba has it, but once a folder and not once a kernel."""
-cast("Any", caching).CacheImpl._locator_classes.append(_Brought)
+cast("Any", caching).CacheImpl._locator_classes.append(_ShippedLocator)
 
 
 def cold() -> bool:

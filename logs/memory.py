@@ -80,8 +80,8 @@ class Scratch:
         return self._file.read(size)
 
 
-class Filed(Trajectory):
-    """A trajectory whose columns are read from a file each time they are asked for."""
+class SpilledTrajectory(Trajectory):
+    """A trajectory whose columns are read from a file at each access."""
 
     __slots__ = ("_begin", "_file", "_size")
     _file: Scratch
@@ -89,7 +89,7 @@ class Filed(Trajectory):
     _size: int
 
     @classmethod
-    def put(cls, path: Trajectory, file: Scratch) -> Filed:
+    def put(cls, path: Trajectory, file: Scratch) -> SpilledTrajectory:
         """A trajectory, from now on in the file."""
         data = np.stack([getattr(path, name) for name in TRAJECTORY_COLUMNS]).tobytes()
         made = object.__new__(cls)
@@ -116,7 +116,7 @@ class Filed(Trajectory):
 
 def loaded(path: Trajectory) -> Trajectory:
     """The trajectory in memory, for use of several of its columns."""
-    return path.loaded if isinstance(path, Filed) else path
+    return path.loaded if isinstance(path, SpilledTrajectory) else path
 
 
 class FrameStore(Sequence[PlannedFrame]):
@@ -143,7 +143,7 @@ class FrameStore(Sequence[PlannedFrame]):
         data = pickle.dumps((frame.plan.internals, frame.predictions, frame.visibility), pickle.HIGHEST_PROTOCOL)
         with writing(Path(tempfile.gettempdir())):
             self._file = self._file or Scratch()
-            path = Filed.put(frame.plan.trajectory, self._file)
+            path = SpilledTrajectory.put(frame.plan.trajectory, self._file)
             self._places.append((self._file.put(data), len(data)))
         small = tuple(item for item in frame.plan.internals if not isinstance(item, _LARGE))
         plan = replace(frame.plan, trajectory=path, internals=small)
@@ -156,7 +156,7 @@ class FrameStore(Sequence[PlannedFrame]):
 
     @property
     def light(self) -> tuple[PlannedFrame, ...]:
-        """The frames as they are in memory: later ones without graphs, costs, predictions ..., their plans `Filed`."""
+        """The frames as they are in memory: later ones without graphs, costs, predictions ... (`WHOLE`)."""
         return tuple(self._frames)
 
     def __len__(self) -> int:

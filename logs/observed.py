@@ -51,14 +51,14 @@ def patience(offsets: IntArray, static: BoolArray, t: FloatArray) -> FloatArray:
     out = np.full(len(t), MAX_AGE_S)
     apart = np.diff(t, append=np.inf)
     apart[offsets[1:] - 1] = np.inf
-    asked = np.flatnonzero((apart > MAX_AGE_S) & ~np.repeat(static, np.diff(offsets)))
-    first = np.repeat(offsets[:-1], np.diff(offsets))[asked]
-    alone = asked[first == asked]
+    rare = np.flatnonzero((apart > MAX_AGE_S) & ~np.repeat(static, np.diff(offsets)))
+    first = np.repeat(offsets[:-1], np.diff(offsets))[rare]
+    alone = rare[first == rare]
     if len(alone):
         times = np.unique(t[~np.repeat(static, np.diff(offsets))])
         out[alone] = _after(times, np.zeros(len(alone), np.int64), np.searchsorted(times, t[alone]))
-    rest = first < asked
-    out[asked[rest]] = _after(t, first[rest], asked[rest])
+    rest = first < rare
+    out[rare[rest]] = _after(t, first[rest], rare[rest])
     return out
 
 

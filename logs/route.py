@@ -186,7 +186,7 @@ ASKEW_RAD = 0.25 * pi
 ASIDE_M = 0.5
 """A stop line is crossed up to this far beside its ends."""
 BEHIND_M = 40.0
-"""So far behind a stop line the way is looked at, to tell whether the line counts for it."""
+"""Length of the way behind a stop line by which it is decided whether the line counts for that way."""
 
 
 def on_lane(lane: Lane, x: FloatArray, y: FloatArray, yaw: FloatArray) -> BoolArray:

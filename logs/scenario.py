@@ -228,7 +228,7 @@ class Tracks:
         return self.taken(np.repeat(kept, np.diff(self.offsets)))
 
     def shifted(self, seconds: float) -> Tracks:
-        """The tracks so much later."""
+        """The same tracks, `seconds` later."""
         return replace(self, t=self.t + seconds)
 
     @cached_property
@@ -428,7 +428,7 @@ class Scenario:
 
     @property
     def is_recorded(self) -> bool:
-        """Whether its ego was driven by a person in the world, whose drive can say what a planner may be asked for.
+        """Whether a person drove its ego in the world, so that the drive shows what may be expected of a planner.
 
         The tags "recorded" and "synthetic" say so; then whoever names its generator, and CommonRoad's files of unknown
         source, are not; any other log is if it holds a drive, more than one state of the ego.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from logs.frame import Frame, Predictions, Visibility
 
 KEPT_STEP_S = 0.5
-"""Predictions are kept in a trace at this step, and so are plans where no internals are asked for."""
+"""Predictions are kept in a trace at this step, and so are plans without internals."""
 
 
 class PlanStatus(Enum):

@@ -88,10 +88,10 @@ def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
     x, y, yaw, vx, vy = np.hstack(columns) if columns else np.empty((5, 0))
     offsets = np.r_[0, np.cumsum([len(t) for t in times])].astype(np.int64)
     t = np.concatenate([np.empty(0), *times])
-    asked = np.unique(np.r_[ego.t[0], _multiples(ego.t, rate_hz), ego.t[-1]])
+    kept_t = np.unique(np.r_[ego.t[0], _multiples(ego.t, rate_hz), ego.t[-1]])
     return replace(
         scenario,
-        ego=ego.resampled(asked[np.r_[True, np.diff(asked) > 1e-6]]) if len(ego) > 1 else ego,
+        ego=ego.resampled(kept_t[np.r_[True, np.diff(kept_t) > 1e-6]]) if len(ego) > 1 else ego,
         tracks=replace(tracks, offsets=offsets, t=t, x=x, y=y, yaw=yaw, vx=vx, vy=vy),
     )
 

@@ -45,7 +45,7 @@ from logs.vehicle import VehicleParameters
 
 STOP_SHORT_M = 1.5
 BRAKE_MPS2 = 1.2
-"""The driver begins to brake where this brings him to the line."""
+"""The driver begins to brake where this brings them to the line."""
 RED_YELLOW_S = 1.0
 
 

@@ -23,7 +23,7 @@ SMALL_CAR, LARGE_CAR = (4.316, 1.79), (4.418, 1.82)
 """Length and width of the cars of CPNCO, m."""
 START_M = 10.0
 SPARE_S = 10.0
-"""A planner may take so much longer than the logged driver."""
+"""A planner may take this much longer than the logged driver."""
 BEYOND_M = 150.0
 HALF_LANE = 0.5 * LANE_WIDTH_M
 SIDEWALK_M = 4.0

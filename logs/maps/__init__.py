@@ -1,4 +1,4 @@
-"""Maps that take the place of a log's own (`--map`, `[log] map`): one table of readers, asked in order.
+"""Maps that take the place of a log's own (`--map`, `[log] map`): one table of readers, tried in order.
 
 Adding a format is one file with a `MapReader` and one line in `BUILTIN`.
 
@@ -36,7 +36,7 @@ def read_123d(path: Path, settings: Mapping[str, str]) -> MapFile:
 
 
 BUILTIN = (lanelet2.READER, opendrive.READER, MapReader("123D", "*.arrow", ".arrow", read_123d, begin=b"ARROW1"))
-"""In the order in which they are asked."""
+"""In the order in which they are tried."""
 
 
 def map_reader_of(path: Path) -> MapReader:

@@ -91,7 +91,7 @@ MEND = "write the field as its schema in the file says"
 
 
 def _complaint(error: Exception, payload: bytes) -> str:
-    """What msgspec says, without its backticks; a bare NaN or Infinity is named with its field."""
+    """The message of msgspec, without its backticks; a bare NaN or Infinity is named with its field."""
     for word in (b"NaN", b"Infinity"):
         before, found, _ = payload.partition(word)
         if found and isinstance(error, msgspec.DecodeError) and not isinstance(error, msgspec.ValidationError):

@@ -383,7 +383,7 @@ class Plan(msgspec.Struct):
     lanes: list[LaneOption] = []
 
 
-class PlanSaid(msgspec.Struct):
+class PlanHead(msgspec.Struct):
     """The summary of a plan; it is decoded ten times faster than the whole plan."""
 
     status: str

@@ -141,7 +141,7 @@ def _perceived_messages(shown: Tracks, frames: list[int], start_ns: int) -> Iter
 
 
 def plan_message(plan: nouns.Plan, internals: Internals) -> native.Plan:
-    """The message of a plan, with as much of its internals as is asked for."""
+    """The message of a plan, with as much of its internals as `internals` says."""
     planned = plan.trajectory
     kept = nouns.kept_samples(planned.t) if internals == "none" else slice(None)
     columns = native.TrajectoryColumns(*(getattr(planned, name)[kept].tolist() for name in TRAJECTORY_COLUMNS))
@@ -206,7 +206,7 @@ def read_moment(path: Path, t: float) -> tuple[nouns.Trace, Scenario, tuple[noun
         plans, summaries = streams.get("/plan", _none("/plan")), list[nouns.PlanSummary]()
         plans.check_order(strictly=True)
         times = seconds(plans.times, start).tolist()
-        for time, at, message in zip(plans.times, times, plans.decoded(native.PlanSaid), strict=True):
+        for time, at, message in zip(plans.times, times, plans.decoded(native.PlanHead), strict=True):
             try:
                 summaries.append(noun_of(nouns.PlanSummary, message, t=at, internals=tuple(artefacts_of(message))))
             except KeyError as error:

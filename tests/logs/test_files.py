@@ -1,4 +1,4 @@
-"""What a user names is looked at before it is opened: pipes, devices, tables without end."""
+"""What a user names is looked at before it is opened: pipes, devices, tables without end; files of a store."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import signal
 import socket
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from short_logs import short
 from typer.testing import CliRunner
 
 from logs.errors import ConfigError, LogError
-from logs.files import DEEPEST_TOML, LARGEST_TOML_BYTES, check_regular, read_toml
+from logs.files import DEEPEST_TOML, LARGEST_TOML_BYTES, check_regular, heads, listed, read_toml
 from logs.mcap import read_scenario, write_scenario
 from replay.cli import app
 
@@ -123,3 +124,26 @@ def test_json_nested_without_end_in_a_log_costs_one_line(tmp_path: Path) -> None
     with pytest.raises(LogError) as caught:
         read_scenario(tmp_path / "deep.mcap")
     assert len(str(caught.value)) < 1000
+
+
+@pytest.fixture
+def store() -> Iterator[Any]:
+    fsspec = pytest.importorskip("fsspec", reason="the extra s3 is not installed: pip install 'replan[s3]'")
+    system = fsspec.filesystem("memory")
+    yield system
+    system.store.clear()
+
+
+def test_a_begin_that_cannot_be_read_is_one_line_that_names_it(store: Any) -> None:
+    store.pipe({"/fleet/a.mcap": b"abc", "/fleet/b.mcap": b"defg"})
+    files = listed("memory://fleet")
+    assert heads(files, 2) == [b"ab", b"de"]
+    store.rm("/fleet/b.mcap")
+    with pytest.raises(ConfigError, match=r"^memory://fleet/b.mcap: not there"):
+        heads(files, 2)
+
+
+def test_a_name_that_leads_out_of_its_folder_is_refused(store: Any) -> None:
+    store.pipe("/fleet/a/../../evil.mcap", b"abc")
+    with pytest.raises(ConfigError, match=r"a/../../evil.mcap: has '..' in its name"):
+        listed("memory://fleet")

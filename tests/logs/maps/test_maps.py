@@ -14,7 +14,7 @@ from lanelet2_cases import MapWriter, crossroads, driven_along, through
 
 from logs import Colour, LogError, Road, Scenario, TrafficLight
 from logs.maps import MapFile, lanelet2, read_map
-from logs.maps.lanelet2_file import read_osm
+from logs.maps.lanelet2_file import placed_points, read_osm
 from logs.maps.lanelet2_lanes import Bound, crossable, oriented, paired, speed_in, strips_of
 from logs.maps.projections import Projection, projection_named, utm
 from logs.mcap import read_scenario, write_scenario
@@ -161,7 +161,7 @@ def test_real_maps_against_lanelet2(name: str, shared_data: Path) -> None:
     path = shared_data / "tartu" / "lanelet2" / f"{name}.osm"
     road = read_map(path, LogSettings(map_origin=origin)).road
     osm = read_osm(path)
-    nodes, _, xy = lanelet2._placed(osm, path, {"map_origin": origin})
+    nodes, _, xy = placed_points(osm, path, {"map_origin": origin})
     strips = strips_of(osm, {node.id: k for k, node in enumerate(nodes)}, xy, [])
     begins = {(s.left.points[0], s.right.points[0], s.id) for s in strips}
     shared = {(a.id, i) for a in strips for l, r, i in begins if (l, r) == (a.left.points[-1], a.right.points[-1])}  # noqa: E741

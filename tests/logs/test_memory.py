@@ -1,18 +1,83 @@
-"""A part of a log answers for an instant as the whole does."""
+"""What a long drive keeps in memory: its frames come back as they were, a part of its tracks answers as the whole."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+import pickle
+from dataclasses import fields, replace
+from pathlib import Path
 
+import msgspec
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import AgentKind, Agents, Tracks
-from logs.memory import BACK_S, SPAN_S, NearbyTracks, Recent
+from logs.catalogue import scenario
+from logs.mcap import write_trace
+from logs.mcap.trace import plan_message
+from logs.memory import BACK_S, SPAN_S, FrameStore, NearbyTracks, Recent, SpilledTrajectory, light
 from logs.states import EgoState
+from logs.trace import Graph, PlannedFrame
 from logs.vehicle import VehicleParameters
+from metrics import evaluate
+from replay.drive import Drive
+from replay.loop.closed_loop import run_closed_loop
 from replay.world import World, contact
+
+
+@pytest.fixture(scope="module")
+def driven() -> Drive:
+    return run_closed_loop(scenario("everyday/follow"), "dp_qp")
+
+
+def stored(frames: tuple[PlannedFrame, ...], whole: int) -> FrameStore:
+    store = FrameStore(whole)
+    for frame in frames:
+        store.append(frame)
+    return store
+
+
+def bits(frame: PlannedFrame) -> tuple[bytes, bytes, bytes]:
+    assert frame.predictions is not None
+    plan = msgspec.json.encode(plan_message(frame.plan, "full"))
+    return plan, frame.predictions.x.tobytes(), frame.predictions.yaw.tobytes()
+
+
+@pytest.mark.parametrize("whole", [0, 1, 50])
+def test_frames_come_back_to_the_bit(driven: Drive, whole: int) -> None:
+    frames = tuple(driven.trace.frames)
+    store = stored(frames, whole)
+    assert store.frames is store and len(store) == len(frames)
+    for index in (*range(0, len(frames), 17), -1):
+        back = store[index]
+        assert bits(back) == bits(frames[index])
+        assert back.t == frames[index].t
+        for path in (back.plan.trajectory, light(store)[index].plan.trajectory):
+            assert path.x.tobytes() == frames[index].plan.trajectory.x.tobytes()
+            assert path.at(back.t + 0.55) == frames[index].plan.trajectory.at(back.t + 0.55)
+            assert not path.kappa.flags.writeable
+    assert [frame.t for frame in store[-3:]] == [frame.t for frame in frames[-3:]]
+    with pytest.raises(IndexError):
+        store[len(frames)]
+
+
+def test_what_is_large_is_not_in_memory(driven: Drive) -> None:
+    small = light(stored(tuple(driven.trace.frames), 0))
+    assert not any(isinstance(item, Graph) for frame in small for item in frame.plan.internals)
+    assert all(frame.predictions is None and isinstance(frame.plan.trajectory, SpilledTrajectory) for frame in small)
+    assert len(pickle.dumps(small)) < 0.5 * len(pickle.dumps(tuple(driven.trace.frames)))
+    assert isinstance(stored(tuple(driven.trace.frames), 10_000).frames, tuple), "a short drive is a tuple as before"
+
+
+def test_metrics_and_trace_are_the_same(driven: Drive, tmp_path: Path) -> None:
+    world, trace = scenario("everyday/follow"), driven.trace
+    long = replace(trace, frames=stored(tuple(trace.frames), 20))
+    assert evaluate(trace, world).equals(evaluate(long, world))
+    for name, one in (("whole", trace), ("long", long)):
+        write_trace(tmp_path / name, one, world, internals="full")
+    assert (tmp_path / "whole").read_bytes() == (tmp_path / "long").read_bytes()
+
 
 UNTIL_S = 120.0
 CAR = VehicleParameters()

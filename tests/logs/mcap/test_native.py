@@ -1,4 +1,4 @@
-"""Laws of the native log: write -> read is the identity, same input same bytes, no half files, readable by others."""
+"""Laws of the native log: write -> read is the identity, same bytes, no half files, readable by others; its page."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 from dataclasses import fields, replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -148,3 +149,21 @@ def test_a_failed_write_leaves_the_old_log(tmp_path: Path) -> None:
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"nowhere.*cannot be written: No such file or directory"):
         write_scenario(tmp_path / "nowhere" / "log.mcap", rich_scenario())
+
+
+PAGE = (Path(__file__).parents[3] / "docs" / "log_format.md").read_text(encoding="utf-8")
+
+
+def test_the_page_is_written_from_the_types() -> None:
+    assert native.markdown() + "\n" == PAGE, "python -c 'from logs.mcap.native import markdown; print(markdown())'"
+
+
+def test_every_field_of_every_topic_is_on_the_page() -> None:
+    for topic, kind in native.TOPICS.items():
+        assert f"| `{topic}` | [{kind.__name__}]" in PAGE
+        _, _, section = PAGE.partition(f"### {kind.__name__}\n")
+        section = section.partition("\n### ")[0]
+        for field in msgspec.structs.fields(kind):
+            needed = "needed" if field.required else "optional"
+            (row,) = (line for line in section.splitlines() if line.startswith(f"| `{field.encode_name}` |"))
+            assert row.endswith(f"| {needed} |")

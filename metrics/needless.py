@@ -263,19 +263,6 @@ def hard_episodes(ego: Trajectory) -> list[int]:
     return [int(k) for i, k in enumerate(hard) if i == 0 or ego.t[k] - ego.t[hard[i - 1]] > APART_S + 1e-9]
 
 
-def had_cause(trace: Trace, scenario: Scenario, begin: float) -> bool:
-    """(6) of an episode that begins at a time, s."""
-    drive = trace.ego.resampled(np.r_[begin, trace.ego.t[trace.ego.t > begin]])
-    s = np.r_[0.0, np.cumsum(np.hypot(np.diff(drive.x), np.diff(drive.y)))]
-    at = np.arange(0.0, max(float(drive.v[0]), 0.0) * CAUSE_S + SPACING_M, SPACING_M)
-    beyond = np.maximum(at - s[-1], 0.0)
-    x, y, yaw = (np.interp(at, s, column) for column in (drive.x, drive.y, drive.yaw))
-    way = np.stack([x + beyond * np.cos(yaw), y + beyond * np.sin(yaw), yaw])
-    car, t = car_of(scenario), begin + GRID_S * np.arange(round(CAUSE_S / GRID_S) + 1)
-    wider = car._replace(width=car.width + 2.0 * CAUSE_M)
-    return bool(_any_touches(way, wider, others_at(trace.agents, t)))
-
-
 @kernel
 def _any_touches(way: FloatArray, car: Car, others: Others) -> bool:
     """Whether any of the boxes `(n, k)` overlaps the ego's anywhere on the way of its rear axle: x, y, yaw `(3, m)`."""
@@ -289,10 +276,18 @@ def _any_touches(way: FloatArray, car: Car, others: Others) -> bool:
 
 
 def _false_braking(trace: Trace, scenario: Scenario) -> Measured:
-    ego = grid_of(trace)
-    value = np.full(len(ego.t), np.nan)
+    ego, car = grid_of(trace), car_of(scenario)
+    wider, value = car._replace(width=car.width + 2.0 * CAUSE_M), np.full(len(ego.t), np.nan)
     for k in hard_episodes(ego):
-        value[k] = not had_cause(trace, scenario, float(ego.t[k]))
+        begin = float(ego.t[k])
+        drive = trace.ego.resampled(np.r_[begin, trace.ego.t[trace.ego.t > begin]])
+        s = np.r_[0.0, np.cumsum(np.hypot(np.diff(drive.x), np.diff(drive.y)))]
+        at = np.arange(0.0, max(float(drive.v[0]), 0.0) * CAUSE_S + SPACING_M, SPACING_M)
+        beyond = np.maximum(at - s[-1], 0.0)
+        x, y, yaw = (np.interp(at, s, column) for column in (drive.x, drive.y, drive.yaw))
+        way = np.stack([x + beyond * np.cos(yaw), y + beyond * np.sin(yaw), yaw])
+        t = begin + GRID_S * np.arange(round(CAUSE_S / GRID_S) + 1)
+        value[k] = not _any_touches(way, wider, others_at(trace.agents, t))  # (6)
     return Series(ego.t, value, missing="the ego never brakes hard")
 
 

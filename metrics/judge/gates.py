@@ -231,7 +231,7 @@ def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
     Raises:
         ConfigError: Not readable, unknown key or metric, no or senseless bounds; names the file and the gate.
     """
-    source, gates = read_tables(path, "gate", Gate, metrics)
+    source, gates = _read_tables(path, "gate", Gate, metrics)
     if not gates:
         raise ConfigError(f"{source}: holds no [[gate]]")
     return Gates(gates, source)
@@ -243,10 +243,10 @@ def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
     Raises:
         ConfigError: Not readable, unknown key or metric, or a contradictory rule; names the file and the rule.
     """
-    return read_tables(path, "compare", Rule, metrics)[1] or read_tables(None, "compare", Rule, metrics)[1]
+    return _read_tables(path, "compare", Rule, metrics)[1] or _read_tables(None, "compare", Rule, metrics)[1]
 
 
-def read_tables(
+def _read_tables(
     path: Path | None, kind: str, rule: type[R], metrics: Mapping[str, Metric]
 ) -> tuple[str, tuple[R, ...]]:
     """The name of a file of gates (None: the packaged one), and its tables [[gate]] or [[compare]] as dataclasses.

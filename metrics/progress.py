@@ -42,7 +42,7 @@ from logs.road import Goal, ReferenceLine, Road, inside, line_project_many, thin
 from logs.route import find_route, straight_on
 from logs.scenario import Scenario
 from logs.shapes import point_segment
-from logs.states import EgoState, Trajectory
+from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import metric
 from metrics.boxes import ego_boxes
@@ -82,8 +82,25 @@ def route_of(scenario: Scenario) -> Route:
 
 @last(2)  # a scenario is made anew with each entry of its metadata, of the same road
 def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float) -> Route:
-    path = thinned(np.column_stack([log.x, log.y]), SPACING_M)
-    line = ReferenceLine.through(np.vstack([path, _lanes_onward(road, log.state(len(log) - 1), goal)]), SPACING_M)
+    path, end = thinned(np.column_stack([log.x, log.y]), SPACING_M), log.state(len(log) - 1)
+    onward = np.array([[end.x + JOIN_M * cos(end.yaw), end.y + JOIN_M * sin(end.yaw)]])  # straight on
+    if road.lanes:  # along the centre lines of the route, from `JOIN_M` after the log's end on
+        lanes, beyond = list(find_route(road, end, goal).lanes), 0.0
+        while beyond < BEYOND_M and (after := straight_on(road, lanes[-1])) is not None:
+            beyond += max(road.lanes[after].length, SPACING_M)
+            lanes.append(after)
+        points, skipped, begun = np.empty((0, 2)), JOIN_M, False
+        for k, lane in enumerate(lanes):
+            center = road.lanes[lane].center
+            if k + 1 < len(lanes) and lanes[k + 1] not in road.lanes[lane].successors:  # a lane change: side by side
+                skipped = CHANGE_M
+                continue
+            if not begun:
+                center = center[int(np.argmin(np.hypot(center[:, 0] - end.x, center[:, 1] - end.y))) :]
+            chord, begun = np.r_[0.0, np.cumsum(np.hypot(*np.diff(center, axis=0).T))], True
+            points, skipped = np.vstack([points, center[chord >= skipped]]), max(skipped - float(chord[-1]), 0.0)
+        onward = thinned(points, SPACING_M) if len(points) else onward
+    line = ReferenceLine.through(np.vstack([path, onward]), SPACING_M)
     driven = float(np.hypot(*np.diff(path, axis=0).T).sum())
     regions = goal.regions if goal else ()
     for s, (x, y) in zip(line.s[1:].tolist(), line.xy[1:].tolist(), strict=True) if regions else ():
@@ -100,29 +117,6 @@ def gain_along(route: Route, drive: Trajectory) -> Gain:
     reach = STRETCH * np.maximum(np.abs(drive.v[1:]), np.abs(drive.v[:-1])) * np.diff(drive.t)
     counted = np.where(step > reach + SLACK_M, reach, step)
     return Gain(np.r_[0.0, np.cumsum(counted)], float((step - counted).sum()))
-
-
-def _lanes_onward(road: Road, end: EgoState, goal: Goal | None) -> FloatArray:
-    """Points `(k, 2)`, k >= 1, from `JOIN_M` behind a state on, along the centre lines of the route from there."""
-    straight = np.array([[end.x + JOIN_M * cos(end.yaw), end.y + JOIN_M * sin(end.yaw)]])
-    if not road.lanes:
-        return straight
-    lanes = list(find_route(road, end, goal).lanes)
-    beyond = 0.0
-    while beyond < BEYOND_M and (after := straight_on(road, lanes[-1])) is not None:
-        beyond += max(road.lanes[after].length, SPACING_M)
-        lanes.append(after)
-    points, skipped, begun = np.empty((0, 2)), JOIN_M, False
-    for k, lane in enumerate(lanes):
-        center = road.lanes[lane].center
-        if k + 1 < len(lanes) and lanes[k + 1] not in road.lanes[lane].successors:  # a lane change: beside each other
-            skipped = CHANGE_M
-            continue
-        if not begun:
-            center = center[int(np.argmin(np.hypot(center[:, 0] - end.x, center[:, 1] - end.y))) :]
-        chord, begun = np.r_[0.0, np.cumsum(np.hypot(*np.diff(center, axis=0).T))], True
-        points, skipped = np.vstack([points, center[chord >= skipped]]), max(skipped - float(chord[-1]), 0.0)
-    return thinned(points, SPACING_M) if len(points) else straight
 
 
 FLOOR_M = 2.0

@@ -59,7 +59,26 @@ def read_run(path: Path | str) -> Run:
     """
     near = Near(path, RECORDINGS)
     check_named(near.path)
-    return _read_baseline(near.path) if near.path.is_file() else loaded(near)
+    if not near.path.is_file():
+        return loaded(near)
+    path = near.path
+    try:
+        table = pq.read_table(path)
+        head = json.loads((table.schema.metadata or {})[BASELINE])
+    except KeyError:
+        raise ConfigError(f"{path}: is not a baseline; `replan baseline RESULTS -o {path.name}` writes one") from None
+    except (OSError, pa.ArrowException, ValueError, RecursionError) as error:
+        raise LogError(f"cannot be read as a baseline: {error}", file=path) from None
+    try:
+        if head["schema_version"] != SCHEMA_VERSION:
+            raise ConfigError(f"{path}: of version {head['schema_version']}, this replan reads {SCHEMA_VERSION}")
+        rows = table.replace_schema_metadata(None).to_pandas()
+        rows = rows.assign(source="", about=rows.get("about"))[list(COLUMNS)]
+        logs = pd.DataFrame(head["logs"], columns=["log", "sha256", "family", "dataset", "tags", "vehicle"])
+        crashed = tuple(tuple(drive) for drive in head.get("crashed", ()))
+        return Side(path.name, rows, logs, head["facts"], head["failed"], crashed, tuple(head["metrics"]))
+    except (KeyError, TypeError) as error:
+        raise LogError(f"cannot be read as a baseline: {error} is missing", file=path) from None
 
 
 def side_of(run: Run) -> Side:
@@ -116,26 +135,6 @@ def write_baseline(run: Run, path: Path) -> None:
     table = pa.Table.from_pandas(side.table.drop(columns="source"), preserve_index=False)
     table = table.replace_schema_metadata({BASELINE: json.dumps(head, ensure_ascii=False, sort_keys=True)})
     write_file(path, lambda partial: pq.write_table(table, partial, compression="zstd", compression_level=19))
-
-
-def _read_baseline(path: Path) -> Side:
-    try:
-        table = pq.read_table(path)
-        head = json.loads((table.schema.metadata or {})[BASELINE])
-    except KeyError:
-        raise ConfigError(f"{path}: is not a baseline; `replan baseline RESULTS -o {path.name}` writes one") from None
-    except (OSError, pa.ArrowException, ValueError, RecursionError) as error:
-        raise LogError(f"cannot be read as a baseline: {error}", file=path) from None
-    try:
-        if head["schema_version"] != SCHEMA_VERSION:
-            raise ConfigError(f"{path}: of version {head['schema_version']}, this replan reads {SCHEMA_VERSION}")
-        rows = table.replace_schema_metadata(None).to_pandas()
-        rows = rows.assign(source="", about=rows.get("about"))[list(COLUMNS)]
-        logs = pd.DataFrame(head["logs"], columns=["log", "sha256", "family", "dataset", "tags", "vehicle"])
-        crashed = tuple(tuple(drive) for drive in head.get("crashed", ()))
-        return Side(path.name, rows, logs, head["facts"], head["failed"], crashed, tuple(head["metrics"]))
-    except (KeyError, TypeError) as error:
-        raise LogError(f"cannot be read as a baseline: {error} is missing", file=path) from None
 
 
 # comparing --------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import handmade
 import numpy as np
 import pandas as pd
 import pytest
@@ -34,11 +35,7 @@ def drive(v: float = 10.0) -> Trajectory:
 
 
 def track(name: str = "7", y: float = 3.5, v: float = 8.0, t: np.ndarray = T, x0: float = 20.0) -> Tracks:
-    zero = np.zeros_like(t)
-    return Tracks(
-        (name,), (AgentKind.CAR,), np.array([4.5]), np.array([1.8]), np.array([False]), np.array([0, len(t)]),
-        t, x0 + v * t, zero + y, zero, zero + v, zero,
-    )  # fmt: skip
+    return handmade.tracks(handmade.track(name, t, x0 + v * t, np.full(len(t), y), vx=v, vy=0.0))
 
 
 def both(one: Tracks, other: Tracks) -> Tracks:

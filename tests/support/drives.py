@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import handmade
 import numpy as np
 
 from logs import (
@@ -54,15 +55,11 @@ def moving(x: float, y: float, vx: float, vy: float, yaw: float | None = None) -
 
 def tracks(agents: Sequence[Agent], t: np.ndarray) -> Tracks:
     """All agents sampled at the times t; velocities left to differences."""
-    if not agents:
-        return Tracks.empty()
-    n, m = len(agents), len(t)
-    x, y, yaw = (np.concatenate([agent[3](t)[i] for agent in agents]) for i in range(3))
-    length, width = (np.array([agent[2][i] for agent in agents], float) for i in range(2))
-    ids, kinds = tuple(agent[0] for agent in agents), tuple(agent[1] for agent in agents)
-    nan = np.full(n * m, np.nan)
-    static = np.zeros(n, bool)
-    return Tracks(ids, kinds, length, width, static, m * np.arange(n + 1), np.tile(t, n), x, y, yaw, nan, nan)
+    made = []
+    for name, kind, (length, width), motion in agents:
+        x, y, yaw = motion(t)
+        made.append(handmade.track(name, t, x, y, yaw=yaw, kind=kind, length=length, width=width))
+    return handmade.tracks(*made)
 
 
 def straight_road(*, half: float = 1.75, lanes: int = 1, limit: float = float("nan"), right: bool = True) -> Road:

@@ -7,32 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from drives import Agent, along, drive, grid, moving, scenario
+from drives import CAR, EGO, NOSE, Agent, along, car, drive, grid, moving, scenario, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import AgentKind, Scenario, Tracks, VehicleParameters
+from logs import AgentKind, Scenario, Tracks
 from logs.shapes import distance
 from metrics import GROUPS, evaluate, series
 from metrics.encounters import Body, closest_encounter, time_to_contact_accelerated
 from metrics.safety import MASS_KG, delta_v
 
 MINE = {metric.name: metric for metric in GROUPS["safety"]}
-CAR = (4.5, 1.8)
-EGO = VehicleParameters()
-NOSE, TAIL = EGO.axle_to_front, EGO.rear_overhang
-
-
-def car(x: float, y: float, vx: float, vy: float = 0.0, **pose: float) -> Agent:
-    return "7", AgentKind.CAR, CAR, moving(x, y, vx, vy, **pose)
+TAIL = EGO.rear_overhang
 
 
 def walker(x: float, y: float, vy: float) -> Agent:
     return "p", AgentKind.PEDESTRIAN, (0.6, 0.6), moving(x, y, 0.0, vy, 0.0)
-
-
-def world(v: float, *agents: Agent, seconds: float = 4.0, **changes: object) -> Scenario:
-    return scenario(along(grid(seconds), v), agents, **changes)
 
 
 def judged(log: Scenario) -> pd.DataFrame:

@@ -7,11 +7,11 @@ from math import pi
 
 import numpy as np
 import pytest
-from drives import Agent, along, drive, grid, moved, moving, scenario
+from drives import CAR, EGO, NOSE, Agent, along, drive, grid, moved, moving, scenario
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import AgentKind, Scenario, Trajectory, VehicleParameters
+from logs import AgentKind, Scenario, Trajectory
 from metrics import GROUPS, evaluate, series
 from metrics.following import ahead_of, required_decel, required_gap
 from metrics.metric import Metric
@@ -21,10 +21,6 @@ NEW = (
     "following_gap", "ttc_accelerated", "dce", "ttce", "pet", "rss_margin", "rss_improper",
 )  # fmt: skip
 MINE = {metric.name: metric for metric in GROUPS["safety"] if metric.name in NEW}
-CAR = (4.5, 1.8)
-EGO = VehicleParameters()
-NOSE = EGO.axle_to_front
-HALF = 0.5 * EGO.width
 
 
 def lead(gap: float, v: float, decel: float = 0.0, y: float = 0.0, kind: AgentKind = AgentKind.CAR) -> Agent:

@@ -5,16 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from drives import Agent, along, drive, grid, moving, scenario
+from drives import CAR, NOSE, Agent, along, drive, grid, moving, scenario
 
-from logs import AgentKind, Scenario, Trajectory, VehicleParameters
+from logs import AgentKind, Scenario, Trajectory
 from metrics import GROUPS, evaluate, series
 from metrics.rss import lateral_distance, longitudinal_distance
 
 MINE = {metric.name: metric for metric in GROUPS["safety"] if metric.name.startswith("rss")}
-CAR = (4.5, 1.8)
-EGO = VehicleParameters()
-NOSE, HALF = EGO.axle_to_front, 0.5 * EGO.width
 
 
 def car(gap: float, v: float, y: float = 0.0, vy: float = 0.0) -> Agent:

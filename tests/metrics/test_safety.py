@@ -7,11 +7,11 @@ from math import pi
 import numpy as np
 import pandas as pd
 import pytest
-from drives import Agent, along, drive, grid, moved, moving, plans, scenario, straight_road
+from drives import CAR, EGO, NOSE, Agent, along, car, drive, grid, moved, moving, plans, scenario, straight_road, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import AgentKind, Lane, Mode, Road, RoadSource, Scenario, Tracks, Trajectory, VehicleParameters
+from logs import AgentKind, Lane, Mode, Road, RoadSource, Scenario, Tracks, Trajectory
 from logs.kernel import FloatArray
 from logs.road import inside
 from logs.shapes import distance, point_segment, time_to_contact
@@ -20,13 +20,7 @@ from metrics.boxes import ego_boxes, others_at
 from metrics.lanes import drivable_lanes, limits_at, off_lanes, under
 from metrics.safety import OUTLINE_M, ContactKind, contacts
 
-CAR = (4.5, 1.8)
-EGO = VehicleParameters()
-NOSE, TAIL = EGO.axle_to_front, -EGO.rear_overhang
-
-
-def car(x: float, y: float, vx: float, vy: float = 0.0, kind: AgentKind = AgentKind.CAR, **pose: float) -> Agent:
-    return "7", kind, CAR if kind is not AgentKind.PEDESTRIAN else (0.6, 0.6), moving(x, y, vx, vy, **pose)
+TAIL = -EGO.rear_overhang
 
 
 def walker(x: float, y: float, vy: float) -> Agent:
@@ -35,10 +29,6 @@ def walker(x: float, y: float, vy: float) -> Agent:
 
 def judged(log: Scenario, **changes: object) -> pd.DataFrame:
     return evaluate(drive(log, **changes), log).set_index("metric")
-
-
-def world(v: float, *agents: Agent, seconds: float = 4.0, **changes: object) -> Scenario:
-    return scenario(along(grid(seconds), v), agents, **changes)
 
 
 # the others on a grid ---------------------------------------------------------------------------------------------

@@ -20,11 +20,15 @@ from logs import (
     Trace,
     Tracks,
     Trajectory,
+    VehicleParameters,
     transform,
 )
 
 Agent = tuple[str, AgentKind, Sequence[float], Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]]
 """Id, kind, (length, width), motion: t -> x, y, yaw."""
+CAR = (4.5, 1.8)
+EGO = VehicleParameters()
+NOSE = EGO.axle_to_front
 
 
 def grid(seconds: float, step: float = 0.01) -> np.ndarray:
@@ -83,6 +87,16 @@ def scenario(ego: Trajectory, agents: Sequence[Agent] = (), **changes: object) -
     made = {"road": straight_road(), "duration": float(ego.t[-1]), "metadata": {"generator": "test"}}
     fields = made | changes
     return Scenario("test/log", ego, tracks(agents, ego.t), **fields)  # type: ignore[arg-type]
+
+
+def car(x: float, y: float, vx: float, vy: float = 0.0, kind: AgentKind = AgentKind.CAR, **pose: float) -> Agent:
+    """Agent "7"; a pedestrian has the size of one."""
+    return "7", kind, CAR if kind is not AgentKind.PEDESTRIAN else (0.6, 0.6), moving(x, y, vx, vy, **pose)
+
+
+def world(v: float, *agents: Agent, seconds: float = 4.0, **changes: object) -> Scenario:
+    """The ego drives along x at v m/s."""
+    return scenario(along(grid(seconds), v), agents, **changes)
 
 
 def drive(log: Scenario, ego: Trajectory | None = None, *, mode: Mode = Mode.CLOSED, **changes: object) -> Trace:

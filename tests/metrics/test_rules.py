@@ -315,7 +315,7 @@ def test_tracks_without_anybody_are_no_trouble() -> None:
     assert rows(log).value[["crosswalk.count", "priority_gap.below_1s"]].tolist() == [0.0, 0.0]
 
 
-HALF, NOSE, TAIL = 0.805 + 0.25, 3.608, 0.9
+HALF, TAIL = 0.805 + 0.25, 0.9
 TIMES = np.arange(0.0, 15.05, 0.1)
 
 

@@ -30,10 +30,9 @@ from logs.catalogue import CATALOGUE
 from logs.mcap import read_scenario, write_scenario, write_trace
 from metrics import progress, rules, safety
 from replay.config import RunConfig
-from replay.loop.avoidability import with_avoidability
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
-from replay.loop.reference_drives import reference_table
+from replay.loop.reference_drives import reference_table, with_avoidability
 from replay.results.log_result import Stamp
 from replay.run.one_log import evaluate_log
 from replay.run.sources import LogSource

@@ -28,9 +28,8 @@ from logs.vehicle import VehicleParameters
 from replay.config import LoopConfig
 from replay.control import CONTROLLERS
 from replay.loop.closed_loop import run_closed_loop
-from replay.loop.plan_period import PlanPeriod
+from replay.loop.plan_period import PlanPeriod, TraceRecorder
 from replay.loop.simulation_setup import controller_of
-from replay.loop.trace_recorder import TraceRecorder
 from replay.paper.manoeuvres import PERIOD_S, s_curve
 from replay.run.sources import builtin_suite, select
 from replay.vehicle import VEHICLES

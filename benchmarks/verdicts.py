@@ -23,7 +23,7 @@ from logs.catalogue import CATALOGUE
 from logs.road import ReferenceLine
 from logs.scenario import Scenario, Tracks
 from metrics.reference_drivers import DRIVERS, Avoidability, DriverVerdict
-from replay.loop.avoidability import reference_line
+from replay.loop.reference_drives import reference_line
 
 NOISE_M = (0.02, 0.05)
 RATES_HZ = (10.0, 25.0, 100.0)

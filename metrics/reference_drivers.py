@@ -42,8 +42,8 @@ The margin of a verdict is the least distance between the driver's box and the a
 A verdict is marginal where its margin, or that of the drive without braking, is within `MARGINAL_M`, or where a driver
 who judges `JUDGED_S` earlier or later comes to another one: crossing paths, (2) and (5), and the time of reaction.
 
-The verdicts reach the metrics as metadata of the scenario. Replay writes them there (`replay.loop.avoidability`), since
-it knows the line; the same keys of a log are dropped when it is read. Three rows per driver: `reference_cc.applies` is
+The verdicts reach the metrics as metadata of the scenario. Replay (`replay.loop.reference_drives`) writes them: it
+knows the line; the same keys of a log are dropped when it is read. Three rows per driver: `reference_cc.applies` is
 1 where an ego that did not brake would meet an agent, else 0; where it applies, `reference_cc.avoids` is 1 or 0, and
 `reference_cc.margin` says by how many metres (negative: by how many not). The entries, of "cc" as of "fsm":
 

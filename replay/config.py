@@ -142,7 +142,7 @@ class LoopConfig:
         control_period_s: Time between two commands; the plan period is a multiple of it.
         vehicle: Name in `replay.vehicle.VEHICLES`, or "module:Class" as all that is named here (docs/extend.md).
         plant: What the vehicle model has that planner and controller do not know of: VehicleParameters by name, and
-            keywords of the model (`replay.vehicle.plant`).
+            keywords of the model (`replay.vehicle.build_vehicle`).
         controller: Name in `replay.control.CONTROLLERS`; the vehicle "perfect" needs none.
         traffic: Name in `replay.traffic.TRAFFIC`.
         plan_delay_s: A plan is driven from so long after its frame on (what computing it takes), whole control periods.
@@ -231,7 +231,7 @@ class RunConfig:
         charts: "module:NAME" of charts from outside, drawn in the report beside the built-in ones.
         ensemble: How many times each log is driven again under a perturbation (`replay.run.perturb`).
         repeat_s: So much of the start of a drive is driven twice where the planner does not come with replan
-            (`replay.loop.determinism`), s; 0: nothing.
+            (`replay.loop.planning`), s; 0: nothing.
         deadline_s: At most 1 % of a drive's plans may take longer, s; 0: not asked.
         log: How logs are read.
         loop: Periods and limits of the loops.

@@ -11,6 +11,8 @@ TRUSTED = "the planner was trusted: it ran in the process that holds the log"
 """The note of a drive whose planner was not kept apart and does not come with replan."""
 BATCHED = "batched: the planner's process was shared with other logs, up to {} in all"
 """The note of a drive whose frames were planned together with those of other logs."""
+NOT_DETERMINISTIC = "not deterministic: "
+"""How the note begins on a drive whose start, driven twice, is not the same."""
 
 
 @dataclass(frozen=True, order=True)
@@ -21,7 +23,7 @@ class DriveKey:
         member: Of the ensemble; 0: the log itself.
         planner: Of the run's, by place.
         mode: Of its loops, by place.
-        again: Whether it is the second drive of a start, which is compared with the first (`replay.loop.determinism`).
+        again: Whether it is the second drive of a start, which is compared with the first (`replay.loop.planning`).
     """
 
     member: int = 0

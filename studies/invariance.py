@@ -34,8 +34,8 @@ from metrics.judge.aggregate import LogLabels
 from metrics.judge.excuses import marginal
 from metrics.judge.gates import Outcome, load_gates
 from replay.config import LoopConfig
-from replay.loop.avoidability import with_avoidability
 from replay.loop.closed_loop import run_closed_loop
+from replay.loop.reference_drives import with_avoidability
 from replay.results.tables import write_file
 from replay.run.perturb import noisy
 from replay.run.pool import WorkerLost, run_all

@@ -14,7 +14,7 @@ from logs.errors import unknown_name
 from logs.mcap import write_scenario
 from logs.names import counted
 from logs.scenario import Scenario
-from replay.loop.avoidability import with_avoidability
+from replay.loop.reference_drives import with_avoidability
 from replay.results.tables import safe_name, write_text
 
 TABLE = "suite.csv"

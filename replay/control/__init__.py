@@ -1,7 +1,8 @@
 """How a plan is followed: a Plan and the ego's state give a Command.
 
 CONTROLLERS    by name, each built as `factory(parameters, powertrain, period, **settings)`; adding one is one file and
-               one line here; a law that only steers or only drives is a part of `SplitController` (`split`)
+               one line here; a law that only steers or only drives is a part of `SplitController` (`split`). Speed is
+               by dual-loop PID, except with "mpc" and "pid" (a single loop)
 CONTROLLER     finds those, and users' own
 """
 
@@ -11,9 +12,11 @@ from collections.abc import Callable
 
 from logs.extension import Kind
 from logs.vehicle import VehicleParameters
+from replay.control.estimation import SteeringDelay
 from replay.control.mpc import Mpc, MpcConfig
 from replay.control.split import (
     DLQR,
+    DUAL_LOOP,
     KINEMATIC_DLQR,
     PURE_PURSUIT,
     SPEED_PID,
@@ -22,20 +25,18 @@ from replay.control.split import (
     SplitController,
     split_law,
 )
-from replay.control.steering_delay import SteeringDelay
 from replay.vehicle.base import Controller, Powertrain
 
 ControllerFactory = Callable[..., Controller]
 
 
-def dlqr_pid(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
-    """Steering by DLQR on the dynamic model (the kinematic one where the tyres are rigid), speed by dual-loop PID."""
-    return SplitController(split_law(DLQR, parameters, powertrain, period))
+def split_controller(steers: int, drives: int = DUAL_LOOP) -> ControllerFactory:
+    """The factory of a controller of two laws (`split_law`)."""
 
+    def build(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
+        return SplitController(split_law(steers, parameters, powertrain, period, drives=drives))
 
-def dlqr_kinematic_pid(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
-    """Steering by DLQR on the kinematic model, speed by dual-loop PID."""
-    return SplitController(split_law(KINEMATIC_DLQR, parameters, powertrain, period))
+    return build
 
 
 def mpc_or_dlqr(
@@ -47,28 +48,13 @@ def mpc_or_dlqr(
     return Mpc(parameters, powertrain, period, fallback, delay, config)
 
 
-def pure_pursuit_pid(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
-    """Steering by pure pursuit, speed by dual-loop PID."""
-    return SplitController(split_law(PURE_PURSUIT, parameters, powertrain, period))
-
-
-def stanley_pid(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
-    """Steering by Stanley's law, speed by dual-loop PID."""
-    return SplitController(split_law(STANLEY, parameters, powertrain, period))
-
-
-def pid_pid(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
-    """A PID for the steering and a single-loop PID for the speed."""
-    return SplitController(split_law(STEERING_PID, parameters, powertrain, period, drives=SPEED_PID))
-
-
 CONTROLLERS: dict[str, ControllerFactory] = {
-    "dlqr_pid": dlqr_pid,
-    "dlqr_kinematic_pid": dlqr_kinematic_pid,
+    "dlqr_pid": split_controller(DLQR),
+    "dlqr_kinematic_pid": split_controller(KINEMATIC_DLQR),
     "mpc": mpc_or_dlqr,
-    "pure_pursuit": pure_pursuit_pid,
-    "stanley": stanley_pid,
-    "pid": pid_pid,
+    "pure_pursuit": split_controller(PURE_PURSUIT),
+    "stanley": split_controller(STANLEY),
+    "pid": split_controller(STEERING_PID, SPEED_PID),
 }
 
 CONTROLLER: Kind[ControllerFactory] = Kind("controller", "controllers", CONTROLLERS)

@@ -1,59 +1,83 @@
-"""Lateral DLQR on the paper's four-state error model with the steering's lag, curvature and slip fed forward.
+"""Lateral DLQR: the regulator, its gains over speed, and the two laws that steer by it.
 
-State x = (e_d m, e_d' m/s, e_phi rad, e_phi' rad/s, e_steer rad) at the rear axle, input u = commanded steer, each
-minus that of exact following; the model is (2)-(3) of `replay.control.lateral_model` with (steer)' = (u - steer) / lag.
+(1) J = sum of x' Q x + u' R u,       R = steer_weight (1 + (v / v_0)^2)^2
+(2) P = Q + A' P (I + G P)^-1 A,      G = B R^-1 B'
+(3) K = (R + B' P B)^-1 B' P A,       u = -K x
+(4) A <- A (I + G H)^-1 A
+    G <- G + A (I + G H)^-1 G A'
+    H <- H + A' H (I + G H)^-1 A      from H = Q; H -> P, its error squared in each round
 
-(1) x[k+1] = A x[k] + B u[k]          exact for an input held over a period (ZOH); other forms can be compared
-(2) command = feed-forward - K x, both for when the command takes effect, where the steering is late (`steering_delay`);
-    the gain K is that of `replay.control.regulator`, tabulated over speed
-(3) feed-forward = the command of exact following (`replay.control.feedforward`), read ahead on the path
-(4) of exact following: heading e_phi = p_0 kappa, its rate r = v kappa + p_0 kappa', its wheel angle
+R grows with the lateral acceleration that a steering angle makes: below v_0 the error decays over a distance, above it
+over a time. K is tabulated over speed and interpolated; below the table's first speed, where one can hardly steer, its
+first row holds.
 
-With (4) in x, -K x holds the k_3 term of the feed-forward: on a constant curve all errors vanish. p and d take the slip
-that the tyres have shown (`replay.control.slip`), so that they vanish for other tyres and loads too.
-With rigid tyres the states e_d' and e_phi' follow from the others: then it is the DLQR of `dlqr_kinematic`.
+(4) is structured doubling: Chu, Fan, Lin, Wang, Structure-preserving algorithms for periodic discrete-time algebraic
+Riccati equations, Int. J. Control 77 (2004), section 3. It is a kernel of small matrices, since the library solvers
+take a hundred times longer where the threads of their linear algebra find the cores busy.
+
+Where the tyres slip, the model is the paper's four-state error model with the steering's lag: state x = (e_d m, e_d'
+m/s, e_phi rad, e_phi' rad/s, e_steer rad) at the rear axle, input u = commanded steer, each minus that of exact
+following; (2)-(3) of `replay.control.lateral_model` with (steer)' = (u - steer) / lag.
+
+(5) x[k+1] = A x[k] + B u[k]          exact for an input held over a period (ZOH); other forms can be compared
+(6) command = feed-forward - K x, both for when the command takes effect, where the steering is late (`estimation`)
+(7) feed-forward = the command of exact following (`lateral_model` (6)-(7)), read ahead on the path
+(8) of exact following: heading e_phi = p_0 kappa, its rate r = v kappa + p_0 kappa', its wheel angle
+
+With (8) in x, -K x holds the k_3 term of the feed-forward: on a constant curve all errors vanish. p and d take the slip
+that the tyres have shown (`estimation`), so that they vanish for other tyres and loads too.
+
+With rigid tyres, e_d' and e_phi' follow from the others: x = (e_lat, e_yaw, e_steer); wheelbase L, steering lag T
+(Rajamani, Vehicle Dynamics and Control, 2.5; the lag added):
+
+(9)  d(e_lat)/dt = v e_yaw,   d(e_yaw)/dt = v / L e_steer,   d(e_steer)/dt = (u - e_steer) / T
+(10) exact for an input held over dt (ZOH), (9) integrated from the last up:
+     r = exp(-dt / T),  e_steer+ = r e_steer + (1 - r) u
+     e_yaw+ = e_yaw + v / L (i e_steer + (dt - i) u)                             i = T (1 - r)
+     e_lat+ = e_lat + v dt e_yaw + v^2 / L (j e_steer + (dt^2 / 2 - j) u)        j = T (dt - i)
+(11) steer command = atan(L kappa(s + v (T + dt / 2))) - K x
+     The curvature is read ahead by the steering's lag and half a period of the hold: to first order, the wheel then
+     has the angle of the path at the foot point s, and on a constant curve every error is 0 in the steady state.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import atan, exp
 from typing import NamedTuple
 
 import numpy as np
 
 from logs.errors import ConfigError, unknown_name
-from logs.kernel import FloatArray, frozen, inner_kernel
+from logs.kernel import FloatArray, frozen, inner_kernel, kernel
 from logs.vehicle import VehicleParameters
-from replay.control.feedforward import commanded, following_at, slip_table, steer_for
-from replay.control.lateral_model import DISCRETISATIONS, at_rear_axle, error_model, with_steering
-from replay.control.regulator import (
-    SHORTEST_LAG_S,
-    Regulator,
-    gain,
-    solve_regulator,
+from replay.control import estimation
+from replay.control.estimation import DelayModel, DelayState, SlipModel, SlipState
+from replay.control.lateral_model import (
+    DISCRETISATIONS,
+    at_rear_axle,
+    at_speed,
+    command_series,
+    error_model,
+    following_at,
+    has_rigid_tyres,
+    slip_table,
+    steer_for,
     table_speeds,
-)
-from replay.control.slip import NOTHING_LEARNED, SlipModel, SlipState, learned, slip_model
-from replay.control.steering_delay import (
-    DelayModel,
-    DelayState,
-    delay_model,
-    lateral_deviation,
-    nothing_known,
-    observed,
-    periods,
-    predicted,
-    record,
-    settled_wheel,
+    with_rigid_tyres,
+    with_steering,
 )
 from replay.vehicle.base import Motion
-from replay.vehicle.plan_path import Deviation
+from replay.vehicle.drivetrain import SHORTEST_LAG_S
+from replay.vehicle.plan_path import Deviation, path_kappa
+
+MAX_ROUNDS = 60
 
 
 @dataclass(frozen=True)
 class DlqrConfig:
-    """Weights of the regulator and the form of (1).
+    """Weights of the regulator and the form of (5); with rigid tyres, the rates have no weight.
 
     Attributes:
         lateral_weight: 1/m2.
@@ -83,32 +107,95 @@ class DlqrConfig:
             raise unknown_name("discretisation", self.discretisation, DISCRETISATIONS)
 
 
+@dataclass(frozen=True, eq=False)
+class Regulator:
+    """A solved (1)-(3) at one speed: A `(n, n)`, B `(n, 1)`, Q, R, P, and the gain K `(1, n)`."""
+
+    A: FloatArray
+    B: FloatArray
+    Q: FloatArray
+    R: FloatArray
+    P: FloatArray
+    K: FloatArray
+
+
 def regulator(v: float, p: VehicleParameters, period: float, config: DlqrConfig) -> Regulator:
-    """The regulator of (1) at one speed, m/s.
+    """The regulator (1)-(3) of a vehicle at one speed, m/s: five states, or three where its tyres are rigid.
 
     Raises:
         ConfigError: The weights, or a speed of 0, allow no stable gain.
     """
     if not v > 0.0:
         raise ConfigError(f"DLQR: no stable gain at {v} m/s")
-    A, B, _ = at_rear_axle(error_model(v, p), v, p)
-    A, B = with_steering(A, B, max(p.steer_lag, SHORTEST_LAG_S))
-    A, B = DISCRETISATIONS[config.discretisation](A, B[:, None], period)  # (1)
-    weights = (config.lateral_weight, config.lateral_rate_weight, config.heading_weight, config.heading_rate_weight)
-    return solve_regulator(A, B, (*weights, 0.0), config.steer_weight, v, config.speed_mps)
+    lag, weights = max(float(p.steer_lag), SHORTEST_LAG_S), [config.lateral_weight, config.heading_weight]
+    if has_rigid_tyres(p):
+        A, B = rolling_model(v, p.wheelbase, lag, period)  # (10)
+    else:
+        weights = [weights[0], config.lateral_rate_weight, weights[1], config.heading_rate_weight]
+        A, B, _ = at_rear_axle(error_model(v, p), v, p)
+        A, B = with_steering(A, B, lag)
+        A, B = DISCRETISATIONS[config.discretisation](A, B[:, None], period)  # (5)
+    Q, R = np.diag([*weights, 0.0]), np.array([[config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2]])  # (1)
+    P = solve_riccati(np.ascontiguousarray(A), np.ascontiguousarray(B), Q, R)  # (2)
+    if not np.isfinite(P).all():
+        weighed = f"the weights {(*weights, 0.0)} and steer_weight {config.steer_weight:g}"
+        raise ConfigError(f"DLQR: no stable gain at {v} m/s with {weighed}")
+    return Regulator(A, B, Q, R, P, np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))  # (3)
+
+
+def rolling_model(v: float, wheelbase: float, lag: float, period: float) -> tuple[FloatArray, FloatArray]:
+    """A `(3, 3)` and B `(3, 1)` of (10)."""
+    turn, decay = v / wheelbase, exp(-period / lag)
+    once = lag * (1.0 - decay)
+    twice = lag * (period - once)
+    A = np.array([[1.0, v * period, v * turn * twice], [0.0, 1.0, turn * once], [0.0, 0.0, decay]])  # (10)
+    B = np.array([[v * turn * (0.5 * period**2 - twice)], [turn * (period - once)], [1.0 - decay]])
+    return A, B
+
+
+@kernel
+def solve_riccati(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray) -> FloatArray:
+    """The stabilising P `(n, n)` of (2), for A `(n, n)`, B `(n, m)`, Q `(n, n)` >= 0, R `(m, m)` > 0.
+
+    All NaN where the rounds do not converge: (A, B) cannot be stabilised, or Q does not see an unstable mode.
+    """
+    eye = np.eye(len(A))
+    G = B @ np.linalg.solve(R, np.ascontiguousarray(B.T))
+    H = Q.copy()
+    for _ in range(MAX_ROUNDS):
+        W = np.linalg.solve(eye + G @ H, eye)
+        WA = W @ A
+        more = np.ascontiguousarray(A.T) @ (H @ WA)
+        G = G + A @ (W @ G) @ np.ascontiguousarray(A.T)
+        A = A @ WA
+        H = H + more
+        H = 0.5 * (H + H.T)
+        G = 0.5 * (G + G.T)
+        if not np.isfinite(H).all():
+            break
+        if np.abs(more).max() <= 1e-13 * np.abs(H).max():
+            return H
+    return np.full_like(H, np.nan)
 
 
 @lru_cache(maxsize=32)
-def schedule(p: VehicleParameters, period: float, config: DlqrConfig) -> FloatArray:
-    """K `(n, 5)` at `table_speeds`."""
+def gain_table(p: VehicleParameters, period: float, config: DlqrConfig) -> FloatArray:
+    """K `(n, 5)`, with rigid tyres `(n, 3)`, at `table_speeds`."""
     return frozen(np.array([regulator(float(v), p, period, config).K[0] for v in table_speeds()]))
 
 
+@kernel
+def gain(gains: FloatArray, v: float, column: int) -> float:
+    """An entry of K at a speed, m/s, linear between the table's rows; the ends hold."""
+    i, u = at_speed(gains, v)
+    return gains[i, column] + u * (gains[i + 1, column] - gains[i, column])
+
+
 class DlqrLaw(NamedTuple):
-    """The numbers of (2)-(4) for a vehicle with tyres that slip.
+    """The numbers of (6)-(8) for a vehicle with tyres that slip.
 
     Attributes:
-        gains: From `schedule`.
+        gains: From `gain_table`.
         slips: From `slip_table`.
         slip: What the slip is learned by.
         delay: What the steering's delay is learned by.
@@ -140,14 +227,15 @@ def dlqr_law(
 ) -> DlqrLaw:
     """The law for a vehicle whose tyres slip."""
     return DlqrLaw(
-        schedule(p, period, config or DlqrConfig()), slip_table(p), slip_model(p, period), delay_model(p, period),
+        gain_table(p, period, config or DlqrConfig()), slip_table(p), estimation.slip_model(p, period),
+        estimation.delay_model(p, period),
         float(p.wheelbase), float(p.max_steer), max(float(p.steer_lag), SHORTEST_LAG_S), commands,
     )  # fmt: skip
 
 
 def dlqr_start(period: float) -> DlqrState:
     """Nothing is known yet."""
-    return DlqrState(NOTHING_LEARNED, nothing_known(period))
+    return DlqrState(estimation.NO_SLIP, estimation.no_delay(period))
 
 
 @inner_kernel
@@ -157,22 +245,52 @@ def steer_slipping(
     """Front wheel angle to command, rad, and what is known then."""
     v, delay, model = now.v, state.delay, law.delay
     if law.commands:
-        delay = observed(delay, model, now.steer)
-    slip = learned(state.slip, law.slip, now)
-    rear, angle = following_at(law.slips, law.wheelbase, (slip.front, slip.rear), v)  # (4)
-    y = lateral_deviation(now, off, knots, rear)
-    lateral, side, heading, turn = predicted(y, delay, model, knots, off.foot, v, angle)
+        delay = estimation.observed(delay, model, now.steer)
+    slip = estimation.learned(state.slip, law.slip, now)
+    rear, angle = following_at(law.slips, law.wheelbase, (slip.front, slip.rear), v)  # (8)
+    y = estimation.lateral_deviation(now, off, knots, rear)
+    lateral, side, heading, turn = estimation.predicted(y, delay, model, knots, off.foot, v, angle)
     foot = off.foot + v * delay.delay
-    wheel = settled_wheel(delay) if periods(delay, model) else now.steer
+    wheel = estimation.settled_wheel(delay) if estimation.periods(delay, model) else now.steer
     command = (
-        steer_for(knots, foot, v, commanded(angle, law.lag, model.period))  # (3)
+        steer_for(knots, foot, v, command_series(angle, law.lag, model.period))  # (7)
         - gain(law.gains, v, 0) * lateral
         - gain(law.gains, v, 1) * (side + v * heading)
         - gain(law.gains, v, 2) * heading
         - gain(law.gains, v, 3) * turn
-        - gain(law.gains, v, 4) * (wheel - steer_for(knots, foot, v, angle))  # (2)
+        - gain(law.gains, v, 4) * (wheel - steer_for(knots, foot, v, angle))  # (6)
     )
     command = min(max(command, -law.max_steer), law.max_steer)
     if law.commands:
-        record(delay, model, command)
+        estimation.record(delay, model, command)
     return command, DlqrState(slip, delay)
+
+
+class KinematicLaw(NamedTuple):
+    """The numbers of (11): K over speed, wheelbase m, max_steer rad, T + dt / 2 s."""
+
+    gains: FloatArray
+    wheelbase: float
+    max_steer: float
+    preview: float
+
+
+def kinematic_law(p: VehicleParameters, period: float, config: DlqrConfig | None = None) -> KinematicLaw:
+    """The law for a vehicle with rigid tyres."""
+    lag = max(float(p.steer_lag), SHORTEST_LAG_S)
+    gains = gain_table(with_rigid_tyres(p), period, config or DlqrConfig())
+    return KinematicLaw(gains, float(p.wheelbase), float(p.max_steer), lag + 0.5 * period)
+
+
+@inner_kernel
+def steer_rolling(law: KinematicLaw, now: Motion, off: Deviation, knots: FloatArray) -> float:
+    """Front wheel angle to command, rad."""
+    here = atan(law.wheelbase * path_kappa(knots, off.foot))
+    ahead = atan(law.wheelbase * path_kappa(knots, off.foot + now.v * law.preview))
+    command = (
+        ahead
+        - gain(law.gains, now.v, 0) * off.lateral
+        - gain(law.gains, now.v, 1) * off.heading
+        - gain(law.gains, now.v, 2) * (now.steer - here)  # (11)
+    )
+    return min(max(command, -law.max_steer), law.max_steer)

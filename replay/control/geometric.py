@@ -21,47 +21,23 @@ Of the gains 1, 1.5, 2 and 2.5, tried on the same manoeuvres, 2 is the best (2.5
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import atan, atan2, cos, hypot, sin
 from typing import NamedTuple
 
-from logs.errors import ConfigError
 from logs.kernel import FloatArray, inner_kernel
 from logs.states import wrap
-from logs.vehicle import VehicleParameters
 from replay.vehicle.base import Motion
 from replay.vehicle.plan_path import Deviation, path_foot, path_point
 
 
-@dataclass(frozen=True)
-class PurePursuitConfig:
-    """The distance (1): `time_s` of driving, from `shortest_m` to `longest_m`."""
-
-    time_s: float = 0.5
-    shortest_m: float = 3.0
-    longest_m: float = 25.0
-
-    def __post_init__(self) -> None:
-        if not (self.time_s > 0.0 and 0.0 < self.shortest_m <= self.longest_m):
-            raise ConfigError("pure pursuit: time_s must be positive and 0 < shortest_m <= longest_m")
-
-
 class PursuitLaw(NamedTuple):
-    """The numbers of (1)-(3): s, m, m, wheelbase m, max_steer rad."""
+    """The numbers of (1)-(3): wheelbase m, max_steer rad, time s, shortest and longest distance m."""
 
-    time: float
-    shortest: float
-    longest: float
     wheelbase: float
     max_steer: float
-
-
-def pursuit_law(p: VehicleParameters, config: PurePursuitConfig | None = None) -> PursuitLaw:
-    """The law for a vehicle."""
-    c = config or PurePursuitConfig()
-    return PursuitLaw(
-        float(c.time_s), float(c.shortest_m), float(c.longest_m), float(p.wheelbase), float(p.max_steer)
-    )  # fmt: skip
+    time: float = 0.5
+    shortest: float = 3.0
+    longest: float = 25.0
 
 
 @inner_kernel
@@ -79,31 +55,13 @@ def steer_pursuing(law: PursuitLaw, now: Motion, off: Deviation, knots: FloatArr
     return min(max(command, -law.max_steer), law.max_steer)
 
 
-@dataclass(frozen=True)
-class StanleyConfig:
-    """Gain 1/s and softening m/s of (4)."""
-
-    gain: float = 2.0
-    softening_mps: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not (self.gain > 0.0 and self.softening_mps > 0.0):
-            raise ConfigError("Stanley: gain and softening_mps must be positive")
-
-
 class StanleyLaw(NamedTuple):
-    """The numbers of (4): 1/s, m/s, wheelbase m, max_steer rad."""
+    """The numbers of (4): wheelbase m, max_steer rad, gain 1/s, softening m/s."""
 
-    gain: float
-    softening: float
     wheelbase: float
     max_steer: float
-
-
-def stanley_law(p: VehicleParameters, config: StanleyConfig | None = None) -> StanleyLaw:
-    """The law for a vehicle."""
-    c = config or StanleyConfig()
-    return StanleyLaw(float(c.gain), float(c.softening_mps), float(p.wheelbase), float(p.max_steer))
+    gain: float = 2.0
+    softening: float = 1.0
 
 
 @inner_kernel

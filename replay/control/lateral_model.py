@@ -19,19 +19,39 @@ gravity a behind the front and b before the rear axle, L = a + b, kappa the curv
     d_0 = L + (m v^2 / L) (b / C_f - a / C_r): understeer; e_phi = p_0 kappa is why a constant curve needs the k_3 term.
 (5) Rigid tyres, C = inf: p = 0, steer = L kappa, e_d' = v e_phi, e_phi' = v steer / L - v kappa (kinematic bicycle).
 
+The feed-forward of exact following along a path, by (4) tabulated over speed, with the slip that was learned:
+
+(6) steer(t) = d_0 kappa + d_1 kappa' + d_2 kappa'' = d_0 kappa(t + d_1 / d_0) + (d_2 - d_1^2 / (2 d_0)) kappa''
+(7) of a command that the steering follows with lag T and that is held for h, (1 + T D) exp(h D / 2) times (6):
+        d_1 + (T + h / 2) d_0        d_2 + (T + h / 2) d_1 + (T h / 2 + h^2 / 8) d_0
+
+The shift in time reads the curvature ahead and differentiates nothing; kappa'' is a difference over 2 SPREAD_S, so that
+the kinks of a sampled plan do not come through. Times are stations at the present speed.
+
 Sources: Rajamani, Vehicle Dynamics and Control, 2.3-2.5, 3.1-3.2 (with C = 2 C_alpha).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from math import inf, isfinite
 
 import numpy as np
 from scipy.linalg import expm
 
-from logs.kernel import FloatArray
+from logs.kernel import FloatArray, frozen, kernel
 from logs.vehicle import VehicleParameters
+from replay.vehicle.plan_path import path_kappa
+
+SPEED_STEP_MPS = 0.5
+MAX_SPEED_MPS = 60.0
+SPREAD_S = 0.15
+SLOPE_S = 0.05
+"""Half of the time over which the curvature's rate is taken."""
+
+Series = tuple[float, float, float]
+"""d_0 rad m, d_1 rad m s, d_2 rad m s2."""
 
 
 def has_rigid_tyres(p: VehicleParameters) -> bool:
@@ -139,3 +159,93 @@ def body_model(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray]:
 
 DISCRETISATIONS = {"zoh": held, "bilinear": bilinear, "paper": paper_form}
 """How x' = A x + B u becomes x+ = A x + B u: exact, consistent midpoint, as printed."""
+
+
+def table_speeds() -> FloatArray:
+    """The speeds of all tables, m/s: SPEED_STEP_MPS, 2 SPEED_STEP_MPS, ... MAX_SPEED_MPS."""
+    return SPEED_STEP_MPS * np.arange(1, round(MAX_SPEED_MPS / SPEED_STEP_MPS) + 1)
+
+
+@kernel
+def at_speed(table: FloatArray, v: float) -> tuple[int, float]:
+    """Row of a table over `table_speeds` and share of the next row; the ends hold."""
+    place = min(max(v / SPEED_STEP_MPS - 1.0, 0.0), len(table) - 1.0)
+    i = min(int(place), len(table) - 2)
+    return i, place - i
+
+
+@lru_cache(maxsize=32)
+def lateral_table(p: VehicleParameters, h: float) -> FloatArray:
+    """The motion against a path under a held steer rate, at `table_speeds` `(n, 5, 6)`.
+
+    A and B over `h` s of (e_d, v_lat, e_phi, r, steer), each minus that of exact following: e_d' = v_lat + v e_phi,
+    e_phi' = r, (v_lat, r)' = body_model(v). With rigid tyres v_lat = 0 and r = v steer / L.
+    """
+    tables = np.zeros((len(table_speeds()), 5, 6))
+    for out, v in zip(tables, table_speeds().tolist(), strict=True):
+        if has_rigid_tyres(p):
+            turn = v / p.wheelbase
+            A = np.array([[0.0, v, 0.0], [0.0, 0.0, turn], [0.0, 0.0, 0.0]])
+            out[np.ix_([0, 2, 4], [0, 2, 4, 5])] = np.hstack(held(A, np.array([[0.0], [0.0], [1.0]]), h))
+            out[3] = turn * out[4]
+        else:
+            body, steered = body_model(v, p)
+            A = np.zeros((5, 5))
+            A[0, [1, 2]] = 1.0, v
+            A[2, 3] = 1.0
+            A[np.ix_([1, 3], [1, 3])] = body
+            A[[1, 3], 4] = steered
+            out[:] = np.hstack(held(A, np.array([[0.0], [0.0], [0.0], [0.0], [1.0]]), h))
+    return frozen(tables)
+
+
+@lru_cache(maxsize=32)
+def slip_table(p: VehicleParameters) -> FloatArray:
+    """rear_0, front_0, front_1, front_2 `(n, 4)` of `following` at `table_speeds`."""
+    rows = [(rear[0], *front) for rear, front, _ in (following(float(v), p) for v in table_speeds())]
+    return frozen(np.array(rows))
+
+
+@kernel
+def following_at(
+    slips: FloatArray, wheelbase: float, ratios: tuple[float, float], v: float
+) -> tuple[float, tuple[float, float, float]]:
+    """p_0 rad m and the series d of exact following; `ratios` of front and rear compliance (`Slip`)."""
+    i, u = at_speed(slips, v)
+    rear = ratios[1] * (slips[i, 0] + u * (slips[i + 1, 0] - slips[i, 0]))
+    front = ratios[0] * (slips[i, 1] + u * (slips[i + 1, 1] - slips[i, 1]))
+    spin = ratios[0] * (slips[i, 2] + u * (slips[i + 1, 2] - slips[i, 2]))
+    third = ratios[0] * (slips[i, 3] + u * (slips[i + 1, 3] - slips[i, 3]))
+    return rear, (wheelbase + front - rear, wheelbase * rear / max(v, SPEED_STEP_MPS) + spin, third)
+
+
+@kernel
+def command_series(d: tuple[float, float, float], lag: float, hold: float) -> tuple[float, float, float]:
+    """The series (7) of the command whose wheel angle has the series d."""
+    ahead = lag + 0.5 * hold
+    second = d[2] + ahead * d[1] + (0.5 * lag * hold + 0.125 * hold * hold) * d[0]
+    return d[0], d[1] + ahead * d[0], second  # (7)
+
+
+@kernel
+def within(knots: FloatArray, s: float, reach: float) -> float:
+    """The station nearest to `s` with `reach` m of path on both sides: a plan often begins at the ego."""
+    return max(min(s, knots[-1, 0] - reach), knots[0, 0] + reach)
+
+
+@kernel
+def steer_for(knots: FloatArray, s: float, v: float, d: tuple[float, float, float]) -> float:
+    """Wheel angle at station `s` of a path, speed `v`, rad."""
+    at, reach = s + v * d[1] / d[0], v * SPREAD_S
+    mid = within(knots, at, reach)
+    bend = path_kappa(knots, mid + reach) - 2.0 * path_kappa(knots, mid) + path_kappa(knots, mid - reach)
+    bend /= SPREAD_S * SPREAD_S
+    return d[0] * path_kappa(knots, at) + (d[2] - 0.5 * d[1] * d[1] / d[0]) * bend  # (6)
+
+
+@kernel
+def kappa_rate(knots: FloatArray, s: float, v: float) -> float:
+    """The curvature's rate in time at station `s`, 1/(m s)."""
+    reach = v * SLOPE_S
+    mid = within(knots, s, reach)
+    return (path_kappa(knots, mid + reach) - path_kappa(knots, mid - reach)) / (2.0 * SLOPE_S)

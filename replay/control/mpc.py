@@ -4,7 +4,7 @@
     The paper calls R_u the weight of the change and R_u_rate that of the magnitude; the names here say what they weigh.
 (2) subject to the prediction and limits of `replay.control.mpc_model` (deviations from exact following of the plan)
 
-The plan is resampled by quintic polynomials (`replay.control.quintic`). A weight on the inputs themselves would pull
+The plan is resampled by quintic polynomials (`mpc_model` (7)). A weight on the inputs themselves would pull
 the ego off a plan that accelerates: what is weighted is how far they are from those of exact following.
 
 One solve per `period_s` (20 Hz), warm-started; between two the steering goes on at the solved rate and the acceleration
@@ -13,18 +13,20 @@ is held. The actuators' lag is in the prediction of the acceleration and is inve
 (3) steer command   = that of exact following + steer_0 + w (tau + lag + period / 2)
 (4) acceleration    = a_plan, led by the pedal's dead time and lag (`pedals` (3)), + a
 
-The prediction starts when a command of now takes effect (`steering_delay`: the delay is learned), with the wheel angle
+The prediction starts when a command of now takes effect (`estimation`: the delay is learned), with the wheel angle
 of the actuator's model under the commands so far: a controller that starts from the measured angle takes back what a
 late actuator has not done yet.
 
 A plan carries the times at which it is to be driven, so a plan that comes late is followed from where it should be by
-now. Where no solution is found, the command is that of DLQR and dual-loop PID until the next; `notes` tell how often
+now. Where no solution is found, the command is that of DLQR and dual-loop PID until the next; `notes` say how often
 and why.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
+from math import nan
 
 import numpy as np
 from scipy import sparse
@@ -32,12 +34,13 @@ from scipy import sparse
 from logs.errors import ConfigError
 from logs.kernel import FloatArray, IntArray
 from logs.states import Command, EgoState
-from logs.trace import Plan, SolverReport
+from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from planners.qp import QPConfig, QPResult, QuadraticProgram
-from replay.control.feedforward import commanded, following_at, slip_table, steer_for
+from replay.control import pedals
+from replay.control.estimation import NO_SLIP, SteeringDelay, lateral_deviation, learned, slip_model
+from replay.control.lateral_model import command_series, following_at, lateral_table, slip_table, steer_for
 from replay.control.mpc_model import (
-    GRAVITY,
     INPUTS,
     LIMITS,
     PATTERN_A,
@@ -46,18 +49,15 @@ from replay.control.mpc_model import (
     STATES,
     STEP_SIZE,
     entered,
-    lateral_table,
     limits,
     packed,
     predicted,
+    resampled,
 )
-from replay.control.pedals import Lead, Pedals, SoftStop, Standstill
-from replay.control.quintic import resampled
-from replay.control.regulator import SHORTEST_LAG_S
-from replay.control.slip import Slip
-from replay.control.steering_delay import SteeringDelay, lateral_deviation
 from replay.vehicle.base import Controller, Powertrain, motion_of
-from replay.vehicle.plan_path import Deviation, PlanPath
+from replay.vehicle.drivetrain import SHORTEST_LAG_S
+from replay.vehicle.plan_path import Deviation, PlanPath, Tracker
+from replay.vehicle.tyres import GRAVITY
 
 RESAMPLED_S = 0.05
 WIDTH = INPUTS + STATES
@@ -216,30 +216,6 @@ def _pattern(n: int) -> tuple[sparse.csc_matrix, IntArray]:
     return A, np.array(places, np.int64)[order.data.astype(np.int64) - 1]
 
 
-@dataclass(slots=True)
-class Falls:
-    """The solves without a solution: how many of how many, and the first one's time and reason."""
-
-    solves: int = 0
-    falls: int = 0
-    first: str = field(default="")
-
-    def add(self, t: float, report: SolverReport) -> None:
-        """One more solve at `t`, s."""
-        self.solves += 1
-        if not report.solved:
-            self.falls += 1
-            self.first = self.first or f"at {t:.2f} s: {report.status}"
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """One sentence where it happened, else nothing."""
-        if not self.falls:
-            return ()
-        how_often = f"{self.falls} of {self.solves} solves"
-        return (f"MPC found no solution in {how_often} (first {self.first}): DLQR and PID drove",)
-
-
 class Mpc:
     """(1)-(4). See `replay.vehicle.base.Controller`.
 
@@ -267,32 +243,36 @@ class Mpc:
         self._lag = max(parameters.steer_lag, SHORTEST_LAG_S)
         self._every = max(round(self._config.period_s / period), 1)
         self._program = TrackingProgram(self._config)
-        self._slip, self._delay = Slip(parameters, period), delay or SteeringDelay(parameters, period)
-        self._pedals, self._standstill = Pedals(powertrain), Standstill()
-        self._lead, self._stop = Lead(powertrain, period), SoftStop(powertrain, period)
-        self._plan: Plan | None = None
-        self._path: PlanPath | None = None
-        self._falls = Falls()
-        self._since = 0
-        self._solved = False
+        self._slip_model, self._slip = slip_model(parameters, period), NO_SLIP
+        self._delay = delay or SteeringDelay(parameters, period)
+        self._tracker = Tracker(partial(resampled, step=RESAMPLED_S))
+        self._pedal, self._stop, self._lead = pedals.NO_PEDAL, pedals.NO_STOP, nan
+        self._stands, self._solved, self._since = False, False, 0
         self._input: FloatArray = np.zeros(INPUTS)
         self._steer = self._steer_rate = 0.0
+        self._solves, self._falls, self._first_fall = 0, 0, ""
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Where it fell back, one sentence."""
-        return self._falls.notes
+        if not self._falls:
+            return ()
+        how_often = f"{self._falls} of {self._solves} solves (first {self._first_fall})"
+        return (f"MPC found no solution in {how_often}: DLQR and PID drove",)
 
     def control(self, state: EgoState, plan: Plan) -> Command:
         """The command for the next control period."""
-        path = self._resampled(plan)
+        path = self._tracker.path(plan)
         self._delay.observe(state.steer)
         other = self._fallback.control(state, plan)
-        if self._standstill.holds(state.v, state.t, path):
-            self._rest()
-            return Command(state.steer, *self._pedals.hold(state.v, state.a))
+        self._stands = pedals.stands(self._stands, state.v, state.t, path.times)
+        if self._stands:
+            self._since, self._solved, self._lead, self._input = 0, False, nan, np.zeros(INPUTS)
+            self._delay.rest()
+            throttle, brake, self._pedal = pedals.hold(self._pedal, state.v, state.a)
+            return Command(state.steer, throttle, brake)
         off = path.deviation(state)
-        self._slip.learn(state)
+        self._slip = learned(self._slip, self._slip_model, motion_of(state))
         if self._since % self._every == 0:
             self._solve(state, path, off)
         tau = self._period * (self._since % self._every)
@@ -301,52 +281,45 @@ class Mpc:
         self._delay.record(command.steer)
         return command
 
-    def _resampled(self, plan: Plan) -> PlanPath:
-        if self._path is None or plan is not self._plan:
-            self._plan, self._path = plan, PlanPath.of(resampled(plan.trajectory, RESAMPLED_S))
-        return self._path
-
-    def _rest(self) -> None:
-        self._since, self._solved = 0, False
-        self._delay.rest()
-        self._lead.rest()
-        self._input = np.zeros(INPUTS)
+    @property
+    def _ratios(self) -> tuple[float, float]:
+        return self._slip.front, self._slip.rear
 
     def _solve(self, state: EgoState, path: PlanPath, off: Deviation) -> None:
-        config, p = self._config, self._p
+        """Solve (1)-(2) from the deviation xi now."""
+        config, p, v, delay = self._config, self._p, state.v, self._delay
         train = self._train.pedal_map
-        lags = (train.throttle_lag, train.brake_lag, self._train.coasting(state.v))
+        lags = (train.throttle_lag, train.brake_lag, self._train.coasting(v))
         along = entered(
-            path.times, path.knots, self._slips, p.wheelbase, self._slip.ratios, lags,
-            state.t, off.foot + state.v * self._delay.seconds, state.v, config.step_s, config.steps,
+            path.times, path.knots, self._slips, p.wheelbase, self._ratios, lags,
+            state.t, off.foot + v * delay.seconds, v, config.step_s, config.steps,
         )  # fmt: skip
         A, B = predicted(along, self._table, config.speed_mps, config.step_s)
         grip = config.friction_share * p.tyre_friction * GRAVITY
         bounds = limits(along, train, grip, (p.max_steer, p.max_steer_rate), config.speed_mps, config.step_s)
-        xi, scale = self._deviation(state, path, off, along), 1.0 + (state.v / config.speed_mps) ** 2
+        slip, angle = following_at(self._slips, p.wheelbase, self._ratios, v)
+        now = lateral_deviation(motion_of(state), off, path.knots, slip)
+        y, scale = delay.predict(now, path.knots, off.foot, v, angle), 1.0 + (v / config.speed_mps) ** 2
+        sigma = scale * (delay.wheel - along[0, 4])
+        xi = np.array([off.station, off.speed, state.a - along[0, 2], *y, sigma])
         result = self._program.solve(xi, self._input, A, B, bounds, fresh=not self._solved)
-        self._falls.add(state.t, result.report)
-        self._solved = result.report.solved
+        self._solved, self._solves = result.report.solved, self._solves + 1
+        if not self._solved:
+            self._falls += 1
+            self._first_fall = self._first_fall or f"at {state.t:.2f} s: {result.report.status}"
         self._input = result.x[:INPUTS].copy()
         self._steer, self._steer_rate = xi[7] / scale, self._input[1] / scale
 
-    def _deviation(self, state: EgoState, path: PlanPath, off: Deviation, along: FloatArray) -> FloatArray:
-        """The deviation xi now."""
-        v, delay = state.v, self._delay
-        slip, angle = following_at(self._slips, self._p.wheelbase, self._slip.ratios, v)
-        now = lateral_deviation(motion_of(state), off, path.knots, slip)
-        y = delay.predict(now, path.knots, off.foot, v, angle)
-        scale = 1.0 + (v / self._config.speed_mps) ** 2
-        sigma = scale * (delay.wheel - along[0, 4])
-        return np.array([off.station, off.speed, state.a - along[0, 2], *y, sigma])
-
     def _command(self, state: EgoState, path: PlanPath, off: Deviation, tau: float) -> Command:
         """(3)-(4), `tau` s after the solve."""
-        _, angle = following_at(self._slips, self._p.wheelbase, self._slip.ratios, state.v)
-        foot = off.foot + state.v * self._delay.seconds
-        steer = steer_for(path.knots, foot, state.v, commanded(angle, self._lag, self._period))
+        train, t, v = self._train.pedal_map, state.t, state.v
+        _, angle = following_at(self._slips, self._p.wheelbase, self._ratios, v)
+        foot = off.foot + v * self._delay.seconds
+        steer = steer_for(path.knots, foot, v, command_series(angle, self._lag, self._period))
         steer += self._steer + self._steer_rate * (tau + self._lag + 0.5 * self._period)  # (3)
-        acceleration = self._lead.command(path, state.t, state.v) + float(self._input[0])  # (4)
-        acceleration = self._stop.eased(acceleration, state, path)
         steer = min(max(steer, -self._p.max_steer), self._p.max_steer)
-        return Command(float(steer), *self._pedals.press(acceleration, state.v))
+        led, self._lead = pedals.compensated(self._lead, train, path.times, t, v, self._period)
+        wanted = led + float(self._input[0])  # (4)
+        wanted, self._stop = pedals.eased(self._stop, train, path.times, t, v, state.a, wanted, self._period)
+        throttle, brake, self._pedal = pedals.press(self._pedal, train, wanted, v)
+        return Command(float(steer), throttle, brake)

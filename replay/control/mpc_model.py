@@ -15,20 +15,25 @@ steer rate.
 
 The plan is entered at the ego's foot point: station s_0 + the way driven at v_k, which goes from the ego's speed to the
 plan's in SETTLE_S.
+
+Before, it is resampled by quintic polynomials, the paper's eq. 16: between two samples, in x and in y of their own,
+
+(7) f(t) = a_0 + a_1 (t - t_i) + ... + a_5 (t - t_i)^5        (the paper prints a_6 for a_5)
+
+matches position, velocity (v cos yaw, v sin yaw) and acceleration (a along, v^2 kappa across) at both samples: it is
+C2 there. Heading and speed are those of f'; where it is slower than SLOW_MPS they have no direction, and the headings
+of the samples count. Curvature is linear: f'' would give it with the rounding of the positions over h^2.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
-from math import cos, exp, pi, sin
+from math import atan2, cos, exp, hypot, pi, sin
 
 import numpy as np
 
 from logs.kernel import FloatArray, IntArray, frozen, kernel
-from logs.vehicle import VehicleParameters
-from replay.control.feedforward import following_at, steer_for
-from replay.control.lateral_model import body_model, has_rigid_tyres, held
-from replay.control.regulator import at_speed, table_speeds
+from logs.states import Trajectory, wrap
+from replay.control.lateral_model import at_speed, following_at, steer_for
 from replay.vehicle.pedal_map import PedalMap, reach
 from replay.vehicle.plan_path import path_kappa, timed
 
@@ -37,7 +42,7 @@ LIMITS = 3 + SIDES
 """Bounded rows of a step: a, w, sigma, the polygon (6)."""
 STEP_SIZE = STATES * INPUTS + STATES * STATES + 2 * SIDES
 SETTLE_S = 1.0
-GRAVITY = 9.81
+SLOW_MPS = 1.0
 
 _A = np.zeros((STATES, STATES), bool)
 _A[0, [0, 1, 2]] = _A[1, [1, 2]] = _A[2, 2] = _A[3, 3:] = True
@@ -48,33 +53,6 @@ PATTERN_A, PATTERN_B = frozen(_A, np.bool_), frozen(_B, np.bool_)
 """Where A and B of (4) may differ from 0."""
 
 
-@lru_cache(maxsize=32)
-def lateral_table(p: VehicleParameters, h: float) -> FloatArray:
-    """A and B of (2) held over `h` s `(n, 5, 6)`, of (e_d, v_lat, e_phi, r, steer), at `feedforward.table_speeds`."""
-    of = _rigid if has_rigid_tyres(p) else _slipping
-    return frozen(np.stack([of(v, p, h) for v in table_speeds().tolist()]))
-
-
-def _slipping(v: float, p: VehicleParameters, h: float) -> FloatArray:
-    body, steered = body_model(v, p)
-    A = np.zeros((5, 5))
-    A[0, [1, 2]] = 1.0, v  # (2)
-    A[2, 3] = 1.0
-    A[np.ix_([1, 3], [1, 3])] = body
-    A[[1, 3], 4] = steered
-    return np.hstack(held(A, np.array([[0.0], [0.0], [0.0], [0.0], [1.0]]), h))
-
-
-def _rigid(v: float, p: VehicleParameters, h: float) -> FloatArray:
-    """Rigid tyres: (e_d, e_phi, steer) moves by itself, v_lat = 0, r = v steer / L."""
-    turn = v / p.wheelbase
-    A, B = held(np.array([[0.0, v, 0.0], [0.0, 0.0, turn], [0.0, 0.0, 0.0]]), np.array([[0.0], [0.0], [1.0]]), h)
-    out = np.zeros((5, 6))
-    out[np.ix_([0, 2, 4], [0, 2, 4, 5])] = np.hstack([A, B])
-    out[3] = turn * out[4]
-    return out
-
-
 @kernel
 def entered(
     times: FloatArray, knots: FloatArray, slips: FloatArray, wheelbase: float, ratios: tuple[float, float],
@@ -82,18 +60,9 @@ def entered(
 ) -> FloatArray:  # fmt: skip
     """The plan as it will be driven, `(n + 1, 7)`: v, kappa, a, commanded a, steer, d_0, lag of the pedal in use.
 
-    Args:
-        times: Of `PlanPath`; `knots` likewise.
-        knots: Of `PlanPath`.
-        slips: From `slip_table`.
-        wheelbase: m.
-        ratios: Learned compliance of front and rear axle.
-        lags: Of throttle and brake, s, and the acceleration below which the brake is in use, m/s2.
-        t: Now, s.
-        foot: Station of the ego's foot point, m.
-        v: Of the ego, m/s.
-        h: Step, s.
-        n: Steps.
+    `slips` is from `slip_table`; `ratios` are the learned compliances of front and rear axle; `lags` those of throttle
+    and brake, s, and the acceleration below which the brake is in use, m/s2; `foot` is the station of the ego's foot
+    point at `t`, m; `v` its speed, m/s; `n` steps of `h` s.
     """
     out = np.empty((n + 1, 7))
     _, planned, _ = timed(times, t)
@@ -146,13 +115,7 @@ def limits(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(5)-(6) for the deviations: lower and upper bounds `(n, LIMITS)`, polygon rows `(n, SIDES, 2)` of (e_a, sigma).
 
-    Args:
-        along: From `entered`.
-        train: Of the vehicle: what it can do at each speed.
-        grip: mu g, m/s2.
-        steering: max_steer rad, max_steer_rate rad/s.
-        v_0: Of (3).
-        h: Step, s.
+    `along` is from `entered`; `grip` is mu g, m/s2; `steering` max_steer, rad, max_steer_rate, rad/s; `v_0` as (3).
     """
     n = len(along) - 1
     lower, upper = np.full((n, LIMITS), -np.inf), np.empty((n, LIMITS))
@@ -195,3 +158,57 @@ def packed(A: FloatArray, B: FloatArray, sides: FloatArray, places: IntArray) ->
     for i in range(len(places)):
         out[i] = entries[places[i]]
     return out
+
+
+@kernel
+def quintic(
+    p0: float, v0: float, a0: float, p1: float, v1: float, a1: float, h: float, tau: float
+) -> tuple[float, float, float]:
+    """Value, first and second derivative of (7) at `tau` in [0, 1], from those at both ends of `h` s."""
+    v0, a0, v1, a1 = h * v0, h * h * a0, h * v1, h * h * a1
+    rise = p1 - p0 - v0 - 0.5 * a0
+    slope, bend = v1 - v0 - a0, a1 - a0
+    c3 = 10.0 * rise - 4.0 * slope + 0.5 * bend
+    c4 = -15.0 * rise + 7.0 * slope - bend
+    c5 = 6.0 * rise - 3.0 * slope + 0.5 * bend
+    value = p0 + tau * (v0 + tau * (0.5 * a0 + tau * (c3 + tau * (c4 + tau * c5))))
+    first = v0 + tau * (a0 + tau * (3.0 * c3 + tau * (4.0 * c4 + tau * 5.0 * c5)))
+    second = a0 + tau * (6.0 * c3 + tau * (12.0 * c4 + tau * 20.0 * c5))
+    return value, first / h, second / (h * h)
+
+
+@kernel
+def resample(columns: FloatArray, t: FloatArray) -> FloatArray:
+    """`(7, m)`: t, x, y, yaw, v, a, kappa at the times t, of a plan's columns `(7, n)`, n > 1, within its span."""
+    out = np.empty((7, len(t)))
+    i = 0
+    for k in range(len(t)):
+        while i < columns.shape[1] - 2 and t[k] >= columns[0, i + 1]:
+            i += 1
+        one, two = columns[:, i], columns[:, i + 1]
+        h = two[0] - one[0]
+        tau = min(max((t[k] - one[0]) / h, 0.0), 1.0)
+        c0, s0, c1, s1 = cos(one[3]), sin(one[3]), cos(two[3]), sin(two[3])
+        n0, n1 = one[4] * one[4] * one[6], two[4] * two[4] * two[6]
+        x, vx, ax = quintic(
+            one[1], one[4] * c0, one[5] * c0 - n0 * s0, two[1], two[4] * c1, two[5] * c1 - n1 * s1, h, tau
+        )
+        y, vy, ay = quintic(
+            one[2], one[4] * s0, one[5] * s0 + n0 * c0, two[2], two[4] * s1, two[5] * s1 + n1 * c1, h, tau
+        )
+        yaw, v = one[3] + tau * (two[3] - one[3]), one[4] + tau * (two[4] - one[4])
+        a = one[5] + tau * (two[5] - one[5])
+        if min(one[4], two[4]) > SLOW_MPS:
+            yaw, v = yaw + wrap(atan2(vy, vx) - yaw), hypot(vx, vy)
+            a = (ax * vx + ay * vy) / max(v, 1e-9)
+        out[:, k] = (t[k], x, y, yaw, v, a, one[6] + tau * (two[6] - one[6]))
+    return out
+
+
+def resampled(plan: Trajectory, step: float) -> Trajectory:
+    """The plan every `step` s from its first sample on, and its last sample."""
+    if len(plan) < 2:
+        return plan
+    count = int(np.ceil((plan.t[-1] - plan.t[0]) / step - 1e-6))
+    t = np.r_[plan.t[0] + step * np.arange(count), plan.t[-1]]
+    return Trajectory(*resample(np.stack([plan.t, plan.x, plan.y, plan.yaw, plan.v, plan.a, plan.kappa]), t))

@@ -18,18 +18,32 @@ speed v on at which it can be released with the jerk j, it follows v = j u^2 / 2
 
 (4) j = max(GENTLE_MPS3, sqrt(b^3 / (24 LONGER_M))),   a_command = -j max(sqrt(2 v / j) - d - LAGS T, 0) + o
     o' = -HARDER_PER_S (b_v + a), from 0, while it slows down by less than half of b_v = sqrt(2 j v): an unknown slope
+
+The calibration table: acceleration x speed -> pedals, as the vehicle's own model has it in steady state.
+
+(5) pedal(a, v) > 0: throttle, < 0: brake;  beyond = a - coasting(v)
+    pedal = beyond / full_throttle(v) where beyond >= 0, beyond / full_brake(v) where it is negative; NaN out of reach
+
+Such a table is measured on a car whose drive train cannot be inverted. Here the power train is known and linear in the
+pedal at each speed, so controllers use the exact inverse: no error between the table's nodes, no file to keep in step
+with the vehicle. The table is for the reader, and to drive a real car by.
 """
 
 from __future__ import annotations
 
-from math import exp, isnan, nan, sqrt
+import csv
+from dataclasses import dataclass
+from math import exp, isnan, sqrt
+from pathlib import Path
 from typing import NamedTuple
 
-from logs.kernel import FloatArray, kernel
-from logs.states import EgoState
+import numpy as np
+
+from logs.errors import ConfigError
+from logs.kernel import FloatArray, frozen, kernel
 from replay.vehicle.base import Powertrain
 from replay.vehicle.pedal_map import PedalMap, coasting, full_throttle
-from replay.vehicle.plan_path import PlanPath, timed
+from replay.vehicle.plan_path import timed
 
 HYSTERESIS_MPS2 = 0.15
 HOLDING_BRAKE = 0.2
@@ -48,6 +62,10 @@ LAGS = 1.1
 CATCH_UP_S = 0.3
 STEEPEST_MPS3 = 15.0
 """Changes of a plan's acceleration beyond this are taken for steps, which (3) does not follow."""
+
+SPEEDS_MPS = np.arange(0.0, 50.1, 1.0)
+ACCELERATIONS_MPS2 = np.arange(-9.0, 5.1, 0.25)
+"""Of the calibration table."""
 
 
 class PedalState(NamedTuple):
@@ -91,13 +109,7 @@ def hold(state: PedalState, v: float, a: float) -> tuple[float, float, PedalStat
 def compensated(m: float, train: PedalMap, times: FloatArray, t: float, v: float, h: float) -> tuple[float, float]:
     """The acceleration to command at `t` (s) and speed `v` (m/s) for a period `h`, for that of the plan, m/s2; m+ (3).
 
-    Args:
-        m: What the acceleration follows; NaN: nothing was commanded yet.
-        train: Of the vehicle.
-        times: Of `PlanPath`.
-        t: Now, s.
-        v: Of the ego, m/s.
-        h: s.
+    `m` is what the acceleration follows; NaN: nothing was commanded yet.
     """
     coast = coasting(train, v)
     later = timed(times, t + train.brake_delay + h)[2]
@@ -140,60 +152,78 @@ def stands(standing: bool, v: float, t: float, times: FloatArray) -> bool:
     return wanted <= LEAVING_MPS if standing else v < STANDING_MPS and wanted <= STANDING_MPS
 
 
-class Pedals:
-    """(1)-(2); remembers which pedal is in use, and whether the brake holds."""
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The table (5).
 
-    def __init__(self, powertrain: Powertrain) -> None:
-        self._train, self._state = powertrain.pedal_map, NO_PEDAL
+    Attributes:
+        speed: `(n,)` m/s, increasing.
+        acceleration: `(m,)` m/s2, increasing.
+        pedal: `(m, n)`; throttle positive, brake negative, -1 to 1; NaN where the vehicle cannot.
+    """
 
-    def press(self, acceleration: float, v: float) -> tuple[float, float]:
-        """Throttle and brake, 0 to 1, for an acceleration (m/s2) at a speed (m/s)."""
-        throttle, brake, self._state = press(self._state, self._train, acceleration, v)
-        return throttle, brake
+    speed: FloatArray
+    acceleration: FloatArray
+    pedal: FloatArray
 
-    def hold(self, v: float, a: float) -> tuple[float, float]:
-        """Throttle and brake that hold a standstill; none while the last of `v` (m/s) goes by itself, `a` (m/s2)."""
-        throttle, brake, self._state = hold(self._state, v, a)
-        return throttle, brake
+    def __post_init__(self) -> None:
+        for name in ("speed", "acceleration", "pedal"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
-
-class Lead:
-    """(3); remembers m, which follows the commands as the acceleration does."""
-
-    def __init__(self, powertrain: Powertrain, period: float) -> None:
-        self._train, self._period, self._m = powertrain.pedal_map, period, nan
-
-    def rest(self) -> None:
-        """The vehicle is held: what was commanded is gone."""
-        self._m = nan
-
-    def command(self, path: PlanPath, t: float, v: float) -> float:
-        """The acceleration to command at `t` (s) and speed `v` (m/s), for a period, for that of the plan, m/s2."""
-        command, self._m = compensated(self._m, self._train, path.times, t, v, self._period)
-        return command
-
-
-class SoftStop:
-    """(4); remembers j and o of the stop that it ends."""
-
-    def __init__(self, powertrain: Powertrain, period: float) -> None:
-        self._train, self._period, self._state = powertrain.pedal_map, period, NO_STOP
-
-    def eased(self, acceleration: float, state: EgoState, path: PlanPath) -> float:
-        """What to command where `acceleration` is wanted, m/s2."""
-        command, self._state = eased(
-            self._state, self._train, path.times, state.t, state.v, state.a, acceleration, self._period
+    @classmethod
+    def of(
+        cls, powertrain: Powertrain, speed: FloatArray = SPEEDS_MPS, acceleration: FloatArray = ACCELERATIONS_MPS2
+    ) -> Calibration:
+        """The table of a power train."""
+        coasting, throttle, brake = (
+            np.array([of(float(v)) for v in speed])
+            for of in (powertrain.coasting, powertrain.full_throttle, powertrain.full_brake)
         )
-        return command
+        beyond = acceleration[:, None] - coasting
+        pedal = np.divide(beyond, np.where(beyond >= 0.0, throttle, brake))
+        return cls(speed, acceleration, np.where(np.abs(pedal) <= 1.0, pedal, np.nan))
+
+    def at(self, acceleration: float, v: float) -> tuple[float, float]:
+        """Throttle and brake by bilinear interpolation, held at the table's ends; NaN out of the vehicle's reach."""
+        i, u = _place(self.acceleration, acceleration)
+        j, w = _place(self.speed, v)
+        corners = self.pedal[i : i + 2, j : j + 2]
+        pedal = float(np.array([1.0 - u, u]) @ corners @ np.array([1.0 - w, w]))
+        return max(pedal, 0.0) if pedal == pedal else pedal, max(-pedal, 0.0) if pedal == pedal else pedal
+
+    def save(self, path: Path) -> None:
+        """Write it as CSV: a row per acceleration, a column per speed; empty where the vehicle cannot."""
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["acceleration_mps2", *(f"{v:g}_mps" for v in self.speed)])
+            for a, row in zip(self.acceleration, self.pedal, strict=True):
+                writer.writerow([f"{a:g}", *("" if np.isnan(value) else f"{value:.6f}" for value in row)])
+
+    def plot(self, path: Path) -> None:
+        """Draw it as a picture (format by the path's ending).
+
+        Raises:
+            ConfigError: matplotlib is not installed.
+        """
+        try:
+            from matplotlib.backends.backend_agg import FigureCanvasAgg
+            from matplotlib.figure import Figure
+        except ImportError:
+            raise ConfigError("plots need matplotlib: install it, or write the CSV only") from None
+        figure = Figure(figsize=(7.0, 4.5), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.add_subplot()
+        mesh = axes.pcolormesh(
+            self.speed, self.acceleration, np.ma.masked_invalid(self.pedal),
+            cmap="RdBu", vmin=-1.0, vmax=1.0, shading="nearest",
+        )  # fmt: skip
+        axes.set_xlabel("speed, m/s")
+        axes.set_ylabel("acceleration, m/s2")
+        figure.colorbar(mesh, ax=axes, label="pedal: throttle > 0, brake < 0")
+        figure.savefig(path, dpi=150)
 
 
-class Standstill:
-    """Whether the vehicle is to be held: a stop state with hysteresis, so that it neither creeps nor hesitates."""
-
-    def __init__(self) -> None:
-        self._stands = False
-
-    def holds(self, v: float, t: float, path: PlanPath) -> bool:
-        """Whether to hold at speed `v` (m/s) and time `t` (s), following `path`."""
-        self._stands = stands(self._stands, v, t, path.times)
-        return self._stands
+def _place(grid: FloatArray, value: float) -> tuple[int, float]:
+    """Cell of a value in an increasing grid and its share of it, 0 to 1; the ends hold."""
+    i = int(np.clip(np.searchsorted(grid, value, side="right") - 1, 0, len(grid) - 2))
+    return i, float(np.clip((value - grid[i]) / (grid[i + 1] - grid[i]), 0.0, 1.0))

@@ -21,50 +21,38 @@ with speed as the curvature that a lateral acceleration allows. The gains are a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import isnan, nan, sin
 from typing import NamedTuple
 
-from logs.errors import ConfigError
 from logs.kernel import FloatArray, inner_kernel, kernel
-from logs.vehicle import VehicleParameters
 from replay.control.pedals import compensated
 from replay.vehicle.base import Motion
 from replay.vehicle.pedal_map import PedalMap, reach
 from replay.vehicle.plan_path import Deviation, timed
 
 
-@dataclass(frozen=True)
-class PidConfig:
-    """Gains of (1)-(3).
+class SpeedLaw(NamedTuple):
+    """The numbers of a speed controller; by default those of the dual loop (1)-(3).
 
     Attributes:
-        station_gain: Speed per station error, 1/s.
-        station_limit_mps: The most speed that the outer loop adds or takes.
+        period: Between two commands, s.
         kp: Acceleration per speed error, 1/s.
         ki: Acceleration per integrated speed error, 1/s2.
+        kd: Acceleration per rate of the speed error.
+        station_gain: Speed per station error, 1/s.
+        station_limit: The most speed that the outer loop adds or takes, m/s.
     """
 
-    station_gain: float = 0.5
-    station_limit_mps: float = 3.0
+    period: float
     kp: float = 1.5
     ki: float = 0.3
-
-    def __post_init__(self) -> None:
-        for name in ("station_gain", "station_limit_mps", "kp", "ki"):
-            if not 0.0 <= getattr(self, name) < float("inf"):
-                raise ConfigError(f"dual-loop PID: {name} must not be negative, got {getattr(self, name)}")
+    kd: float = 0.0
+    station_gain: float = 0.5
+    station_limit: float = 3.0
 
 
-class SpeedLaw(NamedTuple):
-    """The numbers of a speed controller: those of (1)-(3), 0 where it has none, kd 1, and the period s."""
-
-    station_gain: float
-    station_limit: float
-    kp: float
-    ki: float
-    kd: float
-    period: float
+SINGLE_LOOP_KD = 0.05
+"""Of (6), whose other gains are those of the inner loop (3)."""
 
 
 class SpeedState(NamedTuple):
@@ -76,12 +64,6 @@ class SpeedState(NamedTuple):
 
 
 AT_REST = SpeedState(0.0, nan, nan)
-
-
-def dual_loop_law(period: float, config: PidConfig | None = None) -> SpeedLaw:
-    """The law of (1)-(4)."""
-    c = config or PidConfig()
-    return SpeedLaw(float(c.station_gain), float(c.station_limit_mps), float(c.kp), float(c.ki), 0.0, period)
 
 
 @kernel
@@ -109,48 +91,15 @@ def limited(
     return min(max(wanted, lowest), highest), integral
 
 
-@dataclass(frozen=True)
-class SteeringPidConfig:
-    """Gains of (5): rad/m, rad/(m s), rad s/m; v_0 in m/s."""
+class SteeringPidLaw(NamedTuple):
+    """The numbers of (5): period s, max_steer rad, gains rad/m, rad/(m s), rad s/m, v_0 m/s."""
 
+    period: float
+    max_steer: float
     kp: float = 0.4
     ki: float = 0.3
     kd: float = 0.3
-    speed_mps: float = 12.0
-
-    def __post_init__(self) -> None:
-        if min(self.kp, self.ki, self.kd) < 0.0 or not self.speed_mps > 0.0:
-            raise ConfigError("steering PID: no gain may be negative, speed_mps must be positive")
-
-
-@dataclass(frozen=True)
-class SpeedPidConfig:
-    """Gains of (6): 1/s, 1/s2, 1."""
-
-    kp: float = 1.5
-    ki: float = 0.3
-    kd: float = 0.05
-
-    def __post_init__(self) -> None:
-        if min(self.kp, self.ki, self.kd) < 0.0:
-            raise ConfigError("speed PID: no gain may be negative")
-
-
-class SteeringPidLaw(NamedTuple):
-    """The numbers of (5), max_steer rad, and the period s."""
-
-    kp: float
-    ki: float
-    kd: float
-    speed: float
-    max_steer: float
-    period: float
-
-
-def steering_pid_law(p: VehicleParameters, period: float, config: SteeringPidConfig | None = None) -> SteeringPidLaw:
-    """The law for a vehicle."""
-    c = config or SteeringPidConfig()
-    return SteeringPidLaw(float(c.kp), float(c.ki), float(c.kd), float(c.speed_mps), float(p.max_steer), period)
+    speed: float = 12.0
 
 
 @inner_kernel

@@ -2,7 +2,7 @@
 
 It is one compiled step, so that the loop can run it for a whole plan period without coming back to Python
 (`replay.loop.plan_period`). Which laws it is made of is data: `SplitLaw` names them and holds their numbers; adding one
-is its kernel, its numbers here, and a branch of `steer` or `accelerate`.
+is its kernel, its numbers here, and a branch of `steer` or `control`.
 """
 
 from __future__ import annotations
@@ -15,29 +15,43 @@ from logs.kernel import FloatArray, frozen, inner_kernel, kernel
 from logs.states import Command, EgoState
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters
-from replay.control.dlqr import DlqrLaw, DlqrState, dlqr_law, dlqr_start, steer_slipping
-from replay.control.dlqr_kinematic import KinematicLaw, kinematic_law, steer_rolling
-from replay.control.geometric import PursuitLaw, StanleyLaw, pursuit_law, stanley_law, steer_at_front, steer_pursuing
+from replay.control.dlqr import (
+    DlqrLaw,
+    DlqrState,
+    KinematicLaw,
+    dlqr_law,
+    dlqr_start,
+    kinematic_law,
+    steer_rolling,
+    steer_slipping,
+)
+from replay.control.estimation import DelayModel, DelayState, SlipModel, SlipState, SteeringDelay, slip_model
+from replay.control.geometric import PursuitLaw, StanleyLaw, steer_at_front, steer_pursuing
 from replay.control.lateral_model import has_rigid_tyres
 from replay.control.pedals import NO_PEDAL, NO_STOP, PedalState, StopState, eased, hold, press, stands
 from replay.control.pid import (
     AT_REST,
+    SINGLE_LOOP_KD,
     SpeedLaw,
-    SpeedPidConfig,
     SpeedState,
     SteeringPidLaw,
     accelerate_by_error,
     accelerate_dual_loop,
-    dual_loop_law,
     steer_by_error,
-    steering_pid_law,
 )
-from replay.control.slip import SlipModel, SlipState, slip_model
-from replay.control.steering_delay import DelayModel, DelayState, SteeringDelay
-from replay.vehicle.base import Motion, Plain, Powertrain, motion_of, plain
+from replay.vehicle.base import (
+    COLUMNS,
+    MOTION,
+    Motion,
+    Plain,
+    Powertrain,
+    motion_at,
+    motion_of,
+    plain,
+    write_command,
+)
 from replay.vehicle.pedal_map import PedalMap
 from replay.vehicle.plan_path import Deviation, Tracker, deviation
-from replay.vehicle.trace_rows import COLUMNS, MOTION, commanded, motion_at
 
 DLQR, KINEMATIC_DLQR, PURE_PURSUIT, STANLEY, STEERING_PID = range(5)
 DUAL_LOOP, SPEED_PID = range(2)
@@ -46,19 +60,7 @@ MEMORY, DELAY = 18, slice(15, 18)
 
 
 class SplitLaw(NamedTuple):
-    """Which laws, their numbers, and the pedals that they are to press.
-
-    Attributes:
-        steers: One of DLQR, KINEMATIC_DLQR, ...
-        drives: DUAL_LOOP or SPEED_PID.
-        dlqr: Of each law, used or not.
-        kinematic: Likewise.
-        pursuit: Likewise.
-        stanley: Likewise.
-        pid: Likewise.
-        speed: Of the law that drives.
-        train: Of the vehicle.
-    """
+    """Which law steers (DLQR ...), which drives (DUAL_LOOP ...), the numbers of all, used or not, and the pedals."""
 
     steers: int
     drives: int
@@ -103,26 +105,6 @@ def steer(
 
 
 @inner_kernel
-def accelerate(
-    law: SplitLaw, state: SpeedState, now: Motion, off: Deviation, times: FloatArray
-) -> tuple[float, SpeedState]:
-    """Acceleration to command, m/s2, and what is remembered then."""
-    if law.drives == SPEED_PID:
-        return accelerate_by_error(law.speed, state, law.train, now, off)
-    return accelerate_dual_loop(law.speed, state, law.train, now, off, times)
-
-
-@inner_kernel
-def resting(law: SplitLaw, state: SplitState, now: Motion) -> tuple[float, float, float, SplitState]:
-    """The command that holds a standstill, and what is remembered: not where the wheel is, nor what was integrated."""
-    throttle, brake, pedal = hold(state.pedal, now.v, now.a)
-    delay = state.dlqr.delay
-    unknown = DelayState(delay.wheel, delay.offset, delay.delay, delay.known and not law.dlqr.commands)
-    known = DlqrState(state.dlqr.slip, unknown)
-    return now.steer, throttle, brake, SplitState(True, pedal, state.stop, AT_REST, state.steer_integral, known)
-
-
-@inner_kernel
 def control(
     law: SplitLaw, state: SplitState, now: Motion, off: Deviation, times: FloatArray, knots: FloatArray
 ) -> tuple[float, float, float, SplitState]:
@@ -130,10 +112,17 @@ def control(
 
     A stop ends softly; while the vehicle is held at a standstill, the brake is on and the steering stays where it is.
     """
-    if stands(state.standing, now.v, now.t, times):
-        return resting(law, state, now)
+    if stands(state.standing, now.v, now.t, times):  # forget where the wheel is, and what was integrated
+        throttle, brake, pedal = hold(state.pedal, now.v, now.a)
+        delay = state.dlqr.delay
+        unknown = DelayState(delay.wheel, delay.offset, delay.delay, delay.known and not law.dlqr.commands)
+        rests = SplitState(True, pedal, state.stop, AT_REST, state.steer_integral, DlqrState(state.dlqr.slip, unknown))
+        return now.steer, throttle, brake, rests
     angle, integral, known = steer(law, state, now, off, knots)
-    wanted, speed = accelerate(law, state.speed, now, off, times)
+    if law.drives == SPEED_PID:
+        wanted, speed = accelerate_by_error(law.speed, state.speed, law.train, now, off)
+    else:
+        wanted, speed = accelerate_dual_loop(law.speed, state.speed, law.train, now, off, times)
     wanted, stop = eased(state.stop, law.train, times, now.t, now.v, now.a, wanted, law.speed.period)
     throttle, brake, pedal = press(state.pedal, law.train, wanted, now.v)
     return angle, throttle, brake, SplitState(False, pedal, stop, speed, integral, known)
@@ -176,7 +165,7 @@ def control_row(
     off = deviation(times, knots, now.t, now.x, now.y, now.yaw, now.v)
     steer, throttle, brake, state = control(law, remembered(memory, wheel), now, off, times, knots)
     remember(memory, state)
-    commanded(rows[k], steer, throttle, brake, off)
+    write_command(rows[k], steer, throttle, brake, off)
     return steer, throttle, brake
 
 
@@ -206,7 +195,7 @@ class SplitController:
     def __init__(self, law: SplitLaw, delay: SteeringDelay | None = None) -> None:
         self.laws: Plain = plain(law)
         self.memory, self.wheel = np.zeros(MEMORY), dlqr_start(law.speed.period).delay.wheel
-        remember(self.memory, start_of(law))
+        remember(self.memory, SplitState(False, NO_PEDAL, NO_STOP, AT_REST, 0.0, dlqr_start(law.speed.period)))
         self._delay, self._tracker, self._row = delay, Tracker(), np.zeros((1, COLUMNS))
 
     @property
@@ -224,13 +213,9 @@ class SplitController:
         return Command(*control_once(self.laws, self.memory, self.wheel, path.times, path.knots, self._row))
 
 
-def start_of(law: SplitLaw) -> SplitState:
-    """Nothing is remembered yet."""
-    return SplitState(False, NO_PEDAL, NO_STOP, AT_REST, 0.0, dlqr_start(law.speed.period))
-
-
-_UNUSED = frozen(np.zeros((2, 5)))
-_UNUSED_TABLE = frozen(np.zeros((2, 5, 6)))
+UNUSED = frozen(np.zeros((2, 5)))
+UNUSED_TABLE = frozen(np.zeros((2, 5, 6)))
+"""Tables of laws that do not steer: they need not be solved for."""
 
 
 def split_law(
@@ -247,19 +232,16 @@ def split_law(
         drives: DUAL_LOOP or SPEED_PID.
         commands: Whether what it asks for is what is commanded.
     """
-    p, rigid = parameters, has_rigid_tyres(parameters)
-    steers = KINEMATIC_DLQR if rigid and steers == DLQR else steers
-    slipping = dlqr_law(p, period, commands=commands) if steers == DLQR else _no_dlqr(p, period)
-    rolling = kinematic_law(p, period) if steers == KINEMATIC_DLQR else KinematicLaw(_UNUSED, 0.0, 0.0, 0.0)
-    gains = SpeedPidConfig()
-    single = SpeedLaw(0.0, 0.0, float(gains.kp), float(gains.ki), float(gains.kd), period)
+    p, wheelbase, most = parameters, float(parameters.wheelbase), float(parameters.max_steer)
+    steers = KINEMATIC_DLQR if steers == DLQR and has_rigid_tyres(p) else steers
+    if steers == DLQR:
+        slipping = dlqr_law(p, period, commands=commands)
+    else:
+        delay = DelayModel(0.0, 0.0, period, UNUSED_TABLE)
+        slipping = DlqrLaw(UNUSED, UNUSED, slip_model(p, period), delay, wheelbase, most, 0.0, False)
+    rolling = kinematic_law(p, period) if steers == KINEMATIC_DLQR else KinematicLaw(UNUSED, 0.0, 0.0, 0.0)
+    speed = SpeedLaw(period) if drives == DUAL_LOOP else SpeedLaw(period, kd=SINGLE_LOOP_KD)
     return SplitLaw(
-        steers, drives, slipping, rolling, pursuit_law(p), stanley_law(p), steering_pid_law(p, period),
-        single if drives == SPEED_PID else dual_loop_law(period), powertrain.pedal_map,
+        steers, drives, slipping, rolling, PursuitLaw(wheelbase, most), StanleyLaw(wheelbase, most),
+        SteeringPidLaw(period, most), speed, powertrain.pedal_map,
     )  # fmt: skip
-
-
-def _no_dlqr(p: VehicleParameters, period: float) -> DlqrLaw:
-    """The place of the DLQR where another law steers: its tables need not be solved for."""
-    delay = DelayModel(0.0, 0.0, period, _UNUSED_TABLE)
-    return DlqrLaw(_UNUSED, _UNUSED, slip_model(p, period), delay, float(p.wheelbase), float(p.max_steer), 0.0, False)

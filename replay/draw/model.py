@@ -20,7 +20,7 @@ from logs.scenario import Scenario
 from logs.states import Controls
 from logs.trace import Corridor, Decision, DecisionKind, Graph, GraphObstacle, GridCost, Mode, Plan, Trace
 from metrics.comfort import LON_JERK_STATE
-from replay.vehicle.tyre_use import tyre_use
+from replay.vehicle.tyres import tyre_use
 
 if TYPE_CHECKING:
     from pandas import DataFrame

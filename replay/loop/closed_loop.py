@@ -11,12 +11,11 @@ from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, Plan, Trace
 from replay.config import DEFAULT_LOOP, LoopConfig
 from replay.drive import Drive
-from replay.loop.latency import Latency
 from replay.loop.perception import Perception
+from replay.loop.plan_period import Latency, TraceRecorder
 from replay.loop.planning import Planning, Seat
 from replay.loop.simulation_setup import SimulationSetup
 from replay.loop.termination import Ended, Termination
-from replay.loop.trace_recorder import TraceRecorder
 
 
 def run_closed_loop(

@@ -2,7 +2,7 @@
 
     "ground_truth"    every agent at its last sample not later than the frame's time, carried on with its velocity
                       (`Tracks.perceived`)
-    "recorded"        what a tracker could know by then from the log's own detections (`replay.loop.recorded`)
+    "recorded"        what a tracker could know by then from the log's own detections (`Recorded`)
     "auto"            "recorded" where the log's tracks are made of detections, else "ground_truth"
     "sensor"          what a sensor on the ego would measure (`replay.loop.sensor`), and the ground that it cannot see
 
@@ -12,26 +12,31 @@ most that better predictions could give. It marks the drive as an oracle's.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from logs.agents import NUMBERS
+from logs.errors import LogError
 from logs.extension import Kind
 from logs.frame import Frame, Predictions, Visibility
-from logs.kernel import FloatArray
+from logs.kernel import FloatArray, IntArray, frozen
 from logs.memory import NearbyTracks
+from logs.repair.names import Owners
 from logs.scenario import Agents, Scenario, Tracks
+from logs.states import wrapped
 from logs.trace import Plan
 from replay.config import LoopConfig
-from replay.loop.recorded import Recorded
 from replay.loop.sensor import Sensor
-from replay.prediction import NO_LANES, PREDICTION, PREDICTORS, LaneMap, Predictor, predict
+from replay.prediction import PREDICTION, PREDICTORS, LaneMap, predict
 from replay.settings import configured
 from replay.world import World
 
 ORACLE = "oracle"
 PREDICTIONS = (*PREDICTORS, ORACLE)
 """What `LoopConfig.prediction` may be."""
+
+MOVED = ("x", "y", "yaw", "vx", "vy")
 
 Sight = Callable[[World], tuple[Agents, Visibility | None]]
 """The agents as the planner sees them, and the ground that can be seen (None: all)."""
@@ -49,8 +54,76 @@ class GroundTruth:
         return self._around.of(world.tracks, t, t).perceived(t), None
 
 
-def _auto(scenario: Scenario, config: LoopConfig) -> Sight:
-    return GroundTruth().see if shows_truth("auto", scenario) else Recorded(scenario).see
+class Recorded:
+    """Shows the agents of one drive as the recorded perception knew them.
+
+    The tracker is causal (`logs.repair.tracker`), and so are its names; a repaired track has the name that the tracker
+    gives it for longest (`logs.repair.names`). Detections are of the log, but in closed loop the traffic moves the
+    others differently: a known road user is shown where the world has it now,
+
+    (1) shown = tracked + (world - log),   of x, y, yaw, vx, vy at the frame's time; both as `Tracks.perceived`
+
+    - A track that belongs to no road user of the log is a false alarm of the recorded perception, and shown as it is.
+    - An agent that the log has now and the world has not is not shown.
+    - An agent that the world has now and the log has not (inserted, or later than recorded), and one that never moves,
+      is shown as by ground truth: no detection exists of it.
+
+    Nothing later than the frame goes in, except to find the road user that a track belongs to: the log's tracks are
+    smoothed.
+
+    Args:
+        scenario: Of which `repair` has the detections.
+
+    Raises:
+        LogError: It has none.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        if scenario.repair is None:
+            remedy = "take perception auto or ground_truth, or read the log with repair on"
+            raise LogError("perception recorded needs a log whose road users are made of detections", remedy=remedy)
+        self._log, self._tracked = scenario.repair.tracks, scenario.repair.detections.tracked
+        self._owners, self._around, self._around_log = Owners(), NearbyTracks(), NearbyTracks()
+
+    def see(self, world: World) -> tuple[Agents, None]:
+        """The agents, and that no ground is known to be hidden."""
+        t = world.ego.t
+        known = self._tracked.at(t)
+        log = self._around_log.of(self._log, t, t).perceived(t)
+        whose = self._owners.of(known, log)
+        if world.tracks is self._log:
+            now, shown = log, known
+        else:
+            now = self._around.of(world.tracks, t, t).perceived(t)
+            shown = _displaced(known, whose, now, log)
+        static = {name for name, still in zip(world.tracks.ids, world.tracks.static, strict=True) if still}
+        logged = set(log.ids)
+        others = [i for i, name in enumerate(now.ids) if name in static or name not in logged]
+        if not others:
+            return shown, None
+        more = now.some(_rows(others))
+        shown = shown.some(_rows(i for i, name in enumerate(shown.ids) if name not in more.ids))
+        columns = np.array([np.r_[getattr(shown, name), getattr(more, name)] for name in NUMBERS])
+        codes = frozen(np.r_[shown.codes, more.codes], np.int64)
+        return Agents.of_rows((*shown.ids, *more.ids), (*shown.kinds, *more.kinds), columns, codes), None
+
+
+def _rows(places: Iterable[int]) -> IntArray:
+    return np.array(list(places), np.int64)
+
+
+def _displaced(known: Agents, whose: list[str], now: Agents, log: Agents) -> Agents:
+    """The known agents moved by (1), without those that only the log has."""
+    there, then = ({name: i for i, name in enumerate(some.ids)} for some in (now, log))
+    kept = [i for i, name in enumerate(whose) if name not in then or name in there]
+    both = [row for row, i in enumerate(kept) if whose[i] in then]
+    in_world, in_log = (_rows(places[whose[kept[row]]] for row in both) for places in (there, then))
+    columns = np.array([getattr(known, name)[_rows(kept)] for name in NUMBERS])
+    for name in MOVED:
+        change = getattr(now, name)[in_world] - getattr(log, name)[in_log]
+        columns[NUMBERS.index(name), both] += wrapped(change) if name == "yaw" else change
+    some = known.some(_rows(kept))
+    return Agents.of_rows(some.ids, some.kinds, columns, some.codes)
 
 
 def shows_truth(perception: str, scenario: Scenario) -> bool:
@@ -59,7 +132,7 @@ def shows_truth(perception: str, scenario: Scenario) -> bool:
 
 
 PERCEPTIONS: dict[str, Callable[..., Sight]] = {
-    "auto": _auto,
+    "auto": lambda scenario, config: (GroundTruth() if shows_truth("auto", scenario) else Recorded(scenario)).see,
     "ground_truth": lambda scenario, config: GroundTruth().see,
     "recorded": lambda scenario, config: Recorded(scenario).see,
     "sensor": lambda scenario, config: Sensor(scenario, config.sensor).see,
@@ -111,27 +184,17 @@ class Perception:
             steps = round(config.prediction_horizon_s / config.prediction_step_s)
             predictions = logged_futures(self._log, agents, t + config.prediction_step_s * np.arange(steps + 1))
         else:
-            predictions = _predicted(agents, t, config, self._lanes, self._predictor)
+            predictions = predict(
+                agents, t, horizon=config.prediction_horizon_s, step=config.prediction_step_s, method=config.prediction,
+                lanes=self._lanes, predictor=self._predictor,
+            )  # fmt: skip
         lights = {light.id: light.at(t) for light in self._lights}
         return Frame(t, world.ego, agents, predictions, previous, visibility, lights)
 
     @property
     def shown(self) -> Tracks | None:
         """The agents as the planner saw them, one sample per frame; None with ground truth."""
-        return None if self._true else _tracks(self._shown)
-
-
-def perceive(world: World, previous: Plan | None, config: LoopConfig, *, lanes: LaneMap = NO_LANES) -> Frame:
-    """A single frame at the world's time, by ground truth and `config.prediction` (not "oracle")."""
-    agents, _ = GroundTruth().see(world)
-    return Frame(world.ego.t, world.ego, agents, _predicted(agents, world.ego.t, config, lanes), previous)
-
-
-def _predicted(
-    agents: Agents, t: float, config: LoopConfig, lanes: LaneMap, predictor: Predictor | None = None
-) -> Predictions:
-    horizon, step, method = config.prediction_horizon_s, config.prediction_step_s, config.prediction
-    return predict(agents, t, horizon=horizon, step=step, method=method, lanes=lanes, predictor=predictor)
+        return None if self._true else _shown_tracks(self._shown)
 
 
 def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
@@ -152,7 +215,7 @@ def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
     return Predictions(t, np.arange(len(agents)), np.ones(len(agents)), way[0], way[1], way[2], ORACLE)
 
 
-def _tracks(shown: list[tuple[float, Agents]]) -> Tracks:
+def _shown_tracks(shown: list[tuple[float, Agents]]) -> Tracks:
     """The agents shown at each time, as tracks."""
     rows: dict[str, list[tuple[float, Agents, int]]] = {}
     for t, agents in shown:

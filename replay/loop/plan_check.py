@@ -44,7 +44,7 @@ WINDOW_S = 0.5
 POSSIBLE_MPS, POSSIBLE_MPS2 = 100.0, 20.0
 """Of (6): 360 km/h; tyres of road cars give about 10 m/s2."""
 REST_S = 0.5
-"""The plan being driven goes on where so much of it is left; else the ego brakes on its arc with `BRAKE_MPS2`."""
+"""The plan being driven goes on where at least this is left of it; else the ego brakes on its arc with `BRAKE_MPS2`."""
 BRAKE_MPS2 = 4.0
 
 
@@ -56,21 +56,28 @@ def checked(plan: Plan, frame: Frame) -> Plan:
     fault = _start_fault(trajectory, frame)
     if not fault and len(trajectory) > 1:
         off = _off(trajectory)
-        lie = _contradiction(off)
+        lie = ""
+        if off.speed > SPEED_MPS:
+            lie = f"its speed is {off.speed:.1f} m/s off its positions"
+        elif off.heading > YAW_RAD:
+            lie = f"its heading is {off.heading:.2f} rad off its positions"
+        elif off.lateral > LATERAL_MPS2:
+            lie = f"its curvature is off its positions by {off.lateral:.1f} m/s2 of lateral acceleration"
+        elif off.accel > ACCEL_MPS:
+            lie = f"its acceleration is {off.accel:.1f} m/s off its speed over 0.5 s"
         if lie:
             trajectory = of_positions(trajectory)
             off = _off(trajectory)
             status = plan.status if plan.status.is_fallback else PlanStatus.CORRECTED
-            plan = replace(
-                plan, trajectory=trajectory, status=status, reason="; ".join(filter(None, [plan.reason, lie]))
-            )
+            reason = "; ".join(filter(None, [plan.reason, lie]))
+            plan = replace(plan, trajectory=trajectory, status=status, reason=reason)
         if off.fastest > POSSIBLE_MPS:  # (6)
             fault = f"it asks for {off.fastest:.0f} m/s"
         elif off.hardest > POSSIBLE_MPS2:
             fault = f"it asks for an acceleration of {off.hardest:.0f} m/s2"
     if not fault:
         return plan
-    instead, start = _instead(frame)
+    instead, start = _replacement(frame)
     return replace(plan, trajectory=instead, status=PlanStatus.REFUSED, reason=fault, start=start)
 
 
@@ -156,17 +163,6 @@ def measured_off(
     return Off(speed, heading, lateral, accel, fastest, hardest)
 
 
-def _contradiction(off: Off) -> str:
-    """How the columns contradict the positions, (2) to (5); empty where they do not."""
-    if off.speed > SPEED_MPS:
-        return f"its speed is {off.speed:.1f} m/s off its positions"
-    if off.heading > YAW_RAD:
-        return f"its heading is {off.heading:.2f} rad off its positions"
-    if off.lateral > LATERAL_MPS2:
-        return f"its curvature is off its positions by {off.lateral:.1f} m/s2 of lateral acceleration"
-    return f"its acceleration is {off.accel:.1f} m/s off its speed over 0.5 s" if off.accel > ACCEL_MPS else ""
-
-
 def of_positions(plan: Trajectory) -> Trajectory:
     """The plan with heading, speed, acceleration and curvature of its positions `(n,)`; the first speed is its own.
 
@@ -189,7 +185,7 @@ def of_positions(plan: Trajectory) -> Trajectory:
     return Trajectory(plan.t, plan.x, plan.y, yaw, v, np.gradient(v, plan.t), kappa)
 
 
-def _instead(frame: Frame) -> tuple[Trajectory, PlanStart]:
+def _replacement(frame: Frame) -> tuple[Trajectory, PlanStart]:
     """What is driven in place of a plan that was refused, and where it starts.
 
     What is left of the plan being driven, where that is `REST_S` or more; else the ego's arc, braked with `BRAKE_MPS2`

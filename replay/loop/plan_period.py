@@ -1,6 +1,7 @@
-"""Control, vehicle and record over the control steps until the next frame: the inner loop, compiled.
+"""Which plan is driven, and control, vehicle and record over the steps until the next: the inner loop, compiled.
 
-A step reads row k of the trace (`replay.vehicle.trace_rows`) and writes row k + 1:
+The time that planning takes is modelled without a clock, so that a drive is the same twice (`Latency`). A step reads
+row k of the trace (`replay.vehicle.base`) and writes row k + 1:
 
 (1) errors = the motion of row k against the plan
 (2) command, memory = control(law, memory, motion, errors, plan)            `replay.control.split.control_row`
@@ -14,22 +15,75 @@ time through their methods, into the same rows. Adding a compiled vehicle is its
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
+from logs.frame import Frame
 from logs.kernel import FloatArray, kernel
-from logs.trace import Plan
+from logs.memory import FrameStore
+from logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
+from logs.trace import Plan, PlannedFrame, TrackingErrors
 from replay.control.split import SplitController, control_row, named_law
 from replay.vehicle import kinematic_bicycle, single_track
-from replay.vehicle.base import Controller, Plain, Vehicle
-from replay.vehicle.dead_time import Pending, with_room
-from replay.vehicle.drivetrain import Gearbox
+from replay.vehicle.base import (
+    ACTUATION,
+    COLUMNS,
+    COMMAND,
+    ERRORS,
+    Controller,
+    Plain,
+    Vehicle,
+    state_at,
+    write_motion,
+    write_state,
+)
+from replay.vehicle.drivetrain import Gearbox, Pending, with_room
 from replay.vehicle.kinematic_bicycle import KinematicBicycle, Kinematics
 from replay.vehicle.plan_path import PlanPath, Tracker
 from replay.vehicle.single_track import SingleTrack, named_car
-from replay.vehicle.trace_rows import ACTUATION, COMMAND, arrived, compared, state_at, write_state
 
 ANY_NUMBER = 1 << 30
+NEVER = 1 << 62
+EGO = slice(0, len(TRAJECTORY_COLUMNS))
+
+
+class Latency:
+    """Plans on their way: each is driven from `delay` control steps after its frame on; the first one at once.
+
+    Args:
+        delay: Steps, not negative.
+
+    Attributes:
+        driven: The plan being driven; None before the first.
+    """
+
+    def __init__(self, delay: int) -> None:
+        self._delay = delay
+        self._coming: deque[tuple[int, Plan]] = deque()
+        self.driven: Plan | None = None
+
+    def before(self, step: int) -> Plan | None:
+        """The plan that is driven when the frame at `step` is taken; None at the first."""
+        return None if self.driven is None else self.at(step)
+
+    def planned(self, step: int, plan: Plan) -> None:
+        """A plan was made of the frame at `step`."""
+        self._coming.append((step + self._delay, plan))
+        self.driven = self.driven or plan
+
+    def changes(self, step: int) -> int:
+        """The first step after `step` at which another plan may come to be driven; NEVER where none is on its way."""
+        return next((due for due, _ in self._coming if due > step), NEVER)
+
+    def at(self, step: int) -> Plan:
+        """The plan to drive at `step`, after the first was made; steps do not decrease."""
+        while self._coming and self._coming[0][0] <= step:
+            self.driven = self._coming.popleft()[1]
+        assert self.driven is not None, "no plan was made yet"
+        return self.driven
 
 
 @kernel
@@ -44,21 +98,21 @@ def run_kinematic(
         row = rows[k]
         s = kinematic_bicycle.State(row[1], row[2], row[3], row[4], row[7], row[14], row[15])
         s, now = kinematic_bicycle.step(s, command, car, row[0], dt)  # (4)
-        arrived(rows[k + 1], now, s.steer, s.throttle, s.brake)  # (5)
+        write_motion(rows[k + 1], now, s.steer, s.throttle, s.brake)  # (5)
 
 
 @kernel
 def run_single_track(
     laws: Plain, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray,
-    first: int, count: int, dt: float, numbers: Plain, inner: Plain, gears: Plain, brakes: Plain,
+    first: int, count: int, dt: float, numbers: Plain, state: tuple[Plain, Plain, Plain],
 ) -> tuple[Plain, Plain, Plain]:  # fmt: skip
-    """`count` steps of a single-track vehicle from row `first` on: its state, gearbox and brake commands then."""
+    """`count` steps of a single-track vehicle from row `first` on; `state`: its own, gearbox, brake commands."""
     law, car = named_law(laws), named_car(numbers)
-    s, box, line = single_track.State(*inner), Gearbox(*gears), Pending(*brakes)
+    s, box, line = single_track.State(*state[0]), Gearbox(*state[1]), Pending(*state[2])
     for k in range(first, first + count):
         command = control_row(law, memory, wheel, times, knots, rows, k)  # (1)-(3)
         s, box, line, now = single_track.step(s, box, line, command, car, rows[k, 0], dt)  # (4)
-        arrived(rows[k + 1], now, s.steer, s.throttle, s.brake)  # (5)
+        write_motion(rows[k + 1], now, s.steer, s.throttle, s.brake)  # (5)
     return s[:], box[:], line[:]
 
 
@@ -79,7 +133,7 @@ def _single_track(
 ) -> None:
     memory, line = (driver.laws, driver.memory, driver.wheel), with_room(car.brakes, round(dt * 1e9))
     inner, box, line_after = run_single_track(
-        *memory, path.times, path.knots, rows, first, count, dt, car.numbers, car.inner[:], car.box[:], line[:]
+        *memory, path.times, path.knots, rows, first, count, dt, car.numbers, (car.inner[:], car.box[:], line[:])
     )
     car.inner, car.box, car.brakes = single_track.State(*inner), Gearbox(*box), Pending(*line_after)
     car.state = state_at(rows, first + count)
@@ -118,5 +172,63 @@ class PlanPeriod:
         for k in range(first, first + count):
             command = self._controller.control(self._vehicle.state, plan)
             rows[k, COMMAND] = command.steer, command.throttle, command.brake
-            compared(path.times, path.knots, rows, k)
+            rows[k, ERRORS] = path.deviation(state_at(rows, k))[:4]
             write_state(rows, k + 1, self._vehicle.step(command, self._period), self._vehicle.actuation)
+
+
+class TraceRecorder:
+    """The columns of a trace.
+
+    Args:
+        steps: The most control steps that there will be.
+        vehicle: At the start.
+
+    Attributes:
+        rows: `(steps + 1, COLUMNS)`; what is not driven yet is not defined.
+        count: Rows of the drive, once it is closed.
+        frames: The plans so far.
+    """
+
+    def __init__(self, steps: int, vehicle: Vehicle) -> None:
+        self.rows = np.empty((steps + 1, COLUMNS))
+        self.count = 0
+        self.frames = FrameStore()
+        write_state(self.rows, 0, vehicle.state, vehicle.actuation)
+
+    def planned(self, frame: Frame, plan: Plan) -> None:
+        """A plan was made for a frame."""
+        self.frames.append(PlannedFrame.of(frame, plan))
+
+    def close(self, last: int, plan: Plan | None) -> None:
+        """The drive is over at a row: nothing is commanded there, so the command before stands (NaN if there is none).
+
+        Args:
+            last: The row.
+            plan: The plan that was driven.
+        """
+        row, self.count = self.rows[last], last + 1
+        row[COMMAND] = self.rows[last - 1, COMMAND] if last else np.nan
+        row[ERRORS] = np.nan
+        if plan is not None:
+            row[ERRORS] = PlanPath.of(plan.trajectory).deviation(state_at(self.rows, last))[:4]
+
+    @property
+    def ego(self) -> Trajectory:
+        """As driven."""
+        return Trajectory(*self.rows[: self.count, EGO].T)
+
+    @property
+    def commands(self) -> Controls:
+        """As commanded."""
+        return Controls(self.rows[: self.count, 0], *self.rows[: self.count, COMMAND].T)
+
+    @property
+    def actuation(self) -> Controls:
+        """As actuated."""
+        return Controls(self.rows[: self.count, 0], *self.rows[: self.count, ACTUATION].T)
+
+    @property
+    def errors(self) -> TrackingErrors:
+        """Against the plans."""
+        columns = np.ascontiguousarray(self.rows[: self.count, ERRORS].T)
+        return TrackingErrors(self.ego.t, *columns)

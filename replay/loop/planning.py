@@ -1,10 +1,17 @@
-"""A planner of one scenario: it is built, called, timed, and its plans are checked."""
+"""A planner of one scenario: it is built, called, timed, its plans are checked; and whether it is deterministic.
+
+The start of a drive is driven twice, each time by a planner that is built anew. The worlds are the same, so the plans
+must be, bit for bit: what differs comes out of the planner (a random number, a clock, the order of a set, threads that
+race). It is a note of the drive and a mark in the reports: figures of a planner that is not deterministic are those of
+one try.
+"""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import zip_longest
 from math import cos, hypot, sin
 
 import numpy as np
@@ -14,11 +21,11 @@ from logs.frame import Frame, PlannerContext
 from logs.road import Goal, RoadSource
 from logs.scenario import Scenario
 from logs.shapes import corners
-from logs.states import EgoState
-from logs.trace import Plan
+from logs.states import TRAJECTORY_COLUMNS, EgoState
+from logs.trace import EndReason, Plan, Trace
 from planners.base import Planner
 from replay.config import LoopConfig, PlannerProcessConfig
-from replay.drive import BATCHED, FIRST, TRUSTED, DriveKey, StageTime, Stopwatch
+from replay.drive import BATCHED, FIRST, NOT_DETERMINISTIC, TRUSTED, DriveKey, StageTime, Stopwatch
 from replay.loop.plan_check import checked
 from replay.oracle import ORACLES
 from replay.planner_process.connection import ApartPlanner, FaultError, current_log
@@ -27,7 +34,7 @@ from replay.planner_process.planner_config import is_apart, is_built_in, planner
 SHORTEST_DRIVE_M = 10.0
 """A goal is made of a drive's end only where the drive led at least this far away."""
 GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
-GIVEN_PATH = (
+DRIVEN_PATH_NOTE = (
     "the road is the driven path: the planner knows where the log's driver went; open-loop errors across the path say"
     " nothing"
 )
@@ -57,23 +64,16 @@ class Planning:
     """
 
     def __init__(
-        self,
-        scenario: Scenario,
-        spec: str,
-        planner_config: Mapping[str, object],
-        config: LoopConfig,
-        start: EgoState,
-        *,
-        keep_internals: bool = True,
-        place: DriveKey = FIRST,
-    ) -> None:
+        self, scenario: Scenario, spec: str, planner_config: Mapping[str, object], config: LoopConfig, start: EgoState,
+        *, keep_internals: bool = True, place: DriveKey = FIRST,
+    ) -> None:  # fmt: skip
         goal, note = goal_of(scenario)
         self.is_oracle = spec in ORACLES
-        given = GIVEN_PATH if scenario.road.source is RoadSource.DRIVEN_PATH else ""
+        known_path = DRIVEN_PATH_NOTE if scenario.road.source is RoadSource.DRIVEN_PATH else ""
         trusted = "" if is_built_in(spec) or is_apart(spec, config.apart) else TRUSTED
         shared = is_apart(spec, config.apart) and current_log() is not None
         batched = BATCHED.format(config.apart.batch) if shared else ""
-        self.notes = tuple(filter(None, (note, given, trusted, batched)))
+        self.notes = tuple(filter(None, (note, known_path, trusted, batched)))
         self.goal = goal
         self._keep, self._place = keep_internals, place
         self._name = f"planner '{spec}' on {scenario.name}"
@@ -82,27 +82,22 @@ class Planning:
         lanes = {i: replace(lane) for i, lane in scenario.road.lanes.items()}
         road = replace(scenario.road, lanes=lanes)  # drives share no objects that a planner could change
         self.context = PlannerContext(road, goal, scenario.vehicle, period, start, self._watch.lap)
-        self._planner = self._built(spec, self.context, scenario, planner_config, config.apart)
+        self._planner = self._build(spec, scenario, planner_config, config.apart)
 
     @property
     def timings(self) -> tuple[StageTime, ...]:
         """Of all plans so far."""
         return self._watch.times
 
-    def _built(
-        self,
-        spec: str,
-        context: PlannerContext,
-        scenario: Scenario,
-        table: Mapping[str, object],
-        apart: PlannerProcessConfig,
+    def _build(
+        self, spec: str, scenario: Scenario, table: Mapping[str, object], apart: PlannerProcessConfig
     ) -> Planner:
         try:
             if is_apart(spec, apart):
                 watch, keep = self._watch, self._keep
-                return ApartPlanner(spec, context, table, apart, watch, keep_internals=keep, place=self._place)
+                return ApartPlanner(spec, self.context, table, apart, watch, keep_internals=keep, place=self._place)
             factory = planner_factory(spec)
-            arguments = (context, scenario) if spec in ORACLES else (context,)
+            arguments = (self.context, scenario) if spec in ORACLES else (self.context,)
             try:
                 inspect.signature(factory).bind(*arguments, **table)
             except TypeError as error:
@@ -132,7 +127,7 @@ class Planning:
             raise PlannerError(f"{self._name} raised at {frame.t:.2f} s: {raised(error)}") from error
         finally:
             self._watch.stop(frame.t)
-        fault = _fault(plan, frame)
+        fault = _breach(plan, frame)
         if fault:
             raise PlannerError(f"{self._name} broke its contract at {frame.t:.2f} s: {fault}")
         return (plan if self.is_oracle else checked(plan, frame)).recorded(keep=self._keep)
@@ -142,8 +137,8 @@ Seat = Callable[..., Planning]
 """Builds a `Planning` from its arguments."""
 
 
-def _fault(plan: object, frame: Frame) -> str:
-    """What is wrong with a planner's answer, or ""; a Trajectory is finite and increasing by construction."""
+def _breach(plan: object, frame: Frame) -> str:
+    """How a planner's answer breaks its contract, or ""; a Trajectory is finite and increasing by construction."""
     if not isinstance(plan, Plan):
         return f"it returned {type(plan).__name__} instead of a Plan"
     first = float(plan.trajectory.t[0])
@@ -165,3 +160,38 @@ def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
     x, y = last.x + ahead * cos(last.yaw), last.y + ahead * sin(last.yaw)
     place = corners(x, y, last.yaw, GOAL_LENGTH_M, GOAL_WIDTH_M)
     return Goal((np.asarray(place),)), "the log names no goal: the place where its drive ended is the goal"
+
+
+def with_probe(trace: Trace, again: Trace, until_s: float) -> Trace:
+    """The trace, with a note where a second drive of the same start parts from it.
+
+    Args:
+        trace: The drive.
+        again: The same scenario, planner and loop, driven once more up to `until_s`.
+        until_s: s since the scenario's start; later frames are not compared.
+    """
+    found = nondeterminism(trace, again, until_s)
+    return replace(trace, notes=(*trace.notes, f"{NOT_DETERMINISTIC}{found}")) if found else trace
+
+
+def nondeterminism(trace: Trace, again: Trace, until_s: float) -> str:
+    """Where and by how much two drives of the same part, a sentence; "": nowhere up to `until_s`."""
+    first, second = ([frame for frame in one.frames if frame.t <= until_s] for one in (trace, again))
+    for one, other in zip_longest(first, second):
+        if one is None or other is None:
+            shorter = again if other is None else trace
+            failed = shorter.end is EndReason.PLANNER_FAILURE
+            why = shorter.detail if failed else f"it ended by {shorter.end.value}"
+            return f"{trace.planner}, driven twice: it goes on only once: {why}"
+        a, b, status = one.plan.trajectory, other.plan.trajectory, one.plan.status
+        if len(a) != len(b):
+            difference = f"the plans have {len(a)} and {len(b)} states"
+        elif status is not other.plan.status:
+            difference = f"the plans are '{status.value}' and '{other.plan.status.value}'"
+        elif any(getattr(a, name).tobytes() != getattr(b, name).tobytes() for name in TRAJECTORY_COLUMNS):
+            metres, speed = float(np.max(np.hypot(a.x - b.x, a.y - b.y))), float(np.max(np.abs(a.v - b.v)))
+            difference = f"the plans differ by up to {metres:.3g} m and {speed:.3g} m/s"
+        else:
+            continue
+        return f"{trace.planner}, driven twice: {difference} at {one.t:.2f} s"
+    return ""

@@ -11,36 +11,68 @@ synthesised log's driver only progress is measured: such a log excuses no collis
 Its progress counts until its time to collision falls below `metrics.safety.CLOSE_S`: after that it is no yardstick.
 It takes time to drive: it is driven where the log holds no drive to measure progress by, or where a planner of the run
 misses the goal.
+
+The reference drivers of `metrics.reference_drivers.DRIVERS` also judge each scenario: their verdicts go into its
+metadata (`with_avoidability`), as entries that `metrics.reference_drivers` reads and explains. Their line is the
+reference line of the route that the planners drive, too, up to its first lane change: from there on the driver keeps
+its lane, as that of UN R157 does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 
 import metrics
-from logs.road import Goal
-from logs.scenario import Scenario
-from logs.states import Trajectory
+from logs.road import Goal, ReferenceLine, Road
+from logs.route import find_route
+from logs.scenario import FINDING, Scenario
+from logs.states import EgoState, Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import GROUPS, METRICS
 from metrics.boxes import ego_boxes, name_of, phantoms, without_phantoms
 from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
-from metrics.metric import FINAL, Series
+from metrics.metric import FINAL, Series, once
 from metrics.progress import FOLLOWER_M, GOAL, gain_along, route_of
-from metrics.reference_drivers import RETURN_S, STEP_S, careful_drive
+from metrics.reference_drivers import DRIVERS, RETURN_S, STEP_S, careful_drive, metadata_of
 from metrics.safety import CLOSE_S, TTC, contacts
+from planners.frenet.reference_path import make_line
 from replay.config import LoopConfig
-from replay.loop.avoidability import reference_line
 from replay.loop.closed_loop import run_closed_loop
 
 SHORTEST = 2
 """An ego log of fewer states is no drive."""
 FOLLOWER_PERIODS_S = 0.5, 0.05
 """How often the follower plans and steps: its plans are smooth, and a yardstick need not cost as much as a drive."""
+
+
+def reference_line(scenario: Scenario) -> ReferenceLine:
+    """The line from the log's first state along its lane towards the goal; straight on where it has none."""
+    return _line(scenario.road, scenario.ego.state(0), scenario.goal)
+
+
+@once  # asked before the scenario has its entries, and again for the reference drives
+def _line(road: Road, start: EgoState, goal: Goal | None) -> ReferenceLine:
+    route = find_route(road, start, goal)
+    kept = 1
+    for before, now in pairwise(route.lanes):
+        if now not in road.lanes[before].successors:
+            break
+        kept += 1
+    return make_line(road, replace(route, lanes=route.lanes[:kept]), start)[1]
+
+
+def with_avoidability(scenario: Scenario) -> Scenario:
+    """The scenario with the verdicts of the reference drivers in its metadata, in place of those that it has."""
+    metadata = {key: text for key, text in scenario.metadata.items() if not key.startswith(FINDING)}
+    line = reference_line(scenario)
+    for driver in DRIVERS.values():
+        metadata |= metadata_of(driver(scenario, line, None))
+    return replace(scenario, metadata=metadata)
 
 
 def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.DataFrame]:
@@ -94,22 +126,17 @@ def _measured(drives: Iterable[tuple[Trace, tuple[str, ...]]], scenario: Scenari
 
 def reference_table(scenario: Scenario) -> pd.DataFrame:
     """The rows of the log's own and the careful driver; columns as of `metrics.evaluate`."""
-    asked = {
+    groups = {
         DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",),
         CAREFUL: ("safety", "progress", "comfort"),  # the careful driver knows no rules
     }
-    return _measured(((trace, asked[trace.planner]) for trace in reference_drives(scenario)), scenario)
+    return _measured(((trace, groups[trace.planner]) for trace in reference_drives(scenario)), scenario)
 
 
 def reference_drives(scenario: Scenario) -> Iterator[Trace]:
     """The drives, as traces without plans."""
     if len(scenario.ego) >= SHORTEST:
         yield _ended(DRIVER, scenario.ego, scenario)
-    yield _ended(CAREFUL, _careful(scenario), scenario)
-
-
-def _careful(scenario: Scenario) -> Trajectory:
-    """The rear axle of the careful driver, every `STEP_S`."""
     line, start = reference_line(scenario), scenario.ego.state(0)
     drive = careful_drive(scenario, line)
     s0, l0 = line.project(start.x, start.y)
@@ -118,7 +145,8 @@ def _careful(scenario: Scenario) -> Trajectory:
     frames = np.array([line.frame(s) for s in drive.s])
     x, y = frames[:, 0] - offset * np.sin(frames[:, 2]), frames[:, 1] + offset * np.cos(frames[:, 2])
     t = start.t + STEP_S * np.arange(len(drive.s))
-    return Trajectory(t, x, y, np.unwrap(frames[:, 2]), drive.v, drive.a, frames[:, 3])
+    rear_axle = Trajectory(t, x, y, np.unwrap(frames[:, 2]), drive.v, drive.a, frames[:, 3])
+    yield _ended(CAREFUL, rear_axle, scenario)
 
 
 def _ended(name: str, ego: Trajectory, scenario: Scenario) -> Trace:

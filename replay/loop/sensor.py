@@ -101,19 +101,15 @@ class Sensor:
         hiding &= ~_around(boxes, x, y)
         view = np.array([x, y, world.ego.yaw, config.range_m, radians(config.field_of_view_deg)])
         seen = _seen_shares(boxes, hiding, view) >= VISIBLE
-        seen &= np.array([not self._dropped(name, t) for name in agents.ids], bool)
+        if config.dropout > 0.0:  # (2)
+            for i, name in enumerate(agents.ids):
+                slot = int((t + self._draws(name, "phase").uniform(0.0, config.dropout_s)) // config.dropout_s)
+                seen[i] &= self._draws(name, f"slot {slot}").uniform() >= config.dropout
         visibility = Visibility(x, y, world.ego.yaw, config.range_m, view[4], _shadows(boxes[hiding], view))
         return Measurement(t, self._noisy(agents.some(np.flatnonzero(seen)), t), visibility)
 
-    def _dropped(self, agent: str, t: float) -> bool:
-        config = self._config
-        if config.dropout == 0.0:
-            return False
-        phase = self._draws(agent, "phase").uniform(0.0, config.dropout_s)
-        slot = int((t + phase) // config.dropout_s)
-        return bool(self._draws(agent, f"slot {slot}").uniform() < config.dropout)
-
     def _noisy(self, agents: Agents, t: float) -> Agents:
+        """The agents with the noise (1)."""
         config = self._config
         stamp = f"noise {round(t * 1e9)}"
         draws = np.array([self._draws(name, stamp).standard_normal(5) for name in agents.ids]).reshape(-1, 5)
@@ -164,23 +160,15 @@ def _around(boxes: FloatArray, x: float, y: float) -> BoolArray:
 
 
 @kernel
-def _points(box: FloatArray) -> FloatArray:
-    """Corners, middles of the sides and centre of a box `(9, 2)`."""
-    out = np.empty((POINTS, 2))
-    out[:4] = corners(box[0], box[1], box[2], box[3], box[4])
-    for i in range(4):
-        out[4 + i] = 0.5 * (out[i] + out[(i + 1) % 4])
-    out[8] = box[:2]
-    return out
-
-
-@kernel
 def _seen_shares(boxes: FloatArray, hiding: BoolArray, view: FloatArray) -> FloatArray:
     """Share of each box's points that a sensor (x, y, yaw, range, field of view) sees `(n,)`."""
     n = len(boxes)
-    out = np.zeros(n)
+    out, points = np.zeros(n), np.empty((POINTS, 2))
     for i in range(n):
-        points = _points(boxes[i])
+        points[:4] = corners(boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3], boxes[i, 4])
+        for k in range(4):
+            points[4 + k] = 0.5 * (points[k] + points[(k + 1) % 4])
+        points[8] = boxes[i, :2]
         reach = hypot(boxes[i, 0] - view[0], boxes[i, 1] - view[1])
         for p in range(POINTS):
             dx, dy = points[p, 0] - view[0], points[p, 1] - view[1]

@@ -19,9 +19,8 @@ from replay.control.lateral_model import with_rigid_tyres
 from replay.loop.plan_period import PlanPeriod
 from replay.settings import check_members, configured
 from replay.traffic import TRAFFIC_KIND, TRAFFIC_NOTES, Traffic
-from replay.vehicle import VEHICLE
+from replay.vehicle import VEHICLE, build_vehicle
 from replay.vehicle.base import Controller, Vehicle
-from replay.vehicle.plant import build
 from replay.world import World, box_center, logged_ego
 
 ROUNDING = 1e-7
@@ -76,8 +75,8 @@ class SimulationSetup:
             steps = max(1, floor((known - start.t) / period + ROUNDING))
             end = f"traffic is recorded until {known:.1f} s of {scenario.duration:.1f} s, and the drive ends with it"
         model = configured(VEHICLE, config.vehicle, config.settings)
-        vehicle = build(model, config.vehicle, scenario.vehicle, start, config.plant)
-        believed = build(model, config.vehicle, scenario.vehicle, start, {}) if config.plant else vehicle
+        vehicle = build_vehicle(model, config.vehicle, scenario.vehicle, start, config.plant)
+        believed = build_vehicle(model, config.vehicle, scenario.vehicle, start, {}) if config.plant else vehicle
         traffic = configured(TRAFFIC_KIND, config.traffic, config.settings)(scenario)
         check_members("traffic", config.traffic, traffic, Traffic)
         return cls(
@@ -150,6 +149,6 @@ def _notes(scenario: Scenario, config: LoopConfig) -> list[str]:
     if config.plan_delay_s:
         notes.append(f"each plan but the first is driven from {config.plan_delay_s:g} s after its frame on")
     if config.plant:
-        said = ", ".join(f"{key} = {value}" for key, value in config.plant.items())
-        notes.append(f"the vehicle model differs from what planner and controller believe: {said}")
+        changed = ", ".join(f"{key} = {value}" for key, value in config.plant.items())
+        notes.append(f"the vehicle model differs from what planner and controller believe: {changed}")
     return notes

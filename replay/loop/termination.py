@@ -13,7 +13,7 @@ import numpy as np
 
 from logs.kernel import FloatArray, IntArray, inner_kernel, kernel
 from logs.memory import NearbyTracks
-from logs.road import Goal, Road, RoadSource, inside
+from logs.road import Goal, RoadSource, inside
 from logs.scenario import Scenario, Tracks
 from logs.shapes import point_segment
 from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
@@ -21,7 +21,7 @@ from logs.trace import EndReason
 from metrics.boxes import name_of, phantoms, without_phantoms
 from metrics.cut_in import LOOK_BACK_S
 from metrics.safety import classify
-from replay.vehicle.trace_rows import state_at
+from replay.vehicle.base import state_at
 from replay.world import AgentBoxes, EgoBox, agent_boxes, box_center, ego_box, touched
 
 CRACK_M = 0.5
@@ -33,12 +33,6 @@ class Outlines(NamedTuple):
 
     points: FloatArray
     offsets: IntArray
-
-
-def outlines(polygons: list[FloatArray]) -> Outlines:
-    """Polygons `(k, 2)` as one."""
-    sizes = [len(polygon) for polygon in polygons]
-    return Outlines(np.concatenate([np.zeros((0, 2)), *polygons]), np.cumsum([0, *sizes], dtype=np.int64))
 
 
 @inner_kernel
@@ -56,11 +50,7 @@ def outline_distance(x: float, y: float, polygon: FloatArray) -> float:
 def metres_off(lanes: Outlines, on: int, x: float, y: float) -> tuple[float, int]:
     """Distance of a point from the nearest lane, m, 0 on a lane and until it has been on one; the last lane it was on.
 
-    Args:
-        lanes: All that count.
-        on: The last lane that it was on; -1: it never was.
-        x: Of the point, m.
-        y: Of the point, m.
+    `on` is the last lane that it was on; -1: it never was on one.
     """
     points, offsets = lanes.points, lanes.offsets
     if on >= 0 and inside(x, y, points[offsets[on] : offsets[on + 1]]):
@@ -76,25 +66,6 @@ def metres_off(lanes: Outlines, on: int, x: float, y: float) -> tuple[float, int
     return best, on
 
 
-class OffRoadMonitor:
-    """Tells when a point that was on the road has left it; only lanes of the log are judged.
-
-    Attributes:
-        lanes: Those that count.
-        on: The last one that the point was on; -1: it never was on any.
-    """
-
-    def __init__(self, road: Road) -> None:
-        judged = road.source is RoadSource.LANES
-        self.lanes = outlines([lane.polygon for lane in road.lanes.values() if lane.drivable and judged])
-        self.on = -1
-
-    def metres_off(self, x: float, y: float) -> float:
-        """Distance from the nearest drivable lane, m; 0 on a lane, and until the point has been on one."""
-        off, self.on = metres_off(self.lanes, self.on, x, y)
-        return off
-
-
 @kernel
 def first_event(
     rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBoxes,
@@ -102,18 +73,8 @@ def first_event(
 ) -> tuple[int, bool, float, int]:  # fmt: skip
     """The first of the rows from `first` to before `end` at which a drive may end (`end`: none), and what is there.
 
-    Args:
-        rows: Of the trace.
-        first: Row.
-        end: Row.
-        car: The ego's box.
-        agents: The others.
-        goal: Least and greatest x, least and greatest y of the goal, m.
-        lanes: As `metres_off`.
-        on: As `metres_off`.
-
-    Returns:
-        Row, whether an agent is touched there, metres off the lanes there, the last lane that the ego was on.
+    `goal`: least and greatest x, least and greatest y, m; `lanes` and `on` as in `metres_off`. Returns the row, whether
+    an agent is touched there, metres off the lanes there, and the last lane that the ego was on.
     """
     contact, _ = touched(rows, first, end, car, agents)
     for k in range(first, min(contact + 1, end)):
@@ -148,10 +109,19 @@ class Termination:
         if goal is not None and not goal.regions and goal.t is None and goal.v is None and goal.yaw is None:
             goal = None  # it asks for nothing: such a goal is never reached, since it always is
         self._goal = goal
-        self._near = _surrounding(self._goal)
+        self._near = (np.nan,) * 4  # least and greatest x and y at which the goal may be reached; NaN: there is none
+        if goal is not None:
+            self._near = -inf, inf, -inf, inf
+        if goal is not None and goal.regions:
+            points = np.concatenate(goal.regions)
+            (x_lo, y_lo), (x_hi, y_hi) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+            self._near = x_lo, x_hi, y_lo, y_hi
         self._phantoms = phantoms(scenario)
-        self._monitor = OffRoadMonitor(scenario.road)
-        self._monitor.metres_off(*box_center(start, scenario.vehicle))
+        judged = scenario.road.source is RoadSource.LANES  # only lanes of the log are judged
+        polygons = [lane.polygon for lane in scenario.road.lanes.values() if lane.drivable and judged]
+        offsets = np.cumsum([0, *map(len, polygons)], dtype=np.int64)
+        self._lanes = Outlines(np.concatenate([np.zeros((0, 2)), *polygons]), offsets)
+        _, self._on = metres_off(self._lanes, -1, *box_center(start, scenario.vehicle))  # the last lane it was on
         self._around, self._tracks = NearbyTracks(), Tracks.empty()
         self._agents = agent_boxes(self._tracks)
 
@@ -165,10 +135,9 @@ class Termination:
         near = self._around.of(tracks, rows[first, 0], rows[end - 1, 0])
         if near is not self._tracks:
             self._tracks, self._agents = near, agent_boxes(near, self._phantoms)
-        monitor = self._monitor
         while first < end:
-            k, hit, off, monitor.on = first_event(
-                rows, first, end, self._car, self._agents, self._near, monitor.lanes, monitor.on
+            k, hit, off, self._on = first_event(
+                rows, first, end, self._car, self._agents, self._near, self._lanes, self._on
             )
             ended = self._judged(rows, k, off, tracks if hit else None) if k < end else None
             if ended:
@@ -194,14 +163,3 @@ class Termination:
         if off > CRACK_M:
             return Ended(k, EndReason.OFF_ROAD, f"box centre {off:.1f} m off the lanes at ({x:.1f}, {y:.1f})")
         return None
-
-
-def _surrounding(goal: Goal | None) -> tuple[float, float, float, float]:
-    """Least and greatest x and y at which a goal may be reached; NaN where there is none."""
-    if goal is None:
-        return (np.nan,) * 4
-    if not goal.regions:
-        return -inf, inf, -inf, inf
-    points = np.concatenate(goal.regions)
-    (x_lo, y_lo), (x_hi, y_hi) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return x_lo, x_hi, y_lo, y_hi

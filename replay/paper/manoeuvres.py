@@ -35,9 +35,8 @@ from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from planners.qp import QPConfig, QuadraticProgram
 from replay.control import CONTROLLERS
 from replay.loop.simulation_setup import controller_of
-from replay.vehicle import VEHICLES
+from replay.vehicle import VEHICLES, PlantTable, build_vehicle
 from replay.vehicle.plan_path import PlanPath
-from replay.vehicle.plant import Table, build
 
 STEP_M = 0.5
 BEFORE_M, AFTER_M = 60.0, 60.0
@@ -115,7 +114,7 @@ class Manoeuvre:
     name: str
     reference: Trajectory
     cones: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    plant: Table = field(default_factory=dict)
+    plant: PlantTable = field(default_factory=dict)
 
 
 def along_curvature(
@@ -151,7 +150,7 @@ def along_points(points: FloatArray, speed: float, slowing: float, ahead: float)
     return Trajectory(t, at, spline(at), np.arctan(spline(at, 1)), v, a, np.interp(way, s, kappa))
 
 
-def s_curve(radius: float, v: float, name: str, plant: Table | None = None) -> Manoeuvre:
+def s_curve(radius: float, v: float, name: str, plant: PlantTable | None = None) -> Manoeuvre:
     """The paper's scenario 1: left and right arcs of 60 degrees with clothoids of 20 m."""
     clothoid, arc = 20.0, radius * pi / 3.0 - 20.0
     at = np.cumsum([30.0, clothoid, arc, clothoid, clothoid, arc, clothoid])
@@ -247,7 +246,7 @@ def follow(
     vehicle: str,
     car: VehicleParameters,
     *,
-    plant: Table | None = None,
+    plant: PlantTable | None = None,
     delay_steps: int = 0,
 ) -> Driven:
     """Follow a manoeuvre; commands arrive `delay_steps` control periods late."""
@@ -256,7 +255,7 @@ def follow(
     model = VEHICLES[vehicle]
     if vehicle == "kinematic_bicycle":
         table = {key: value for key, value in table.items() if key not in ("tyre_stiffness", "tyre_friction")}
-    ego, believed = build(model, vehicle, car, start, table), build(model, vehicle, car, start, {})
+    ego, believed = build_vehicle(model, vehicle, car, start, table), build_vehicle(model, vehicle, car, start, {})
     driver = controller_of(believed, car, controller, PERIOD_S)
     plan, path, rows = Plan(manoeuvre.reference), PlanPath.of(manoeuvre.reference), []
     coming = delay_steps * [Command(ego.state.steer, ego.actuation.throttle, ego.actuation.brake)]

@@ -43,7 +43,7 @@ class Load:
     Attributes:
         planner: "module:Class".
         settings: Its table in the configuration, MessagePack.
-        again: Whether it serves the second drive of a log's start (`replay.loop.determinism`). That has a template of
+        again: Whether it serves the second drive of a log's start (`replay.loop.planning`). That has a template of
             its own, as a module may draw or read something else each time it is imported.
     """
 

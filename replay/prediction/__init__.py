@@ -1,9 +1,9 @@
 """Predicted futures of the other road users at a frame; the loop puts them into `Frame.predictions`.
 
-    constant_velocity        straight on                                                          (`kinematic`)
-    constant_turn_rate       round a circle; pedestrians straight on                              (`kinematic`)
+    constant_velocity        straight on                                                          (`off_lanes`)
+    constant_turn_rate       round a circle; pedestrians straight on                              (`off_lanes`)
     lane_following           vehicles along their lanes, the rest as constant_turn_rate           (`lane_following`)
-    pedestrian               pedestrians go on, stop, turn back; the rest at constant velocity    (`pedestrian`)
+    pedestrian               pedestrians go on, stop, turn back; the rest at constant velocity    (`off_lanes`)
     lanes_and_pedestrians    vehicles as lane_following, pedestrians as pedestrian
     oracle                   the log's own future: not made here (`replay.loop.perception`)
 
@@ -23,10 +23,9 @@ from logs.extension import Kind
 from logs.frame import Predictions
 from logs.kernel import FloatArray
 from logs.scenario import Agents
-from replay.prediction.kinematic import constant_velocity
 from replay.prediction.lane_following import everybody
 from replay.prediction.lane_map import LaneMap
-from replay.prediction.pedestrian import walkers
+from replay.prediction.off_lanes import constant_velocity, walkers
 
 __all__ = ["NO_LANES", "PREDICTION", "PREDICTORS", "LaneMap", "Predictor", "predict"]
 

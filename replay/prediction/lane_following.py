@@ -28,8 +28,8 @@ from logs.agents import AgentKind, Agents, among
 from logs.frame import Predictions
 from logs.kernel import TIE, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.states import wrap
-from replay.prediction.kinematic import turn_rate, turned
 from replay.prediction.lane_map import LaneArrays, LaneMap, lane_point, lane_project, matches
+from replay.prediction.off_lanes import turn_rate, turned
 
 CHANGE_S = 1.5
 DRIFTING_MPS = 0.3
@@ -57,46 +57,33 @@ def followers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
 
 
 def everybody(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """The same; agents that follow no lane go on at a constant turn rate (`kinematic`)."""
+    """The same; agents that follow no lane go on at a constant turn rate (`off_lanes`)."""
     return _predicted(agents, t, lanes, others=True)
 
 
 def _predicted(agents: Agents, t: FloatArray, lanes: LaneMap, *, others: bool) -> Predictions:
-    agent, probability, way = _predict_all(
-        lanes.arrays, agents.codes, agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.yaw_rate,
-        agents.width, agents.accel, np.arctan2(agents.vy, agents.vx), t, others,
-    )  # fmt: skip
+    a = agents
+    direction = np.arctan2(a.vy, a.vx)
+    rows = np.column_stack([a.x, a.y, a.yaw, a.vx, a.vy, a.yaw_rate, a.width, a.accel, direction])
+    agent, probability, way = _predict_all(lanes.arrays, a.codes, rows, t, others)
     way = frozen(way)  # once: its rows are not copied again
     return Predictions(t, agent, probability, way[0], way[1], way[2], "lane_following")
 
 
 @kernel
 def _predict_all(
-    map_: LaneArrays, codes: IntArray, x: FloatArray, y: FloatArray, yaw: FloatArray, vx: FloatArray, vy: FloatArray,
-    yaw_rate: FloatArray, width: FloatArray, accel: FloatArray, direction: FloatArray, t: FloatArray, others: bool,
-) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
+    map_: LaneArrays, codes: IntArray, rows: FloatArray, t: FloatArray, others: bool
+) -> tuple[IntArray, FloatArray, FloatArray]:
     """Hypotheses in the order of the agents: agent `(h,)`, probability `(h,)`, rows x, y, yaw `(3, h, k)`.
 
-    Args:
-        map_: The lanes.
-        codes: Of `Agents` `(n,)`.
-        x: Likewise.
-        y: Likewise.
-        yaw: Likewise.
-        vx: Likewise.
-        vy: Likewise.
-        yaw_rate: Likewise.
-        width: Likewise.
-        accel: Likewise.
-        direction: Of the velocity `(n,)`, rad.
-        t: Times `(k,)`, s; the first is now.
-        others: Whether those go on at a constant turn rate who have no lane to follow; else they are left out.
+    `rows` `(n, 9)`: x, y, yaw, vx, vy, yaw rate (replaced by the one that goes on), width, acceleration, direction of
+    the velocity; `t` `(k,)`: times, s, from now on. `others`: those who have no lane to follow go on at a constant turn
+    rate; else they are left out.
     """
     n, most = len(codes), 0
-    rows, follows, ahead = np.empty((n, 9)), FOLLOW[codes], t - t[0]
+    follows, ahead = FOLLOW[codes], t - t[0]
     for i in range(n):
-        rate = turn_rate(codes[i], hypot(vx[i], vy[i]), yaw_rate[i])
-        rows[i] = (x[i], y[i], yaw[i], vx[i], vy[i], rate, width[i], accel[i], direction[i])
+        rows[i, 5] = turn_rate(codes[i], hypot(rows[i, 3], rows[i, 4]), rows[i, 5])
         most += WAYS if follows[i] else 1
     agent, share, first = np.empty(most, np.int64), np.ones(most), np.empty((most, 3))
     lanes, length = np.empty((most, DEEPEST), np.int64), np.zeros(most, np.int64)
@@ -119,7 +106,10 @@ def _predict_all(
             agent[count] = i
             count += 1
     out = np.empty((3, count, len(ahead)))
-    dying = _dying(ahead)
+    dying = np.empty(len(ahead))  # 1 - exp(-t / T_a) of (1) in the middle between each time and the next
+    for k in range(len(ahead)):
+        middle = 0.5 * (ahead[k] + ahead[min(k + 1, len(ahead) - 1)])
+        dying[k] = 1.0 - exp(-middle / FADE_S)
     for h in range(count):
         one = rows[agent[h]]
         if length[h] > 0:
@@ -136,14 +126,8 @@ def _ways(
 ) -> int:  # fmt: skip
     """The lane sequences that a vehicle may drive within the horizon (s); how many.
 
-    Args:
-        map_: The lanes.
-        vehicle: x, y, yaw, vx, vy, yaw rate that goes on, width, acceleration, direction of the velocity `(9,)`.
-        horizon: How long it drives.
-        ways: Out `(w, deepest)`: lanes of each way.
-        depth: Out `(w,)`: how many lanes each has.
-        shares: Out `(w,)`: their weights.
-        start: Out `(w, 3)`: station and offset on the first lane, half of its width.
+    `vehicle` is a row of `_predict_all`. Out: `ways` `(w, deepest)` lanes of each way, `depth` `(w,)` how many,
+    `shares` `(w,)` their weights, `start` `(w, 3)` station and offset on the first lane, half of its width.
     """
     lanes, found = np.empty(MATCHED, np.int64), np.empty((MATCHED, 4))
     count = matches(map_, vehicle[0], vehicle[1], vehicle[2], lanes, found)
@@ -154,7 +138,10 @@ def _ways(
         along, across = _along(map_, lane, s, vehicle)
         if along < -0.5:
             continue
-        target = _changed_to(map_, lane, left, half, across)
+        target, then = lane, left + CHANGE_S * across
+        if abs(across) >= DRIFTING_MPS and then * across > 0.0 and abs(then) > half + TIE:  # it changes lanes
+            side = map_.beside[lane, 0 if across > 0.0 else 1]
+            target = side if side >= 0 else lane
         if target != lane:
             s, left, half = lane_project(map_, target, vehicle[0], vehicle[1], FAR_M)
         known = False
@@ -181,17 +168,6 @@ def _along(map_: LaneArrays, lane: int, s: float, vehicle: FloatArray) -> tuple[
     yaw = lane_point(map_, lane, s)[2]
     c, n = cos(yaw), sin(yaw)
     return vehicle[3] * c + vehicle[4] * n, vehicle[4] * c - vehicle[3] * n
-
-
-@inner_kernel
-def _changed_to(map_: LaneArrays, lane: int, left: float, half: float, across: float) -> int:
-    """The neighbour to which a vehicle is changing, else its lane."""
-    if abs(across) < DRIFTING_MPS or (left + CHANGE_S * across) * across <= 0.0:
-        return lane
-    if abs(left + CHANGE_S * across) <= half + TIE:
-        return lane
-    side = map_.beside[lane, 0 if across > 0.0 else 1]
-    return side if side >= 0 else lane
 
 
 @inner_kernel
@@ -264,32 +240,6 @@ def _on_way(map_: LaneArrays, way: IntArray, s: float) -> tuple[float, float, fl
 
 
 @inner_kernel
-def _dying(ahead: FloatArray) -> FloatArray:
-    """1 - exp(-t / T_a) of (1) in the middle between each time and the next `(k,)`."""
-    out = np.empty(len(ahead))
-    for k in range(len(ahead)):
-        middle = 0.5 * (ahead[k] + ahead[min(k + 1, len(ahead) - 1)])
-        out[k] = 1.0 - exp(-middle / FADE_S)
-    return out
-
-
-@inner_kernel
-def _wished(speed: float, accel: float, dying: FloatArray) -> FloatArray:
-    """Mean speeds (1) without the bends from each time to the next `(k,)`, m/s."""
-    pull = min(max(accel, LEAST_MPS2), MOST_MPS2) * FADE_S
-    return np.maximum(speed + pull * dying, 0.0)
-
-
-@inner_kernel
-def _bends(map_: LaneArrays, way: IntArray, speed: float) -> bool:
-    """Whether a bend of the way may ask for less than a speed (1); a hair sooner than `_in_bends` finds one."""
-    tightest = 0.0
-    for lane in way:
-        tightest = max(tightest, map_.tightest[lane])
-    return tightest * speed * speed > (1.0 - TIE) * CURVE_MPS2
-
-
-@inner_kernel
 def _in_bends(map_: LaneArrays, way: IntArray, s: float, speed: float, reach: float) -> FloatArray:
     """Squares of the speed that the bends allow (1), every `KNOT_M` from station `s` on; not above `speed`."""
     count = int(reach / KNOT_M) + 2
@@ -307,12 +257,15 @@ def _stations(
     map_: LaneArrays, way: IntArray, s: float, speed: float, accel: float, ahead: FloatArray, dying: FloatArray
 ) -> FloatArray:
     """How far the vehicle has come along its way at each time `(k,)`, m (1)."""
-    wished = _wished(speed, accel, dying)
-    fastest, reach = 0.0, 0.0
+    pull = min(max(accel, LEAST_MPS2), MOST_MPS2) * FADE_S
+    wished = np.maximum(speed + pull * dying, 0.0)  # mean speeds (1) without the bends
+    fastest, reach, tightest = 0.0, 0.0, 0.0
     for k in range(len(ahead) - 1):
         fastest, reach = max(fastest, wished[k]), reach + wished[k] * (ahead[k + 1] - ahead[k])
+    for lane in way:
+        tightest = max(tightest, map_.tightest[lane])
     gone = np.zeros(len(ahead))
-    if not _bends(map_, way, fastest):
+    if not tightest * fastest * fastest > (1.0 - TIE) * CURVE_MPS2:  # a hair sooner than `_in_bends` finds a bend
         for k in range(len(ahead) - 1):
             gone[k + 1] = gone[k] + wished[k] * (ahead[k + 1] - ahead[k])
         return gone

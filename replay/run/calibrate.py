@@ -8,10 +8,9 @@ from logs.errors import ConfigError
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from replay.config import load_run
-from replay.control.calibration import Calibration
+from replay.control.pedals import Calibration
 from replay.results.tables import write_file
-from replay.vehicle import VEHICLE
-from replay.vehicle.plant import build
+from replay.vehicle import VEHICLE, build_vehicle
 
 STANDING = EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -35,7 +34,7 @@ def calibrate(
         raise ConfigError("the perfect vehicle has no pedals: there is nothing to calibrate")
     run = load_run(config, {} if car is None else {"vehicle": {"set": car}})
     parameters = run.driven(VehicleParameters())
-    table = Calibration.of(build(vehicle, model, parameters, STANDING, {}).powertrain)
+    table = Calibration.of(build_vehicle(vehicle, model, parameters, STANDING, {}).powertrain)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

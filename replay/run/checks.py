@@ -30,8 +30,7 @@ from replay.prediction import PREDICTION, LaneMap, predict
 from replay.results.log_result import Failure
 from replay.settings import SETTINGS, configured, dotted, keywords_of, resolved
 from replay.traffic import TRAFFIC_KIND
-from replay.vehicle import VEHICLE
-from replay.vehicle.plant import build, parted
+from replay.vehicle import VEHICLE, build_vehicle, split_plant
 
 KINDS: Mapping[str, tuple[Kind[Callable[..., Any]], int]] = {
     "vehicle": (VEHICLE, 2),
@@ -121,11 +120,11 @@ def _check_plant(run: RunConfig) -> None:
     default = VehicleParameters()
     vehicle = run.driven(default) if "set" in run.vehicle else default
     loop = run.drive_loop
-    parted(loop.plant)
+    split_plant(loop.plant)
     table = {key: value for key, value in loop.plant.items() if key not in _OF_THE_LOG}
     model, start = configured(VEHICLE, loop.vehicle, loop.settings), EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
     with _building("vehicle", loop.vehicle):
-        built = build(model, loop.vehicle, vehicle, start, table)
+        built = build_vehicle(model, loop.vehicle, vehicle, start, table)
     if loop.controller in CONTROLLER.builtin:
         return
     with _building("controller", loop.controller):

@@ -31,13 +31,11 @@ from metrics import METRICS, Metric, health, load_metric
 from metrics.comfort import LON_JERK_STATE
 from metrics.judge.verdicts import MEMBER
 from replay.config import RunConfig
-from replay.drive import Drive, DriveKey
-from replay.loop.avoidability import with_avoidability
+from replay.drive import NOT_DETERMINISTIC, Drive, DriveKey
 from replay.loop.closed_loop import run_closed_loop
-from replay.loop.determinism import NOT_DETERMINISTIC, with_probe
 from replay.loop.open_loop import run_open_loop
-from replay.loop.planning import Planning
-from replay.loop.reference_drives import late_follower, with_references
+from replay.loop.planning import Planning, with_probe
+from replay.loop.reference_drives import late_follower, with_avoidability, with_references
 from replay.planner_process.planner_config import is_apart, is_built_in, planner_keywords
 from replay.results.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, Steps, StepsFile, keep
 from replay.results.tables import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name

@@ -1,9 +1,9 @@
 """How the other road users move while the ego is driven.
 
 "give_way"        as in the log, except that a road user gives way where it would hit the ego from behind or where the
-                  ego has the right of way (`reactive`, `yielding`)
+                  ego has the right of way (`reactive`, `right_of_way`)
 "time"            each road user is where it was in the log at this time, whatever the ego does
-"ego_position"    all are where they were in the log when the logged ego was where the ego is now (`ego_position`)
+"ego_position"    all are where they were in the log when the logged ego was where the ego is now (`phase_replay`)
 "reactive"        vehicles follow their logged paths and keep behind every road user on them, the ego included
                   (`reactive`); late vehicles stop at red lights
 """
@@ -17,7 +17,7 @@ from typing import Protocol
 from logs.extension import Kind
 from logs.scenario import Scenario, Tracks
 from logs.states import EgoState
-from replay.traffic.ego_position import ReplayedByEgoPosition
+from replay.traffic.phase_replay import ReplayedByEgoPosition
 from replay.traffic.reactive import GIVE_WAY, Reactive
 
 __all__ = ["TRAFFIC", "TRAFFIC_KIND", "TRAFFIC_NOTES", "Reactive", "ReplayedByEgoPosition", "ReplayedByTime", "Traffic"]

@@ -76,6 +76,13 @@ def places(who: IntArray, some: IntArray) -> IntArray:
     return np.where(np.append(who, -1)[at] == some, at, -1)
 
 
+@inner_kernel
+def sample_at(paths: Paths, i: int, phase: float) -> int:
+    """The last sample of path i not later than its phase; the first of its samples, where there is none."""
+    first, end = paths.first[i], paths.end[i]
+    return max(first, first + np.searchsorted(paths.t[first:end], phase, side="right") - 1)
+
+
 class Scene(NamedTuple):
     """Boxes and motion of all now; the last row is the ego.
 
@@ -121,8 +128,7 @@ def accelerations(speed: FloatArray, leaders: Leaders) -> FloatArray:
 def enhanced_idm(v: float, gap: float, v_lead: float, a_lead: float) -> float:
     """Acceleration (4) behind a leader, m/s2."""
     gap = max(gap, TOUCHING_M)
-    wish = STANDSTILL_M + max(v * TIME_GAP_S + v * (v - v_lead) / (2.0 * sqrt(ACCEL_MPS2 * DECEL_MPS2)), 0.0)
-    idm = ACCEL_MPS2 * (1.0 - (wish / gap) ** 2)  # (2)
+    idm = ACCEL_MPS2 * (1.0 - (desired_gap(v, v_lead) / gap) ** 2)  # (2)
     pull = min(a_lead, ACCEL_MPS2)
     if v_lead * (v - v_lead) <= -2.0 * gap * pull and v_lead * v_lead - 2.0 * gap * pull > 0.0:
         cah = v * v * pull / (v_lead * v_lead - 2.0 * gap * pull)  # (3)
@@ -139,9 +145,8 @@ def covered(paths: Paths, phase: FloatArray, span: float) -> FloatArray:
     t, x, y = paths.t, paths.x, paths.y
     out = np.zeros(len(phase))
     for i in range(len(phase)):
-        first, end = paths.first[i], paths.end[i]
         until = phase[i] + span
-        for k in range(max(first, first + np.searchsorted(t[first:end], phase[i], side="right") - 1), end - 1):
+        for k in range(sample_at(paths, i, phase[i]), paths.end[i] - 1):
             if t[k] >= until:
                 break
             part = min(until, t[k + 1]) - max(phase[i], t[k])
@@ -156,9 +161,7 @@ def moved_on(paths: Paths, phase: FloatArray, way: FloatArray, now: float) -> Fl
     t, x, y = paths.t, paths.x, paths.y
     out = phase.copy()
     for i in range(len(phase)):
-        first, end = paths.first[i], paths.end[i]
-        left = way[i]
-        k = max(first, first + np.searchsorted(t[first:end], phase[i] + 1e-12, side="right") - 1)
+        left, k, end = way[i], sample_at(paths, i, phase[i] + 1e-12), paths.end[i]
         while k < end - 1:
             speed = hypot(x[k + 1] - x[k], y[k + 1] - y[k]) / (t[k + 1] - t[k])
             rest = t[k + 1] - out[i]
@@ -223,9 +226,8 @@ def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
     for i in range(len(phase)):
         if not np.isfinite(gap[i]):
             continue
-        first, end = paths.first[i], paths.end[i]
         way, brake = 0.0, max(-accel[i], 0.0)
-        for k in range(max(first, first + np.searchsorted(paths.t[first:end], phase[i], side="right") - 1), end - 1):
+        for k in range(sample_at(paths, i, phase[i]), paths.end[i] - 1):
             start = max(phase[i], paths.t[k])
             if start > phase[i] + LOOK_S or out[i]:
                 break
@@ -245,17 +247,23 @@ def leaders(
 
     The ego leads only the vehicles for which `heeds` `(n,)` holds.
     """
-    n = len(phase)
+    n, boxes = len(phase), scene.boxes
     out = Leaders(np.full(n, inf), np.zeros(n), np.zeros(n))
-    near = np.empty(n + 1, np.int64)
+    near = np.empty(n + 1, np.int64)  # who may be in the way
     for i in range(n):
         if not whose[i]:
             continue
-        reach = LOOK_M + LOOK_S * speed[i]
-        count = _nearby(i, reach, scene, near, heeds[i])
+        reach, count = LOOK_M + LOOK_S * speed[i], 0
+        for j in range(n + 1 if heeds[i] else n):
+            if j == i or not scene.present[j] or (scene.as_logged[i] and scene.as_logged[j]):
+                continue
+            away = hypot(boxes[j, 0] - boxes[i, 0], boxes[j, 1] - boxes[i, 1])
+            if away <= reach + boxes[i, 3] + boxes[j, 3] and not _touch(boxes[i], boxes[j], 0.0):
+                near[count] = j
+                count += 1
         if count == 0:
             continue
-        gap, j, _, _, yaw = _first_touched(paths, i, phase[i], reach, scene.boxes, near[:count])
+        gap, j, _, _, yaw = _first_touched(paths, i, phase[i], reach, boxes, near[:count])
         if j >= 0:
             ahead = scene.motion[j, 0] * cos(yaw) + scene.motion[j, 1] * sin(yaw)
             pace = hypot(scene.motion[j, 0], scene.motion[j, 1])
@@ -265,29 +273,14 @@ def leaders(
 
 
 @inner_kernel
-def _nearby(i: int, reach: float, scene: Scene, near: IntArray, heeds: bool) -> int:
-    """Write the agents that may be in the way of vehicle i into `near`; return their number; the ego if `heeds`."""
-    boxes, count = scene.boxes, 0
-    for j in range(len(boxes) if heeds else len(boxes) - 1):
-        if j == i or not scene.present[j] or (scene.as_logged[i] and scene.as_logged[j]):
-            continue
-        away = hypot(boxes[j, 0] - boxes[i, 0], boxes[j, 1] - boxes[i, 1])
-        if away <= reach + boxes[i, 3] + boxes[j, 3] and not _touch(boxes[i], boxes[j], 0.0):
-            near[count] = j
-            count += 1
-    return count
-
-
-@inner_kernel
 def _first_touched(
     paths: Paths, i: int, phase: float, reach: float, boxes: FloatArray, near: IntArray
 ) -> tuple[float, int, float, float, float]:
     """Distance along path i to the first touch, the agent (-1: none within reach), and the box's x, y, yaw there."""
-    first, end = paths.first[i], paths.end[i]
-    k = max(first, first + np.searchsorted(paths.t[first:end], phase, side="right") - 1)
+    k = sample_at(paths, i, phase)
     begin, leap = boxes[i].copy(), np.zeros(3)
     station, own = 0.0, 0.5 * (begin[3] + begin[4]) + 1.0  # half of length and width: more than half of the diagonal
-    while k < end - 1 and station < reach:
+    while k < paths.end[i] - 1 and station < reach:
         leap[0], leap[1] = paths.x[k + 1] - begin[0], paths.y[k + 1] - begin[1]
         leap[2] = paths.yaw[k + 1] - begin[2]
         length = hypot(leap[0], leap[1])

@@ -86,13 +86,6 @@ Ego = tuple[float, float, float, float, float, float, float, float, bool]
 """x, y, yaw of the ego's box, length, width, velocity x, y, acceleration, and whether it is where the log has it."""
 
 
-def all_on_their_logs(n: int) -> Phases:
-    """All agents on their log and not in the scene yet."""
-    late, there = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
-    never = np.full(n, inf)
-    return Phases(np.zeros(n), np.zeros(n), np.zeros(n), late, there, never, never.copy(), np.zeros(n))
-
-
 class Coming:
     """The road users of (1) and their states; a road user that has left keeps its last state.
 
@@ -106,7 +99,10 @@ class Coming:
     """
 
     def __init__(self, every: Agents) -> None:
-        self._every, self._states = every, all_on_their_logs(len(every.reacts))
+        n = len(every.reacts)
+        late, there, never = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.full(n, inf)
+        states = Phases(np.zeros(n), np.zeros(n), np.zeros(n), late, there, never, never.copy(), np.zeros(n))
+        self._every, self._states = every, states  # all on their logs and not in the scene yet
         begins = np.where(every.tracks.static, -np.inf, every.tracks.t[every.tracks.first])
         self._order = np.argsort(begins, kind="stable")
         self._begins, self._count = begins[self._order], 0
@@ -194,18 +190,10 @@ def advance(
 ) -> bool:  # fmt: skip
     """Move all agents by one period from `t`; return whether an agent may enter then, else sample them (`sample`).
 
-    Args:
-        agents: Paths and sizes.
-        now: States; written.
-        ego: Its box and motion.
-        held: The greatest accelerations that lights allow `(n,)`, m/s2.
-        room: Distance to where an agent must wait for the ego `(n,)`, m; inf: it need not wait.
-        t: s.
-        longest: As in `leaders_of`.
-        only_needed: An agent on its log reacts only where it would drive into its leader.
-        gone: When late agents leave the scene, s.
-        pose: As in `sample`.
-        here: As in `sample`.
+    `held` `(n,)` are the greatest accelerations that lights allow, m/s2; `room` `(n,)` the distances to where agents
+    must wait for the ego, m (inf: they need not). With `only_needed`, an agent on its log reacts only where it would
+    drive into its leader. Late agents leave the scene at `gone`, s. `longest` is as in `leaders_of`, `pose` and `here`
+    as in `sample`.
     """
     n, until = len(now.phase), t + PERIOD_S
     logged = logged_speeds(agents, now)

@@ -4,6 +4,17 @@ At phase tau (a log time, s), an agent has the log's pose at tau, interpolated. 
 velocity is r times the logged one. The replay is sampled every `PERIOD_S`, one sample ahead of the ego: the sample at
 t + PERIOD_S depends on what is known at t. An agent on its log keeps the log's samples; of the others, only samples
 in which they are present are kept, so that memory grows with what is in the scene and not with the length of the log.
+
+By the ego's position (`ReplayedByEgoPosition`), the log's encounters are kept, whatever the ego's speed. With the ego's
+station s on its logged path, all others are at the log time (phase) at which the logged ego was at s:
+
+(1) target = tau(s) + delta        tau(s): the first log time at which the logged ego had come to s
+(2) the phase follows the target, never back, and at most `FASTEST` times as fast as time
+(3) where the logged path ends, the phase goes on with time
+
+The ego itself is not changed. Once it has stood for `STUCK_S`, the phase goes on with time, so that the road user that
+it waits for can leave (a world that stands still with the ego would wait forever). Then delta is the time by which the
+phase exceeds the last log time at which the logged ego was within `NEAR_M` of s: later encounters are delayed by it.
 """
 
 from __future__ import annotations
@@ -14,25 +25,26 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
 from logs.memory import BACK_S, Recent, Spans, heads
-from logs.scenario import Tracks
+from logs.road import ReferenceLine, thinned
+from logs.scenario import Scenario, Tracks
+from logs.states import EgoState
+from metrics.boxes import present_between
 
 PERIOD_S = 0.1
 ROOM = 1024
 """Samples of agents that there is room for at first; doubled when they are full."""
+FASTEST = 2.0
+STUCK_S, STANDING_MPS, NEAR_M = 2.0, 0.1, 1.5
+SHORTEST_M = 1.0
 
 
 class LoggedTracks(NamedTuple):
     """`Tracks` as kernels take them, or some of them: `(k,)` per track, `(m,)` per sample of the whole.
 
-    Attributes:
-        first: Its first sample; `end` one beyond its last.
-        end: See there.
-        static: Of `Tracks`.
-        t: Likewise.
-        gap_after: Likewise.
-        columns: x, y, yaw, vx, vy `(5, m)`.
+    A track has the samples `first` to before `end`; columns: x, y, yaw, vx, vy `(5, m)`; the rest is as in `Tracks`.
     """
 
     first: IntArray
@@ -209,3 +221,76 @@ def _merged(
         rows[:, begin[who[k]]] = played[k]
         begin[who[k]] += 1
     return rows, sizes
+
+
+class ReplayedByEgoPosition:
+    """Replays all others by the ego's position.
+
+    Args:
+        scenario: Its ego's log must lead somewhere.
+
+    Raises:
+        LogError: The logged ego does not move, so that its position tells no time.
+    """
+
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, scenario: Scenario) -> None:
+        log = scenario.ego
+        points = thinned(np.column_stack([log.x, log.y]), SHORTEST_M)
+        if len(points) < 2:
+            raise LogError(
+                f"{scenario.name}: the logged ego does not move, so that its position tells no time",
+                remedy="take traffic 'time' or 'reactive'",
+            )
+        self._line = ReferenceLine.through(points)
+        stations = [0.0]
+        for x, y in zip(log.x[1:], log.y[1:], strict=True):
+            stations.append(self._line.project(x, y, stations[-1])[0])
+        self._log_t, self._log_s = log.t, np.maximum.accumulate(np.maximum(stations, 0.0))  # not decreasing
+        self._replay = PhaseReplay(scenario.tracks)
+        self._phase, self._delay, self._stood = float(log.t[0]), 0.0, 0.0
+        self._station, self._next, self._tracks = 0.0, float("-inf"), Tracks.empty()
+
+    @property
+    def due(self) -> float:
+        """The next time at which the agents react to the ego, s."""
+        return self._next
+
+    def step(self, ego: EgoState) -> Tracks:
+        """The tracks up to `ego.t` and one sample beyond."""
+        if self._next == float("-inf"):
+            self._station = self._line.project(ego.x, ego.y, 0.0)[0]
+            self._add(ego.t, 1.0)
+            self._next = ego.t
+        while self._next <= ego.t + 1e-9:
+            before = self._phase
+            self._advance(ego)
+            self._next += PERIOD_S
+            self._add(self._next, (self._phase - before) / PERIOD_S)
+            self._tracks = self._replay.tracks(np.full(len(self._replay.log), -np.inf))
+        return self._tracks
+
+    def _advance(self, ego: EgoState) -> None:
+        """Advance the phase by one period."""
+        self._station = self._line.project(ego.x, ego.y, self._station)[0]
+        self._stood = self._stood + PERIOD_S if abs(ego.v) < STANDING_MPS else 0.0
+        ahead = self._station + max(ego.v, 0.0) * PERIOD_S
+        most = FASTEST * PERIOD_S
+        if self._stood > STUCK_S + 1e-9 or ahead >= self._log_s[-1]:
+            self._phase += PERIOD_S  # (3)
+            k = int(np.searchsorted(self._log_s, self._station + NEAR_M, side="right")) - 1
+            latest = float(self._log_t[max(k, 0)])  # at which the logged ego was no farther
+            self._delay = max(self._delay, self._phase - latest)
+        else:
+            t, s = self._log_t, self._log_s
+            k = min(int(np.searchsorted(s, ahead, side="left")), len(s) - 1)
+            earliest = float(t[0])  # the log time at which the logged ego had come `ahead`
+            if k > 0:
+                u = min((ahead - s[k - 1]) / (s[k] - s[k - 1]), 1.0) if s[k] > s[k - 1] else 1.0
+                earliest = float(t[k - 1] + u * (t[k] - t[k - 1]))
+            self._phase += min(max(earliest + self._delay - self._phase, 0.0), most)  # (1), (2)
+
+    def _add(self, t: float, rate: float) -> None:
+        who = present_between(self._replay.log, self._phase, self._phase)
+        self._replay.add(t, who, np.full(len(who), self._phase), np.full(len(who), rate))

@@ -9,7 +9,7 @@ and never ahead of its log.
 Undisturbed, tau_i = t: the log's own samples, to the bit. An agent is disturbed once its leader requires a lower speed
 than the log's. A pair of agents that are both on their logs does not count, because real drivers keep other gaps than
 a model does; the ego is on its log while it is within `EGO_M` of it. A late agent makes up time while its log stands.
-`replay.traffic.following` defines leader and acceleration. Late agents also stop at closed lights (`red_lights`);
+`replay.traffic.following` defines leader and acceleration. Late agents also stop at closed lights (`right_of_way`);
 agents on their logs pass them as they did, red ones included. An agent that enters the scene waits while an agent that
 is off its log is in its place, and enters no faster than it can brake for its leader.
 
@@ -21,7 +21,7 @@ of the ego, and only where the ego may expect them to react:
 (1) the ego has been ahead (`following` (5)) for `CC_REACT_S` without a break, the reaction time of the careful driver
     of UN R157; for an agent that starts or enters behind the ego, this time has passed already
 (2) the agent would drive into it if it went on as in the log (`following` (6))
-(3) or the agent comes from a lane that yields to the ego's (`yielding`)
+(3) or the agent comes from a lane that yields to the ego's (`right_of_way`)
 (4) it brakes as its leader requires, with 0.774 g at most (the same driver)
 
 So an ego that cuts in with less room than a careful driver needs, crosses without the right of way, or blocks oncoming
@@ -44,20 +44,9 @@ from metrics.reference_drivers import CC_REACT_S
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import FOLLOWING, followers
 from replay.traffic.following import DECEL_MPS2, STANDSTILL_M, taken
-from replay.traffic.period import (
-    Agents,
-    Coming,
-    Ego,
-    advance,
-    entering,
-    leaders_of,
-    logged_speeds,
-    sample,
-    scene_of,
-)
+from replay.traffic.period import Agents, Coming, Ego, advance, entering, leaders_of, logged_speeds, sample, scene_of
 from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
-from replay.traffic.red_lights import RedLights
-from replay.traffic.yielding import Yielding
+from replay.traffic.right_of_way import RedLights, Yielding
 from replay.world import box_center
 
 Sampled = tuple[FloatArray, BoolArray]
@@ -124,7 +113,13 @@ class Reactive:
         """The tracks up to `ego.t` and one sample beyond."""
         if ego.t < self._next - 1e-9:
             return self._tracks
-        box = self._box(ego)
+        as_logged = False
+        if self._log_ego.t[0] - 1e-6 <= ego.t <= self._log_ego.t[-1] + 1e-6:
+            then = self._log_ego.at(ego.t)
+            as_logged = hypot(then.x - ego.x, then.y - ego.y) <= EGO_M
+        size = float(self._vehicle.length), float(self._vehicle.width)
+        velocity = ego.v * cos(ego.yaw), ego.v * sin(ego.yaw)
+        box: Ego = (*box_center(ego, self._vehicle), ego.yaw, *size, *velocity, ego.a, as_logged)
         if self._next == -inf:
             self._next = ego.t
             self._coming.until(ego.t, ego.t)
@@ -133,7 +128,12 @@ class Reactive:
             now, self._next = self._next, self._next + PERIOD_S
             self._coming.until(now, self._next)
             sampled = self._replay.row(self._next, self._coming.who)
-            if self._advance(now, ego, box, sampled):
+            who, agents, states = self._coming.who, self._coming.agents, self._coming.now
+            late = states.late & states.there & agents.reacts
+            held = self._lights.accelerations(now, who, states.phase, states.speed, late)
+            room = self._yielding.gaps(ego, who, states.phase, states.speed, states.there & (not as_logged))
+            needed, gone = self._rule.only_needed, self._gone
+            if advance(agents, states, box, held, room, now, self._longest, needed, gone, *sampled):
                 self._enter(self._next, box, sampled)
             self._tracks = self._replay.tracks(self._coming.all.since)
         return self._tracks
@@ -150,24 +150,13 @@ class Reactive:
         more = [f"{len(who) - NAMED} more"] if len(who) > NAMED else []
         return (f"not as in the log because of the ego (since when, hardest braking): {'; '.join(named + more)}",)
 
-    def _advance(self, t: float, ego: EgoState, box: Ego, sampled: Sampled) -> bool:
-        """Move all agents by one period from `t`; return whether an agent may enter then, else sample them."""
-        who, agents, now, as_logged = self._coming.who, self._coming.agents, self._coming.now, box[8]
-        held = self._lights.accelerations(t, who, now.phase, now.speed, now.late & now.there & agents.reacts)
-        room = self._yielding.gaps(ego, who, now.phase, now.speed, now.there & (not as_logged))
-        return advance(agents, now, box, held, room, t, self._longest, self._rule.only_needed, self._gone, *sampled)
-
     def _enter(self, t: float, box: Ego, sampled: Sampled) -> None:
-        """Let agents in whose log begins by `t`, and sample."""
+        """Let agents in whose log begins by `t` and whose place is free, and sample."""
         now, agents = self._coming.now, self._coming.agents
         coming = entering(agents, now, t) & ((t <= self._gone + 1e-9) | ~now.late)
-        if coming.any():
-            self._let_in(t, box, coming)
-        sample(agents, now, *sampled)
-
-    def _let_in(self, t: float, box: Ego, coming: BoolArray) -> None:
-        """Let in the agents `coming` whose place is free."""
-        now, agents = self._coming.now, self._coming.agents
+        if not coming.any():
+            sample(agents, now, *sampled)
+            return
         scene = scene_of(agents, now, box)
         occupied = taken(scene.boxes, coming, scene.present & ~scene.as_logged)  # by an agent that is off its log
         blocked = coming & agents.reacts & occupied
@@ -183,22 +172,13 @@ class Reactive:
         slowed = free & np.isfinite(found.gap) & (safe < logged)
         self._delay(slowed, t)
         now.speed[slowed] = safe[slowed]
+        sample(agents, now, *sampled)
 
     def _delay(self, who: BoolArray, since: FloatArray | float) -> None:
         """From `since` on, the agents `who` are off their log."""
         now = self._coming.now
         now.late[who] = True
         now.since[:] = np.where(who, np.minimum(now.since, since), now.since)
-
-    def _box(self, ego: EgoState) -> Ego:
-        """The ego for kernels."""
-        log, as_logged = self._log_ego, False
-        if log.t[0] - 1e-6 <= ego.t <= log.t[-1] + 1e-6:
-            then = log.at(ego.t)
-            as_logged = hypot(then.x - ego.x, then.y - ego.y) <= EGO_M
-        x, y = box_center(ego, self._vehicle)
-        size = float(self._vehicle.length), float(self._vehicle.width)
-        return x, y, ego.yaw, *size, ego.v * cos(ego.yaw), ego.v * sin(ego.yaw), ego.a, as_logged
 
 
 def extended(log: Tracks, lanes: LaneMap) -> Tracks:

@@ -3,15 +3,21 @@
 A vehicle owns its hidden state (actuators, slip) and is built per drive as `Class(parameters, start)`, already moving
 as `start` does. Its longitudinal plant is a `Powertrain`, which controllers may invert. What else the loop must know of
 it are two capabilities: whether its tyres slip, and whether it follows plans by itself.
+
+A trace has one row per control step, which kernels and recorder share: the ego's motion and the actuation at its time,
+what is commanded from then on, and the errors against the plan that is driven then.
 """
 
 from __future__ import annotations
 
+from math import nan
 from typing import Any, NamedTuple, Protocol
 
+from logs.kernel import FloatArray, inner_kernel
 from logs.states import Command, EgoState
 from logs.trace import Plan
 from replay.vehicle.pedal_map import PedalMap
+from replay.vehicle.plan_path import Deviation
 
 Plain = tuple[Any, ...]
 """Named tuples as plain ones: a named one costs a microsecond each time that it goes into a kernel or comes out."""
@@ -44,6 +50,44 @@ def motion_of(state: EgoState) -> Motion:
     )
 
 
+MOTION, COMMAND, ACTUATION, ERRORS = slice(0, 10), slice(10, 13), slice(13, 16), slice(16, 20)
+"""Columns of a trace's row: `Motion`; steer, throttle, brake twice; lateral, heading, speed, station (`Deviation`)."""
+COLUMNS = 20
+
+
+@inner_kernel
+def motion_at(rows: FloatArray, k: int) -> Motion:
+    """The ego's motion at row k."""
+    row = rows[k]
+    return Motion(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
+
+
+@inner_kernel
+def write_motion(row: FloatArray, now: Motion, steer: float, throttle: float, brake: float) -> None:
+    """Write motion and actuation."""
+    row[0], row[1], row[2], row[3], row[4] = now.t, now.x, now.y, now.yaw, now.v
+    row[5], row[6], row[7], row[8], row[9] = now.a, now.kappa, now.steer, now.yaw_rate, now.v_lat
+    row[13], row[14], row[15] = steer, throttle, brake
+
+
+@inner_kernel
+def write_command(row: FloatArray, steer: float, throttle: float, brake: float, off: Deviation) -> None:
+    """Write command and errors."""
+    row[10], row[11], row[12] = steer, throttle, brake
+    row[16], row[17], row[18], row[19] = off.lateral, off.heading, off.speed, off.station
+
+
+def write_state(rows: FloatArray, k: int, state: EgoState, actuation: Command) -> None:
+    """Write motion and actuation of row k; what is commanded there is not known yet."""
+    does = actuation.steer, actuation.throttle, actuation.brake
+    rows[k] = (*motion_of(state), nan, nan, nan, *does, nan, nan, nan, nan)
+
+
+def state_at(rows: FloatArray, k: int) -> EgoState:
+    """The ego at row k."""
+    return EgoState(*rows[k, MOTION].tolist())
+
+
 class Powertrain(Protocol):
     """Pedals to acceleration, steady state: what a controller may know of the drive train."""
 
@@ -63,6 +107,13 @@ class Powertrain(Protocol):
     def full_brake(self, v: float) -> float:
         """What full brake takes from coasting at `v`, m/s2, positive; in proportion to the pedal."""
         ...
+
+
+def steady_pedals(train: Powertrain, acceleration: float, v: float) -> tuple[float, float]:
+    """Throttle and brake that give an acceleration, m/s2, at a speed, m/s, within their range."""
+    beyond = acceleration - train.coasting(v)
+    throttle = min(max(beyond / max(train.full_throttle(v), 1e-3), 0.0), 1.0)
+    return throttle, min(max(-beyond / train.full_brake(v), 0.0), 1.0)
 
 
 class Vehicle(Protocol):
@@ -101,7 +152,7 @@ class Vehicle(Protocol):
 class Controller(Protocol):
     """Turns a plan into steering and pedals.
 
-    A controller is built per drive as `factory(parameters, powertrain, period)` and is asked at the control rate. Its
+    A controller is built per drive as `factory(parameters, powertrain, period)` and is called at the control rate. Its
     memory (integrators, pedal in use, standstill) lives in the object. It may read the plan, the ego's state and the
     numbers of the vehicle: not the world.
     """

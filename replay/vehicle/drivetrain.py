@@ -1,4 +1,4 @@
-"""The drive train: pedals -> motor torque -> gears -> wheels; brakes; what resists.
+"""The drive train: pedals -> motor torque -> gears -> wheels; brakes; what resists; and the actuators.
 
 Over speed v, per kg of vehicle, from the motor map T_g(v) = torque at speed v gear_g / radius (below idle the clutch or
 converter slips: the torque is that of idle; above the last speed of the map there is none):
@@ -10,6 +10,7 @@ converter slips: the torque is that of idle; above the last speed of the map the
 (4) brake       = q max_decel                                    brake q, shared between the axles by their loads
 (5) dp/dt = (p_command - p) / throttle_lag,  dq/dt = (q_command - q) / brake_lag,  q_command late by brake_delay
 (6) resist      = rolling + drag v^2
+(7) d(steer)/dt = clip((command - steer) / steer_lag, -max_rate, max_rate)      |command| <= max_steer
 
 So the acceleration is linear in each pedal at a given speed, which is how drive-by-wire reads the pedal; the gear only
 limits (a kick-down takes its time). Where no motor is described, force = min(max_accel, max_power / v) and overrun = 0.
@@ -28,13 +29,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, frozen, kernel
+from logs.kernel import FloatArray, IntArray, frozen, kernel
 from logs.vehicle import VehicleParameters
 from replay.vehicle.pedal_map import SPEED_STEP_MPS, PedalMap, at_speed, coasting, full_throttle, pedal_map
 
 MAX_SPEED_MPS = 90.0
 RESERVE, CRUISE, LUG, MIN_HOLD_S = 1.15, 1.6, 1.2, 1.0
 SHIFT_THROTTLE = 0.5
+SHORTEST_LAG_S = 1e-3
+"""A lag of zero is driven as this."""
+
+Steering = tuple[float, float, float]
+"""max_steer rad, max_steer_rate rad/s, steer_lag s of VehicleParameters: what the kernel takes."""
 
 
 class Drive(NamedTuple):
@@ -63,12 +69,40 @@ class Drive(NamedTuple):
     shift_time: float
 
 
+class Pending(NamedTuple):
+    """Commands on their way to a late actuator, as kernels take them.
+
+    Attributes:
+        delay_ns: From a command to its effect.
+        now_ns: Up to here the values in effect have been handed out.
+        value: In effect now.
+        waiting: How many are on their way.
+        arrival_ns: `(k,)`, k >= waiting: when each takes effect, increasing.
+        coming: `(k,)` their values.
+    """
+
+    delay_ns: int
+    now_ns: int
+    value: float
+    waiting: int
+    arrival_ns: IntArray
+    coming: FloatArray
+
+
 class Gearbox(NamedTuple):
     """The gear (index), how much longer its shift lasts and how long ago it began, s."""
 
     gear: int
     shifting: float
     since: float
+
+
+@kernel
+def steer_rate(steer: float, command: float, steering: Steering) -> float:
+    """Rate of the front wheel angle, rad/s."""
+    max_steer, max_rate, lag = steering
+    wanted = (min(max(command, -max_steer), max_steer) - steer) / lag
+    return min(max(wanted, -max_rate), max_rate)  # (7)
 
 
 @kernel
@@ -98,7 +132,7 @@ def best_gear(v: float, wanted: float, drive: Drive) -> int:
 
 @kernel
 def shifted(box: Gearbox, v: float, throttle: float, drive: Drive, h: float) -> Gearbox:
-    """The gearbox after `h` s in which a throttle is asked for at a speed."""
+    """The gearbox after `h` s of a throttle command at a speed."""
     shifting, since = max(box.shifting - h, 0.0), box.since + h
     if len(drive.force) == 1 or shifting > 0.0:
         return Gearbox(box.gear, shifting, since)
@@ -112,8 +146,63 @@ def shifted(box: Gearbox, v: float, throttle: float, drive: Drive, h: float) -> 
 
 @kernel
 def throttle_target(command: float, box: Gearbox) -> float:
-    """The throttle that the motor is asked for: less during a shift."""
+    """The throttle that the motor gets: less during a shift."""
     return SHIFT_THROTTLE * command if box.shifting > 0.0 else command
+
+
+@kernel
+def commanded(line: Pending, command: float) -> Pending:
+    """The line with one more command, from now on; its arrays have room for it."""
+    line.arrival_ns[line.waiting], line.coming[line.waiting] = line.now_ns + line.delay_ns, command
+    return Pending(line.delay_ns, line.now_ns, line.value, line.waiting + 1, line.arrival_ns, line.coming)
+
+
+@kernel
+def next_span(line: Pending, end_ns: int) -> tuple[float, float, Pending]:
+    """How long the value in effect stays, not beyond `end_ns`, s; the value; the line after that."""
+    value, waiting = line.value, line.waiting
+    while waiting > 0 and line.arrival_ns[0] < end_ns:
+        arrival, held = line.arrival_ns[0], value
+        value = line.coming[0]
+        waiting -= 1
+        for i in range(waiting):
+            line.arrival_ns[i], line.coming[i] = line.arrival_ns[i + 1], line.coming[i + 1]
+        if arrival > line.now_ns and value != held:
+            after = Pending(line.delay_ns, arrival, value, waiting, line.arrival_ns, line.coming)
+            return (arrival - line.now_ns) / 1e9, held, after
+    after = Pending(line.delay_ns, end_ns, value, waiting, line.arrival_ns, line.coming)
+    return (end_ns - line.now_ns) / 1e9, value, after
+
+
+def pending(delay: float, value: float) -> Pending:
+    """Nothing is on its way yet.
+
+    Args:
+        delay: s, not negative.
+        value: What is in effect until the first command arrives.
+    """
+    return Pending(round(delay * 1e9), 0, float(value), 0, np.zeros(0, np.int64), np.zeros(0))
+
+
+def with_room(line: Pending, dt_ns: int) -> Pending:
+    """The same line with room for a command every `dt_ns`."""
+    most = line.waiting + line.delay_ns // dt_ns + 2
+    if most <= len(line.coming):
+        return line
+    arrival, coming = np.zeros(2 * most, np.int64), np.zeros(2 * most)
+    arrival[: line.waiting], coming[: line.waiting] = line.arrival_ns[: line.waiting], line.coming[: line.waiting]
+    return line._replace(arrival_ns=arrival, coming=coming)
+
+
+def spans(line: Pending, command: float, dt: float) -> tuple[list[tuple[float, float]], Pending]:
+    """Give the command for `dt` s: the values in effect meanwhile, each with its duration in s, in order; the line."""
+    dt_ns = round(dt * 1e9)
+    line = commanded(with_room(line, dt_ns), command)
+    end, found = line.now_ns + dt_ns, []
+    while line.now_ns < end:
+        span, value, line = next_span(line, end)
+        found.append((span, value))
+    return found, line
 
 
 @dataclass(frozen=True)
@@ -151,26 +240,20 @@ class Drivetrain:
         """What the kernels of this module take."""
         p = self.parameters
         v = np.arange(0.0, MAX_SPEED_MPS + SPEED_STEP_MPS, SPEED_STEP_MPS)
-        force, overrun, idle = _motor(p, v) if p.gears else _plain(p, v)
+        if p.gears:  # idle: the vehicle speed at idle `(gears,)`; the lowest gear always holds
+            speed, ratios = np.array(p.motor_speed), np.array(p.gears)
+            wheel = ratios / (p.wheel_radius * p.mass)
+            turning = v * ratios[:, None] / p.wheel_radius
+            torque = np.interp(turning, speed, p.motor_torque, right=0.0)
+            force = torque * wheel[:, None] * p.drive_efficiency  # (1)
+            fading = np.minimum(turning[-1] / speed[0], 1.0)
+            overrun = fading * np.interp(turning[-1], speed, p.motor_overrun) * wheel[-1]  # (2)
+            idle = speed[0] * p.wheel_radius / ratios
+            idle[0] = 0.0
+        else:
+            force = np.minimum(p.max_accel, p.max_power / np.maximum(v, 1e-3))[None]
+            overrun, idle = np.zeros(len(v)), np.zeros(1)
         return Drive(
             frozen(force), frozen(force.max(axis=0)), frozen(overrun), frozen(CRUISE * idle), frozen(LUG * idle),
             float(p.max_decel), float(p.rolling), float(p.drag), float(p.shift_time),
         )  # fmt: skip
-
-
-def _plain(p: VehicleParameters, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Force `(1, n)`, overrun `(n,)` and idle speed `(1,)` where no motor is described."""
-    return np.minimum(p.max_accel, p.max_power / np.maximum(v, 1e-3))[None], np.zeros(len(v)), np.zeros(1)
-
-
-def _motor(p: VehicleParameters, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Force `(gears, n)` (1), overrun `(n,)` (2) and vehicle speed at idle `(gears,)`; the lowest gear always holds."""
-    speed, ratios = np.array(p.motor_speed), np.array(p.gears)
-    wheel = ratios / (p.wheel_radius * p.mass)
-    turning = v * ratios[:, None] / p.wheel_radius
-    force = np.interp(turning, speed, p.motor_torque, right=0.0) * wheel[:, None] * p.drive_efficiency  # (1)
-    fading = np.minimum(turning[-1] / speed[0], 1.0)
-    overrun = fading * np.interp(turning[-1], speed, p.motor_overrun) * wheel[-1]  # (2)
-    idle = speed[0] * p.wheel_radius / ratios
-    idle[0] = 0.0
-    return force, overrun, idle

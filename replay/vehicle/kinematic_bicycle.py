@@ -5,7 +5,7 @@ With front and rear wheel angles df and dr, speed v along the body, wheelbase L;
 (1) dx/dt   = v cos(yaw) - v_lat sin(yaw)
 (2) dy/dt   = v sin(yaw) + v_lat cos(yaw),        v_lat = v tan(dr) at the rear axle, the reference point
 (3) dyaw/dt = v (tan(df) - tan(dr)) / L
-(4) d(df)/dt                                      replay.vehicle.steering
+(4) d(df)/dt                                      replay.vehicle.drivetrain (7)
 (5) dv/dt, d(throttle)/dt, d(brake)/dt            replay.vehicle.pedal_map
 (6) dr = rear_ratio df                            geared: 0 for a car; negative: against each other, turns more tightly
 (7) kappa = cos(dr) (tan(df) - tan(dr)) / L       of the path driven with the wheels held where they are
@@ -20,27 +20,27 @@ rear axle makes its slip angle 0): there is no friction limit in it, so it follo
 
 Integration: Runge-Kutta of order 4 in sub-steps of at most 10 ms and at most half the shortest lag. Coming to a stand
 is an event within the sub-step: until then it rolls, from then on it stands.
+
+The perfect vehicle is where its plan is, so that only planning is judged: the bound of every controller. It is its own
+controller: it answers a plan with the command that a kinematic bicycle without lags would need.
 """
 
 from __future__ import annotations
 
 from math import atan, ceil, cos, sin, tan
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from logs.errors import ConfigError
 from logs.kernel import FloatArray, inner_kernel, kernel
 from logs.states import Command, EgoState
+from logs.trace import Plan
 from logs.vehicle import VehicleParameters
-from replay.vehicle.base import Motion, Plain, plain
+from replay.vehicle.base import Controller, Motion, Plain, plain, steady_pedals
+from replay.vehicle.drivetrain import SHORTEST_LAG_S, Steering, steer_rate
 from replay.vehicle.pedal_map import Limits, PedalPowertrain, is_rolling, rolling_acceleration
-from replay.vehicle.steering import Steering, steer_rate
-
-if TYPE_CHECKING:
-    from replay.vehicle.base import Controller
+from replay.vehicle.plan_path import PlanPath, Tracker, path_point
 
 MAX_SUBSTEP_S = 0.01
-SHORTEST_LAG_S = 1e-3
-"""A lag of zero is driven as this."""
 KAPPA_TOLERANCE_PM = 1e-12
 """The start's curvature is met to this, 1/m: rounding."""
 
@@ -210,11 +210,57 @@ def _initial(car: Kinematics, train: PedalPowertrain, start: EgoState) -> State:
             break
         slope = (_kappa(steer + 1e-6, car) - _kappa(steer - 1e-6, car)) / 2e-6
         steer = min(max(steer + missing / slope, -most), most)
-    wanted = start.a - train.coasting(v)
-    throttle = min(max(wanted / train.full_throttle(v), 0.0), 1.0)
-    brake = min(max(-wanted / train.full_brake(v), 0.0), 1.0)
-    return State(float(start.x), float(start.y), float(start.yaw), v, float(steer), float(throttle), float(brake))
+    pedals = steady_pedals(train, start.a, v)
+    return State(float(start.x), float(start.y), float(start.yaw), v, float(steer), *map(float, pedals))
 
 
 def _kappa(steer: float, car: Kinematics) -> float:
     return turn_per_metre(steer, car) * cos(car.rear_ratio * steer)  # (7)
+
+
+class Perfect:
+    """Is where its plan is; both a `replay.vehicle.base.Vehicle` and a `replay.vehicle.base.Controller`.
+
+    Args:
+        parameters: Of the ego; they limit nothing.
+        start: Where it is until its first step.
+    """
+
+    has_rigid_tyres = True
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, parameters: VehicleParameters, start: EgoState) -> None:
+        self.powertrain = PedalPowertrain(parameters)
+        self.state = start
+        self.actuation = Command(start.steer, 0.0, 0.0)
+        self._wheelbase = parameters.wheelbase
+        self._tracker = Tracker()
+        self._path: PlanPath | None = None
+
+    @property
+    def own_controller(self) -> Perfect:
+        """Itself."""
+        return self
+
+    def control(self, state: EgoState, plan: Plan) -> Command:
+        """Take the plan to follow; the command that would drive it."""
+        self._path = self._tracker.path(plan)
+        there = self._on_path(self._path, state.t)
+        return Command(there.steer, *steady_pedals(self.powertrain, there.a, there.v))
+
+    def step(self, command: Command, dt: float) -> EgoState:
+        """Be on the plan `dt` s later; the command moves nothing.
+
+        Raises:
+            RuntimeError: It has no plan yet.
+        """
+        if self._path is None:
+            raise RuntimeError("the perfect vehicle needs a plan (`control`) before its first step")
+        self.state = self._on_path(self._path, round((self.state.t + dt) * 1e9) / 1e9)
+        self.actuation = command
+        return self.state
+
+    def _on_path(self, path: PlanPath, t: float) -> EgoState:
+        station, v, a = path.timed(t)
+        x, y, yaw, kappa = path_point(path.knots, station)
+        return EgoState(t, x, y, yaw, v, a, kappa, atan(self._wheelbase * kappa), v * kappa)

@@ -3,7 +3,7 @@
 Sprung and unsprung masses, roll, pitch, four wheels that spin, magic formula with combined slip and camber (Althoff and
 Wuersching, "CommonRoad: Vehicle Models", 2020, section 9). Not ours is all that; ours is what stands around it:
 
-- Its inputs, steering rate and acceleration, come from our actuators and drive train (steering.py, drivetrain.py):
+- Its inputs, steering rate and acceleration, come from our actuators and drive train (drivetrain.py):
   (1) u = drive - rolling - drag v^2 - brake, a torque at the wheels; held over a sub-step.
 - It has no anti-lock brakes and no traction control: (2) drive and brake are kept below SHARE of what the axle that
   gives way first can bear, less by the lateral acceleration (friction circle).
@@ -27,20 +27,25 @@ from copy import deepcopy
 from dataclasses import replace
 from importlib import import_module
 from math import atan, ceil, cos, exp, hypot, isfinite, nan, sin, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from logs.errors import ConfigError
 from logs.states import Command, EgoState
 from logs.vehicle import VehicleParameters
-from replay.vehicle.dead_time import pending, spans
-from replay.vehicle.drivetrain import Drivetrain, Gearbox, drive_force, shifted, throttle_target
+from replay.vehicle.base import Controller
+from replay.vehicle.drivetrain import (
+    Drivetrain,
+    Gearbox,
+    drive_force,
+    pending,
+    shifted,
+    spans,
+    steer_rate,
+    throttle_target,
+)  # fmt: skip
 from replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S
 from replay.vehicle.single_track import Car, State, advance, car_of, cornering, motion, substeps
-from replay.vehicle.steering import steer_rate
 from replay.vehicle.tyres import GRAVITY
-
-if TYPE_CHECKING:
-    from replay.vehicle.base import Controller
 
 SLOW_MPS, LEAVE_MPS, CALM = 1.0, 1.5, 0.1
 SUBSTEP_S = 1e-3
@@ -71,15 +76,24 @@ class Multibody:
 
     def __init__(self, parameters: VehicleParameters, start: EgoState, *, tyre_stiffness: float = 1.0) -> None:
         self.powertrain = Drivetrain(parameters)
-        self._rates, self._init = _package()
+        try:
+            self._rates: Rates = import_module("vehiclemodels.vehicle_dynamics_mb").vehicle_dynamics_mb
+            self._init: Callable[..., list[float]] = import_module("vehiclemodels.init_mb").init_mb
+        except ImportError:
+            remedy = "needs the package commonroad-vehicle-models: pip install 'replan[multibody]'"
+            raise ConfigError(f"vehicle 'multibody' {remedy}") from None
         self.package = package_parameters(parameters, tyre_stiffness)
-        self.car = car_of(_equivalent(parameters, self.package), self.powertrain)
+        p, tyre = parameters, self.package.tire
+        weight = p.mass * GRAVITY / p.wheelbase * -tyre.p_ky1
+        stiffness = {"cornering_front": weight * p.cog_to_rear, "cornering_rear": weight * p.cog_to_front}
+        self.car = car_of(replace(p, **stiffness, tyre_load_sensitivity=0.0), self.powertrain)
         self.inner = cornering(self.car, start, self.powertrain)
         self.box = self.powertrain.gearbox(self.inner.vx, self.inner.throttle)
         self.body: list[float] | None = None
         self._brakes = pending(parameters.brake_delay, self.inner.brake)
         self._limits = _limits(self.car, self.package)
-        self._stiff = _stiffness(self.car, self.package)
+        load = 0.5 * max(self.car.front.load, self.car.rear.load)
+        self._stiff = float(tyre.p_kx1 * load * self.package.R_w**2 / self.package.I_y_w)  # K_x R^2 / I_w of (3)
         self._reach = float(self.car.a), 0.5 * float(max(self.package.T_f, self.package.T_r))
         self._t = float(start.t)
         self._choose_model()
@@ -103,39 +117,30 @@ class Multibody:
             self._choose_model()
             left = span if self.body is None else self._drive(self.body, held, span)
             if self.body is None and left > 0.0:
-                self._roll(held, left)
+                steps = substeps(self.inner.vx, left, MAX_SUBSTEP_S, self.car)
+                inner, box = advance(self.inner, self.box, held, self.car, left, steps)
+                self.inner, self.box = State(*inner), Gearbox(*box)
         self._t = round((self._t + dt) * 1e9) / 1e9
         self.state = self._ego_state(held)
         return self.state
 
     def _choose_model(self) -> None:
         """Take the package's model up where it is valid."""
-        s = self.inner
-        if self.body is None and slowest_wheel(s.vx, s.vy, s.r, s.steer, self._reach) > LEAVE_MPS and self._is_calm():
-            x, y = s.x + self.car.b * cos(s.yaw), s.y + self.car.b * sin(s.yaw)
-            self.body = self._init([x, y, s.steer, hypot(s.vx, s.vy), s.yaw, s.r, atan(s.vy / s.vx)], self.package)
-
-    def _is_calm(self) -> bool:
         s, car = self.inner, self.car
-        front, rear = atan((s.vy + car.a * s.r) / s.vx) - s.steer, atan((s.vy - car.b * s.r) / s.vx)
-        return max(abs(front), abs(rear)) < CALM
-
-    def _is_valid(self, body: list[float]) -> bool:
-        """Whether all wheels roll ahead (4) and bear something (5)."""
-        ahead = slowest_wheel(body[VX], body[VY], body[YAW_RATE], body[STEER], self._reach)
-        return ahead >= SLOW_MPS and least_deflection(body, self.package) > 0.0
-
-    def _roll(self, held: tuple[float, float, float], span: float) -> None:
-        """`span` s of the single-track model."""
-        steps = substeps(self.inner.vx, span, MAX_SUBSTEP_S, self.car)
-        inner, box = advance(self.inner, self.box, held, self.car, span, steps)
-        self.inner, self.box = State(*inner), Gearbox(*box)
+        if self.body is None and slowest_wheel(s.vx, s.vy, s.r, s.steer, self._reach) > LEAVE_MPS:
+            front, rear = atan((s.vy + car.a * s.r) / s.vx) - s.steer, atan((s.vy - car.b * s.r) / s.vx)
+            if max(abs(front), abs(rear)) < CALM:
+                x, y = s.x + car.b * cos(s.yaw), s.y + car.b * sin(s.yaw)
+                self.body = self._init([x, y, s.steer, hypot(s.vx, s.vy), s.yaw, s.r, atan(s.vy / s.vx)], self.package)
 
     def _drive(self, body: list[float], held: tuple[float, float, float], span: float) -> float:
         """Sub-steps of the package's model; the actuators are exact over each (commands are constant).
 
         Returns:
             How much of the span is left where the model is not valid any more, s.
+
+        Raises:
+            ConfigError: The model diverged.
         """
         steps = ceil(span / min(SUBSTEP_S, STABLE * max(body[VX], SLOW_MPS) / self._stiff) - 1e-9)  # (3)
         h = span / steps
@@ -143,12 +148,19 @@ class Multibody:
         left, valid = 0.0, True
         for k in range(steps):
             inputs = [steer_rate(body[STEER], held[0], car.steering), self._pull(body, throttle, brake)]
-            body = self._moved(body, inputs, h)
+            try:
+                body = _runge_kutta(self._rates, body, inputs, self.package, h)
+            except (ArithmeticError, ValueError):  # division by a wheel that stands, cosine of infinity
+                body = [nan]
+            if not all(map(isfinite, body)):
+                remedy = "use loop.vehicle = 'single_track'"
+                raise ConfigError(f"the multi-body model diverged at {self._t:.2f} s: {remedy}")
             asked = throttle_target(held[1], self.box)
             throttle = asked + (throttle - asked) * exp(-h / car.throttle_lag)
             brake = held[2] + (brake - held[2]) * exp(-h / car.brake_lag)
             self.box = Gearbox(*shifted(self.box, body[VX], held[1], car.drive, h))
-            valid = self._is_valid(body)
+            ahead = slowest_wheel(body[VX], body[VY], body[YAW_RATE], body[STEER], self._reach)
+            valid = ahead >= SLOW_MPS and least_deflection(body, self.package) > 0.0
             if not valid:
                 left = (steps - 1 - k) * h
                 break
@@ -157,22 +169,8 @@ class Multibody:
         self.inner = State(x, y, yaw, body[VX], body[VY], body[YAW_RATE], body[STEER], throttle, brake)
         return left
 
-    def _moved(self, body: list[float], inputs: list[float], h: float) -> list[float]:
-        """One sub-step of the package's model.
-
-        Raises:
-            ConfigError: It diverged.
-        """
-        try:
-            after = _runge_kutta(self._rates, body, inputs, self.package, h)
-        except (ArithmeticError, ValueError):  # division by a wheel that stands, cosine of infinity
-            after = [nan]
-        if not all(map(isfinite, after)):
-            raise ConfigError(f"the multi-body model diverged at {self._t:.2f} s: use loop.vehicle = 'single_track'")
-        return after
-
     def _pull(self, body: list[float], throttle: float, brake: float) -> float:
-        """The acceleration asked of the wheels, m/s2."""
+        """The acceleration that drive and brakes want at the wheels, m/s2."""
         car, v = self.car, body[VX]
         left = sqrt(max(1.0 - (v * body[YAW_RATE] / (car.front.friction * GRAVITY)) ** 2, 0.1))
         drive = min(drive_force(v, throttle, self.box.gear, car.drive), self._limits[0] * left)  # (2)
@@ -191,17 +189,6 @@ class Multibody:
         return EgoState(self._t, s.x, s.y, s.yaw, s.vx, k[VX], kappa, s.steer, s.r, v_lat)
 
 
-def _package() -> tuple[Rates, Callable[[list[float], Any], list[float]]]:
-    """The right-hand side and the initial state of the package."""
-    try:
-        rates = import_module("vehiclemodels.vehicle_dynamics_mb").vehicle_dynamics_mb
-        return rates, import_module("vehiclemodels.init_mb").init_mb
-    except ImportError:
-        raise ConfigError(
-            "vehicle 'multibody' needs the package commonroad-vehicle-models: pip install 'replan[multibody]'"
-        ) from None
-
-
 def package_parameters(p: VehicleParameters, tyre_stiffness: float = 1.0) -> Any:
     """The package's vehicle nearest in mass, with our mass, inertia, axle distances and friction.
 
@@ -218,13 +205,6 @@ def package_parameters(p: VehicleParameters, tyre_stiffness: float = 1.0) -> Any
     q.tire.p_dy1, q.tire.p_dx1 = q.tire.p_dy1 * ratio, q.tire.p_dx1 * ratio
     q.tire.p_ky1 *= tyre_stiffness
     return q
-
-
-def _equivalent(p: VehicleParameters, q: Any) -> VehicleParameters:
-    """Our parameters with the package's tyre: the single-track model that drives slowly in its place."""
-    weight = p.mass * GRAVITY / p.wheelbase * -q.tire.p_ky1
-    front, rear = weight * p.cog_to_rear, weight * p.cog_to_front
-    return replace(p, cornering_front=front, cornering_rear=rear, tyre_load_sensitivity=0.0)
 
 
 def slowest_wheel(vx: float, vy: float, r: float, steer: float, reach: tuple[float, float]) -> float:
@@ -250,12 +230,6 @@ def _limits(car: Car, q: Any) -> tuple[float, float]:
 
     drive = min(bears(q.T_se, car.b, -1.0), bears(1.0 - q.T_se, car.a, 1.0))
     return SHARE * drive, SHARE * min(bears(q.T_sb, car.b, 1.0), bears(1.0 - q.T_sb, car.a, -1.0))
-
-
-def _stiffness(car: Car, q: Any) -> float:
-    """K_x R^2 / I_w of (3), m/s2 per unit of slip."""
-    load = 0.5 * max(car.front.load, car.rear.load)
-    return float(q.tire.p_kx1 * load * q.R_w**2 / q.I_y_w)
 
 
 def _runge_kutta(rates: Rates, x: list[float], u: list[float], q: Any, h: float) -> list[float]:

@@ -14,6 +14,7 @@ Before its first and after its last sample the path goes on straight, and in tim
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, sin
 from typing import NamedTuple
@@ -175,14 +176,20 @@ def deviation(times: FloatArray, knots: FloatArray, t: float, x: float, y: float
 
 
 class Tracker:
-    """Keeps the path of the plan being driven, so that a plan is prepared once and not at each command."""
+    """Keeps the path of the plan being driven, so that a plan is prepared once and not at each command.
 
-    def __init__(self) -> None:
+    Args:
+        prepare: Makes the trajectory to follow of the planned one.
+    """
+
+    def __init__(self, prepare: Callable[[Trajectory], Trajectory] | None = None) -> None:
+        self._prepare = prepare
         self._plan: Plan | None = None
         self._path: PlanPath | None = None
 
     def path(self, plan: Plan) -> PlanPath:
         """The plan as a path."""
         if self._path is None or plan is not self._plan:
-            self._plan, self._path = plan, PlanPath.of(plan.trajectory)
+            prepare = self._prepare
+            self._plan, self._path = plan, PlanPath.of(prepare(plan.trajectory) if prepare else plan.trajectory)
         return self._path

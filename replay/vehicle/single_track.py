@@ -12,7 +12,7 @@ and rear axle, wheelbase L, height h, grade angle g (uphill positive, along the 
 (6) load   = (m G cos(g) b - m ax h) / L in front, a and + at the rear; ax is what the pedals ask, at most mu G
 (7) Fx     = m (share of the drive - share of the friction (rolling + brake) along the motion);  Fx, Fy by tyres (6)-(7)
     of the friction the rear axle takes REAR_BRAKE of what its share of the load is, the front the rest
-(8) d(steer)/dt, d(throttle)/dt, d(brake)/dt             steering.py, drivetrain.py
+(8) d(steer)/dt, d(throttle)/dt, d(brake)/dt             drivetrain (5), (7)
 
 Low speed: with the floor (5) a tyre is a damper against sideways motion of its wheel. The slower, the more exactly the
 wheels roll without slip, so that the model tends to the kinematic bicycle and stays defined at standstill (the floor is
@@ -29,20 +29,30 @@ the sub-step. Gears are looked at once a sub-step.
 from __future__ import annotations
 
 from math import atan, atan2, ceil, cos, sin, sqrt, tan
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from logs.kernel import inner_kernel, kernel
 from logs.states import Command, EgoState
 from logs.vehicle import VehicleParameters
-from replay.vehicle.base import Motion, Plain, plain
-from replay.vehicle.dead_time import Pending, commanded, next_span, pending, with_room
-from replay.vehicle.drivetrain import Drive, Drivetrain, Gearbox, drive_force, shifted, throttle_target
-from replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S, SHORTEST_LAG_S
-from replay.vehicle.steering import Steering, steer_rate
+from replay.vehicle.base import Controller, Motion, Plain, plain, steady_pedals
+from replay.vehicle.drivetrain import (
+    SHORTEST_LAG_S,
+    Drive,
+    Drivetrain,
+    Gearbox,
+    Pending,
+    Steering,
+    commanded,
+    drive_force,
+    next_span,
+    pending,
+    shifted,
+    steer_rate,
+    throttle_target,
+    with_room,
+)  # fmt: skip
+from replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S
 from replay.vehicle.tyres import GRAVITY, Tyre, axle_force, axle_tyres, slip_for
-
-if TYPE_CHECKING:
-    from replay.vehicle.base import Controller
 
 SLIP_MPS = 1.0
 SLIDING_MPS = 0.5
@@ -359,9 +369,7 @@ def cornering(car: Car, start: EgoState, train: Drivetrain) -> State:
         v_lat = v * slip_for(share * car.a, rear, car.rear)
         steer = atan2(v_lat + (car.a + car.b) * r, v) - atan(slip_for(share * car.b, front, car.front))
     steer = min(max(steer, -car.steering[0]), car.steering[0])
-    wanted = start.a - train.coasting(v)
-    throttle = min(max(wanted / max(train.full_throttle(v), 1e-3), 0.0), 1.0)
-    brake = min(max(-wanted / train.full_brake(v), 0.0), 1.0)
+    throttle, brake = steady_pedals(train, start.a, v)
     return State(
         float(start.x), float(start.y), float(start.yaw), v, v_lat + car.b * r, r, steer, throttle, brake
     )  # fmt: skip

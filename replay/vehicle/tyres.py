@@ -1,4 +1,4 @@
-"""Tyres: the lateral force of an axle over slip and load, and what braking and driving leave of it.
+"""Tyres: the lateral force of an axle over slip and load, what braking and driving leave of it, how a drive uses them.
 
 With slip angle alpha (positive where the wheel moves to its left), axle load F, static load F0, cornering stiffness C0
 at F0, peak friction mu, load sensitivity q:
@@ -12,17 +12,31 @@ at F0, peak friction mu, load sensitivity q:
                                                     rear (REAR_SHARE, FRONT_SHARE), so that the front slides first
 (7) Fy <- Fy sqrt(1 - (Fx / D)^2)                   friction circle; (6)-(7) not for the linear tyre
 
+How the tyres are used, from the motion of a drive at the control rate:
+
+(8)  a_rear  = course - yaw                            of the rear axle, where the ego's reference point is; rad
+(9)  a_front = atan(tan a_rear + L r / v) - steer      r = v kappa, L the wheelbase; rad
+(10) use     = sqrt(a^2 + (v^2 kappa)^2) / (mu g)      1: the tyres can give no more (friction circle)
+
+The course is that of the positions (central differences: a simulated drive has no noise). Below `SLOWEST_MPS` a slip
+angle says nothing: NaN.
+
 Sources: (4) Fiala 1954 as in Pacejka, Tire and Vehicle Dynamics, 3.2.2, a brush tyre with parabolic pressure; (5)
-Pacejka, ibid. 4.3.1, pure lateral slip without camber, by which an axle's two wheels are one.
+Pacejka, ibid. 4.3.1, pure lateral slip without camber, by which an axle's two wheels are one; (8)-(9) Rajamani, Vehicle
+Dynamics and Control, 2.3.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import atan, sin, sqrt
 from typing import NamedTuple
 
+import numpy as np
+
 from logs.errors import ConfigError, unknown_name
-from logs.kernel import kernel
+from logs.kernel import FloatArray, kernel
+from logs.states import Controls, Trajectory
 from logs.vehicle import VehicleParameters
 
 GRAVITY = 9.81
@@ -30,6 +44,7 @@ LINEAR, FIALA, PACEJKA = 0, 1, 2
 TYRES: dict[str, int] = {"linear": LINEAR, "fiala": FIALA, "pacejka": PACEJKA}
 MIN_GRIP = 0.2
 FRONT_SHARE, REAR_SHARE = 0.95, 0.8
+SLOWEST_MPS = 2.0
 
 
 class Tyre(NamedTuple):
@@ -129,3 +144,21 @@ def slip_for(force: float, load: float, tyre: Tyre) -> float:
         mid = 0.5 * (low + high)
         low, high = (mid, high) if -lateral_force(mid, load, tyre) < wanted else (low, mid)
     return -high if force > 0.0 else high
+
+
+@dataclass(frozen=True, eq=False)
+class TyreUse:
+    """`(n,)` each, at the times of the drive: slip angles, rad, positive where a wheel moves to its left; (10)."""
+
+    front: FloatArray
+    rear: FloatArray
+    friction: FloatArray
+
+
+def tyre_use(ego: Trajectory, done: Controls, car: VehicleParameters) -> TyreUse:
+    """Of a drive of at least two states and what its actuators did, on the same times."""
+    vx, vy = np.gradient(ego.x, ego.t), np.gradient(ego.y, ego.t)
+    rear = np.angle(np.exp(1j * (np.arctan2(vy, vx) - ego.yaw)))  # (8)
+    rear = np.where(ego.v >= SLOWEST_MPS, rear, np.nan)
+    front = np.arctan(np.tan(rear) + car.wheelbase * ego.kappa) - done.steer  # (9): r / v is kappa
+    return TyreUse(front, rear, np.hypot(ego.a, ego.v**2 * ego.kappa) / (car.tyre_friction * GRAVITY))  # (10)

@@ -32,7 +32,7 @@ from metrics.reference_drivers import (
     fuzzy_driver,
     metadata_of,
 )
-from replay.loop.avoidability import reference_line, with_avoidability
+from replay.loop.reference_drives import reference_line, with_avoidability
 
 CAR = scenario(drive(straight, 10.0, 1.0)).vehicle
 NOSE = CAR.axle_to_front

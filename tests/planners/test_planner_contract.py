@@ -16,6 +16,7 @@ from cut_tracks import until
 from handmade import drive, s_curve, scenario, square, straight, track, tracks
 from hypothesis import given
 from hypothesis import strategies as st
+from worlds import perceive
 
 import logs.catalogue
 from logs import (
@@ -37,7 +38,6 @@ from planners import PLANNERS, load_planner
 from planners.constant_speed import arc
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
-from replay.loop.perception import perceive
 from replay.oracle import ORACLES
 from replay.world import World, logged_ego
 
@@ -88,7 +88,7 @@ def context(made: Scenario) -> PlannerContext:
 
 def frame_at(made: Scenario, t: float, seen: Tracks | None = None) -> Frame:
     ego = logged_ego(made.ego, made.vehicle, t)
-    return perceive(World(ego, made.tracks if seen is None else seen), None, CONFIG)
+    return perceive(World(ego, made.tracks if seen is None else seen), CONFIG)
 
 
 def times(made: Scenario) -> Iterator[float]:

@@ -23,10 +23,9 @@ from metrics.judge.gates import Outcome, load_gates
 from metrics.judge.verdicts import judge_deadline
 from replay.config import LoopConfig
 from replay.drive import Drive
-from replay.loop.avoidability import with_avoidability
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
-from replay.loop.reference_drives import reference_drives, reference_table, with_follower
+from replay.loop.reference_drives import reference_drives, reference_table, with_avoidability, with_follower
 
 GRID = grid(4.0, 0.1)
 FAST = ("short", "teleport", "wild_end", "stop_end")

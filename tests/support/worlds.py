@@ -10,6 +10,7 @@ import numpy as np
 from logs import (
     AgentKind,
     Agents,
+    Command,
     Decision,
     DecisionKind,
     EgoState,
@@ -37,9 +38,12 @@ from planners.frenet.path import Path
 from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.frenet.scene import Scene, scene_of
 from planners.frenet.st_boundaries import StGraphConfig, st_boundaries
-from replay.config import LoopConfig
-from replay.loop.perception import perceive
+from replay.config import DEFAULT_LOOP, LoopConfig
+from replay.loop.perception import GroundTruth
+from replay.loop.simulation_setup import controller_of
 from replay.prediction import predict
+from replay.vehicle import VEHICLES
+from replay.vehicle.plan_path import PlanPath
 from replay.world import World, logged_ego
 
 PERIOD = 0.1
@@ -80,6 +84,13 @@ def agents(others: Sequence[Other], t: float = 0.0) -> Agents:
 def frame(ego: EgoState, others: Sequence[Other] = (), *, t: float = 0.0, previous: Plan | None = None) -> Frame:
     known = agents(others, t)
     return Frame(t, ego, known, predict(known, t), previous)
+
+
+def perceive(world: World, config: LoopConfig = DEFAULT_LOOP) -> Frame:
+    """A frame at the world's time, by ground truth; predictions as configured, without lanes."""
+    t, known = world.ego.t, GroundTruth().see(world)[0]
+    horizon, step, method = config.prediction_horizon_s, config.prediction_step_s, config.prediction
+    return Frame(t, world.ego, known, predict(known, t, horizon=horizon, step=step, method=method))
 
 
 def curve(*pieces: tuple[float, float], step: float = 1.0) -> FloatArray:
@@ -230,9 +241,24 @@ def check_mirrored(planner: Callable[[PlannerContext], Planner], made: Scenario,
         planning = planner(PlannerContext(world.road, world.goal, world.vehicle, 0.1, start))
         for t in (0.0, 0.4 * world.ego.t[-1]):
             ego = logged_ego(world.ego, world.vehicle, float(t))
-            plans.append(planning.plan(perceive(World(ego, world.tracks), None, LoopConfig())).trajectory)
+            plans.append(planning.plan(perceive(World(ego, world.tracks))).trajectory)
     for one, two in zip(plans[:2], plans[2:], strict=True):
         for field in fields(Trajectory):
             sign = -1.0 if field.name in ("y", "yaw", "kappa") else 1.0
             left, right = getattr(one, field.name), sign * getattr(two, field.name)
             np.testing.assert_allclose(left, right, atol=atol, err_msg=field.name)
+
+
+def controlled(
+    plan: Trajectory, controller: str, vehicle: str, seconds: float, start: EgoState | None = None,
+    plant: VehicleParameters = CAR,
+) -> tuple[list[Command], list[EgoState], FloatArray]:  # fmt: skip
+    """Commands, states (one more) and errors (`Deviation`) of a plan followed at 100 Hz without replanning."""
+    car = VEHICLES[vehicle](plant, start or plan.state(0))
+    driver, one, path = controller_of(car, CAR, controller, 0.01), Plan(plan), PlanPath.of(plan)
+    commands, states, errors = [], [car.state], []
+    for _ in range(round(seconds / 0.01)):
+        errors.append(path.deviation(car.state))
+        commands.append(driver.control(car.state, one))
+        states.append(car.step(commands[-1], 0.01))
+    return commands, states, np.array(errors)

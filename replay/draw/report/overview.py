@@ -41,8 +41,7 @@ from replay.draw.report.model import (
     PassShare,
     StageTime,
 )
-from replay.drive import BATCHED, TRUSTED
-from replay.loop.determinism import NOT_DETERMINISTIC
+from replay.drive import BATCHED, NOT_DETERMINISTIC, TRUSTED
 from replay.results.load import Results
 from replay.results.tables import OUTCOMES
 

@@ -1,4 +1,4 @@
-"""Controllers: the laws of the regulator, the tracking errors, one pedal at a time."""
+"""Controllers in closed loop, and the tracking errors that they see."""
 
 from __future__ import annotations
 
@@ -9,103 +9,27 @@ import pytest
 from handmade import drive, s_curve
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.linalg import solve_discrete_are
+from worlds import controlled
 
-from logs import ConfigError, EgoState, Plan, Trajectory, VehicleParameters
-from replay.control import CONTROLLERS
-from replay.control.dlqr_kinematic import KinematicDlqrConfig as DlqrConfig
-from replay.control.dlqr_kinematic import error_model, kinematic_law, regulator
+from logs import EgoState, Trajectory, VehicleParameters
 from replay.control.lateral_model import with_rigid_tyres
-from replay.control.pedals import HYSTERESIS_MPS2, Pedals
-from replay.control.pid import AT_REST, PidConfig, accelerate_dual_loop, dual_loop_law
-from replay.control.regulator import gain, solve_riccati
-from replay.vehicle import VEHICLES
+from replay.control.pid import AT_REST, SpeedLaw, accelerate_dual_loop
 from replay.vehicle.base import motion_of
 from replay.vehicle.pedal_map import PedalPowertrain
 from replay.vehicle.plan_path import PlanPath
 
 CAR = VehicleParameters()
+ROLLING = with_rigid_tyres(CAR)
 TRAIN = PedalPowertrain(CAR)
 PERIOD = 0.01
-SPEEDS = (0.5, 1.0, 3.0, 8.0, 12.0, 25.0, 40.0)
 
 
-def follow(plan: Trajectory, start: EgoState, seconds: float, name: str = "dlqr_pid") -> dict[str, np.ndarray]:
-    """One plan followed to its end, without replanning."""
-    car = VEHICLES["kinematic_bicycle"](CAR, start)
-    controller = CONTROLLERS[name](with_rigid_tyres(CAR), car.powertrain, PERIOD)
-    one, path, rows = Plan(plan), PlanPath.of(plan), []
-    for _ in range(round(seconds / PERIOD)):
-        off = path.deviation(car.state)
-        command = controller.control(car.state, one)
-        rows.append((*off[:4], command.steer, command.throttle, command.brake, car.state.v))
-        car.step(command, PERIOD)
-    names = ("lateral", "heading", "speed", "station", "steer", "throttle", "brake", "v")
-    return dict(zip(names, np.array(rows).T, strict=True))
-
-
-# --- the regulator
-
-
-@given(st.floats(0.5, 45.0), st.tuples(st.floats(-2.0, 2.0), st.floats(-0.5, 0.5), st.floats(-0.3, 0.3)))
-def test_predicted_cost_is_the_rolled_out_cost(v: float, x0: tuple[float, float, float]) -> None:
-    r = regulator(v, CAR.wheelbase, CAR.steer_lag, PERIOD, DlqrConfig())
-    moves, cost = r.A - r.B @ r.K, r.Q + r.K.T @ r.R @ r.K
-    for _ in range(18):  # the first 2, 4, ... 2^18 steps of the roll-out
-        cost, moves = cost + moves.T @ cost @ moves, moves @ moves
-    x = np.array(x0)
-    assert x @ cost @ x == pytest.approx(x @ r.P @ x, rel=1e-6, abs=1e-12)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(1, 2))
-def test_the_riccati_equation_is_solved_as_the_library_does(seed: int, n: int, m: int) -> None:
-    rng = np.random.default_rng(seed)
-    A, B, Q = rng.normal(size=(n, n)), rng.normal(size=(n, m)), np.diag(rng.uniform(0.1, 2.0, n))
-    R = np.diag(rng.uniform(0.1, 2.0, m))
-    P = solve_riccati(A, B, Q, R)
-    np.testing.assert_allclose(P, solve_discrete_are(A, B, Q, R), rtol=1e-6)
-    np.testing.assert_allclose(P, Q + A.T @ P @ np.linalg.solve(np.eye(n) + B @ np.linalg.solve(R, B.T) @ P, A), 1e-6)
-
-
-def test_what_cannot_be_stabilised_is_said() -> None:
-    assert np.isnan(solve_riccati(np.array([[2.0]]), np.array([[0.0]]), np.eye(1), np.eye(1))).all()
-    with pytest.raises(ConfigError, match="no stable gain"):
-        regulator(0.0, CAR.wheelbase, CAR.steer_lag, PERIOD, DlqrConfig())
-
-
-@pytest.mark.parametrize("v", [0.1, 0.2, *SPEEDS, 60.0])
-def test_the_tabulated_gain_is_stable(v: float) -> None:
-    A, B = error_model(v, CAR.wheelbase, CAR.steer_lag, PERIOD)
-    gains = kinematic_law(CAR, PERIOD).gains
-    K = np.array([[gain(gains, v, column) for column in range(3)]])
-    assert np.abs(np.linalg.eigvals(A - B @ K)).max() < 1.0
-
-
-def test_the_error_model_is_the_exact_hold() -> None:
-    """Against a hundred thousand Euler steps of the continuous model under a held input."""
-    v, u = 12.0, 0.05
-    x = np.array([0.3, -0.1, 0.02])
-    A, B = error_model(v, CAR.wheelbase, CAR.steer_lag, 0.1)
-    exact = A @ x + B[:, 0] * u
-    n = 100_000
-    for _ in range(n):
-        rate = np.array([v * x[1], v / CAR.wheelbase * x[2], (u - x[2]) / CAR.steer_lag])
-        x = x + 0.1 / n * rate
-    np.testing.assert_allclose(x, exact, atol=1e-6)
-
-
-def test_gains_between_the_rows_are_close_to_the_solution() -> None:
-    gains = kinematic_law(CAR, PERIOD).gains
-    for v in (2.25, 7.75, 20.3, 44.9):
-        exact = regulator(v, CAR.wheelbase, CAR.steer_lag, PERIOD, DlqrConfig()).K[0]
-        np.testing.assert_allclose([gain(gains, v, column) for column in range(3)], exact, rtol=2e-2)
-
-
-def test_weights_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(ConfigError, match="steer_weight"):
-        DlqrConfig(steer_weight=0.0)
-    with pytest.raises(ConfigError, match="kp"):
-        PidConfig(kp=-1.0)
+def follow(plan: Trajectory, start: EgoState, seconds: float) -> dict[str, np.ndarray]:
+    """The columns of a plan followed to its end, without replanning."""
+    commands, states, errors = controlled(plan, "dlqr_pid", "kinematic_bicycle", seconds, start)
+    rows = [(one.steer, one.throttle, one.brake, state.v) for one, state in zip(commands, states, strict=False)]
+    names = ("lateral", "heading", "speed", "station", "foot", "steer", "throttle", "brake", "v")
+    return dict(zip(names, np.column_stack([errors, rows]).T, strict=True))
 
 
 # --- steering in closed loop
@@ -186,39 +110,13 @@ def test_a_loop_is_followed_where_the_plan_is_and_not_where_it_crosses_itself() 
     assert path.deviation(late).foot > 95.0
 
 
-# --- pedals and speed
-
-
-@given(st.lists(st.tuples(st.floats(-12.0, 6.0), st.floats(0.0, 40.0)), min_size=1, max_size=60))
-def test_pedals_are_never_on_together(asked: list[tuple[float, float]]) -> None:
-    pedals = Pedals(TRAIN)
-    for acceleration, v in asked:
-        throttle, brake = pedals.press(acceleration, v)
-        assert 0.0 <= throttle <= 1.0 and 0.0 <= brake <= 1.0
-        assert throttle == 0.0 or brake == 0.0
-
-
-@given(st.floats(0.5, 35.0), st.floats(-8.0, 1.5))
-def test_pedals_invert_the_powertrain(v: float, acceleration: float) -> None:
-    beyond = acceleration - TRAIN.coasting(v)
-    if abs(beyond) <= HYSTERESIS_MPS2 or beyond > TRAIN.full_throttle(v):
-        return
-    throttle, brake = Pedals(TRAIN).press(acceleration, v)
-    given_back = TRAIN.coasting(v) + throttle * TRAIN.full_throttle(v) - brake * TRAIN.full_brake(v)
-    assert given_back == pytest.approx(acceleration, abs=1e-9)
-
-
-def test_pedals_do_not_alternate_with_noise() -> None:
-    pedals, rng = Pedals(TRAIN), np.random.default_rng(2)
-    asked = TRAIN.coasting(15.0) + rng.uniform(-0.9, 0.9, 500) * HYSTERESIS_MPS2
-    used = [pedals.press(float(a), 15.0) for a in asked]
-    assert not any(brake for _, brake in used)
+# --- speed
 
 
 def test_the_integral_does_not_wind_up() -> None:
     """Ten seconds of an unreachable plan leave no more integral than the first of them."""
     plan = PlanPath.of(drive(np.zeros_like, 40.0, 12.0))
-    law, memory = dual_loop_law(PERIOD), AT_REST
+    law, memory = SpeedLaw(PERIOD), AT_REST
     for k in range(1000):
         state = EgoState(k * PERIOD, 0.0, 0.0, 0.0, 5.0)
         off = plan.deviation(state)
@@ -246,14 +144,3 @@ def test_a_stop_is_held_without_creep_and_left_again() -> None:
     assert not (seen["throttle"] * seen["brake"]).any()
     pedal = np.sign(seen["throttle"]) - np.sign(seen["brake"])
     assert np.count_nonzero(np.diff(pedal[pedal != 0.0])) <= 3
-
-
-@pytest.mark.parametrize("name", CONTROLLERS)
-def test_every_controller_is_deterministic_and_keeps_to_one_pedal(name: str) -> None:
-    """The contract of the seam, for controllers to come as well."""
-    plan, start = drive(s_curve, stop_and_go, 16.0), EgoState(0.0, 0.0, 0.2, 0.05, 9.0)
-    one, two = follow(plan, start, 14.0, name), follow(plan, start, 14.0, name)
-    assert all(np.array_equal(one[key], two[key]) for key in one)
-    assert all(np.isfinite(column).all() for column in one.values())
-    assert not (one["throttle"] * one["brake"]).any()
-    assert np.abs(one["steer"]).max() <= CAR.max_steer

@@ -9,29 +9,16 @@ import pytest
 from handmade import drive, s_curve
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from worlds import controlled
 
 from logs import Command, EgoState, Plan, Trajectory, VehicleParameters
 from logs.catalogue import CATALOGUE
 from replay.control import CONTROLLERS
 from replay.loop.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
-from replay.vehicle.base import Controller
 
 CAR = VehicleParameters()
 PERIOD = 0.01
-
-
-def followed(
-    plan: Plan, name: str, vehicle: str, seconds: float, start: EgoState | None = None
-) -> tuple[list[Command], list[EgoState]]:
-    """Commands and states of a plan followed without replanning."""
-    car = VEHICLES[vehicle](CAR, start or plan.trajectory.state(0))
-    controller: Controller = controller_of(car, CAR, name, PERIOD)
-    commands, states = [], [car.state]
-    for _ in range(round(seconds / PERIOD)):
-        commands.append(controller.control(car.state, plan))
-        states.append(car.step(commands[-1], PERIOD))
-    return commands, states
 
 
 def assert_lawful(commands: list[Command]) -> None:
@@ -51,9 +38,8 @@ def test_every_controller_follows_every_logged_drive(name: str, family: str) -> 
     logged = CATALOGUE[family].scenario().ego
     if len(logged) < 2:
         pytest.skip("the family has no drive, only a start")
-    plan = Plan(logged)
     seconds = min(float(logged.t[-1] - logged.t[0]), 8.0)
-    commands, states = followed(plan, name, "single_track", seconds)
+    commands, states, _ = controlled(logged, name, "single_track", seconds)
     assert_lawful(commands)
     last = logged.at(states[-1].t)
     assert np.hypot(states[-1].x - last.x, states[-1].y - last.y) < (0.5 if name in ("dlqr_pid", "mpc") else 12.0)
@@ -66,8 +52,8 @@ def stop_and_go(t: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", CONTROLLERS)
 @pytest.mark.parametrize("vehicle", ["kinematic_bicycle", "single_track"])
 def test_two_drives_are_identical_and_hold_at_the_stop(name: str, vehicle: str) -> None:
-    plan, start = Plan(drive(s_curve, stop_and_go, 12.0)), EgoState(0.0, 0.0, 0.2, 0.05, 7.0)
-    one, two = (followed(plan, name, vehicle, 11.0, start) for _ in range(2))
+    plan, start = drive(s_curve, stop_and_go, 12.0), EgoState(0.0, 0.0, 0.2, 0.05, 7.0)
+    one, two = (controlled(plan, name, vehicle, 11.0, start)[:2] for _ in range(2))
     assert one == two
     assert_lawful(one[0])
     if name != "pid":  # a single loop knows no station: it stops where it stops
@@ -84,8 +70,8 @@ def test_a_mirrored_plan_has_the_mirrored_commands(name: str) -> None:
     start = EgoState(0.0, 0.0, 0.3, -0.05, 7.0)
     there = EgoState(0.0, 0.0, -0.3, 0.05, 7.0)
     one, two = (
-        followed(Plan(plan), name, "single_track", 5.0, start),
-        followed(Plan(mirrored(plan)), name, "single_track", 5.0, there),
+        controlled(plan, name, "single_track", 5.0, start),
+        controlled(mirrored(plan), name, "single_track", 5.0, there),
     )
     left = np.array([(c.steer, c.throttle, c.brake) for c in one[0]])
     right = np.array([(-c.steer, c.throttle, c.brake) for c in two[0]])

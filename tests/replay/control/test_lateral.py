@@ -10,49 +10,45 @@ from handmade import drive, s_curve
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
+from worlds import controlled
 
-from logs import ConfigError, EgoState, Plan, Trajectory, VehicleParameters
+from logs import ConfigError, EgoState, Trajectory, VehicleParameters
 from replay.control import CONTROLLERS
-from replay.control.dlqr import DlqrConfig, regulator, schedule
-from replay.control.dlqr_kinematic import KinematicDlqrConfig
-from replay.control.dlqr_kinematic import regulator as kinematic_regulator
-from replay.control.feedforward import commanded, following_at, slip_table, steer_for
+from replay.control.dlqr import DlqrConfig, gain, gain_table, regulator, rolling_model, solve_riccati
+from replay.control.estimation import NO_SLIP, learned, slip_model
 from replay.control.lateral_model import (
     DISCRETISATIONS,
     at_rear_axle,
     body_model,
+    command_series,
     error_model,
     following,
+    following_at,
     held,
+    slip_table,
+    steer_for,
     with_rigid_tyres,
     with_steering,
 )
-from replay.control.regulator import gain
-from replay.control.slip import Slip
-from replay.loop.simulation_setup import controller_of
-from replay.vehicle import VEHICLES
+from replay.vehicle.base import motion_of
 from replay.vehicle.plan_path import PlanPath
 
 CAR = VehicleParameters()
+ROLLING = with_rigid_tyres(CAR)
 PERIOD = 0.01
 B = CAR.wheelbase - CAR.cog_to_front
-TABLE = [*np.geomspace(0.1, 50.0, 40)]
+TABLE = [*np.geomspace(0.1, 50.0, 40), 60.0]
 
 
-def track(plan: Trajectory, vehicle: str, name: str = "dlqr_pid", plant: VehicleParameters = CAR) -> np.ndarray:
+def track(plan: Trajectory, vehicle: str, plant: VehicleParameters = CAR) -> np.ndarray:
     """Lateral errors of a plan followed from its start."""
-    car = VEHICLES[vehicle](plant, plan.state(0))
-    controller, one, path, rows = controller_of(car, CAR, name, PERIOD), Plan(plan), PlanPath.of(plan), []
-    for _ in range(round(float(plan.t[-1]) / PERIOD)):
-        rows.append(path.deviation(car.state).lateral)
-        car.step(controller.control(car.state, one), PERIOD)
-    return np.array(rows)
+    return controlled(plan, "dlqr_pid", vehicle, float(plan.t[-1]), plant=plant)[2][:, 0]
 
 
-def gains_at(v: float) -> list[float]:
+def gains_at(v: float, car: VehicleParameters = CAR) -> list[float]:
     """K from the table."""
-    table = schedule(CAR, PERIOD, DlqrConfig())
-    return [gain(table, v, column) for column in range(5)]
+    table = gain_table(car, PERIOD, DlqrConfig())
+    return [gain(table, v, column) for column in range(table.shape[1])]
 
 
 # --- the model
@@ -102,6 +98,19 @@ def test_the_hold_is_exact(v: float, period: float) -> None:
     np.testing.assert_allclose(x, exact, atol=1e-5)
 
 
+def test_the_rolling_model_is_the_exact_hold() -> None:
+    """Against a hundred thousand Euler steps of the continuous model under a held input."""
+    v, u = 12.0, 0.05
+    x = np.array([0.3, -0.1, 0.02])
+    A, B = rolling_model(v, CAR.wheelbase, CAR.steer_lag, 0.1)
+    exact = A @ x + B[:, 0] * u
+    n = 100_000
+    for _ in range(n):
+        rate = np.array([v * x[1], v / CAR.wheelbase * x[2], (u - x[2]) / CAR.steer_lag])
+        x = x + 0.1 / n * rate
+    np.testing.assert_allclose(x, exact, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("v", "period", "paper", "consistent"),
     [(15.0, 0.01, 2.9e-2, 6.6e-4), (5.0, 0.01, 0.087, 0.0026), (5.0, 0.1, 0.96, 0.11)],
@@ -133,19 +142,31 @@ def test_gains_of_the_papers_discretisation_differ_by_a_few_percent(v: float) ->
 # --- the regulator
 
 
-@given(st.floats(0.5, 45.0), st.lists(st.floats(-1.0, 1.0), min_size=5, max_size=5))
-def test_predicted_cost_is_the_rolled_out_cost(v: float, x0: list[float]) -> None:
-    r = regulator(v, CAR, PERIOD, DlqrConfig())
+@pytest.mark.parametrize("car", [CAR, ROLLING], ids=["slipping", "rolling"])
+@given(st.floats(0.5, 45.0), st.lists(st.floats(-2.0, 2.0), min_size=5, max_size=5))
+def test_predicted_cost_is_the_rolled_out_cost(car: VehicleParameters, v: float, start: list[float]) -> None:
+    r = regulator(v, car, PERIOD, DlqrConfig())
     moves, cost = r.A - r.B @ r.K, r.Q + r.K.T @ r.R @ r.K
     for _ in range(18):  # the first 2, 4, ... 2^18 steps of the roll-out
         cost, moves = cost + moves.T @ cost @ moves, moves @ moves
-    x = np.array(x0)
+    x = np.array(start[: len(r.A)])
     assert x @ cost @ x == pytest.approx(x @ r.P @ x, rel=1e-6, abs=1e-12)
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(1, 2))
+def test_the_riccati_equation_is_solved_as_the_library_does(seed: int, n: int, m: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, B, Q = rng.normal(size=(n, n)), rng.normal(size=(n, m)), np.diag(rng.uniform(0.1, 2.0, n))
+    R = np.diag(rng.uniform(0.1, 2.0, m))
+    P = solve_riccati(A, B, Q, R)
+    np.testing.assert_allclose(P, solve_discrete_are(A, B, Q, R), rtol=1e-6)
+    np.testing.assert_allclose(P, Q + A.T @ P @ np.linalg.solve(np.eye(n) + B @ np.linalg.solve(R, B.T) @ P, A), 1e-6)
+
+
+@pytest.mark.parametrize("car", [CAR, ROLLING], ids=["slipping", "rolling"])
 @pytest.mark.parametrize("v", [0.5, 2.0, 9.0, 21.0, 44.0])
-def test_the_gain_is_the_librarys(v: float) -> None:
-    r = regulator(v, CAR, PERIOD, DlqrConfig())
+def test_the_gain_is_the_librarys(car: VehicleParameters, v: float) -> None:
+    r = regulator(v, car, PERIOD, DlqrConfig())
     P = solve_discrete_are(r.A, r.B, r.Q, r.R)
     np.testing.assert_allclose(r.K, np.linalg.solve(r.R + r.B.T @ P @ r.B, r.B.T @ P @ r.A), rtol=1e-5)
 
@@ -156,13 +177,21 @@ def test_the_tabulated_gain_is_stable_at_all_speeds(v: float) -> None:
     A, col = held(*(lambda a, b: (a, b[:, None]))(*with_steering(A, col, CAR.steer_lag)), PERIOD)
     K = np.array([gains_at(v)])
     assert np.abs(np.linalg.eigvals(A - col @ K)).max() < 1.0
+    A, col = rolling_model(v, CAR.wheelbase, CAR.steer_lag, PERIOD)
+    assert np.abs(np.linalg.eigvals(A - col @ np.array([gains_at(v, ROLLING)]))).max() < 1.0
+
+
+def test_gains_between_the_rows_are_close_to_the_solution() -> None:
+    for v in (2.25, 7.75, 20.3, 44.9):
+        exact = regulator(v, ROLLING, PERIOD, DlqrConfig()).K[0]
+        np.testing.assert_allclose(gains_at(v, ROLLING), exact, rtol=2e-2)
 
 
 def test_stiff_tyres_give_the_kinematic_gains() -> None:
     stiff = replace(CAR, cornering_front=1e9, cornering_rear=1e9)
     for v in (2.0, 10.0, 20.0):
         K = regulator(v, stiff, PERIOD, DlqrConfig()).K[0]
-        k = kinematic_regulator(v, CAR.wheelbase, CAR.steer_lag, PERIOD, KinematicDlqrConfig()).K[0]
+        k = regulator(v, ROLLING, PERIOD, DlqrConfig()).K[0]
         # e_d' = v e_phi and e_phi' = v / L e_steer: their gains are the heading's and the steering's
         merged = [K[0], K[2] + v * K[1], K[4] + v / CAR.wheelbase * K[3]]
         np.testing.assert_allclose(merged, k, rtol=2e-2)
@@ -173,8 +202,12 @@ def test_settings_that_make_no_sense_are_refused() -> None:
         DlqrConfig(discretisation="bilinaer")
     with pytest.raises(ConfigError, match="lateral_weight"):
         DlqrConfig(lateral_weight=0.0)
-    with pytest.raises(ConfigError, match="no stable gain"):
-        regulator(0.0, CAR, PERIOD, DlqrConfig())
+    with pytest.raises(ConfigError, match="steer_weight"):
+        DlqrConfig(steer_weight=0.0)
+    for car in (CAR, ROLLING):
+        with pytest.raises(ConfigError, match="no stable gain"):
+            regulator(0.0, car, PERIOD, DlqrConfig())
+    assert np.isnan(solve_riccati(np.array([[2.0]]), np.array([[0.0]]), np.eye(1), np.eye(1))).all()
 
 
 # --- exact following
@@ -222,7 +255,7 @@ def test_steady_error_on_the_linear_plant_is_zero(radius: float, v: float) -> No
 
 def test_the_command_leads_the_wheel_by_lag_and_hold() -> None:
     d = (2.5, 0.3, 0.02)
-    c = commanded(d, 0.1, 0.01)
+    c = command_series(d, 0.1, 0.01)
     pace = 1e-2  # of kappa = exp(pace t): the wheel is exp(-pace h / 2) / (1 + T pace) times the command
     wheel = sum(c[i] * pace**i for i in range(3)) * np.exp(-pace * 0.005) / (1.0 + 0.1 * pace)
     assert wheel == pytest.approx(sum(d[i] * pace**i for i in range(3)), rel=1e-7)
@@ -242,20 +275,22 @@ def test_the_slip_that_was_there_is_learned(stiffness: float) -> None:
     """A linear plant with other tyres than those of the parameters."""
     p = replace(CAR, cornering_front=stiffness * CAR.cornering_front, cornering_rear=stiffness * CAR.cornering_rear)
     A, col = held(*(lambda a, b: (a, b[:, None]))(*body_model(15.0, p)), PERIOD)
-    slip, q = Slip(CAR, PERIOD), np.zeros(2)
+    slip, model, q = NO_SLIP, slip_model(CAR, PERIOD), np.zeros(2)
     for k in range(600):
         steer = 0.03 * np.sin(0.02 * k)
-        slip.learn(EgoState(k * PERIOD, 0.0, 0.0, 0.0, 15.0, steer=steer, yaw_rate=float(q[1]), v_lat=float(q[0])))
+        now = EgoState(k * PERIOD, 0.0, 0.0, 0.0, 15.0, steer=steer, yaw_rate=float(q[1]), v_lat=float(q[0]))
+        slip = learned(slip, model, motion_of(now))
         q = A @ q + col[:, 0] * steer
-    assert slip.ratios == pytest.approx((1.0 / stiffness, 1.0 / stiffness), rel=0.03)
+    assert slip[:2] == pytest.approx((1.0 / stiffness, 1.0 / stiffness), rel=0.03)
 
 
 def test_nothing_is_learned_where_there_is_nothing_to_learn_from() -> None:
-    slip, rigid = Slip(CAR, PERIOD), Slip(with_rigid_tyres(CAR), PERIOD)
+    slip, rigid, turn = NO_SLIP, NO_SLIP, {"steer": 0.02, "yaw_rate": 15.0 * 0.02 / CAR.wheelbase}
     for k in range(200):
-        slip.learn(EgoState(k * PERIOD, 0.0, 0.0, 0.0, 15.0))
-        rigid.learn(EgoState(k * PERIOD, 0.0, 0.0, 0.0, 15.0, steer=0.02, yaw_rate=15.0 * 0.02 / CAR.wheelbase))
-    assert slip.ratios == rigid.ratios == (1.0, 1.0)
+        straight, turning = (EgoState(k * PERIOD, 0.0, 0.0, 0.0, 15.0, **more) for more in ({}, turn))
+        slip = learned(slip, slip_model(CAR, PERIOD), motion_of(straight))
+        rigid = learned(rigid, slip_model(with_rigid_tyres(CAR), PERIOD), motion_of(turning))
+    assert slip[:2] == rigid[:2] == (1.0, 1.0)
 
 
 # --- on the vehicle models

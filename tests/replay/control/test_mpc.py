@@ -11,16 +11,25 @@ from scipy import sparse
 
 from logs import Command, ConfigError, EgoState, Plan, Trajectory, VehicleParameters
 from planners.qp import QPConfig, QuadraticProgram
-from replay.control.feedforward import slip_table
-from replay.control.lateral_model import body_model, with_rigid_tyres
+from replay.control.lateral_model import body_model, lateral_table, slip_table, with_rigid_tyres
 from replay.control.mpc import Mpc, MpcConfig, TrackingProgram
-from replay.control.mpc_model import GRAVITY, INPUTS, LIMITS, SIDES, STATES, entered, lateral_table, limits, predicted
-from replay.control.quintic import quintic, resampled
+from replay.control.mpc_model import (
+    INPUTS,
+    LIMITS,
+    SIDES,
+    STATES,
+    entered,
+    limits,
+    predicted,
+    quintic,
+    resampled,
+)
 from replay.loop.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
 from replay.vehicle.drivetrain import Drivetrain
 from replay.vehicle.pedal_map import NO_MOTOR, PedalMap
 from replay.vehicle.plan_path import PlanPath
+from replay.vehicle.tyres import GRAVITY
 
 CAR = VehicleParameters()
 TRAIN = Drivetrain(CAR)

@@ -12,10 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import EgoState, Plan, VehicleParameters
-from replay.control.feedforward import following_at, kappa_rate, slip_table, steer_for
-from replay.control.lateral_model import body_model
+from replay.control.estimation import LONGEST_S, SteeringDelay, lateral_deviation
+from replay.control.lateral_model import body_model, following_at, kappa_rate, slip_table, steer_for
 from replay.control.split import DLQR, SplitController, split_law
-from replay.control.steering_delay import LONGEST_S, SteeringDelay, lateral_deviation
 from replay.vehicle.base import motion_of
 from replay.vehicle.drivetrain import Drivetrain
 from replay.vehicle.kinematic_bicycle import KinematicBicycle

@@ -14,7 +14,8 @@ from logs.mcap import write_scenario
 from logs.trace import EndReason
 from replay.config import LoopConfig, PlannerProcessConfig
 from replay.draw.report.overview import overview
-from replay.loop.determinism import NOT_DETERMINISTIC, parting
+from replay.drive import NOT_DETERMINISTIC
+from replay.loop.planning import nondeterminism
 from replay.results.load import load
 from replay.run import evaluate_logs
 from replay.run.one_log import LOOPS
@@ -88,4 +89,4 @@ def test_a_drive_up_to_a_time_is_the_begin_of_the_whole(mode: Mode, until: float
     whole = loop(log, "dp_qp").trace
     part = loop(log, "dp_qp", until_s=until).trace
     assert [frame.t for frame in part.frames] == [frame.t for frame in whole.frames if frame.t <= until]
-    assert parting(whole, part, until) == ""
+    assert nondeterminism(whole, part, until) == ""

@@ -1,4 +1,4 @@
-"""The compiled loop: the same as its parts one step after the other, however its steps are dealt out."""
+"""The compiled loop: the same as its parts one step after the other; plans that are driven later than made."""
 
 from __future__ import annotations
 
@@ -7,19 +7,20 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from handmade import drive, s_curve
+from handmade import drive, s_curve, scenario
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import Plan, VehicleParameters
+from logs import ConfigError, Plan, VehicleParameters
 from logs.vehicle import vehicle_parameters
+from replay.config import LoopConfig
 from replay.control import CONTROLLERS
-from replay.loop.plan_period import PlanPeriod
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.plan_period import Latency, PlanPeriod, TraceRecorder
 from replay.loop.simulation_setup import controller_of
-from replay.loop.trace_recorder import TraceRecorder
 from replay.vehicle import VEHICLES
+from replay.vehicle.base import COLUMNS, COMMAND, ERRORS, MOTION
 from replay.vehicle.plan_path import PlanPath
-from replay.vehicle.trace_rows import COLUMNS, COMMAND, ERRORS, MOTION
 
 PERIOD = 0.01
 STEPS = 900
@@ -80,3 +81,38 @@ def test_every_row_is_complete_and_the_last_command_stands_at_the_end(vehicle: s
     assert rows.shape == (STEPS + 1, COLUMNS) and np.isfinite(rows).all()
     assert rows[-1, COMMAND].tolist() == rows[-2, COMMAND].tolist()
     np.testing.assert_array_equal(np.round(rows[:, 0] / PERIOD), np.arange(STEPS + 1))
+
+
+# --- planning takes time
+
+
+@given(st.integers(0, 40), st.integers(1, 12))
+def test_the_plan_driven_is_the_last_that_is_old_enough(delay: int, every: int) -> None:
+    latency, made = Latency(delay), {}
+    for step in range(80):
+        if step % every == 0:
+            latency.before(step)
+            made[step] = Plan(WAY)
+            latency.planned(step, made[step])
+        due = [k for k in made if k + delay <= step]
+        assert latency.at(step) is made[max(due) if due else 0]
+
+
+def test_without_delay_nothing_changes_and_with_it_the_drive_says_so() -> None:
+    log = scenario(drive(s_curve, 12.0, 6.0))
+    now, late = (
+        run_closed_loop(log, "logged", config=LoopConfig(plan_delay_s=seconds)).trace for seconds in (0.0, 0.15)
+    )
+    plain = run_closed_loop(log, "logged").trace
+    np.testing.assert_array_equal(plain.ego.y, now.ego.y)
+    assert not any("after its frame" in note for note in now.notes)
+    assert "each plan but the first is driven from 0.15 s after its frame on" in late.notes
+    assert len(late.frames) == len(now.frames)
+    assert np.abs(late.tracking.lateral).max() < 0.02  # plans carry their times: late is not wrong
+
+
+def test_a_delay_must_fit_the_control_period() -> None:
+    with pytest.raises(ConfigError, match="plan_delay_s"):
+        LoopConfig(plan_delay_s=0.005)
+    with pytest.raises(ConfigError, match="not be negative"):
+        LoopConfig(plan_delay_s=-0.1)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from logs import EndReason
 from logs.road import Goal
 from replay.loop.termination import Ended, Termination
-from replay.vehicle.trace_rows import COLUMNS, state_at
+from replay.vehicle.base import COLUMNS, state_at
 from replay.world import World, box_center, contact
 
 WAY = drive(straight, 10.0, 6.0)

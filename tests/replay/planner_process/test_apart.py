@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 from handmade import drive, lanes_along, scenario, straight, track, tracks
+from worlds import perceive
 
 from logs import ConfigError, EndReason, Goal, PlannerContext, PlannerError, Scenario, Trace
 from logs.agents import NUMBERS, OPTIONAL
@@ -25,7 +26,6 @@ from metrics import evaluate
 from replay.config import LoopConfig, PlannerProcessConfig, RunConfig
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
-from replay.loop.perception import perceive
 from replay.planner_process import schema
 from replay.planner_process.connection import clean_text, describe_planner
 from replay.planner_process.processes import _warm, set_template_run
@@ -273,9 +273,9 @@ def test_a_goal_with_alternatives_reaches_the_planner_and_one_without_is_as_befo
 
 def test_agents_reach_the_planner_with_all_columns_and_without_those_of_older_senders() -> None:
     log = scenario(drive(straight, 10.0, 1.0), agents=tracks(track("a", [0.4, 0.5], [1.0, 2.0], [0.0, 0.1])))
-    frame = perceive(World(log.ego.state(0), log.tracks), None, LoopConfig())
+    frame = perceive(World(log.ego.state(0), log.tracks))
     assert not len(frame.agents)
-    frame = perceive(World(replace(log.ego.state(0), t=0.6), log.tracks), None, LoopConfig())
+    frame = perceive(World(replace(log.ego.state(0), t=0.6), log.tracks))
     sent = encode(frame_message(frame))
     found = frame_of(decode(sent, schema.Frame)).agents
     for name in NUMBERS:

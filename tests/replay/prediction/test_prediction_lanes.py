@@ -15,7 +15,7 @@ from logs.kernel import FloatArray
 from replay.prediction import LaneMap, predict
 from replay.prediction.lane_following import CURVE_MPS2
 from replay.prediction.lane_map import lane_point, lane_project
-from replay.prediction.pedestrian import BRAKE_MPS2, KERB_M, walked
+from replay.prediction.off_lanes import BRAKE_MPS2, KERB_M, walked
 
 STRAIGHT = curve((400.0, 0.0))
 

@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 
 from logs import Command, EgoState, VehicleParameters
 from logs.vehicle import vehicle_names, vehicle_parameters
-from replay.vehicle.dead_time import pending, spans
 from replay.vehicle.drivetrain import (
     MIN_HOLD_S,
     Drivetrain,
     Gearbox,
     best_gear,
     drive_force,
+    pending,
     shifted,
+    spans,
     wanted_force,
 )
 from replay.vehicle.pedal_map import PedalPowertrain

@@ -1,20 +1,38 @@
-"""How plans that brake are followed: the pedals' lag inverted, stops that end softly and near, standstill held."""
+"""Pedals: one at a time, the power train inverted, its lag too; stops that end softly and near, standstill held."""
 
 from __future__ import annotations
+
+import csv
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import EgoState, Trajectory, VehicleParameters
-from replay.control.pedals import GENTLE_MPS3, HOLDING_BRAKE, LONGER_M, Lead, Pedals, SoftStop, Standstill
+from logs import Trajectory, VehicleParameters
+from replay.control.pedals import (
+    GENTLE_MPS3,
+    HOLDING_BRAKE,
+    HYSTERESIS_MPS2,
+    LONGER_M,
+    NO_PEDAL,
+    NO_STOP,
+    Calibration,
+    compensated,
+    eased,
+    hold,
+    press,
+    stands,
+)
 from replay.paper.manoeuvres import JERK_OVER, Manoeuvre, follow
 from replay.vehicle.drivetrain import Drivetrain
 from replay.vehicle.plan_path import PlanPath
 
 CAR = VehicleParameters()
 TRAIN = Drivetrain(CAR)
+PEDALS = TRAIN.pedal_map
+TABLE = Calibration.of(TRAIN)
 PERIOD = 0.01
 COAST = TRAIN.coasting(10.0)
 
@@ -52,11 +70,12 @@ def wave(amplitude: float, pace: float) -> PlanPath:
 @given(st.floats(0.1, 1.5), st.floats(0.5, 4.0))
 def test_the_brake_gives_the_plans_deceleration_at_its_time(amplitude: float, pace: float) -> None:
     """Through a dead time and a lag, once what was missing at first is made up for."""
-    path, lead, a = wave(amplitude, pace), Lead(TRAIN, PERIOD), -2.0
+    path, m, a = wave(amplitude, pace), np.nan, -2.0
     dead = round(CAR.brake_delay / PERIOD)
     coming, errors = [-2.0] * dead, []
     for k in range(500):
-        coming.append(lead.command(path, k * PERIOD, 15.0))
+        command, m = compensated(m, PEDALS, path.times, k * PERIOD, 15.0, PERIOD)
+        coming.append(command)
         errors.append(a - path.timed(k * PERIOD)[2])
         a += (1.0 - np.exp(-PERIOD / CAR.brake_lag)) * (coming.pop(0) - a)
     assert np.abs(errors[200:]).max() < 0.02 * amplitude + 1e-3
@@ -70,10 +89,9 @@ def test_the_lead_asks_for_no_other_pedal_than_the_plan(before: float, after: fl
     path = PlanPath.of(
         Trajectory(t, 15.0 * t, zero, zero, np.full(4, 15.0), np.array([before, before, after, after]), zero)
     )
-    lead = Lead(TRAIN, PERIOD)
-    coast = TRAIN.coasting(15.0)
+    m, coast = np.nan, TRAIN.coasting(15.0)
     for k in range(200):
-        asked = lead.command(path, k * PERIOD, 15.0)
+        asked, m = compensated(m, PEDALS, path.times, k * PERIOD, 15.0, PERIOD)
         brakes = path.timed(k * PERIOD + CAR.brake_delay + PERIOD)[2] < coast
         assert asked <= coast if brakes else asked >= coast
 
@@ -85,10 +103,11 @@ def point_mass(decel: float, v: float, slope: float = 0.0) -> tuple[float, float
     """A mass with dead time and lag, braked by `decel` until it stands: how far, the last deceleration, how long."""
     t = np.array([0.0, 0.01, 100.0])
     standing = PlanPath.of(Trajectory(t, *(np.zeros(3) for _ in range(6))))
-    stop, x, a = SoftStop(TRAIN, PERIOD), 0.0, -decel
+    stop, x, a = NO_STOP, 0.0, -decel
     coming = [-decel] * round(CAR.brake_delay / PERIOD)
     for k in range(4000):
-        coming.append(stop.eased(-decel - slope, EgoState(k * PERIOD, x, 0.0, 0.0, v, a), standing))
+        wanted, stop = eased(stop, PEDALS, standing.times, k * PERIOD, v, a, -decel - slope, PERIOD)
+        coming.append(wanted)
         force = coming.pop(0)
         share = 1.0 - np.exp(-PERIOD / CAR.brake_lag)
         a += share * (min(force, -CAR.rolling) + slope - a)
@@ -113,8 +132,7 @@ def test_a_stop_downhill_is_still_a_stop() -> None:
 def test_where_the_plan_goes_on_nothing_is_eased() -> None:
     t, zero = np.array([0.0, 9.0]), np.zeros(2)
     path = PlanPath.of(Trajectory(t, 3.0 * t, zero, zero, np.array([3.0, 3.0]), zero, zero))
-    stop = SoftStop(TRAIN, PERIOD)
-    assert stop.eased(-7.0, EgoState(0.0, 0.0, 0.0, 0.0, 0.5, -7.0), path) == -7.0
+    assert eased(NO_STOP, PEDALS, path.times, 0.0, 0.5, -7.0, -7.0, PERIOD)[0] == -7.0
 
 
 @pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
@@ -142,20 +160,81 @@ def test_a_stop_on_a_slope_that_nobody_told_of_is_held(controller: str, grade: f
 
 
 def test_the_brake_is_released_while_the_last_speed_goes_and_then_holds_for_good() -> None:
-    pedals = Pedals(TRAIN)
-    assert pedals.hold(0.08, -0.4) == (0.0, 0.0)
-    assert pedals.hold(0.08, 0.1) == (0.0, HOLDING_BRAKE)
-    assert pedals.hold(0.08, -0.4) == (0.0, HOLDING_BRAKE), "it does not let go again"
-    pedals.press(1.0, 0.1)
-    assert pedals.hold(0.0, 0.0) == (0.0, HOLDING_BRAKE)
+    state = NO_PEDAL
+    for v, a, held in ((0.08, -0.4, 0.0), (0.08, 0.1, HOLDING_BRAKE), (0.08, -0.4, HOLDING_BRAKE)):
+        throttle, brake, state = hold(state, v, a)
+        assert (throttle, brake) == (0.0, held), "and does not let go again"
+    state = press(state, PEDALS, 1.0, 0.1)[2]
+    assert hold(state, 0.0, 0.0)[:2] == (0.0, HOLDING_BRAKE)
 
 
 def test_standstill_has_hysteresis() -> None:
     t = np.arange(0.0, 6.0, 0.5)
     v = np.where(t < 3.0, 0.0, t - 3.0)
     path = PlanPath.of(Trajectory(t, np.r_[0.0, np.cumsum(0.25 * (v[1:] + v[:-1]))], 0 * t, 0 * t, v, 0 * t, 0 * t))
-    still = Standstill()
-    assert not still.holds(0.2, 0.0, path)
-    assert still.holds(0.05, 0.5, path)
-    assert still.holds(0.12, 1.0, path)
-    assert not still.holds(0.0, 2.6, path)
+    still = False
+    for v, t, holds in ((0.2, 0.0, False), (0.05, 0.5, True), (0.12, 1.0, True), (0.0, 2.6, False)):
+        still = stands(still, v, t, path.times)
+        assert still is holds
+
+
+# --- one pedal at a time
+
+
+@given(st.lists(st.tuples(st.floats(-12.0, 6.0), st.floats(0.0, 40.0)), min_size=1, max_size=60))
+def test_pedals_are_never_on_together(asked: list[tuple[float, float]]) -> None:
+    state = NO_PEDAL
+    for acceleration, v in asked:
+        throttle, brake, state = press(state, PEDALS, acceleration, v)
+        assert 0.0 <= throttle <= 1.0 and 0.0 <= brake <= 1.0
+        assert throttle == 0.0 or brake == 0.0
+
+
+@given(st.floats(0.5, 35.0), st.floats(-8.0, 1.5))
+def test_pedals_invert_the_powertrain(v: float, acceleration: float) -> None:
+    beyond = acceleration - TRAIN.coasting(v)
+    if abs(beyond) <= HYSTERESIS_MPS2 or beyond > TRAIN.full_throttle(v):
+        return
+    throttle, brake, _ = press(NO_PEDAL, PEDALS, acceleration, v)
+    given_back = TRAIN.coasting(v) + throttle * TRAIN.full_throttle(v) - brake * TRAIN.full_brake(v)
+    assert given_back == pytest.approx(acceleration, abs=1e-9)
+
+
+def test_pedals_do_not_alternate_with_noise() -> None:
+    state, rng = NO_PEDAL, np.random.default_rng(2)
+    for a in TRAIN.coasting(15.0) + rng.uniform(-0.9, 0.9, 500) * HYSTERESIS_MPS2:
+        _, brake, state = press(state, PEDALS, float(a), 15.0)
+        assert not brake
+
+
+# --- the calibration table
+
+
+@given(st.floats(0.5, 40.0), st.floats(-8.0, 1.0))
+def test_the_table_is_near_the_exact_inverse(v: float, acceleration: float) -> None:
+    beyond = acceleration - TRAIN.coasting(v)
+    if abs(beyond) <= HYSTERESIS_MPS2:
+        return
+    pedals = press(NO_PEDAL, PEDALS, acceleration, v)[:2]
+    looked_up = TABLE.at(acceleration, v)
+    if not np.isnan(looked_up).any():
+        assert looked_up == pytest.approx(pedals, abs=0.02)
+
+
+def test_what_the_vehicle_cannot_do_has_no_pedal() -> None:
+    assert np.isnan(TABLE.at(5.0, 45.0)).all()
+    reachable = TABLE.pedal[np.isfinite(TABLE.pedal)]
+    assert np.abs(reachable).max() <= 1.0
+    assert (np.diff(TABLE.pedal, axis=0)[np.isfinite(np.diff(TABLE.pedal, axis=0))] > 0.0).all()
+
+
+def test_it_is_written_and_drawn(tmp_path: Path) -> None:
+    TABLE.save(tmp_path / "table.csv")
+    with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    assert len(rows) == 1 + len(TABLE.acceleration) and len(rows[0]) == 1 + len(TABLE.speed)
+    read = np.array([[float(value or "nan") for value in row[1:]] for row in rows[1:]])
+    np.testing.assert_allclose(read, TABLE.pedal, atol=1e-6)
+    pytest.importorskip("matplotlib")
+    TABLE.plot(tmp_path / "table.png")
+    assert (tmp_path / "table.png").stat().st_size > 1000

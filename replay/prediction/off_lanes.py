@@ -1,0 +1,167 @@
+"""Futures of road users that follow no lane: straight on, round a circle; several hypotheses of each pedestrian.
+
+(1) constant velocity: p(t + tau) = p(t) + v(t) tau, the heading stays
+(2) constant turn rate and velocity: the velocity vector turns with the yaw rate w, so that in tau a chord of length
+    |v| tau sin(h) / h is covered in the direction of v turned by h = w tau / 2; the heading turns by w tau
+
+Pedestrians go on, stop, or turn back. Which and how probable depends on what the pedestrian does and where (`SHARES`):
+walks on a lane, walks towards one that it reaches within `LOOK_S`, walks elsewhere, stands on a lane, stands elsewhere;
+slowing is an acceleration below `SLOWING_MPS2` (backward difference). The shares are cautious assumptions, not fitted
+to data: most pedestrians on the road go on; one who comes to the kerb and slows mostly waits there; one who has just
+stopped may start again.
+
+The hypotheses, with the speed v at the frame (walking: from `WALKING_MPS` on), the direction of the velocity (of the
+heading, of one who stands), and time tau from the frame:
+
+    goes on       at v; one who stands starts after `REACTION_S` at `START_MPS`
+    stops         brakes with `BRAKE_MPS2`; one who comes to a lane stops `KERB_M` before it, if that is not sooner
+    turns back    stops as above, waits `PAUSE_S`, walks back at v, at least at `START_MPS`
+
+(3) walked(tau) = v tau until tau_b = D / v - v / (2 b), then braking with b to a stop at the distance D
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from math import cos, pi, sin
+
+import numpy as np
+
+from logs.agents import AgentKind, Agents, among
+from logs.frame import Predictions
+from logs.kernel import FloatArray, inner_kernel
+from replay.prediction.lane_map import LaneMap, road_ahead
+
+SLOWEST_MPS = 1.0
+"""Below this speed a heading changes mostly by noise: the turn rate counts as zero."""
+MAX_LATERAL_MPS2 = 5.0
+"""A turn rate that asks for more than this lateral acceleration is noise, and is cut to it."""
+MAX_KAPPA = 0.2
+"""Nor does a vehicle turn tighter than this, 1/m."""
+ON_FOOT = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
+"""Who turns on the spot or not at all, by their codes: their yaw rate says nothing of where they go."""
+
+WALKING_MPS = 0.3
+SLOWING_MPS2 = -0.4
+LOOK_S = 4.0
+KERB_M = 0.3
+BRAKE_MPS2 = 1.5
+REACTION_S, START_MPS, PAUSE_S = 0.5, 1.2, 0.5
+
+
+def constant_velocity(agents: Agents, t: FloatArray) -> Predictions:
+    """Each agent goes straight on with its velocity vector (1): one hypothesis of probability 1 per agent."""
+    ahead = t - t[0]
+    n = len(agents)
+    return Predictions(
+        t=t,
+        agent=np.arange(n),
+        probability=np.ones(n),
+        x=agents.x[:, None] + agents.vx[:, None] * ahead,
+        y=agents.y[:, None] + agents.vy[:, None] * ahead,
+        yaw=np.broadcast_to(agents.yaw[:, None], (n, len(t))),
+        method="constant_velocity",
+    )
+
+
+@inner_kernel
+def turn_rate(code: int, speed: float, yaw_rate: float) -> float:
+    """The yaw rate that goes on: of moving vehicles and bicycles, within what they can turn, rad/s."""
+    most = min(MAX_LATERAL_MPS2 / max(speed, SLOWEST_MPS), MAX_KAPPA * speed)
+    return 0.0 if ON_FOOT[code] or speed < SLOWEST_MPS else min(max(yaw_rate, -most), most)
+
+
+@inner_kernel
+def turned(one: FloatArray, direction: float, ahead: FloatArray, out: FloatArray) -> None:
+    """Round a circle (2).
+
+    `one` `(6,)`: x, y, yaw, vx, vy and the yaw rate that goes on; `direction` of its velocity; `ahead` `(k,)`: times
+    from now, s; `out` `(3, k)`: rows x, y, yaw.
+    """
+    speed = np.hypot(one[3], one[4])
+    for k in range(len(ahead)):
+        half = 0.5 * one[5] * ahead[k]
+        bent = pi * (half / pi)
+        chord = speed * ahead[k] * (sin(bent) / bent if bent != 0.0 else 1.0)
+        toward = direction + half
+        out[0, k], out[1, k] = one[0] + chord * cos(toward), one[1] + chord * sin(toward)
+        out[2, k] = one[2] + 2.0 * half
+
+
+class Place(Enum):
+    """What a pedestrian does, and where."""
+
+    CROSSING = "walks on a lane"
+    COMING = "walks towards a lane"
+    AWAY = "walks elsewhere"
+    STANDING_ON_ROAD = "stands on a lane"
+    STANDING = "stands elsewhere"
+
+
+SHARES: dict[tuple[Place, bool], tuple[float, float, float]] = {
+    (Place.CROSSING, False): (0.85, 0.15, 0.0),
+    (Place.CROSSING, True): (0.45, 0.40, 0.15),
+    (Place.COMING, False): (0.65, 0.35, 0.0),
+    (Place.COMING, True): (0.30, 0.70, 0.0),
+    (Place.AWAY, False): (1.0, 0.0, 0.0),
+    (Place.AWAY, True): (0.8, 0.2, 0.0),
+    (Place.STANDING_ON_ROAD, False): (0.15, 0.70, 0.15),
+    (Place.STANDING_ON_ROAD, True): (0.15, 0.70, 0.15),
+    (Place.STANDING, False): (0.0, 1.0, 0.0),
+    (Place.STANDING, True): (0.2, 0.8, 0.0),
+}
+"""Probability of going on, stopping (standing on) and turning back, by what it does where, and whether it slows."""
+
+
+def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+    """The hypotheses of the pedestrians among `agents`, and of no other agents (module docstring)."""
+    ahead = t - t[0]
+    agent, probability, way = [], [], []
+    for i, kind in enumerate(agents.kinds):
+        if kind is not AgentKind.PEDESTRIAN:
+            continue
+        vx, vy = float(agents.vx[i]), float(agents.vy[i])
+        speed = float(np.hypot(vx, vy))
+        toward = float(np.cos(agents.yaw[i])), float(np.sin(agents.yaw[i]))
+        if speed >= WALKING_MPS:
+            toward = vx / speed, vy / speed
+        road = road_ahead(lanes.arrays, float(agents.x[i]), float(agents.y[i]), *toward, max(speed * LOOK_S, 0.0))
+        shares, walked = _hypotheses(speed, road, ahead, slowing=bool(agents.accel[i] < SLOWING_MPS2))
+        for share, (distance, turned) in zip(shares, walked, strict=True):
+            if share > 0.0:
+                agent.append(i)
+                probability.append(share)
+                yaw = agents.yaw[i] + np.pi * turned
+                way.append((agents.x[i] + distance * toward[0], agents.y[i] + distance * toward[1], yaw))
+    x, y, yaw = np.array(way).reshape(-1, 3, len(t)).transpose(1, 0, 2)
+    return Predictions(t, np.array(agent, np.int64), np.array(probability), x, y, yaw, "pedestrian")
+
+
+def _hypotheses(
+    speed: float, road: float, ahead: FloatArray, *, slowing: bool
+) -> tuple[tuple[float, float, float], tuple[tuple[FloatArray, FloatArray], ...]]:
+    """The shares of a pedestrian's hypotheses, and of each the distance walked and whether it has turned `(k,)`.
+
+    `road` is how far the first lane is in the direction of the walk, m.
+    """
+    still = np.zeros(len(ahead))
+    if speed < WALKING_MPS:
+        started = START_MPS * np.maximum(ahead - REACTION_S, 0.0)
+        place = Place.STANDING_ON_ROAD if road == 0.0 else Place.STANDING
+        return SHARES[place, slowing], ((started, still), (still, still), (-started, (started > 0.0).astype(float)))
+    place = Place.CROSSING if road == 0.0 else Place.COMING if np.isfinite(road) else Place.AWAY
+    stop = 0.5 * speed**2 / BRAKE_MPS2
+    halted = walked(ahead, speed, max(stop, road - KERB_M) if place is Place.COMING else stop)
+    back = max(speed, START_MPS) * np.maximum(ahead - speed / BRAKE_MPS2 - PAUSE_S, 0.0)
+    return SHARES[place, slowing], (
+        (speed * ahead, still),
+        (halted, still),
+        (walked(ahead, speed, stop) - back, (back > 0.0).astype(float)),
+    )
+
+
+def walked(ahead: FloatArray, speed: float, distance: float) -> FloatArray:
+    """Distance walked at `speed` (m/s) with a stop after `distance` (m) (3)."""
+    begins = distance / speed - 0.5 * speed / BRAKE_MPS2
+    braking = np.clip(ahead - begins, 0.0, speed / BRAKE_MPS2)
+    return np.asarray(speed * np.minimum(ahead, begins) + speed * braking - 0.5 * BRAKE_MPS2 * braking**2)

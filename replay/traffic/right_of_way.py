@@ -1,0 +1,275 @@
+"""Traffic lights and right of way for agents that drive by the model: where they wait, a leader stands.
+
+A stop line is on a vehicle's path where the middle of its front bumper first crosses it in the lane's direction, at
+most `ASIDE_M` beside its ends, on a way that the line applies to. With the gap s to it and the speed v, a stop takes
+the deceleration
+
+(1) b = v^2 / (2 s)
+
+At yellow, a vehicle stops if that takes no more than `DECEL_MPS2`; at red, and at red and yellow, no more than
+`HARDEST_MPS2`. It stops by `replay.traffic.following` (4) until the light opens (green, off). A vehicle that could not
+stop drives on, whatever the light shows next, unless something else slows it down until `DECEL_MPS2` suffices.
+
+Until the log leaves its own last standstill before a line, the vehicle stops there as logged, and no line keeps it from
+being on time again. Stop signs are as in the log: the late vehicle slows down where it did.
+
+An agent on a lane that yields (`Lane.yields_to`) waits for the ego on a lane with priority. The ego is predicted along
+its lanes (`replay.prediction`, every way that it may take) for `LOOK_AHEAD_S`. Its boxes on a lane with priority are
+places that it holds by right. An agent that is on the yielding lane, or comes to it, goes on as in its log, but no
+faster than its speed v allows: with the distance s from here and a = `following.ACCEL_MPS2`, it arrives after
+
+(2) tau(s) = max(time of the log to there, (sqrt(v^2 + 2 a s) - v) / a)
+
+It waits where its box would reach such a place within `SERIOUS_S` before or after the ego (a post-encroachment time
+below 1 s violates the right of way: `metrics.rules`), if it can stop with `following.HARDEST_MPS2` before all of the
+ego's way, held by right or not: a standing leader is placed there. An agent that cannot stop, or is there already,
+drives on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import atan2, cos, hypot, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.road import Road
+from logs.route import ASIDE_M, ASKEW_RAD, BEHIND_M, on_lane
+from logs.rules import RED, Colour, StopLine
+from logs.scenario import AgentKind, Agents, Scenario, Tracks
+from logs.shapes import overlap_turned
+from logs.states import EgoState
+from metrics.rules import SERIOUS_S
+from planners.rules.zones import turned
+from replay.prediction import LaneMap
+from replay.prediction.lane_following import followers
+from replay.traffic import following
+from replay.traffic.following import ACCEL_MPS2, DECEL_MPS2, FINE_M, HARDEST_MPS2, Leaders, Paths, places, sample_at
+from replay.traffic.phase_replay import PERIOD_S
+from replay.world import ROUNDING_M, box_center
+
+LOOK_AHEAD_S, STEP_S = 6.0, 0.25
+"""Horizon of the ego's prediction (a stop from 13.9 m/s with 3 m/s2 takes 4.6 s), and the time between two boxes."""
+
+
+class Crossing(NamedTuple):
+    """Where a path crosses a line: agent, light, station along all paths (m), end of its last standstill (s)."""
+
+    owner: int
+    light: int
+    station: float
+    stands_until: float
+
+
+class RedLights:
+    """Stops agents at closed lights; remembers which agents stop for which line, and which could not.
+
+    Args:
+        scenario: Its road and lights.
+        paths: The logged paths, each extended along its lane.
+        reacts: `(n,)` which agents may drive by the model.
+    """
+
+    def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray) -> None:
+        self._lights = scenario.lights
+        found = list(_crossings(scenario, paths, reacts)) if scenario.lights and len(paths) else []
+        self._owner = np.array([one.owner for one in found], np.int64)
+        self._light = np.array([one.light for one in found], np.int64)
+        self._at = np.array([one.station for one in found])
+        self._stands_until = np.array([one.stands_until for one in found])
+        self._paths = following.paths_along(paths)
+        self._station = _stations(paths)
+        self._stops, self._passes = np.zeros(len(found), np.bool_), np.zeros(len(found), np.bool_)
+
+    def accelerations(
+        self, t: float, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray
+    ) -> FloatArray:
+        """The greatest accelerations `(k,)` that lights allow the agents `who` (those `whose`) from `t` on, m/s2."""
+        out = np.full(len(phase), ACCEL_MPS2)
+        if not len(self._owner):
+            return out
+        at = places(who, self._owner)
+        some = np.flatnonzero((at >= 0) & np.append(whose, False)[at])
+        at, stops, passes = at[some], self._stops[some], self._passes[some]
+        self._stops[:], self._passes[:] = False, False
+        if not len(some):
+            return out
+        shown = [light.at(t) for light in self._lights]
+        red = np.array([colour in RED for colour in shown])[self._light[some]]
+        yellow = np.array([colour is Colour.YELLOW for colour in shown])[self._light[some]]
+        gap, v = _gaps(self._paths, self._station, phase[at], self._owner[some], self._at[some]), speed[at]
+        counts = (red | yellow) & (gap > 0.0) & (gap <= following.LOOK_M + following.LOOK_S * v)
+        counts &= self._stands_until[some] <= t + PERIOD_S + 1e-9
+        able = v * v <= 2.0 * gap * np.where(yellow | passes, DECEL_MPS2, HARDEST_MPS2)
+        stops = counts & (stops | able)
+        self._stops[some], self._passes[some] = stops, counts & ~stops
+        still = np.zeros(len(gap))
+        wanted = following.accelerations(v, Leaders(np.where(stops, gap, np.inf), still, still))
+        np.minimum.at(out, at, wanted)
+        return out
+
+
+def _stations(paths: Tracks) -> FloatArray:
+    """Length `(samples,)` along all paths, one after the other, m; only differences within one path are meaningful."""
+    return np.r_[0.0, np.cumsum(np.hypot(np.diff(paths.x), np.diff(paths.y)))] if len(paths.t) else np.empty(0)
+
+
+def _crossings(scenario: Scenario, paths: Tracks, reacts: BoolArray) -> Iterator[Crossing]:
+    """Where the paths cross lines that apply to them: also where a way is on none of the lanes after the line."""
+    owner = np.repeat(np.arange(len(paths)), np.diff(paths.offsets))
+    within = (owner[1:] == owner[:-1]) & reacts[owner[1:]]
+    ahead = 0.5 * paths.length[owner]
+    front = np.column_stack([paths.x + ahead * np.cos(paths.yaw), paths.y + ahead * np.sin(paths.yaw)])
+    station = _stations(paths)
+    stands = np.diff(station) < following.STANDING_MPS * np.diff(paths.t)
+    lights = {light.id: i for i, light in enumerate(scenario.lights)}
+    for line in scenario.road.stop_lines:
+        if line.light not in lights:
+            continue
+        lane, over = scenario.road.lanes[line.lane], set[int]()
+        for k, u in _over(line, scenario.road, front, within):
+            i = int(owner[k])
+            if i in over or turned(lane, float(front[k, 0]), float(front[k, 1]), float(paths.yaw[k])) >= ASKEW_RAD:
+                continue
+            over.add(i)
+            behind = slice(k + 1, int(np.searchsorted(station[: paths.offsets[i + 1]], station[k] + BEHIND_M)))
+            way = paths.x[behind], paths.y[behind], paths.yaw[behind]
+            ways = [n for n in lane.successors if n in scenario.road.lanes]
+            on = {n: int(on_lane(scenario.road.lanes[n], *way).sum()) for n in ways if line.towards}
+            if not any(on.values()) or max(ways, key=lambda n: (on[n], -n)) in line.towards:
+                stood = np.flatnonzero(stands[paths.offsets[i] : k + 1])
+                until = paths.t[paths.offsets[i] + stood[-1] + 1] if len(stood) else -np.inf
+                at = station[k] + u * (station[k + 1] - station[k])
+                yield Crossing(i, lights[line.light], float(at), float(until))
+
+
+def _over(line: StopLine, road: Road, front: FloatArray, within: BoolArray) -> Iterator[tuple[int, float]]:
+    """The steps `within` a path in which a front `(samples, 2)` crosses a line, and each one's share before it."""
+    half = 0.5 * hypot(*(line.points[1] - line.points[0]))
+    middle, across = line.points.mean(axis=0), (line.points[1] - line.points[0]) / max(2.0 * half, 1e-9)
+    normal = np.array([across[1], -across[0]])
+    if turned(road.lanes[line.lane], float(middle[0]), float(middle[1]), atan2(normal[1], normal[0])) > 0.5 * np.pi:
+        normal = -normal
+    ahead, beside = (front - middle) @ normal, (front - middle) @ across
+    for k in np.flatnonzero(within & (ahead[:-1] < 0.0) & (ahead[1:] >= 0.0)).tolist():
+        u = float(ahead[k] / (ahead[k] - ahead[k + 1]))
+        if abs(beside[k] + u * (beside[k + 1] - beside[k])) <= half + ASIDE_M:
+            yield k, u
+
+
+@kernel
+def _gaps(paths: Paths, station: FloatArray, phase: FloatArray, owner: IntArray, at: FloatArray) -> FloatArray:
+    """Length of path `(k,)` from each owner's phase `(k,)` to the station `at` `(k,)`, m."""
+    out = np.empty(len(owner))
+    for c in range(len(owner)):
+        now = phase[c]
+        k = min(sample_at(paths, owner[c], now), paths.end[owner[c]] - 2)
+        u = min(max((now - paths.t[k]) / (paths.t[k + 1] - paths.t[k]), 0.0), 1.0)
+        out[c] = at[c] - station[k] - u * (station[k + 1] - station[k])
+    return out
+
+
+class Way(NamedTuple):
+    """An agent's way over a yielding lane: its index, the lanes with priority, when its log leaves the lane (s)."""
+
+    owner: int
+    first: tuple[int, ...]
+    until: float
+
+
+class Yielding:
+    """Keeps agents that yield out of the ego's way.
+
+    Args:
+        scenario: Its road and the ego's size.
+        paths: The logged paths, each extended along its lane.
+        reacts: `(n,)` which agents may drive by the model.
+        lanes: Of the road; the ego is predicted along them.
+    """
+
+    def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray, lanes: LaneMap) -> None:
+        self._road, self._car, self._tracks, self._lanes = scenario.road, scenario.vehicle, paths, lanes
+        self._paths = following.paths_along(paths)
+        self._ways: list[Way] = []
+        for i in np.flatnonzero(reacts).tolist():
+            mine = paths.samples(i)
+            for lane in scenario.road.lanes.values():
+                first = tuple(k for k in lane.yields_to if k in scenario.road.lanes)
+                on = on_lane(lane, paths.x[mine], paths.y[mine], paths.yaw[mine]) if first else np.zeros(1, np.bool_)
+                if on.any():
+                    self._ways.append(Way(i, first, float(paths.t[mine][on].max())))
+        self._owner = np.array([way.owner for way in self._ways], np.int64)
+        self._until = np.array([way.until for way in self._ways])
+
+    def gaps(self, ego: EgoState, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray) -> FloatArray:
+        """Distance of the tracks `who` (those `whose`) to where they must wait for the ego `(k,)`, m; inf: no wait."""
+        out = np.full(len(phase), np.inf)
+        if not self._ways:
+            return out
+        at = places(who, self._owner)
+        some = (at >= 0) & np.append(whose, False)[at]
+        some &= np.append(phase, np.nan)[at] <= self._until + 1e-9
+        ways = [(self._ways[k], at[k]) for k in np.flatnonzero(some)]
+        if not ways:
+            return out
+        x, y = box_center(ego, self._car)
+        vx, vy = ego.v * cos(ego.yaw), ego.v * sin(ego.yaw)
+        own = (self._car.length, self._car.width, x, y, ego.yaw, vx, vy, ego.yaw_rate, ego.a)
+        now = Agents(("ego",), (AgentKind.CAR,), *(np.array([value]) for value in own))
+        t = np.arange(0.0, LOOK_AHEAD_S + 0.5 * STEP_S, STEP_S)
+        ego_ways = followers(now, t, self._lanes)
+        pose = ego_ways.x, ego_ways.y, ego_ways.yaw
+        boxes = np.stack([np.broadcast_to(t, ego_ways.x.shape), *pose]).reshape(4, -1)  # of the ego, on all its ways
+        on = {k: on_lane(self._road.lanes[k], *boxes[1:]) for k in sorted({k for way, _ in ways for k in way.first})}
+        size = np.array([self._car.length, self._car.width])
+        for way, k in ways:
+            i = way.owner
+            by_right = np.logical_or.reduce([on[lane] for lane in way.first])
+            if by_right.any():
+                mine = np.array([self._tracks.length[i], self._tracks.width[i]])
+                out[k] = min(out[k], _wait(self._paths, i, phase[k], speed[k], mine, boxes, by_right, size))
+        return out
+
+
+@kernel
+def _wait(
+    paths: Paths, i: int, phase: float, speed: float, own: FloatArray,
+    boxes: FloatArray, by_right: BoolArray, size: FloatArray,
+) -> float:  # fmt: skip
+    """Distance of agent i to the first of the boxes `(4, k)` if it must and can wait for one, m; else inf."""
+    station, clear, place, meets = 0.0, 0.0, np.inf, False
+    c2, s2 = np.cos(boxes[3]), np.sin(boxes[3])
+    near = 0.5 * (hypot(own[0], own[1]) + hypot(size[0], size[1])) + ROUNDING_M
+    for k in range(sample_at(paths, i, phase), paths.end[i] - 1):
+        span, length = paths.t[k + 1] - paths.t[k], hypot(paths.x[k + 1] - paths.x[k], paths.y[k + 1] - paths.y[k])
+        start = max((phase - paths.t[k]) / span, 0.0)
+        steps = int((1.0 - start) * length / FINE_M) + 1
+        for m in range(steps + 1):
+            u = start + (1.0 - start) * m / steps
+            s = station + (u - start) * length
+            # (2)
+            tau = max(paths.t[k] + u * span - phase, (sqrt(speed * speed + 2.0 * ACCEL_MPS2 * s) - speed) / ACCEL_MPS2)
+            if tau > LOOK_AHEAD_S:
+                return _place(speed, place, meets)
+            x, y = paths.x[k] + u * (paths.x[k + 1] - paths.x[k]), paths.y[k] + u * (paths.y[k + 1] - paths.y[k])
+            yaw, free = paths.yaw[k] + u * (paths.yaw[k + 1] - paths.yaw[k]), True
+            c1, s1 = cos(yaw), sin(yaw)
+            for b in range(boxes.shape[1]):
+                if (boxes[1, b] - x) ** 2 + (boxes[2, b] - y) ** 2 <= near * near and overlap_turned(
+                    x, y, c1, s1, own[0], own[1], boxes[1, b], boxes[2, b], c2[b], s2[b], size[0], size[1]
+                ):
+                    free, meets = False, meets or (by_right[b] and abs(boxes[0, b] - tau) <= SERIOUS_S)
+            if free and not np.isfinite(place):
+                clear = s
+            elif not free and not np.isfinite(place):
+                place = clear
+        station += (1.0 - start) * length
+    return _place(speed, place, meets)
+
+
+@inner_kernel
+def _place(speed: float, place: float, meets: bool) -> float:
+    """The place where it must wait, if it must and can; else inf."""
+    return place if meets and speed * speed <= 2.0 * HARDEST_MPS2 * place and place > 0.0 else np.inf

@@ -29,9 +29,8 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
 from logs.readers.base import LogSettings
-from logs.readers.recorded import stands, unit_or_identity
-from logs.readers.ros import schemas
-from logs.readers.ros.bag import Bag, Topic
+from logs.readers.recorded import held_curvature, stands, unit_or_identity
+from logs.readers.ros import Bag, Topic, schemas
 from logs.readers.ros.fields import Wanted
 from logs.readers.ros.frames import HELD, Clock, Frames, Poses, clock_of, describe_timing, times_of
 from logs.readers.ros.schemas import STAMP
@@ -44,15 +43,7 @@ LEAST_POSES = 2
 COVERS_S = 0.5
 WARM_UP_S = 0.3
 """Poses before the first state: from them its speed is known without a later one."""
-POSITION = (
-    "position.x",
-    "position.y",
-    "position.z",
-    "orientation.x",
-    "orientation.y",
-    "orientation.z",
-    "orientation.w",
-)
+POSITION = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,24 +143,6 @@ def _edge(rows: list[tuple[float, ...]], static: bool) -> Edge:
     return Edge(log, stamps, pose[:, :3], unit_or_identity(pose[:, 3:]), static)
 
 
-def _poses(part: Part, topic: Topic, path: str) -> tuple[str, str, Edge, FloatArray]:
-    """Frame, child frame, poses and speeds (NaN: none) of a topic of poses or odometry."""
-    odometry = topic.kind in schemas.ODOMETRY
-    more = ("child_frame_id", "twist.twist.linear.x") if odometry else ()
-    log, _, rows = part.read(topic, ("header.frame_id", *(f"{path}.{name}" for name in POSITION), *more))
-    if not rows:
-        raise LogError(
-            "no poses in this part of the log", topic=topic.name, remedy="choose begin and end within the log"
-        )
-    values = _edge(
-        [(time, row[0] * 1_000_000_000 + row[1], *row[3:10]) for time, row in zip(log.tolist(), rows, strict=True)],
-        False,
-    )
-    good = np.isfinite([row[3:10] for row in rows]).all(axis=1)
-    speed = np.array([row[11] if odometry else np.nan for row in rows])[good]
-    return rows[0][2].lstrip("/"), rows[0][10].lstrip("/") if odometry else "", values, speed
-
-
 def _map_frame(edges: Edges, named: str, settings: LogSettings) -> str:
     """The frame of the scenario: as set, "map" and the like where there is one, else what the ego's poses are in."""
     if "map" in settings.frames:
@@ -243,8 +216,19 @@ def _odometry(part: Part, edges: Edges) -> _Found | None:
     ordered = sorted(topics, key=lambda topic: topic.kind not in schemas.ODOMETRY)
     transforms = any(not edge.static and len(edge.log) >= LEAST_POSES for edge in edges.values())
     for topic in ordered:
-        frame, child, edge, speed = _poses(part, topic, kinds[topic.kind])
-        at_once = topic.kind in schemas.ODOMETRY and frame == _map_frame(edges, frame, settings)
+        odometry = topic.kind in schemas.ODOMETRY
+        more = ("child_frame_id", "twist.twist.linear.x") if odometry else ()
+        pose = (f"{kinds[topic.kind]}.{name}" for name in POSITION)
+        log, _, rows = part.read(topic, ("header.frame_id", *pose, *more))
+        if not rows:
+            remedy = "choose begin and end within the log"
+            raise LogError("no poses in this part of the log", topic=topic.name, remedy=remedy)
+        stamped = zip(log.tolist(), rows, strict=True)
+        edge = _edge([(time, row[0] * 1_000_000_000 + row[1], *row[3:10]) for time, row in stamped], False)
+        good = np.isfinite([row[3:10] for row in rows]).all(axis=1)
+        speed = np.array([row[11] if odometry else np.nan for row in rows])[good]
+        frame, child = rows[0][2].lstrip("/"), rows[0][10].lstrip("/") if odometry else ""
+        at_once = odometry and frame == _map_frame(edges, frame, settings)
         if len(edge.log) >= LEAST_POSES and ("ego" in settings.topics or at_once or not transforms):
             return topic, frame, child, edge, speed
     return None
@@ -365,7 +349,7 @@ def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[
         "yaw": yaw,
         "v": v,
         "a": np.where(np.isfinite(a), a, derived_a),
-        "kappa": curvature(rate[2], v),
+        "kappa": held_curvature(rate[2], v),
     }
 
 
@@ -384,8 +368,6 @@ LEAST = 3.0
 PARABOLA = 5
 STANDS_MPS = 0.05
 """Speeds below are a stand: what a standing car's localisation moves."""
-SLOW_MPS = 0.5
-"""Below, the heading says nothing of the curvature: the last one holds."""
 AGENT_WINDOW_S, OBJECT_WINDOW_S = 0.5, 1.0
 """For the boxes of others (10 Hz): outlines of clusters jump by decimetres, and static objects hardly move."""
 
@@ -426,14 +408,7 @@ def rates(
         weights = inside * np.array([u**0, u, u**2, u**3, u**4])
         powers += weights
         moments += weights[:3, None] * np.where(inside, values[:, at] - values, 0.0)
-    return _solved(powers, moments, scale, parabola=parabola)
-
-
-def _solved(
-    powers: FloatArray, moments: FloatArray, scale: FloatArray, *, parabola: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Rates and changes `(c, n)` from sums of powers of u `(5, n)` and of the values times them `(3, c, n)`."""
-    rate, change = np.full((2, *moments.shape[1:]), np.nan)
+    rate, change = np.full((2, *values.shape), np.nan)
     curved = (powers[0] >= PARABOLA) & parabola
     det = powers[0] * powers[2] - powers[1] ** 2
     line = (powers[0] >= 2) & ~curved & (det > 0.0)
@@ -454,11 +429,3 @@ def _begins(t: FloatArray, first: IntArray, window: FloatArray) -> IntArray:
     for begin, end in zip(bounds, np.append(bounds[1:], len(t)), strict=True):
         out[begin:end] = begin + np.searchsorted(t[begin:end], t[begin:end] - window[begin:end] - 1e-9)
     return out
-
-
-def curvature(yaw_rate: FloatArray, v: FloatArray) -> FloatArray:
-    """Yaw rate over speed `(n,)`, 1/m; where the car is slow, the value before, at first 0."""
-    moved = np.abs(v) >= SLOW_MPS
-    kappa = np.divide(yaw_rate, v, out=np.zeros(len(v)), where=moved)
-    held = np.maximum.accumulate(np.where(moved, np.arange(len(v)), -1))
-    return np.where(held >= 0, kappa[held], 0.0)

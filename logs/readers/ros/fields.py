@@ -62,7 +62,19 @@ def decoder(types: Types, kind: str, wanted: Wanted, *, cdr: bool) -> Callable[[
     Raises:
         LogError: The type, or one that it holds, is not known, lacks a wanted field or cannot be walked.
     """
-    made = {end: _compiled(types, kind, wanted, end, cdr) for end in (("<", ">") if cdr else ("<",))}
+    made: dict[str, Callable[[bytes], tuple[Any, ...]]] = {}
+    for end in ("<", ">") if cdr else ("<",):
+        code = _Code(types, end, cdr)
+        code.line("def walk(b):")
+        code.depth += 1
+        code.line("p = 0")
+        answer = _tuple(code.message(kind, wanted, 0))
+        code.flush()
+        code.line("if p > len(b): raise ValueError('the message is cut off')")
+        code.line(f"return {answer}")
+        space: dict[str, Any] = dict(code.constants)
+        exec("\n".join(code.lines), space)
+        made[end] = space["walk"]
     if not cdr:
         return made["<"]
 
@@ -72,21 +84,6 @@ def decoder(types: Types, kind: str, wanted: Wanted, *, cdr: bool) -> Callable[[
         return made[ENDS[raw[1]]](raw[4:])
 
     return decoded
-
-
-def _compiled(types: Types, kind: str, wanted: Wanted, end: str, cdr: bool) -> Callable[[bytes], tuple[Any, ...]]:
-    code = _Code(types, end, cdr)
-    code.line("def walk(b):")
-    code.depth += 1
-    code.line("p = 0")
-    answer = _tuple(code.message(kind, wanted, 0))
-    code.flush()
-    code.line("if p > len(b): raise ValueError('the message is cut off')")
-    code.line(f"return {answer}")
-    space: dict[str, Any] = dict(code.constants)
-    exec("\n".join(code.lines), space)
-    walk: Callable[[bytes], tuple[Any, ...]] = space["walk"]
-    return walk
 
 
 @dataclass

@@ -18,10 +18,8 @@ import numpy as np
 from logs.agents import AgentKind
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers.recorded import heading, rotated, unit_or_identity
-from logs.readers.ros import schemas
-from logs.readers.ros.bag import Bag, Topic
-from logs.readers.ros.ego import Part, rates
-from logs.readers.ros.fields import Wanted
+from logs.readers.ros import Bag, Topic, schemas
+from logs.readers.ros.ego import POSITION, Part, rates
 from logs.readers.ros.frames import BETWEEN, Frames, Poses, composed
 from logs.readers.ros.schemas import ObjectSchema
 from logs.readers.ros.tracks import MOVES_MPS, Samples, firsts, identified
@@ -35,7 +33,7 @@ LEAST_SIZE_M = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """The messages of a topic of objects: log times and stamps `(n,)` ns, frames `n`, objects by `_names`."""
+    """Messages of a topic of objects: log times and stamps `(n,)` ns, frames, objects; `names`: where fields begin."""
 
     log: IntArray
     stamps: IntArray
@@ -46,14 +44,7 @@ class Messages:
 
 def read_messages(part: Part, topic: Topic) -> Messages:
     """The wanted fields of a topic's messages."""
-    schema = schemas.OBJECTS[topic.kind]
-    wanted, names = _wanted(part.bag, topic, schema)
-    log, stamps, rows = part.read(topic, ("header.frame_id", (schema.items, wanted)))
-    return Messages(log, stamps, [row[2].lstrip("/") for row in rows], [row[3] for row in rows], names)
-
-
-def _wanted(bag: Bag, topic: Topic, schema: ObjectSchema) -> tuple[Wanted, dict[str, int]]:
-    """What is read of an object, and where the first of each group of fields stands in the answer."""
+    bag, schema = part.bag, schemas.OBJECTS[topic.kind]
     item = f"{schema.items}."
     wanted: list[Any] = []
     names: dict[str, int] = {}
@@ -62,7 +53,7 @@ def _wanted(bag: Bag, topic: Topic, schema: ObjectSchema) -> tuple[Wanted, dict[
         names[name] = len(wanted)
         wanted.extend(fields)
 
-    want("pose", *(f"{schema.pose}.position.{c}" for c in "xyz"), *(f"{schema.pose}.orientation.{c}" for c in "xyzw"))
+    want("pose", *(f"{schema.pose}.{name}" for name in POSITION))
     if schema.twist:
         want("twist", *(f"{schema.twist}.linear.{c}" for c in "xyz"))
     if schema.size:
@@ -81,7 +72,8 @@ def _wanted(bag: Bag, topic: Topic, schema: ObjectSchema) -> tuple[Wanted, dict[
         want("outline", (schema.outline, ("x", "y")))
     if schema.solid:
         want("solid", f"{schema.solid}.type", (f"{schema.solid}.dimensions", ()))
-    return tuple(wanted), names
+    log, stamps, rows = part.read(topic, ("header.frame_id", (schema.items, tuple(wanted))))
+    return Messages(log, stamps, [row[2].lstrip("/") for row in rows], [row[3] for row in rows], names)
 
 
 def _first(bag: Bag, topic: Topic, prefix: str, paths: str) -> str:
@@ -104,9 +96,16 @@ def samples_of(
     held = _Fields(list(zip(*rows, strict=True)), messages.names)
     values = held.numbers("pose", 7)
     poses = Poses(t[owner], values[:, :3], unit_or_identity(values[:, 3:]))
-    turn = _turns([messages.frames[i] for i in chosen], owner, t, frames, frame)
+    used, turn = [messages.frames[i] for i in chosen], None  # the pose of each sample's frame in the map
+    if not all(name in (frame, "") for name in used):
+        p, q = np.zeros((len(used), 3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(used), 1))
+        for name in sorted(set(used) - {frame, ""}):
+            at = np.array([k for k, each in enumerate(used) if each == name])
+            found = frames.poses(frame, name, t[at], BETWEEN)
+            p[at], q[at] = found.p, found.q
+        turn = Poses(t[owner], p[owner], q[owner])
     world = poses if turn is None else composed(turn, poses)
-    kinds, in_the_way = _kinds(held, schema)
+    kinds, in_the_way, score = _kinds(held, schema)
     length, width, moved, yaw, turned = _sizes(held, schema, world, turn, kinds)
     velocity = held.numbers("twist", 3) if "twist" in held else np.full((len(rows), 3), np.nan)
     if "trusted" in held:
@@ -126,7 +125,7 @@ def samples_of(
     keep = np.flatnonzero(usable & in_the_way)
     out = Samples(
         owner, names, kinds, moved[:, 0], moved[:, 1], yaw, in_object[:, 0], in_object[:, 1], length, width, turned,
-        _scores(held),
+        score,
     ).taken(keep)  # fmt: skip
     if np.isfinite(out.vx).any():
         out = identified(out, t, id_notes)
@@ -158,31 +157,29 @@ class _Fields:
         return np.array([self.column(name, k) for k in range(count)], dtype=np.float64).T
 
 
-def _turns(used: list[str], owner: IntArray, t: IntArray, frames: Frames, frame: str) -> Poses | None:
-    """The pose of each sample's frame in the map; None where all are in the map."""
-    if all(name in (frame, "") for name in used):
-        return None
-    p, q = np.zeros((len(used), 3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(used), 1))
-    for name in sorted(set(used) - {frame, ""}):
-        at = np.array([k for k, each in enumerate(used) if each == name])
-        poses = frames.poses(frame, name, t[at], BETWEEN)
-        p[at], q[at] = poses.p, poses.q
-    return Poses(t[owner], p[owner], q[owner])
+def _kinds(held: _Fields, schema: ObjectSchema) -> tuple[list[AgentKind], BoolArray, FloatArray]:
+    """The kinds, whether they are in the way, and how sure the detector was.
 
-
-def _kinds(held: _Fields, schema: ObjectSchema) -> tuple[list[AgentKind], BoolArray]:
-    """The kinds, and whether they are in the way."""
+    The last is NaN where the type has no such field, or it holds 0 or no probability.
+    """
+    score = np.full(len(held), np.nan)
     if "classes" in held:
-        best = [max(each, key=lambda c: c[1])[0] if each else "" for each in held.column("classes")]
+        classes = held.column("classes")
+        best = [max(each, key=lambda c: c[1])[0] if each else "" for each in classes]
+        score = np.array([max((c[1] for c in each), default=np.nan) for each in classes], np.float64)
     else:
         best = list(held.column("label"))
-    table = schemas.AUTOWARE_LABELS if schema.classes == "classification" else schemas.DERIVED_LABELS
+    if "existence" in held:
+        score = np.array(held.column("existence"), dtype=np.float64)
+    autoware = schema.classes == "classification"
+    table = schemas.AUTOWARE_LABELS if autoware else schemas.DERIVED_LABELS
     kinds = {
         label: schemas.kind_of_word(label) if isinstance(label, str) else table.get(label, AgentKind.OBJECT)
         for label in set(best)
     }
-    passed = schemas.AUTOWARE_NOT_IN_THE_WAY if schema.classes == "classification" else ()
-    return [kinds[label] for label in best], np.array([label not in passed for label in best], np.bool_)
+    passed = schemas.AUTOWARE_NOT_IN_THE_WAY if autoware else ()
+    in_the_way = np.array([label not in passed for label in best], np.bool_)
+    return [kinds[label] for label in best], in_the_way, np.where((score > 0.0) & (score <= 1.0), score, np.nan)
 
 
 def _sizes(
@@ -191,57 +188,31 @@ def _sizes(
     """Lengths, widths, centres `(m, 2)`, headings, and whether the box is a rectangle around an outline."""
     n = len(kinds)
     size = held.numbers("size", 2) if "size" in held else np.full((n, 2), np.nan)
-    if "solid" in held:
-        size = _solids(held.column("solid"), held.column("solid", 1))
+    if "solid" in held:  # 1 box, 2 sphere (radius), 3 and 4 cylinder and cone (height, radius)
+        size = np.full((n, 2), np.nan)
+        for i, (kind, numbers) in enumerate(zip(held.column("solid"), held.column("solid", 1), strict=True)):
+            if kind == 1 and len(numbers) >= 2:
+                size[i] = numbers[:2]
+            elif kind == 2 and numbers:
+                size[i] = 2.0 * numbers[0]
+            elif kind in (3, 4) and len(numbers) >= 2:
+                size[i] = 2.0 * numbers[1]
     centre, yaw, turned = world.p[:, :2].copy(), heading(world.q), np.zeros(n, np.bool_)
     if "outline" in held:
         outlines = held.column("outline")
         shapes = held.column("shape") if "shape" in held else [2 if k is AgentKind.OBJECT else 0 for k in kinds]
         some = np.array([i for i in range(n) if shapes[i] == 2 and len(outlines[i]) > 2], np.int64)
-        if len(some):
-            centre[some], yaw[some], size[some] = _around([outlines[i] for i in some], some, schema, world, turn)
-            turned[some] = True
+        boxes = smallest_rectangles([outlines[i] for i in some]) if len(some) else np.empty((0, 5))
+        centre[some], yaw[some], size[some], turned[some] = boxes[:, :2], boxes[:, 2], boxes[:, 3:], True
+        base = world if schema.outline_frame == "object" else turn
+        if base is not None and len(some):
+            half, none = 0.5 * boxes[:, 2], np.zeros(len(boxes))
+            turns = np.column_stack([none, none, np.sin(half), np.cos(half)])
+            local = Poses(base.t[some], np.column_stack([boxes[:, :2], none]), turns)
+            placed = composed(Poses(base.t[some], base.p[some], base.q[some]), local)
+            centre[some], yaw[some] = placed.p[:, :2], placed.yaw
     size[~(size >= LEAST_SIZE_M)] = np.nan
     return size[:, 0], size[:, 1], centre, yaw, turned
-
-
-def _around(
-    outlines: list[list[tuple[float, float]]], some: IntArray, schema: ObjectSchema, world: Poses, turn: Poses | None
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Centres, headings and sizes of the rectangles around outlines, in the map."""
-    boxes = smallest_rectangles(outlines)
-    base = world if schema.outline_frame == "object" else turn
-    if base is None:
-        return boxes[:, :2], boxes[:, 2], boxes[:, 3:]
-    inner = np.column_stack([boxes[:, :2], np.zeros(len(boxes))])
-    half = 0.5 * boxes[:, 2]
-    none = np.zeros(len(boxes))
-    local = Poses(base.t[some], inner, np.column_stack([none, none, np.sin(half), np.cos(half)]))
-    placed = composed(Poses(base.t[some], base.p[some], base.q[some]), local)
-    return placed.p[:, :2], placed.yaw, boxes[:, 3:]
-
-
-def _solids(types: tuple[Any, ...], dimensions: tuple[Any, ...]) -> FloatArray:
-    """Length and width of solids: 1 box, 2 sphere (radius), 3 and 4 cylinder and cone (height, radius)."""
-    out = np.full((len(types), 2), np.nan)
-    for i, (kind, numbers) in enumerate(zip(types, dimensions, strict=True)):
-        if kind == 1 and len(numbers) >= 2:
-            out[i] = numbers[:2]
-        elif kind == 2 and numbers:
-            out[i] = 2.0 * numbers[0]
-        elif kind in (3, 4) and len(numbers) >= 2:
-            out[i] = 2.0 * numbers[1]
-    return out
-
-
-def _scores(held: _Fields) -> FloatArray:
-    """How sure the detector was `(n,)`; NaN where the type has no such field, or it holds 0 or no probability."""
-    found = np.full(len(held), np.nan)
-    if "existence" in held:
-        found = np.array(held.column("existence"), dtype=np.float64)
-    elif "classes" in held:
-        found = np.array([max((c[1] for c in each), default=np.nan) for each in held.column("classes")], np.float64)
-    return np.where((found > 0.0) & (found <= 1.0), found, np.nan)
 
 
 def _frame_of_twist(
@@ -290,28 +261,26 @@ def smallest_rectangles(outlines: list[list[tuple[float, float]]]) -> FloatArray
     rectangles along its edges are compared, of which one is near the smallest.
     """
     most = max(map(len, outlines), default=0)
-    points = np.array([outline + [outline[-1]] * (most - len(outline)) for outline in outlines]).reshape(-1, most, 2)
-    parts = [_rectangles(points[k : k + _ROWS]) for k in range(0, len(points), _ROWS)]
-    return np.vstack(parts) if parts else np.empty((0, 5))
-
-
-def _rectangles(points: FloatArray) -> FloatArray:
-    middle = points.mean(axis=1, keepdims=True)
-    around = points - middle
-    edges = np.roll(around, -1, axis=1) - around
-    angle = np.arctan2(edges[..., 1], edges[..., 0])
-    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
-    along = cos * around[:, None, :, 0] + sin * around[:, None, :, 1]
-    across = cos * around[:, None, :, 1] - sin * around[:, None, :, 0]
-    low = np.stack([along.min(axis=2), across.min(axis=2)], axis=-1)
-    high = np.stack([along.max(axis=2), across.max(axis=2)], axis=-1)
-    size = high - low
-    rows = np.arange(len(points))
-    best = np.argmin(size[..., 0] * size[..., 1] + 1e-9 * size.sum(axis=-1), axis=1)
-    size, centre, yaw = size[rows, best], 0.5 * (low + high)[rows, best], angle[rows, best]
-    c, s = np.cos(yaw), np.sin(yaw)
-    x = middle[:, 0, 0] + c * centre[:, 0] - s * centre[:, 1]
-    y = middle[:, 0, 1] + s * centre[:, 0] + c * centre[:, 1]
-    wide = size[:, 1] > size[:, 0]
-    yaw = yaw + np.where(wide, 0.5 * np.pi, 0.0)
-    return np.column_stack([x, y, yaw, size.max(axis=1), size.min(axis=1)])
+    padded = np.array([outline + [outline[-1]] * (most - len(outline)) for outline in outlines]).reshape(-1, most, 2)
+    parts = [np.empty((0, 5))]
+    for begin in range(0, len(padded), _ROWS):
+        points = padded[begin : begin + _ROWS]
+        middle = points.mean(axis=1, keepdims=True)
+        around = points - middle
+        edges = np.roll(around, -1, axis=1) - around
+        angle = np.arctan2(edges[..., 1], edges[..., 0])
+        cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
+        along = cos * around[:, None, :, 0] + sin * around[:, None, :, 1]
+        across = cos * around[:, None, :, 1] - sin * around[:, None, :, 0]
+        low = np.stack([along.min(axis=2), across.min(axis=2)], axis=-1)
+        high = np.stack([along.max(axis=2), across.max(axis=2)], axis=-1)
+        size = high - low
+        rows = np.arange(len(points))
+        best = np.argmin(size[..., 0] * size[..., 1] + 1e-9 * size.sum(axis=-1), axis=1)
+        size, centre, yaw = size[rows, best], 0.5 * (low + high)[rows, best], angle[rows, best]
+        c, s = np.cos(yaw), np.sin(yaw)
+        x = middle[:, 0, 0] + c * centre[:, 0] - s * centre[:, 1]
+        y = middle[:, 0, 1] + s * centre[:, 0] + c * centre[:, 1]
+        yaw = yaw + np.where(size[:, 1] > size[:, 0], 0.5 * np.pi, 0.0)
+        parts.append(np.column_stack([x, y, yaw, size.max(axis=1), size.min(axis=1)]))
+    return np.vstack(parts)

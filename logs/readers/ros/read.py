@@ -28,8 +28,7 @@ from logs.readers.base import LogSettings
 from logs.readers.cut import HISTORY_S
 from logs.readers.recorded import car_of, unit_or_identity
 from logs.readers.repaired import REACH_S, reason_to_repair
-from logs.readers.ros import schemas
-from logs.readers.ros.bag import Bag, Topic, opened
+from logs.readers.ros import Bag, opened, schemas
 from logs.readers.ros.ego import POSITION, EgoLog, Part, at_poses, begin_of, read_ego, signal, states
 from logs.readers.ros.frames import HELD, Poses, composed, describe_timing, times_of
 from logs.readers.ros.objects import read_messages, samples_of
@@ -128,10 +127,17 @@ def _part(bag: Bag, settings: LogSettings) -> tuple[Part, int | None, FloatArray
     whole = Part(bag, settings)
     if settings.begin <= 0.0 and settings.end == inf:
         return whole, None, np.zeros(2)
-    head = _head(bag, settings)
-    if head is None:
+    head = Part(bag, settings, None, bag.start_ns + round(1e9 * HEAD_S))
+    try:
+        ego = read_ego(head)
+    except LogError:
         return whole, None, np.zeros(2)
-    ego, first = head
+    clock = ego.clock
+    if len(clock.log) > 1:
+        pace = float(clock.stamp[-1] - clock.stamp[0]) / float(clock.log[-1] - clock.log[0])
+        if not 0.8 < pace < 1.25:
+            return whole, None, np.zeros(2)  # a part cannot be found by log time
+    first = begin_of(ego, _measured(head, ego)[0])
     detected = settings.repair != "off" and whole.topics(schemas.OBJECTS, "agents")
     log0, around = bag.start_ns, (REACH_S if detected else HISTORY_S) + MARGIN_S
     end = None if settings.end == inf else log0 + round(1e9 * (settings.end + around))
@@ -139,22 +145,6 @@ def _part(bag: Bag, settings: LogSettings) -> tuple[Part, int | None, FloatArray
         return Part(bag, settings, None, end), None, np.zeros(2)
     begin = log0 + round(1e9 * (settings.begin - around))
     return Part(bag, settings, max(begin, log0), end), int(ego.poses.t[first]), np.round(ego.poses.p[first, :2])
-
-
-def _head(bag: Bag, settings: LogSettings) -> tuple[EgoLog, int] | None:
-    """The ego at the log's begin and its first state; None where a part cannot be found by log time."""
-    part = Part(bag, settings, None, bag.start_ns + round(1e9 * HEAD_S))
-    try:
-        ego = read_ego(part)
-    except LogError:
-        return None
-    clock = ego.clock
-    if len(clock.log) > 1:
-        pace = float(clock.stamp[-1] - clock.stamp[0]) / float(clock.log[-1] - clock.log[0])
-        if not 0.8 < pace < 1.25:
-            return None
-    v, _ = _measured(part, ego)
-    return ego, begin_of(ego, v)
 
 
 def _measured(part: Part, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
@@ -168,32 +158,29 @@ def _measured(part: Part, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
     return v, at_poses(found, ego.poses.t, "acceleration", notes)
 
 
-def _chosen(part: Part) -> Topic | None:
-    """The topic of the others: tracked before predicted before detected, then most messages, then name."""
-    topics, notes = part.topics(schemas.OBJECTS, "agents"), part.notes
+def _tracks(
+    part: Part, ego: EgoLog, start: int, origin: FloatArray, driven: Trajectory, vehicle: VehicleParameters
+) -> tuple[Tracks, Detections | None, Spans]:
+    """The others, or detections that are to be made into tracks, and when their topic had messages.
+
+    The topic: tracked before predicted before detected, then most messages, then name.
+    """
+    notes = part.notes
+    topics = sorted(
+        part.topics(schemas.OBJECTS, "agents"),
+        key=lambda each: (schemas.RANK.index(each.kind.rpartition("/")[2]), -each.count, each.name),
+    )
     if not topics:
         held = sorted({topic.kind for topic in part.bag.topics if topic.count and "bject" in topic.kind})
         more = f" (message types not read: {', '.join(held)})" if held and "agents" not in part.settings.topics else ""
         notes.append(f"No other road users: the log has no topic of objects{more}.")
-        return None
-    ordered = sorted(
-        topics, key=lambda topic: (schemas.RANK.index(topic.kind.rpartition("/")[2]), -topic.count, topic.name)
-    )
-    if len(ordered) > 1:
+        return Tracks.empty(), None, ()
+    topic = topics[0]
+    if len(topics) > 1:
         notes.append(
-            f"The others are those of {ordered[0].name}, not of {', '.join(topic.name for topic in ordered[1:])}:"
+            f"The others are those of {topic.name}, not of {', '.join(each.name for each in topics[1:])}:"
             " tracked before predicted before detected, then most messages."
         )
-    return ordered[0]
-
-
-def _tracks(
-    part: Part, ego: EgoLog, start: int, origin: FloatArray, driven: Trajectory, vehicle: VehicleParameters
-) -> tuple[Tracks, Detections | None, Spans]:
-    """The others, or detections that are to be made into tracks, and when their topic had messages."""
-    topic, notes = _chosen(part), part.notes
-    if topic is None:
-        return Tracks.empty(), None, ()
     messages = read_messages(part, topic)
     if not len(messages.log):
         notes.append(f"{topic.name} has no messages in this part.")
@@ -370,7 +357,12 @@ def _plan(row: tuple[object, ...], time: int, t0: int, ego: EgoLog, origin: Floa
     yaw, v = np.unwrap(pose.yaw), values[:, 9]
     t: FloatArray = np.asarray(values[:, 0] + 1e-9 * values[:, 1])
     if not t.any():
-        t = _timed(x, y, v)
+        t = np.zeros(len(x))  # (1); NaN from where the plan stands, but for the point at which it comes to its stand
+        if len(x) > 1:
+            mean, way = 0.5 * np.abs(v[:-1] + v[1:]), np.hypot(np.diff(x), np.diff(y))
+            step = np.divide(way, mean, out=np.full(len(way), np.nan), where=mean >= 0.5 * CREEPS_MPS)
+            step[step <= 0.0] = np.nan
+            t = np.r_[0.0, np.cumsum(step)]
         now = ego.frames.poses(ego.map, ego.base, np.array([time]), HELD).p[0, :2] - origin
         nearest = int(np.argmin(np.hypot(x - now[0], y - now[1])))
         t = t - t[nearest]
@@ -383,14 +375,3 @@ def _plan(row: tuple[object, ...], time: int, t0: int, ego: EgoLog, origin: Floa
     if not a.any() and len(t) > 1:
         a = derived_acceleration(t, v)
     return Trajectory(t + (time - t0) / 1e9, x, y, yaw, v, a, derived_curvature(x, y, yaw, v))
-
-
-def _timed(x: FloatArray, y: FloatArray, v: FloatArray) -> FloatArray:
-    """Times (1) `(n,)`; NaN from where the plan stands, but for the point at which it comes to its stand."""
-    if len(x) < 2:
-        return np.zeros(len(x))
-    mean = 0.5 * np.abs(v[:-1] + v[1:])
-    way = np.hypot(np.diff(x), np.diff(y))
-    step = np.divide(way, mean, out=np.full(len(way), np.nan), where=mean >= 0.5 * CREEPS_MPS)
-    step[step <= 0.0] = np.nan
-    return np.r_[0.0, np.cumsum(step)]

@@ -117,27 +117,32 @@ def tracks_of(samples: Samples, t: FloatArray, notes: list[str]) -> Tracks:
     seconds = t[some.message]
     parts = [slice(*ends) for ends in pairwise(offsets)]
     kinds = tuple(Counter(some.kinds[part]).most_common(1)[0][0] for part in parts)
-    yaw, length, width = _aligned(some, parts)
-    yaw = _one_front(yaw, some, seconds, parts, kinds, notes)
-    sizes = _median_sizes(length, width, kinds, parts, notes)
-    vx, vy = _filled(some, seconds, first, kinds, np.diff(offsets), notes)
-    return Tracks(
-        tuple(names[order[offsets[:-1]]].tolist()), kinds, *sizes, np.zeros(len(parts), np.bool_), offsets, seconds,
-        some.x, some.y, yaw, vx, vy,
-    )  # fmt: skip
-
-
-def _aligned(samples: Samples, parts: list[slice]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Headings and sizes of rectangles around outlines, which may lie on any of four sides: each as the one before."""
-    yaw, length, width = samples.yaw.copy(), samples.length.copy(), samples.width.copy()
+    # rectangles around outlines may lie on any of four sides: each as the one before
+    yaw, length, width = some.yaw.copy(), some.length.copy(), some.width.copy()
     for part in parts:
         for i in range(part.start + 1, part.stop):
-            if samples.turned[i] and samples.turned[i - 1]:
+            if some.turned[i] and some.turned[i - 1]:
                 turns = round((yaw[i - 1] - yaw[i]) / (0.5 * np.pi))
                 yaw[i] += 0.5 * np.pi * turns
                 if turns % 2:
                     length[i], width[i] = width[i], length[i]
-    return yaw, length, width
+    yaw = _one_front(yaw, some, seconds, parts, kinds, notes)
+    sizes, assumed, varied = np.empty((2, len(parts))), False, False
+    for k, part in enumerate(parts):
+        for row, column in enumerate((length, width)):
+            values = column[part][np.isfinite(column[part])]
+            sizes[row, k] = np.median(values) if len(values) else USUAL_SIZE_M[kinds[k]][row]
+            assumed = assumed or not len(values)
+            varied = varied or bool(len(values) and np.ptp(values) > 0.01)
+    if assumed:
+        notes.append("Some objects have no size: that of their kind is assumed.")
+    if varied:
+        notes.append("An agent's box is the median of its sizes, its kind the one that it had most often.")
+    vx, vy = _filled(some, seconds, first, kinds, np.diff(offsets), notes)
+    return Tracks(
+        tuple(names[order[offsets[:-1]]].tolist()), kinds, sizes[0], sizes[1], np.zeros(len(parts), np.bool_), offsets,
+        seconds, some.x, some.y, yaw, vx, vy,
+    )  # fmt: skip
 
 
 def _one_front(
@@ -166,23 +171,6 @@ def _one_front(
     if turned:
         notes.append(f"{turned} samples of objects have front and back exchanged and are turned round.")
     return out
-
-
-def _median_sizes(
-    length: FloatArray, width: FloatArray, kinds: tuple[AgentKind, ...], parts: list[slice], notes: list[str]
-) -> tuple[FloatArray, FloatArray]:
-    out, assumed, varied = np.empty((2, len(parts))), 0, 0
-    for k, part in enumerate(parts):
-        for row, column in enumerate((length, width)):
-            values = column[part][np.isfinite(column[part])]
-            out[row, k] = np.median(values) if len(values) else USUAL_SIZE_M[kinds[k]][row]
-            assumed += not len(values)
-            varied += bool(len(values) and np.ptp(values) > 0.01)
-    if assumed:
-        notes.append("Some objects have no size: that of their kind is assumed.")
-    if varied:
-        notes.append("An agent's box is the median of its sizes, its kind the one that it had most often.")
-    return out[0], out[1]
 
 
 def _filled(

@@ -128,7 +128,12 @@ def admitted(scenario: Scenario) -> Scenario:
         _check_columns(scenario, "controls", scenario.controls)
     for plan in scenario.onboard:
         _check_columns(scenario, "onboard", plan.trajectory)
-    _check_vehicle(scenario)
+    for item in fields(scenario.vehicle):
+        limit = VEHICLE_M if item.name in ("length", "width", "wheelbase", "rear_overhang") else VEHICLE
+        values = np.atleast_1d(getattr(scenario.vehicle, item.name))
+        if not (np.abs(values) <= limit.most).all():
+            what = f"{item.name} is {np.max(np.abs(values)):g}, beyond {limit.most:g} {limit.unit}".rstrip()
+            raise LogError(what, topic="vehicle", remedy="correct it, or name the vehicle with --car")
     for region in scenario.goal.regions if scenario.goal else ():
         _check_place(scenario, "goal", np.asarray(region, dtype=np.float64))
     notes: list[str] = []
@@ -178,16 +183,6 @@ def _refused(scenario: Scenario, topic: str, what: str, time: float) -> LogError
     return LogError(what, topic=topic, time_ns=scenario.start_ns + round(1e9 * time), remedy=remedy)
 
 
-def _check_vehicle(scenario: Scenario) -> None:
-    vehicle = scenario.vehicle
-    for item in fields(vehicle):
-        limit = VEHICLE_M if item.name in ("length", "width", "wheelbase", "rear_overhang") else VEHICLE
-        values = np.atleast_1d(getattr(vehicle, item.name))
-        if not (np.abs(values) <= limit.most).all():
-            what = f"{item.name} is {np.max(np.abs(values)):g}, beyond {limit.most:g} {limit.unit}".rstrip()
-            raise LogError(what, topic="vehicle", remedy="correct it, or name the vehicle with --car")
-
-
 def check_road(scenario: Scenario) -> Scenario:
     """The scenario, unchanged.
 
@@ -224,7 +219,24 @@ def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
     Raises:
         LogError: Nothing is left of them.
     """
-    tracks = _sized(_slow_enough(scenario.tracks, notes), notes)
+    tracks = scenario.tracks
+    speed = np.hypot(np.nan_to_num(tracks.vx), np.nan_to_num(tracks.vy))  # NaN: not known
+    fast = speed > SPEED.most
+    if fast.any():
+        whose = np.add.reduceat(fast, tracks.offsets[:-1]) > 0
+        notes.append(
+            f"The velocity of {_named(tracks, whose)} is up to {speed.max():g} m/s, beyond {SPEED.most:g} m/s, at"
+            f" {counted(int(fast.sum()), 'sample')}: taken as not known there."
+        )
+        tracks = replace(tracks, vx=np.where(fast, np.nan, tracks.vx), vy=np.where(fast, np.nan, tracks.vy))
+    low, high = SIZES_M
+    odd = ~((np.minimum(tracks.length, tracks.width) >= low) & (np.maximum(tracks.length, tracks.width) <= high))
+    if odd.any():
+        what = f"not between {low:g} and {high:g} m: usual for the kind, assumed"
+        notes.append(f"The size of {_named(tracks, odd)} is {what}.")
+        usual = np.array([USUAL_SIZE_M[kind] for kind in tracks.kinds])
+        length, width = np.where(odd, usual[:, 0], tracks.length), np.where(odd, usual[:, 1], tracks.width)
+        tracks = replace(tracks, length=length, width=width)
     columns = {name: getattr(tracks, name) - _zero(scenario, name) for name in LIMITS["agents"]}
     beyond = {name: ~(np.abs(column) <= LIMITS["agents"][name].most) for name, column in columns.items()}
     bad = np.logical_or.reduce(list(beyond.values()))
@@ -260,36 +272,6 @@ def detections_within(scenario: Scenario, found: Detections) -> tuple[Detections
     return replace(found, ids=ids, length=length, width=width, vx=vx, vy=vy), notes
 
 
-def _slow_enough(tracks: Tracks, notes: list[str]) -> Tracks:
-    """Velocities beyond `SPEED` as not known."""
-    speed = np.hypot(np.nan_to_num(tracks.vx), np.nan_to_num(tracks.vy))  # NaN: not known
-    fast = speed > SPEED.most
-    if not fast.any():
-        return tracks
-    whose = np.add.reduceat(fast, tracks.offsets[:-1]) > 0
-    most = float(speed.max())
-    notes.append(
-        f"The velocity of {_named(tracks, whose)} is up to {most:g} m/s, beyond {SPEED.most:g} m/s, at"
-        f" {counted(int(fast.sum()), 'sample')}: taken as not known there."
-    )
-    vx, vy = np.where(fast, np.nan, tracks.vx), np.where(fast, np.nan, tracks.vy)
-    return replace(tracks, vx=vx, vy=vy)
-
-
-def _sized(tracks: Tracks, notes: list[str]) -> Tracks:
-    """Sizes beyond `SIZES_M` as usual for the kind."""
-    low, high = SIZES_M
-    odd = ~((np.minimum(tracks.length, tracks.width) >= low) & (np.maximum(tracks.length, tracks.width) <= high))
-    if not odd.any():
-        return tracks
-    notes.append(
-        f"The size of {_named(tracks, odd)} is not between {low:g} and {high:g} m: usual for the kind, assumed."
-    )
-    usual = np.array([USUAL_SIZE_M[kind] for kind in tracks.kinds])
-    length, width = np.where(odd, usual[:, 0], tracks.length), np.where(odd, usual[:, 1], tracks.width)
-    return replace(tracks, length=length, width=width)
-
-
 def _named(tracks: Tracks, whose: BoolArray) -> str:
     """Some road users: how many, and the first of them by name."""
     names = [visible_name(tracks.ids[i]) for i in np.flatnonzero(whose)]
@@ -299,7 +281,14 @@ def _named(tracks: Tracks, whose: BoolArray) -> str:
 
 def printable(scenario: Scenario) -> Scenario:
     """The scenario with names and texts that can be printed in one line; what was changed is noted."""
-    ids = _distinct([visible_name(name) for name in scenario.tracks.ids])
+    names, taken = [visible_name(name) for name in scenario.tracks.ids], dict[str, int]()
+    distinct = []  # with a number behind those that another one has already
+    for name in names:
+        count = taken[name] = taken.get(name, 0) + 1
+        distinct.append(name if count == 1 else f"{name}~{count}")
+    if len(set(distinct)) < len(distinct):
+        distinct = [f"{name}~{i}" for i, name in enumerate(names)]
+    ids = tuple(distinct)
     texts = {key: visible_name(getattr(scenario, key), inf) for key in ("source", "licence")}
     changed: dict[str, Any] = {
         "name": visible_name(scenario.name),
@@ -323,13 +312,3 @@ def printable(scenario: Scenario) -> Scenario:
     what += [f"the {key}" for key in changed if key != "tracks"]
     note = f"Control characters in {', '.join(what)} are replaced, and long names cut."
     return replace(scenario, **{**changed, "notes": (*changed.get("notes", scenario.notes), note)})
-
-
-def _distinct(names: list[str]) -> tuple[str, ...]:
-    """The names with a number behind those that another one has already."""
-    taken: dict[str, int] = {}
-    out = []
-    for name in names:
-        count = taken[name] = taken.get(name, 0) + 1
-        out.append(name if count == 1 else f"{name}~{count}")
-    return tuple(out) if len(set(out)) == len(out) else tuple(f"{name}~{i}" for i, name in enumerate(names))

@@ -99,9 +99,8 @@ def beside(folder: Path, names: Sequence[str]) -> Path | None:
     for name in sorted(held - set(names)):
         if name.casefold() in known:
             meant = known[name.casefold()]
-            raise LogError(
-                f"{name} is not read: the file's name is {meant}", topic=name, remedy=f"rename it to {meant}"
-            )
+            what = f"{name} is not read: the file's name is {meant}"
+            raise LogError(what, topic=name, remedy=f"rename it to {meant}")
     if len(found) > 1:
         raise LogError(f"{' and '.join(found)} are both there", topic=found[0], remedy="keep one of them")
     if not found:
@@ -136,6 +135,15 @@ class Contents:
 
 def _nothing(path: Path) -> Contents:
     return Contents()
+
+
+def files_named(suffix: str) -> Callable[[Path], bool]:
+    """What claims all files with a suffix."""
+
+    def claims(path: Path) -> bool:
+        return path.suffix.lower() == suffix and path.is_file()
+
+    return claims
 
 
 def itself(path: Path) -> tuple[Path, ...]:

@@ -45,9 +45,8 @@ def _array(path: Path, name: str, columns: int) -> FloatArray:
     file = path / POSE / name
     try:
         if file.stat().st_size > MOST_BYTES:
-            raise LogError(
-                f"the array has {file.stat().st_size} bytes", topic=name, remedy="this is no minute of poses"
-            )
+            what = f"the array has {file.stat().st_size} bytes"
+            raise LogError(what, topic=name, remedy="this is no minute of poses")
         found: Any = np.load(file, allow_pickle=False)
     except (OSError, ValueError, EOFError, SyntaxError, MemoryError, OverflowError, TypeError, TokenError) as error:
         what = f"the array cannot be read: {' '.join(str(error).split())[:120]}"
@@ -110,17 +109,12 @@ def _east_north(place: FloatArray) -> FloatArray:
     minor, radius = SEMI_MAJOR_M * (1.0 - FLATTENING), np.hypot(x, y)
     theta = np.arctan2(z * SEMI_MAJOR_M, radius * minor)
     second = e2 / (1.0 - e2)
-    latitude = np.arctan2(
-        z + second * minor * np.sin(theta) ** 3, radius - e2 * SEMI_MAJOR_M * np.cos(theta) ** 3
-    )  # Bowring
+    above, aside = z + second * minor * np.sin(theta) ** 3, radius - e2 * SEMI_MAJOR_M * np.cos(theta) ** 3
+    latitude = np.arctan2(above, aside)  # Bowring
     longitude = np.arctan2(y, x)
     sin, cos = np.sin(latitude), np.cos(latitude)
-    return np.array(
-        [
-            [-np.sin(longitude), np.cos(longitude), 0.0],
-            [-sin * np.cos(longitude), -sin * np.sin(longitude), cos],
-        ]
-    )
+    east = [-np.sin(longitude), np.cos(longitude), 0.0]
+    return np.array([east, [-sin * np.cos(longitude), -sin * np.sin(longitude), cos]])
 
 
 def _contents(path: Path) -> Contents:

@@ -64,6 +64,19 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         keep = (controls.t >= begin) & (controls.t <= end)
         shifted = (controls.t[keep] - begin, controls.steer[keep], controls.throttle[keep], controls.brake[keep])
         controls = Controls(*shifted) if keep.any() else None
+    newest = max(sum(plan.known <= begin for plan in scenario.onboard) - 1, 0)  # at the begin
+    onboard = []
+    for plan in scenario.onboard[newest:]:
+        if plan.known <= end:
+            moved_plan = replace(plan.trajectory, t=plan.trajectory.t - begin)
+            onboard.append(OnboardPlan(plan.known - begin, moved_plan))
+    lights = []  # from the last change before the begin on; none that was not observed before the end
+    for light in scenario.lights:
+        before = max(int(np.searchsorted(light.t, begin, side="right")) - 1, 0)
+        shown = np.flatnonzero(light.t <= end)
+        shown = shown[shown >= before]
+        if len(shown):
+            lights.append(TrafficLight(light.id, light.t[shown] - begin, tuple(light.colours[i] for i in shown)))
     return replace(
         scenario,
         name=f"{scenario.name}@{begin:g}",
@@ -74,8 +87,8 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         controls=controls,
         start_ns=scenario.start_ns + round(1e9 * begin),
         notes=(*scenario.notes, f"This is the part from {begin:g} s to {min(end, scenario.duration):g} s of the log."),
-        onboard=_onboard(scenario.onboard, begin, end),
-        lights=tuple(light for light in (_light(each, begin, end) for each in scenario.lights) if light is not None),
+        onboard=tuple(onboard),
+        lights=tuple(lights),
         traffic=clipped(scenario.traffic_spans, begin, min(end, scenario.duration)),
         detections=None if scenario.detections is None else _detections(scenario.detections, begin, end),
         repair=None if scenario.repair is None else _repair(scenario, begin, end, kept, tracks),
@@ -114,26 +127,6 @@ def _repair(scenario: Scenario, begin: float, end: float, kept: BoolArray, track
     )
 
 
-def _onboard(plans: tuple[OnboardPlan, ...], begin: float, end: float) -> tuple[OnboardPlan, ...]:
-    """The plans known in that part: the newest at its begin, and all up to its end."""
-    first = max(sum(plan.known <= begin for plan in plans) - 1, 0)
-    return tuple(
-        OnboardPlan(plan.known - begin, replace(plan.trajectory, t=plan.trajectory.t - begin))
-        for plan in plans[first:]
-        if plan.known <= end
-    )
-
-
-def _light(light: TrafficLight, begin: float, end: float) -> TrafficLight | None:
-    """The light from the last change before the begin on; None where it was not observed before the end."""
-    before = max(int(np.searchsorted(light.t, begin, side="right")) - 1, 0)
-    keep = np.flatnonzero(light.t <= end)
-    keep = keep[keep >= before]
-    if not len(keep):
-        return None
-    return TrafficLight(light.id, light.t[keep] - begin, tuple(light.colours[i] for i in keep))
-
-
 Timed = TypeVar("Timed", Trajectory, Tracks, Controls, TrafficLight)
 
 
@@ -144,10 +137,17 @@ def in_nanoseconds(scenario: Scenario) -> Scenario:
         LogError: Two samples of the ego, of a road user or of a light fall on one nanosecond.
     """
     try:
-        tracks, onboard = _timed(scenario.tracks), []
+        tracks, onboard, made = _timed(scenario.tracks), [], scenario.repair
         for plan in scenario.onboard:
             known = float(_rounded(np.array(plan.known)))
             onboard.append(plan if known == plan.known else replace(plan, known=known))
+        if made is not None:
+            changes = []
+            for each in made.changes:
+                begin, end = _rounded(np.array([each.begin, each.end])).tolist()
+                changes.append(replace(each, begin=begin, end=end))
+            shown = tracks if made.tracks is scenario.tracks else _timed(made.tracks)
+            made = Repair(framed(made.detections), _timed(made.removed), made.extended, tuple(changes), shown)
         return replace(
             scenario,
             ego=_timed(scenario.ego),
@@ -156,7 +156,7 @@ def in_nanoseconds(scenario: Scenario) -> Scenario:
             lights=tuple(map(_timed, scenario.lights)),
             onboard=tuple(onboard),
             detections=None if scenario.detections is None else framed(scenario.detections),
-            repair=None if scenario.repair is None else _repaired(scenario.repair, scenario.tracks, tracks),
+            repair=made,
         )
     except ValueError as error:
         raise LogError(f"in whole nanoseconds: {error}", remedy="keep one of the samples") from None
@@ -176,12 +176,3 @@ def framed(found: Detections) -> Detections:
     t, frames = _rounded(found.t), np.unique(_rounded(found.frames))
     same = np.array_equal(t, found.t) and np.array_equal(frames, found.frames)
     return found if same else replace(found, t=t, frames=frames)
-
-
-def _repaired(made: Repair, was: Tracks, now: Tracks) -> Repair:
-    changes = tuple(
-        replace(each, begin=float(_rounded(np.array(each.begin))), end=float(_rounded(np.array(each.end))))
-        for each in made.changes
-    )
-    tracks = now if made.tracks is was else _timed(made.tracks)
-    return Repair(framed(made.detections), _timed(made.removed), made.extended, changes, tracks)

@@ -11,19 +11,11 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from logs.errors import LogError
 from logs.mcap.container import Stream
-from logs.readers.base import Contents, LogSettings, Reader, TopicSummary
+from logs.readers.base import Contents, LogSettings, Reader, TopicSummary, files_named
 from logs.scenario import Scenario
-
-if TYPE_CHECKING:
-    from logs.mcap.container import Container
-
-
-def _claims(path: Path) -> bool:
-    return path.suffix.lower() == ".mcap" and path.is_file()
 
 
 def _read(path: Path, settings: LogSettings) -> Scenario:
@@ -34,6 +26,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
 
 def _contents(path: Path) -> Contents:
     """The topics up to the file's end or damage."""
+    from logs.mcap import native, osi
     from logs.mcap.container import read_container
 
     container = read_container(path)
@@ -42,25 +35,20 @@ def _contents(path: Path) -> Contents:
         first, last = (stream.times[0], stream.times[-1]) if len(stream) else (None, None)
         what = (stream.topic, stream.schema, stream.encoding, stream.schema_encoding, len(stream))
         topics.append(TopicSummary(*what, first, last))
-    return Contents(_profile(container), tuple(topics))
-
-
-def _profile(container: Container) -> str:
-    from logs.mcap import native, osi
-
+    profile = "not a log that replan reads" if container.streams else "no log"
+    of_osi = container.of_schema(*osi.SCHEMAS)
+    if of_osi is not None:
+        profile = f"ASAM OSI log, {of_osi.schema}"
     if native.SCENARIO_RECORD in container.metadata:
         version = container.metadata[native.SCENARIO_RECORD].get("format_version", "?")
-        what = "trace of a drive" if native.TRACE_RECORD in container.metadata else "scenario log"
-        return f"{what}, native format {version}"
-    stream = container.of_schema(*osi.SCHEMAS)
-    if stream is not None:
-        return f"ASAM OSI log, {stream.schema}"
-    return "not a log that replan reads" if container.streams else "no log"
+        what_it_is = "trace of a drive" if native.TRACE_RECORD in container.metadata else "scenario log"
+        profile = f"{what_it_is}, native format {version}"
+    return Contents(profile, tuple(topics))
 
 
 READER = Reader(
-    "native", "replan's own MCAP, traces included; ASAM OSI ground truth in MCAP", "*.mcap", (".mcap",), _claims, _read,
-    contents=_contents, settings=("ego",),
+    "native", "replan's own MCAP, traces included; ASAM OSI ground truth in MCAP", "*.mcap", (".mcap",),
+    files_named(".mcap"), _read, contents=_contents, settings=("ego",),
 )  # fmt: skip
 
 
@@ -79,6 +67,11 @@ def trace_of(path: Path) -> Stream:
     Raises:
         LogError: The file cannot be read, or is no sequence of messages.
     """
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+    from google.protobuf.message import DecodeError
+    from osi3 import osi_sensorview_pb2
+    from osi3.osi_sensorview_pb2 import SensorView
+
     from logs.mcap.container import COPY_AGAIN, content_of
 
     raw, payloads, at = content_of(path), list[bytes](), 0
@@ -91,43 +84,22 @@ def trace_of(path: Path) -> Stream:
         at += LENGTH + size
     if not payloads:
         raise LogError("the file is empty", remedy=COPY_AGAIN)
-    schema = _schema(path, payloads[0])
-    times = list(range(len(payloads)))
-    return Stream(path.name, "protobuf", schema, "protobuf", _descriptor(), times, payloads)
-
-
-def _schema(path: Path, first: bytes) -> str:
-    from google.protobuf.message import DecodeError
-    from osi3.osi_sensorview_pb2 import SensorView
-
-    name = next((schema for part, schema in NAMED.items() if part in path.name.lower()), None)
-    if name is not None:
-        return name
-    try:
-        view = SensorView.FromString(first)
-    except DecodeError:
-        return GROUND_TRUTH
-    return SENSOR_VIEW if view.HasField("global_ground_truth") else GROUND_TRUTH
-
-
-def _descriptor() -> bytes:
-    """The files that define both messages, as a FileDescriptorSet."""
-    from google.protobuf.descriptor_pb2 import FileDescriptorSet
-    from osi3 import osi_sensorview_pb2
-
-    found, open_files = FileDescriptorSet(), [osi_sensorview_pb2.DESCRIPTOR]
-    seen: set[str] = set()
+    schema = next((schema for part, schema in NAMED.items() if part in path.name.lower()), "")
+    if not schema:
+        try:
+            is_view = SensorView.FromString(payloads[0]).HasField("global_ground_truth")
+        except DecodeError:
+            is_view = False
+        schema = SENSOR_VIEW if is_view else GROUND_TRUTH
+    found, seen, open_files = FileDescriptorSet(), set[str](), [osi_sensorview_pb2.DESCRIPTOR]  # what defines both
     while open_files:
         file = open_files.pop()
         if file.name not in seen:
             seen.add(file.name)
             file.CopyToProto(found.file.add())
             open_files += file.dependencies
-    return found.SerializeToString(deterministic=True)
-
-
-def _claims_osi(path: Path) -> bool:
-    return path.suffix.lower() == ".osi" and path.is_file()
+    times, descriptor = list(range(len(payloads))), found.SerializeToString(deterministic=True)
+    return Stream(path.name, "protobuf", schema, "protobuf", descriptor, times, payloads)
 
 
 def _read_osi(path: Path, settings: LogSettings) -> Scenario:
@@ -146,6 +118,6 @@ def _contents_osi(path: Path) -> Contents:
 
 
 OSI_READER = Reader(
-    "osi", "ASAM OSI traces of ground truth or sensor views", "*.osi", (".osi",), _claims_osi, _read_osi,
+    "osi", "ASAM OSI traces of ground truth or sensor views", "*.osi", (".osi",), files_named(".osi"), _read_osi,
     contents=_contents_osi, settings=("ego",),
 )  # fmt: skip

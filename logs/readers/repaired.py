@@ -17,12 +17,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.agents import Detections, Repair
+from logs.agents import Detections
 from logs.mcap.complete import passed_width
 from logs.readers.admission import detections_within
 from logs.readers.cut import DETECTED_S, framed
 from logs.road import RoadSource
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 
 REACH_S = DETECTED_S
 """Around a part so much of the log is repaired with it."""
@@ -61,7 +61,18 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
     found, left_out = detections_within(scenario, framed(found))
     tracks, made = repair(found, scenario.ego, scenario.vehicle)
     if scenario.detections is None and scenario.repair is None:
-        tracks, made = _with_static(tracks, made, scenario.tracks)
+        # who never moves stays, under names that are not taken
+        was, taken = scenario.tracks, {*tracks.ids, *made.removed.ids}
+        stay = was.taken(np.repeat(was.static, np.diff(was.offsets)))
+        names = ("length", "width", "static", "t", "x", "y", "yaw", "vx", "vy")
+        tracks = replace(
+            tracks,
+            ids=(*tracks.ids, *(f"{name}~static" if name in taken else name for name in stay.ids)),
+            kinds=(*tracks.kinds, *stay.kinds),
+            offsets=np.r_[tracks.offsets, stay.offsets[1:] + len(tracks.t)],
+            **{name: np.r_[getattr(tracks, name), getattr(stay, name)] for name in names},
+        )
+        made = replace(made, tracks=tracks, extended=np.r_[made.extended, np.zeros(len(stay.t), np.bool_)])
     road, notes = scenario.road, [*scenario.notes, *left_out]
     if road.source is RoadSource.DRIVEN_PATH and scenario.repair is None:
         road = passed_width(road, tracks, notes)
@@ -77,20 +88,3 @@ def named(scenario: Scenario) -> Scenario:
 
     made = named_as_tracked(made)
     return replace(scenario, tracks=made.tracks, repair=made)
-
-
-def _with_static(tracks: Tracks, made: Repair, was: Tracks) -> tuple[Tracks, Repair]:
-    """The repaired tracks and those that never move of the log's, under names that are not taken."""
-    stay = was.taken(np.repeat(was.static, np.diff(was.offsets)))
-    if not len(stay):
-        return tracks, made
-    taken = {*tracks.ids, *made.removed.ids}
-    names = ("length", "width", "static", "t", "x", "y", "yaw", "vx", "vy")
-    both = replace(
-        tracks,
-        ids=(*tracks.ids, *(f"{name}~static" if name in taken else name for name in stay.ids)),
-        kinds=(*tracks.kinds, *stay.kinds),
-        offsets=np.r_[tracks.offsets, stay.offsets[1:] + len(tracks.t)],
-        **{name: np.r_[getattr(tracks, name), getattr(stay, name)] for name in names},
-    )
-    return both, replace(made, tracks=both, extended=np.r_[made.extended, np.zeros(len(stay.t), np.bool_)])

@@ -126,7 +126,11 @@ def from_frames(
         state[key] = table.numbers(key)[order] if table.has(key) else np.full(len(t), np.nan)
     if not table.has("v"):
         notes.append("The log has no ego speed: it is derived from the positions by backward differences.")
-        state["v"] = _forward_speed(t, state)
+        state["v"] = np.zeros(len(t))
+        if len(t) > 1:
+            dx, dy, yaw = np.diff(state["x"]), np.diff(state["y"]), state["yaw"][1:]
+            v = (dx * np.cos(yaw) + dy * np.sin(yaw)) / np.diff(t)
+            state["v"] = np.r_[v[0], v]
     if vehicle is None:
         notes.append(f"{VEHICLE_ASSUMED}.")
     names = "steer", "throttle", "brake"
@@ -300,22 +304,22 @@ def _check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame |
             raise LogError(f"no table has the column {given} that {key} is read from", topic="[log] columns")
 
 
-def _forward_speed(t: FloatArray, state: Mapping[str, FloatArray]) -> FloatArray:
-    """Backward differences of the position along the heading, m/s."""
-    if len(t) < 2:
-        return np.zeros(len(t))
-    dx, dy, yaw = np.diff(state["x"]), np.diff(state["y"]), state["yaw"][1:]
-    v = (dx * np.cos(yaw) + dy * np.sin(yaw)) / np.diff(t)
-    return np.r_[v[0], v]
-
-
 def _tracks(
     frame: pd.DataFrame | None, columns: Mapping[str, str], start_ns: int, origin: FloatArray, notes: list[str]
 ) -> Tracks:
     if frame is None or not len(frame):
         return Tracks.empty()
     table = _Table(frame, "agents", columns)
-    _check_agents(table)
+    nameless = table.column("id")[0].isna()
+    if nameless.any():
+        raise LogError(f"row {int(nameless.argmax())} has no id", topic="agents", remedy="name every agent")
+    for name in filter(table.has, ("x", "y", "yaw")):
+        wrong = np.flatnonzero(~np.isfinite(table.numbers(name)))
+        if len(wrong):
+            raise LogError(f"{name} is not finite in row {wrong[0]}", topic="agents", remedy="leave such rows out")
+    for name in ("length", "width"):
+        if table.has(name) and (table.numbers(name) <= 0.0).any():
+            raise LogError(f"a {name} is not positive", topic="agents", remedy="leave it empty where it is not known")
     names = table.column("id")[0].astype(str).to_numpy()
     _, t = table.times(start_ns)
     order = np.lexsort((t, names))
@@ -328,29 +332,28 @@ def _tracks(
         raise LogError(what, topic="agents", remedy="keep one of them")
     x, y = table.numbers("x")[order] - origin[0], table.numbers("y")[order] - origin[1]
     yaw = table.numbers("yaw")[order] if table.has("yaw") else _headings(offsets, x, y, notes)
-    vx, vy = _velocities(table, order, yaw)
+    vx = vy = np.full(len(yaw), np.nan)  # `Tracks` derives them
+    if table.has("vx") and table.has("vy"):
+        vx, vy = table.numbers("vx")[order], table.numbers("vy")[order]
+    elif table.has("v"):
+        v = table.numbers("v")[order]
+        vx, vy = v * np.cos(yaw), v * np.sin(yaw)
     kinds = tuple(_kind(word) for word in table.column("kind")[0].to_numpy()[order][first]) if table.has("kind") else ()
     if not kinds:
         notes.append("The log does not say what the agents are: they are taken for cars.")
         kinds = (AgentKind.CAR,) * len(first)
-    length, width = (_sizes(table, name, order, first, kinds, notes) for name in ("length", "width"))
+    sizes = []
+    for column, name in enumerate(("length", "width")):  # the median of each agent's rows; by kind where there is none
+        size = np.array([USUAL_SIZE_M[kind][column] for kind in kinds])
+        if table.has(name):
+            given = np.array([np.median(part) for part in np.split(table.numbers(name)[order], first[1:])])
+            size = np.where(np.isfinite(given) & (given > 0.0), given, size)
+        else:
+            notes.append(f"The log has no {name} of the agents: it is assumed by their kind.")
+        sizes.append(size)
     static = np.zeros(len(first), np.bool_)
     ids = tuple(map(str, names[first]))
-    return Tracks(ids, kinds, length, width, static, offsets, t, x, y, yaw, vx, vy)
-
-
-def _check_agents(table: _Table) -> None:
-    """Refuse rows without an id or a position, and sizes that are not positive."""
-    nameless = table.column("id")[0].isna()
-    if nameless.any():
-        raise LogError(f"row {int(nameless.argmax())} has no id", topic="agents", remedy="name every agent")
-    for name in filter(table.has, ("x", "y", "yaw")):
-        wrong = np.flatnonzero(~np.isfinite(table.numbers(name)))
-        if len(wrong):
-            raise LogError(f"{name} is not finite in row {wrong[0]}", topic="agents", remedy="leave such rows out")
-    for name in ("length", "width"):
-        if table.has(name) and (table.numbers(name) <= 0.0).any():
-            raise LogError(f"a {name} is not positive", topic="agents", remedy="leave it empty where it is not known")
+    return Tracks(ids, kinds, sizes[0], sizes[1], static, offsets, t, x, y, yaw, vx, vy)
 
 
 def _headings(offsets: Any, x: FloatArray, y: FloatArray, notes: list[str]) -> FloatArray:
@@ -371,16 +374,6 @@ def _headings(offsets: Any, x: FloatArray, y: FloatArray, notes: list[str]) -> F
     return yaw
 
 
-def _velocities(table: _Table, order: Any, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The logged velocities, else the logged speeds along the heading, else NaN (`Tracks` derives them)."""
-    if table.has("vx") and table.has("vy"):
-        return table.numbers("vx")[order], table.numbers("vy")[order]
-    if table.has("v"):
-        v = table.numbers("v")[order]
-        return v * np.cos(yaw), v * np.sin(yaw)
-    return np.full(len(yaw), np.nan), np.full(len(yaw), np.nan)
-
-
 def _kind(word: Any) -> AgentKind:
     if isinstance(word, AgentKind):
         return word
@@ -390,18 +383,6 @@ def _kind(word: Any) -> AgentKind:
     except ValueError:
         known = ", ".join(kind.value for kind in AgentKind)
         raise LogError(f"an agent is a {word!r}", topic="agents", remedy=f"known kinds: {known}") from None
-
-
-def _sizes(
-    table: _Table, name: str, order: Any, first: Any, kinds: tuple[AgentKind, ...], notes: list[str]
-) -> FloatArray:
-    """The median of each agent's rows; by kind where there is none."""
-    usual = np.array([USUAL_SIZE_M[kind][name == "width"] for kind in kinds])
-    if not table.has(name):
-        notes.append(f"The log has no {name} of the agents: it is assumed by their kind.")
-        return usual
-    given = [np.median(part) for part in np.split(table.numbers(name)[order], first[1:])]
-    return np.where(np.isfinite(given) & (np.array(given) > 0.0), given, usual)
 
 
 def _file(folder: Path, name: str) -> Path | None:
@@ -429,29 +410,27 @@ def _files(path: Path) -> tuple[Path, ...]:
 
 
 def _loaded(path: Path) -> pd.DataFrame:
+    """A table; the separator of CSV is the one that parts its first line most often, and the comma where none does."""
     import pyarrow as pa
 
     try:
-        return pd.read_parquet(path) if path.suffix == ".parquet" else _csv(path)
+        if path.suffix == ".parquet":
+            return pd.read_parquet(path)
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            first = stream.readline(FIRST_LINE)
+        counts = {mark: len(next(csv.reader([first], delimiter=mark), [])) for mark in SEPARATORS}
+        mark = max(SEPARATORS, key=lambda each: counts[each])
+        table = pd.read_csv(path, sep=mark, encoding="utf-8-sig")
+        for name in () if mark == "," else table.columns:
+            words = table[name].dropna().astype(str)
+            if words.str.fullmatch(_NUMBER).all() and words.str.contains(",", regex=False).any():
+                table[name] = table[name].astype(str).str.replace(",", ".", regex=False)
+        return table
     except UnicodeDecodeError as error:
         raise LogError(f"the table is no UTF-8: {error}", topic=path.name, remedy="write it as UTF-8") from None
     except (OSError, ValueError, LookupError, TypeError, csv.Error, pa.ArrowException, OverflowError) as error:
         what = " ".join(str(error).split())[:200]
         raise LogError(f"the table cannot be read: {what}", topic=path.name, remedy="write it again") from None
-
-
-def _csv(path: Path) -> pd.DataFrame:
-    """A CSV file; the separator is the one that parts its first line most often, and the comma where none does."""
-    with path.open(encoding="utf-8-sig", newline="") as stream:
-        first = stream.readline(FIRST_LINE)
-    counts = {mark: len(next(csv.reader([first], delimiter=mark), [])) for mark in SEPARATORS}
-    mark = max(SEPARATORS, key=lambda each: counts[each])
-    table = pd.read_csv(path, sep=mark, encoding="utf-8-sig")
-    for name in () if mark == "," else table.columns:
-        words = table[name].dropna().astype(str)
-        if words.str.fullmatch(_NUMBER).all() and words.str.contains(",", regex=False).any():
-            table[name] = table[name].astype(str).str.replace(",", ".", regex=False)
-    return table
 
 
 def _read(path: Path, settings: LogSettings) -> Scenario:

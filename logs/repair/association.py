@@ -61,8 +61,16 @@ class Association:
         most = np.where(self.tracks["hits"] > YOUNG, AGE_S, YOUNG_AGE_S)
         tracks = self.tracks[(t - self.tracks["last"] <= most + 1e-9) | (self.tracks["missed"] < 1)]
         carry_all(tracks["state"], t - self.time, DENSITY[tracks["group"]])
-        found, variance = _new(t, boxes, rows), boxes.noise[rows] ** 2
-        place = found["state"][:, :ALONG]
+        # each of the detections may begin a track
+        found, group, variance = np.zeros(rows.stop - rows.start, _TRACK), boxes.group[rows], boxes.noise[rows] ** 2
+        state = found["state"]
+        place = state[:, :ALONG]
+        state[:, X], state[:, Y] = boxes.x[rows], boxes.y[rows]
+        state[:, COS], state[:, SIN] = np.cos(boxes.yaw[rows]), np.sin(boxes.yaw[rows])
+        state[:, ALONG] = state[:, ACROSS] = variance
+        state[:, ALONG + 2], state[:, ACROSS + 2] = FIRST_ALONG[group] ** 2, FIRST_ACROSS[group] ** 2
+        found["size"] = np.sort(np.column_stack([boxes.length[rows], boxes.width[rows]]))
+        found["group"], found["last"], found["hits"] = group, t, 1
         cost = _costs(
             tracks["state"], tracks["group"], tracks["size"], place, found["group"], variance, found["size"], REACH
         )
@@ -79,19 +87,6 @@ class Association:
         found["name"][new], found["name"][born] = tracks["name"][old], self.count + np.arange(len(born))
         self.tracks, self.time, self.count = np.concatenate([tracks, found[born]]), t, self.count + len(born)
         return found["name"]
-
-
-def _new(t: float, boxes: Boxes, rows: slice) -> NDArray[np.void]:
-    """A track that begins with each of the detections `rows`."""
-    out, group = np.zeros(rows.stop - rows.start, _TRACK), boxes.group[rows]
-    state = out["state"]
-    state[:, X], state[:, Y] = boxes.x[rows], boxes.y[rows]
-    state[:, COS], state[:, SIN] = np.cos(boxes.yaw[rows]), np.sin(boxes.yaw[rows])
-    state[:, ALONG] = state[:, ACROSS] = boxes.noise[rows] ** 2
-    state[:, ALONG + 2], state[:, ACROSS + 2] = FIRST_ALONG[group] ** 2, FIRST_ACROSS[group] ** 2
-    out["size"] = np.sort(np.column_stack([boxes.length[rows], boxes.width[rows]]))
-    out["group"], out["last"], out["hits"] = group, t, 1
-    return out
 
 
 @kernel

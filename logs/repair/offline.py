@@ -183,22 +183,18 @@ def _tracks(users: Sequence[User], ids: Sequence[str]) -> Tracks:
     return Tracks(tuple(ids), kinds, length, width, np.zeros(len(users), np.bool_), offsets, *columns)
 
 
-def _steady(piece: Piece) -> bool:
-    """Whether the detections of a vehicle or a person lie on a line through time, as far as their noise allows."""
-    if piece.group == CLUSTER or len(piece.rows) < LEAST_COUNT[STEADY]:
-        return False
-    t, xy = piece.t[piece.seen], piece.z[piece.seen]
-    velocity, start = np.polyfit(t - t[0], xy, 1)
-    off = xy - start - np.outer(t - t[0], velocity)
-    deviation = np.sqrt((off**2).sum() / (off.size - velocity.size - start.size))
-    return bool(np.hypot(*velocity) > STEADY_MPS and deviation < NOISE[piece.group])
-
-
 def _trouble(user: User, boxes: Boxes) -> str | None:
     """Why a piece of motion is no evidence of a road user, or no motion of a vehicle; None: it is."""
     piece, score = user.piece, boxes.score[user.piece.rows]
     group, count, span = piece.group, len(piece.rows), piece.t[-1] - piece.t[0]
-    row = STEADY if _steady(piece) else group
+    row = group
+    if group != CLUSTER and count >= LEAST_COUNT[STEADY]:
+        # steady: its detections lie on a line through time, as far as their noise allows
+        t, xy = piece.t[piece.seen], piece.z[piece.seen]
+        velocity, start = np.polyfit(t - t[0], xy, 1)
+        off = xy - start - np.outer(t - t[0], velocity)
+        deviation = np.sqrt((off**2).sum() / (off.size - velocity.size - start.size))
+        row = STEADY if np.hypot(*velocity) > STEADY_MPS and deviation < NOISE[group] else group
     sure = LEAST_SCORE[row] > 0.0 and np.nansum(score) >= SURE_SCORE * LEAST_SCORE[row]
     if count < LEAST_COUNT[row] or (span < LEAST_TIME[row] - 1e-6 and not sure):
         return f"Seen {count} times within {span:.1f} s: too little for a road user."
@@ -211,8 +207,8 @@ def _trouble(user: User, boxes: Boxes) -> str | None:
     fast = np.hypot(vx, vy) > SIDEWAYS_MPS
     if group != VEHICLE or fast.sum() < SIDEWAYS_COUNT:
         return None
-    off = np.arctan2(vy, vx)[fast] - boxes.yaw[piece.rows][fast]
-    median = float(np.median(np.abs(off - np.pi * np.round(off / np.pi))))
+    askew = np.arctan2(vy, vx)[fast] - boxes.yaw[piece.rows][fast]
+    median = float(np.median(np.abs(askew - np.pi * np.round(askew / np.pi))))
     if median <= SIDEWAYS_RAD:
         return None
     return f"A {user.kind.value} that moves {np.degrees(median):.0f} degrees off its axis: parts of several objects."

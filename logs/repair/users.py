@@ -89,7 +89,14 @@ def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
     first, last = boxes.frame[rows[0]], boxes.frame[rows[-1]]
     t, seen = frames[first : last + 1], boxes.frame[rows] - first
     xy = np.column_stack([boxes.x[rows], boxes.y[rows]])
-    noise = _noise(t[seen], xy, NOISE[group])
+    noise = NOISE[group]
+    if len(rows) >= NOISE_COUNT:  # from the median distance to the line between their neighbours
+        at = t[seen]
+        share = ((at[1:-1] - at[:-2]) / (at[2:] - at[:-2]))[:, None]
+        bent = xy[1:-1] - xy[:-2] - share * (xy[2:] - xy[:-2])
+        # sum of two squares of normal variables of variance r (1 + share^2 + (1 - share)^2): median 2 ln 2 of it
+        squares = (bent**2).sum(axis=1) / (1.0 + share**2 + (1.0 - share) ** 2)[:, 0]
+        noise = float(np.clip(DRIFT * np.sqrt(np.median(squares) / (2.0 * np.log(2.0))), LEAST_NOISE_M, noise))
     z, variance = np.full((len(t), 2), np.nan), np.full(len(t), noise**2)
     trust, moving = boxes.noise[rows] / NOISE[boxes.group[rows]], np.zeros(len(t), np.bool_)
     z[seen], variance[seen] = xy, (noise * trust) ** 2
@@ -106,17 +113,6 @@ def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
         most = slow = max(most, SLIDES * float(np.median(boxes.length[rows])))
     still = net < min(most, slow) and spread < SPREAD * most
     return Piece(rows, seen, group, t, z, variance, path, scale, net, bool(still))
-
-
-def _noise(t: FloatArray, xy: FloatArray, most: float) -> float:
-    """Noise of positions `(k, 2)` at t: from their median distance to the line between their neighbours."""
-    if len(t) < NOISE_COUNT:
-        return most
-    share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
-    off = xy[1:-1] - xy[:-2] - share * (xy[2:] - xy[:-2])
-    # sum of two squares of normal variables of variance r (1 + share^2 + (1 - share)^2): median 2 ln 2 of it
-    squares = (off**2).sum(axis=1) / (1.0 + share**2 + (1.0 - share) ** 2)[:, 0]
-    return float(np.clip(DRIFT * np.sqrt(np.median(squares) / (2.0 * np.log(2.0))), LEAST_NOISE_M, most))
 
 
 def stitched(pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray) -> list[Piece]:

@@ -26,8 +26,8 @@ from ros_bags import RATE_HZ, SPEED, START_NS, Row, ego_pose, header, message, o
 from logs import AgentKind, Colour, LogError, Scenario
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log, reader_of, windows
+from logs.readers import ros as door
 from logs.readers.cut import cut
-from logs.readers.ros import bag as door
 from logs.readers.ros.ego import rates
 from logs.readers.ros.fields import MOST_FIELDS, decoder
 from logs.readers.ros.frames import clock_of, times_of

@@ -1,4 +1,4 @@
-"""The public names of replan in one place: `import replan` (docs/api.md). Each is imported when it is first asked for.
+"""The public names of replan in one place: `import replan` (docs/api.md). Each is imported at its first use.
 
 result = replan.evaluate("my_logs", planners=["dp_qp", "my_planner:Mine"], out="results/mine")
 result = replan.load("results/mine")            the tables and drives of a run (`replay.results.load`, docs/results.md)

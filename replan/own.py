@@ -57,7 +57,7 @@ def rival(package: str) -> str:
 
 
 def clash(package: str, theirs: str) -> str:
-    """What is to be said of a file of the user's that has the name of a package of ours."""
+    """The message about a file of the user's that has the name of a package of ours."""
     ours = ROOT / package / "__init__.py"
     yours = f"yours ({theirs})" if theirs else "a package of yours with that name"
     says = f"'{package}' is the name of a package of replan ({ours})"

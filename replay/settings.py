@@ -101,8 +101,8 @@ def _config_class(factory: Callable[..., Any]) -> type | None:
     """The dataclass by which the keyword `config` is annotated, or None."""
     while isinstance(factory, partial):
         factory = factory.func
-    asked = inspect.signature(factory).parameters.get("config")
-    if asked is None or asked.default is asked.empty:
+    parameter = inspect.signature(factory).parameters.get("config")
+    if parameter is None or parameter.default is parameter.empty:
         return None
     target = factory.__init__ if isinstance(factory, type) else factory  # type: ignore[misc]
     try:

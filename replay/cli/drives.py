@@ -135,11 +135,11 @@ def view(
         if layout not in LAYOUTS:
             raise ConfigError(f"--layout {layout}: there are {', '.join(LAYOUTS)}")
         drawn = screenshot is not None or video is not None
-        with tempfile.TemporaryDirectory() as kept:
+        with tempfile.TemporaryDirectory() as scratch:
             span = (None, None) if video is not None else (begin, end)
             settings = run_config(config, {"log": log_table(ego, road_map, *span, repair)}).log
             copies = [Near(target) for target in targets]
-            files, remark = _files([copy.path for copy in copies], log, Path(kept), settings, save, one=drawn)
+            files, remark = _files([copy.path for copy in copies], log, Path(scratch), settings, save, one=drawn)
             if save is not None:
                 say(save)
             if screenshot is not None:
@@ -154,9 +154,9 @@ def view(
 
 
 def _files(
-    targets: list[Path], log: str | None, kept: Path, settings: LogSettings, save: Path | None, *, one: bool
+    targets: list[Path], log: str | None, scratch: Path, settings: LogSettings, save: Path | None, *, one: bool
 ) -> tuple[list[Path], str]:
-    """The recordings to open, made as `save`, else in `kept`; and with `one`, which takes the worst, which it is."""
+    """The recordings to open, made as `save` or in `scratch`; with `one` only the worst, and a remark that names it."""
     from logs.files import check_named
     from logs.readers import reader_of
     from replay.draw.view import pair, recordings, save_log, to_open, write_pair
@@ -169,12 +169,12 @@ def _files(
     if len(targets) > 2:
         raise ConfigError("name one log, recording or folder, or two drives of one log")
     if len(targets) == 2:
-        both, recording = pair(targets[0], targets[1], log), _place(save) or kept / "pair.rrd"
+        both, recording = pair(targets[0], targets[1], log), _place(save) or scratch / "pair.rrd"
         write_pair(recording, both)
         return [recording], ""
     (target,) = targets
     if target.suffix != ".rrd" and (target.is_file() or reader_of(target) is not None):
-        recording = _place(save) or kept / f"{target.stem}.rrd"
+        recording = _place(save) or scratch / f"{target.stem}.rrd"
         save_log(target, recording, settings)
         return [recording], ""
     if save is not None:
@@ -182,7 +182,7 @@ def _files(
     if target.is_file():
         return [target], ""
     if not one:
-        return to_open(target, log, kept), ""
+        return to_open(target, log, scratch), ""
     found = recordings(target, log)
     if len(found) == 1:
         return found, ""
@@ -323,11 +323,11 @@ def frame(
     """
     with handle_errors():
         from replay.results.load import load
-        from replay.run.frame_again import planned_again, report_of
+        from replay.run.frame_again import replan_frame, report_of
         from replay.run.frame_dump import dump as write_dump
 
         chosen = chosen_drive(load(result), log, of, mode)
-        again = planned_again(chosen.drive, at, planner, debug=debug)
+        again = replan_frame(chosen.drive, at, planner, debug=debug)
         say(f"{chosen.title}{chosen.remark}")
         for line in report_of(again):
             say(line)

@@ -105,13 +105,13 @@ class Forks:
                 self._do(json.loads(line))
         self._end()
 
-    def _do(self, asked: dict[str, Any]) -> None:
+    def _do(self, request: dict[str, Any]) -> None:
         """One request; a start takes its descriptors from `given`."""
-        if "kill" in asked:
-            for pid in [pid for pid, started in self.live.items() if started["start"] == asked["kill"]]:
+        if "kill" in request:
+            for pid in [pid for pid, started in self.live.items() if started["start"] == request["kill"]]:
                 _kill(pid)
             return
-        taken = [self.given.pop(0) for _ in range(1 if "load" in asked else 3)]
+        taken = [self.given.pop(0) for _ in range(1 if "load" in request else 3)]
         state, parent = random.getstate(), os.getpid()
         pid = os.fork()
         if pid == 0:
@@ -121,8 +121,8 @@ class Forks:
             signal.signal(signal.SIGCHLD, self._handler or signal.SIG_DFL)
             for fd in (self.control.fileno(), self._wake, self._waker, *self.given):
                 os.close(fd)
-            _become(asked, taken, parent)
-        self.live[pid] = asked
+            _become(request, taken, parent)
+        self.live[pid] = request
         for fd in taken:
             os.close(fd)
 
@@ -149,7 +149,7 @@ class Forks:
     def _end(self) -> None:
         """Kill what runs; templates end by themselves, as their sockets have closed, too: they know what they began."""
         until = time.monotonic() + ENDING_S
-        for pid in [pid for pid, asked in self.live.items() if "load" not in asked]:
+        for pid in [pid for pid, request in self.live.items() if "load" not in request]:
             _kill(pid)
         while self.live and time.monotonic() < until:
             time.sleep(0.005)
@@ -172,7 +172,7 @@ def _kill(pid: int) -> None:
             kill(pid, signal.SIGKILL)
 
 
-def _become(asked: dict[str, Any], given: list[int], parent: int) -> NoReturn:
+def _become(request: dict[str, Any], given: list[int], parent: int) -> NoReturn:
     """The planner's process, or a template of it, after the fork; `parent` is the process that has forked."""
     code = 1
     try:
@@ -184,11 +184,11 @@ def _become(asked: dict[str, Any], given: list[int], parent: int) -> NoReturn:
         for name in (signal.SIGINT, signal.SIGTERM):
             if signal.getsignal(name) is signal.SIG_IGN:
                 signal.signal(name, signal.SIG_DFL)
-        if "load" in asked:
+        if "load" in request:
             nothing = os.open(os.devnull, os.O_RDWR)
             _at_places(nothing, nothing, nothing)
-            _limit(asked["memory"])
-            planner, settings = asked["load"]
+            _limit(request["memory"])
+            planner, settings = request["load"]
             control, before = socket.socket(fileno=given[0]), _descriptors()
             try:
                 child.load(planner, bytes.fromhex(settings))
@@ -200,9 +200,9 @@ def _become(asked: dict[str, Any], given: list[int], parent: int) -> NoReturn:
                 Forks(control, seed=True).serve()
         else:
             _at_places(*given)
-            _limit(asked["memory"])
-            if asked["argv"] is not None:
-                _execute(asked["argv"])
+            _limit(request["memory"])
+            if request["argv"] is not None:
+                _execute(request["argv"])
             child.main()
         code = 0
     except BaseException as error:  # the interpreter of the launcher must not go on in the fork

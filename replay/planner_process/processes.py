@@ -101,12 +101,12 @@ def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfi
     """
     if not hasattr(socket, "send_fds"):
         raise ConfigError("planners are kept apart on Linux and macOS only; here give --set loop.apart.trust=true")
-    launcher, asked = _launcher(limits.environment), {"argv": argv, "memory": round(limits.memory_gb * 1e9)}
+    launcher, request = _launcher(limits.environment), {"argv": argv, "memory": round(limits.memory_gb * 1e9)}
     template = launcher.template(load, limits) if load and _warm.get("run") else None
     if template is not None:
         with suppress(OSError):  # it has just died
-            return template.start(asked, kind)
-    return launcher.forks.start(asked, kind)
+            return template.start(request, kind)
+    return launcher.forks.start(request, kind)
 
 
 def set_template_run(run: str) -> None:
@@ -137,30 +137,30 @@ class Forks:
         self._count, self._rest = 0, b""
         self.close = weakref.finalize(self, control.close)
 
-    def start(self, asked: Mapping[str, Any], kind: Any) -> Process:
+    def start(self, request: Mapping[str, Any], kind: Any) -> Process:
         """A planner's process, forked there; OSError where the other end is gone."""
         pipes = [os.pipe() for _ in range(3)]
-        (stdin, into), (out, stdout), (said, stderr) = pipes
+        (stdin, into), (out, stdout), (printed, stderr) = pipes
         try:
-            key = self._asked(asked, [stdin, stdout, stderr])
+            key = self._send_request(request, [stdin, stdout, stderr])
         except OSError:
-            for fd in (into, out, said):
+            for fd in (into, out, printed):
                 os.close(fd)
             raise
         finally:
             for fd in (stdin, stdout, stderr):
                 os.close(fd)
-        return Process(self, key, Channel(into, out, kind, said))
+        return Process(self, key, Channel(into, out, kind, printed))
 
-    def template(self, asked: Mapping[str, Any]) -> Forks:
+    def template(self, request: Mapping[str, Any]) -> Forks:
         """A template, forked there, that loads a module."""
         ours, theirs = socket.socketpair()
         with theirs:
-            return Forks(ours, self._asked(asked, [theirs.fileno()]))
+            return Forks(ours, self._send_request(request, [theirs.fileno()]))
 
-    def _asked(self, asked: Mapping[str, Any], given: list[int]) -> int:
+    def _send_request(self, request: Mapping[str, Any], given: list[int]) -> int:
         self._count += 1
-        socket.send_fds(self._control, [json.dumps({"start": self._count, **asked}).encode() + b"\n"], given)
+        socket.send_fds(self._control, [json.dumps({"start": self._count, **request}).encode() + b"\n"], given)
         return self._count
 
     def fit(self, within_s: float) -> bool:
@@ -230,8 +230,8 @@ class Launcher:
         if found is not None and self.forks.status(found.key, 0.0) is not None:
             del self.templates[load]  # it has died
         if load not in self.templates:
-            asked = {"load": [load.planner, load.settings.hex()], "memory": round(limits.memory_gb * 1e9)}
-            made = self.forks.template(asked)
+            request = {"load": [load.planner, load.settings.hex()], "memory": round(limits.memory_gb * 1e9)}
+            made = self.forks.template(request)
             fit = made.fit(limits.start_timeout_s)
             if not fit:
                 self.forks.kill(made.key)

@@ -156,7 +156,7 @@ class Stamp:
     code: str
 
 
-def keep(folder: Path, result: LogResult, tables: LogTables, identity: str, stamp: Stamp) -> None:
+def write_result(folder: Path, result: LogResult, tables: LogTables, identity: str, stamp: Stamp) -> None:
     """Write a result into its (still unfinished) folder.
 
     Args:

@@ -53,7 +53,7 @@ class WatchedPlanning(Planning):
 
 
 @dataclass(frozen=True, eq=False)
-class PlannedAgain:
+class ReplannedFrame:
     """A frame planned again.
 
     Attributes:
@@ -69,7 +69,7 @@ class PlannedAgain:
     is_same: bool | None
 
 
-def planned_again(drive: DriveResult, at: float, planner: str | None = None, *, debug: bool = False) -> PlannedAgain:
+def replan_frame(drive: DriveResult, at: float, planner: str | None = None, *, debug: bool = False) -> ReplannedFrame:
     """Drive up to a frame as the run did, in this process, and plan it again.
 
     Args:
@@ -100,32 +100,32 @@ def planned_again(drive: DriveResult, at: float, planner: str | None = None, *, 
     new, old = plan.trajectory, recorded.plan.trajectory
     rows = [int(abs(new.t - t).argmin()) for t in old.t]  # a trace without internals has only every few samples
     same = all((getattr(new, name)[rows] == getattr(old, name)).all() for name in ("x", "y", "yaw", "v", "a"))
-    return PlannedAgain(scenario, dump, seconds, same)
+    return ReplannedFrame(scenario, dump, seconds, same)
 
 
 def _drive_up_to(
     drive: DriveResult, scenario: Scenario, until_s: float, *, debug: bool
 ) -> tuple[WatchedPlanning, Drive]:
     """The drive up to a frame, in this process."""
-    run, kept = drive.result.run, list[WatchedPlanning]()
+    run, seats = drive.result.run, list[WatchedPlanning]()
 
     def seat(*arguments: Any, **keywords: Any) -> WatchedPlanning:
-        kept.append(WatchedPlanning(until_s if debug else inf, *arguments, **keywords))
-        return kept[0]
+        seats.append(WatchedPlanning(until_s if debug else inf, *arguments, **keywords))
+        return seats[0]
 
     keywords = planner_keywords(drive.planner, run.planner.get(drive.planner, {}))
     config = replace(run.drive_loop, apart=replace(run.loop.apart, trust=True))
     loop = LOOPS[drive.trace.mode]
     made = loop(scenario, drive.planner, planner_config=keywords, config=config, until_s=until_s, seat=seat)
     if not made.trace.frames or abs(made.trace.frames[-1].t - until_s) > SAME_TIME_S:
-        said = made.trace.detail or made.trace.end.value
-        raise PlannerError(f"{drive.log}: there is no plan at {until_s:.2f} s: {said}")
-    return kept[0], made
+        reason = made.trace.detail or made.trace.end.value
+        raise PlannerError(f"{drive.log}: there is no plan at {until_s:.2f} s: {reason}")
+    return seats[0], made
 
 
 def _plan_with(
     drive: DriveResult, scenario: Scenario, watch: WatchedPlanning, planner: str, *, debug: bool
-) -> PlannedAgain:
+) -> ReplannedFrame:
     """The last frame planned by another planner, fresh."""
     clock, frame = Stopwatch(), replace(watch.frames[-1], previous=None)
     context, table = replace(watch.context, lap=clock.lap), drive.result.run.planner.get(planner, {})
@@ -143,10 +143,10 @@ def _plan_with(
             raise
         raise PlannerError(f"planner '{planner}' raised at {frame.t:.2f} s: {raised(error)}") from error
     dump = FrameDump(drive.log, planner, table, context, (frame,), plan, tuple(asked))
-    return PlannedAgain(scenario, dump, {time.stage: time.seconds for time in clock.times}, None)
+    return ReplannedFrame(scenario, dump, {time.stage: time.seconds for time in clock.times}, None)
 
 
-def report_of(again: PlannedAgain) -> Iterator[str]:
+def report_of(again: ReplannedFrame) -> Iterator[str]:
     """What a person who debugs the frame wants to read."""
     dump, frame, plan = again.dump, again.dump.frame, again.dump.plan
     yield f"{dump.log}, {dump.planner}, frame at {frame.t:.3f} s ({len(dump.frames)} since the planner was built)"

@@ -137,13 +137,13 @@ def load(path: Path) -> FrameDump:
             context=schema.context_of(file.context, lambda stage: None),
             frames=tuple(map(schema.frame_of, file.frames)),
             plan=schema.plan_of(file.plan),
-            problems=tuple(map(_asked_of, file.problems)),
+            problems=tuple(map(_problem_of, file.problems)),
         )
     except (OSError, ValueError, KeyError, msgspec.MsgspecError) as error:
         raise LogError(f"is no dump of a frame: {error}", file=path) from None
 
 
-def _asked_of(message: Problem) -> Asked:
+def _problem_of(message: Problem) -> Asked:
     step, soft, *weights = message.numbers
     columns = (message.leads, message.start, message.references, message.lower, message.upper, message.x)
     leads, start, references, lower, upper, x = (np.frombuffer(column, WIRE).copy() for column in columns)

@@ -37,7 +37,7 @@ from replay.loop.open_loop import run_open_loop
 from replay.loop.planning import Planning, with_probe
 from replay.loop.reference_drives import late_follower, with_avoidability, with_references
 from replay.planner_process.planner_config import is_apart, is_built_in, planner_keywords
-from replay.results.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, Steps, StepsFile, keep
+from replay.results.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, Steps, StepsFile, write_result
 from replay.results.tables import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name
 from replay.run.perturb import perturbed
 from replay.run.sources import LogSource, file_hash
@@ -81,8 +81,8 @@ class _Progress:
             ours = METRICS.get(metric.name) is metric
             what = "a bug in replan, in its" if ours else "not available is the"
             line = f"{self.log}: {what} metric '{metric.name}': {reason}; traceback in summary.json"
-            said = {(known.message, known.planner, known.mode) for known in self.failures}
-            if (line, planner, mode.value) not in said:  # each reduction, each member of an ensemble
+            known = {(one.message, one.planner, one.mode) for one in self.failures}
+            if (line, planner, mode.value) not in known:  # each reduction, each member of an ensemble
                 trace = "".join(traceback.format_exception(error))
                 self.failures.append(Failure(self.log, line, planner, mode.value, traceback=trace))
 
@@ -116,7 +116,7 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
                 health=found,
                 timings=joined(progress.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS),
             )
-            keep(partial, result, tables, identity, stamp)
+            write_result(partial, result, tables, identity, stamp)
             with writing(out / result.folder):
                 partial.rename(out / result.folder)
             done = result

@@ -118,8 +118,8 @@ def changes(before: Mapping[str, Any], now: Mapping[str, Any], besides: str = ""
     """In which keys but `besides` two configurations differ, in words; "": in none."""
     was, now = dict(flat(before)), dict(flat(now))
     changed = [key for key in dict.fromkeys([*was, *now]) if was.get(key) != now.get(key) and key != besides]
-    said = ", ".join(f"{key} was {_describe(was, key)}, is {_describe(now, key)}" for key in changed[:3])
-    return f"{said} and {len(changed) - 3} more" if len(changed) > 3 else said
+    text = ", ".join(f"{key} was {_describe(was, key)}, is {_describe(now, key)}" for key in changed[:3])
+    return f"{text} and {len(changed) - 3} more" if len(changed) > 3 else text
 
 
 def _describe(table: Mapping[str, Any], key: str) -> str:

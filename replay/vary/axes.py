@@ -14,7 +14,7 @@ from logs.errors import ConfigError, unknown_name
 from logs.variations import VARIATIONS
 
 FINER = 8
-"""Edges are found to this part of the distance of two cells unless another resolution is asked for."""
+"""Edges are found to this part of the distance of two cells unless the question has another resolution."""
 MOST_AXES = 2
 FORM = "write it as NAME=LOW:HIGH:COUNT, or NAME=VALUE for all cells"
 
@@ -40,7 +40,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Question:
-    """A surface that is asked for.
+    """A surface to evaluate.
 
     Attributes:
         axes: One or two; the first is along the rows of the picture.

@@ -1,6 +1,6 @@
 """A surface: cells -> varied logs -> `evaluate_logs` -> table, edges, picture.
 
-    OUT/vary.json                     what was asked for
+    OUT/vary.json                     the question
     OUT/logs/                         the varied logs: `replan evaluate --mode closed` of one says what its cell says
     OUT/grid/, OUT/edge-1/, ...       results of the cells, and of the points between them, as `replan evaluate` leaves
     OUT/surface.parquet, .csv         a row per point: parameters, outcome, gates, least gap, contact, careful driver
@@ -124,9 +124,9 @@ class VaryResult:
 
     Attributes:
         out: The folder.
-        question: What was asked for.
+        question: The question.
         table: A row per point that was evaluated: the grid first, then the points between.
-        edges: Where rows change, as narrow as they were asked for.
+        edges: Where rows change, to the resolution of the question.
     """
 
     out: Path
@@ -140,17 +140,17 @@ class VaryResult:
         return 3 if (self.table["outcome"] == ERROR).any() else 0
 
     def lines(self) -> list[str]:
-        """What is to be said of it, line by line."""
+        """The result as text."""
         first = self.question.axes[0]
         counts = self.table.loc[self.table["part"] == "grid", "outcome"].value_counts()
-        said = [f"cells: {', '.join(f'{n} {name}' for name, n in counts.items())}"]
+        lines = [f"cells: {', '.join(f'{n} {name}' for name, n in counts.items())}"]
         for edge in self.edges:
             row = "".join(f"{axis.name} {v:.4g}: " for axis, v in zip(self.question.axes[1:], edge.row, strict=True))
             between = f"{first.name} {edge.low:.6g} ({edge.at_low}) and {edge.high:.6g} ({edge.at_high})"
-            said.append(f"edge at {row}between {between}{'' if edge.is_open else ', not narrower: an error between'}")
+            lines.append(f"edge at {row}between {between}{'' if edge.is_open else ', not narrower: an error between'}")
         broken = self.table[self.table["outcome"] == ERROR]
-        said += [f"error: {name}: {why}" for name, why in zip(broken["log"], broken["why"], strict=True)]
-        return [*said, f"written to {self.out}"]
+        lines += [f"error: {name}: {why}" for name, why in zip(broken["log"], broken["why"], strict=True)]
+        return [*lines, f"written to {self.out}"]
 
 
 def vary(

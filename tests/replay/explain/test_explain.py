@@ -27,7 +27,7 @@ from replay.loop.open_loop import run_open_loop
 from replay.results.load import Results
 from replay.results.load import load as results_of
 from replay.run import evaluate_logs
-from replay.run.frame_again import planned_again
+from replay.run.frame_again import replan_frame
 from replay.run.frame_dump import dump, load
 
 LOG = "paper/crossing_pedestrian"
@@ -109,7 +109,7 @@ def test_explain_states_a_decision_that_every_family_accepts(name: str) -> None:
 
 @pytest.mark.parametrize("mode", ["closed", "open"])
 def test_a_dump_gives_the_same_plan_to_the_bit(results: Results, mode: str, tmp_path: Path) -> None:
-    again = planned_again(results.drive(LOG, "dp_qp", mode), 2.0)
+    again = replan_frame(results.drive(LOG, "dp_qp", mode), 2.0)
     assert again.is_same
     dump(tmp_path / "frame.msgpack", again.dump)
     read = load(tmp_path / "frame.msgpack")
@@ -122,7 +122,7 @@ def test_a_dump_gives_the_same_plan_to_the_bit(results: Results, mode: str, tmp_
 
 
 def test_the_problems_of_a_dump_have_the_answers_that_are_with_them(results: Results, tmp_path: Path) -> None:
-    dump(tmp_path / "frame.msgpack", planned_again(results.drive(LOG, "dp_qp"), 6.5).dump)
+    dump(tmp_path / "frame.msgpack", replan_frame(results.drive(LOG, "dp_qp"), 6.5).dump)
     read = load(tmp_path / "frame.msgpack")
     assert {asked.result.report.stage for asked in read.problems} == {"path QP", "speed QP"}
     for problem, result in read.problems:
@@ -131,9 +131,9 @@ def test_the_problems_of_a_dump_have_the_answers_that_are_with_them(results: Res
 
 def test_another_planner_is_given_the_frame_alone(results: Results) -> None:
     drive = results.drive(LOG, "dp_qp")
-    again = planned_again(drive, 6.5, "idm")
+    again = replan_frame(drive, 6.5, "idm")
     assert again.is_same is None and again.dump.planner == "idm" and len(again.dump.frames) == 1
-    assert again.dump.frame.ego == planned_again(drive, 6.5).dump.frame.ego
+    assert again.dump.frame.ego == replan_frame(drive, 6.5).dump.frame.ego
     assert again.dump.frame.previous is None
 
 
@@ -169,7 +169,7 @@ def test_another_planner_that_raises_is_an_error_with_its_place(
     (tmp_path / "raises_at_a_frame.py").write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(PlannerError, match=r"raised at 1\.00 s: KeyError: 'no' \(raises_at_a_frame\.py:6\)"):
-        planned_again(results.drive(LOG, "dp_qp"), 1.0, "raises_at_a_frame:Raises")
+        replan_frame(results.drive(LOG, "dp_qp"), 1.0, "raises_at_a_frame:Raises")
 
 
 NONE = np.empty((0, 2))

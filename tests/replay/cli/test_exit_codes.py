@@ -91,6 +91,7 @@ def case(log: str = "free.mcap", planner: str = "constant_speed", gates: str = "
         (case(gates="key"), 2),
         (case(planner="constant_sped"), 2),
         (case(more=" --sideways"), 2),
+        (case(more=" --mode sideways"), 2),
         (case(more=" --shard 3/2"), 2),
         ("report nowhere", 2),
         ("report unfinished -o OUT", 2),

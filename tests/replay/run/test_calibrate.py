@@ -6,20 +6,14 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from command_line import evaluate, replan
 from handmade import drive, scenario, straight
-from typer.testing import CliRunner
 
 from logs.mcap import read_scenario, write_scenario
 from logs.vehicle import vehicle_parameters
-from replay.cli import app
 from replay.run.calibrate import calibrate
 
-RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
 VAN = '[vehicle]\nset = "vw_vanagon"\nmax_decel = 5.0\n'
-
-
-def table(path: Path) -> str:
-    return (path / "calibration.csv").read_text(encoding="utf-8")
 
 
 def test_the_table_is_that_of_the_vehicle_of_the_option_or_of_the_configuration(tmp_path: Path) -> None:
@@ -29,7 +23,8 @@ def test_the_table_is_that_of_the_vehicle_of_the_option_or_of_the_configuration(
     calibrate(tmp_path / "van", car="vw_vanagon")
     calibrate(tmp_path / "weak", config=config)
     calibrate(tmp_path / "weak_bmw", car="bmw_320i", config=config)
-    tables = [table(tmp_path / name) for name in ("default", "van", "weak", "weak_bmw")]
+    names = ("default", "van", "weak", "weak_bmw")
+    tables = [(tmp_path / name / "calibration.csv").read_text(encoding="utf-8") for name in names]
     assert len(set(tables)) == 4
     reach = [sum(not line.endswith(",") for line in one.splitlines() if line.startswith("-")) for one in tables]
     assert reach[2] < reach[1], "the weak brakes of the configuration reach less"
@@ -40,9 +35,8 @@ def test_a_run_drives_the_known_vehicle_and_its_configuration_says_so(tmp_path: 
     log = tmp_path / "log.mcap"
     write_scenario(log, scenario(drive(straight, 8.0, 1.0)))
     out = tmp_path / "out"
-    told = "--planner constant_speed --car vw_vanagon --vehicle single_track --set loop.plant.mass=1900 --mode closed"
-    words = ["evaluate", str(log), *told.split(), "--workers", "0", "--no-recording", "--out", str(out)]
-    result = RUNNER.invoke(app, words)
+    words = "--car vw_vanagon --vehicle single_track --set loop.plant.mass=1900 --mode closed"
+    result = evaluate(log, *words.split(), "--out", out)
     assert result.exit_code in (0, 1, 4), result.output
     said = tomllib.loads((out / "run.toml").read_text(encoding="utf-8"))
     assert said["vehicle"] == {"set": "vw_vanagon"} and said["loop"]["plant"] == {"mass": 1900.0}
@@ -52,6 +46,6 @@ def test_a_run_drives_the_known_vehicle_and_its_configuration_says_so(tmp_path: 
 
 @pytest.mark.parametrize("words", [["evaluate", "--car", "lorry"], ["calibrate", "-o", "x", "--car", "lorry"]])
 def test_an_unknown_vehicle_is_one_line_that_names_the_known_ones(words: list[str]) -> None:
-    result = RUNNER.invoke(app, words)
+    result = replan(*words)
     assert result.exit_code == 2
     assert "no vehicle is called 'lorry'; known are: bmw_320i, small_electric, vw_vanagon" in result.output

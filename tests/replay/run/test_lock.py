@@ -14,11 +14,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from command_line import evaluate, replan
 from short_logs import QUICK, run
-from typer.testing import CliRunner
 
 from logs import ConfigError
-from replay.cli import app
 from replay.results.tables import LOCK
 from replay.run.output import held
 
@@ -26,28 +25,30 @@ HOLDER = "import sys, time; from pathlib import Path; from replay.run.output imp
     "with held(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"  # fmt: skip
 
 
+def refuse_locks(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    def refuse(handle: int, kind: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+
+
 @pytest.fixture(params=["locks", pytest.param("no locks", marks=pytest.mark.slow)])
 def system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The file system: one with locks, and one that has none."""
     if request.param == "no locks":
-
-        def refused(handle: int, kind: int) -> None:
-            raise OSError(errno.ENOSYS, "Function not implemented")
-
-        monkeypatch.setattr("fcntl.flock", refused)
+        refuse_locks(monkeypatch, errno.ENOSYS)
     return str(request.param)
 
 
 def test_a_second_run_is_refused_and_says_who_holds_the_folder(logs: Path, tmp_path: Path, system: str) -> None:
     out = tmp_path / "out"
-    words = ["evaluate", str(logs), "-p", "constant_speed", "--workers", "0", "-o", str(out)]
     with held(out):
         for more in ([], ["--resume"]):
-            done = CliRunner().invoke(app, [*words, *more])
+            done = evaluate(logs, "-o", out, *more)
             assert done.exit_code == 2
             assert f"process {os.getpid()} on {socket.gethostname()} since 20" in done.stderr
         assert [entry.name for entry in out.iterdir()] == [LOCK]
-        vary = CliRunner().invoke(app, ["vary", "paper/free_road", "--vary", "ego_speed=1:1:1", "-o", str(out)])
+        vary = replan("vary", "paper/free_road", "--vary", "ego_speed=1:1:1", "-o", out)
         assert vary.exit_code == 2, vary.output
     assert not out.exists()  # it was made for the lock alone
 
@@ -84,10 +85,7 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, system: str, w
 def test_without_locks_that_of_another_machine_is_never_taken_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refused(handle: int, kind: int) -> None:
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr("fcntl.flock", refused)
+    refuse_locks(monkeypatch, errno.ENOLCK)
     card = {"pid": 999999999, "host": "elsewhere", "since": "2026-01-01T00:00:00+00:00", "started": "1"}
     (tmp_path / LOCK).write_text(json.dumps(card))
     with pytest.raises(ConfigError, match=r"on elsewhere since 2026.*if it has ended: rm .*\.lock"), held(tmp_path):

@@ -13,12 +13,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
+from command_line import evaluate
 from short_logs import QUICK, identical, short
-from typer.testing import CliRunner
 
 from logs import ConfigError
 from logs.mcap import write_scenario
-from replay.cli import app
 from replay.config import RunConfig
 from replay.results.load import Results
 from replay.results.log_result import LogResult, load_result, timings_of
@@ -249,10 +248,9 @@ def test_what_no_run_wrote_is_refused_and_an_absent_folder_is_a_new_run(logs: Pa
 
 
 def test_the_command_line_resumes_and_refuses(logs: Path, begun: Path) -> None:
-    words = ["evaluate", str(logs), "-p", "constant_speed", "--no-recording", "-o", str(begun), "--workers", "0"]
-    refused = CliRunner().invoke(app, [*words, "--resume", "--traffic", "reactive"])
+    refused = evaluate(logs, "-o", begun, "--resume", "--traffic", "reactive")
     assert refused.exit_code == 2
     assert "loop.traffic was 'give_way', is 'reactive'" in refused.stderr
-    done = CliRunner().invoke(app, [*words, "--resume"])
+    done = evaluate(logs, "-o", begun, "--resume")
     assert done.exit_code in (0, 1, 4)
     assert "Resumed: 2 of 3 logs" in done.stdout

@@ -6,8 +6,6 @@ python -c 'from replan.page import markdown; print(markdown(), end="")' > docs/a
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator
-from typing import Any
 
 import replan
 
@@ -33,26 +31,19 @@ SECTIONS = {
 
 
 def markdown() -> str:
-    """The page."""
-    return "\n".join([HEAD, *(line for title, names in SECTIONS.items() for line in _section(title, names.split()))])
-
-
-def _section(title: str, names: list[str]) -> Iterator[str]:
-    yield f"## {title}\n"
-    for name in names:
-        thing = getattr(replan, name)
-        says = (inspect.getdoc(thing) or "").partition("\n")[0]
-        yield f"- `{name}{_called(thing)}`: {says}"
-    yield ""
-
-
-def _called(thing: Any) -> str:
-    """Of a function its arguments, by name; those with defaults behind `*` are left out where they are many."""
-    if not inspect.isfunction(thing):
-        return ""
-    words = []
-    for name, one in inspect.signature(thing).parameters.items():
-        if one.kind is one.KEYWORD_ONLY and "*" not in words:
-            words.append("*")
-        words.append(name)
-    return f"({', '.join(words)})"
+    """The page: each name with the first line of its docstring; a function also with its arguments by name."""
+    lines = [HEAD]
+    for title, names in SECTIONS.items():
+        lines.append(f"## {title}\n")
+        for name in names.split():
+            thing, arguments = getattr(replan, name), list[str]()
+            if inspect.isfunction(thing):
+                for argument, one in inspect.signature(thing).parameters.items():
+                    if one.kind is one.KEYWORD_ONLY and "*" not in arguments:
+                        arguments.append("*")
+                    arguments.append(argument)
+            called = f"({', '.join(arguments)})" if inspect.isfunction(thing) else ""
+            first_line = (inspect.getdoc(thing) or "").partition("\n")[0]
+            lines.append(f"- `{name}{called}`: {first_line}")
+        lines.append("")
+    return "\n".join(lines)

@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from command_line import CliRunner, app
+from command_line import replan
 from short_logs import short
 
 from logs.files import listed, local_path, url_of
@@ -63,10 +63,6 @@ def logs(tmp_path: Path) -> Path:
     table.to_csv(folder / "deep" / "tables" / "ego.csv", index=False)
     (folder / "deep" / "tables" / "video.hevc").write_bytes(bytes(1000))
     return folder
-
-
-def replan(*words: str) -> Any:
-    return CliRunner().invoke(app, list(words), catch_exceptions=False)
 
 
 def files_of(folder: Path) -> dict[str, bytes]:

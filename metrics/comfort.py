@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from metrics import metric
-from metrics.metric import Measured, Metric, Reduction, Series, Unavailable, last
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.safety import TTC
 
 WINDOW_S = 0.1
@@ -92,20 +92,11 @@ def _derived(value: FloatArray, window: int, degree: int, order: int, drive: Tra
 
 def r79_jerk(drive: Trajectory) -> FloatArray:
     """(9) of a drive with steps of `R79_STEP_S`; NaN in the first 0.5 s."""
-    from scipy.signal import sosfilt
+    from scipy.signal import butter, sosfilt, sosfilt_zi
 
-    lateral, (sections, rest) = lat_accel(drive), _low_pass()
-    low, _ = sosfilt(sections, lateral, zi=rest * lateral[0])  # (8)
+    lateral, sections = lat_accel(drive), butter(R79_ORDER, R79_CUT_HZ, fs=1.0 / R79_STEP_S, output="sos")
+    low, _ = sosfilt(sections, lateral, zi=sosfilt_zi(sections) * lateral[0])  # (8)
     return metric.rate_of_change(drive.t, np.asarray(low), R79_MEAN_S)  # (9)
-
-
-@cache
-def _low_pass() -> tuple[FloatArray, FloatArray]:
-    """Sections of (8), and their state at rest on 1."""
-    from scipy.signal import butter, sosfilt_zi
-
-    sections = butter(R79_ORDER, R79_CUT_HZ, fs=1.0 / R79_STEP_S, output="sos")
-    return sections, sosfilt_zi(sections)
 
 
 def _driven(signal: Signal, trace: Trace, scenario: Scenario) -> Measured:
@@ -127,16 +118,11 @@ def _with_cause(signal: Signal, bounds: tuple[str, float, float], trace: Trace, 
 
 def _filtered(signal: Signal, step: float, least: float, trace: Trace, scenario: Scenario) -> Measured:
     """The signal of the drive resampled to `step` s from its start, linear between its samples."""
-    if float(trace.ego.t[-1] - trace.ego.t[0]) < least - 1e-9:
+    length = float(trace.ego.t[-1] - trace.ego.t[0])
+    if length < least - 1e-9:
         return Unavailable(f"the drive is shorter than {least} s")
-    drive = _resample(trace, step)
+    drive = trace.ego.resampled(trace.ego.t[0] + step * np.arange(int((length + 1e-9) / step) + 1))
     return Series(drive.t, signal(drive))
-
-
-@last(1)
-def _resample(trace: Trace, step: float) -> Trajectory:
-    first, length = trace.ego.t[0], float(trace.ego.t[-1] - trace.ego.t[0])
-    return trace.ego.resampled(first + step * np.arange(int((length + 1e-9) / step) + 1))
 
 
 def _as_text(bounds: tuple[str, float, float]) -> str:

@@ -346,15 +346,6 @@ def fsm_critical(gap: float, v: float, u: float, a: float) -> float:
 
 
 @inner_kernel
-def fsm_deceleration(gap: float, v: float, u: float, a: float) -> float:
-    """(7), m/s2."""
-    critical = fsm_critical(gap, v, u, a)
-    if critical > 0.0:
-        return FSM_COMFORT_MPS2 + (FSM_HARDEST_MPS2 - FSM_COMFORT_MPS2) * critical
-    return FSM_COMFORT_MPS2 * fsm_proactive(gap, v, u)
-
-
-@inner_kernel
 def _fsm_acceleration(seen: FloatArray, car: Car, v: float, a: float, late: float) -> float:
     """Acceleration that "fsm" wishes, without its reaction time."""
     hardest = 0.0
@@ -362,7 +353,10 @@ def _fsm_acceleration(seen: FloatArray, car: Car, v: float, a: float, late: floa
         gap, u = seen[i, 0], seen[i, 1]
         if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or _comes_in(seen[i], v, car, FSM_AHEAD_S, late)):
             continue
-        hardest = max(hardest, fsm_deceleration(gap, v, u, a))
+        deceleration, critical = FSM_COMFORT_MPS2 * fsm_proactive(gap, v, u), fsm_critical(gap, v, u, a)
+        if critical > 0.0:
+            deceleration = FSM_COMFORT_MPS2 + (FSM_HARDEST_MPS2 - FSM_COMFORT_MPS2) * critical
+        hardest = max(hardest, deceleration)  # (7)
     return -hardest
 
 

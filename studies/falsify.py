@@ -36,11 +36,10 @@ from planners.idm import Idm, IdmConfig
 from replay.config import load_run
 from replay.results.tables import write_file, write_text
 from replay.run.output import held
-from replay.search.axes import box_of, search_axes
+from replay.search.axes import agents_of, box_of, opened, search_axes
 from replay.search.falsify import Drives, Question, falsify
 from replay.search.mildest import BATCH, Point, norm
 from replay.search.study import Study
-from replay.search.subject import agents_of, opened
 
 GATES = """
 [[gate]]

@@ -1,4 +1,9 @@
-"""What is varied, from where to where, and how large a step is: the axes of a distance from what was recorded.
+"""What is falsified, and what is varied of it: axes with a scale each, and so a distance from what was recorded.
+
+The subject is a recorded log or a family of the catalogue; a point of the axes makes a scenario of it. Of a log, and of
+a family of which a variation is an axis, every point is a varied log (`logs.variations.varied`), the recorded point
+too: of the ego's log only the start is kept. Of a family's own parameters alone, a point is the scenario that the
+family builds.
 
 (1) u_i = (value_i - origin_i) / scale_i
 (2) distance = sqrt(sum of u_i^2)
@@ -21,16 +26,22 @@ The scales are about what differs between two drives on two days (`SCALES`, docs
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
 
+from logs.catalogue import FAMILY, families
 from logs.catalogue.family import Family
-from logs.errors import ConfigError, unknown_name
+from logs.errors import ConfigError, LogError, unknown_name
 from logs.kernel import FloatArray
-from logs.variations import VARIATIONS
+from logs.files import here
+from logs.readers import LogSettings
+from logs.scenario import Scenario
+from logs.variations import VARIATIONS, varied
+from replay.run.sources import LogSource
+from replay.vary.encounters import conflicting_agent, prepared
 
 FORM = "write it as NAME=LOW:HIGH, for example time=-3:3"
 TIME_S, SPEED, EGO_SPEED, LATERAL_M, ALONG_M, AHEAD_M = 1.0, 0.2, 0.1, 0.375, 5.0, 10.0
@@ -48,6 +59,10 @@ SCALES: Mapping[str, float] = {
 """Of the variations, by name."""
 _LATERAL = ("lateral", "offset", "side", "intrusion", "kerb", "clearance", "room", "marking", "width", "swing")
 """Words in the names of parameters that are ways across the lane."""
+UNITS = {
+    "s": "s", "m": "m", "deg": "deg", "mps": "m/s", "kmh": "km/h", "mps2": "m/s2", "percent": "%",
+}  # fmt: skip
+"""By the ending of a parameter's name."""
 _BY_ENDING = {"s": TIME_S, "mps2": ACCEL_MPS2, "deg": ANGLE_DEG, "percent": PERCENT}
 DEFAULT_RANGES: Mapping[str, tuple[float, float]] = {"time": (-3.0, 3.0), "speed": (0.5, 2.0), "ego_speed": (0.7, 1.3)}
 """What is varied of a log where no axis is named; without agents `ego_speed` alone."""
@@ -115,11 +130,30 @@ def search_axes(
         ConfigError: A word is not of this form, a name is unknown, twice there or has no order or no scale, a range
             does not hold the recorded value or is out of bounds, or there are too many axes.
     """
-    ranges = dict(_range(word) for word in words)
-    if len(ranges) < len(words):
-        raise ConfigError(f"--axis: an axis is named twice: {', '.join(words)}")
-    given = dict(_scale(word) for word in scales)
-    ranges = ranges or _default_ranges(family, with_agents=with_agents)
+    ranges: dict[str, tuple[float, float]] = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        ends = _numbers(*text.split(":"))
+        if len(ends) != 2 or not ends[0] < ends[1]:
+            raise ConfigError(f"--axis {word}: {FORM}; LOW below HIGH")
+        if name in ranges:
+            raise ConfigError(f"--axis: an axis is named twice: {', '.join(words)}")
+        ranges[name] = ends[0], ends[1]
+    given: dict[str, float] = {}
+    for word in scales:
+        name, _, text = word.partition("=")
+        steps = _numbers(text)
+        if not steps or not steps[0] > 0.0:
+            raise ConfigError(f"--scale {word}: write it as NAME=VALUE with a positive value")
+        given[name] = steps[0]
+    if not ranges and family is not None:  # those of its published grid, as far as they are more than a choice
+        for name, values in family.grid.items():
+            default = family.parameters[name]
+            if len(values) > 1 and _parameter_scale(name, default) is not None:
+                ranges[name] = min(*values, default), max(*values, default)
+    if not ranges:
+        usual = DEFAULT_RANGES.items()
+        ranges = {name: ends for name, ends in usual if with_agents or VARIATIONS[name].of == "ego"}
     for name in given:
         if name not in ranges:
             raise unknown_name("axis (of --scale)", name, ranges)
@@ -128,23 +162,12 @@ def search_axes(
     return tuple(_axis(name, *ends, given.get(name), family) for name, ends in ranges.items())
 
 
-def _default_ranges(family: Family | None, *, with_agents: bool) -> dict[str, tuple[float, float]]:
-    """Those of the family's published grid, as far as they are more than a choice; else `DEFAULT_RANGES`."""
-    grid = {} if family is None else family.grid
-    wide = {
-        name: (min(*values, family.parameters[name]), max(*values, family.parameters[name]))
-        for name, values in grid.items()
-        if family is not None and len(values) > 1 and _parameter_scale(name, family.parameters[name]) is not None
-    }
-    usual = {name: ends for name, ends in DEFAULT_RANGES.items() if with_agents or VARIATIONS[name].of == "ego"}
-    return wide or usual
-
-
 def _axis(name: str, low: float, high: float, scale: float | None, family: Family | None) -> SearchAxis:
     """One axis; ConfigError as `search_axes`."""
     parameters: Mapping[str, float] = {} if family is None else family.parameters
     if name in parameters:
-        origin, unit = parameters[name], _unit(name)
+        origin, ending = parameters[name], name.rpartition("_")[2]
+        unit = UNITS.get(ending, "1")
         usual = _parameter_scale(name, origin)
         if scale is None and usual is None:
             raise ConfigError(f"--axis {name}: it has no scale by its name; say how large a step is: --scale {name}=1")
@@ -165,23 +188,7 @@ def _axis(name: str, low: float, high: float, scale: float | None, family: Famil
     return SearchAxis(name, low, high, origin, step, unit, name not in parameters)
 
 
-def _range(word: str) -> tuple[str, tuple[float, float]]:
-    name, _, text = word.partition("=")
-    ends = _numbers(text.split(":"))
-    if len(ends) != 2 or not ends[0] < ends[1]:
-        raise ConfigError(f"--axis {word}: {FORM}; LOW below HIGH")
-    return name, (ends[0], ends[1])
-
-
-def _scale(word: str) -> tuple[str, float]:
-    name, _, text = word.partition("=")
-    found = _numbers([text])
-    if not found or not found[0] > 0.0:
-        raise ConfigError(f"--scale {word}: write it as NAME=VALUE with a positive value")
-    return name, found[0]
-
-
-def _numbers(words: Iterable[str]) -> list[float]:
+def _numbers(*words: str) -> list[float]:
     """The finite numbers that words spell; none where one of them spells none."""
     try:
         found = [float(word) for word in words]
@@ -201,9 +208,78 @@ def _parameter_scale(name: str, default: float) -> float | None:
     return _BY_ENDING.get(ending) if words else None
 
 
-def _unit(name: str) -> str:
-    """The unit at the end of a parameter's name."""
-    ending = name.rpartition("_")[2]
-    return {"mps": "m/s", "kmh": "km/h", "mps2": "m/s2", "percent": "%"}.get(
-        ending, ending if ending in ("s", "m", "deg") else "1"
-    )
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A log or a family.
+
+    Attributes:
+        name: Of the log or the family.
+        scenario: As it was recorded, or the family's with its defaults; prepared for variations.
+        family: None: a log.
+        agents: Ids of those who are varied; empty: nobody, or the inserted one.
+    """
+
+    name: str
+    scenario: Scenario
+    family: Family | None = None
+    agents: tuple[str, ...] = ()
+
+    def of(self, agents: tuple[str, ...]) -> Subject:
+        """The same with these agents varied."""
+        return replace(self, agents=agents)
+
+    @property
+    def short_agents(self) -> tuple[str, ...]:
+        """Short names of those who are varied."""
+        return tuple(map(self.scenario.short_names, self.agents))
+
+    def at(self, axes: Sequence[SearchAxis], values: Mapping[str, float]) -> Scenario:
+        """The scenario with these values of the axes.
+
+        Raises:
+            LogError: There is no such scenario.
+        """
+        changes = {axis.name: values[axis.name] for axis in axes if axis.is_variation}
+        own = {axis.name: values[axis.name] for axis in axes if not axis.is_variation}
+        made = self.scenario
+        if own:
+            assert self.family is not None
+            try:
+                made = self.family.scenario(**own)
+            except ConfigError as error:  # the family refuses the values: there is no such scenario
+                raise LogError(str(error)) from None
+            made = prepared(made) if changes else made
+        return varied(made, self.agents, changes) if changes else made
+
+
+def opened(name: str, settings: LogSettings) -> Subject:
+    """The log at a path or URL, or the family of a name.
+
+    Raises:
+        ConfigError: There is no such file, folder or family.
+        LogError: It cannot be read.
+    """
+    with here(name) as path:
+        if path.exists():
+            scenario = LogSource(name, path, settings).read()
+            return Subject(scenario.name, prepared(scenario))
+    if ":" not in name and name not in families():
+        raise ConfigError(f"{name}: no such file or folder, and no family of the catalogue (replan synth --list)")
+    family = FAMILY.find(name)
+    return Subject(name, prepared(family.scenario()), family)
+
+
+def agents_of(subject: Subject, axes: Sequence[SearchAxis], named: Sequence[str]) -> tuple[str, ...]:
+    """Who is varied: those who are named, else the one in the conflict of the drive, where an axis asks for one.
+
+    Raises:
+        ConfigError: An agent is not there, or there is none.
+    """
+    short = subject.scenario.short_names
+    found = tuple(short.whole(word) for word in named)
+    missing = [agent for agent in found if agent not in subject.scenario.tracks.ids]
+    if missing:
+        raise ConfigError(f"no agent is called '{missing[0]}'; `replan vary LOG --list-agents` lists them")
+    changed = [VARIATIONS[axis.name] for axis in axes if axis.is_variation]
+    asks = any(one.of == "agent" for one in changed) and not any(one.inserts for one in changed)
+    return found if found or not asks else (conflicting_agent(subject.scenario),)

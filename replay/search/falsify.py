@@ -7,6 +7,22 @@
     OUT/case.mcap            the mildest failing case as a native log; OUT/case/ its results with a recording
 
 The same subject, configuration and seed give the same bytes at any number of workers (the folder `case` holds times).
+
+A point counts where the planner fails a gate (FAIL of `metrics.judge`: an excused value is none) that the reference
+driver holds:
+
+    the careful driver of UN R157   has no contact that it does not avoid (`reference_cc`), and its own drive holds the
+                                    bound of the gate, where it is measured on it (safety, progress, comfort)
+    another planner                 fails no gate at all, and drives the log to an end
+
+(1) score = distance / D                 where the point counts; D is the distance of the box's farthest corner
+(2) score = 1 + robustness               where the planner passes, or is judged inconclusive
+(3) score = 2 + distance / D             where the reference driver fails, too
+(4) score = 3 + distance / D             where there is no such scenario, or it could not be driven
+(5) robustness = 1 - (mean over the gates of (1 + m)^-4)^(1/4)
+    m = how far the value is within the bound, in bounds, 0 where it is not within; of a gate that allows no time beyond
+    a bound (`ttc.time_below_950ms <= 0`) the extreme value and that bound are taken (`ttc.min`, 0.95 s); gates without
+    a value, or with a bound of 0 that is of a count, are left out
 """
 
 from __future__ import annotations
@@ -16,7 +32,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from math import inf, isfinite
+from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +42,13 @@ from logs.errors import ConfigError, LogError
 from logs.mcap import write_scenario
 from logs.names import counted
 from logs.readers.base import LogSettings
-from metrics.judge import CAREFUL
+from metrics import METRICS
+from metrics.judge import CAREFUL, REFERENCE, worst
+from metrics.judge.gates import Gate, Outcome
+from metrics.reference_drivers import APPLIES, AVOIDS
 from replay.config import RunConfig, dump_run
 from replay.draw.report.figures import save
+from replay.results.load import Results
 from replay.results.tables import PARTIAL, write_file, write_json, write_parquet
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
@@ -36,18 +56,20 @@ from replay.run.checks import checked
 from replay.run.judging import gates_of
 from replay.run.output import held
 from replay.run.resume import stamp_of
-from replay.search.axes import SearchAxis, box_of, values_at
-from replay.search.cases import BOTH, ERROR, FAIL, Case, judged
+from replay.search.axes import SearchAxis, Subject, box_of, values_at
 from replay.search.figures import falsify_figure
 from replay.search.mildest import Mildest, Point, Scored, cma_class, norm, search
 from replay.search.study import Study
-from replay.search.subject import Subject
 
 KIND = "falsify"
 RESOLUTION = 0.02
 """Of the distance: a fiftieth of a scale."""
 BUDGET = 200
-WORDS = {"fail": "fail", BOTH: "fail, as does the reference driver", ERROR: "cannot be made or driven"}
+POWER = 4.0
+"""Of (5)."""
+FAIL, PASS, INCONCLUSIVE, BOTH, ERROR = "fail", "pass", "inconclusive", "both fail", "error"
+"""Outcomes of a point; `BOTH`: the reference driver fails, too."""
+WORDS = {FAIL: "fail", BOTH: "fail, as does the reference driver", ERROR: "cannot be made or driven"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,16 +112,93 @@ class Question:
         """What makes two falsifications the same, but for the budget and the resolution."""
         stamp = stamp_of(self.driven)
         return {
-            "study": KIND,
-            "replan": stamp.replan,
-            "code": stamp.code[:12],
-            "log": self.subject.name,
-            "agents": list(self.subject.agents),
-            "against": self.against,
-            "seed": self.seed,
-            "axes": [asdict(axis) for axis in self.axes],
-            "run": dump_run(self.driven),
-        }
+            "study": KIND, "replan": stamp.replan, "code": stamp.code[:12], "log": self.subject.name,
+            "agents": list(self.subject.agents), "against": self.against, "seed": self.seed,
+            "axes": [asdict(axis) for axis in self.axes], "run": dump_run(self.driven),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What came of one drive.
+
+    Attributes:
+        outcome: One of those above; "fail" is a point that counts.
+        gates: The failed gates that count; where it does not count, those that the planner fails.
+        why: The reason of the first of them, else why there is no verdict.
+        end: How the planner's drive ended.
+        robustness: (5); NaN where no gate has a value.
+    """
+
+    outcome: str
+    gates: tuple[str, ...] = ()
+    why: str = ""
+    end: str = ""
+    robustness: float = nan
+
+    def score(self, distance: float) -> float:
+        """(1) to (4), the distance in parts of D."""
+        if self.outcome == FAIL:
+            return distance
+        if self.outcome in (PASS, INCONCLUSIVE):
+            return 1.0 + (self.robustness if isfinite(self.robustness) else 1.0)
+        return (2.0 if self.outcome == BOTH else 3.0) + distance
+
+
+def judged(results: Results, log: str, gates: Sequence[Gate], planner: str, against: str) -> Case:
+    """The case of a log in a run of the planner, and of the one that it is held against ("careful": no other)."""
+    failures = results.failures[results.failures["log"] == log]
+    drives = results.drives[(results.drives["log"] == log) & (results.drives["planner"] == planner)]
+    if len(failures) or drives.empty:
+        return Case(ERROR, why=str(failures["message"].iloc[0]) if len(failures) else "not driven")
+    verdicts = results.verdicts[results.verdicts["log"] == log]
+    mine = verdicts[verdicts["planner"] == planner]
+    outcome = worst(map(Outcome, mine["outcome"]))
+    failed = mine[mine["outcome"] == Outcome.FAIL.value]
+    rows = results.metrics[results.metrics["log"] == log]
+    values: dict[tuple[str, str], dict[str, float]] = {}
+    known = rows["value"].where(rows["available"])
+    for who, mode, metric, value in zip(rows["planner"], rows["mode"], rows["metric"], known, strict=True):
+        values.setdefault((who, mode), {})[metric] = value
+    own, careful = values.get((planner, "closed"), {}), values.get((CAREFUL, REFERENCE), {})
+    applies, avoids = (own.get(f"reference_cc.{one.name}", 0.0) > 0.0 for one in (APPLIES, AVOIDS))
+    if against != CAREFUL:
+        other = verdicts[verdicts["planner"] == against]
+        holds = len(other) and not (other["outcome"] == Outcome.FAIL.value).any()
+        counts = tuple(failed["gate"]) if holds else ()
+    elif applies and not avoids:
+        counts = ()
+    else:
+        known_gates = {str(gate): gate for gate in gates}
+        breaks = {rule for rule, gate in known_gates.items() if gate.margin(careful.get(gate.metric, nan)) < 0.0}
+        counts = tuple(rule for rule in failed["gate"] if rule not in breaks)
+    shown = counts or tuple(failed["gate"])
+    about = failed[failed["gate"].isin(shown)] if shown else mine[mine["outcome"] == outcome.value]
+    why = next(filter(None, about["reason"]), "") if outcome is not Outcome.PASS else ""
+    kind = FAIL if counts else BOTH if len(failed) else outcome.value
+    return Case(kind, shown, why, str(drives["end"].iloc[0]), robustness(gates, own))
+
+
+def robustness(gates: Sequence[Gate], values: Mapping[str, float]) -> float:
+    """(5) of a drive's values by metric; NaN where no gate has one."""
+    near = [(1.0 + within) ** -POWER for gate in gates if isfinite(within := _within(gate, values))]
+    return 1.0 - float((sum(near) / len(near)) ** (1.0 / POWER)) if near else nan
+
+
+def _within(gate: Gate, values: Mapping[str, float]) -> float:
+    """M of (5); NaN: the gate is left out."""
+    name, _, reduced = gate.metric.rpartition(".")
+    value, bound = values.get(gate.metric, nan), gate.max if gate.min is None else gate.min
+    if bound == 0.0:
+        metric = METRICS.get(name.partition(".")[0])
+        bounds = next((one.bounds for one in metric.reductions if one.name == reduced), None) if metric else None
+        if bounds is None:
+            return nan
+        below = isfinite(bounds[0])
+        bound, value = bounds[0 if below else 1], values.get(f"{name}.{'min' if below else 'max'}", nan)
+        return max((value - bound if below else bound - value) / abs(bound), 0.0) if bound else nan
+    assert bound is not None
+    return max(gate.margin(value) / abs(bound), 0.0) if isfinite(value) else nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +297,8 @@ def falsify(
         found = search(
             box_of(question.axes), trials, budget=question.budget, seed=question.seed, resolution=question.resolution
         )
-        result = Falsified(out, question, found, _table(trials.rows), trials.row_of(found.point))
+        table = pd.DataFrame(trials.rows).drop(columns="key").astype({"robustness": float})
+        result = Falsified(out, question, found, table, trials.row_of(found.point))
         _write(result, workers)
     return result
 
@@ -220,7 +320,9 @@ class Drives:
             self._study.add(self._row(point, part, case) for point, case in zip(new, self._driven(new), strict=True))
         rows = [self._study.known(_key(point)) or {} for point in points]
         self.rows += [{"trial": len(self.rows) + k, **row} for k, row in enumerate(rows)]
-        self._check_recorded()
+        first = self.rows[0]
+        if first["outcome"] == ERROR:
+            raise LogError(f"the recorded case could not be driven: {first['why']}", file=self._question.subject.name)
         least = min((row["distance"] for row in self.rows if row["outcome"] == FAIL), default=inf)
         best = f"mildest failure at distance {least:.3f}" if least < inf else "no failure that counts yet"
         self._say(f"{part}: {len(self.rows)} of at most {counted(self._question.budget, 'drive')}, {best}")
@@ -229,11 +331,6 @@ class Drives:
     def row_of(self, point: Point | None) -> Mapping[str, Any]:
         """The row of a point; empty for None."""
         return {} if point is None else next(row for row in self.rows if row["key"] == _key(point))
-
-    def _check_recorded(self) -> None:
-        first = self.rows[0]
-        if first["outcome"] == ERROR:
-            raise LogError(f"the recorded case could not be driven: {first['why']}", file=self._question.subject.name)
 
     def _row(self, point: Point, part: str, case: Case) -> dict[str, Any]:
         distance = norm(point)
@@ -255,39 +352,32 @@ class Drives:
         asked = self._question
         shutil.rmtree(self._scratch, ignore_errors=True)
         (self._scratch / "logs").mkdir(parents=True)
+        made: list[Path | Case] = []
         try:
-            made = [self._log(point, k) for k, point in enumerate(points)]
+            for k, point in enumerate(points):
+                path = self._scratch / "logs" / f"{k}.mcap"
+                try:
+                    write_scenario(path, asked.subject.at(asked.axes, values_at(asked.axes, point)))
+                    made.append(path)
+                except LogError as error:  # there is no such scenario
+                    made.append(Case(ERROR, why=str(error)))
             logs = [log for log in made if isinstance(log, Path)]
             if not logs:
-                return [Case(ERROR, why=str(why)) for why in made]
+                return [one for one in made if isinstance(one, Case)]
             results = evaluate_logs(logs, asked.driven, self._scratch / "results", workers=self._workers)
             names = dict(zip(results.logs["source"], results.logs["log"], strict=True))
             return [
-                judged(results, names[str(log)], self._gates, asked.planner, asked.against)
-                if isinstance(log, Path)
-                else Case(ERROR, why=log)
-                for log in made
+                one
+                if isinstance(one, Case)
+                else judged(results, names[str(one)], self._gates, asked.planner, asked.against)
+                for one in made
             ]
         finally:
             shutil.rmtree(self._scratch, ignore_errors=True)
 
-    def _log(self, point: Point, k: int) -> Path | str:
-        """The file of a point's scenario, or why there is none."""
-        asked, path = self._question, self._scratch / "logs" / f"{k}.mcap"
-        try:
-            write_scenario(path, asked.subject.at(asked.axes, values_at(asked.axes, point)))
-        except LogError as error:
-            return str(error)
-        return path
-
 
 def _key(point: Point) -> str:
     return " ".join(f"{u:.10g}" for u in point)
-
-
-def _table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    table = pd.DataFrame(rows).drop(columns="key")
-    return table.astype({"robustness": float})
 
 
 def _write(result: Falsified, workers: int) -> None:
@@ -312,8 +402,8 @@ def _write(result: Falsified, workers: int) -> None:
         "budget": asked.budget,
         "resolution": asked.resolution,
         "falsified": found.point is not None,
-        "distance": _finite(found.distance),
-        "passes_at": _finite(found.passes),
+        "distance": found.distance if isfinite(found.distance) else None,
+        "passes_at": found.passes if isfinite(found.passes) else None,
         "case": {axis.name: result.case[axis.name] for axis in asked.axes} if result.case else None,
         "gates": result.case.get("gates", "").split("; ") if result.case else [],
         "drives": len(result.table),
@@ -322,7 +412,3 @@ def _write(result: Falsified, workers: int) -> None:
         "exit_code": result.exit_code,
     }
     write_json(out / "falsify.json", card)
-
-
-def _finite(value: float) -> float | None:
-    return value if isfinite(value) else None

@@ -1,4 +1,4 @@
-"""By how much a run is better than the one with the defaults, log by log, and whether that is more than chance.
+"""Logs to search on and held-out logs; by how much a run is better than the defaults, and is that more than chance?
 
 For a log i and an objective j, a row of the table of metrics whose direction says which way is better:
 
@@ -11,13 +11,22 @@ For a log i and an objective j, a row of the table of metrics whose direction sa
     the Pareto front
 (6) better = over the held-out logs, the 95 % interval of the mean of sum over j of gain_ij is above 0: a paired
     percentile bootstrap over logs, seeded, of `LEAST_LOGS` logs at least (`metrics.compare`, (5) and (6))
+
+Logs are put in the order of their stratum (the family, else the dataset, else none), then of the SHA-256 of their name.
+Of this order the k-th, from 0, is held out where
+
+(7) floor((k + 1) share) > floor(k share)
+
+a systematic sample: every stratum gives about its share, and floor(n share) logs are held out in all. No clock, seed or
+order of arguments has a say; a log that is added may move others of its stratum and those after it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, nan
+from hashlib import sha256
+from math import floor, isfinite, nan
 
 import numpy as np
 
@@ -26,10 +35,13 @@ from logs.kernel import FloatArray
 from logs.trace import Mode
 from metrics import Metric
 from metrics.compare import MIN_SIGNIFICANT, intervals, noise
+from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Outcome
 from replay.results.load import Results
 
 LEAST_LOGS = MIN_SIGNIFICANT
+SLACK = 1e-9
+"""0.3 of ten logs are three, rounding or not."""
 DEFAULT_OBJECTIVES = ("plan_score.mean", "lon_jerk_state.p95")
 """Progress, safety and rules of the plans as NAVSIM weighs them (EPDMS), and comfort as it is driven."""
 
@@ -55,30 +67,25 @@ def objectives(names: Sequence[str], metrics: Mapping[str, Metric]) -> tuple[Obj
     Raises:
         ConfigError: No metric has a row of this name, or it has no better way; a name is there twice.
     """
-    known = dict(_rows(metrics))
-    found = []
-    for name in names:
-        if name not in known:
-            raise unknown_name("metric (of --objective)", name, known)
-        if known[name] is None:
-            raise ConfigError(f"--objective {name}: neither more nor less of it is better; replan metrics lists others")
-        found.append(known[name])
-    if len(set(names)) < len(names):
-        raise ConfigError(f"--objective: a metric is named twice: {', '.join(names)}")
-    return tuple(one for one in found if one is not None)
-
-
-def _rows(metrics: Mapping[str, Metric]) -> list[tuple[str, Objective | None]]:
-    """The names of all rows of the table, and the objective that each is; None: it has no direction."""
-    rows: list[tuple[str, Objective | None]] = []
+    known: dict[str, Objective | None] = {}
     for metric in metrics.values():
         mode = (Mode.CLOSED if Mode.CLOSED in metric.modes else Mode.OPEN).value
         for part in metric.parts or ("",):
             for reduction in metric.reductions:
-                name = ".".join(filter(None, (metric.name, part, reduction.name)))
+                row = ".".join(filter(None, (metric.name, part, reduction.name)))
                 sign = {"higher": 1.0, "lower": -1.0}.get(reduction.direction or metric.direction)
-                rows.append((name, None if sign is None else Objective(name, mode, sign)))
-    return rows
+                known[row] = None if sign is None else Objective(row, mode, sign)
+    found = []
+    for name in names:
+        if name not in known:
+            raise unknown_name("metric (of --objective)", name, known)
+        objective = known[name]
+        if objective is None:
+            raise ConfigError(f"--objective {name}: neither more nor less of it is better; replan metrics lists others")
+        found.append(objective)
+    if len(set(names)) < len(names):
+        raise ConfigError(f"--objective: a metric is named twice: {', '.join(names)}")
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,3 +157,19 @@ def better(gain: FloatArray) -> Better:
 def is_dominated(one: FloatArray, others: FloatArray) -> bool:
     """Whether one of the others `(m, j)` is at least as good in each objective, and better in one."""
     return bool(((others >= one).all(axis=1) & (others > one).any(axis=1)).any())
+
+
+def held_out(labels: Mapping[str, LogLabels], share: float) -> frozenset[str]:
+    """The names of the logs that are held out (7).
+
+    Args:
+        labels: What each log belongs to, by name.
+        share: Of the logs, 0 to 1.
+    """
+    order = sorted(labels, key=lambda name: (stratum(labels[name]), sha256(name.encode()).digest()))
+    return frozenset(name for k, name in enumerate(order) if floor((k + 1) * share + SLACK) > floor(k * share + SLACK))
+
+
+def stratum(labels: LogLabels) -> str:
+    """What a log is drawn from."""
+    return labels.family or labels.dataset

@@ -84,15 +84,12 @@ class _Trials:
 
     def ask(self, points: FloatArray, part: str) -> list[Scored | None]:
         """The scores of points `(k, n)`; each is evaluated once, None where the budget does not allow it any more."""
-        asked = [self._rounded(point) for point in points]
+        asked = [tuple(point) for point in (np.clip(points, *self.box).round(DIGITS) + 0.0).tolist()]
         new = [point for point in dict.fromkeys(asked) if point not in self.found][: self.left]
         if new:
             self.found.update(zip(new, self._evaluate(new, part), strict=True))
             self.left -= len(new)
         return [self.found.get(point) for point in asked]
-
-    def _rounded(self, point: FloatArray) -> Point:
-        return tuple((np.clip(point, *self.box).round(DIGITS) + 0.0).tolist())
 
     def mildest(self) -> Point | None:
         """Of the points that count the nearest; of equals the first."""
@@ -139,7 +136,12 @@ def search(box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resol
     trials = _Trials(box, evaluate, budget)
     trials.ask(np.zeros((1, box.shape[1])), "recorded")
     if trials.mildest() is None:
-        _spread(trials, round(SPREAD * budget), seed)
+        from scipy.stats.qmc import Halton  # here: it takes long to load
+
+        (low, high), count = box, round(SPREAD * budget)
+        points = low + (high - low) * Halton(len(low), scramble=True, rng=np.random.default_rng(seed)).random(count)
+        for begin in range(0, count, BATCH):
+            trials.ask(trials.pulled(points[begin : begin + BATCH]), "spread")
         for reserve in (min(3 * BATCH + box.shape[1], budget // 3), BATCH, 0):  # for what comes after a find
             _evolve(trials, cma, seed, reserve=reserve)
             if trials.mildest() is not None:
@@ -150,7 +152,13 @@ def search(box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resol
     point = trials.mildest()
     if point is None:
         return Mildest(None, inf, np.nan, len(trials.found))
-    return Mildest(point, norm(point), _passes(trials, point), len(trials.found))
+    length, passes = norm(point), np.nan
+    if length > 0.0:
+        along = np.array(point) / length
+        others = [np.array(one) for one, scored in trials.found.items() if not scored.counts]
+        near = [float(one @ along) for one in others if norm(one - (one @ along) * along) <= 2.0 * 10.0**-DIGITS]
+        passes = max((s for s in near if 0.0 <= s < length), default=np.nan)
+    return Mildest(point, length, passes, len(trials.found))
 
 
 def cma_class(budget: int) -> Any:
@@ -162,15 +170,6 @@ def cma_class(budget: int) -> Any:
     except ImportError:
         raise ConfigError("replan falsify needs cmaes: pip install 'replan[improve]'") from None
     return CMA
-
-
-def _spread(trials: _Trials, count: int, seed: int) -> None:
-    from scipy.stats.qmc import Halton  # here: it takes long to load
-
-    low, high = trials.box
-    points = low + (high - low) * Halton(len(low), scramble=True, rng=np.random.default_rng(seed)).random(count)
-    for begin in range(0, count, BATCH):
-        trials.ask(trials.pulled(points[begin : begin + BATCH]), "spread")
 
 
 def _evolve(trials: _Trials, cma: Any, seed: int, *, reserve: int) -> None:
@@ -227,14 +226,3 @@ def _line(trials: _Trials, resolution: float) -> None:
         known = [(share, one.counts) for share, one in zip(shares.tolist(), found, strict=True) if one is not None]
         high = min((share for share, counts in known if counts), default=high)
         low = max((share for share, counts in known if not counts and share < high), default=low)
-
-
-def _passes(trials: _Trials, point: Point) -> float:
-    """See `Mildest.passes`."""
-    length = norm(point)
-    if length == 0.0:
-        return np.nan
-    along = np.array(point) / length
-    others = [np.array(one) for one, scored in trials.found.items() if not scored.counts]
-    near = [float(one @ along) for one in others if norm(one - (one @ along) * along) <= 2.0 * 10.0**-DIGITS]
-    return max((s for s in near if 0.0 <= s < length), default=np.nan)

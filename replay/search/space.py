@@ -50,32 +50,36 @@ class Setting:
     choices: tuple[Value, ...] = ()
 
     def __post_init__(self) -> None:
-        number = isinstance(self.default, int | float) and not isinstance(self.default, bool)
-        ends = [end for end in (self.low, self.high) if end is not None]
-        whole = isinstance(self.default, int) and not isinstance(self.default, bool)
-        numbers = [*ends, *([] if self.step is None else [self.step])]
-        rules = {
-            "needs low and high, or choices": bool(self.choices) != (len(ends) == 2) and len(ends) != 1,
-            f"is no number ({self.default!r}): give choices": bool(self.choices) or number,
-            "low, high and step must be finite numbers": all(_is_number(value) for value in numbers),
-        }
-        _hold(self.key, rules)
+        numbers = [value for value in (self.low, self.high, self.step) if value is not None]
+        ends = len(numbers) - (self.step is not None)
+        finite = [_is_number(value) and isfinite(value) for value in numbers]
+        self._hold({
+            "needs low and high, or choices": bool(self.choices) != (ends == 2) and ends != 1,
+            f"is no number ({self.default!r}): give choices": bool(self.choices) or _is_number(self.default),
+            "low, high and step must be finite numbers": all(finite),
+        })  # fmt: skip
         if self.choices:
             different = len(set(self.choices)) == len(self.choices) > 1
-            _hold(self.key, {"choices: give at least two, all different": different})
-            _hold(self.key, {"choices go without log and step": not self.log and self.step is None})
+            plain = not self.log and self.step is None
+            self._hold({"choices: give at least two, all different": different,
+                        "choices go without log and step": plain})  # fmt: skip
             return
         assert self.low is not None and self.high is not None
-        rules = {
+        self._hold({
             f"low ({self.low:g}) must be below high ({self.high:g})": self.low < self.high,
             f"log needs a positive low, got {self.low:g}": not self.log or self.low > 0.0,
             "log and step do not go together": not self.log or self.step is None,
             "step must be positive and at most high - low":
                 self.step is None or 0.0 < self.step <= self.high - self.low,
             f"its default is the whole number {self.default!r}: low, high and step must be whole, too":
-                not whole or all(float(value).is_integer() for value in numbers),
-        }  # fmt: skip
-        _hold(self.key, rules)
+                not self.is_whole or all(float(value).is_integer() for value in numbers),
+        })  # fmt: skip
+
+    def _hold(self, rules: Mapping[str, bool]) -> None:
+        """ConfigError with the first complaint that does not hold."""
+        for complaint, holds in rules.items():
+            if not holds:
+                raise ConfigError(f"{self.key}: {complaint}")
 
     @property
     def key(self) -> str:
@@ -91,6 +95,15 @@ class Setting:
         return isinstance(self.default, int) and not isinstance(self.default, bool) and not self.choices
 
     @property
+    def holds_default(self) -> bool:
+        """Whether the default is in the range, on its steps."""
+        if self.choices:
+            return self.default in self.choices
+        assert self.low is not None and self.high is not None and isinstance(self.default, int | float)
+        steps = (self.default - self.low) / self.step if self.step else 0.0
+        return self.low <= self.default <= self.high and abs(steps - round(steps)) < 1e-9
+
+    @property
     def ends(self) -> tuple[Value, ...]:
         """The values that are checked beforehand."""
         if self.choices:
@@ -99,14 +112,7 @@ class Setting:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
-
-
-def _hold(key: str, rules: Mapping[str, bool]) -> None:
-    """ConfigError with the first complaint that does not hold."""
-    for complaint, holds in rules.items():
-        if not holds:
-            raise ConfigError(f"{key}: {complaint}")
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def load_space(path: Path, run: RunConfig) -> tuple[Setting, ...]:
@@ -126,7 +132,11 @@ def load_space(path: Path, run: RunConfig) -> tuple[Setting, ...]:
         if not settings:
             raise ConfigError("holds no setting; write KEY = { low = 0.1, high = 10.0 }")
         for setting in settings:
-            _check_ends(setting, run)
+            for value in setting.ends:
+                try:
+                    checked(with_values(run, {setting.path: value}))
+                except ConfigError as error:
+                    raise ConfigError(f"{setting.key} = {value!r} is refused: {error}") from None
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     return settings
@@ -151,15 +161,6 @@ def _settings(table: Mapping[str, Any], resolved: Mapping[str, Any], where: tupl
         if not isinstance(choices, list) or not isinstance(entry.get("log", False), bool):
             raise ConfigError(f"{key}: choices is a list, and log is true or false")
         yield Setting(path, default, **{**entry, "choices": tuple(choices)})
-
-
-def _check_ends(setting: Setting, run: RunConfig) -> None:
-    """ConfigError where a value at an end of the range is refused."""
-    for value in setting.ends:
-        try:
-            checked(with_values(run, {setting.path: value}))
-        except ConfigError as error:
-            raise ConfigError(f"{setting.key} = {value!r} is refused: {error}") from None
 
 
 def with_values(run: RunConfig, values: Mapping[tuple[str, ...], Value]) -> RunConfig:

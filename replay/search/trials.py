@@ -59,16 +59,12 @@ class Plan:
         """What makes two tunings the same but for the number of trials; `logs` are the identities by name."""
         stamp = stamp_of(self.driven)
         return {
-            "study": KIND,
-            "replan": stamp.replan,
-            "code": stamp.code[:12],
-            "seed": self.seed,
-            "share": self.share,
+            "study": KIND, "replan": stamp.replan, "code": stamp.code[:12], "seed": self.seed, "share": self.share,
             "objectives": [one.metric for one in self.objectives],
             "settings": {one.key: repr(one) for one in self.settings},
             "logs": {name: sha256(identity.encode()).hexdigest()[:16] for name, identity in logs.items()},
             "run": dump_run(self.driven),
-        }
+        }  # fmt: skip
 
 
 def optuna_module() -> Any:
@@ -97,19 +93,17 @@ class Trials:
             )
         self._distributions = {one.key: self._distribution(one) for one in plan.settings}
         self._trial: Any = None
-        values = {one.key: one.default for one in plan.settings}
-        if all(_contains(one) for one in plan.settings):
-            self._study.enqueue_trial(values)
+        if all(one.holds_default for one in plan.settings):
+            self._study.enqueue_trial({one.key: one.default for one in plan.settings})
 
     def _distribution(self, setting: Setting) -> Any:
-        kinds = self._optuna.distributions
+        kinds, low, high = self._optuna.distributions, setting.low, setting.high
         if setting.choices:
             return kinds.CategoricalDistribution(setting.choices)
-        assert setting.low is not None and setting.high is not None
+        assert low is not None and high is not None
         if setting.is_whole:
-            step = int(setting.step or 1)
-            return kinds.IntDistribution(int(setting.low), int(setting.high), log=setting.log, step=step)
-        return kinds.FloatDistribution(float(setting.low), float(setting.high), log=setting.log, step=setting.step)
+            return kinds.IntDistribution(int(low), int(high), log=setting.log, step=int(setting.step or 1))
+        return kinds.FloatDistribution(float(low), float(high), log=setting.log, step=setting.step)
 
     def ask(self) -> Values:
         """The settings of the next trial."""
@@ -126,39 +120,23 @@ class Trials:
             self._trial.set_user_attr("violation", float(row["failed"] - self._default.failed))
             self._study.tell(self._trial, [row[f"gain {one.metric}"] for one in self._plan.objectives])
 
-    def row(self, values: Values, found: Measured) -> dict[str, Any]:
-        """The row of a trial."""
+    def row(self, values: Values, found: Measured | str) -> dict[str, Any]:
+        """The row of a trial: of what was measured, or of settings that are refused together, and why."""
+        row: dict[str, Any] = {one.key: values[one.path] for one in self._plan.settings}
+        names = [f"gain {one.metric}" for one in self._plan.objectives]
+        if isinstance(found, str):
+            refused = {"total": None, "failed": None, "feasible": False, "refused": found}
+            return {**row, **dict.fromkeys(names), **refused}
         mean = gains(found.values, self._default.values, self._scale, self._plan.objectives).mean(axis=1)
         return {
-            **self._named(values),
-            **{f"gain {one.metric}": float(gain) for one, gain in zip(self._plan.objectives, mean, strict=True)},
-            "total": float(mean.sum()),
-            "failed": found.failed,
-            "feasible": found.failed <= self._default.failed,
-            "refused": "",
-        }
-
-    def refused(self, values: Values, why: str) -> dict[str, Any]:
-        """The row of settings that are refused together."""
-        none = {f"gain {one.metric}": None for one in self._plan.objectives}
-        return {**self._named(values), **none, "total": None, "failed": None, "feasible": False, "refused": why}
-
-    def _named(self, values: Values) -> dict[str, Value]:
-        return {one.key: values[one.path] for one in self._plan.settings}
+            **row, **dict(zip(names, mean.tolist(), strict=True)), "total": float(mean.sum()), "failed": found.failed,
+            "feasible": found.failed <= self._default.failed, "refused": "",
+        }  # fmt: skip
 
 
 def _quiet() -> warnings.catch_warnings[None]:
     """Without optuna's remarks about what it may change in a later version."""
     return warnings.catch_warnings(action="ignore")
-
-
-def _contains(setting: Setting) -> bool:
-    """Whether the default lies in the range."""
-    if setting.choices:
-        return setting.default in setting.choices
-    assert setting.low is not None and setting.high is not None and isinstance(setting.default, int | float)
-    steps = (setting.default - setting.low) / setting.step if setting.step else 0.0
-    return setting.low <= setting.default <= setting.high and abs(steps - round(steps)) < 1e-9
 
 
 def key_of(values: Values) -> str:

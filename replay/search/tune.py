@@ -17,6 +17,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -48,12 +49,13 @@ from replay.search.gains import (
     Measured,
     better,
     gains,
+    held_out,
     is_dominated,
     measured,
     scales,
+    stratum,
 )
-from replay.search.space import Setting, Value, chosen_table, listed, with_values
-from replay.search.split import held_out, stratum
+from replay.search.space import chosen_table, listed, with_values
 from replay.search.study import Study
 from replay.search.trials import Plan, Trials, Values, key_of, optuna_module
 
@@ -178,7 +180,12 @@ def tune(
     with held(out):
         logs = _sorted_logs(selection, out, plan.share)
         study = Study(out, plan.head(logs.identities), resume=resume)
-        _write_synthesised(selection, logs)
+        for source in selection.sources:  # logs of the catalogue as files
+            if source.path is None and not source.remote:
+                scenario = source.read()
+                file = Path(logs.places[scenario.name])
+                file.parent.mkdir(exist_ok=True)
+                write_scenario(file, scenario)
         return _tuned(plan, logs, study, _Driver(out, engine, resume), say)
 
 
@@ -202,7 +209,8 @@ def _sorted_logs(selection: Selection, out: Path, share: float) -> Logs:
         if name in labels:
             raise ConfigError(f"two logs are called '{name}' ({places[name]}, {source.label}); leave one of them out")
         labels[name] = LogLabels(scenario.family, scenario.dataset, scenario.tags)
-        places[name] = source.path or (source.label if source.remote else _synthesised(out, name))
+        synthesised = out / "logs" / f"{sha256(name.encode()).hexdigest()[:16]}.mcap"
+        places[name] = source.path or (source.label if source.remote else synthesised)
         identities[name] = identity_of(source)
     held = held_out(labels, share)
     logs = Logs(places, identities, {name: stratum(one) for name, one in labels.items()}, held)
@@ -214,20 +222,6 @@ def _sorted_logs(selection: Selection, out: Path, share: float) -> Logs:
     if not logs.training:
         raise ConfigError(f"--held-out {share:g} of {counted(len(labels), 'log')} leaves none to search on")
     return logs
-
-
-def _synthesised(out: Path, name: str) -> Path:
-    return out / "logs" / f"{sha256(name.encode()).hexdigest()[:16]}.mcap"
-
-
-def _write_synthesised(selection: Selection, logs: Logs) -> None:
-    """Logs of the catalogue as files."""
-    for source in selection.sources:
-        if source.path is None and not source.remote:
-            scenario = source.read()
-            file = Path(logs.places[scenario.name])
-            file.parent.mkdir(exist_ok=True)
-            write_scenario(file, scenario)
 
 
 @dataclass(frozen=True)
@@ -265,13 +259,13 @@ def _tuned(plan: Plan, logs: Logs, study: Study, driver: _Driver, say: Callable[
     default = measured(driver.kept(where, plan.driven, "training"), names, plan.objectives)
     search = Trials(plan, default)
 
-    def drive(values: Values) -> dict[str, Any]:
+    def drive(values: Values) -> Measured | str:
         try:
             run = with_values(plan.driven, values)
             checked(run)
         except ConfigError as error:
-            return search.refused(values, str(error))
-        return search.row(values, driver.passing(where, run, lambda results: measured(results, names, plan.objectives)))
+            return str(error)
+        return driver.passing(where, run, lambda results: measured(results, names, plan.objectives))
 
     rows: list[dict[str, Any]] = []
     for trial in range(plan.trials):
@@ -279,7 +273,7 @@ def _tuned(plan: Plan, logs: Logs, study: Study, driver: _Driver, say: Callable[
         key = key_of(values)
         row = study.known(key)
         if row is None:
-            row = drive(values)
+            row = search.row(values, drive(values))
             study.add([{"key": key, **row}])
         search.tell(row)
         rows.append({"trial": trial, **{name: cell for name, cell in row.items() if name != "key"}})
@@ -288,22 +282,15 @@ def _tuned(plan: Plan, logs: Logs, study: Study, driver: _Driver, say: Callable[
         say(f"{trial + 1} of {counted(plan.trials, 'trial')}, {what}")
     if all(row["refused"] for row in rows):
         raise ConfigError(f"no trial of {len(rows)} is accepted by the configuration: {rows[0]['refused']}")
-    table = _table(rows, plan)
-    result = _judged(plan, logs, table, scales(default.values), driver, say)
-    _write(result, default)
-    return result
-
-
-def _table(rows: Sequence[Mapping[str, Any]], plan: Plan) -> pd.DataFrame:
-    """A row per trial, those on the Pareto front marked."""
     table = pd.DataFrame(rows)
     columns = [f"gain {one.metric}" for one in plan.objectives]
     table = table.astype({**dict.fromkeys([*columns, "total", "failed"], float), "feasible": bool})
     points = table.loc[table["feasible"], columns].to_numpy(float)
-    front = [not is_dominated(point, points) for point in points]
     table["pareto"] = False
-    table.loc[table["feasible"], "pareto"] = front
-    return table
+    table.loc[table["feasible"], "pareto"] = [not is_dominated(point, points) for point in points]
+    result = _judged(plan, logs, table, scales(default.values), driver, say)
+    _write(result, default)
+    return result
 
 
 # the end ----------------------------------------------------------------------------------------------------------
@@ -317,7 +304,11 @@ def _judged(
     if good.empty:
         return Tuned(driver.out, plan, logs, table, {}, {}, None, None)
     chosen = {str(name): cell for name, cell in good.iloc[int(np.argmax(good["total"]))].items()}
-    values: Values = {one.path: _plain(chosen[one.key], one) for one in plan.settings}
+    values: Values = {}
+    for one in plan.settings:
+        cell = chosen[one.key]
+        plain = cell.item() if hasattr(cell, "item") else cell
+        values[one.path] = int(plain) if one.is_whole else plain
     say(f"trial {chosen['trial']} is chosen; now the held-out logs")
     where = logs.at(logs.held_out)
     default = driver.kept(where, plan.driven, "held_out/default")
@@ -326,12 +317,6 @@ def _judged(
     gain = gains(now.values, before.values, scale, plan.objectives)
     comparison = compare_runs(default, tuned, gates=plan.run.gates_path, partings=0)
     return Tuned(driver.out, plan, logs, table, chosen, values, better(gain), comparison)
-
-
-def _plain(value: Any, setting: Setting) -> Value:
-    """A cell of the table as the setting has it."""
-    plain = value.item() if hasattr(value, "item") else value
-    return int(plain) if setting.is_whole else plain
 
 
 def _write(result: Tuned, default: Measured) -> None:
@@ -358,14 +343,10 @@ def _write(result: Tuned, default: Measured) -> None:
         "chosen": {one.key: result.values[one.path] for one in plan.settings} if result.values else None,
         "gain": None if result.better is None else {
             "mean": result.better.mean,
-            "interval": [_finite(result.better.low), _finite(result.better.high)],
+            "interval": [end if isfinite(end) else None for end in (result.better.low, result.better.high)],
             "logs": result.better.logs,
         },
         "said": result.lines(),
         "exit_code": result.exit_code,
     }  # fmt: skip
     write_json(out / "tune.json", card)
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from logs import Goal, Scenario
 from logs.mcap import read_scenario, write_scenario
 from metrics.judge.gates import Gate
-from replay.search.cases import BOTH, ERROR, FAIL, PASS, Case, robustness
+from replay.search.falsify import BOTH, ERROR, FAIL, PASS, Case, robustness
 from replay.search.study import FILE
 
 pytest.importorskip("cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'")

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from replay.config import LoopConfig, RunConfig
     from replay.draw.charts.canvas import Chart
     from replay.draw.charts.subject import Subject
-    from replay.mine.events import Event, EventKind
+    from replay.mine.driven_log import Event, EventKind
     from replay.prediction import LaneMap
     from replay.results.load import DriveResult, Results, load
     from replay.traffic import Traffic
@@ -122,7 +122,7 @@ _NAMES = {
     "replay.prediction": "LaneMap",
     "replay.draw.charts.canvas": "Chart",
     "replay.draw.charts.subject": "Subject",
-    "replay.mine.events": "Event EventKind",
+    "replay.mine.driven_log": "Event EventKind",
     "replay.results.load": "DriveResult Results load",
     "replay.traffic": "Traffic",
     "replay.vehicle.base": "Controller Vehicle",

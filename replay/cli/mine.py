@@ -61,7 +61,7 @@ def mine(
     """  # fmt: skip
     with handle_errors():
         if markdown:
-            from replay.mine.page import page
+            from replay.mine.kinds import page
 
             say(page())
             return
@@ -148,7 +148,7 @@ def cut(
       replan cut results/run-001 --table verdicts --where "outcome = 'fail'" -o failures
     """
     with handle_errors():
-        from replay.mine.cut import cut_logs, moments
+        from replay.mine.query import cut_logs, moments
 
         for file in cut_logs(run, moments(run, where, table, before, after), out):
             say(file)
@@ -165,9 +165,9 @@ def suite(run: Mined, out: Annotated[Path, typer.Option("--out", "-o", help="The
     """
     with handle_errors():
         from logs.names import counted
+        from replay.mine.coverage import suite_of, write_suite
         from replay.mine.mine import read_mined
         from replay.mine.query import check_mined
-        from replay.mine.suite import suite_of, write_suite
         from replay.run.output import begun_in
 
         check_mined(run)

@@ -66,10 +66,9 @@ def falsify(
       replan falsify my_log.mcap -p my_pkg.mine:MyPlanner --against dp_qp --axis standing_car=15:80
     """
     with handle_errors():
-        from replay.search.axes import search_axes
+        from replay.search.axes import agents_of, opened, search_axes
         from replay.search.falsify import Question
         from replay.search.falsify import falsify as falsified
-        from replay.search.subject import agents_of, opened
 
         if not resolution > 0.0:
             raise ConfigError(f"--resolution must be positive, got {resolution:g}")

@@ -25,9 +25,8 @@ from metrics.encounters import CROSSING_RAD
 from metrics.encounters import SERIOUS_S as PET_S
 from metrics.metric import once
 from metrics.safety import TAU_S as TTC_S
-from replay.mine.driven_log import DrivenLog, Neighbour, runs, steps
+from replay.mine.driven_log import DrivenLog, Event, EventKind, Neighbour, runs, steps
 from replay.mine.ego_and_road import HARD_MPS2
-from replay.mine.events import Event, EventKind
 
 NEAR_S, NEAR_M = 2.0, 1.0
 """A course to touch was a near miss where they come this near within this time after it, or where one brakes hard."""
@@ -48,18 +47,14 @@ def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
             until = min(last + steps(NEAR_S), len(one.k) - 1)
             after = slice(first, until + 1)
             braked = min(float(np.nanmin(log.accel[one.k[after]], initial=0.0)), float(one.accel[after].min()))
-            if braked <= -HARD_MPS2 or _clearance(log, one, first, until) < NEAR_M:
-                least = float(found[first : last + 1].min())
-                yield Event(float(log.t[one.k[first]]), float(log.t[one.k[last]]), least, (one.id,))
-
-
-def _clearance(log: DrivenLog, one: Neighbour, first: int, last: int) -> float:
-    """Least distance of the two boxes from one place to another, m."""
-    pairs = zip(
-        log.boxes[:3, one.k[first : last + 1]].T.tolist(), one.pose[:3, first : last + 1].T.tolist(), strict=True
-    )
-    length, width = log.car.length, log.car.width
-    return min(clearance(x, y, yaw, length, width, u, v, turned, *one.size) for (x, y, yaw), (u, v, turned) in pairs)
+            ego, other = log.boxes[:3, one.k[after]].T.tolist(), one.pose[:3, after].T.tolist()
+            length, width = log.car.length, log.car.width
+            room = min(
+                clearance(x, y, yaw, length, width, u, v, turned, *one.size)
+                for (x, y, yaw), (u, v, turned) in zip(ego, other, strict=True)
+            )
+            if braked <= -HARD_MPS2 or room < NEAR_M:
+                yield log.event(one, first, last, found[first : last + 1].min())
 
 
 def _near_miss_pet(log: DrivenLog) -> Iterator[Event]:

@@ -1,4 +1,8 @@
-"""A log laid out for mining: the recorded drive on a grid, and the other road users in the frame of its path.
+"""What is looked for in a log, and the log laid out for that: on a grid, road users in the frame of the ego's path.
+
+An `EventKind` finds `Event`s in a `DrivenLog`: one function (log) -> events, and one row of `replay.mine.kinds`. One
+of your own is an `EventKind` in a module, named as "module:NAME" (`replan mine --kind module:NAME`) or by an entry
+point of the group `replan.events`.
 
 The path is the way that the recorded rear axle took, as a reference line (straight on before its begin and beyond its
 end). It holds the log's future: mining looks back at a whole log, no planner sees it. With a road user's box centre at
@@ -13,7 +17,7 @@ A road user is looked at where it is within `NEAR_M` of the ego, at the steps of
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,8 +27,8 @@ from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.road import ReferenceLine, line_frame, line_project, thinned
 from logs.scenario import AgentKind, Scenario
 from logs.states import Trajectory, wrap
-from metrics.boxes import GRID_S, Car, car_of, ego_boxes, in_spans, phantoms, without_phantoms
-from metrics.metric import rate_of_change
+from metrics.boxes import GRID_S, car_of, ego_boxes, in_spans, phantoms, without_phantoms
+from metrics.metric import Unavailable, rate_of_change
 
 NEAR_M = 80.0
 SEARCH_M, FOLLOW_M = 120.0, 15.0
@@ -33,6 +37,54 @@ SHORT_M = 2.0
 """An ego that goes a shorter way stands: its path is straight along its heading."""
 FELT_S = 0.5
 """The ego's acceleration is the change of its speed over this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One thing that happened in a log.
+
+    Attributes:
+        begin: s since the log's start; `end` likewise, not before it.
+        value: The number that the kind measures, in its unit; NaN: it measures none.
+        agents: Ids of the road users that took part, the main one first; empty: none but the ego.
+        what: More in words ("left", "crosswalk 7"); may be empty.
+    """
+
+    begin: float
+    end: float
+    value: float
+    agents: tuple[str, ...] = ()
+    what: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class EventKind:
+    """What is looked for.
+
+    Attributes:
+        name: One word, as in the column `kind` of events.parquet.
+        find: The events of a log in any order; Unavailable where the log lacks what is needed to look.
+        meaning: What it is and between which times it lasts, with its thresholds.
+        measures: What `Event.value` is; empty: it is NaN.
+        unit: Of the value: "m", "s", "m/s", "m/s2", "1".
+        source: Where the definition comes from; empty: it is ours.
+
+    Raises:
+        ValueError: A field is not what it should be.
+    """
+
+    name: str
+    find: Callable[[DrivenLog], Iterable[Event] | Unavailable]
+    meaning: str
+    measures: str = ""
+    unit: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or self.name.split() != [self.name]:
+            raise ValueError(f"event kind {self.name!r}: its name has to be one word")
+        if not callable(self.find):
+            raise ValueError(f"event kind {self.name!r}: find has to be a function (log) -> events")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -131,6 +183,10 @@ class DrivenLog:
             who[one.k[closer]], gap[one.k[closer]] = place, mine[closer]
         return who, np.where(who >= 0, np.maximum(gap, 0.0), np.nan)
 
+    def event(self, one: Neighbour, first: int, last: int, value: float, what: str = "") -> Event:
+        """An event of a road user from one of its places to another."""
+        return Event(float(self.t[one.k[first]]), float(self.t[one.k[last]]), float(value), (one.id,), what)
+
     def gap_to(self, one: Neighbour) -> FloatArray:
         """`(m,)` way along the path from the ego's front bumper to a road user's nearest part ahead, m."""
         return one.s - one.half_s - self.front[one.k]
@@ -210,6 +266,3 @@ def _on_path(knots: FloatArray, coef: FloatArray, k: IntArray, station: FloatArr
         out[0, i], out[1, i] = s, l
         out[2, i] = wrap(pose[2, i] - line_frame(knots, coef, s)[2])
     return out
-
-
-__all__ = ["GRID_S", "Car", "DrivenLog", "Neighbour", "runs", "steps"]

@@ -20,8 +20,7 @@ from logs.rules import RED, StopLine
 from logs.scenario import AgentKind
 from logs.states import wrap
 from metrics.metric import Unavailable, once
-from replay.mine.driven_log import DrivenLog, runs, steps
-from replay.mine.events import Event, EventKind
+from replay.mine.driven_log import DrivenLog, Event, EventKind, runs, steps
 
 HARD_MPS2, HARD_S = 3.0, 0.3
 CHANGE_S, STAYS_S = 2.0, 1.0
@@ -81,11 +80,6 @@ def _neighbours(road: Road, lane: int) -> set[int]:
         return set()
     pair = road.lanes[lane].left_neighbour, road.lanes[lane].right_neighbour
     return {i for i in pair if i is not None and i in road.lanes}
-
-
-def lane_at(log: DrivenLog, k: int) -> Lane | None:
-    """The lane that the ego is on at a step."""
-    return next((stay.lane for stay in stays(log) if stay.first <= k <= stay.last), None)
 
 
 def crosses_others(road: Road, x: float, y: float) -> bool:
@@ -291,20 +285,15 @@ def _crosswalk(log: DrivenLog) -> Iterable[Event] | Unavailable:
         on = np.array([inside(float(x), float(y), crosswalk.polygon) for x, y in way])
         for a, b in runs(on):
             for first, last in runs((log.front >= s[a]) & (log.back <= s[b])):
-                around = [
-                    one.id for one in log.neighbours
-                    if one.kind is AgentKind.PEDESTRIAN and _near_polygon(one.pose, one.k, first, last, (low, high))
-                ]  # fmt: skip
+                around = []
+                for one in log.neighbours:
+                    xy = one.pose[:2, (one.k >= first) & (one.k <= last)].T
+                    near = ((xy >= low - WALKER_M) & (xy <= high + WALKER_M)).all(axis=1).any()
+                    if one.kind is AgentKind.PEDESTRIAN and near:
+                        around.append(one.id)
                 v = float(log.ego.v[first])
                 found.append(Event(*_span(log, first, last), v, tuple(around), f"crosswalk {crosswalk.id}"))
     return found
-
-
-def _near_polygon(pose: FloatArray, k: np.ndarray, first: int, last: int, box: tuple[FloatArray, FloatArray]) -> bool:
-    """Whether a road user is within `WALKER_M` of a crosswalk's bounding box while the ego is on it."""
-    during = (k >= first) & (k <= last)
-    xy = pose[:2, during].T
-    return bool(((xy >= box[0] - WALKER_M) & (xy <= box[1] + WALKER_M)).all(axis=1).any())
 
 
 EGO_AND_ROAD = (

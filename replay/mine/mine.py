@@ -22,15 +22,12 @@ from logs.errors import LogError, PlannerError, ReplanError, of_users, raised
 from logs.kernel import cold
 from logs.names import counted
 from logs.road import RoadSource
-from logs.scenario import Scenario
 from metrics import health
 from metrics.metric import Unavailable
 from replay.config import RunConfig, dump_run
-from replay.mine.driven_log import DrivenLog
-from replay.mine.ego_and_road import crosses_others, in_roundabout, lane_at
-from replay.mine.events import Event, EventKind
-from replay.mine.kinds import EVENT_KIND, KINDS
-from replay.mine.plan_events import PLAN_KINDS, plan_events
+from replay.mine.driven_log import DrivenLog, Event, EventKind
+from replay.mine.ego_and_road import crosses_others, in_roundabout, stays
+from replay.mine.kinds import EVENT_KIND, KINDS, PLAN_KINDS, plan_events
 from replay.results.schema import names_of
 from replay.results.tables import claim, joined, next_free, write_json, write_parquet, write_text
 from replay.results.version import replan_version
@@ -105,7 +102,7 @@ def mine(
         selection: The logs.
         run: How logs are read, and the settings of the planners.
         kinds: "module:NAME" of kinds of your own, beside the built-in ones.
-        planners: Planners that plan open loop over each log: the kinds of `replay.mine.plan_events`.
+        planners: Planners that plan open loop over each log: the kinds of `replay.mine.kinds`.
         workers: Child processes; 0: this one.
         on_log: Called as each log ends, in order of ending.
 
@@ -172,45 +169,52 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
     not_asked, failures, rows = [], [], []
     log = DrivenLog(scenario) if len(scenario.ego) > 1 else None
     for kind in _loaded(kinds):
-        found: list[Event] | Unavailable = Unavailable("the log holds one ego state only: there is no drive")
+        if log is None:
+            not_asked.append(f"{kind.name}: the log holds one ego state only: there is no drive")
+            continue
         try:
-            if log is not None:
-                found = _events_of(kind, log)
+            found = kind.find(log)
+            events = [] if isinstance(found, Unavailable) else list(found)
+            for event in events:
+                if not (isinstance(event, Event) and isfinite(event.begin) and event.begin <= event.end < np.inf):
+                    raise ValueError(f"{event!r} is no Event with a begin not after its end")
         except Exception as error:
             whose = "raised by code that the run names" if of_users(error) else "a bug in replan"
             failures.append(f"{scenario.name}: event kind '{kind.name}': {whose}: {raised(error, of=kind.find)}")
             continue
+        rows += [_row(log, kind, event, "") for event in events]
         if isinstance(found, Unavailable):
             not_asked.append(f"{kind.name}: {found.reason}")
-        elif log is not None:
-            rows += [_row(log, kind, event, "") for event in found]
     for planner in planners if log is not None else ():
         try:
             assert log is not None
             rows += [_row(log, PLAN_KINDS[name], event, planner) for name, event in plan_events(log, planner, run)]
         except PlannerError as error:
             failures.append(f"{scenario.name}: {error} [{planner}]")
-    findings = health.findings(scenario)
-    events = pd.DataFrame(rows, columns=names_of(EVENTS))
-    row = _log_row(source, scenario, digest, not_asked)
-    return MinedLog(scenario.name, row, events, health.table(scenario.name, findings), tuple(failures))
+    about = scenario.metadata
+    row = {
+        "log": scenario.name,
+        "source": source.label,
+        "sha256": digest,
+        "duration_s": float(scenario.duration),
+        "driven_m": float(np.hypot(np.diff(scenario.ego.x), np.diff(scenario.ego.y)).sum()),
+        "agents": len(scenario.tracks),
+        "lanes": scenario.road.source is RoadSource.LANES,
+        "family": scenario.family,
+        "dataset": scenario.dataset,
+        "tags": list(scenario.tags),
+        "place": next((about[key] for key in PLACES if about.get(key)), ""),
+        "weather": next((about[key] for key in WEATHERS if about.get(key)), ""),
+        "not_asked": not_asked,
+        "error": "",
+    }
+    findings = health.table(scenario.name, health.findings(scenario))
+    return MinedLog(scenario.name, row, pd.DataFrame(rows, columns=names_of(EVENTS)), findings, tuple(failures))
 
 
 def _loaded(kinds: Sequence[str]) -> tuple[EventKind, ...]:
     """The built-in kinds and those that are named; ConfigError where one is unknown, or has the name of another."""
     return (*KINDS.values(), *(EVENT_KIND.find(name) for name in kinds if name not in KINDS))
-
-
-def _events_of(kind: EventKind, log: DrivenLog) -> list[Event] | Unavailable:
-    """The events of a kind in a log, checked; ValueError where one cannot be."""
-    found = kind.find(log)
-    if isinstance(found, Unavailable):
-        return found
-    events = list(found)
-    for event in events:
-        if not (isinstance(event, Event) and isfinite(event.begin) and event.begin <= event.end < np.inf):
-            raise ValueError(f"{event!r} is no Event with a begin not after its end")
-    return events
 
 
 def _row(log: DrivenLog, kind: EventKind, event: Event, planner: str) -> dict[str, Any]:
@@ -244,35 +248,13 @@ def _road_at(log: DrivenLog, k: int) -> str:
     road = log.scenario.road
     if road.source is not RoadSource.LANES:
         return "no lanes"
-    lane = lane_at(log, k)
+    lane = next((stay.lane for stay in stays(log) if stay.first <= k <= stay.last), None)
     if lane is not None and in_roundabout(road, lane):
         return "roundabout"
     around = (log.path.frame(float(log.station[k]) + away)[:2] for away in (-JUNCTION_M, 0.0, JUNCTION_M))
     if any(crosses_others(road, x, y) for x, y in around):
         return "junction"
     return "curve" if abs(log.path.frame(float(log.station[k]))[3]) > CURVE_KAPPA else "straight"
-
-
-def _log_row(source: LogSource, scenario: Scenario, digest: str, not_asked: Sequence[str]) -> dict[str, Any]:
-    """A row of logs.parquet."""
-    about = scenario.metadata
-    way = float(np.hypot(np.diff(scenario.ego.x), np.diff(scenario.ego.y)).sum())
-    return {
-        "log": scenario.name,
-        "source": source.label,
-        "sha256": digest,
-        "duration_s": float(scenario.duration),
-        "driven_m": way,
-        "agents": len(scenario.tracks),
-        "lanes": scenario.road.source is RoadSource.LANES,
-        "family": scenario.family,
-        "dataset": scenario.dataset,
-        "tags": list(scenario.tags),
-        "place": next((about[key] for key in PLACES if about.get(key)), ""),
-        "weather": next((about[key] for key in WEATHERS if about.get(key)), ""),
-        "not_asked": list(not_asked),
-        "error": "",
-    }
 
 
 def _not_mined(label: str, line: str) -> MinedLog:

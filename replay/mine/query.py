@@ -1,23 +1,35 @@
-"""`replan query`: SQL over the tables of a result folder, read only.
+"""`replan query`: SQL over the tables of a result folder, read only; `replan cut`: the moments that it finds, as logs.
 
 The views are the tables of docs/results.md under their names without ending: of a run `metrics`, `verdicts`, `groups`,
 `health`, `timings`, `frames`, `logs`, `drives`, `gates`, `failures`, `decisions`; of mined logs `events`, `logs`,
 `health`. Only those whose names are in the query are read. DuckDB runs one SELECT in memory, with its access to files,
 networks and extensions locked: a query reads these views and nothing else.
+
+A row of a query gives a log and a moment: its columns `t_from_s` and `t_to_s`, or `time_s`, or `t_s`. Moments of one
+log that overlap after `before` and `after` are added are one. The cut log is native, ready for `replan evaluate`, with
+its origin in its metadata ("cut.of", "cut.from_s", "cut.to_s", and the kinds of its events in "cut.kinds").
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
-from logs.errors import ConfigError
+from logs.errors import ConfigError, LogError, unknown_name, writing
+from logs.mcap import write_scenario
+from logs.readers.cut import cut as cut_scenario
+from logs.readers.cut import in_nanoseconds
+from logs.scenario import Scenario
+from metrics.boxes import ego_boxes
+from replay.config import load_run
 from replay.mine.mine import CARD, EVENTS, HEALTH, LOGS, read_mined
-from replay.results.tables import write_file
+from replay.results.tables import safe_name, write_file
+from replay.run.output import scenario_of
 
 RUN_VIEWS = (
     "metrics", "verdicts", "groups", "health", "timings", "frames", "logs", "drives", "gates", "failures", "decisions",
@@ -31,6 +43,9 @@ LOCKED = (
     "SET threads = 1",  # the order of rows that no ORDER BY asks for
     "SET lock_configuration = true",
 )
+TIMES = (("t_from_s", "t_to_s"), ("time_s", "time_s"), ("t_s", "t_s"))
+LEAST_S = 0.5
+"""A cut that would hold less of the log is an error."""
 WRITERS: Mapping[str, Callable[[pd.DataFrame, Path], object]] = {
     ".csv": lambda table, path: table.to_csv(path, index=False, lineterminator="\n"),
     ".parquet": lambda table, path: table.to_parquet(path, index=False),
@@ -72,7 +87,10 @@ def query(folder: Path, sql: str) -> pd.DataFrame:
         ConfigError: DuckDB is not installed, the SQL is wrong or no SELECT, or what it asks for is locked.
         LogError: A table is damaged.
     """
-    duckdb = _duckdb()
+    try:
+        import duckdb
+    except ImportError:
+        raise ConfigError("queries need DuckDB: pip install 'replan[improve]'") from None
     known = views(folder)
     with duckdb.connect(":memory:") as connection:
         for line in LOCKED:
@@ -105,9 +123,101 @@ def write_rows(table: pd.DataFrame, path: Path) -> None:
     write_file(path, lambda partial: WRITERS[path.suffix](table, partial))
 
 
-def _duckdb() -> Any:
-    try:
-        import duckdb
-    except ImportError:
-        raise ConfigError("queries need DuckDB: pip install 'replan[improve]'") from None
-    return duckdb
+# moments as logs ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A part of a log.
+
+    Attributes:
+        log: Its name in the tables.
+        begin: s since the log's start; `end` likewise.
+        kinds: The kinds of events in it.
+    """
+
+    log: str
+    begin: float
+    end: float
+    kinds: tuple[str, ...]
+
+
+def moments(folder: Path, where: str, table: str = "events", before: float = 5.0, after: float = 8.0) -> list[Moment]:
+    """The moments that a condition selects, sorted by log and begin.
+
+    Args:
+        folder: Of a run, or of `replan mine`.
+        where: The condition, in SQL, over the columns of `table`.
+        table: The view that is asked.
+        before: What is added before each row's begin, s.
+        after: What is added after its end, s.
+
+    Raises:
+        ConfigError: As `query`; nothing is selected, or the view has no log and time.
+    """
+    known = views(folder)
+    if table not in known:
+        raise unknown_name("view", table, known)
+    rows = query(folder, f'SELECT * FROM "{table}" WHERE ({where})')
+    times = next((pair for pair in TIMES if set(pair) <= set(rows.columns)), None)
+    if times is None or "log" not in rows:
+        other = "events, verdicts, metrics, health or decisions"
+        raise ConfigError(f"the view {table} has no log and time; cut by {other}")
+    rows = rows[rows[times[0]].notna() & rows[times[1]].notna()].sort_values(["log", times[0]], kind="stable")
+    if rows.empty:
+        raise ConfigError(f"nothing to cut: no row of {table} with a time where {where}")
+    found: list[Moment] = []
+    kinds = rows["kind"] if "kind" in rows else pd.Series(table, rows.index)
+    for log, begin, end, kind in zip(rows["log"], rows[times[0]], rows[times[1]], kinds, strict=True):
+        one = Moment(str(log), float(begin) - before, float(end) + after, (str(kind),))
+        last = found[-1] if found else None
+        if last is not None and last.log == one.log and one.begin <= last.end:
+            joined = tuple(sorted({*last.kinds, *one.kinds}))
+            found[-1] = Moment(one.log, last.begin, max(last.end, one.end), joined)
+        else:
+            found.append(one)
+    return found
+
+
+def cut_logs(folder: Path, found: Sequence[Moment], out: Path) -> Iterator[Path]:
+    """Write a native log per moment into a folder; gives each file as it is written.
+
+    Raises:
+        ConfigError: A log is not where it was, or the folder holds a file of this name.
+        LogError: A log cannot be read.
+        OutputError: A file cannot be written.
+    """
+    settings = load_run(folder / "run.toml").log
+    logs = views(folder)["logs"]().set_index("log")
+    names = [f"{safe_name(one.log)}_{max(one.begin, 0.0):.1f}s.mcap" for one in found]
+    taken = [name for name in names if (out / name).exists()]
+    if taken:
+        raise ConfigError(f"{out / taken[0]}: exists already; give a new or empty folder with --out")
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+    scenario: Scenario | None = None
+    for last, one, name in zip([None, *found], found, names, strict=False):
+        if scenario is None or last is None or last.log != one.log:
+            scenario = scenario_of(folder, logs.loc[one.log].to_dict(), settings)
+        part = _part(scenario, one)
+        write_scenario(out / name, part)
+        yield out / name
+
+
+def _part(scenario: Scenario, one: Moment) -> Scenario:
+    """The moment as a scenario of its own, with its origin."""
+    begin = max(one.begin, float(scenario.ego.t[0]))
+    end = min(one.end, scenario.duration)
+    if not (isfinite(begin) and end - begin >= LEAST_S):
+        raise LogError(f"{one.log}: from {one.begin:.1f} to {one.end:.1f} s there is less than {LEAST_S} s of the log")
+    part = in_nanoseconds(cut_scenario(scenario, begin, end))
+    origin = {"cut.of": scenario.name, "cut.from_s": repr(begin), "cut.to_s": repr(end)}
+    origin["cut.kinds"] = " ".join(one.kinds)
+    name = f"{scenario.name}@{begin:.1f}s"
+    tags = tuple(dict.fromkeys((*scenario.tags, *one.kinds)))
+    notes = [f"Cut from {scenario.name}, from {begin:.1f} to {end:.1f} s."]
+    x, y = ego_boxes(part.ego, part)[:2]
+    if part.goal is not None and not any(map(part.goal.reached, part.ego.t, x, y, part.ego.yaw, part.ego.v)):
+        part = replace(part, goal=None)
+        notes.append("The goal of the whole log is beyond this part and is left out.")
+    return replace(part, name=name, metadata={**part.metadata, **origin}, tags=tags, notes=(*part.notes, *notes))

@@ -14,8 +14,7 @@ from logs.kernel import BoolArray
 from logs.scenario import AgentKind
 from metrics.lanes import points_inside
 from metrics.metric import Unavailable
-from replay.mine.driven_log import DrivenLog, Neighbour, runs, steps
-from replay.mine.events import Event, EventKind
+from replay.mine.driven_log import DrivenLog, Event, EventKind, Neighbour, runs, steps
 
 ALONG = float(np.cos(np.pi / 4.0))
 MOVES_MPS, WALKS_MPS = 1.0, 0.3
@@ -80,8 +79,7 @@ def _cut_in(log: DrivenLog) -> Iterator[Event]:
             turned = (one.along[j - back : j + 1] < ALONG).any()
             if not turned and _near_ahead(log, one, j) and _moved_aside(one, j):
                 last = min(j + back, len(one.k) - 1)
-                gap = float(log.gap_to(one)[j])
-                yield Event(float(log.t[one.k[j]]), float(log.t[one.k[last]]), gap, (one.id,))
+                yield log.event(one, j, last, log.gap_to(one)[j])
 
 
 def _cut_out(log: DrivenLog) -> Iterator[Event]:
@@ -93,8 +91,7 @@ def _cut_out(log: DrivenLog) -> Iterator[Event]:
             was_lead = log.lead[0][one.k[j - 1]]
             mine = was_lead >= 0 and log.neighbours[was_lead] is one
             if mine and one.along[j] > 0.5 and _near_ahead(log, one, j) and _moved_aside(one, j):
-                gap = float(log.gap_to(one)[j])
-                yield Event(float(log.t[one.k[j - back]]), float(log.t[one.k[j]]), gap, (one.id,))
+                yield log.event(one, j - back, j, log.gap_to(one)[j])
 
 
 def _lead_braking(log: DrivenLog) -> Iterator[Event]:
@@ -104,8 +101,7 @@ def _lead_braking(log: DrivenLog) -> Iterator[Event]:
         near = gap[one.k] <= np.maximum(LEAD_S * log.ego.v[one.k], LEAD_M)
         braking = (who[one.k] == place) & near & (one.accel <= -BRAKES_MPS2)
         for first, last in runs(braking, one.k, steps(BRAKES_S), steps(HOLE_S)):
-            least = float(one.accel[first : last + 1].min())
-            yield Event(float(log.t[one.k[first]]), float(log.t[one.k[last]]), least, (one.id,))
+            yield log.event(one, first, last, one.accel[first : last + 1].min())
 
 
 def _standing_queue(log: DrivenLog) -> Iterator[Event]:
@@ -137,8 +133,7 @@ def _oncoming(log: DrivenLog) -> Iterator[Event]:
         gap = log.gap_to(one)
         coming = (one.along < -HEAD_ON) & (one.speed > MOVES_MPS) & (gap > 0.0) & (gap < ONCOMING_AHEAD_M)
         for first, last in runs(coming & one.reaches_into(log.half), one.k, steps(ONCOMING_S), steps(HOLE_S)):
-            least = float(gap[first : last + 1].min())
-            yield Event(float(log.t[one.k[first]]), float(log.t[one.k[last]]), least, (one.id,))
+            yield log.event(one, first, last, gap[first : last + 1].min())
 
 
 def _cyclist_along(log: DrivenLog) -> Iterator[Event]:
@@ -151,8 +146,7 @@ def _cyclist_along(log: DrivenLog) -> Iterator[Event]:
         for first, last in runs(
             near & (one.along > ALONG) & (one.speed > MOVES_MPS), one.k, steps(CYCLIST_S), steps(HOLE_S)
         ):
-            room = float((np.abs(one.l) - one.half_l - log.half)[first : last + 1].min())
-            yield Event(float(log.t[one.k[first]]), float(log.t[one.k[last]]), room, (one.id,))
+            yield log.event(one, first, last, (np.abs(one.l) - one.half_l - log.half)[first : last + 1].min())
 
 
 def _close_pass(log: DrivenLog) -> Iterator[Event]:
@@ -166,8 +160,7 @@ def _close_pass(log: DrivenLog) -> Iterator[Event]:
             along &= one.speed < MOVES_MPS if one.kind is AgentKind.OBJECT else one.speed < 3.0
         passed = beside & along & (room < bound) & (room >= 0.0) & (log.ego.v[one.k] > PASS_MPS)
         for first, last in runs(passed, one.k, hole=steps(HOLE_S)):
-            least = float(room[first : last + 1].min())
-            yield Event(float(log.t[one.k[first]]), float(log.t[one.k[last]]), least, (one.id,))
+            yield log.event(one, first, last, room[first : last + 1].min())
 
 
 def _walks_across(log: DrivenLog) -> Iterator[tuple[Neighbour, int, int]]:
@@ -209,7 +202,7 @@ def _pedestrian_crossing(log: DrivenLog, *, off_crosswalks: bool = False) -> Ite
     for one, first, last in _walks_across(log):
         if not (off_crosswalks and _on_crosswalk(log, one, first, last)):
             least = max(float(log.gap_to(one)[first : last + 1].min()), 0.0)
-            found.append(Event(float(log.t[one.k[first]]), float(log.t[one.k[last]]), least, (one.id,)))
+            found.append(log.event(one, first, last, least))
     return found
 
 

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, TrafficLight
 from logs.catalogue import scenario as synthesised
 from metrics import Unavailable
-from replay.mine.driven_log import DrivenLog, runs
-from replay.mine.events import Event, EventKind
+from replay.mine.driven_log import DrivenLog, Event, EventKind, runs
 from replay.mine.kinds import KINDS
 
 CAR, WALKER, BIKE = (4.5, 1.8), (0.5, 0.5), (1.8, 0.6)

@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from logs.catalogue import scenario
 from logs.mcap import write_scenario
 from logs.readers import read_log
-from replay.mine.coverage import CELL, cells, gaps
-from replay.mine.events import Event, EventKind
+from replay.mine.coverage import CELL, cells, gaps, smallest_cover
+from replay.mine.driven_log import Event, EventKind
 from replay.mine.mine import EVENTS, HEALTH, LOGS
-from replay.mine.suite import smallest_cover
 
 pytest.importorskip("duckdb")
 NAMES = ("everyday/cut_in", "everyday/crosswalk", "paper/free_road")

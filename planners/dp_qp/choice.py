@@ -125,14 +125,10 @@ def endangered(scene: Scene, beside: str = "") -> str:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassMemory:
-    """What is remembered of passing those who are slower, in one lane.
+    """What is remembered of passing those who are slower in one lane: when it was thought of last, s, who is passed.
 
-    Attributes:
-        t: When it was thought of last, s.
-        passed: Those that the ego is passing.
-        given_up: Who was not passed in the end, when, s.
-        stations: Of the last plan that passes, at the times of the predictions since `t` `(k,)`, m; None: none.
-        lane: Of the plans that pass, apart from those that keep the lane.
+    `given_up`: who was not passed in the end, when, s; `stations` of the last plan that passes, at the times of the
+    predictions since `t` `(k,)`, m; `lane`: of the plans that pass, apart from those that keep the lane.
     """
 
     t: float = -inf

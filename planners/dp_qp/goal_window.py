@@ -75,14 +75,7 @@ class SpeedTarget:
 
 
 class GoalWindow:
-    """The goal along one reference line.
-
-    Args:
-        goal: None: the ego has none.
-        reference: The line.
-        vehicle: The ego.
-        accel_mps2: Its comfortable acceleration.
-    """
+    """The goal along one reference line, for an ego with a comfortable acceleration; None: it has no goal."""
 
     def __init__(
         self, goal: Goal | None, reference: ReferencePath, vehicle: VehicleParameters,

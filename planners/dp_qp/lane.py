@@ -47,10 +47,8 @@ class PassWay:
 class LaneMemory:
     """What is remembered of the frames before, in one lane; a fresh frame is `LaneMemory()`.
 
-    Attributes:
-        t: When it was planned last, s.
-        place: x, y and station of the last start, m; None: unknown.
-        path: Of the path stage; `speed` of the speed stage; `rules` of the rules.
+    When it was planned last, s; x, y and station of the last start, m, None where unknown; of both stages and the
+    rules.
     """
 
     t: float = -inf
@@ -62,15 +60,9 @@ class LaneMemory:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LanePlan:
-    """What was planned in one lane.
+    """What was planned in one lane: "keep", "pass" (the same lane, past who is slower), "left" or "right".
 
-    Attributes:
-        name: "keep", "pass" (the same lane, past who is slower), "left" or "right".
-        lane: The lane.
-        scene: Of the frame in it.
-        path: What the path stage found.
-        speed: What the speed stage found; None where there is no path.
-        costs: (1)-(5).
+    `speed` is None where there is no path; `costs` are (1)-(5).
     """
 
     name: str

@@ -20,9 +20,7 @@ from planners.frenet.scene import start_of
 class PlannerMemory:
     """All that the planner remembers; a fresh frame has a new one.
 
-    Attributes:
-        driven: The lane that is driven; `changed` since when, s.
-        lanes: Of each lane planned so far; `passing` of passing in it.
+    The lane that is driven, `changed` since when, s; of each lane planned so far, and of passing in it.
     """
 
     driven: LaneSequence

@@ -41,11 +41,7 @@ class LaneSequence:
 
 
 class LaneSequences:
-    """The lane sequences of one scenario, made when they are first needed.
-
-    Args:
-        context: Road, goal and start.
-    """
+    """The lane sequences of one scenario, made when they are first needed."""
 
     def __init__(self, context: PlannerContext) -> None:
         self._road = context.road

@@ -56,13 +56,7 @@ VULNERABLE = among(*(kind for kind in AgentKind if kind.is_vulnerable))
 
 
 class AgentsAlong(NamedTuple):
-    """The frame's agents along the reference path, `(n,)` each.
-
-    Attributes:
-        s: Station of the centre, m; `l` its offset, m.
-        v_s: (1), m/s; `v_l` likewise.
-        turn: (2), rad.
-    """
+    """The agents along the reference path, `(n,)` each: station and offset of the centre, m, (1), m/s, and (2), rad."""
 
     s: FloatArray
     l: FloatArray  # noqa: E741
@@ -99,19 +93,15 @@ class Scene:
     """A frame in a lane.
 
     Attributes:
-        frame: What is known now.
-        start: Where the plan begins.
+        frame: What is known now; `start` where the plan begins.
         reference: The lane's reference path.
         vehicle: The ego.
         s: Station of the start, m; `l` its offset, m.
         trouble: Why the start has no l', l'' in the Frenet frame; empty where it has.
         frenet: l, l', l'' of the start; zeros where there is `trouble`.
         limit: The lane's speed limit at the start, m/s.
-        bodies: The agents' boxes.
-        agents: The agents along the reference path; `across` the rows of `road` `(8, n)`.
-        speed: Of the agents `(n,)`, m/s.
-        standing: Which of them stand `(n,)`.
-        vulnerable: Which of them walk or ride `(n,)`.
+        bodies: The agents' boxes; `agents` these along the reference path; `across` the rows of `road` `(8, n)`.
+        speed: Of the agents `(n,)`, m/s; which of them are `standing`, and which are `vulnerable`: walk or ride.
     """
 
     frame: Frame

@@ -177,16 +177,11 @@ def speed_faults(
     motion: FloatArray, s0: float, grid: FloatArray, limit: FloatArray, allowed: FloatArray, upper: FloatArray,
     bounds: FloatArray,
 ) -> IntArray:  # fmt: skip
-    """Per longitudinal candidate `(m, 3, k)` its first fault.
+    """Per longitudinal candidate, s from the start, s_dot, s_ddot `(m, 3, k)`, its first fault.
 
-    Args:
-        motion: s (from the start), s_dot, s_ddot.
-        s0: Station of the start.
-        grid: Stations of `limit`, uniform.
-        limit: Speed limit, m/s.
-        allowed: Speed that is allowed in any case at each time `(k,)`: who starts too fast has to come down.
-        upper: How far the traffic rules let the ego go `(k,)`, m from the start; inf where they do not care.
-        bounds: Greatest acceleration, hardest deceleration, room above the limit.
+    `limit` is that at stations `grid`, uniform; `allowed` a speed that is allowed in any case at each time `(k,)`: who
+    starts too fast has to come down; `upper` how far the traffic rules let the ego go `(k,)`, m from the start;
+    `bounds` the greatest acceleration, hardest deceleration, and room above the limit.
     """
     out = np.zeros(len(motion), np.int64)
     h = grid[1] - grid[0]
@@ -217,14 +212,7 @@ def _outside(l: float, s: float, grid: FloatArray, left: FloatArray, right: Floa
 
 
 class Ego(NamedTuple):
-    """The start in the Frenet frame.
-
-    Attributes:
-        s: Station, m.
-        lateral: l, l', l''.
-        speed: s_dot, m/s.
-        accel: s_ddot, m/s2.
-    """
+    """The start in the Frenet frame: station, m; l, l', l''; s_dot, m/s; s_ddot, m/s2."""
 
     s: float
     lateral: tuple[float, float, float]
@@ -327,18 +315,9 @@ def _met(x: float, y: float, yaw: float, k: int, others: Futures, skip: BoolArra
 def drive_fault(
     at: FloatArray, motion: FloatArray, s0: float, room: Room, others: Futures, skip: BoolArray, ego: Body
 ) -> int:
-    """The first fault of a candidate's `states` `(9, k)` along time, 0 where it has none.
+    """The first fault of a candidate's `states` `(9, k)` and s, s_dot, s_ddot `(3, k)` along time, 0 where it has none.
 
-    A bound that the start breaks already may stay broken as much as there, but not more.
-
-    Args:
-        at: `states`.
-        motion: Its s, s_dot, s_ddot `(3, k)`.
-        s0: Station of the start.
-        room: Of the rear axle.
-        others: The predictions.
-        skip: Who is not looked at `(n,)`.
-        ego: Its box and limits.
+    A bound that the start breaks already may stay broken as much as there, but not more. `skip`: who is not looked at.
     """
     out = _outside(at[6, 0], s0, room.knots, room.left, room.right) + 0.02
     kappa_max = max(ego.max_kappa, abs(at[5, 0]) + 0.01)
@@ -400,18 +379,10 @@ def headway(
     motion: FloatArray, s0: float, others: FloatArray, speed: FloatArray, behind: BoolArray, l1: float,
     box: FloatArray, wanted: FloatArray, changes: bool,
 ) -> FloatArray:  # fmt: skip
-    """(5) of longitudinal candidates `(m, 3, k)` on the track at offset `l1`: `(m,)`.
+    """(5) of longitudinal candidates `(m, 3, k)`, as of `sampled`, on the track at offset `l1`: `(m,)`.
 
-    Args:
-        motion: As of `sampled`.
-        s0: Station of the start.
-        others: `futures_frenet`, every `STRIDE`-th sample.
-        speed: Of the agents along the line `(n,)`, m/s.
-        behind: `(2, n)`, as of `Futures`.
-        l1: m.
-        box: Rear axle to front, to rear, half width, m.
-        wanted: g0, tau.
-        changes: Whether the track is another than the ego's.
+    `others` are `futures_frenet`, `behind` as of `Futures`; `box` from the rear axle to front and rear, and half the
+    width, m; `wanted` g0, tau; `changes`: whether the track is another than the ego's.
     """
     out = np.zeros(len(motion))
     for j in range(others.shape[1]):
@@ -438,12 +409,7 @@ def lateral_costs(
 ) -> tuple[FloatArray, FloatArray]:
     """The lateral part of (4), without K_LAT, and the lengths D, of the pairs with durations `T` `(p,)`: `(m, p)` each.
 
-    Args:
-        motion: `(m, 3, k)`, as of `sampled`.
-        start: l, l', l''.
-        l1: End offset, m.
-        T: s.
-        weights: k_j, k_u, k_l.
+    From `start`, l, l', l''; `weights` k_j, k_u, k_l.
     """
     cost, length = np.empty((len(motion), len(T))), np.empty((len(motion), len(T)))
     for i in range(len(motion)):

@@ -40,40 +40,36 @@ def check_solver(name: str) -> None:
 
 
 def solve(problem: PiecewiseJerkProblem, solver: str = DEFAULT, *, stage: str, tolerance: float) -> QPResult:
-    """The curve of a problem, x = (x, x', x'') `(3 n,)`, and how the solver got there.
+    """The curve of a problem, x = (x, x', x'') `(3 n,)`, and how the solver got there; the report names the `stage`.
 
-    Args:
-        problem: What is asked.
-        solver: A name of `SOLVERS`.
-        stage: Name in the report.
-        tolerance: Largest violation of a bound that still counts as solved, in the units of the row.
+    `tolerance`: largest violation of a bound that still counts as solved, in the units of the row.
     """
     result = SOLVERS[solver](problem, stage, tolerance)
-    asked = _WATCHED.get()
+    asked = _RECORDED.get()
     if asked is not None:
-        asked.append(Asked(deepcopy(problem), deepcopy(result)))
+        asked.append(SolvedProblem(deepcopy(problem), deepcopy(result)))
     return result
 
 
-class Asked(NamedTuple):
+class SolvedProblem(NamedTuple):
     """A problem and its answer."""
 
     problem: PiecewiseJerkProblem
     result: QPResult
 
 
-_WATCHED: ContextVar[list[Asked] | None] = ContextVar("watched", default=None)
+_RECORDED: ContextVar[list[SolvedProblem] | None] = ContextVar("recorded", default=None)
 
 
 @contextmanager
-def watched() -> Iterator[list[Asked]]:
+def record_problems() -> Iterator[list[SolvedProblem]]:
     """Within it all problems that are solved and their answers are kept: for debugging, they change nothing."""
-    asked: list[Asked] = []
-    token = _WATCHED.set(asked)
+    asked: list[SolvedProblem] = []
+    token = _RECORDED.set(asked)
     try:
         yield asked
     finally:
-        _WATCHED.reset(token)
+        _RECORDED.reset(token)
 
 
 def _interior_point(problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:

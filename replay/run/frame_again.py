@@ -12,7 +12,7 @@ from logs.frame import Frame
 from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Plan, PlannedFrame, SolverReport
-from planners.piecewise_jerk.solvers import Asked, watched
+from planners.piecewise_jerk.solvers import SolvedProblem, record_problems
 from replay.drive import Drive, Stopwatch
 from replay.explain.causes import Explainer
 from replay.explain.explanation import Explanation, lines_of
@@ -40,7 +40,7 @@ class WatchedPlanning(Planning):
     def __init__(self, stop_s: float, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
         self.frames: list[Frame] = []
-        self.asked: list[Asked] = []
+        self.asked: list[SolvedProblem] = []
         self._stop_s = stop_s
 
     def plan(self, frame: Frame) -> Plan:
@@ -48,7 +48,7 @@ class WatchedPlanning(Planning):
         self.frames.append(frame)
         if frame.t >= self._stop_s - SAME_TIME_S:
             breakpoint()
-        with watched() as self.asked:
+        with record_problems() as self.asked:
             return super().plan(frame)
 
 
@@ -134,7 +134,7 @@ def _plan_with(
         made = factory(context, **keywords)
         if debug:
             breakpoint()
-        with watched() as asked:
+        with record_problems() as asked:
             clock.start()
             plan = checked(made.plan(frame), frame).recorded(keep=True)
             clock.stop(frame.t)

@@ -25,7 +25,7 @@ from logs.errors import LogError, writing
 from logs.frame import Frame, PlannerContext
 from logs.trace import Plan, SolverReport
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
-from planners.piecewise_jerk.solvers import Asked
+from planners.piecewise_jerk.solvers import SolvedProblem
 from planners.qp import QPResult
 from replay.loop.plan_check import checked
 from replay.planner_process import schema
@@ -88,7 +88,7 @@ class FrameDump:
     context: PlannerContext
     frames: tuple[Frame, ...]
     plan: Plan
-    problems: tuple[Asked, ...]
+    problems: tuple[SolvedProblem, ...]
 
     @property
     def frame(self) -> Frame:
@@ -143,7 +143,7 @@ def load(path: Path) -> FrameDump:
         raise LogError(f"is no dump of a frame: {error}", file=path) from None
 
 
-def _problem_of(message: Problem) -> Asked:
+def _problem_of(message: Problem) -> SolvedProblem:
     step, soft, *weights = message.numbers
     columns = (message.leads, message.start, message.references, message.lower, message.upper, message.x)
     leads, start, references, lower, upper, x = (np.frombuffer(column, WIRE).copy() for column in columns)
@@ -157,4 +157,4 @@ def _problem_of(message: Problem) -> Asked:
         upper=upper.reshape(4 + len(leads), -1),
         soft=soft,
     )
-    return Asked(problem, QPResult(x, message.report))
+    return SolvedProblem(problem, QPResult(x, message.report))

@@ -219,10 +219,8 @@ def side_gaps(box: Occupancy, lower: float, upper: float, vehicle: VehicleParame
 class SideChoice:
     """What can be done about one obstacle, before anything decides.
 
-    Attributes:
-        box: The obstacle.
-        left: What is left beside the ego that passes it on its left, m; `right` on its right.
-        settled: The decision where there is nothing to choose; None: the obstacle can be passed.
+    `left`: what is left beside the ego that passes it on its left, m; `right` on its right; `settled`: the decision
+    where there is nothing to choose, None: the obstacle can be passed.
     """
 
     box: Occupancy

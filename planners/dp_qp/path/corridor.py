@@ -90,9 +90,7 @@ class Ego(NamedTuple):
 class Borrowed(NamedTuple):
     """The road beside the lane that may be used.
 
-    Attributes:
-        spans: Station from, to, m; 1 the neighbouring lane, 2 the facing one, too `(b, 3)`.
-        left: Whether the lane to the left is free; `right` likewise.
+    Rows station from, to, m, and 1 for the neighbouring lane, 2 for the facing one, too `(b, 3)`; which lanes are free.
     """
 
     spans: FloatArray
@@ -334,18 +332,9 @@ def narrowed_beside(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
     """Bounds `(2, points, n)` that keep clear of boxes, one after the other, and which of them would close them.
 
-    Args:
-        s: Stations `(points, n)`, m.
-        lower: Bounds there, m.
-        upper: Likewise.
-        boxes: Station from, to, offset from, to, m; 1 where they are passed on the left, -1 right, 0 not `(b, 5)`.
-        gap: Kept ahead of and behind a box, m.
-        side: Half the ego's width, m.
-        clearance: To be kept, m, or nearly what there is.
-        least: What there must be, m.
-
-    Returns:
-        The bounds; what is free beside the ego `(b,)`, m; whether that is too little `(b,)`.
+    Boxes: station from, to, offset from, to, m; 1 where they are passed on the left, -1 right, 0 not `(b, 5)`. `gap` is
+    kept ahead of and behind a box, `clearance` beside it, or nearly what there is, which must be `least`, m; `side` is
+    half the ego's width. With what is free beside the ego `(b,)`, m, and whether that is too little.
     """
     out = np.empty((2, s.shape[0], s.shape[1]))
     out[0], out[1] = lower, upper
@@ -432,7 +421,7 @@ def bounded(
     Args:
         start: l, l', l'' and the speed (m/s) at the first knot; the bounds of l'' are widened to the reach from there.
         limit: Speed limit at the knots `(n,)`, m/s.
-        kappa: Of the reference line at the knots `(n,)`, 1/m.
+        kappa: Of the reference line there `(n,)`, 1/m.
         offset: Near which the path is `(n,)`, m.
         step: Between two knots, m.
         car: Curvature at the lock, 1/m, its rate over time, 1/(m s), and the lateral acceleration for which the speed

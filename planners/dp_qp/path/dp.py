@@ -91,14 +91,9 @@ class PathDpConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SlGrid:
-    """The solved grid.
+    """The solved grid: stations of the columns `(n,)`, m, offsets of the rows `(k,)`, m; s, l, l', l'' of the start.
 
-    Attributes:
-        stations: Of the columns `(n,)`, m; `rows` their offsets `(k,)`, m.
-        start: s, l, l', l'' `(4,)`.
-        cost: Cost to come `(n, k)`.
-        chosen: Row per column `(n,)`.
-        sides: Least cost of passing each obstacle on the left and on the right `(b, 2)`.
+    The cost to come `(n, k)`, the row per column, and the least cost of passing each obstacle left and right `(b, 2)`.
     """
 
     stations: FloatArray

@@ -88,13 +88,10 @@ ROOM_M = 0.5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassTarget:
-    """A road user along the lane, slower than the ego, that is to be passed.
+    """A road user along the lane, slower than the ego, that is to be passed: their index, and where they are meanwhile.
 
-    Attributes:
-        agent: Index into the frame's agents.
-        box: The stations and offsets at which they are while the ego is beside them.
-        begin: Station of the ego's rear axle at which it comes beside them, m; `end` at which it is past them.
-        places: Where they are predicted meanwhile `(n, 2)`, m.
+    `box` holds them while the ego is beside them, `begin` to `end` the stations of its rear axle, m; `places` `(n, 2)`,
+    m.
     """
 
     agent: int
@@ -219,16 +216,10 @@ def to_pass(
     scene: Scene, found: tuple[PassTarget, ...], stations: FloatArray, sides: tuple[bool, bool],
     config: CorridorConfig, places: tuple[float, ...], passed: frozenset[str] = frozenset(),
 ) -> InTheWay:  # fmt: skip
-    """What the path stage is given, for an ego as in `pass_targets`.
+    """What the path stage gets, for an ego as in `pass_targets`.
 
-    Args:
-        scene: The scene.
-        found: All who are slower; those who are to be passed too near to one of the `places` are left out.
-        stations: Of the ego at the times of the predictions `(k,)`.
-        sides: Whether the road left and right of the lane may be borrowed.
-        config: Distances.
-        places: Stations at which lanes part or meet, vehicles may have to wait, or others cross, m.
-        passed: Those that the ego is passing already: it may be back in its lane nearer to a place.
+    Those who are to be passed too near to one of the `places`, m, are left out; an ego that passes someone already may
+    be back in its lane nearer to one. `sides`: whether the road left and right of the lane may be borrowed.
     """
     boxes = []
     for box in (one.box for one in found):

@@ -63,14 +63,10 @@ class PathQpConfig:
 
 
 class PathQp:
-    """The path QP over one length.
+    """The path QP over one length, m, with weights for a speed, m/s.
 
-    Args:
-        length: From first to last knot, m.
-        speed: For which the weights are chosen, m/s.
-        leads: Points of (6), m before the rear axle; the first is 0.
-        config: Settings.
-        solver: Name of a solver of `planners.piecewise_jerk.solvers`.
+    `leads` are those of (6), m before the rear axle; the first is 0. `solver` is one of
+    `planners.piecewise_jerk.solvers`.
     """
 
     def __init__(

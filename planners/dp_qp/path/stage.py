@@ -60,12 +60,7 @@ class PathConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PathMemory:
-    """What the path stage remembers.
-
-    Attributes:
-        standing: Who stands in the way, seen since when, s.
-        sides: On which side the last path passed each agent: 1 left, -1 right.
-    """
+    """Who stands in the way since when, s, and on which side the last path passed each agent: 1 left, -1 right."""
 
     standing: Mapping[str, float] = field(default_factory=dict)
     sides: Mapping[str, float] = field(default_factory=dict)
@@ -73,15 +68,10 @@ class PathMemory:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ChosenPath:
-    """What the path stage found.
+    """What the path stage found; where the QP failed no path, and why.
 
-    Attributes:
-        path: None where the QP failed.
-        reason: Why it failed; empty otherwise.
-        passed: The room that the path leaves to each agent that it passes on purpose, m.
-        shift: Largest change of the offset from the reference line within `SHIFT_AHEAD_M`, m.
-        reports: Of the solver.
-        artefacts: Makes graph, decisions, costs and reports when they are read.
+    `passed`: the room that the path leaves to each agent that it passes on purpose, m; `shift`: the largest change of
+    the offset from the reference line within `SHIFT_AHEAD_M`, m; `artefacts` are made when they are read.
     """
 
     path: Path | None

@@ -43,14 +43,10 @@ RESTING_MPS = 0.5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SolvedSpeed:
-    """What was found.
+    """What was found: rows s, v, a `(3, knots)`, or None; why it is not comfortable, or why there is none.
 
-    Attributes:
-        profile: Rows s, v, a `(3, knots)`, or None.
-        reason: Why it is not comfortable, or why there is none; empty otherwise.
-        unavoidable: Whether nothing could avoid a contact.
-        is_full: Whether it brakes as hard as it can.
-        attempts: The QPs that were tried, with their answers.
+    Whether nothing could avoid a contact, whether it brakes as hard as it can, and the QPs that were tried, with
+    answers.
     """
 
     profile: FloatArray | None
@@ -79,17 +75,7 @@ class Rung(NamedTuple):
 
 
 class BrakingLadder:
-    """The rungs of (1) and (2), the loop over them, and (3).
-
-    Args:
-        config: Limits and weights.
-        gap_m: The gap that is in the problems' upper bounds.
-        most_mps2: Deceleration at full brake.
-        solver: Of the QPs.
-
-    Attributes:
-        program: The QP.
-    """
+    """The rungs of (1) and (2), the loop over them, and (3), for a gap that is in the problems' upper bounds, m."""
 
     def __init__(self, config: SpeedQpConfig, gap_m: float, most_mps2: float, solver: str = DEFAULT) -> None:
         self._config, self._gap = config, gap_m

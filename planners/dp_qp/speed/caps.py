@@ -120,8 +120,7 @@ class SpeedTask:
         passed: The room that the path leaves to each agent that it passes while they stand, m.
         skip: Agents who follow behind `(agents,)`.
         stops: That the rules demand on the path.
-        targets: Those who go along the lane where the ego comes beside them.
-        is_pass: Whether the path swings out to pass them.
+        targets: Those who go along the lane where the ego comes beside them; `is_pass`: the path swings out for them.
         goal: The goal along the lane; `target` what it asks now.
     """
 

@@ -140,7 +140,7 @@ def speed_dp(
     occupancy: FloatArray, occupied: IntArray, per_column: int, limit: FloatArray, start: tuple[float, float],
     weights: SpeedDpWeights, worth: float,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
-    """Solve (3).
+    """Solve (3): the cost to come `(columns + 1, rows)`, and the chosen row per column `(columns + 1,)`.
 
     Args:
         occupancy: The map (2) `(k, rows)`, `per_column` time samples to a column, the first at t = 0.
@@ -151,9 +151,6 @@ def speed_dp(
         weights: Of (1), and the limits of an edge.
         worth: No way is followed that costs as much. Costs do not fall along a way, so that the way that is chosen is
             the same with any that is by more than the ties above what it costs.
-
-    Returns:
-        Cost to come `(columns + 1, rows)`, the chosen row per column `(columns + 1,)`.
     """
     rows, columns = len(limit), len(occupied)
     needed = np.zeros(rows)

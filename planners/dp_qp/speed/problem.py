@@ -113,15 +113,9 @@ class BuiltProblem(NamedTuple):
 def build_problem(
     path: PathLimits, taken: Taken, start: tuple[float, float], time_gap: float, is_drawn: bool, settings: Settings
 ) -> BuiltProblem:
-    """The problem on a path.
+    """The problem on a path that is taken, from a speed and an acceleration; `time_gap`: per speed of the one ahead, s.
 
-    Args:
-        path: With its limits.
-        taken: Who takes it.
-        start: v, a.
-        time_gap: Wanted gap per speed of the one ahead, s.
-        is_drawn: Whether the speed DP is wanted even where it decides nothing, and all of its costs.
-        settings: Of the stage.
+    `is_drawn`: whether the speed DP is wanted even where it decides nothing, and all of its costs.
     """
     sigma, kappa, ease = path.sigma, path.kappa, settings.ease
     lower, upper, stops, n = taken.lower, taken.upper, taken.stops, len(taken.pace)

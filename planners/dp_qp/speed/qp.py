@@ -114,12 +114,7 @@ class SpeedProblem(NamedTuple):
 
 
 class SpeedQp:
-    """The speed QP.
-
-    Args:
-        config: Settings.
-        solver: Name of a solver of `planners.piecewise_jerk.solvers`.
-    """
+    """The speed QP, for a solver of `planners.piecewise_jerk.solvers`."""
 
     def __init__(self, config: SpeedQpConfig, solver: str = DEFAULT) -> None:
         self._config, self._solver = config, solver

@@ -82,15 +82,10 @@ class SpeedMemory:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ChosenSpeed:
-    """What the speed stage found.
+    """What the speed stage found: rows s, v, a `(3, knots)` every 0.1 s, or None and why; or what it could not keep.
 
-    Attributes:
-        profile: Rows s, v, a `(3, knots)` every 0.1 s; None where the QP failed.
-        reason: Why it failed or what it could not keep; empty otherwise.
-        unavoidable: Whether even the hardest braking would meet an agent.
-        free_m: Station at the horizon's end on a free road, m.
-        reports: Of the solver.
-        artefacts: Makes graph, decisions, costs and reports for whoever wants to see them.
+    Whether even the hardest braking would meet an agent; the station at the horizon's end on a free road, m;
+    `artefacts` are made when they are read.
     """
 
     profile: FloatArray | None
@@ -103,14 +98,9 @@ class ChosenSpeed:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """What is planned on.
+    """What is planned on: the scene on its path, the limits there and the decisions of the caps, the stops, the memory.
 
-    Attributes:
-        view: The scene on its path.
-        limits: The path and its limits, as the problem takes them; `decisions` those of the caps.
-        stops: As the problem takes them, too.
-        taken: The boundaries of some agents with other margins, stops included.
-        memory: Of the frames before.
+    `taken` gives the boundaries of some agents with other margins, stops included.
     """
 
     view: PathView

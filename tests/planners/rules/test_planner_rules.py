@@ -249,18 +249,6 @@ def test_who_brakes_for_a_yellow_goes_on_braking() -> None:
         assert motion.a.min() >= -3.05
 
 
-def test_a_light_that_turns_red_under_the_bumper_is_not_stopped_for() -> None:
-    assert demands(straight(LIGHT), at_front(LINE_X - 4.0, 13.0), (), {9: Colour.RED}) == ()
-    assert demands(straight(LIGHT), at_front(LINE_X + 0.1, 5.0), (), {9: Colour.RED}) == ()
-
-
-def test_a_line_counts_only_for_its_way() -> None:
-    elsewhere, mine = (replace(LIGHT, towards=(lane,)) for lane in (5, 1))
-    ego = at_front(60.0, 10.0)
-    assert demands(straight(elsewhere), ego, (), {9: Colour.RED}) == ()
-    assert [stop.agent for stop in demands(straight(mine), ego, (), {9: Colour.RED})] == ["stop line 7"]
-
-
 def test_a_skewed_line_is_met_by_the_nearer_corner() -> None:
     skewed = replace(LIGHT, points=np.array([[LINE_X + 1.75, 1.75], [LINE_X - 1.75, -1.75]]))
     plain, nearer = (demands(straight(line), at_front(60.0, 8.0), (), {9: Colour.RED})[0] for line in (LIGHT, skewed))
@@ -278,12 +266,6 @@ def test_at_a_stop_sign_the_ego_comes_to_rest_once_and_goes(name: str) -> None:
     assert motion.v[near].min() < 0.1
     assert front[-1] > LINE_X + 3.0
     assert (motion.v[front > LINE_X] > 0.3).all()
-
-
-def test_without_a_memory_who_stands_at_the_line_has_stopped() -> None:
-    assert demands(straight(SIGN), at_front(LINE_X - 1.0, 0.0)) == ()
-    assert demands(straight(SIGN), at_front(LINE_X - 1.0, 0.5))
-    assert demands(straight(SIGN), at_front(LINE_X - 6.0, 0.0))
 
 
 def test_the_memory_of_a_stop_is_dropped_with_the_previous_plan() -> None:
@@ -306,20 +288,6 @@ def test_who_is_on_the_crosswalk_goes_first() -> None:
     assert stop.s_from + CAR.axle_to_front <= 150.0 + 100.0
 
 
-@pytest.mark.parametrize(
-    "who",
-    [
-        waiter("p", 102.0, -6.8),  # stands beside it and looks elsewhere
-        waiter("p", 102.0, 4.0),  # stands on the other half and looks elsewhere
-        walker("p", 102.0, -9.0, 1.2),  # is still far from it
-        walker("p", 102.0, 2.6, 1.2),  # walks away from the ego's half
-        walker("p", 110.0, -4.0, 1.2),  # crosses elsewhere, far behind the crosswalk
-    ],
-)
-def test_who_does_not_take_the_egos_half_demands_nothing(who: Other) -> None:
-    assert demands(straight(crosswalks=[WALK]), at_front(85.0, 10.0), [who]) == ()
-
-
 def test_who_stands_before_the_crosswalk_is_let_go_but_not_waited_for_for_ever() -> None:
     patient = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
     motion, plans = drive("dp_qp", straight(crosswalks=[WALK]), at_front(55.0, 10.0), [patient], seconds=18.0)
@@ -340,12 +308,6 @@ def test_how_long_who_stands_before_the_crosswalk_is_waited_for_is_a_setting(pat
         stops, memory = rules.stops(scene(road, at_front(95.0, 0.0), [patient], t=float(t)), memory)
         waits.append(bool(stops))
     assert sum(waits) == round(10.0 * patience) and not any(waits[round(10.0 * patience) :])
-
-
-def test_on_a_crosswalk_who_only_stands_there_is_not_braked_for_hard() -> None:
-    patient = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
-    assert demands(straight(crosswalks=[WALK]), at_front(80.0, 12.0), [patient]) == ()
-    assert demands(straight(crosswalks=[WALK]), at_front(80.0, 12.0), [walker("p", 102.0, -5.0, 1.2)])
 
 
 @pytest.mark.parametrize("name", OBEYING)
@@ -394,23 +356,58 @@ def towards(away: float) -> Other:
     return driving("car", *(np.array([60.0, -40.0]) - away * way), *(10.0 * way))
 
 
+def crossing(y: float, vy: float = 10.0, x: float = 100.0, vx: float = 0.0) -> Other:
+    return driving("car", x, y, vx, vy)
+
+
+CROSSWALK, THEIRS = straight(crosswalks=[WALK]), StopLine(6, 10, np.array([[98.25, -8.0], [101.75, -8.0]]), light=2)
+ELSEWHERE, MINE = (straight(replace(LIGHT, towards=(lane,))) for lane in (5, 1))
+STANDS = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
+
+
+@pytest.mark.parametrize(
+    ("road", "front", "v", "others", "light", "demanded"),
+    [
+        (straight(), 60.0, 10.0, [], Colour.OFF, False),  # a road without rules
+        (LIT, LINE_X - 4.0, 13.0, [], Colour.RED, False),  # turns red under the bumper
+        (LIT, LINE_X + 0.1, 5.0, [], Colour.RED, False),
+        (ELSEWHERE, 60.0, 10.0, [], Colour.RED, False),  # a line counts only for its way
+        (MINE, 60.0, 10.0, [], Colour.RED, True),
+        (straight(SIGN), LINE_X - 1.0, 0.0, [], Colour.OFF, False),  # without a memory: who stands there has stopped
+        (straight(SIGN), LINE_X - 1.0, 0.5, [], Colour.OFF, True),
+        (straight(SIGN), LINE_X - 6.0, 0.0, [], Colour.OFF, True),
+        (CROSSWALK, 85.0, 10.0, [waiter("p", 102.0, -6.8)], Colour.OFF, False),  # stands beside it and looks elsewhere
+        (CROSSWALK, 85.0, 10.0, [waiter("p", 102.0, 4.0)], Colour.OFF, False),  # stands on the other half
+        (CROSSWALK, 85.0, 10.0, [walker("p", 102.0, -9.0, 1.2)], Colour.OFF, False),  # is still far from it
+        (CROSSWALK, 85.0, 10.0, [walker("p", 102.0, 2.6, 1.2)], Colour.OFF, False),  # walks away from the ego's half
+        (CROSSWALK, 85.0, 10.0, [walker("p", 110.0, -4.0, 1.2)], Colour.OFF, False),  # crosses far behind it
+        (CROSSWALK, 80.0, 12.0, [STANDS], Colour.OFF, False),  # is not braked for hard
+        (CROSSWALK, 80.0, 12.0, [walker("p", 102.0, -5.0, 1.2)], Colour.OFF, True),
+        # The ego's rear is in the lane after 3.5 s, at the end of the zone after 4.4 s; the other comes after 5.2 s.
+        (merging(), 60.0, 10.0, [towards(0.5)], Colour.OFF, False),
+        (merging(), 60.0, 10.0, [towards(-7.0)], Colour.OFF, True),
+        (JUNCTION, 70.0, 10.0, [crossing(-51.0)], Colour.OFF, False),  # a gap of 1.5 s after the ego
+        (JUNCTION, 70.0, 10.0, [crossing(-46.0)], Colour.OFF, True),
+        (junction(THEIRS), 70.0, 10.0, [crossing(-40.0)], Colour.GREEN, True),  # their light
+        (junction(THEIRS), 70.0, 10.0, [crossing(-40.0)], Colour.RED, False),
+        (JUNCTION, 70.0, 8.0, [crossing(12.0, 8.0)], Colour.OFF, False),  # behind the zone
+        (JUNCTION, 70.0, 8.0, [crossing(-150.0, 8.0)], Colour.OFF, False),
+        (JUNCTION, 70.0, 8.0, [crossing(-30.0, 8.0, 130.0)], Colour.OFF, False),
+        (JUNCTION, 70.0, 8.0, [crossing(-40.0, 1.0, 100.0, 8.0)], Colour.OFF, False),  # turns off before
+    ],
+)
+def test_what_is_demanded(
+    road: Road, front: float, v: float, others: list[Other], light: Colour, *, demanded: bool
+) -> None:
+    found = demands(road, at_front(front, v), others, {9: light, 2: light} if light is not Colour.OFF else {})
+    assert bool(found) is demanded
+    assert road is not MINE or [stop.agent for stop in found] == ["stop line 7"]
+
+
 @given(st.floats(0.0, 12.0), st.floats(50.0, 70.0), st.floats(-10.0, 60.0), st.floats(0.0, 15.0))
 def test_who_is_farther_from_the_merging_never_demands_more(v: float, front: float, away: float, more: float) -> None:
     near, far = (demands(merging(), at_front(front, v), [towards(at)]) for at in (away, away + more))
     assert near or not far
-
-
-def test_who_has_merged_is_ahead() -> None:
-    """The ego's rear is in the lane after 3.5 s, at the end of the zone after 4.4 s; the other comes after 5.2 s."""
-    ego = at_front(60.0, 10.0)
-    assert demands(merging(), ego, [towards(0.5)]) == ()
-    assert demands(merging(), ego, [towards(-7.0)])
-
-
-def test_a_gap_of_one_and_a_half_seconds_after_the_ego_is_taken() -> None:
-    ego = at_front(70.0, 10.0)
-    assert demands(junction(), ego, [driving("car", 100.0, -51.0, 0.0, 10.0)]) == ()
-    assert demands(junction(), ego, [driving("car", 100.0, -46.0, 0.0, 10.0)])
 
 
 def test_the_wait_is_before_the_line_where_there_is_one() -> None:
@@ -419,20 +416,6 @@ def test_the_wait_is_before_the_line_where_there_is_one() -> None:
     (with_line,), (without,) = demands(junction(line), ego, [car]), demands(junction(), ego, [car])
     assert with_line.s_from == pytest.approx(50.0 + 91.0 - 0.8, abs=0.3)
     assert without.s_from > with_line.s_from + 4.0
-
-
-def test_a_red_light_of_the_others_gives_way_to_the_ego() -> None:
-    theirs = StopLine(6, 10, np.array([[98.25, -8.0], [101.75, -8.0]]), light=2)
-    ego, car = at_front(70.0, 10.0), driving("car", 100.0, -40.0, 0.0, 10.0)
-    assert demands(junction(theirs), ego, [car], {2: Colour.GREEN})
-    assert demands(junction(theirs), ego, [car], {2: Colour.RED}) == ()
-
-
-def test_who_is_behind_the_zone_or_leaves_it_demands_nothing() -> None:
-    ego = at_front(70.0, 8.0)
-    assert demands(junction(), ego, [driving("car", 100.0, 12.0, 0.0, 8.0)]) == ()
-    assert demands(junction(), ego, [driving("car", 100.0, -150.0, 0.0, 8.0)]) == ()
-    assert demands(junction(), ego, [driving("car", 130.0, -30.0, 0.0, 8.0)]) == ()
 
 
 def test_no_stop_where_lanes_cross() -> None:
@@ -444,19 +427,6 @@ def test_no_stop_where_lanes_cross() -> None:
     decision = said(plans[-1], "lane 11")
     assert decision is not None
     assert "no room" in decision.reason
-
-
-def test_a_priority_vehicle_that_turns_off_before_is_let_be() -> None:
-    """A hypothesis of little weight, or none, through the zone is no claim."""
-    ego, car = at_front(70.0, 8.0), driving("car", 100.0, -40.0, 8.0, 1.0)
-    assert demands(junction(), ego, [car]) == ()
-
-
-# --- roads without rules
-
-
-def test_a_road_without_rules_demands_nothing() -> None:
-    assert demands(straight(), at_front(60.0, 10.0)) == ()
 
 
 # stops end

@@ -27,7 +27,7 @@ from logs.frame import Frame, PlannerContext
 from logs.kernel import FloatArray, IntArray, kernel
 from logs.states import EgoState
 from logs.trace import Artefact, Corridor, Internals, Plan, SlGraph, StGraph
-from planners.frenet.fallback import along, fall_back
+from planners.frenet.fallback import fall_back, trajectory_along
 from planners.frenet.path import Path, make_path, quintic
 from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, limit_profile
 from planners.frenet.scene import Occupancy, RouteTracker, Scene, behind, on_path
@@ -125,7 +125,7 @@ class Idm:
         profile, leader = self._profile(path, blocks, stops, start)
         internals = Internals((), lambda: _artefacts(scene, path, blocks, stops, profile, leader))
         self._lap("speed")
-        return Plan(along(path, profile, frame.t), start=start_kind, internals=internals)
+        return Plan(trajectory_along(path, profile, frame.t), start=start_kind, internals=internals)
 
     def _profile(
         self, path: Path, blocks: StBoundaries, stops: tuple[Occupancy, ...], start: EgoState

@@ -29,7 +29,7 @@ from logs.trace import Artefact, Candidates, CostTerms, LaneOption
 from planners.dp_qp.config import DpQpConfig, LaneConfig
 from planners.dp_qp.lane import FORGET_S, LaneMemory, LanePlan, LanePlanner, PassWay
 from planners.dp_qp.path.bounds import CorridorConfig
-from planners.dp_qp.path.passing import along_lane, gone_on, pass_targets, to_pass
+from planners.dp_qp.path.passing import along_lane, free_stations, obstacles_to_pass, pass_targets
 from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import Scene
 from planners.rules.rulebook import YIELD_MPS2
@@ -185,12 +185,12 @@ def _plan_past(
     free = over_marking or not endangered(scene, passing_side)
     sides, stations = (free and passes_left, free and not passes_left), memory.stations
     if stations is None or len(stations) != len(t):
-        stations = gone_on(t, scene.s, scene.start.v, scene.limit)
+        stations = free_stations(t, scene.s, scene.start.v, scene.limit)
     else:
         stations = _carried_on(t - t[0], stations, t - memory.t)
     found = pass_targets(scene, who, stations, memory.passed)
     for turn in range(TURNS):
-        way = to_pass(scene, found, stations, sides, config, planner.places, memory.passed)
+        way = obstacles_to_pass(scene, found, stations, sides, config, planner.places, memory.passed)
         if not way.obstacles:
             return None, frozenset(), replace(memory, stations=None, lane=lane)
         plan, lane = planner.plan("pass", scene, lane, PassWay(found, way))

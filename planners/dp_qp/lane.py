@@ -21,7 +21,7 @@ from logs.trace import Artefact, CostTerms, SolverReport
 from planners.dp_qp.config import DpQpConfig
 from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
 from planners.dp_qp.path.bounds import InTheWay
-from planners.dp_qp.path.passing import PassTarget, along_lane, gone_on, pass_targets
+from planners.dp_qp.path.passing import PassTarget, along_lane, free_stations, pass_targets
 from planners.dp_qp.path.stage import ChosenPath, PathMemory, PathStage
 from planners.dp_qp.speed.caps import SpeedTask
 from planners.dp_qp.speed.stage import ChosenSpeed, SpeedMemory, SpeedStage
@@ -160,7 +160,8 @@ class LanePlanner:
             skip = behind(scene, keeps_track=path.shift < TRACK_M and past is None)
             who, beside = [] if past else along_lane(scene), past.targets if past else ()
             if who:  # they are beside an ego that drives at the limit, which comes there soonest; else followed
-                beside = pass_targets(scene, who, gone_on(scene.frame.predictions.t, scene.s, start.v, scene.limit))
+                expected = free_stations(scene.frame.predictions.t, scene.s, start.v, scene.limit)
+                beside = pass_targets(scene, who, expected)
             task = SpeedTask(standing, skip, stops, beside, past is not None, self._goal, target)
             speed, speed_memory = self._speed.choose(scene, path.path, task, memory.speed)
         lost, braking = self._horizon, config.failed_s

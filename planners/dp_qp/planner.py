@@ -11,7 +11,7 @@ from logs.trace import Artefact, Internals, Plan, PlanStatus
 from planners.dp_qp.choice import PassMemory, choose, hopeless, passing, worth_looking
 from planners.dp_qp.config import DpQpConfig
 from planners.dp_qp.lane import LaneMemory, LanePlan, LanePlanner
-from planners.frenet.fallback import Stops, along, fall_back
+from planners.frenet.fallback import Stops, fall_back, trajectory_along
 from planners.frenet.lane_sequence import LaneSequence, LaneSequences
 from planners.frenet.scene import start_of
 
@@ -56,7 +56,7 @@ class DpQp:
             stops = Stops(qp.comfort, qp.emergency, qp.knots)
             return fall_back(frame, start, start_kind, path, reason, internals, self._vehicle, stops)
         status = PlanStatus.HARD_STOP if speed.unavoidable else PlanStatus.PLANNED
-        return Plan(along(path, speed.profile, frame.t), status, speed.reason, start_kind, internals)
+        return Plan(trajectory_along(path, speed.profile, frame.t), status, speed.reason, start_kind, internals)
 
     def _choose(self, frame: Frame, start: EgoState) -> tuple[LanePlan, tuple[Artefact, ...]]:
         """The plan in the best lane; the neighbours are planned only where that may pay."""

@@ -25,7 +25,7 @@ MIN_REST_S = 3.0
 """The rest of the previous plan is driven if it lasts at least so long, s."""
 
 
-def along(path: Path, profile: FloatArray, t: float) -> Trajectory:
+def trajectory_along(path: Path, profile: FloatArray, t: float) -> Trajectory:
     """The trajectory of a speed profile, rows s, v, a `(3, n)` every 0.1 s from time `t`, along a path."""
     rows = _driven(path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile), t)
     return Trajectory.of_rows(rows)
@@ -35,7 +35,7 @@ def along(path: Path, profile: FloatArray, t: float) -> Trajectory:
 def _driven(
     sigma: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, kappa: FloatArray, profile: FloatArray, t: float
 ) -> FloatArray:
-    """`along` as rows t, x, y, yaw, v, a, kappa `(7, n)`."""
+    """`trajectory_along` as rows t, x, y, yaw, v, a, kappa `(7, n)`."""
     out = np.empty((7, profile.shape[1]))
     where = states_on_path(sigma, x, y, yaw, kappa, profile[0])
     out[1:4], out[6] = where[:3], where[3]
@@ -77,7 +77,7 @@ def fall_back(
     status = PlanStatus.COMFORTABLE_STOP
     for limits in (stops.comfortable, stops.hardest):
         profile = braking(max(start.v, 0.0), start.a, limits.decel_mps2, limits.jerk_mps3, STEP_S, stops.knots)
-        stop = along(path, profile, frame.t)
+        stop = trajectory_along(path, profile, frame.t)
         if limits is stops.hardest or not meets(stop, frame, vehicle):
             break
         status = PlanStatus.HARD_STOP

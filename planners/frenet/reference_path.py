@@ -189,12 +189,12 @@ def make_line(
     points = thinned(np.vstack([_blended(group, ego if i == 0 else None) for i, group in enumerate(groups)]), 1.0)
     across = (road.lanes[lane].left - road.lanes[lane].right for lane in lanes)
     width = min(float(np.median(np.hypot(*each.T))) for each in across)
-    line = ReferenceLine.through(smoothed(points))
+    line = ReferenceLine.through(smooth_points(points))
     room = 0.5 * (width - car.width) - EDGE_M if car is not None else 0.0
     for shift, weight in HARDER:
         if car is None or _sharpest(line) <= LOCK_SHARE * car.max_kappa or room <= MAX_SHIFT_M:
             break
-        line = min(line, ReferenceLine.through(smoothed(points, min(shift, room), weight)), key=_sharpest)
+        line = min(line, ReferenceLine.through(smooth_points(points, min(shift, room), weight)), key=_sharpest)
     return tuple(lanes), line
 
 
@@ -202,7 +202,7 @@ def _sharpest(line: ReferenceLine) -> float:
     return float(np.abs(line.kappa).max())
 
 
-def smoothed(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float = BENDING_WEIGHT) -> FloatArray:
+def smooth_points(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float = BENDING_WEIGHT) -> FloatArray:
     """The polyline `(n, 2)`, equally spaced and smoothed by (1); a line too short or not solvable stays as it is."""
     chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
     count = floor(chord[-1] / SPACING_M + 0.5 - TIE) + 1

@@ -158,7 +158,7 @@ def scene_of(
     line, agents = reference.line, frame.agents
     bodies = Bodies(agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width)
     search = (0.5 * line.length, line.length) if near is None else (near, FOOT_M)
-    s, l, limit, rows = placed(  # noqa: E741
+    s, l, limit, rows = place_agents(  # noqa: E741
         line.s, line.coef, reference.table, reference.limit, bodies, (start.x, start.y), *search
     )
     trouble = out_of_frame(line, start, s, l)
@@ -171,7 +171,7 @@ def scene_of(
 
 
 @kernel
-def placed(
+def place_agents(
     knots: FloatArray, coef: FloatArray, table: FloatArray, limits: FloatArray, bodies: Bodies,
     ego: tuple[float, float], near: float, within: float,
 ) -> tuple[float, float, float, FloatArray]:  # fmt: skip

@@ -106,7 +106,7 @@ def third_square(c3: float, c4: float, c5: float, T: float) -> float:
 
 
 @kernel
-def evaluated(c: FloatArray, T: float, x: float) -> tuple[float, float, float]:
+def evaluate_polynomial(c: FloatArray, T: float, x: float) -> tuple[float, float, float]:
     """Value, first and second derivative of a polynomial `(6,)` at x; beyond T it goes on straight."""
     u = min(x, T)
     value = ((((c[5] * u + c[4]) * u + c[3]) * u + c[2]) * u + c[1]) * u + c[0]
@@ -116,12 +116,12 @@ def evaluated(c: FloatArray, T: float, x: float) -> tuple[float, float, float]:
 
 
 @kernel
-def sampled(lon: FloatArray, T: FloatArray, steps: int) -> FloatArray:
+def sample_polynomials(lon: FloatArray, T: FloatArray, steps: int) -> FloatArray:
     """s, s_dot, s_ddot `(m, 3, steps + 1)` of polynomials `(m, 6)` every `STEP_S`."""
     out = np.empty((len(lon), 3, steps + 1))
     for i in range(len(lon)):
         for k in range(steps + 1):
-            out[i, 0, k], out[i, 1, k], out[i, 2, k] = evaluated(lon[i], T[i], k * STEP_S)
+            out[i, 0, k], out[i, 1, k], out[i, 2, k] = evaluate_polynomial(lon[i], T[i], k * STEP_S)
     return out
 
 
@@ -153,7 +153,7 @@ def states(
     out = np.empty((9, motion.shape[1]))
     for k in range(motion.shape[1]):
         ahead = motion[0, k]
-        l, dl, ddl = evaluated(lateral, D, ahead)  # noqa: E741
+        l, dl, ddl = evaluate_polynomial(lateral, D, ahead)  # noqa: E741
         x, y, yaw_r, kappa_r = line_frame(knots, coef, s0 + ahead)
         s = s0 + ahead
         dkappa_r = 2.0 * (line_curvature(knots, coef, s + 0.25) - line_curvature(knots, coef, s - 0.25))
@@ -344,7 +344,7 @@ def first_feasible(
     found, start = np.zeros(FAULTS, np.int64), np.array(ego.lateral)
     for pair in order:
         i = pairs.row[pair]
-        motion = sampled(pairs.lon.coef[i : i + 1], pairs.lon.T[i : i + 1], HORIZON_STEPS)[0]
+        motion = sample_polynomials(pairs.lon.coef[i : i + 1], pairs.lon.T[i : i + 1], HORIZON_STEPS)[0]
         lateral = lateral_polynomial(start, pairs.l1[pair], pairs.length[pair])
         at = states(room.knots, room.coef, ego.s, lateral, pairs.length[pair], motion)
         unseen = others.behind[1] if pairs.changes[pair] else others.behind[0]
@@ -379,7 +379,7 @@ def headway(
     motion: FloatArray, s0: float, others: FloatArray, speed: FloatArray, behind: BoolArray, l1: float,
     box: FloatArray, wanted: FloatArray, changes: bool,
 ) -> FloatArray:  # fmt: skip
-    """(5) of longitudinal candidates `(m, 3, k)`, as of `sampled`, on the track at offset `l1`: `(m,)`.
+    """(5) of longitudinal candidates `(m, 3, k)`, as of `sample_polynomials`, on the track at offset `l1`: `(m,)`.
 
     `others` are `futures_frenet`, `behind` as of `Futures`; `box` from the rear axle to front and rear, and half the
     width, m; `wanted` g0, tau; `changes`: whether the track is another than the ego's.

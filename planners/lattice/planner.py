@@ -63,7 +63,7 @@ from planners.lattice.candidates import (
     lateral_costs,
     lateral_polynomial,
     reach_point,
-    sampled,
+    sample_polynomials,
     speed_faults,
     squared_jerks,
     states,
@@ -220,7 +220,7 @@ class Sampler:
         columns = np.array(rows).T.copy()
         coef = np.array([(0.0, ego.speed, 0.5 * ego.accel, *row[:3]) for row in rows])
         lon = Longitudinal(coef, columns[3], columns[4], columns[5], columns[6].astype(np.int64))
-        motion = sampled(lon.coef, lon.T, HORIZON_STEPS)
+        motion = sample_polynomials(lon.coef, lon.T, HORIZON_STEPS)
         allowed = braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, HORIZON_KNOTS)[1] + 0.3
         bounds, t = np.array([config.accel_mps2, config.decel_mps2, 0.5]), STEP_S * np.arange(HORIZON_KNOTS)
         upper = upper_bound(stops, t, np.inf)  # how far the rules let the ego go
@@ -351,7 +351,7 @@ class Lattice:
             reason = "no candidate can be driven: " + ", ".join(f"{n} {why}" for why, n in counted.rejected)
             return fall_back(frame, scene.start, start_kind, None, reason, (counted,), self._vehicle)
         row = int(pairs.row[chosen])
-        motion = sampled(pairs.lon.coef[row, None], pairs.lon.T[row, None], HORIZON_STEPS)[0]
+        motion = sample_polynomials(pairs.lon.coef[row, None], pairs.lon.T[row, None], HORIZON_STEPS)[0]
         lateral = lateral_polynomial(np.array(ego.lateral), pairs.l1[chosen], pairs.length[chosen])
         at = states(line.s, line.coef, scene.s, lateral, pairs.length[chosen], motion)
         x, y, yaw, v, a, kappa = at[:6]

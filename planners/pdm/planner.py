@@ -38,7 +38,7 @@ from logs.kernel import BoolArray, FloatArray, kernel
 from logs.states import EgoState, Trajectory, wrap
 from logs.trace import Artefact, Candidates, Corridor, CostTerms, Internals, Plan, SlGraph, StGraph
 from logs.vehicle import VehicleParameters
-from planners.frenet.fallback import along, fall_back
+from planners.frenet.fallback import fall_back, trajectory_along
 from planners.frenet.path import Path, make_path, states_on_path
 from planners.frenet.profiles import EMERGENCY, HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking
 from planners.frenet.scene import Occupancy, RouteTracker, Scene, on_path
@@ -137,7 +137,7 @@ class Pdm:
     def plan(self, frame: Frame) -> Plan:
         """The simulated drive along the best proposal, ties to the first; a stop outside of the route's frame."""
         c, car = self._config, self._vehicle
-        scene, start_kind = self._tracker.scene(replace(frame, predictions=straight_on(frame)))
+        scene, start_kind = self._tracker.scene(replace(frame, predictions=constant_velocity(frame)))
         if frame.previous is None:
             self._memory = RuleMemory()
         if scene.trouble:
@@ -149,7 +149,8 @@ class Pdm:
         tracks = [self._track(scene, demanded, near, offset) for offset in self._offsets]
         self._lap("proposals")
         steps = round(c.horizon_s / STEP_S) + 1
-        drives = [tracked(each.path, profile, scene.start, car, steps) for each in tracks for profile in each.profiles]
+        profiles = [(each.path, profile) for each in tracks for profile in each.profiles]
+        drives = [track_proposal(path, profile, scene.start, car, steps) for path, profile in profiles]
         self._lap("simulation")
         weights = c.w_progress, c.w_ttc, c.w_comfort
         found = scores(np.array(drives), scene, np.flatnonzero(near), weights)
@@ -166,8 +167,8 @@ class Pdm:
             profile = braking(scene.v, start.a, c.brake_mps2, EMERGENCY.jerk_mps3, STEP_S, HORIZON_KNOTS)
             name, within = scene.name(int(found.agent[chosen])), found.contact[chosen]
             reason = f"emergency brake: the best proposal meets {name} in {within:.1f} s"
-            return Plan(along(arc, profile, frame.t), reason=reason, start=start_kind, internals=internals)
-        x, y, yaw, v, a, kappa = tracked(track.path, track.profiles[row], scene.start, car, HORIZON_KNOTS)
+            return Plan(trajectory_along(arc, profile, frame.t), reason=reason, start=start_kind, internals=internals)
+        x, y, yaw, v, a, kappa = track_proposal(track.path, track.profiles[row], scene.start, car, HORIZON_KNOTS)
         way = Trajectory(frame.t + STEP_S * np.arange(HORIZON_KNOTS), x, y, yaw, v, a, kappa)
         return Plan(way, start=start_kind, internals=internals)
 
@@ -181,7 +182,7 @@ class Pdm:
         lead = blocks.with_stops([replace(stop, s_from=stop.aim + c.min_gap_m) for stop in stops])
         speeds = scene.limit * np.array(c.speed_shares)
         center = self._vehicle.axle_to_center
-        profiles = driven(speeds, lead.t, lead.lower, lead.upper, lead.speed, scene.v, center, self._driver)
+        profiles = drive_track(speeds, lead.t, lead.lower, lead.upper, lead.speed, scene.v, center, self._driver)
         return Track(offset, path, blocks, stops, profiles)
 
     def _artefacts(self, scene: Scene, track: Track, row: int, found: Scores, chosen: int) -> tuple[Artefact, ...]:
@@ -206,7 +207,7 @@ class Pdm:
         return (st_graph, sl_graph, *near, *(stop.decision for stop in track.stops), *costs, counted)
 
 
-def straight_on(frame: Frame) -> Predictions:
+def constant_velocity(frame: Frame) -> Predictions:
     """The others going on with their velocity, for the horizon of a plan."""
     agents, ahead = frame.agents, LOOKED_UP_S * np.arange(round(HORIZON_STEPS * STEP_S / LOOKED_UP_S) + 1)
     x, y = agents.x[:, None] + agents.vx[:, None] * ahead, agents.y[:, None] + agents.vy[:, None] * ahead
@@ -233,7 +234,7 @@ def idm_acceleration(v: float, v0: float, gap: float, v_lead: float, driver: Dri
 
 
 @kernel
-def driven(
+def drive_track(
     speeds: FloatArray, t: FloatArray, lower: FloatArray, upper: FloatArray, speed: FloatArray, start_v: float,
     center: float, driver: Driver,
 ) -> FloatArray:  # fmt: skip
@@ -258,15 +259,15 @@ def driven(
     return out
 
 
-def tracked(path: Path, profile: FloatArray, start: EgoState, car: VehicleParameters, knots: int) -> FloatArray:
-    """`followed` of a profile s, v `(2, HORIZON_KNOTS)` on a path."""
+def track_proposal(path: Path, profile: FloatArray, start: EgoState, car: VehicleParameters, knots: int) -> FloatArray:
+    """`follow_proposal` of a profile s, v `(2, HORIZON_KNOTS)` on a path."""
     pose = states_on_path(path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile[0]))
     state = np.array([start.x, start.y, start.yaw, max(start.v, 0.0), start.a, atan(car.wheelbase * start.kappa)])
-    return followed(pose, profile[1], state, car.wheelbase, car.max_steer, knots)
+    return follow_proposal(pose, profile[1], state, car.wheelbase, car.max_steer, knots)
 
 
 @kernel
-def followed(
+def follow_proposal(
     pose: FloatArray, speed: FloatArray, start: FloatArray, wheelbase: float, max_steer: float, knots: int
 ) -> FloatArray:
     """Rows x, y, yaw, v, a, kappa `(6, knots)` of the ego that follows a proposal, x, y, yaw, kappa `(4, n)` of it.

@@ -34,7 +34,7 @@ from logs.kernel import FloatArray
 from logs.trace import SlGraph, StGraph
 from planners.frenet.profiles import HORIZON_KNOTS, STEP_S
 from planners.pdm import Pdm, PdmConfig
-from planners.pdm.planner import Driver, driven, idm_acceleration, straight_on, tracked
+from planners.pdm.planner import Driver, constant_velocity, drive_track, idm_acceleration, track_proposal
 from planners.pdm.score import BOUNDS, PARTS, Scores, comfortable, scores
 from replay.planner_process.planner_config import planner_keywords
 
@@ -94,7 +94,7 @@ def test_who_wants_to_be_faster_is_never_behind(v: float, speeds: list[float], g
     t = np.arange(0.0, 8.01, 0.2)
     lower = gap + lead * t[None]
     for some in ((lower, lower + 6.0, np.array([lead])), (np.empty((0, len(t))), np.empty((0, len(t))), np.empty(0))):
-        found = driven(np.sort(speeds), t, *some, v, 1.4, DRIVER)
+        found = drive_track(np.sort(speeds), t, *some, v, 1.4, DRIVER)
         assert (np.diff(found[:, 0], axis=0) >= -1e-6).all()
         assert (found[:, 1] >= 0.0).all()
 
@@ -106,7 +106,7 @@ def test_who_wants_to_be_faster_is_never_behind(v: float, speeds: list[float], g
 def test_who_is_on_the_track_stays_there(kappa: float) -> None:
     v, path = 8.0, path_of(np.full(400, kappa), 0.5)
     profile = np.array([v * STEP_S * np.arange(HORIZON_KNOTS), np.full(HORIZON_KNOTS, v)])
-    way = tracked(path, profile, EgoState(0.0, 0.0, 0.0, 0.0, v, 0.0, kappa), CAR, 41)
+    way = track_proposal(path, profile, EgoState(0.0, 0.0, 0.0, 0.0, v, 0.0, kappa), CAR, 41)
     off = np.hypot(way[0][:, None] - path.x, way[1][:, None] - path.y).min(axis=1)
     assert off.max() < 0.3
     np.testing.assert_allclose(way[3], v, atol=1e-9)
@@ -117,7 +117,7 @@ def test_who_is_on_the_track_stays_there(kappa: float) -> None:
 def test_an_offset_is_undone(l: float, yaw: float, v: float) -> None:  # noqa: E741
     path = path_of(np.zeros(600), 0.5)
     profile = np.array([v * STEP_S * np.arange(HORIZON_KNOTS), np.full(HORIZON_KNOTS, v)])
-    way = tracked(path, profile, EgoState(0.0, 0.0, l, yaw, v), CAR, HORIZON_KNOTS)
+    way = track_proposal(path, profile, EgoState(0.0, 0.0, l, yaw, v), CAR, HORIZON_KNOTS)
     assert abs(way[1, -1]) < 0.1 + 0.2 * abs(l)
 
 
@@ -130,15 +130,15 @@ def test_what_is_simulated_is_drivable_and_its_mirror_image_mirrored(
     wanted: float,
 ) -> None:
     path = path_of(0.02 * np.sin(np.arange(600) / 30.0), 0.5)
-    profile = driven(
+    profile = drive_track(
         np.array([max(wanted, 0.5)]), np.arange(0.0, 8.1, 0.2), NONE[:, :0], NONE[:, :0], np.empty(0), v, 1.4, DRIVER
     )[0]
-    one = tracked(path, profile, EgoState(0.0, 0.0, l, yaw, v, a), CAR, HORIZON_KNOTS)
+    one = track_proposal(path, profile, EgoState(0.0, 0.0, l, yaw, v, a), CAR, HORIZON_KNOTS)
     assert (one[3] >= 0.0).all()
     assert np.abs(one[5]).max() <= np.tan(CAR.max_steer) / CAR.wheelbase + 1e-9
     np.testing.assert_allclose(np.hypot(np.diff(one[0]), np.diff(one[1])), 0.05 * (one[3, 1:] + one[3, :-1]), atol=1e-9)
     other = replace(path, y=-path.y, yaw=-path.yaw, kappa=-path.kappa)
-    two = tracked(other, profile, EgoState(0.0, 0.0, -l, -yaw, v, a), CAR, HORIZON_KNOTS)
+    two = track_proposal(other, profile, EgoState(0.0, 0.0, -l, -yaw, v, a), CAR, HORIZON_KNOTS)
     np.testing.assert_allclose(one * np.array([[1], [-1], [-1], [1], [1], [-1]]), two, atol=1e-9)
 
 
@@ -232,7 +232,7 @@ def test_the_predictions_of_the_loop_do_not_change_a_plan() -> None:
 
 
 def test_the_others_are_carried_on_straight() -> None:
-    seen = straight_on(frame(EgoState(0.0, 0.0, 0.0, 0.0, 10.0), [driving("a", 40.0, 0.0, 6.0, 1.0)]))
+    seen = constant_velocity(frame(EgoState(0.0, 0.0, 0.0, 0.0, 10.0), [driving("a", 40.0, 0.0, 6.0, 1.0)]))
     np.testing.assert_allclose(seen.x[0], 40.0 + 6.0 * seen.t)
     np.testing.assert_allclose(seen.y[0], seen.t)
 

@@ -33,7 +33,7 @@ from planners.base import Planner
 from planners.dp_qp import DpQp
 from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
 from planners.dp_qp.path.passing import PassTarget
-from planners.dp_qp.speed.caps import CautionConfig, LoweredLimit, PathView, SpeedCap, SpeedTask, lowered
+from planners.dp_qp.speed.caps import CautionConfig, LoweredLimit, PathView, SpeedCap, SpeedTask, lower_limit
 from planners.frenet.path import Path
 from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.frenet.scene import Scene, scene_of
@@ -182,7 +182,7 @@ def view(now: Scene, path: Path, *, targets: tuple[PassTarget, ...] = (), **more
 def limit_of(seen: PathView, producer: Callable[[PathView], tuple[SpeedCap, ...]]) -> LoweredLimit:
     """The limit of a view with the caps of one producer in it."""
     road = LoweredLimit(seen.limit, np.zeros(len(seen.limit), np.bool_))
-    return lowered(seen.path.sigma, road, producer(seen))
+    return lower_limit(seen.path.sigma, road, producer(seen))
 
 
 def planner(road: Road, ego: EgoState, goal: Goal | None = None) -> Planner:

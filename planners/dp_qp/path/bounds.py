@@ -7,7 +7,7 @@ S-T graph. (The path DP, coarser than `corridor`, moves the rear axle past boxes
     nudge right:                upper <= its right side - half width - clearance
 
 A bound that steering cannot reach from the start any more is loosened to what it can (`corridor`); who is then not
-cleared is a stop (`cleared`).
+cleared is a stop (`check_clearance`).
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ def _standing_boxes(
     return rows[:count].copy(), boxes[:count].copy()
 
 
-def borrowed(way: InTheWay, speed: float, vehicle: VehicleParameters) -> Borrowed:
+def borrowed_road(way: InTheWay, speed: float, vehicle: VehicleParameters) -> Borrowed:
     """Where road beside the lane is used: a free neighbouring lane where an obstacle is passed, at this speed.
 
     And the facing lane where the obstacle is one of those that may be passed by it.
@@ -187,7 +187,7 @@ def lane_bounds(
 ) -> PathBounds:  # fmt: skip
     """(1) of `corridor` at stations of any shape, for an ego that passes obstacles at this speed."""
     side = 0.5 * vehicle.width + config.edge_m
-    edges = lane_edges(reference.line.s, reference.table, s.ravel(), borrowed(way, speed, vehicle), side)
+    edges = lane_edges(reference.line.s, reference.table, s.ravel(), borrowed_road(way, speed, vehicle), side)
     return PathBounds(s, *edges.reshape(2, *s.shape))
 
 
@@ -266,7 +266,7 @@ def side_choices(
     return found
 
 
-def narrowed(
+def narrow_bounds(
     space: PathBounds, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...], vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> tuple[PathBounds, tuple[Decision, ...]]:  # fmt: skip
@@ -284,7 +284,7 @@ def narrowed(
     return PathBounds(space.s, lower, upper), tuple(final)
 
 
-def cleared(
+def check_clearance(
     path: PathBounds, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...], vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> tuple[dict[str, float], tuple[Decision, ...]]:  # fmt: skip

@@ -8,7 +8,7 @@ corners stay in the bounds widened by half its width. They are built in named st
 (2) `_for_the_nose` wider where the ego's nose needs it in a sharp turn
 (3) `_towards`      within the sides of the goal region, as near to them as it goes
 (4) `_widened`      where the ego is outside the lane: holding a quintic from its state back into it
-(5) `loosened`      to the reach (8) of comfortable steering, where a bound asks for more; of hard steering where
+(5) `loosen_bounds` to the reach (8) of comfortable steering, where a bound asks for more; of hard steering where
                     comfort would leave the road's room by more than `FORCED_M` and that leaves it by less
 
 What obstacles leave of it stands in `bounds`. With the speed v(s) that is expected along the reference line, the lock
@@ -56,7 +56,7 @@ LEFT_M = 0.1
 NEAR_GOAL_M = 15.0
 """Who stands within this of the goal is passed as anywhere else: its sides are not kept to then, m."""
 HERE = np.empty(0)
-"""`loosened`: near the reference line."""
+"""`loosen_bounds`: near the reference line."""
 COMFORT = frozen(np.array([4.0, 3.0, 1.8]))
 """Lateral acceleration that a path may need, braking and acceleration that the expected speed counts on, m/s2 ..."""
 HARD = frozen(np.array([6.0, 5.0, 0.0]))
@@ -77,7 +77,7 @@ class Ego(NamedTuple):
     Attributes:
         start: s, l, l', l'' and speed, m, 1, 1/m, m/s `(5,)`.
         leads: How far its points are before the rear axle `(k,)`, the first 0, m.
-        car: As of `bounded` `(3,)`.
+        car: As of `steering_bounds` `(3,)`.
         side: Half its width and what is kept to the lane's edge, m.
     """
 
@@ -151,7 +151,7 @@ def road_ahead(
     _towards(points, sides, standing)
     _widened(points[S], points[LOWER], points[UPPER], ego.start)
     _widened(points[S], points[LEAST], points[MOST], ego.start)
-    references, rows = loosened(along, points, points[LOWER], points[UPPER], np.empty(0), ego, knots)
+    references, rows = loosen_bounds(along, points, points[LOWER], points[UPPER], np.empty(0), ego, knots)
     return RoadAhead(along, points, references, rows)
 
 
@@ -264,7 +264,7 @@ def _widened(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatAr
 
 
 @kernel
-def loosened(
+def loosen_bounds(
     along: FloatArray, points: FloatArray, lower: FloatArray, upper: FloatArray, near: FloatArray, ego: Ego,
     knots: Knots,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
@@ -279,7 +279,7 @@ def loosened(
     for i in range(n):
         offsets[i] = near[i] if len(near) > 0 else min(max(0.0, lower[0, i]), upper[0, i])
     for hard in range(2):
-        bend, rate, left, right = bounded(
+        bend, rate, left, right = steering_bounds(
             ego.start[1:], along[LIMIT], along[KAPPA], offsets, step, ego.car, HARD if hard else COMFORT
         )
         reached = np.empty((2, len(ego.leads), n))
@@ -412,7 +412,7 @@ def _reach(start: FloatArray, aim: FloatArray, low: FloatArray, high: FloatArray
 
 
 @kernel
-def bounded(
+def steering_bounds(
     start: FloatArray, limit: FloatArray, kappa: FloatArray, offset: FloatArray, step: float, car: FloatArray,
     limits: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip

@@ -212,7 +212,7 @@ def _boxed(
     return (s_from, s_to, l_from, l_to), (begin, end), places[:n]
 
 
-def to_pass(
+def obstacles_to_pass(
     scene: Scene, found: tuple[PassTarget, ...], stations: FloatArray, sides: tuple[bool, bool],
     config: CorridorConfig, places: tuple[float, ...], passed: frozenset[str] = frozenset(),
 ) -> InTheWay:  # fmt: skip
@@ -234,7 +234,7 @@ def to_pass(
 
 
 @kernel
-def gone_on(t: FloatArray, s_ego: float, v: float, limit: float) -> FloatArray:
+def free_stations(t: FloatArray, s_ego: float, v: float, limit: float) -> FloatArray:
     """Stations at times `(k,)` from the first on of an ego that reaches a limit with `GAIN_MPS2` and keeps it."""
     out, total, before = np.empty(len(t)), 0.0, v
     for k in range(len(t)):

@@ -86,7 +86,7 @@ class PathQp:
         return solve(asked, self._solver, stage=stage, tolerance=TOLERANCE)
 
     def stated(self, start: FloatArray, references: FloatArray, rows: FloatArray) -> PiecewiseJerkProblem:
-        """(1)-(6) for a start (l, l', l'') `(3,)`, with references and rows as of `corridor.loosened`.
+        """(1)-(6) for a start (l, l', l'') `(3,)`, with references and rows as of `corridor.loosen_bounds`.
 
         (1) and (5) together are one square about a point between them: `middle` times the sum of the bounds.
         """

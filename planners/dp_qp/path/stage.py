@@ -23,7 +23,19 @@ from logs.trace import (
 from planners.dp_qp.goal_window import GoalWindow
 from planners.dp_qp.path import bounds
 from planners.dp_qp.path.bounds import SIDES, CorridorConfig, InTheWay, PathBounds
-from planners.dp_qp.path.corridor import HERE, KNOT, LOWER, SWING, UPPER, Ego, Knots, RoadAhead, S, loosened, road_ahead
+from planners.dp_qp.path.corridor import (
+    HERE,
+    KNOT,
+    LOWER,
+    SWING,
+    UPPER,
+    Ego,
+    Knots,
+    RoadAhead,
+    S,
+    loosen_bounds,
+    road_ahead,
+)
 from planners.dp_qp.path.dp import PathDpConfig, SlGrid, solve_path_dp
 from planners.dp_qp.path.passing import blocking, may_block, passed_by_oncoming_lane, waiting_place
 from planners.dp_qp.path.qp import PathQp, PathQpConfig
@@ -101,7 +113,7 @@ class _Task:
 class _Found:
     """l, l', l'' `(3, knots)` or None; what the solver answered; what was decided in the end; the problem, reports.
 
-    `rooms` as of `bounds.cleared`.
+    `rooms` as of `bounds.check_clearance`.
     """
 
     offsets: FloatArray | None
@@ -176,7 +188,7 @@ class PathStage:
         way = way.and_moving(moving) if moving else way
         start = np.array((scene.s, *scene.frenet, speed))
         ego = Ego(start, self._leads, self._car, 0.5 * car.width + self._config.corridor.edge_m)
-        knots, beside = Knots(program.knots, program.step, program.middle), bounds.borrowed(way, speed, car)
+        knots, beside = Knots(program.knots, program.step, program.middle), bounds.borrowed_road(way, speed, car)
         road = road_ahead(reference.line.s, reference.table, ego, knots, beside, sides, near)
         space = PathBounds(road.points[S], road.points[LOWER], road.points[UPPER])
         problem = program.stated(start[1:4], road.references, road.rows)
@@ -187,7 +199,7 @@ class PathStage:
         config, car = self._config.corridor, self._vehicle
         reports: tuple[SolverReport, ...] = ()
         while True:
-            narrow, decisions = bounds.narrowed(task.space, obstacles, decisions, car, config)
+            narrow, decisions = bounds.narrow_bounds(task.space, obstacles, decisions, car, config)
             problem = task.problem if narrow is task.space else self._problem(task, narrow, HERE)
             result = task.program.solve(problem)
             in_bounds, reports = result.report.solved, (*reports, result.report)
@@ -200,7 +212,7 @@ class PathStage:
             final, rooms = decisions, dict[str, float]()
             if obstacles:
                 at = offsets[0] + self._leads[:, None] * offsets[1] - task.road.points[SWING]
-                rooms, final = bounds.cleared(PathBounds(narrow.s, at, at), obstacles, decisions, car, config)
+                rooms, final = bounds.check_clearance(PathBounds(narrow.s, at, at), obstacles, decisions, car, config)
             if in_bounds or final == decisions:
                 return _Found(offsets, result.x, final, narrow, problem, reports, rooms)
             decisions = final
@@ -229,7 +241,7 @@ class PathStage:
     def _problem(self, task: _Task, space: PathBounds, near: FloatArray) -> PiecewiseJerkProblem:
         """The path QP in a space, as far as steering can keep it; bounds of the curvature as at offsets `near`."""
         road = task.road
-        asked = loosened(road.along, road.points, space.lower, space.upper, near, task.ego, task.knots)
+        asked = loosen_bounds(road.along, road.points, space.lower, space.upper, near, task.ego, task.knots)
         return task.program.stated(task.ego.start[1:4], *asked)
 
     def _in_the_way(

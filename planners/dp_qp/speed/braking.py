@@ -19,7 +19,7 @@ import numpy as np
 
 from logs.kernel import FloatArray
 from logs.trace import SolverReport
-from planners.dp_qp.speed.qp import RELEASE_MPS3, SpeedProblem, SpeedQp, SpeedQpConfig, eased, tidied
+from planners.dp_qp.speed.qp import RELEASE_MPS3, SpeedProblem, SpeedQp, SpeedQpConfig, ease_problem, tidy_profile
 from planners.frenet.profiles import STEP_S, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig
 from planners.piecewise_jerk.solvers import DEFAULT
@@ -107,12 +107,12 @@ class BrakingLadder:
             if braked_fully and not rung.after_full:
                 continue
             comfort = self._config.comfort.decel_mps2
-            fits, posed, rows = eased(problem, rung.limits.columns, rung.share, rung.given, comfort)
+            fits, posed, rows = ease_problem(problem, rung.limits.columns, rung.share, rung.given, comfort)
             if fits:
                 result = self.program.solve(rows)
                 tried.append((posed, result))
                 if result.report.solved:
-                    return SolvedSpeed(tidied(result.x), rung.reason, attempts=tuple(tried))
+                    return SolvedSpeed(tidy_profile(result.x), rung.reason, attempts=tuple(tried))
             if tried and problem.overtakes:
                 break
         if tried:

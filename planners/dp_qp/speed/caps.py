@@ -174,7 +174,7 @@ class LoweredLimit:
     decisions: tuple[Decision, ...] = ()
 
 
-def lowered(sigma: FloatArray, road: LoweredLimit, caps: Sequence[SpeedCap]) -> LoweredLimit:
+def lower_limit(sigma: FloatArray, road: LoweredLimit, caps: Sequence[SpeedCap]) -> LoweredLimit:
     """(1) along a path `(m,)`; a decision for each agent whose cap is worth reporting, the lowest of theirs."""
     if not caps:
         return road

@@ -113,7 +113,7 @@ def _walks(scene: Scene) -> BoolArray:
     return np.asarray(WALKERS[scene.frame.agents.codes] & (scene.speed < WALK_MPS))
 
 
-def braking_on(scene: Scene, rows: StBoundaries) -> StBoundaries:
+def extend_braking(scene: Scene, rows: StBoundaries) -> StBoundaries:
     """(6): the rows with those who are followed and brake coming to a stop."""
     accel = scene.frame.agents.accel[rows.agent]
     if not (accel < -ERROR_MPS2).any():
@@ -128,7 +128,7 @@ def braking_on(scene: Scene, rows: StBoundaries) -> StBoundaries:
     return replace(rows, lower=lower)
 
 
-def let_go(rows: StBoundaries, which: BoolArray, stop: FloatArray, gap: float) -> StBoundaries:
+def relax_rows(rows: StBoundaries, which: BoolArray, stop: FloatArray, gap: float) -> StBoundaries:
     """(4), (5): the rows, those `which` `(n,)` no nearer than a comfortable stop `(k,)` with its gap can keep."""
     lower = np.where(which[:, None], np.maximum(rows.lower, stop + gap), rows.lower)
     return replace(rows, lower=lower, upper=np.maximum(rows.upper, lower))

@@ -162,7 +162,7 @@ def rows_of(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> Rows:
 
 
 @kernel
-def eased(
+def ease_problem(
     problem: SpeedProblem, limits: KnotLimits, share: float, given: float, comfort: float
 ) -> tuple[bool, SpeedProblem, Rows]:
     """Whether braking with a share of the limits keeps the bounds, and the QP for it.
@@ -181,7 +181,7 @@ def eased(
 
 
 @kernel
-def tidied(x: FloatArray) -> FloatArray:
+def tidy_profile(x: FloatArray) -> FloatArray:
     """A profile x = (s, v, a) `(3 n,)` without the solver's last micrometres, rows `(3, n)`.
 
     Never backwards, exactly at rest where it rests.

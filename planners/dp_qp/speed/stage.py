@@ -26,7 +26,7 @@ from planners.dp_qp.speed.caps import (
     PathView,
     SpeedTask,
     came_to_path,
-    lowered,
+    lower_limit,
 )
 from planners.dp_qp.speed.dp import COLLISION, DS_M, DT_S, SpeedDpConfig
 from planners.dp_qp.speed.problem import BuiltProblem, PathLimits, Settings, Taken, build_problem
@@ -140,7 +140,7 @@ class SpeedStage:
     def choose(self, scene: Scene, path: Path, task: SpeedTask, memory: SpeedMemory) -> tuple[ChosenSpeed, SpeedMemory]:
         """The speed along a path; and what is remembered."""
         config = self._config
-        found = doubt.braking_on(scene, st_boundaries(scene, path, task.skip, task.passed, config.graph))
+        found = doubt.extend_braking(scene, st_boundaries(scene, path, task.skip, task.passed, config.graph))
         self._lap("S-T graph")
         came = came_to_path(scene, found, memory.came, config.caution.hesitates_s)
         road = np.interp(path.s, scene.reference.line.s, scene.reference.limit)
@@ -148,14 +148,14 @@ class SpeedStage:
             scene, path, task, road, found, came, self._hard_mps2, config.graph.vulnerable_margin_m, config.caution
         )
         bare = LoweredLimit(road, np.zeros(len(road), np.bool_))
-        own = lowered(path.sigma, bare, [cap for caps in OWN for cap in caps(view)])
-        limit = lowered(path.sigma, own, [cap for caps in OTHERS for cap in caps(view)])
+        own = lower_limit(path.sigma, bare, [cap for caps in OWN for cap in caps(view)])
+        limit = lower_limit(path.sigma, own, [cap for caps in OTHERS for cap in caps(view)])
 
         def taken(who: IntArray, margins: StGraphConfig) -> StBoundaries:
             """The boundaries with other margins: of these agents."""
             skip = np.ones(len(task.skip), np.bool_)
             skip[who] = False
-            rows = doubt.braking_on(scene, st_boundaries(scene, path, skip, task.passed, margins))
+            rows = doubt.extend_braking(scene, st_boundaries(scene, path, skip, task.passed, margins))
             return rows.with_stops(task.stops)
 
         limits = PathLimits(path.sigma, path.kappa, own.v, limit.v, limit.is_bound, limit.v is not own.v)
@@ -195,7 +195,7 @@ class SpeedStage:
         if eased.any():
             qp, gap = self._config.qp, self._config.dp.gap_m + TOLERANCE
             stop = qp.comfort.braking((scene.v, scene.start.a), qp.knots, share=RESERVE)[0]
-            rows = doubt.let_go(found, eased, np.interp(found.t, self._times, stop), gap)
+            rows = doubt.relax_rows(found, eased, np.interp(found.t, self._times, stop), gap)
             planned = self._planned(way, rows.only(binds | eased), found.agent[binds & ~eased])
         binds |= eased
         return planned, replace(found, probability=p).only(~binds)

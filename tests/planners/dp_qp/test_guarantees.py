@@ -11,7 +11,7 @@ import pytest
 from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
 from planners.dp_qp.speed import stage
-from planners.dp_qp.speed.caps import LEAST_MPS, OTHERS, LoweredLimit, PathView, Producer, SpeedCap, lowered
+from planners.dp_qp.speed.caps import LEAST_MPS, OTHERS, LoweredLimit, PathView, Producer, SpeedCap, lower_limit
 from planners.dp_qp.speed.qp import SpeedQpConfig
 from planners.frenet.path import Path
 from planners.frenet.profiles import STEP_S, braking
@@ -71,7 +71,7 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> list[Recorded]:
         answer = choose(self, scene, path, *more)  # type: ignore[arg-type]
         if answer[0].profile is not None and seen:
             free = LoweredLimit(seen[0][0].limit, np.zeros(len(path.s), np.bool_))
-            caps = lowered(path.sigma, free, [cap for _, cap in seen])
+            caps = lower_limit(path.sigma, free, [cap for _, cap in seen])
             v = np.where(caps.is_bound, caps.v, np.inf)
             found.append(Recorded(path, v, (scene.v, scene.start.a), answer[0].profile))  # type: ignore[attr-defined]
         return answer

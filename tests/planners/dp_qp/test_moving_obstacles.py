@@ -18,7 +18,15 @@ from logs.kernel import FloatArray
 from logs.trace import Candidates, EndReason, Trace
 from planners.dp_qp.choice import endangered
 from planners.dp_qp.path.bounds import CorridorConfig
-from planners.dp_qp.path.passing import ASIDE_M, NEAR_M, SPARE_S, along_lane, gone_on, pass_targets, to_pass
+from planners.dp_qp.path.passing import (
+    ASIDE_M,
+    NEAR_M,
+    SPARE_S,
+    along_lane,
+    free_stations,
+    obstacles_to_pass,
+    pass_targets,
+)
 from planners.dp_qp.speed.caps import LEAST_MPS, REACTION_S, CautionConfig, passing_caps
 from planners.frenet.path import make_path
 from replay.config import LoopConfig
@@ -66,7 +74,7 @@ def test_the_box_holds_them_as_long_as_the_ego_is_beside_them(
     x = EGO.x + CAR.axle_to_front + ahead + 0.5 * LENGTH
     now = scene(COURSE, EGO, [goer(x, y, u, aside * u)])
     t = now.frame.predictions.t
-    stations = gone_on(t, AT, u + more, u + more)
+    stations = free_stations(t, AT, u + more, u + more)
     found = pass_targets(now, along_lane(now), stations)
     rear, front = (x + u * t + sign * 0.5 * LENGTH for sign in (-1.0, 1.0))
     ego = stations - AT + EGO.x
@@ -85,7 +93,7 @@ def test_the_box_holds_them_as_long_as_the_ego_is_beside_them(
 
 def test_who_cannot_be_passed_within_the_predictions_is_not_passed() -> None:
     now = scene(COURSE, EGO, [goer(60.0, 0.0, 6.5)])
-    assert pass_targets(now, [0], gone_on(now.frame.predictions.t, AT, 7.0, 7.0)) == ()
+    assert pass_targets(now, [0], free_stations(now.frame.predictions.t, AT, 7.0, 7.0)) == ()
 
 
 @given(st.floats(1.0, 3.0), st.sampled_from([AgentKind.BICYCLE, AgentKind.PEDESTRIAN]))
@@ -93,7 +101,7 @@ def test_the_more_room_the_faster_and_beside_them_only(room: float, kind: AgentK
     """Who comes into the way with w is passed, or the ego stops before them: wherever it is when they do."""
     y = -room - 0.5 * (CAR.width + WIDTH)
     now = scene(COURSE, EGO, [Other("goer", lambda t: (50.0 + 2.0 * t, y, 0.0, 2.0, 0.0), kind, LENGTH, WIDTH)])
-    found = pass_targets(now, [0], gone_on(now.frame.predictions.t, AT, 10.0, 10.0))
+    found = pass_targets(now, [0], free_stations(now.frame.predictions.t, AT, 10.0, 10.0))
     path = make_path(COURSE.line, AT, 1.0, np.zeros((3, 150)))
     limit = np.full(len(path.s), 60.0)
     seen = view(now, path, limit=limit, targets=found, hard_mps2=BRAKE, margin_m=0.6)
@@ -201,8 +209,8 @@ def test_the_facing_lane_must_be_seen_as_far_as_one_may_come_from(reach: float, 
     road = two_way()
     sight = None if np.isinf(reach) else Visibility(EGO.x, 0.0, 0.0, reach, 2.0 * np.pi, np.empty((0, 4, 2)))
     now = scene(reference(road, ego=EGO, lane=0), EGO, [goer(45.0, -1.0, 3.0)], seen=sight)
-    stations = gone_on(now.frame.predictions.t, now.s, 9.0, 10.0)
-    way = to_pass(now, pass_targets(now, [0], stations), stations, (True, False), CorridorConfig(), ())
+    stations = free_stations(now.frame.predictions.t, now.s, 9.0, 10.0)
+    way = obstacles_to_pass(now, pass_targets(now, [0], stations), stations, (True, False), CorridorConfig(), ())
     assert len(way.obstacles) == 1 and way.facing == (frozenset({"goer"}) if free else frozenset())
 
 

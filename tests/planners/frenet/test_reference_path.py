@@ -17,7 +17,7 @@ from planners.frenet.reference_path import (
     SPACING_M,
     ReferencePath,
     make_reference_path,
-    smoothed,
+    smooth_points,
 )
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
@@ -47,7 +47,7 @@ def test_smoothing_moves_no_point_further_than_it_may(legs: list[tuple[float, fl
     heading = np.cumsum([turn for _, turn in legs])
     steps = np.array([length for length, _ in legs])[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
     points = np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)])
-    smooth = smoothed(points)
+    smooth = smooth_points(points)
     raw = resampled(points, len(smooth))
     assert np.hypot(*(smooth - raw).T).max() < MAX_SHIFT_M + 0.01
     np.testing.assert_allclose(smooth[[0, -1]], points[[0, -1]], atol=0.02)
@@ -66,14 +66,14 @@ def test_the_line_turns_and_mirrors_with_the_world(legs: list[tuple[float, float
     steps = np.array([length for length, _ in legs])[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
     points = np.vstack([[30.0, -20.0], np.cumsum(steps, axis=0)])
     world = np.array([[np.cos(turn), np.sin(turn)], [-flip * np.sin(turn), flip * np.cos(turn)]])
-    np.testing.assert_allclose(smoothed(points @ world), smoothed(points) @ world, atol=1e-6)
+    np.testing.assert_allclose(smooth_points(points @ world), smooth_points(points) @ world, atol=1e-6)
 
 
 @pytest.mark.parametrize("length", [41.0, 43.0, 300.0])  # half way between two counts of points
 def test_a_figure_as_round_as_it_may_be_does_not_change_the_count(length: float) -> None:
     for near in (length - 1e-9, length + 1e-9):
-        assert len(smoothed(np.array([[0.0, 0.0], [near, 0.0]]))) == len(
-            smoothed(np.array([[0.0, 0.0], [length, 0.0]]))
+        assert len(smooth_points(np.array([[0.0, 0.0], [near, 0.0]]))) == len(
+            smooth_points(np.array([[0.0, 0.0], [length, 0.0]]))
         )
     exact, less = (ReferenceLine.through(np.array([[0.0, 0.0], [at + 0.5, 0.0]])) for at in (length, length - 1e-9))
     assert len(exact.s) == len(less.s)
@@ -82,14 +82,14 @@ def test_a_figure_as_round_as_it_may_be_does_not_change_the_count(length: float)
 @given(st.floats(20.0, 300.0), st.floats(-np.pi, np.pi))
 def test_a_straight_line_stays_straight(length: float, yaw: float) -> None:
     points = np.array([[5.0, 7.0], [5.0 + length * np.cos(yaw), 7.0 + length * np.sin(yaw)]])
-    np.testing.assert_allclose(smoothed(points), resampled(points, len(smoothed(points))), atol=2e-4)
-    assert np.abs(ReferenceLine.through(smoothed(points)).kappa).max() < 1e-3
+    np.testing.assert_allclose(smooth_points(points), resampled(points, len(smooth_points(points))), atol=2e-4)
+    assert np.abs(ReferenceLine.through(smooth_points(points)).kappa).max() < 1e-3
 
 
 @pytest.mark.parametrize("turn", [0.2, 0.5, 1.0])
 def test_a_kink_is_rounded_off(turn: float) -> None:
     kinked = np.vstack([along_x(-40.0, 0.0), np.arange(2.0, 42.0, 2.0)[:, None] * [np.cos(turn), np.sin(turn)]])
-    before, after = (np.abs(ReferenceLine.through(line).kappa).max() for line in (kinked, smoothed(kinked)))
+    before, after = (np.abs(ReferenceLine.through(line).kappa).max() for line in (kinked, smooth_points(kinked)))
     assert after < 0.8 * before
 
 
@@ -103,12 +103,12 @@ def test_smoothing_solves_its_problem() -> None:
     matrix = (BENDING_WEIGHT * bend.T @ bend + np.eye(n))[inner, inner]
     expected = np.linalg.solve(matrix, -(BENDING_WEIGHT * bend.T @ bend @ raw)[inner])
     assert np.abs(expected).max() < MAX_SHIFT_M
-    np.testing.assert_allclose(smoothed(points)[inner] - raw[inner], expected, atol=2e-3)
+    np.testing.assert_allclose(smooth_points(points)[inner] - raw[inner], expected, atol=2e-3)
 
 
 def test_a_line_of_two_points_stays() -> None:
     points = np.array([[0.0, 0.0], [3.0, 0.0]])
-    assert smoothed(points) is points
+    assert smooth_points(points) is points
 
 
 @given(st.floats(2.8, 5.0), st.integers(1, 3), st.integers(0, 2))

@@ -52,13 +52,13 @@ from planners.lattice import Lattice, LatticeConfig
 from planners.lattice.candidates import (
     LEAST_M,
     REST_MPS,
-    evaluated,
+    evaluate_polynomial,
     headway,
     keep_speed,
     lateral_costs,
     lateral_polynomial,
     reach_point,
-    sampled,
+    sample_polynomials,
     states,
     third_square,
 )
@@ -91,24 +91,24 @@ def candidates(plan: Plan) -> Candidates:
 def test_a_kept_speed_is_reached_without_acceleration(v0: float, a0: float, v1: float, T: float) -> None:
     c = np.array([0.0, v0, 0.5 * a0, *keep_speed(v0, a0, v1, T)])
     assert c[5] == 0.0
-    assert evaluated(c, T, 0.0) == pytest.approx((0.0, v0, a0))
-    assert evaluated(c, T, T)[1:] == pytest.approx((v1, 0.0), abs=1e-9)
-    assert evaluated(c, T, T + 2.0)[0] - evaluated(c, T, T)[0] == pytest.approx(2.0 * v1, abs=1e-9)
+    assert evaluate_polynomial(c, T, 0.0) == pytest.approx((0.0, v0, a0))
+    assert evaluate_polynomial(c, T, T)[1:] == pytest.approx((v1, 0.0), abs=1e-9)
+    assert evaluate_polynomial(c, T, T + 2.0)[0] - evaluate_polynomial(c, T, T)[0] == pytest.approx(2.0 * v1, abs=1e-9)
 
 
 @given(SPEED, ACCEL, st.floats(-10.0, 200.0), SPEED, st.floats(0.5, 8.0))
 def test_a_point_is_reached_with_its_speed(v0: float, a0: float, s1: float, v1: float, T: float) -> None:
     c = np.array([0.0, v0, 0.5 * a0, *reach_point(v0, a0, s1, v1, T)])
-    assert evaluated(c, T, 0.0) == pytest.approx((0.0, v0, a0))
-    np.testing.assert_allclose(evaluated(c, T, T), (s1, v1, 0.0), atol=1e-6)
+    assert evaluate_polynomial(c, T, 0.0) == pytest.approx((0.0, v0, a0))
+    np.testing.assert_allclose(evaluate_polynomial(c, T, T), (s1, v1, 0.0), atol=1e-6)
 
 
 @given(st.floats(-4.0, 4.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1), st.floats(-4.0, 4.0), st.floats(8.0, 150.0))
 def test_an_offset_is_reached_and_kept(l0: float, dl0: float, ddl0: float, l1: float, D: float) -> None:
     c = lateral_polynomial(np.array([l0, dl0, ddl0]), l1, D)
-    assert evaluated(c, D, 0.0) == pytest.approx((l0, dl0, ddl0), abs=1e-12)
+    assert evaluate_polynomial(c, D, 0.0) == pytest.approx((l0, dl0, ddl0), abs=1e-12)
     for s in (D, D + 40.0):
-        np.testing.assert_allclose(evaluated(c, D, s), (l1, 0.0, 0.0), atol=1e-6)
+        np.testing.assert_allclose(evaluate_polynomial(c, D, s), (l1, 0.0, 0.0), atol=1e-6)
 
 
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.floats(0.5, 8.0))
@@ -122,7 +122,7 @@ def test_the_integral_of_the_squared_jerk(c: tuple[float, float, float], T: floa
 @given(st.floats(-3.0, 3.0), st.floats(3.0, 25.0))
 def test_at_constant_speed_the_lateral_jerk_is_that_of_the_quintic_in_time(l1: float, v: float) -> None:
     """From rest: 720 l1^2 / T^5 (Werling)."""
-    motion = sampled(np.array([[0.0, v, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), HORIZON_STEPS)
+    motion = sample_polynomials(np.array([[0.0, v, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), HORIZON_STEPS)
     cost, length = lateral_costs(motion, np.zeros(3), l1, np.array([4.0]), np.array([1.0, 0.0, 0.0]))
     assert length[0, 0] == pytest.approx(max(4.0 * v, LEAST_M))
     assert cost[0, 0] == pytest.approx(720.0 * l1**2 / 4.0**5, rel=1e-9, abs=1e-12)
@@ -138,7 +138,7 @@ LINE = COURSE.line
 def test_states_are_those_of_a_moving_point(s0: float, l0: float, dl0: float, v0: float, v1: float) -> None:
     """Heading, curvature, speed and acceleration are the derivatives of the position."""
     lon = np.array([[0.0, v0, 0.0, *keep_speed(v0, 0.0, v1, 6.0)]])
-    motion = sampled(lon, np.array([6.0]), 60)[0]
+    motion = sample_polynomials(lon, np.array([6.0]), 60)[0]
     lateral = lateral_polynomial(np.array([l0, dl0, 0.0]), 0.5, 50.0)
     x, y, yaw, v, a, kappa, l = states(LINE.s, LINE.coef, s0, lateral, 50.0, motion)[:7]  # noqa: E741
     moved = v > 1.0
@@ -168,7 +168,7 @@ def test_the_frenet_start_is_the_inverse_of_the_states(s0: float, l0: float, tur
 
 
 def test_headway_is_the_missing_share_of_the_wanted_gap() -> None:
-    motion = sampled(np.array([[0.0, 10.0, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), HORIZON_STEPS)
+    motion = sample_polynomials(np.array([[0.0, 10.0, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), HORIZON_STEPS)
     s = 40.0 + 10.0 * 4 * STEP_S * np.arange(21)  # the gap stays
     others = np.array([[s], [np.zeros(21)], [np.full(21, 2.0)], [np.full(21, 1.0)]])
     box, speed, unmet = np.array([3.5, 1.0, 0.9]), np.array([10.0]), np.zeros((2, 1), bool)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from worlds import CAR
 
 from logs.kernel import FloatArray
-from planners.dp_qp.path.corridor import COMFORT, MAX_DL, bounded, expected_speed
+from planners.dp_qp.path.corridor import COMFORT, MAX_DL, expected_speed, steering_bounds
 from planners.dp_qp.path.qp import PathQp, PathQpConfig
 from planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, PiecewiseJerkProblem, X
 from planners.piecewise_jerk.solvers import DEFAULT
@@ -144,7 +144,7 @@ def test_a_corridor_loosened_to_the_reach_can_be_kept(l0: float, dl0: float, ddl
     s, leads = np.linspace(0.0, LENGTH, KNOTS), np.array(AHEAD)[:, None]
     upper = np.interp(s + leads, np.linspace(0.0, LENGTH, 8), rng.uniform(0.2, 4.0, 8))
     start, none = np.array([l0, dl0, ddl0]), np.zeros(KNOTS)
-    bend, rate, left, right = bounded(np.r_[start, v], none + 30.0, none, none, OWN.step, TURNS, COMFORT)
+    bend, rate, left, right = steering_bounds(np.r_[start, v], none + 30.0, none, none, OWN.step, TURNS, COMFORT)
     slope = np.array([np.minimum(-MAX_DL, left[1]), np.maximum(MAX_DL, right[1])])
     high = np.maximum(upper, right[0] + leads * right[1])
     result = SURE.solve(asked(start, 0.0 * high - 90.0, high, slope, bend, np.c_[rate, (0.0, 0.0)]))

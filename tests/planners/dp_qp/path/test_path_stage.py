@@ -20,7 +20,7 @@ from planners.dp_qp.path.bounds import (
     PathBounds,
     free_sides,
     lane_bounds,
-    narrowed,
+    narrow_bounds,
     side_choices,
     standing_obstacles,
 )
@@ -99,7 +99,7 @@ def test_a_side_is_taken_only_where_there_is_room(middle: float, width: float, a
     box = Occupancy("it", 40.0, 44.5, middle - 0.5 * width, middle + 0.5 * width)
     space = room(-2.0, 3.0, step)
     decision = side_choices((box,), space, CAR, GAPS)[0].decided(aim == GOES_LEFT, None, GAPS)
-    narrow, (final,) = narrowed(space, (box,), (decision,), CAR, GAPS)
+    narrow, (final,) = narrow_bounds(space, (box,), (decision,), CAR, GAPS)
     lower, upper = narrow.lower, narrow.upper
     left, right = 3.0 - box.l_to - SIDE, box.l_from - SIDE + 2.0
     before, after = 0.5 * CAR.axle_to_front + step, max(0.5 * CAR.axle_to_front, CAR.rear_overhang) + step
@@ -124,7 +124,7 @@ def test_two_obstacles_that_close_the_corridor_are_a_stop() -> None:
         Decision("right", DecisionKind.NUDGE_LEFT, "path", ""),
         Decision("left", DecisionKind.NUDGE_RIGHT, "path", ""),
     )
-    narrow, final = narrowed(room(), boxes, decisions, CAR, GAPS)
+    narrow, final = narrow_bounds(room(), boxes, decisions, CAR, GAPS)
     assert DecisionKind.STOP in {decision.kind for decision in final}
     assert (narrow.lower <= narrow.upper).all()
 

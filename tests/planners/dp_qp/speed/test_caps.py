@@ -15,7 +15,7 @@ from worlds import CAR, Other, along_x, driving, followed, lanes, path_of, refer
 
 from logs import AgentKind, Decision, DecisionKind, EgoState, Visibility
 from logs.kernel import FloatArray
-from planners.dp_qp.path.passing import gone_on, pass_targets
+from planners.dp_qp.path.passing import free_stations, pass_targets
 from planners.dp_qp.speed import stage
 from planners.dp_qp.speed.caps import (
     OTHERS,
@@ -25,7 +25,7 @@ from planners.dp_qp.speed.caps import (
     SpeedCap,
     hesitation_caps,
     hidden_ground_caps,
-    lowered,
+    lower_limit,
     passing_caps,
 )
 
@@ -58,7 +58,7 @@ def test_the_limit_is_the_least_of_the_road_and_the_caps_that_hold_there(
     values: list[float], caps: list[SpeedCap]
 ) -> None:
     road = road_of(values)
-    found = lowered(SIGMA, road, caps)
+    found = lower_limit(SIGMA, road, caps)
     least = np.min([road.v, *(np.where(there(cap), cap.v, inf) for cap in caps)], axis=0)
     np.testing.assert_array_equal(found.v, least)
     bound = np.any([there(cap) & (cap.v == least) & cap.is_bound for cap in caps] or [road.is_bound], axis=0)
@@ -69,7 +69,7 @@ def test_the_limit_is_the_least_of_the_road_and_the_caps_that_hold_there(
 def test_the_order_of_the_caps_does_not_matter(values: list[float], caps: list[SpeedCap], shuffled: object) -> None:
     road, others = road_of(values), caps.copy()
     shuffled.shuffle(others)  # type: ignore[attr-defined]
-    one, two = lowered(SIGMA, road, caps), lowered(SIGMA, road, others)
+    one, two = lower_limit(SIGMA, road, caps), lower_limit(SIGMA, road, others)
     np.testing.assert_array_equal(one.v, two.v)
     np.testing.assert_array_equal(one.is_bound, two.is_bound)
     assert {(item.agent, item.reason) for item in one.decisions} == {
@@ -83,7 +83,7 @@ def test_a_decision_for_each_who_lowers_the_roads_limit_with_the_lowest_of_their
 ) -> None:
     road = road_of(values)
     worth = [cap for cap in caps if cap.agent and (cap.v < road.v - WORTH_MPS)[there(cap)].any()]
-    found = lowered(SIGMA, road, caps).decisions
+    found = lower_limit(SIGMA, road, caps).decisions
     assert {item.agent for item in found} == {cap.agent for cap in worth} and len(found) == len(
         {c.agent for c in worth}
     )
@@ -96,7 +96,7 @@ def test_a_decision_for_each_who_lowers_the_roads_limit_with_the_lowest_of_their
 def test_what_was_decided_before_is_kept(values: list[float], caps: list[SpeedCap]) -> None:
     before = Decision("it", DecisionKind.STOP, "speed", "red light")
     road = road_of(values)
-    found = lowered(SIGMA, LoweredLimit(road.v, road.is_bound, (before,)), caps)
+    found = lower_limit(SIGMA, LoweredLimit(road.v, road.is_bound, (before,)), caps)
     assert found.decisions[0] == before
     assert (road.v == road_of(values).v).all() and not road.is_bound.any()
 
@@ -114,7 +114,7 @@ def seen(d: float, ahead: float, kind: AgentKind) -> PathView:
     came = Other("came", lambda t: (x, -side - 0.25, 0.0, 0.0, 0.0), AgentKind.PEDESTRIAN, 0.5, 0.5)
     goes = Other("goes", lambda t: (x + 1.3 * t, side + 0.25, 0.0, 1.3, 0.0), kind, 0.5, 0.5)
     now = scene(COURSE, EGO, [came, goes], seen=sight)
-    targets = pass_targets(now, [1], gone_on(now.frame.predictions.t, now.s, 10.0, 10.0))
+    targets = pass_targets(now, [1], free_stations(now.frame.predictions.t, now.s, 10.0, 10.0))
     path = path_of(np.zeros(len(X)), 0.5)
     moved = type(path)(path.sigma, path.x + EGO.x, path.y, path.yaw, path.kappa, path.s + now.s)
     return view(now, moved, targets=targets, came={"came": 0.0})

@@ -12,7 +12,7 @@ from worlds import Other, along_x, driving, lanes, path_of, planner, reference, 
 from worlds import frame as frame_of
 
 from logs import AgentKind, EgoState, Frame
-from planners.dp_qp.speed.doubt import CERTAIN, ERROR_MPS2, NEGLIGIBLE, braking_on, from_beside, let_go, weights
+from planners.dp_qp.speed.doubt import CERTAIN, ERROR_MPS2, NEGLIGIBLE, extend_braking, from_beside, relax_rows, weights
 from planners.frenet.scene import Scene, behind
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, st_boundaries
 
@@ -81,7 +81,7 @@ def test_mirrored_weights_are_the_same(vx: float, vy: float) -> None:
 def test_a_leader_who_brakes_may_go_on_to_a_stop_and_no_further(v: float, brakes: float, y: float) -> None:
     crosses = y != 0.0
     now, rows = seen(driving("it", 25.0, y, 0.0, v) if crosses else driving("it", 25.0, 0.0, v), accel=-brakes)
-    found, there = braking_on(now, rows), np.isfinite(rows.lower)
+    found, there = extend_braking(now, rows), np.isfinite(rows.lower)
     assert np.isnan(found.lower[~there]).all() and (found.lower[there] <= rows.lower[there]).all()
     if crosses or brakes <= ERROR_MPS2:
         np.testing.assert_array_equal(found.lower, rows.lower)
@@ -93,11 +93,11 @@ def test_a_leader_who_brakes_may_go_on_to_a_stop_and_no_further(v: float, brakes
 def test_what_is_let_go_is_what_a_comfortable_stop_cannot_keep() -> None:
     _, rows = seen(driving("it", 30.0, -8.0, 0.0, 8.0))
     stop = np.linspace(0.0, 40.0, len(rows.t))
-    eased = let_go(rows, np.array([True]), stop, 1.0)
+    eased = relax_rows(rows, np.array([True]), stop, 1.0)
     there = np.isfinite(rows.lower)
     np.testing.assert_array_equal(eased.lower[there], np.maximum(rows.lower, stop + 1.0)[there])
     assert (eased.upper >= eased.lower)[there].all() and np.isnan(eased.lower[~there]).all()
-    same = let_go(rows, np.array([False]), stop, 1.0)
+    same = relax_rows(rows, np.array([False]), stop, 1.0)
     np.testing.assert_array_equal(same.lower, rows.lower)
 
 

@@ -146,9 +146,10 @@ def view(
                 picture(files[-1], screenshot, at, layout, tile, size, theme)
                 say(f"{screenshot}{remark}")
             if video is not None:
-                from replay.draw.view import filmed
+                from replay.draw.recording.pictures import film
 
-                say(f"{video}{remark}: {counted(filmed(files[-1], video, begin, end, layout, size, theme), 'frame')}")
+                frames = film(files[-1], video, begin, end, layout=layout, size=size, theme=theme)
+                say(f"{video}{remark}: {counted(frames, 'frame')}")
             if save is None and not drawn:
                 show(files, memory_limit, web=web, port=port)
 

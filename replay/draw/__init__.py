@@ -1,1 +1,1 @@
-"""Drawn: recordings for Rerun (`recording`), charts as SVG (`charts`), reports as HTML, Markdown, JUnit (`report`)."""
+"""One drawing model (`model`), shown as recordings (`recording`), charts (`charts`) and reports (`report`)."""

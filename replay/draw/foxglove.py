@@ -72,8 +72,7 @@ def scenario_channels(scenario: Scenario) -> Iterator[Entry]:
         LogError: A log time is before the epoch.
     """
     start = scenario.start_ns
-    yield start, "/foxglove/road", _scene(start, list(_road(scenario, start)))
-    yield from _stop_lines(scenario)
+    yield from _road(scenario)
     yield from _others(scenario)
     yield from _ego(scenario.ego, scenario.vehicle, start)
     yield from _plans("/foxglove/onboard", [(plan.known, plan.trajectory) for plan in scenario.onboard], start)
@@ -95,33 +94,35 @@ def trace_channels(trace: Trace, scenario: Scenario) -> Iterator[Entry]:
         yield time, "/foxglove/plan_line", _scene(time, [_entity("plan", time, [line])])
 
 
-def _road(scenario: Scenario, time: int) -> Iterator[SceneEntity]:
-    """Lanes by boundaries (white, grey if they may be crossed, yellow to opposite lanes), crosswalks and the goal."""
-    for lane in scenario.road.lanes.values():
-        lines = []
+def _road(scenario: Scenario) -> Iterator[Entry]:
+    """The road once, and all stop lines at the start and whenever a light changes.
+
+    Lanes by boundaries (white, grey if they may be crossed, yellow to opposite lanes), crosswalks and the goal.
+    """
+    start, road, entities = scenario.start_ns, scenario.road, list[SceneEntity]()
+    for lane in road.lanes.values():
+        sides = []
         for side in ("left", "right"):
             inner = colours.MARKING if getattr(lane, f"{side}_crossable") else colours.EDGE
             colour = colours.OPPOSITE if getattr(lane, f"{side}_opposite") else inner
-            lines.append(_line(getattr(lane, side), colour if lane.drivable else colours.FAINT))
+            sides.append(_line(getattr(lane, side), colour if lane.drivable else colours.FAINT))
         known = {"kind": lane.kind, "speed_limit_mps": f"{lane.speed_limit:.2f}"}
-        yield _entity(f"lane {lane.id}", time, lines, known)
-    for crosswalk in scenario.road.crosswalks:
-        yield _entity(f"crosswalk {crosswalk.id}", time, [_line(crosswalk.polygon, colours.EDGE, closed=True)])
+        entities.append(_entity(f"lane {lane.id}", start, sides, known))
+    for crosswalk in road.crosswalks:
+        entities.append(
+            _entity(f"crosswalk {crosswalk.id}", start, [_line(crosswalk.polygon, colours.EDGE, closed=True)])
+        )
     regions = scenario.goal.regions if scenario.goal else ()
     if regions:
-        yield _entity("goal", time, [_line(region, colours.GOAL, closed=True) for region in regions])
-
-
-def _stop_lines(scenario: Scenario) -> Iterator[Entry]:
-    """All stop lines, at the start and whenever a light changes."""
-    lines, topic = scenario.road.stop_lines, "/foxglove/stop_lines"
-    if not lines:
+        entities.append(_entity("goal", start, [_line(region, colours.GOAL, closed=True) for region in regions]))
+    yield start, "/foxglove/road", _scene(start, entities)
+    if not road.stop_lines:
         return
-    lights = {light.id: light for light in scenario.lights}
+    topic, lights = "/foxglove/stop_lines", {light.id: light for light in scenario.lights}
     changes = np.unique(np.concatenate([[0.0], *(light.t for light in scenario.lights)]))
-    for t, time in zip(changes.tolist(), log_times(changes, scenario.start_ns, topic), strict=True):
+    for t, time in zip(changes.tolist(), log_times(changes, start, topic), strict=True):
         entities = []
-        for line in lines:
+        for line in road.stop_lines:
             colour = STOP_SIGN if line.must_stop else colours.EDGE
             if line.light is not None:
                 colour = LIGHTS[lights[line.light].at(t) if line.light in lights else Colour.OFF]

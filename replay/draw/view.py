@@ -23,7 +23,7 @@ from logs.names import counted
 from logs.readers import LogSettings, read_log
 from replay.draw.recording import pair as pairs
 from replay.draw.recording import write_log_recording
-from replay.draw.recording.pictures import LOOPBACK, Picture, Theme, environment, film, free_port, in_use, take_pictures
+from replay.draw.recording.pictures import LOOPBACK, Picture, Theme, environment, free_port, in_use, take_pictures
 from replay.draw.recording.tape import MARKDOWN, cell, document, link, recording_file, table
 from replay.draw.report.overview import ORDER, overview
 from replay.results.load import load
@@ -185,20 +185,6 @@ def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int =
 
 def picture(recording: Path, out: Path, at: float, layout: str, tile: str | None, size: str, theme: Theme) -> None:
     """A picture of a recording at a time, s; ConfigError if it has no such layout or tile."""
-    _check_size(size)
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
     take_pictures(recording, [Picture(out, at, tile, layout)], size=size, theme=theme)
-
-
-def filmed(
-    recording: Path, out: Path, begin: float | None, end: float | None, layout: str, size: str, theme: Theme
-) -> int:
-    """A video of a recording between two times, s (None: its begin and end); returns the number of frames."""
-    _check_size(size)
-    return film(recording, out, begin, end, layout=layout, size=size, theme=theme)
-
-
-def _check_size(size: str) -> None:
-    if re.fullmatch(r"[1-9]\d{2,3}x[1-9]\d{2,3}", size) is None:
-        raise ConfigError(f"--size {size}: WIDTHxHEIGHT in pixels, for example 1920x1080")

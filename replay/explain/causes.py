@@ -198,7 +198,7 @@ class Explainer:
             named = {d.agent for d in plan.internals if isinstance(d, Decision)} - decided.keys()
             passed = np.array([name in named for name in frame.agents.ids], np.bool_)
             met = meetings(held, case.way, frame.agents, frame.predictions, self._scenario.vehicle, passed)
-        found = [_of(one, case) for one in met if isfinite(one.time_s)]  # (1)
+        found = [_met_agent(one, case) for one in met if isfinite(one.time_s)]  # (1)
         found += [*_stops(case), *_limit_and_curve(case), *_goal_and_end(case)]
         known = {each.agent: each for each in plan.internals if isinstance(each, Decision)} | decided
         found = [
@@ -214,14 +214,14 @@ class Explainer:
         found = sorted(found, key=lambda cause: cause.rank)
         if not found and not failed:
             near = min(met, key=lambda one: one.away_m, default=None)
-            one = Cause(CauseKind.AGENT, hold_mps=held.v) if near is None else _of(near, case)
+            one = Cause(CauseKind.AGENT, hold_mps=held.v) if near is None else _met_agent(near, case)
             none = replace(one, kind=CauseKind.NONE, time_s=float(held.t[-1]), distance_m=held.reach)
             found = _passed_or_begun(case) or [none]
         why_not = not_passed(plan) if found and found[0].kind is CauseKind.AGENT else ()
         return Account(frame.planned.t, course, predicted, (*failed, *found), why_not)
 
 
-def _of(one: Meeting, case: _Case) -> Cause:
+def _met_agent(one: Meeting, case: _Case) -> Cause:
     """A meeting as a cause."""
     return Cause(
         CauseKind.AGENT, one.agent, hold_mps=case.held.v, away_m=one.away_m, time_s=one.time_s,

@@ -287,7 +287,6 @@ class Meeting:
     Attributes:
         agent: Their id.
         away_m: Distance between the boxes now, m.
-        speed_mps: Their speed now.
         time_s: Time of (4) or (5), s from the frame; NaN: neither, they are only in the way.
         distance_m: How far the ego would have driven until then, m.
         need_mps2: (6); NaN if the ego stands, for (5), and if it is too late to stay behind.
@@ -298,7 +297,6 @@ class Meeting:
 
     agent: str
     away_m: float
-    speed_mps: float
     time_s: float
     distance_m: float
     need_mps2: float
@@ -399,7 +397,7 @@ def _meeting(held: Held, way: Way, agents: Agents, taken: _Taken, car: VehiclePa
             need = float(np.where(stops, held.v**2 / (2.0 * room), slower).max())
     least = int(np.nanargmin(left)) if np.isfinite(left).any() else -1
     return Meeting(
-        agents.ids[i], float(away), speed,
+        agents.ids[i], float(away),
         float(held.t[k]) if k >= 0 else nan, float(held.s[k]) if k >= 0 else nan,
         need, float(left[least]) if least >= 0 else nan, float(held.t[least]) if least >= 0 else nan, len(met) > 0,
     )  # fmt: skip

@@ -125,15 +125,16 @@ class Explanation:
     def of(cls, frame: PlannedFrame, account: Account, *, bounds: bool = True) -> Explanation:
         """The explanation of a frame's plan; without `bounds` no active ones are looked for, which takes time."""
         plan, because = frame.plan, sentences(account)
-        decisions = list({(d.agent, d.kind, d.stage): d for d in reversed(_of(plan, Decision))}.values())[::-1]
+        decisions = list({(d.agent, d.kind, d.stage): d for d in reversed(_artefacts(plan, Decision))}.values())[::-1]
         decisions.sort(key=_is_ignored)
         followed = dict.fromkeys(d.agent for d in decisions if d.kind is DecisionKind.FOLLOW)
         if followed and not account.not_passed and (against := not_passed(plan)):
             because.append(f"{', '.join(followed)} is not passed: {'; '.join(against)}.")
         return cls(
             frame.t, account.course.action.value, tuple(because), account, plan.status.is_fallback, plan.reason,
-            tuple(decisions), tuple(_of(plan, CostTerms)), tuple(_of(plan, LaneOption)),
-            tuple(_of(plan, Candidates)), tuple(touched(plan)) if bounds else (), tuple(_of(plan, SolverReport)),
+            tuple(decisions), tuple(_artefacts(plan, CostTerms)), tuple(_artefacts(plan, LaneOption)),
+            tuple(_artefacts(plan, Candidates)), tuple(touched(plan)) if bounds else (),
+            tuple(_artefacts(plan, SolverReport)),
         )  # fmt: skip
 
     def sections(self) -> Iterator[Section]:
@@ -188,7 +189,7 @@ def changes(trace: Trace, scenario: Scenario, loop: LoopConfig | None = None) ->
     before: Any = None
     for frame, account in zip(trace.frames, accounts(trace, scenario, loop), strict=True):
         first = account.causes[0] if account.causes else None
-        decisions = frozenset((d.agent, d.kind) for d in _of(frame.plan, Decision) if not _is_ignored(d))
+        decisions = frozenset((d.agent, d.kind) for d in _artefacts(frame.plan, Decision) if not _is_ignored(d))
         now = (
             frame.plan.status, taken_option(lane_options(frame.plan)), decisions, account.course.action,
             first and (first.kind, first.who),
@@ -212,7 +213,7 @@ def lines_of(one: Explanation) -> Iterator[str]:
             yield f"    {'':<13} and {len(lines) - MOST_LINES} more"
 
 
-def _of(plan: Plan, kind: type[A]) -> list[A]:
+def _artefacts(plan: Plan, kind: type[A]) -> list[A]:
     return [artefact for artefact in plan.internals if isinstance(artefact, kind)]
 
 
@@ -229,13 +230,13 @@ def _residual(value: float) -> str:
 
 def longitudinal(plan: Plan) -> str:
     """The strongest decision of a plan about the speed."""
-    kinds = {decision.kind for decision in _of(plan, Decision)}
+    kinds = {decision.kind for decision in _artefacts(plan, Decision)}
     return next((kind.value for kind in LONGITUDINAL if kind in kinds), FREE_DRIVE)
 
 
 def lateral(plan: Plan) -> str:
     """The decisions of a plan about the side on which obstacles are passed."""
-    kinds = {decision.kind for decision in _of(plan, Decision)}
+    kinds = {decision.kind for decision in _artefacts(plan, Decision)}
     left, right = DecisionKind.NUDGE_LEFT in kinds, DecisionKind.NUDGE_RIGHT in kinds
     if left and right:
         return BOTH

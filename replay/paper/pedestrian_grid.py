@@ -36,7 +36,6 @@ from planners.dp_qp.speed.qp import SpeedQpConfig
 from planners.frenet.profiles import SpeedLimits
 from planners.frenet.st_boundaries import StGraphConfig
 from replay.config import LoopConfig
-from replay.drive import Drive
 from replay.loop.closed_loop import run_closed_loop
 from replay.run.pool import WorkerLost, run_all
 
@@ -133,11 +132,6 @@ def avoidable(cell: Cell) -> Avoidable:
     return Avoidable(keeping, *(one <= gap for one in way))
 
 
-def drive_cell(cell: Cell) -> Drive:
-    """The closed loop of one cell."""
-    return run_closed_loop(crossing(cell), PLANNER, config=LOOP)
-
-
 def braking_intervals(trace: Trace) -> list[tuple[float, float]]:
     """From when to when the brake was commanded, s; short releases are bridged."""
     if trace.commands is None:
@@ -156,13 +150,14 @@ def braking_intervals(trace: Trace) -> list[tuple[float, float]]:
 
 
 def first_reason(trace: Trace) -> str:
-    """When the planner first said that a plan was not as it should be, and why; empty where all were."""
+    """When the planner first gave a reason for a plan, and the reason; empty if it never did."""
     return next((f"{frame.t:.1f} s: {frame.plan.reason}" for frame in trace.frames if frame.plan.reason), "")
 
 
 def measured(cell: Cell) -> dict[str, object]:
     """One row of the table: the cell, what could be done, what was done."""
-    scenario, trace = crossing(cell), drive_cell(cell).trace
+    scenario = crossing(cell)
+    trace = run_closed_loop(scenario, PLANNER, config=LOOP).trace
     names = ("gap", "lon_jerk_state", "lon_accel", "fallback", "pedals_together")
     table = evaluate(trace, scenario, metrics={name: METRICS[name] for name in names}).set_index("metric")["value"]
     clear = walker_within(scenario, StGraphConfig().vulnerable_margin_m)[1]

@@ -125,14 +125,14 @@ def free_road(out: Path, vehicle: str) -> dict[str, str]:
     write_recording(
         out / "free_road.rrd", drives["mpc"], scenario, *evaluate_with_series(drives["mpc"].trace, scenario)
     )
-    said = {}
+    facts = {}
     for name, trace in traces:
         assert trace.tracking is not None, "closed loops have tracking errors"
         off = 1e3 * trace.tracking.lateral
-        said[f"lateral error, {name}"] = (
+        facts[f"lateral error, {name}"] = (
             f"{np.sqrt(np.mean(off**2)):.1f} mm RMS, {np.abs(off).max():.1f} mm at most; ended by: {trace.end.value}"
         )
-    return said
+    return facts
 
 
 def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
@@ -245,7 +245,7 @@ def _page(
     """paper.md."""
     counts = cells["verdict"].value_counts(sort=False)
     bad = cells[~cells["verdict"].isin(["ok", "unavoidable"])]
-    lists = ["\n".join(f"- {key}: {value}" for key, value in said.items()) for said in (first, second)]
+    lists = ["\n".join(f"- {key}: {value}" for key, value in facts.items()) for facts in (first, second)]
     return "\n\n".join(
         [
             "# The paper's experiments",

@@ -109,35 +109,20 @@ def tracks(extra: int = 0, pedestrian: str = "ped 7") -> Tracks:
     counts = [len(motion[5][0]) for motion in motions]
     pose = [np.concatenate([motion[5][k] for motion in motions]) for k in range(3)]
     missing = np.full(sum(counts), np.nan)
-    return Tracks(
-        tuple(m[0] for m in motions),
-        tuple(m[1] for m in motions),
-        np.array([m[2] for m in motions]),
-        np.array([m[3] for m in motions]),
-        np.array([m[4] for m in motions]),
-        np.r_[0, np.cumsum(counts)],
-        np.concatenate([t[:count] for count in counts]),
-        *pose,
-        missing,
-        missing,
-    )
+    ids, kinds, length, width, static, _ = zip(*motions, strict=True)
+    times = np.concatenate([t[:count] for count in counts])
+    offsets = np.r_[0, np.cumsum(counts)]
+    sizes = np.array(length), np.array(width), np.array(static)
+    return Tracks(ids, kinds, *sizes, offsets, times, *pose, missing, missing)
 
 
 def scenario(extra: int = 0, *, name: str = "sample/s_curve", pedestrian: str = "ped 7") -> Scenario:
     t = np.arange(0.0, END_S + 0.01, 0.1)
     corners = np.array([[200.0, 2.0], [200.0, -2.0], [212.0, -2.0], [212.0, 2.0]])
     finish = np.column_stack(to_world(corners[:, 0], corners[:, 1])[:2])
-    return Scenario(
-        name,
-        trajectory(t, np.minimum(1.06 * t, END_S)),
-        tracks(extra, pedestrian),
-        road(),
-        END_S,
-        goal=Goal((finish,)),
-        tags=("sample", "pedestrian"),
-        source="made by hand",
-        notes=("The goal is a strip across the ego's lane.",),
-    )
+    ego, notes = trajectory(t, np.minimum(1.06 * t, END_S)), ("The goal is a strip across the ego's lane.",)
+    about = {"tags": ("sample", "pedestrian"), "source": "made by hand", "notes": notes}
+    return Scenario(name, ego, tracks(extra, pedestrian), road(), END_S, goal=Goal((finish,)), **about)
 
 
 def sl_graph(s0: float) -> SlGraph:
@@ -189,27 +174,19 @@ def plan(t0: float, *, pedestrian: str = "ped 7") -> Plan:
     if abs(s0 - PARKED_S + 25.0) < 35.0:
         decisions.append(Decision("parked 3", DecisionKind.NUDGE_LEFT, "path", "1.3 m of room on the left, none right"))
     if yields:
-        decisions.append(
-            Decision(
-                pedestrian, DecisionKind.YIELD, "speed", f"in the path until {BLOCKED[1]} s; passing first is late"
-            )
-        )
+        why = f"in the path until {BLOCKED[1]} s; passing first is late"
+        decisions.append(Decision(pedestrian, DecisionKind.YIELD, "speed", why))
     failed = 14.0 <= t0 < 14.25
-    return Plan(
-        trajectory(t0 + t, t0 + t),
-        PlanStatus.PREVIOUS if failed else PlanStatus.PLANNED,
-        "speed QP: primal infeasible" if failed else "",
-        PlanStart.PREVIOUS_PLAN if t0 > 0 else PlanStart.EGO,
-        (
-            sl_graph(s0),
-            st,
-            *decisions,
-            CostTerms("path", (("reference", 1.25), ("obstacle", 3.5 if yields else 0.4), ("smoothness", 0.02))),
-            CostTerms("speed", (("speed", 8.1), ("jerk", 0.7))),
-            SolverReport("path QP", True, "solved", 50, 2.1e-6, 4.0e-6),
-            SolverReport("speed QP", not failed, "primal infeasible" if failed else "solved", 75, 1e-5, 3e-4),
-        ),
-    )
+    status, reason = (PlanStatus.PREVIOUS, "primal infeasible") if failed else (PlanStatus.PLANNED, "")
+    internals = (
+        sl_graph(s0), st, *decisions,
+        CostTerms("path", (("reference", 1.25), ("obstacle", 3.5 if yields else 0.4), ("smoothness", 0.02))),
+        CostTerms("speed", (("speed", 8.1), ("jerk", 0.7))),
+        SolverReport("path QP", True, "solved", 50, 2.1e-6, 4.0e-6),
+        SolverReport("speed QP", not failed, reason or "solved", 75, 1e-5, 3e-4),
+    )  # fmt: skip
+    start = PlanStart.PREVIOUS_PLAN if t0 > 0 else PlanStart.EGO
+    return Plan(trajectory(t0 + t, t0 + t), status, reason and f"speed QP: {reason}", start, internals)
 
 
 def drive(mode: Mode = Mode.CLOSED, *, extra: int = 0, pedestrian: str = "ped 7") -> tuple[Drive, Scenario]:
@@ -218,24 +195,14 @@ def drive(mode: Mode = Mode.CLOSED, *, extra: int = 0, pedestrian: str = "ped 7"
     grid = np.round(np.arange(0.0, END_S - 0.01, 0.1), 3)
     t = np.round(np.arange(0.0, END_S + 0.001, 0.01), 3) if mode is Mode.CLOSED else grid
     ego = trajectory(t, t)
-    closed = mode is Mode.CLOSED
     pedals = Controls(t, 0.03 * np.sin(0.5 * t), np.clip(ego.a / 4.5, 0.0, 1.0), np.clip(-ego.a / 9.0, 0.0, 1.0))
     errors = TrackingErrors(t, 0.06 * np.sin(t), 0.01 * np.cos(t), 0.2 * np.sin(0.7 * t), 0.4 * np.sin(0.3 * t))
+    frames = tuple(PlannedFrame(float(at), plan(float(at), pedestrian=pedestrian)) for at in grid)
+    driven = {"commands": pedals, "actuation": pedals, "tracking": errors} if mode is Mode.CLOSED else {}
     trace = Trace(
-        world.name,
-        "dp_qp",
-        mode,
-        False,
-        ego,
-        world.tracks,
-        tuple(PlannedFrame(float(at), plan(float(at), pedestrian=pedestrian)) for at in grid),
-        EndReason.GOAL,
-        "goal region 1",
-        commands=pedals if closed else None,
-        actuation=pedals if closed else None,
-        tracking=errors if closed else None,
-        notes=("Agents are replayed by time.",),
-    )
+        world.name, "dp_qp", mode, False, ego, world.tracks, frames, EndReason.GOAL, "goal region 1",
+        notes=("Agents are replayed by time.",), **driven,
+    )  # fmt: skip
     stages = {"path_dp": 2e-4, "path_qp": 4e-4, "speed_dp": 3e-4, "speed_qp": 5e-4, "total": 1.5e-3}
     timings = [
         StageTime(float(at), stage, mean * (1.0 + 0.3 * np.sin(7.0 * at + len(stage))))

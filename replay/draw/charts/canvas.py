@@ -287,9 +287,9 @@ def dot(x: float, y: float, radius: float, kind: str, about: str = "") -> str:
 
 def text(x: float, y: float, words: str, kind: str = "", *, about: str = "") -> str:
     """Words that begin at x (class "end": that end there, "mid": that have their middle there)."""
-    said = f"<title>{escape(about)}</title>" if about else ""
+    title = f"<title>{escape(about)}</title>" if about else ""
     style = f' class="{kind}"' if kind else ""
-    return f'<text{style} x="{px(x)}" y="{px(y)}">{escape(printable(words))}{said}</text>'
+    return f'<text{style} x="{px(x)}" y="{px(y)}">{escape(printable(words))}{title}</text>'
 
 
 def printable(words: str) -> str:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -20,7 +21,7 @@ from logs.kernel import FloatArray, IntArray
 from logs.trace import DecisionKind
 from replay.draw.model import DrawnGraph, DrawnObstacle, multiples, nice_step
 from replay.draw.recording import colours
-from replay.draw.recording.tape import Instants, Tape, Window, joined, outline_segments, pixels, plain, strips, strokes
+from replay.draw.recording.tape import Instants, Tape, Window, joined, outline_segments, pixels, plain, strokes
 
 WIDTH, HEIGHT = 160.0, 96.0
 MARGIN_LEFT, MARGIN_BOTTOM, MARGIN_RIGHT, MARGIN_TOP = 15.0, 14.0, 7.0, 9.0
@@ -157,9 +158,8 @@ class _Sheet:
         lines = np.stack([np.c_[x, np.full(len(x), y0)], np.c_[x, np.full(len(x), y1)]], axis=1)
         when = self.instants if axes.scrolls else Instants(self.instants.t[:1], self.instants.frame[:1])
         entity = f"{self.window}/columns"
-        tape.static(entity, rr.LineStrips2D.from_fields(colors=[colours.GRID], radii=[thin], draw_order=-4.5))
-        drawn = strips(lines.reshape(-1, 2), np.full(len(x), 2))
-        tape.rows(entity, when, rr.LineStrips2D.columns(strips=drawn), counts)
+        style = dict[str, Any](colors=[colours.GRID], radii=[thin], draw_order=-4.5)
+        tape.lines(entity, when, lines.reshape(-1, 2), np.full(len(x), 2), counts, **style)
         entity = f"{self.window}/x_ticks"
         tape.static(entity, _label_style(colours.TICK))
         below = np.c_[x, np.full(len(x), y0 - 1.0 / ky)]
@@ -170,12 +170,11 @@ class _Sheet:
         for name, colour, width, order in (("dp", colours.DP, 1.5, 3.0), ("qp", colours.QP, 2.2, 4.0)):
             points, lengths = joined([getattr(graph, name) if graph else NO_POINTS for graph in self.graphs], 2)
             drawn, counts = [length for length in lengths if length], [int(length > 0) for length in lengths]
-            entity, radius = f"{self.window}/{name}", pixels(width)
-            self.tape.static(entity, rr.LineStrips2D.from_fields(colors=[colour], radii=[radius], draw_order=order))
-            self.tape.rows(entity, self.instants, rr.LineStrips2D.columns(strips=strips(points, drawn)), counts)
+            style = dict[str, Any](colors=[colour], radii=[pixels(width)], draw_order=order)
+            self.tape.lines(f"{self.window}/{name}", self.instants, points, drawn, counts, **style)
         points, counts = joined([graph.knots if graph else NO_POINTS for graph in self.graphs], 2)
-        style = rr.Points2D.from_fields(colors=[colours.DP], radii=[pixels(3.5)], draw_order=3.0)
-        self.tape.static(f"{self.window}/dp_nodes", style)
+        dots = rr.Points2D.from_fields(colors=[colours.DP], radii=[pixels(3.5)], draw_order=3.0)
+        self.tape.static(f"{self.window}/dp_nodes", dots)
         self.tape.rows(f"{self.window}/dp_nodes", self.instants, rr.Points2D.columns(positions=points), counts)
 
     def draw_corridor(self) -> None:
@@ -193,9 +192,8 @@ class _Sheet:
         counts = 2 * np.bincount(np.array(owner, dtype=np.int64), minlength=len(self.graphs))
         points, lengths = joined(lines, 2)
         entity = f"{self.window}/corridor"
-        style = rr.LineStrips2D.from_fields(colors=[colours.FREE], radii=[pixels(1.2)], draw_order=1.0)
-        self.tape.static(entity, style)
-        self.tape.rows(entity, self.instants, rr.LineStrips2D.columns(strips=strips(points, lengths)), counts)
+        style = dict[str, Any](colors=[colours.FREE], radii=[pixels(1.2)], draw_order=1.0)
+        self.tape.lines(entity, self.instants, points, lengths, counts, **style)
         rings = [np.vstack([lines[k], lines[k + 1][::-1]]) for k in range(0, len(lines), 2)]
         filled, ring = self._fill(rings, self.offsets[owner], 2.0 * STROKE)
         light = np.full(len(filled), colours.with_alpha(colours.FREE, 14), dtype=np.uint32)
@@ -243,10 +241,9 @@ class _Sheet:
         points, lengths = joined(relative, 2)
         edges, edge_owner = outline_segments(points, np.array(lengths, dtype=np.int64), self.axes.window)
         edges[:, :, 0] += self.offsets[frame][edge_owner][:, None]
-        lines = strips(edges.reshape(-1, 2), np.full(len(edges), 2))
-        self.tape.static(entity, rr.LineStrips2D.from_fields(radii=[pixels(1.2)], draw_order=-4.0))
-        drawn = rr.LineStrips2D.columns(strips=lines, colors=colour[edge_owner])
-        self.tape.rows(entity, self.instants, drawn, np.bincount(frame[edge_owner], minlength=len(self.graphs)))
+        counts, pairs = np.bincount(frame[edge_owner], minlength=len(self.graphs)), np.full(len(edges), 2)
+        style, shades = dict[str, Any](radii=[pixels(1.2)], draw_order=-4.0), colour[edge_owner]
+        self.tape.lines(entity, self.instants, edges.reshape(-1, 2), pairs, counts, shades, **style)
         self._draw_labels(shown, filled, owner)
 
     def _draw_labels(self, shown: Sequence[tuple[int, DrawnObstacle]], filled: FloatArray, owner: IntArray) -> None:
@@ -289,10 +286,9 @@ class _Sheet:
         self, entity: str, filled: FloatArray, frame: IntArray, colour: colours.PackedArray, *, wide: float = 1.0
     ) -> None:
         """Strokes `(k, 2, 2)` in a colour each, 1.5 times as wide as their distance: soft edges leave no gaps."""
-        self.tape.static(entity, rr.LineStrips2D.from_fields(radii=[0.75 * wide * STROKE], draw_order=-5.0))
-        lines = strips(filled.reshape(-1, 2), np.full(len(filled), 2))
-        shown = rr.LineStrips2D.columns(strips=lines, colors=colour)
-        self.tape.rows(entity, self.instants, shown, np.bincount(frame, minlength=len(self.instants)))
+        counts, pairs = np.bincount(frame, minlength=len(self.instants)), np.full(len(filled), 2)
+        style = dict[str, Any](radii=[0.75 * wide * STROKE], draw_order=-5.0)
+        self.tape.lines(entity, self.instants, filled.reshape(-1, 2), pairs, counts, colour, **style)
 
 
 def draw_occupancy(tape: Tape, instants: Instants, outlines: Sequence[Sequence[FloatArray]], axes: Axes) -> None:
@@ -302,9 +298,9 @@ def draw_occupancy(tape: Tape, instants: Instants, outlines: Sequence[Sequence[F
     points, lengths = joined(flat, 2)
     edges, owner = outline_segments(points, np.array(lengths, dtype=np.int64), axes.window)
     entity = f"{axes.entity}/window/happened"
-    tape.static(entity, rr.LineStrips2D.from_fields(colors=[colours.HAPPENED], radii=[pixels(0.9)], draw_order=2.0))
-    lines = rr.LineStrips2D.columns(strips=strips(edges.reshape(-1, 2), np.full(len(edges), 2)))
-    tape.rows(entity, instants, lines, np.bincount(frame[owner], minlength=len(outlines)))
+    counts, pairs = np.bincount(frame[owner], minlength=len(outlines)), np.full(len(edges), 2)
+    style = dict[str, Any](colors=[colours.HAPPENED], radii=[pixels(0.9)], draw_order=2.0)
+    tape.lines(entity, instants, edges.reshape(-1, 2), pairs, counts, **style)
 
 
 def _label_style(colour: int | None) -> rr.Points2D:

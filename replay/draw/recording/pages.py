@@ -39,60 +39,60 @@ def draw_why(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -
     changes = changes_under_way(trace.frames, lanes_driven(trace, scenario.road))
     pages: dict[str, list[str]] = {"why": [], "numbers": []}
     for frame, account, change in zip(trace.frames, accounts(trace, scenario), changes, strict=True):
-        said = Explanation.of(frame, account, bounds=False)
-        pages["why"].append(document(map(tape.short, why(frame, said, unseen(trace, frame.t), change))))
-        pages["numbers"].append(document(map(tape.short, numbers(said))))
+        explained = Explanation.of(frame, account, bounds=False)
+        pages["why"].append(document(map(tape.short, why(frame, explained, unseen(trace, frame.t), change))))
+        pages["numbers"].append(document(map(tape.short, numbers(explained))))
     for page, texts in pages.items():
         tape.static(page, rr.TextDocument.from_fields(media_type=MARKDOWN))
         tape.rows(page, instants, rr.TextDocument.columns(text=texts))
 
 
 def why(
-    frame: PlannedFrame, said: Explanation, missing: Sequence[tuple[str, float]] = (), change: Change | None = None
+    frame: PlannedFrame, explained: Explanation, missing: Sequence[tuple[str, float]] = (), change: Change | None = None
 ) -> list[str]:
     """The page of a frame: the plan and its causes, then decisions, lanes and candidates.
 
     Args:
         frame: The plan.
-        said: Its explanation.
+        explained: Its explanation.
         missing: Agents that are near but were not shown to the planner, and their distances, m.
         change: The lane change that is under way.
     """
-    plan, course = frame.plan, said.account.course
+    plan, course = frame.plan, explained.account.course
     words = [] if plan.status is PlanStatus.PLANNED else [STATUS_WORDS[plan.status]]
     if any(isinstance(artefact, Decision) for artefact in plan.internals):
         words += [word for word in (longitudinal(plan), lateral(plan)) if word not in (FREE_DRIVE, NO_NUDGE)]
-    headline = ": ".join([said.does, ", ".join(words)]) if words else said.does
-    lines = [f"### t = {said.t:.2f} s: {headline}"]
-    if said.reason and not said.fallback:
-        lines += ["", f"**Reason: {cell(said.reason)}**"]
+    headline = ": ".join([explained.does, ", ".join(words)]) if words else explained.does
+    lines = [f"### t = {explained.t:.2f} s: {headline}"]
+    if explained.reason and not explained.fallback:
+        lines += ["", f"**Reason: {cell(explained.reason)}**"]
     if change is not None:
         lines += ["", f"**Changes lane to the {change.name}** since t = {change.t:.2f} s: {cell(change.reason)}"]
-    for sentence in said.because:
+    for sentence in explained.because:
         first, colon, rest = sentence.partition(": ")
         lines += ["", f"**{cell(first)}**{colon}{cell(rest)}"]
     moves = [f"Speed {course.v_start:.1f} m/s, {course.v_end:.1f} m/s after {course.duration:.1f} s"]
     if course.v_least < min(course.v_start, course.v_end) - SAME_MPS:
-        moves.append(f"slowest {course.v_least:.1f} m/s at t = {said.t + course.t_least:.1f} s")
+        moves.append(f"slowest {course.v_least:.1f} m/s at t = {explained.t + course.t_least:.1f} s")
     if course.a_least < BRAKES_MPS2:
-        moves.append(f"hardest braking {course.a_least:.1f} m/s² at t = {said.t + course.t_hardest:.1f} s")
+        moves.append(f"hardest braking {course.a_least:.1f} m/s² at t = {explained.t + course.t_hardest:.1f} s")
     lines += ["", f"{'; '.join(moves)}. Starts {plan.start.value}."]
     if missing:
         named = ", ".join(f"{cell(name)} ({away:.0f} m)" for name, away in missing[:MAX_MISSING])
         more = f" and {len(missing) - MAX_MISSING} more" if len(missing) > MAX_MISSING else ""
         lines += ["", f"**Not seen by the sensor:** {named}{more}"]
-    return lines + _sections(said, lambda section: section.title not in NUMBERS)
+    return lines + _sections(explained, lambda section: section.title not in NUMBERS)
 
 
-def numbers(said: Explanation) -> list[str]:
+def numbers(explained: Explanation) -> list[str]:
     """The second page of a frame: cost terms and the reports of the solvers."""
-    found = _sections(said, lambda section: section.title in NUMBERS)
-    return [f"### t = {said.t:.2f} s", *(found or ["", "The planner reports neither costs nor solvers."])]
+    found = _sections(explained, lambda section: section.title in NUMBERS)
+    return [f"### t = {explained.t:.2f} s", *(found or ["", "The planner reports neither costs nor solvers."])]
 
 
-def _sections(said: Explanation, chosen: Callable[[Section], bool]) -> list[str]:
+def _sections(explained: Explanation, chosen: Callable[[Section], bool]) -> list[str]:
     lines = []
-    for title, rows in filter(chosen, said.sections()):
+    for title, rows in filter(chosen, explained.sections()):
         lines += ["", f"#### {HEADINGS.get(title, title.capitalize())}", ""]
         for name, rest in rows[:MAX_LINES]:
             space = " " if rest.startswith(" ") else ""  # which `cell` removes

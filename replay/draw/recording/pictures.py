@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -146,10 +147,12 @@ def take_pictures(
         What the viewer reports about its views after the last picture, a line each; empty for a healthy recording.
 
     Raises:
-        ConfigError: There is no such layout or view.
+        ConfigError: There is no such layout or view, or the size is none.
         ScreenshotError: No graphics driver, the viewer died, or a picture never settled.
         OutputError: A picture cannot be written.
     """
+    if re.fullmatch(r"[1-9]\d{2,3}x[1-9]\d{2,3}", size) is None:
+        raise ConfigError(f"--size {size}: WIDTHxHEIGHT in pixels, for example 1920x1080")
     width, height = (int(part) for part in size.split("x"))
     with _viewer(f"{width}x{height + HEADER_PX}", theme, timeout) as (client, alive):
         client.open([str(recording.resolve())])

@@ -20,12 +20,12 @@ from logs.frame import Visibility
 from logs.kernel import FloatArray, IntArray
 from logs.scenario import AgentKind, Agents, Scenario
 from logs.states import Trajectory
-from logs.trace import Decision, Plan, PlannedFrame, Trace
+from logs.trace import Decision, PlannedFrame, Trace
 from replay.draw.model import decided, in_full, plan_seconds
 from replay.draw.recording import colours
 from replay.draw.recording.plots import places
 from replay.draw.recording.road import at_height, draw_goal, draw_lights, draw_lines, draw_road
-from replay.draw.recording.tape import REMOVED, Instants, Tape, joined, pixels, plain, strips
+from replay.draw.recording.tape import REMOVED, Instants, Tape, joined, pixels, plain
 from replay.explain.planner_input import agents_shown
 
 HEIGHTS = {
@@ -80,9 +80,8 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants)
     nose = [[front - half, half, EGO_HEIGHT], [front, 0.0, EGO_HEIGHT], [front - half, -half, EGO_HEIGHT]]
     tape.static("world/ego/nose", rr.LineStrips3D([nose], colors=0xFFFFFFFF, radii=0.04))
     pieces = np.stack([xy[np.maximum(np.arange(len(xy)) - 1, 0)], xy], axis=1)
-    lines = strips(at_height(pieces.reshape(-1, 2), 0.04), np.full(len(xy), 2))
-    tape.static("world/driven", rr.LineStrips3D.from_fields(colors=[colours.EGO], radii=[0.1]))
-    tape.rows("world/driven", instants, rr.LineStrips3D.columns(strips=lines))
+    drawn, pairs = at_height(pieces.reshape(-1, 2), 0.04), np.full(len(xy), 2)
+    tape.lines("world/driven", instants, drawn, pairs, colors=[colours.EGO], radii=[0.1])
     if trace.ego is not scenario.ego and len(scenario.ego) > 1:
         _draw_log(tape, trace, scenario, instants)
     if scenario.repair is not None and len(scenario.repair.removed):
@@ -114,8 +113,23 @@ def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants
     tape.static("world/agents/velocity", rr.Arrows3D.from_fields(colors=[0xFFFFFFA0], radii=[0.05]))
     tape.rows("world/agents/velocity", instants, arrows, counts)
     _draw_names(tape, agents, full, here, np.column_stack([xy, yaw]), instants)
-    if plans:
-        _draw_plans(tape, plans, frames, max(1.0, float(trace.ego.v.max())))
+    if not plans:
+        return
+    lines, speeds, dots = [], [], []  # each plan as a line in the colours of its speed, with a dot at every full second
+    for plan in plans:
+        path = plan.trajectory
+        at: IntArray = np.unique(np.linspace(0, len(path) - 1, min(len(path), PLAN_POINTS)).round().astype(np.int64))
+        xy = np.column_stack([path.x[at], path.y[at]])
+        lines.append(np.stack([xy[:-1], xy[1:]], axis=1))
+        speeds.append(0.5 * (path.v[at][:-1] + path.v[at][1:]))
+        dots.append(plan_seconds(plan))
+    pieces = np.concatenate(lines)
+    colour = colours.of_speed(np.concatenate(speeds) / max(1.0, float(trace.ego.v.max())))
+    drawn, counts = at_height(pieces.reshape(-1, 2), 0.12), [len(line) for line in lines]
+    tape.lines("world/plan/path", frames, drawn, np.full(len(pieces), 2), counts, colour, radii=[0.18])
+    points, counts = joined(dots, 2)
+    tape.static("world/plan/seconds", rr.Points3D.from_fields(colors=[0xFFFFFFFF], radii=[0.22]))
+    tape.rows("world/plan/seconds", frames, rr.Points3D.columns(positions=at_height(points, 0.2)), counts)
 
 
 def _resampled(ego: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -217,27 +231,6 @@ def _draw_names(
     tape.rows(entity, instants, shown, [len(rows) for rows in full])
 
 
-def _draw_plans(tape: Tape, plans: Sequence[Plan], frames: Instants, fastest: float) -> None:
-    """Each plan as a line in the colours of its speed, with a dot at every full second."""
-    lines, speeds, dots = [], [], []
-    for plan in plans:
-        path = plan.trajectory
-        at: IntArray = np.unique(np.linspace(0, len(path) - 1, min(len(path), PLAN_POINTS)).round().astype(np.int64))
-        xy = np.column_stack([path.x[at], path.y[at]])
-        lines.append(np.stack([xy[:-1], xy[1:]], axis=1))
-        speeds.append(0.5 * (path.v[at][:-1] + path.v[at][1:]))
-        dots.append(plan_seconds(plan))
-    pieces = np.concatenate(lines)
-    colour = colours.of_speed(np.concatenate(speeds) / fastest)
-    drawn = strips(at_height(pieces.reshape(-1, 2), 0.12), np.full(len(pieces), 2))
-    tape.static("world/plan/path", rr.LineStrips3D.from_fields(radii=[0.18]))
-    shown = rr.LineStrips3D.columns(strips=drawn, colors=colour)
-    tape.rows("world/plan/path", frames, shown, [len(line) for line in lines])
-    points, counts = joined(dots, 2)
-    tape.static("world/plan/seconds", rr.Points3D.from_fields(colors=[0xFFFFFFFF], radii=[0.22]))
-    tape.rows("world/plan/seconds", frames, rr.Points3D.columns(positions=at_height(points, 0.2)), counts)
-
-
 def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
     """Predictions, perceived agents and the sensor, as far as the trace holds them, a row per frame."""
     if any(frame.predictions is not None for frame in trace.frames):
@@ -251,33 +244,27 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
     if not any(frame.visibility is not None for frame in trace.frames):
         return
     for name, draw, colour in (("edge", rim, colours.SENSOR), ("hidden", hatching, colours.HIDDEN)):
-        entity = f"world/sensor/{name}"
         lines = [draw(frame.visibility) if frame.visibility is not None else [] for frame in trace.frames]
         points, lengths = joined([line for some in lines for line in some], 2)
-        tape.static(entity, rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(0.8)]))
-        drawn = strips(np.column_stack([points, np.full(len(points), LOW / 2)]), lengths)
-        tape.rows(entity, frames, rr.LineStrips3D.columns(strips=drawn), [len(some) for some in lines])
+        counts, drawn = [len(some) for some in lines], at_height(points, LOW / 2)
+        tape.lines(f"world/sensor/{name}", frames, drawn, lengths, counts, colors=[colour], radii=[pixels(0.8)])
 
 
 def _draw_predictions(tape: Tape, trace: Trace, frames: Instants) -> None:
     known = [trace.agents] if trace.perceived is None else [trace.perceived, trace.agents]
-    kinds = {name: kind for some in known for name, kind in zip(some.ids, some.kinds, strict=True)}
+    kinds = {name: kind for each in known for name, kind in zip(each.ids, each.kinds, strict=True)}
     lines: list[FloatArray] = []
     colour: list[int] = []
     counts: list[int] = []
     for frame, (x, y) in zip(trace.frames, places(trace).tolist(), strict=True):
-        drawn = futures(frame, x, y)
-        lines += [line for _, _, line in drawn]
-        for name, p, _ in drawn:  # visible however unlikely
+        some = futures(frame, x, y)
+        lines += [line for _, _, line in some]
+        for name, p, _ in some:  # visible however unlikely
             colour.append(colours.with_alpha(colours.KINDS[kinds[name]], round(50 + 150 * min(max(p, 0.0), 1.0))))
-        counts.append(len(drawn))
+        counts.append(len(some))
     points, lengths = joined(lines, 2)
-    tape.static("world/predictions", rr.LineStrips3D.from_fields(radii=[pixels(1.2)]))
-    shown = rr.LineStrips3D.columns(
-        strips=strips(np.column_stack([points, np.full(len(points), LOW)]), lengths),
-        colors=np.array(colour, dtype=np.uint32),
-    )
-    tape.rows("world/predictions", frames, shown, counts)
+    drawn, shades = at_height(points, LOW), np.array(colour, dtype=np.uint32)
+    tape.lines("world/predictions", frames, drawn, lengths, counts, shades, radii=[pixels(1.2)])
 
 
 def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, FloatArray]]:

@@ -21,6 +21,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -30,6 +31,7 @@ import rerun.blueprint as rrb
 from logs.errors import writing
 from logs.kernel import FloatArray, IntArray
 from logs.names import ShortNames
+from replay.draw.recording.colours import PackedArray
 
 MARKDOWN = "text/markdown"
 _ASCII = frozenset(chr(code) for code in range(0x20, 0x7F))
@@ -173,6 +175,21 @@ class Tape:
             kept = [column.partition(counts) for column in kept]
         if len(instants):
             self.stream.send_columns(entity, instants.columns(), kept)
+
+    def lines(
+        self,
+        entity: str,
+        instants: Instants,
+        points: FloatArray,
+        lengths: Sequence[int] | IntArray,
+        counts: Sequence[int] | IntArray | None = None,
+        shades: PackedArray | None = None,
+        **style: Any,
+    ) -> None:
+        """Rows of line strips: runs of `lengths` points `(m, 2)` or `(m, 3)`, `shades` one each; `style` of all."""
+        kind = rr.LineStrips2D if points.shape[1] == 2 else rr.LineStrips3D
+        self.static(entity, kind.from_fields(**style))
+        self.rows(entity, instants, kind.columns(strips=strips(points, lengths), colors=shades), counts)
 
 
 def strips(points: FloatArray, lengths: Sequence[int] | IntArray) -> pa.Array:

@@ -1,1 +1,1 @@
-"""What a run tells people."""
+"""Reports of a run and of a comparison: terminal, HTML, Markdown, JUnit."""

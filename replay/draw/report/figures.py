@@ -111,7 +111,26 @@ def st_figure(frames: Sequence[tuple[str, PlannedFrame]], trace: Trace, scenario
         ]
         top = max([float(np.nanmax(g.qp[:, 1])) for g in graphs if g and len(g.qp)], default=50.0)
         for (scene, plane), (word, frame), graph in zip(rows, frames, graphs, strict=True):
-            _scene(scene, frame, trace, scenario)
+            ego, car = trace.ego.at(frame.t), scenario.vehicle
+            _lanes(scene, scenario)
+            plan = frame.plan.trajectory
+            scene.plot(plan.x, plan.y, color=QP, lw=1.2)
+            dots = plan.resampled(np.arange(np.ceil(plan.t[0]), plan.t[-1] + 1e-9))
+            scene.plot(dots.x, dots.y, "o", color=QP, markersize=3.0)
+            x, y = box_center(ego, car)
+            scene.fill(*corners(x, y, ego.yaw, car.length, car.width).T, fc=QP, ec="black", lw=0.6, alpha=0.8, zorder=3)
+            agents = trace.agents.truth(frame.t)
+            for i in range(len(agents)):
+                box = corners(*(float(v[i]) for v in (agents.x, agents.y, agents.yaw, agents.length, agents.width)))
+                scene.fill(*box.T, fc=OBSTACLE, zorder=4)
+                if agents.speed[i] > 0.05:
+                    tip = 1.5 * agents.vx[i], 1.5 * agents.vy[i]
+                    scene.arrow(agents.x[i], agents.y[i], *tip, width=0.08, head_width=0.5, color=OBSTACLE, zorder=4)
+            scene.set_aspect("equal")
+            scene.set_xlim(ego.x - BEHIND_M, ego.x + AHEAD_M)
+            scene.set_ylim(ego.y - BESIDE_M, ego.y + BESIDE_M)
+            scene.set_ylabel("y [m]")
+            scene.grid(visible=False)
             scene.set_title(f"{word}: t = {frame.t:.1f} s")
             plane.set(ylabel="station along the path [m]", xlim=(0.0, 8.0), ylim=(0.0, 1.05 * top))
             if graph is None:
@@ -224,30 +243,6 @@ def grid_figure(table: pd.DataFrame) -> Figure:
         marks = ", ".join(f"{letter}: {word}" for letter, word in MARKS.values())
         figure.suptitle(f"{marks}; grey: no braking", x=0.01, ha="left", fontsize=10)
         return figure
-
-
-def _scene(axes: Axes, frame: PlannedFrame, trace: Trace, scenario: Scenario) -> None:
-    """Road, ego, the others and the planned path with a dot per second."""
-    ego, car = trace.ego.at(frame.t), scenario.vehicle
-    _lanes(axes, scenario)
-    plan = frame.plan.trajectory
-    axes.plot(plan.x, plan.y, color=QP, lw=1.2)
-    dots = plan.resampled(np.arange(np.ceil(plan.t[0]), plan.t[-1] + 1e-9))
-    axes.plot(dots.x, dots.y, "o", color=QP, markersize=3.0)
-    x, y = box_center(ego, car)
-    axes.fill(*corners(x, y, ego.yaw, car.length, car.width).T, fc=QP, ec="black", lw=0.6, alpha=0.8, zorder=3)
-    agents = trace.agents.truth(frame.t)
-    for i in range(len(agents)):
-        box = corners(*(float(v[i]) for v in (agents.x, agents.y, agents.yaw, agents.length, agents.width)))
-        axes.fill(*box.T, fc=OBSTACLE, zorder=4)
-        if agents.speed[i] > 0.05:
-            tip = 1.5 * agents.vx[i], 1.5 * agents.vy[i]
-            axes.arrow(agents.x[i], agents.y[i], *tip, width=0.08, head_width=0.5, color=OBSTACLE, zorder=4)
-    axes.set_aspect("equal")
-    axes.set_xlim(ego.x - BEHIND_M, ego.x + AHEAD_M)
-    axes.set_ylim(ego.y - BESIDE_M, ego.y + BESIDE_M)
-    axes.set_ylabel("y [m]")
-    axes.grid(visible=False)
 
 
 def _lanes(axes: Axes, scenario: Scenario) -> None:

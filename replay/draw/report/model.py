@@ -149,11 +149,6 @@ class DriveRow:
         """The recording of the closed loop, otherwise of the open one; "" if there is none."""
         return next(iter(sorted(file for file in self.files if file.endswith(".rrd"))), "")
 
-    @property
-    def trace(self) -> str:
-        """The trace of the closed loop, otherwise of the open one."""
-        return next(iter(sorted(file for file in self.files if file.endswith(".mcap"))), "")
-
 
 @dataclass(frozen=True)
 class GateRow:

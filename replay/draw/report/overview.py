@@ -75,7 +75,7 @@ def overview(
     verdicts = log_outcomes(results)
     columns = tuple(column for column in COLUMNS if column.mode in [mode.value for mode in results.run.modes])
     drives = _drives(results, values, columns, verdicts)
-    gates = _gates(results, verdicts)
+    gates, not_asked = _gates(results, verdicts)
     planners = {name: marked(list(mine.itertuples())) for name, mine in results.drives.groupby("planner", sort=False)}
     compared, latency, coverage = _of_planners(results, over_logs, [*map(str, planners)])
     labels = results.labels | dict.fromkeys(results.unread, LogLabels())
@@ -107,7 +107,7 @@ def overview(
         frames=int((results.timings["stage"] == "total").sum()),
         latency=tuple(latency),
         gates=gates,
-        not_asked=tuple(_not_asked(verdicts)),
+        not_asked=tuple(not_asked),
         shares=() if "shard" in results.summary else tuple(shares),
         coverage=tuple(coverage),
         ensembles=len(ensemble),
@@ -197,17 +197,6 @@ def _drives(
     return tuple(rows)
 
 
-def _not_asked(verdicts: pd.DataFrame) -> Iterator[str]:
-    """The gates that were not asked in some drives, those of most drives first, with the commonest reason."""
-    drives = verdicts.groupby("gate")["log"].count()
-    rows = verdicts[verdicts["outcome"] == Outcome.NOT_ASKED.value].groupby("gate", sort=True)["reason"]
-    for gate, reasons in sorted(rows, key=lambda one: (-len(one[1]), one[0])):
-        common = Counter(reasons).most_common(1)[0][0]
-        number = int(drives[gate])
-        where = f": in {len(reasons)} of {counted(number, 'drive')}" if number > 1 else ""
-        yield f"{gate}{where} ({common})"
-
-
 GOOD = (EndReason.GOAL.value, EndReason.END_OF_LOG.value)
 CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
 SHORT = {
@@ -248,7 +237,8 @@ def _of_planners(
 # gates ----------------------------------------------------------------------------------------------------------------
 
 
-def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[GateRow, ...]:
+def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[tuple[GateRow, ...], list[str]]:
+    """The verdicts, and the gates not asked in some drives: those of most drives first, with the commonest reason."""
     units = dict(zip(results.metrics["metric"], results.metrics["unit"], strict=True))
     found: dict[tuple[str, str, str], dict[str, str]] = {}
     names = ["gate", "log", "planner", "mode", "outcome"]
@@ -278,7 +268,13 @@ def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[GateRow, ...]:
         else:
             about = reason + (f" (the gate: {why})" if why and outcome == Outcome.FAIL.value else "")
         rows.append(GateRow(outcome, rule, over, about, reason, why, planner, mode, group, log, value, unit, time_s))
-    return tuple(sorted(rows, key=lambda row: ORDER.index(row.outcome)))
+    drives, not_asked = verdicts.groupby("gate")["log"].count(), []
+    unasked = verdicts[verdicts["outcome"] == Outcome.NOT_ASKED.value].groupby("gate", sort=True)["reason"]
+    for asked, reasons in sorted(unasked, key=lambda one: (-len(one[1]), one[0])):
+        common, number = Counter(reasons).most_common(1)[0][0], int(drives[asked])
+        where = f": in {len(reasons)} of {counted(number, 'drive')}" if number > 1 else ""
+        not_asked.append(f"{asked}{where} ({common})")
+    return tuple(sorted(rows, key=lambda row: ORDER.index(row.outcome))), not_asked
 
 
 # notes -----------------------------------------------------------------------------------------------------------

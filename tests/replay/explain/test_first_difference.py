@@ -45,29 +45,20 @@ ROWS, FRAMES = 301, 31
 LANES = (LaneOption("keep", (("time lost", 1.0),)), LaneOption("left", (("time lost", 3.0),), "slower"))
 
 
-def _predictions(t: float) -> Predictions:
-    ahead = t + np.arange(0.0, 8.1, 2.0)
-    x = np.array([ahead, 2.0 * ahead])
-    return Predictions(ahead, np.array([0, 1]), np.ones(2), x, 0.0 * x, 0.0 * x, "lane_following")
-
-
 @cache
 def drive(mode: Mode = Mode.CLOSED) -> Trace:
     """Three seconds of the sample drive, with predictions and lanes."""
     whole = sample_drive.drive(mode)[0].trace
     rows = ROWS if mode is Mode.CLOSED else FRAMES
-    agents = ("car 12", "truck 40")
-    frames = tuple(
-        replace(
-            frame,
-            agents=agents,
-            predictions=_predictions(frame.t),
-            plan=replace(frame.plan, internals=(*LANES, *frame.plan.internals)),
-        )
-        for frame in whole.frames[:FRAMES]
-    )
+    frames = []
+    for frame in whole.frames[:FRAMES]:
+        plan = replace(frame.plan, internals=(*LANES, *frame.plan.internals))
+        ahead = frame.t + np.arange(0.0, 8.1, 2.0)
+        x = np.array([ahead, 2.0 * ahead])
+        future = Predictions(ahead, np.array([0, 1]), np.ones(2), x, 0.0 * x, 0.0 * x, "lane_following")
+        frames.append(replace(frame, agents=("car 12", "truck 40"), predictions=future, plan=plan))
     cut = {name: first(getattr(whole, name), rows) for name in ("ego", "commands", "actuation")}
-    return replace(whole, frames=frames, tracking=None, **cut)
+    return replace(whole, frames=tuple(frames), tracking=None, **cut)
 
 
 def first(columns: Any, rows: int) -> Any:
@@ -191,11 +182,9 @@ def test_between_frames_the_controller_and_the_car_act(row: int, stage: str) -> 
     trace = drive()
     assert trace.commands is not None
     step = np.where(np.arange(ROWS) >= row, 0.2, 0.0)
-    other = (
-        replace(trace, commands=replace(trace.commands, brake=trace.commands.brake + step))
-        if stage == "controller"
-        else replace(trace, ego=replace(trace.ego, x=trace.ego.x + step))
-    )
+    other = replace(trace, ego=replace(trace.ego, x=trace.ego.x + step))
+    if stage == "controller":
+        other = replace(trace, commands=replace(trace.commands, brake=trace.commands.brake + step))
     found = first_difference(trace, other)
     assert found is not None and (found.t, found.stage) == (trace.ego.t[row], stage)
 
@@ -240,14 +229,8 @@ def test_another_start_is_an_input_and_a_late_plan_the_controllers() -> None:
 
 def test_a_drive_that_ends_earlier_parts_where_it_ends() -> None:
     trace = drive()
-    short = replace(
-        trace,
-        ego=first(trace.ego, 200),
-        commands=first(trace.commands, 200),
-        frames=trace.frames[:20],
-        end=EndReason.COLLISION,
-        detail="car 12",
-    )
+    cut = {name: first(getattr(trace, name), 200) for name in ("ego", "commands")}
+    short = replace(trace, frames=trace.frames[:20], end=EndReason.COLLISION, detail="car 12", **cut)
     found = first_difference(trace, short)
     assert found is not None and (round(found.t, 6), found.stage) == (1.99, "end")
     assert "goal reached: goal region 1 at 3.00 s -> collision: car 12 at 1.99 s" in found.what

@@ -136,10 +136,8 @@ def check_others(case: PlannerInput, causes: list[Cause], held: Held, away: Floa
         if cause.kind is CauseKind.AGENT:
             k = round(cause.time_s / 0.1)
             assert cause.time_s == pytest.approx(held.t[k]) and cause.distance_m == pytest.approx(held.s[k])
-            assert (
-                np.nanmin(away[rows, 0], initial=1e9) == pytest.approx(cause.away_m, abs=0.05)
-                or np.isnan(away[rows, 0]).all()
-            )
+            now = away[rows, 0]
+            assert np.isnan(now).all() or np.nanmin(now, initial=1e9) == pytest.approx(cause.away_m, abs=0.05)
             reach = GAP_M if cause.is_met else HEADWAY_S * held.v
             assert np.nanmin(away[rows, k]) <= np.hypot(reach, VULNERABLE_MARGIN_M) + 0.5
     touched = {ids[i] for i in np.flatnonzero((np.nan_to_num(away, nan=1e9) <= 0.0).any(axis=1))}

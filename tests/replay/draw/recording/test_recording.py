@@ -167,14 +167,12 @@ def test_covered_ignores_the_own_polygon() -> None:
 
 
 TABLE = pd.DataFrame(
-    {
-        "metric": ["min gap", "ade", "collision"],
-        "value": [1.25, np.nan, 0.0],
-        "unit": ["m", "m", ""],
-        "available": [True, False, True],
-        "reason": ["", "closed loop", ""],
-        "time_s": [9.1, np.nan, np.nan],
-    }
+    [
+        ("min gap", 1.25, "m", True, "", 9.1),
+        ("ade", np.nan, "m", False, "closed loop", np.nan),
+        ("collision", 0.0, "", True, "", np.nan),
+    ],
+    columns=["metric", "value", "unit", "available", "reason", "time_s"],
 )
 
 
@@ -187,13 +185,17 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Drive, Scenario, R
     return done, world, Recording(path)
 
 
+@pytest.fixture
+def recording(closed: tuple[Drive, Scenario, Recording]) -> Recording:
+    return closed[2]
+
+
 def written(tmp_path: Path, done: Drive, world: Scenario, table: pd.DataFrame | None = None) -> Recording:
     write_recording(tmp_path / "some.rrd", done, world, table)
     return Recording(tmp_path / "some.rrd")
 
 
-def test_both_timelines_are_in_every_row(closed: tuple[Drive, Scenario, Recording]) -> None:
-    _, _, recording = closed
+def test_both_timelines_are_in_every_row(recording: Recording) -> None:
     for batch in recording.moving.values():
         assert batch.schema.field("sim_time").type == pa.duration("ns")
         assert batch.schema.field("frame").type == pa.int64()
@@ -255,8 +257,7 @@ def test_graphs_keep_their_units(closed: tuple[Drive, Scenario, Recording]) -> N
         assert scale[1] < 0.0 < scale[0]
 
 
-def test_everything_in_a_graph_lies_in_its_plot_area(closed: tuple[Drive, Scenario, Recording]) -> None:
-    _, _, recording = closed
+def test_everything_in_a_graph_lies_in_its_plot_area(recording: Recording) -> None:
     for entity in ("/graphs/sl", "/graphs/st"):
         scale = np.asarray(recording.static(entity, "Transform3D:scale").flatten())
         moved = np.asarray(recording.static(entity, "Transform3D:translation").flatten())
@@ -282,8 +283,7 @@ def inside_plot_area(
         assert ((y <= 0.01) & (y >= -HEIGHT - 0.01)).all(), (component, row)
 
 
-def test_the_pedestrian_blocks_the_graph_until_it_has_left(closed: tuple[Drive, Scenario, Recording]) -> None:
-    _, _, recording = closed
+def test_the_pedestrian_blocks_the_graph_until_it_has_left(recording: Recording) -> None:
     labels = recording.column("/graphs/st/window/labels", "Points2D:labels").to_pylist()
     assert "ped 7: yield" in labels[80]
     assert all("ped 7: yield" not in row for row in labels[round(10 * BLOCKED[1]) + 1 :])
@@ -291,8 +291,7 @@ def test_the_pedestrian_blocks_the_graph_until_it_has_left(closed: tuple[Drive, 
     assert {"ped 7: yield", "car 12: follow"} <= set(names[80])
 
 
-def test_lanes_of_states_change_when_the_plans_do(closed: tuple[Drive, Scenario, Recording]) -> None:
-    _, _, recording = closed
+def test_lanes_of_states_change_when_the_plans_do(recording: Recording) -> None:
     states = recording.column("/Plan", "StateChange:state").to_pylist()
     assert list(zip(recording.times("/Plan").tolist(), states, strict=True)) == [
         (0.0, ["planned"]),
@@ -307,8 +306,7 @@ def test_lanes_of_states_change_when_the_plans_do(closed: tuple[Drive, Scenario,
     assert labels == ["planned", " "]
 
 
-def test_why_tells_decisions_reasons_solvers_and_costs(closed: tuple[Drive, Scenario, Recording]) -> None:
-    _, _, recording = closed
+def test_why_tells_decisions_reasons_solvers_and_costs(recording: Recording) -> None:
     pages = recording.column("/why", "TextDocument:text").flatten().to_pylist()
     assert "t = 8.00 s: slows down: yield" in pages[80]
     for words in ("Slows down for ped 7 (yield)", "in the path until 11.5 s"):
@@ -320,18 +318,9 @@ def test_why_tells_decisions_reasons_solvers_and_costs(closed: tuple[Drive, Scen
     assert "Slows down" not in pages[141]
 
 
-def test_the_summary_and_the_properties_hold_the_metrics(closed: tuple[Drive, Scenario, Recording]) -> None:
-    _, _, recording = closed
+def test_the_summary_and_the_properties_hold_the_metrics(recording: Recording) -> None:
     page = recording.static("/summary", "TextDocument:text").to_pylist()[0]
-    for words in (
-        "sample/s\\_curve",
-        "dp\\_qp",
-        "closed loop",
-        "goal reached",
-        "1.25 m",
-        "not available",
-        "closed loop",
-    ):
+    for words in ("sample/s\\_curve", "dp\\_qp", "closed loop", "goal reached", "1.25 m", "not available"):
         assert words in page
     (properties,) = recording.still["/__properties/metrics"]
     assert {name: properties.column(name)[0].values[0].as_py() for name in ("min_gap", "collision")} == {
@@ -341,15 +330,13 @@ def test_the_summary_and_the_properties_hold_the_metrics(closed: tuple[Drive, Sc
     assert "ade" not in properties.schema.names
 
 
-def test_static_things_are_written_once(closed: tuple[Drive, Scenario, Recording]) -> None:
-    _, _, recording = closed
+def test_static_things_are_written_once(recording: Recording) -> None:
     for entity in ("/world/road/surface", "/world/road/edges", "/world/goal", "/summary"):
         assert len(recording.still[entity]) == 1
         assert entity not in recording.moving
 
 
-def test_no_box_is_not_finite(closed: tuple[Drive, Scenario, Recording]) -> None:
-    _, _, recording = closed
+def test_no_box_is_not_finite(recording: Recording) -> None:
     for entity, batch in recording.moving.items():
         for name in batch.schema.names:
             if name.split(":")[0] in ("Boxes3D", "Transform3D", "Arrows3D") and not name.endswith(("labels", "colors")):
@@ -395,21 +382,8 @@ def test_no_agents_and_no_metrics(tmp_path: Path) -> None:
 def test_agents_come_and_go(tmp_path: Path) -> None:
     done, world = drive()
     tracks = done.trace.agents
-    shown = (tracks.t >= 5.0) & (tracks.t <= 8.0)
-    kept = np.r_[0, np.cumsum([int(shown[tracks.samples(i)].sum()) for i in (0, 2, 3)])]
-    chosen = np.concatenate([np.arange(tracks.offsets[i], tracks.offsets[i + 1]) for i in (0, 2, 3)])
-    chosen = chosen[shown[chosen]]
-    columns = {name: getattr(tracks, name)[chosen] for name in ("t", "x", "y", "yaw", "vx", "vy")}
-    some = [0, 2, 3]
-    part = Tracks(
-        tuple(tracks.ids[i] for i in some),
-        tuple(tracks.kinds[i] for i in some),
-        tracks.length[some],
-        tracks.width[some],
-        tracks.static[some],
-        kept,
-        **columns,
-    )
+    moving = np.repeat(~tracks.static, np.diff(tracks.offsets))
+    part = tracks.taken(moving & (tracks.t >= 5.0) & (tracks.t <= 8.0))
     recording = written(tmp_path, Drive(replace(done.trace, agents=part), ()), world)
     counts = recording.counts("/world/agents/car", "Boxes3D:centers")
     times = recording.times("/world/agents/car")
@@ -564,18 +538,14 @@ def test_the_viewer_draws_all_views_without_a_complaint(tmp_path: Path) -> None:
 def test_a_hidden_tab_is_opened_in_the_layout_that_was_asked_for() -> None:
     kept = {
         "/container/r": {"ContainerBlueprint": {"container_kind": "Tabs", "contents": ["container/o", "container/c"]}},
-        "/container/o": {
-            "ContainerBlueprint": {
-                "container_kind": "Tabs",
-                "contents": ["view/1", "view/2"],
-                "display_name": "Overview",
-            }
-        },
+        "/container/o": {"ContainerBlueprint": {
+            "container_kind": "Tabs", "contents": ["view/1", "view/2"], "display_name": "Overview",
+        }},
         "/container/c": {
             "ContainerBlueprint": {"container_kind": "Vertical", "contents": "view/3", "display_name": "Control"}
         },
         **{f"/view/{i}": {"ViewBlueprint": {"display_name": name}} for i, name in ((1, "a"), (2, "b"), (3, "b"))},
-    }
+    }  # fmt: skip
     parts, view = arranged(kept, "control", "b")
     assert view == "3" and parts["/container/r"]["ContainerBlueprint"]["active_tab"] == "container/c"
     parts, view = arranged(kept, "overview", "b")

@@ -161,11 +161,8 @@ def test_likelier_futures_are_brighter_and_far_ones_are_left_out(tmp_path: Path)
     done, world = drive()
     frame = done.trace.frames[0]
     t = np.arange(0.0, 4.1, 0.5)
-    x = (
-        frame.plan.trajectory.x[0]
-        + np.array([[20.0], [20.0], [20.0], [200.0]])
-        + np.array([[1.0], [2.0], [0.0], [1.0]]) * t
-    )
+    start, speed = np.array([[20.0], [20.0], [20.0], [200.0]]), np.array([[1.0], [2.0], [0.0], [1.0]])
+    x = frame.plan.trajectory.x[0] + start + speed * t
     some = Predictions(t, np.arange(4) // 2, np.array([0.8, 0.2, 1.0, 1.0]), x, 0.0 * x, 0.0 * x, "made up")
     shown = replace(frame, agents=("car 12", "ped 7"), predictions=some)
     trace = replace(done.trace, frames=(shown, *done.trace.frames[1:]))
@@ -187,11 +184,8 @@ def test_ground_truth_needs_no_ghost_but_of_those_that_are_carried_on() -> None:
 def _cut(trace: Trace, agent: str, end: float) -> Tracks:
     """The tracks with one that ends earlier."""
     tracks = trace.agents
-    index = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
-    kept = (index != tracks.ids.index(agent)) | (tracks.t <= end)
-    columns = {name: getattr(tracks, name)[kept] for name in ("t", "x", "y", "yaw", "vx", "vy")}
-    offsets = np.r_[0, np.cumsum(np.bincount(index[kept], minlength=len(tracks)))]
-    return replace(tracks, offsets=offsets, **columns)
+    owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
+    return tracks.taken((owner != tracks.ids.index(agent)) | (tracks.t <= end))
 
 
 def test_who_was_not_seen_is_named_with_the_distance() -> None:
@@ -293,11 +287,8 @@ def lights_over_time(recording: Recording) -> dict[float, list[int]]:
 def test_a_light_changes_when_the_log_says_so(tmp_path: Path) -> None:
     scenario = CATALOGUE["everyday/traffic_light"].scenario(green_s=6.0, duration_s=20.0)
     recording = recorded(tmp_path, scenario)
-    assert lights_over_time(recording) == {
-        0.0: [LIGHTS[Colour.RED]],
-        5.0: [LIGHTS[Colour.RED_YELLOW]],
-        6.0: [LIGHTS[Colour.GREEN]],
-    }
+    changes = {0.0: Colour.RED, 5.0: Colour.RED_YELLOW, 6.0: Colour.GREEN}
+    assert lights_over_time(recording) == {t: [LIGHTS[colour]] for t, colour in changes.items()}
     x, y, z = recording.points("/world/lights", "Points3D:positions")[0]
     np.testing.assert_allclose([x, y], scenario.road.stop_lines[0].points.mean(axis=0), atol=1e-4)
     assert z > 0.0
@@ -345,9 +336,8 @@ def test_the_difference_of_a_drive_with_itself_is_nothing_and_turns_with_the_ord
 @pytest.mark.slow
 def test_both_recordings_are_in_one_with_the_place_where_they_part(tmp_path: Path) -> None:
     done, world = drive()
-    trace = replace(
-        done.trace, ego=replace(done.trace.ego, x=done.trace.ego.x + np.where(done.trace.ego.t > 3, 1.0, 0))
-    )
+    ego = done.trace.ego
+    trace = replace(done.trace, ego=replace(ego, x=ego.x + np.where(ego.t > 3, 1.0, 0)))
     files = tmp_path / "one.rrd", tmp_path / "two.rrd"
     for file, each in zip(files, (done, replace(done, trace=trace)), strict=True):
         write_recording(file, each, world)

@@ -153,6 +153,7 @@ def drive(verdicts: list[tuple[Any, ...]], metrics: list[tuple[Any, ...]], steps
 
 
 NEAR = [("gap.min", True, 0.8, "m", 7.0, "car 7"), ("ttc.min", True, 2.0, "s", 6.0, "")]
+ALONE = [("gap.min", False, nan, "m", nan, "alone")]
 BRAKES = ("lon_accel.worst_episode <= 1 [closed]", "fail", 1.5, 3.0, "")
 HITS = ("collision_at_fault.count <= 0 [closed]", "fail", 1.0, 9.0, "car 7: with the front")
 
@@ -165,12 +166,7 @@ HITS = ("collision_at_fault.count <= 0 [closed]", "fail", 1.0, 9.0, "car 7: with
         ([(*HITS[:3], nan, "")], NEAR, 6.0, "a gate fails, at no instant; least time to a collision: 2 s"),
         ([(BRAKES[0], "pass", 0.0, 1.0, "")], NEAR, 6.0, "no gate of this loop fails; least time to a collision: 2 s"),
         ([], NEAR[:1], 7.0, "no gate of this loop fails; least distance to another road user: 0.8 m (car 7)"),
-        (
-            [],
-            [("gap.min", False, nan, "m", nan, "alone")],
-            10.0,
-            "no gate of this loop fails; no distance to others was measured",
-        ),
+        ([], ALONE, 10.0, "no gate of this loop fails; no distance to others was measured"),
     ],
 )
 def test_the_worst_moment_and_why(verdicts: list[Any], metrics: list[Any], t: float, why: str) -> None:
@@ -228,10 +224,8 @@ def test_decisions_hold_until_the_next_frame() -> None:
     (row,) = decided(some, 1.0, str)
     spans = [(round(span.begin, 9), round(span.end, 9), span.word, span.why) for span in row.spans]
     assert spans == [(0.1, 0.3, "yield", "why 1"), (0.4, 0.5, "stop", "why 4")]
-    assert [(span.word, round(span.end, 9)) for span in statuses(some, 1.0).spans] == [
-        ("planned", 0.3),
-        ("hard stop", 1.0),
-    ]
+    ends = [(span.word, round(span.end, 9)) for span in statuses(some, 1.0).spans]
+    assert ends == [("planned", 0.3), ("hard stop", 1.0)]
     assert decided([], 1.0, str) == [] and statuses([], 1.0).spans == ()
 
 
@@ -240,9 +234,8 @@ def test_a_moment_of_a_trace_is_that_of_the_whole(run: Results) -> None:
     (whole, _), (part, _, said) = read_trace(file), read_moment(file, 3.04)
     (frame,) = part.frames
     assert frame.t == whole.frames[30].t == pytest.approx(3.0) and len(frame.plan.internals) > 4
-    assert repr(frame.plan) == repr(whole.frames[30].plan) and repr(frame.predictions) == repr(
-        whole.frames[30].predictions
-    )
+    for name in ("plan", "predictions"):
+        assert repr(getattr(frame, name)) == repr(getattr(whole.frames[30], name))
     for one, other in zip(said, whole.frames, strict=True):
         told = tuple(item for item in other.plan.internals if isinstance(item, (Decision, LaneOption)))
         assert (one.t, one.status, one.reason, one.internals) == (other.t, other.plan.status, other.plan.reason, told)
@@ -254,16 +247,8 @@ def test_a_moment_of_a_trace_is_that_of_the_whole(run: Results) -> None:
 def test_each_chart_is_svg_with_numbers_on_its_axes(run: Results, planner: str) -> None:
     seen = subject(load(run.path).drive(LOG, planner))
     charts = [*scenes(seen), st_graph(seen), sl_graph(seen), *curves(seen), decisions(seen)]
-    assert {chart.name for chart in charts} >= {
-        "st",
-        "sl",
-        "speed",
-        "acceleration",
-        "jerk",
-        "steer",
-        "pedals",
-        "tracking",
-    }
+    wanted = {"st", "sl", "speed", "acceleration", "jerk", "steer", "pedals", "tracking"}
+    assert {chart.name for chart in charts} >= wanted
     for chart in charts:
         root = ET.fromstring(chart.inline())
         words = [node.text or "" for node in root.iter() if node.tag == "text"]

@@ -282,28 +282,8 @@ def test_links_lead_to_files_that_are_there(results: Results) -> None:
 
 
 def test_a_comparison_is_reported_and_counts(results: Results) -> None:
-    pairs = pd.DataFrame(
-        [
-            (
-                "test/free",
-                "logged",
-                "closed",
-                "gap.min",
-                "m",
-                "higher",
-                1.0,
-                0.5,
-                -0.5,
-                0.5,
-                0.5,
-                True,
-                False,
-                3.2,
-                "car 7",
-            )
-        ],
-        columns=list(PAIR_COLUMNS),
-    )
+    drive, numbers = ("test/free", "logged", "closed", "gap.min", "m", "higher"), (1.0, 0.5, -0.5, 0.5, 0.5)
+    pairs = pd.DataFrame([(*drive, *numbers, True, False, 3.2, "car 7")], columns=list(PAIR_COLUMNS))
     verdicts = (RuleVerdict("no flips", Outcome.FAIL, "2 flips | of 3"),)
     groups, flips = pd.DataFrame(columns=list(GROUP_COLUMNS)), pd.DataFrame(columns=list(FLIP_COLUMNS))
     found = Comparison("main", "mine", ("code: 1 -> 2",), (), (), pairs, flips, groups, verdicts=verdicts)

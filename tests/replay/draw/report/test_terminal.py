@@ -48,20 +48,11 @@ def test_a_console_styles_its_own_words_alone(colour: bool) -> None:
 
 def test_no_command_lets_a_name_through(tmp_path: Path) -> None:
     write_scenario(tmp_path / "log.mcap", replace(short("x"), name=EVIL))
-    evaluate = [
-        "evaluate",
-        str(tmp_path / "log.mcap"),
-        "-p",
-        "constant_speed",
-        "--workers",
-        "0",
-        "--no-recording",
-        "-v",
-    ]
+    evaluate = ["evaluate", str(tmp_path / "log.mcap"), "-p", "constant_speed", "--workers", "0", "--no-recording"]
     for words in (
         ["inspect", str(tmp_path / "log.mcap")],
         ["inspect", str(tmp_path / EVIL.replace("/", ""))],
-        [*evaluate, "-o", str(tmp_path / "out")],
+        [*evaluate, "-v", "-o", str(tmp_path / "out")],
         ["compare", str(tmp_path / "out"), str(tmp_path / "out")],
     ):
         done = CliRunner().invoke(app, words, color=True)

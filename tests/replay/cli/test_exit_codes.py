@@ -158,7 +158,9 @@ def test_a_bug_ends_with_a_code_of_its_own_in_one_line(
 
 
 SIGNALLED = """
-import atexit, os, sys
+import atexit, os, signal, sys
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job inherits that it is ignored
 
 def stop():
     os.kill(os.getpid(), {stop})

@@ -57,7 +57,10 @@ def _parts(function: FunctionType, seen: set[Any]) -> Iterator[str]:
     yield from (_as_text(each) for each in _hinted_classes(function.__annotations__, function.__globals__))
     for code in _codes(function.__code__):
         yield f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {[_as_text(c) for c in code.co_consts]}"
-        for value in _globals_of(code, function.__globals__):
+        held = [function.__globals__[name] for name in code.co_names if name in function.__globals__]
+        ours = [each for each in held if isinstance(each, ModuleType) and each.__name__.partition(".")[0] in PACKAGES]
+        attributes = (vars(each)[name] for each in ours for name in code.co_names if name in vars(each))
+        for value in (*held, *attributes):
             if not isinstance(value, Dispatcher):
                 yield _as_text(value)
             elif value not in seen:
@@ -71,15 +74,6 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
     for each in code.co_consts:
         if isinstance(each, CodeType):
             yield from _codes(each)
-
-
-def _globals_of(code: CodeType, names: dict[str, Any]) -> Iterator[Any]:
-    """What the global names of a code stand for, and attributes of modules of ours."""
-    found = [names[name] for name in code.co_names if name in names]
-    yield from found
-    for module in found:
-        if isinstance(module, ModuleType) and module.__name__.partition(".")[0] in PACKAGES:
-            yield from (vars(module)[name] for name in code.co_names if name in vars(module))
 
 
 def _hinted_classes(hints: dict[str, Any], names: dict[str, Any]) -> Iterator[type]:
@@ -101,21 +95,17 @@ def _as_text(value: Any) -> str:
     if isinstance(value, Enum):  # also of whole numbers
         return f"{type(value).__qualname__}.{value.name} {value.value!r}"
     if isinstance(value, type):
-        return f"{value.__module__}.{value.__qualname__} {_class_as_text(value)}"
+        held, columns = "", getattr(value, "_fields", None)
+        if issubclass(value, Enum):
+            held = str([_as_text(member) for member in value])
+        elif columns is not None:  # a named tuple
+            within = _hinted_classes(getattr(value, "__annotations__", {}), vars(sys.modules[value.__module__]))
+            defaults = tuple(value._field_defaults.values())  # type: ignore[attr-defined]
+            held = f"{columns} {_as_text(defaults)} {[*map(_as_text, within)]}"
+        return f"{value.__module__}.{value.__qualname__} {held}"
     if value is None or isinstance(value, bool | int | float | complex | str | bytes):
         return repr(value)
     return f"{type(value).__qualname__} {getattr(value, '__name__', '')}"
-
-
-def _class_as_text(cls: type) -> str:
-    """What a class of constants or a named tuple holds, in words; "": it is another."""
-    if issubclass(cls, Enum):
-        return str([_as_text(member) for member in cls])
-    fields = getattr(cls, "_fields", None)
-    if fields is None:
-        return ""
-    within = _hinted_classes(getattr(cls, "__annotations__", {}), vars(sys.modules[cls.__module__]))
-    return f"{fields} {_as_text(tuple(cls._field_defaults.values()))} {[*map(_as_text, within)]}"  # type: ignore[attr-defined]
 
 
 class KernelIndex(IndexDataCacheFile):

@@ -295,17 +295,14 @@ def in_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenari
         rows, gaps = _samples(tracks, i), tracks.gap_after[tracks.samples(i)]
         own = np.interp(rows[:, 0], times, clock)
         rows[:, 4:] *= np.where(speed[tracks.samples(i)] >= slow, value, 1.0)[:, None]
-        changed[i] = _filled(np.column_stack([own, rows[:, 1:]]), np.diff(rows[:, 0]), gaps[:-1])
+        spacing, rows = np.diff(rows[:, 0]), np.column_stack([own, rows[:, 1:]])
+        if len(rows) > 1:  # more samples between two that are further apart than before, but not in gaps
+            parts = np.where(gaps[:-1], 1, np.ceil(np.diff(own) / spacing - 1e-9)).astype(np.int64)
+            fine = [k + np.arange(n) / n for k, n in enumerate(np.maximum(parts, 1))]
+            at = np.concatenate([*fine, [len(rows) - 1.0]])
+            rows = np.column_stack([np.interp(at, np.arange(len(rows)), column) for column in rows.T])
+        changed[i] = rows
     return replace(scenario, tracks=_with_samples(tracks, changed))
-
-
-def _filled(rows: FloatArray, spacing: FloatArray, gap: BoolArray) -> FloatArray:
-    """Rows `(k, 6)` with more between two that are further apart than `spacing` `(k - 1,)`, s, but not in gaps."""
-    if len(rows) < 2:
-        return rows
-    parts = np.where(gap, 1, np.ceil(np.diff(rows[:, 0]) / spacing - 1e-9)).astype(np.int64)
-    at = np.concatenate([k + np.arange(n) / n for k, n in enumerate(np.maximum(parts, 1))] + [[len(rows) - 1.0]])
-    return np.column_stack([np.interp(at, np.arange(len(rows)), column) for column in rows.T])
 
 
 def sideways(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:

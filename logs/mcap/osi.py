@@ -142,7 +142,13 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
         vehicle, rear = _vehicle(seen.moving[seen.host], notes)
         ego = _ego(rows[seen.host], t, rear, notes)
         tracks = _tracks(seen, rows, t, origin, notes)
-        lanes, drives_on_right = _lanes(seen.road, origin, notes)
+        lanes, adjacent = _logical(seen.road, origin)
+        if not lanes:
+            lanes, adjacent = _classic(seen.road, origin, notes)
+            unused = len(seen.road.lanes) - len(lanes)
+            if lanes and unused:
+                notes.append(f"{unused} of {len(seen.road.lanes)} lanes have no centre line and are left out.")
+        lanes, drives_on_right = _beside_each_other(lanes, adjacent)
         if lanes:
             limit = assumed_limit(ego)
             notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed ({ASSUMED}).")
@@ -278,15 +284,6 @@ def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) ->
     return completed(columns, notes)
 
 
-def _kind(item: Any) -> AgentKind:
-    group = _enum_name(item, "type")
-    if group == "TYPE_PEDESTRIAN":
-        return AgentKind.PEDESTRIAN
-    if group == "TYPE_VEHICLE":
-        return KINDS.get(_enum_name(item.vehicle_classification, "type"), AgentKind.CAR)
-    return AgentKind.OBJECT
-
-
 def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: FloatArray, notes: list[str]) -> Tracks:
     standing = {
         key: item
@@ -302,7 +299,13 @@ def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: Flo
         others[key] = np.array([(0.0, place.x - origin[0], place.y - origin[1], yaw, 0.0, 0.0)])
     if not others:
         return Tracks.empty()
-    kinds = [AgentKind.OBJECT if key in standing else _kind(seen.moving[key]) for key in others]
+    kinds = []
+    for key in others:
+        group = "" if key in standing else _enum_name(seen.moving[key], "type")
+        kind = AgentKind.PEDESTRIAN if group == "TYPE_PEDESTRIAN" else AgentKind.OBJECT
+        if group == "TYPE_VEHICLE":
+            kind = KINDS.get(_enum_name(seen.moving[key].vehicle_classification, "type"), AgentKind.CAR)
+        kinds.append(kind)
     boxes = [(standing[key] if key in standing else seen.moving[key]).base.dimension for key in others]
     sizes = [
         (box.length, box.width) if min(box.length, box.width) > 0.0 else USUAL_SIZE_M[kind]
@@ -321,17 +324,6 @@ def _enum_name(message: Any, name: str) -> str:
     kind = message.DESCRIPTOR.fields_by_name[name].enum_type
     value = kind.values_by_number.get(getattr(message, name))
     return value.name if value is not None else ""
-
-
-def _lanes(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[int, Lane], bool]:
-    """The lanes, relative to `origin`, and whether one drives on the right; no lanes where none can be used."""
-    lanes, adjacent = _logical(osi, origin)
-    if not lanes:
-        lanes, adjacent = _classic(osi, origin, notes)
-        unused = len(osi.lanes) - len(lanes)
-        if lanes and unused:
-            notes.append(f"{unused} of {len(osi.lanes)} lanes have no centre line and are left out.")
-    return _beside_each_other(lanes, adjacent)
 
 
 def _points(messages: Iterable[Any], origin: FloatArray) -> FloatArray:

@@ -112,7 +112,15 @@ def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> I
     if trace.perceived is not None:
         if not _who(trace.perceived).items() <= _who(trace.agents).items():
             yield start_ns, "/perceived/table", table_of(trace.perceived)
-        yield from _perceived_messages(trace.perceived, times, start_ns)
+        shown = trace.perceived
+        at_ns = np.array(log_times(shown.t, start_ns, "/perceived"), dtype=np.int64)
+        track = np.repeat(np.arange(len(shown)), np.diff(shown.offsets))
+        order = np.lexsort((track, at_ns))
+        ordered = at_ns[order]
+        for time in times:  # empty where no agent was seen
+            at = order[np.searchsorted(ordered, time) : np.searchsorted(ordered, time, side="right")]
+            columns = (getattr(shown, name)[at].tolist() for name in COLUMNS)
+            yield time, "/perceived", native.AgentColumns([shown.ids[i] for i in track[at]], *columns)
     for topic, kind, table in (
         ("/command", native.Controls, trace.commands),
         ("/actuation", native.Controls, trace.actuation),
@@ -126,18 +134,6 @@ def _who(tracks: Tracks) -> dict[str, tuple[object, ...]]:
     """Kind and size of each."""
     columns = zip(tracks.kinds, tracks.length.tolist(), tracks.width.tolist(), strict=True)
     return dict(zip(tracks.ids, columns, strict=True))
-
-
-def _perceived_messages(shown: Tracks, frames: list[int], start_ns: int) -> Iterator[Entry]:
-    """A message per frame, empty where no agent was seen."""
-    times = np.array(log_times(shown.t, start_ns, "/perceived"), dtype=np.int64)
-    track = np.repeat(np.arange(len(shown)), np.diff(shown.offsets))
-    order = np.lexsort((track, times))
-    ordered = times[order]
-    for time in frames:
-        at = order[np.searchsorted(ordered, time) : np.searchsorted(ordered, time, side="right")]
-        columns = (getattr(shown, name)[at].tolist() for name in COLUMNS)
-        yield time, "/perceived", native.AgentColumns([shown.ids[i] for i in track[at]], *columns)
 
 
 def plan_message(plan: nouns.Plan, internals: Internals) -> native.Plan:

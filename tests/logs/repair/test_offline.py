@@ -20,6 +20,7 @@ from logs.kernel import FloatArray, IntArray
 from logs.readers import read_log
 from logs.repair import detections_of, repair
 from logs.scenario import Tracks
+from logs.shapes import overlap
 from logs.vehicle import VehicleParameters
 
 VEHICLE = VehicleParameters()
@@ -274,3 +275,24 @@ def test_who_stands_is_not_the_one_who_stands_in_the_lane_beside() -> None:
     tracks, _ = fixed(found, replace(EGO, x=0.0 * EGO.x, v=0.0 * EGO.v))
     assert len(tracks) == 2
     assert sorted(tracks.y[tracks.offsets[:-1]].round(1).tolist()) == [0.0, 3.3]
+
+
+DRIVES = (
+    "bot_garden", "kaubamaja_sfa_2", "raekoda",
+    *(f"pedestrian_crossing_{number}" for number in ("01", "02", "05", "06", "07", "09", "10", "13", "14", "15")),
+)  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", DRIVES)
+def test_the_driver_of_the_log_meets_no_track(shared_data: Path, name: str) -> None:
+    scenario = read_log(shared_data / "tartu" / "ros2" / name)
+    done, ego, vehicle = scenario.repair, scenario.ego, scenario.vehicle
+    assert done is not None
+    assert len(done.tracks) < 0.1 * len(done.detections)
+    assert len(done.removed) > len(done.tracks)
+    for t in np.arange(ego.t[0], ego.t[-1], 0.1):
+        own, agents = ego.at(t), scenario.tracks.truth(t)
+        x, y = own.x + vehicle.axle_to_center * np.cos(own.yaw), own.y + vehicle.axle_to_center * np.sin(own.yaw)
+        for box in zip(agents.x, agents.y, agents.yaw, agents.length, agents.width, strict=True):
+            assert not overlap(x, y, own.yaw, vehicle.length, vehicle.width, *box), t

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ros_bags as bags
+from any_bytes import goes_round, read_or_refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -24,7 +25,7 @@ from mcap_cases import differences
 from ros_bags import RATE_HZ, SPEED, START_NS, Row, ego_pose, header, message, objects_at, pose, seconds, stamp
 
 from logs import AgentKind, Colour, LogError, Scenario
-from logs.mcap import read_scenario, write_scenario
+from logs.mcap import write_scenario
 from logs.readers import LogSettings, read_log, reader_of, windows
 from logs.readers import ros as door
 from logs.readers.cut import cut
@@ -397,17 +398,9 @@ def with_everything() -> list[Row]:
     lights, steering = "autoware_perception_msgs/msg/TrafficLightGroupArray", "autoware_vehicle_msgs/msg/SteeringReport"
     accel, plan = "geometry_msgs/msg/AccelWithCovarianceStamped", "autoware_planning_msgs/msg/Trajectory"
     for ns in bags.times(10):
-        lamps = (
-            [{"color": 3}]
-            if seconds(ns) < 2.0
-            else [{"color": 1}, {"color": 2}]
-            if seconds(ns) < 3.0
-            else [{"color": 1}]
-        )
-        groups = [
-            {"traffic_light_group_id": 77, "elements": lamps},
-            {"traffic_light_group_id": 5, "elements": [{"color": 2}]},
-        ]
+        lamps = [{"color": c} for c in ((3,) if seconds(ns) < 2.0 else (1, 2) if seconds(ns) < 3.0 else (1,))]
+        shown_by_id = ((77, lamps), (5, [{"color": 2}]))
+        groups = [{"traffic_light_group_id": i, "elements": some} for i, some in shown_by_id]
         shown = groups if seconds(ns) < 1.0 else groups[:1]
         rows.append(("/lights", lights, ns, message(lights, stamp=stamp(ns), traffic_light_groups=shown)))
         rows.append(("/steering_status", steering, ns, message(steering, stamp=stamp(ns), steering_tire_angle=0.03)))
@@ -431,11 +424,7 @@ def test_lights_goal_steering_and_acceleration(everything: Scenario) -> None:
     assert [light.id for light in everything.lights] == [5, 77]
     yellow, light = everything.lights
     assert [light.at(t) for t in (0.0, 1.95, 2.05, 3.05)] == [Colour.GREEN, Colour.GREEN, Colour.RED_YELLOW, Colour.RED]
-    assert [yellow.at(t) for t in (0.5, 2.8, 3.0)] == [
-        Colour.YELLOW,
-        Colour.YELLOW,
-        Colour.OFF,
-    ]  # not reported any more
+    assert [yellow.at(t) for t in (0.5, 2.8, 3.0)] == [Colour.YELLOW, Colour.YELLOW, Colour.OFF]  # not reported then
     assert everything.goal is not None and everything.controls is not None
     x, y, yaw = ego_pose(8.0)
     ahead = everything.vehicle.axle_to_center
@@ -492,8 +481,7 @@ def test_a_log_without_on_board_plans_says_so(plain: Path) -> None:
 def test_plans_go_with_the_part_and_round_trip(everything: Scenario, tmp_path: Path) -> None:
     part = cut(everything, 2.0, 4.0)
     assert part.onboard[0].known == pytest.approx(1.918 - 2.0) and part.onboard[-1].known <= 2.0
-    write_scenario(tmp_path / "log.mcap", everything)
-    assert differences(read_scenario(tmp_path / "log.mcap"), everything) == []
+    goes_round(everything, tmp_path)
 
 
 def test_plans_go_with_the_world(everything: Scenario) -> None:
@@ -674,9 +662,7 @@ def _values(some: Any) -> dict[str, Any]:
 
 
 def test_round_trip(plain: Path, tmp_path: Path) -> None:
-    scenario = read_log(plain)
-    write_scenario(tmp_path / "log.mcap", scenario)
-    assert differences(read_scenario(tmp_path / "log.mcap"), scenario) == []
+    goes_round(read_log(plain), tmp_path)
 
 
 # A part of a log
@@ -768,12 +754,7 @@ def test_any_bytes_give_a_log_or_a_log_error(small: dict[str, bytes], tmp_path: 
     if reader is None:
         return
     reader.contents(path)
-    try:
-        scenario = read_log(path)
-    except LogError as error:
-        assert "\n" not in str(error) and str(path) in str(error)
-        return
-    assert len(scenario.ego) >= 1
+    read_or_refused(path)
 
 
 def test_a_chunk_that_says_it_inflates_beyond_measure_is_refused(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -890,8 +871,7 @@ def test_ros1_twins_are_the_same_log(shared_data: Path, tartu: dict[str, Scenari
 
 def test_recorded_drives_round_trip(tartu: dict[str, Scenario], tmp_path: Path) -> None:
     for scenario in (tartu["bot_garden"], tartu["pedestrian_crossing_09"]):
-        write_scenario(tmp_path / "log.mcap", scenario)
-        assert differences(read_scenario(tmp_path / "log.mcap"), scenario) == []
+        goes_round(scenario, tmp_path)
 
 
 def test_bags_that_hold_no_drive_say_what_they_hold(shared_data: Path) -> None:

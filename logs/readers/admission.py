@@ -123,7 +123,18 @@ def admitted(scenario: Scenario) -> Scenario:
     Raises:
         LogError: The ego, its vehicle, the goal or a side table of the ego is beyond a limit.
     """
-    _check_ego(scenario)
+    ego = scenario.ego
+    _check_columns(scenario, "ego", ego)
+    dt, d = np.diff(ego.t), np.hypot(np.diff(ego.x), np.diff(ego.y))
+    far = np.flatnonzero(~(d <= STEP_M + SPEED.most * dt))
+    if len(far):
+        k = int(far[0])
+        what = f"the position jumps by {d[k]:g} m within {dt[k]:g} s"
+        raise _refused(scenario, "ego", what, float(ego.t[k + 1]))
+    long = np.flatnonzero(dt > GAP_S)
+    if len(long):
+        k = int(long[0])
+        raise _refused(scenario, "ego", f"no state for {dt[k]:g} s, longer than {GAP_S:g} s", float(ego.t[k]))
     if scenario.controls is not None:
         _check_columns(scenario, "controls", scenario.controls)
     for plan in scenario.onboard:
@@ -141,22 +152,6 @@ def admitted(scenario: Scenario) -> Scenario:
     if notes:
         scenario = replace(scenario, tracks=tracks, notes=(*scenario.notes, *notes))
     return printable(scenario)
-
-
-def _check_ego(scenario: Scenario) -> None:
-    """Refuse an ego that is beyond a limit, or moves or is missing farther than any."""
-    ego = scenario.ego
-    _check_columns(scenario, "ego", ego)
-    dt, d = np.diff(ego.t), np.hypot(np.diff(ego.x), np.diff(ego.y))
-    far = np.flatnonzero(~(d <= STEP_M + SPEED.most * dt))
-    if len(far):
-        k = int(far[0])
-        what = f"the position jumps by {d[k]:g} m within {dt[k]:g} s"
-        raise _refused(scenario, "ego", what, float(ego.t[k + 1]))
-    long = np.flatnonzero(dt > GAP_S)
-    if len(long):
-        k = int(long[0])
-        raise _refused(scenario, "ego", f"no state for {dt[k]:g} s, longer than {GAP_S:g} s", float(ego.t[k]))
 
 
 def _check_columns(scenario: Scenario, topic: str, table: Any) -> None:

@@ -44,7 +44,33 @@ class Strip:
 
 def lanes_of(strips: Sequence[Strip], notes: list[str]) -> tuple[dict[int, Lane], bool]:
     """The lanes by id, and whether one drives on the right."""
-    lanes = {strip.id: lane for strip in strips if (lane := _lane(strip)) is not None}
+    lanes: dict[int, Lane] = {}
+    for strip in strips:
+        sides = []
+        for points in (strip.left, strip.right):
+            if points.ndim != 2 or len(points) < 2 or not (np.abs(points) < LARGEST_M).all():
+                break
+            points = points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]]
+            if len(points) < 2 or not SHORTEST_M < np.hypot(*np.diff(points, axis=0).T).sum() < LONGEST_M:
+                break
+            sides.append(points)
+        if len(sides) < 2:
+            continue
+        one, other = paired(sides[0], sides[1])
+        moved = np.r_[True, np.hypot(*np.diff(0.5 * (one + other), axis=0).T) > 1e-3]
+        if moved.sum() < 2:
+            continue
+        lanes[strip.id] = Lane(
+            strip.id,
+            one[moved],
+            other[moved],
+            successors=tuple(i for i in strip.successors if i != strip.id),
+            speed_limit=strip.speed_limit if 0.0 < strip.speed_limit < 100.0 else float("nan"),
+            drivable=strip.drivable,
+            left_crossable=crossable(strip.marks[0], left=True),
+            right_crossable=crossable(strip.marks[1], left=False),
+            kind=strip.kind,
+        )
     if len(lanes) < len(strips):
         notes.append(f"{len(strips) - len(lanes)} of {len(strips)} lanes are left out: their boundaries are no strip.")
     out, balance = {}, 0
@@ -73,33 +99,6 @@ def crossable(mark: str, *, left: bool) -> bool:
     """
     lines = [part for part in mark.split("_") if part in ("SOLID", "DASH", "DASHED")]
     return not lines or lines[-1 if left else 0] != "SOLID"
-
-
-def _lane(strip: Strip) -> Lane | None:
-    """The lane, without neighbours; None where its boundaries are no strip."""
-    sides = []
-    for points in (strip.left, strip.right):
-        if points.ndim != 2 or len(points) < 2 or not (np.abs(points) < LARGEST_M).all():
-            return None
-        points = points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]]
-        if len(points) < 2 or not SHORTEST_M < np.hypot(*np.diff(points, axis=0).T).sum() < LONGEST_M:
-            return None
-        sides.append(points)
-    left, right = paired(sides[0], sides[1])
-    moved = np.r_[True, np.hypot(*np.diff(0.5 * (left + right), axis=0).T) > 1e-3]
-    if moved.sum() < 2:
-        return None
-    return Lane(
-        strip.id,
-        left[moved],
-        right[moved],
-        successors=tuple(i for i in strip.successors if i != strip.id),
-        speed_limit=strip.speed_limit if 0.0 < strip.speed_limit < 100.0 else float("nan"),
-        drivable=strip.drivable,
-        left_crossable=crossable(strip.marks[0], left=True),
-        right_crossable=crossable(strip.marks[1], left=False),
-        kind=strip.kind,
-    )
 
 
 def _same_way(lane: Lane, other: Lane) -> bool:

@@ -193,23 +193,18 @@ class _Table:
         held, header = "", str(found[0])
         if exact or not whole:  # the unit that the header itself names
             held = _parted(header)[1] or "".join(unit for _, _, unit in _with_suffix([(header, header)], ours))
-        units = [self._unit(ours, unit, str(found[0])) for unit in (asked, held) if unit]
+        units, known = [], DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
+        for unit in filter(None, (asked, held)):  # as `UNITS` spells it
+            plain = SPELLINGS.get(unit, SPELLINGS.get(unit.lower(), unit if unit in UNITS else unit.lower()))
+            if plain not in known:
+                wrong = "is unknown" if plain not in UNITS else f"is none of {ours}"
+                what, names = f"the unit [{unit}] of {header} {wrong}", ", ".join(known) or "none"
+                remedy = f'known: {names}; another name is given as columns = {{{ours} = "NAME [unit]"}}'
+                raise LogError(what, topic=self.name, remedy=remedy)
+            units.append(plain)
         if len(set(units)) > 1:
             raise LogError(f"{found[0]} is asked for in [{asked}]", topic=self.name, remedy="leave that unit out")
         return found[0], UNITS[units[0] if units else TIMES.get(ours, "")]
-
-    def _unit(self, ours: str, unit: str, header: str) -> str:
-        """A unit as `UNITS` spells it; LogError where it is unknown, or measures something else than the column."""
-        plain = SPELLINGS.get(unit, SPELLINGS.get(unit.lower(), unit if unit in UNITS else unit.lower()))
-        known = DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
-        if plain not in known:
-            wrong = "is unknown" if plain not in UNITS else f"is none of {ours}"
-            what = f"the unit [{unit}] of {header} {wrong}"
-            remedy = (
-                f'known: {", ".join(known) or "none"}; another name is given as columns = {{{ours} = "NAME [unit]"}}'
-            )
-            raise LogError(what, topic=self.name, remedy=remedy)
-        return plain
 
     def has(self, ours: str) -> bool:
         """Whether it has such a column."""

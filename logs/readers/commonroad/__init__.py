@@ -74,7 +74,7 @@ def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | 
     path = Path(path)
     document, headings = turned(parse(path))
     try:
-        chosen = _asked(document, ego) if ego is not None else _by_problem(document, problem)
+        chosen = _by_id(document, ego) if ego is not None else _by_problem(document, problem)
         scenario = _scenario(document, chosen)
     except (LogError, ValueError) as error:
         raise (error if isinstance(error, LogError) else LogError(str(error))).at(path) from error
@@ -92,7 +92,7 @@ def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | 
     return replace(scenario, name=name, notes=tuple(notes))
 
 
-def _asked(document: Document, ego: str) -> _Ego:
+def _by_id(document: Document, ego: str) -> _Ego:
     """(1)."""
     can = [o for o in document.obstacles if not o.static and len(o.states) > 1]
     can = [o for o in can if KINDS.get(o.type, AgentKind.OBJECT) not in _CANNOT_DRIVE]

@@ -219,8 +219,10 @@ def _right_of_way(document: Document, road: Road, turns: Turns) -> tuple[dict[in
         unsigned = False
         for one, other in permutations(approaches, 2):
             signed = one.rank != other.rank and not (one.lit and other.lit)
-            by_side = _unsigned_order(one, other, keeps_right=road.drives_on_right)
-            opposite = abs(wrap(other.heading - one.heading)) > OPPOSITE
+            angle = wrap(other.heading - one.heading)
+            opposite, by_side = abs(angle) > OPPOSITE, False
+            if not (one.lit or other.lit) and MERGING < abs(angle) <= OPPOSITE:  # (2)
+                by_side = one.width < other.width or (one.width == other.width and road.drives_on_right and angle > 0.0)
             own = {i: some for i, some in one.inner.items() if i not in other.inner}
             others = {i: some for i, some in other.inner.items() if i not in one.inner}
             for lane, first in product(own, others):
@@ -271,16 +273,6 @@ def _approach(
         any(i in active for lanelet in lanelets for i in _lights_at(lanelet)),
         {i: frozenset(some) for i, some in inner.items()},
     )
-
-
-def _unsigned_order(one: _Approach, other: _Approach, *, keeps_right: bool) -> bool:
-    """Whether `one` waits for `other` by (2)."""
-    angle = wrap(other.heading - one.heading)
-    if one.lit or other.lit or not MERGING < abs(angle) <= OPPOSITE:
-        return False
-    if one.width != other.width:
-        return one.width < other.width
-    return keeps_right and angle > 0.0
 
 
 def meet(one: FloatArray, other: FloatArray) -> bool:

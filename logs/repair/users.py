@@ -17,13 +17,13 @@ from logs.states import Trajectory
 SMOOTH_DENSITY = 0.45 * DENSITY
 """Where the whole track is known: the speed of who drives is off by a fifth less (tests/support/track_score.py)."""
 LEAST_NOISE_M, DRIFT, NOISE_COUNT = 0.05, 3.0, 8
-"""Noise of a track: so many times what its boxes jitter about the line between their neighbours, as slow drift, which
+"""Noise of a track: `DRIFT` times what its boxes jitter about the line between their neighbours, as slow drift, which
 none sees, is three times the jitter (0.30 m to 0.09 m); its group's noise at most, and where it has fewer boxes."""
 OUTLIER, OUTLIER_WEIGHT = 2.5, 2.0
 """A box that is more deviations off the smooth path counts as so much less exact."""
 STAND_S, SPREAD = 1.0, 1.3
 """Standing is decided over this: the drift of a box looks like motion for shorter. Nine in ten boxes of what stands are
-within so many times `STILL`."""
+within `SPREAD` times `STILL`."""
 STITCH_S, STITCH_STILL_S, STANDS_S = 3.0, 8.0, 0.6
 """Gaps between two pieces that can be one road user's; between two that stand. Between two that stand the allowed miss
 grows for `STANDS_S` only: beyond, it would reach the next car in a queue."""

@@ -31,7 +31,7 @@ NOISE_M = {
     AgentKind.BUS: 0.17,
 }  # fmt: skip
 NOISE_OTHERS_M, NOISES = 0.1, 2.0
-"""Noise of box centres (root mean square in the 13 drives of Tartu); a derived velocity counts from so many times the
+"""Noise of box centres (root mean square in the 13 drives of Tartu); a derived velocity counts from `NOISES` times the
 standard deviation that follows on: an object that was seen twice 0.1 s apart is not yet known to move."""
 MOVES_MPS = 1.0
 """Only objects that are faster tell their front and the frame of their velocities."""
@@ -188,8 +188,8 @@ def _filled(
     found = np.where(explained, 0.0, found)
     notes.append(
         f"Velocities of objects ({missing.mean():.0%} of the samples) are derived from their positions in the last"
-        f" {AGENT_WINDOW_S} s, of what is no road user in the last {OBJECT_WINDOW_S:g} s; what the noise of positions"
-        " explains is a stand."
+        f" {AGENT_WINDOW_S} s (for objects that are not road users: the last {OBJECT_WINDOW_S:g} s). Motion within the"
+        " noise of positions counts as standing."
     )
     return np.where(missing, found[0], samples.vx), np.where(missing, found[1], samples.vy)
 

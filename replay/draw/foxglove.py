@@ -31,7 +31,6 @@ from logs.rules import Colour
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Trace, kept_samples
-from logs.vehicle import VehicleParameters
 from replay.draw.recording import colours
 from replay.draw.recording.road import LIGHTS, STOP_SIGN
 
@@ -73,8 +72,29 @@ def scenario_channels(scenario: Scenario) -> Iterator[Entry]:
     """
     start = scenario.start_ns
     yield from _road(scenario)
-    yield from _others(scenario)
-    yield from _ego(scenario.ego, scenario.vehicle, start)
+    # agents that never move, once; the others at each time at which one of them was sampled, and at the end
+    tracks, ego, vehicle, short = scenario.tracks, scenario.ego, scenario.vehicle, scenario.short_names
+    still = np.repeat(tracks.static, np.diff(tracks.offsets))
+    if still.any():
+        yield start, "/foxglove/obstacles", _boxes(tracks.taken(still).truth(0.0), start, short)
+    if not still.all():
+        moving = tracks.taken(~still)
+        instants = _thinned(np.unique(np.r_[moving.t, scenario.duration]))
+        for t, time in zip(instants.tolist(), log_times(instants, start, "/foxglove/agents"), strict=True):
+            yield time, "/foxglove/agents", _boxes(moving.truth(t), time, short)
+    kept = np.isin(ego.t, _thinned(ego.t))
+    states = zip(ego.x[kept].tolist(), ego.y[kept].tolist(), ego.yaw[kept].tolist(), strict=True)
+    for time, (x, y, yaw) in zip(log_times(ego.t[kept], start, "/foxglove/tf"), states, strict=True):
+        at: dict[str, Any] = {"translation": Vector3(x=x, y=y), "rotation": _turned(yaw)}
+        stamp = _stamp(time)
+        yield time, "/foxglove/tf", FrameTransform(timestamp=stamp, parent_frame_id=MAP, child_frame_id=BASE, **at)
+    height = HEIGHT_M[AgentKind.CAR]
+    size = Vector3(x=vehicle.length, y=vehicle.width, z=height)
+    pose = _pose(vehicle.axle_to_center, 0.0, 0.0, 0.5 * height)
+    box = CubePrimitive(pose=pose, size=size, color=_colour(colours.EGO))
+    known = [KeyValuePair(key=f.name, value=str(getattr(vehicle, f.name))) for f in fields(vehicle)]
+    bound: dict[str, Any] = {"frame_id": BASE, "id": "ego", "frame_locked": True, "metadata": known}
+    yield start, "/foxglove/ego", SceneUpdate(entities=[SceneEntity(timestamp=_stamp(start), cubes=[box], **bound)])
     yield from _plans("/foxglove/onboard", [(plan.known, plan.trajectory) for plan in scenario.onboard], start)
 
 
@@ -130,20 +150,6 @@ def _road(scenario: Scenario) -> Iterator[Entry]:
         yield time, topic, _scene(time, entities)
 
 
-def _others(scenario: Scenario) -> Iterator[Entry]:
-    """Agents that never move, once; the others at each time at which one of them was sampled, and at the end."""
-    tracks, start = scenario.tracks, scenario.start_ns
-    still = np.repeat(tracks.static, np.diff(tracks.offsets))
-    if still.any():
-        yield start, "/foxglove/obstacles", _boxes(tracks.taken(still).truth(0.0), start, scenario.short_names)
-    if still.all():
-        return
-    moving = tracks.taken(~still)
-    instants = _thinned(np.unique(np.r_[moving.t, scenario.duration]))
-    for t, time in zip(instants.tolist(), log_times(instants, start, "/foxglove/agents"), strict=True):
-        yield time, "/foxglove/agents", _boxes(moving.truth(t), time, scenario.short_names)
-
-
 def _boxes(agents: Agents, time: int, short: ShortNames) -> SceneUpdate:
     columns = (agents.x, agents.y, agents.yaw, agents.length, agents.width, agents.vx, agents.vy)
     rows = np.column_stack(columns).tolist()
@@ -159,22 +165,6 @@ def _boxes(agents: Agents, time: int, short: ShortNames) -> SceneUpdate:
         entity.texts.append(TextPrimitive(pose=above, text=short(name), color=_colour(colours.TICK), **label))
         entities.append(entity)
     return _scene(time, entities)
-
-
-def _ego(ego: Trajectory, vehicle: VehicleParameters, start: int) -> Iterator[Entry]:
-    kept = np.isin(ego.t, _thinned(ego.t))
-    states = zip(ego.x[kept].tolist(), ego.y[kept].tolist(), ego.yaw[kept].tolist(), strict=True)
-    for time, (x, y, yaw) in zip(log_times(ego.t[kept], start, "/foxglove/tf"), states, strict=True):
-        at: dict[str, Any] = {"translation": Vector3(x=x, y=y), "rotation": _turned(yaw)}
-        stamp = _stamp(time)
-        yield time, "/foxglove/tf", FrameTransform(timestamp=stamp, parent_frame_id=MAP, child_frame_id=BASE, **at)
-    height = HEIGHT_M[AgentKind.CAR]
-    size = Vector3(x=vehicle.length, y=vehicle.width, z=height)
-    pose = _pose(vehicle.axle_to_center, 0.0, 0.0, 0.5 * height)
-    box = CubePrimitive(pose=pose, size=size, color=_colour(colours.EGO))
-    known = [KeyValuePair(key=f.name, value=str(getattr(vehicle, f.name))) for f in fields(vehicle)]
-    bound: dict[str, Any] = {"frame_id": BASE, "id": "ego", "frame_locked": True, "metadata": known}
-    yield start, "/foxglove/ego", SceneUpdate(entities=[SceneEntity(timestamp=_stamp(start), cubes=[box], **bound)])
 
 
 def _plans(topic: str, plans: Sequence[tuple[float, Trajectory]], start: int) -> Iterator[Entry]:

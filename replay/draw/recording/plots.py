@@ -58,9 +58,13 @@ def draw_panels(tape: Tape, panels: Iterable[Panel], frames: FloatArray) -> None
 def plot(panel: Panel, **more: Any) -> rrb.TimeSeriesView:
     """A panel as a view; `more` if its curves are not those below its entity.
 
-    Its legend is in the corner of `CORNERS` in which it hides least of the curves, the first of the best.
+    Its axis holds all finite values (of spiky curves 96 in 100), with a margin, and at least two numbers. Its legend is
+    in the corner of `CORNERS` in which it hides least of the curves, the first of the best.
     """
-    (low, high), wide, tall = axis_range(panel), *LEGEND
+    spans = [np.percentile(curve.known, (2.0, 98.0) if curve.spiky else (0.0, 100.0)) for curve in panel.curves]
+    low, high = float(np.min(spans)), float(np.max(spans))
+    middle, half = 0.5 * (low + high), 0.57 * max(high - low, panel.least)
+    (low, high), wide, tall = with_two_numbers(middle - half, middle + half), *LEGEND
     begin, end = min(curve.t[0] for curve in panel.curves), max(curve.t[-1] for curve in panel.curves)
     hidden: dict[Corner, float] = dict.fromkeys(CORNERS, 0.0)
     for curve in panel.curves:
@@ -83,14 +87,6 @@ def plot(panel: Panel, **more: Any) -> rrb.TimeSeriesView:
 def time_axis() -> rrb.TimeAxis:
     """The time axis that all curves and rows of states share."""
     return rrb.TimeAxis(link="LinkToGlobal")
-
-
-def axis_range(panel: Panel) -> tuple[float, float]:
-    """All finite values (of spiky curves 96 in 100), with a margin, and at least two numbers on the axis."""
-    spans = [np.percentile(curve.known, (2.0, 98.0) if curve.spiky else (0.0, 100.0)) for curve in panel.curves]
-    low, high = float(np.min(spans)), float(np.max(spans))
-    middle, half = 0.5 * (low + high), 0.57 * max(high - low, panel.least)
-    return with_two_numbers(middle - half, middle + half)
 
 
 def with_two_numbers(low: float, high: float) -> tuple[float, float]:

@@ -61,7 +61,8 @@ def interrupted(logs: Path, folder: Path, stop: signal.Signals, workers: int) ->
     planners = [word for name in CONFIG.planners for word in ("-p", name)]
     words = ["evaluate", str(logs), *planners, "--no-recording", "-o", "out", "--workers", str(workers)]
     command = [sys.executable, "-c", "from replay.cli import main; main()", *words]
-    process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True)
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}  # the code of this test, as it is stamped
+    process = subprocess.Popen(command, cwd=folder, env=env, stderr=subprocess.PIPE, text=True)
     while not (folder / "waiting").exists():
         assert process.poll() is None, process.communicate()
         time.sleep(0.05)

@@ -63,27 +63,27 @@ def everybody(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
 
 def _predicted(agents: Agents, t: FloatArray, lanes: LaneMap, *, others: bool) -> Predictions:
     a = agents
-    direction = np.arctan2(a.vy, a.vx)
-    rows = np.column_stack([a.x, a.y, a.yaw, a.vx, a.vy, a.yaw_rate, a.width, a.accel, direction])
-    agent, probability, way = _predict_all(lanes.arrays, a.codes, rows, t, others)
+    columns = a.x, a.y, a.yaw, a.vx, a.vy, a.yaw_rate, a.width, a.accel, np.arctan2(a.vy, a.vx)
+    agent, probability, way = _predict_all(lanes.arrays, a.codes, columns, t, others)
     way = frozen(way)  # once: its rows are not copied again
     return Predictions(t, agent, probability, way[0], way[1], way[2], "lane_following")
 
 
 @kernel
 def _predict_all(
-    map_: LaneArrays, codes: IntArray, rows: FloatArray, t: FloatArray, others: bool
+    map_: LaneArrays, codes: IntArray, columns: tuple[FloatArray, ...], t: FloatArray, others: bool
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Hypotheses in the order of the agents: agent `(h,)`, probability `(h,)`, rows x, y, yaw `(3, h, k)`.
 
-    `rows` `(n, 9)`: x, y, yaw, vx, vy, yaw rate (replaced by the one that goes on), width, acceleration, direction of
-    the velocity; `t` `(k,)`: times, s, from now on. `others`: those who have no lane to follow go on at a constant turn
-    rate; else they are left out.
+    `columns` `(n,)`: x, y, yaw, vx, vy, yaw rate, width, acceleration, direction of the velocity; `t` `(k,)`: times, s,
+    from now on. `others`: those who have no lane to follow go on at a constant turn rate; else they are left out.
     """
     n, most = len(codes), 0
-    follows, ahead = FOLLOW[codes], t - t[0]
+    rows, follows, ahead = np.empty((n, 9)), FOLLOW[codes], t - t[0]
+    x, y, yaw, vx, vy, yaw_rate, width, accel, direction = columns
     for i in range(n):
-        rows[i, 5] = turn_rate(codes[i], hypot(rows[i, 3], rows[i, 4]), rows[i, 5])
+        rate = turn_rate(codes[i], hypot(vx[i], vy[i]), yaw_rate[i])
+        rows[i] = (x[i], y[i], yaw[i], vx[i], vy[i], rate, width[i], accel[i], direction[i])
         most += WAYS if follows[i] else 1
     agent, share, first = np.empty(most, np.int64), np.ones(most), np.empty((most, 3))
     lanes, length = np.empty((most, DEEPEST), np.int64), np.zeros(most, np.int64)

@@ -1,7 +1,7 @@
 """Drives whose road users are seen by a detector: what a team's own bag holds, with the truth known.
 
 A scene with its bystanders is driven by the careful driver, and seen from the ego by `logs.catalogue.detector`. The
-log holds the detections alone: tracks are made of them where a log is read (`logs.readers.repaired`). `TRUE` has the
+log holds the detections alone: tracks are made of them where a log is read (`logs.readers.admission`). `TRUE` has the
 scenes with the road users that there are, by which a repair can be judged. The goal begins `EARLY_M` before the log's
 end, which is the detector's: who drives more slowly still reaches it.
 """

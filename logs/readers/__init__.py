@@ -8,8 +8,7 @@ Adding a format is one file with a `Reader` and one line in `BUILTIN`; one of yo
 
 Modules:
     base.py         what a reader is, and the settings of a run's [log] table
-    admission.py    the checks that every log has to pass: clocks, magnitudes, names
-    repaired.py     raw detections made into tracks
+    admission.py    the checks that every log has to pass; raw detections made into tracks
     cut.py          a part of a scenario by time, and times in whole nanoseconds
     commonroad/     CommonRoad XML
     comma2k19.py    segments of comma2k19
@@ -37,10 +36,9 @@ from logs.errors import ConfigError, LogError, unknown_name
 from logs.extension import Kind, an_instance
 from logs.files import WRITE_A_FILE, check_regular, special_kind
 from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, ros, table
-from logs.readers.admission import admitted, check_clocks, check_road
+from logs.readers.admission import admitted, check_clocks, check_road, named, repaired
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut, in_nanoseconds
-from logs.readers.repaired import named, repaired
 from logs.scenario import Scenario
 
 BUILTIN = (

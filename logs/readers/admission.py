@@ -1,4 +1,4 @@
-"""The checks that every log has to pass after it was read, whatever its format: clocks, magnitudes, names.
+"""What happens to every log after it was read, whatever its format: checks, and the repair of raw detections.
 
     clocks       times of the agents, lights, controls and plans that nowhere overlap those of the ego are refused
     magnitudes   `LIMITS`: the ego, the road and the goal beyond them are refused; of the agents, samples with such a
@@ -8,6 +8,18 @@
 A refusal names the topic, the time and the remedy. What is left out or replaced is a sentence in the scenario's notes.
 The limits lie far beyond what vehicles do: they separate wrong data from rare data. What is only implausible is
 evaluated and is a finding of `metrics.health`.
+
+Repair. `[log] repair` says whether raw detections become tracks:
+
+    "auto"    where a log holds detections and they are no tracks (`logs.repair.needs_repair`)
+    "on"      always; of a log of tracks their samples are the detections, and who never moves stays as they are
+    "off"     never: the tracks are those that the reader makes
+
+Where the road is assumed along the driven path, its lane gets its width from the tracks made (`passed_width`).
+
+It is done before a part is cut out, so that a part's tracks are the whole's. A reader that reads a part only reads
+`DETECTED_S` of `cut` more on both sides: then what a repair knows from farther away, the names of tracks and the choice
+of "auto" may be others than for the whole.
 """
 
 from __future__ import annotations
@@ -23,7 +35,10 @@ import numpy as np
 from logs.agents import USUAL_SIZE_M, Detections
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
+from logs.mcap.complete import passed_width
 from logs.names import counted, visible_name
+from logs.readers.cut import framed
+from logs.road import RoadSource
 from logs.scenario import Scenario, Tracks
 
 
@@ -250,7 +265,7 @@ def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
     return tracks.taken(~bad)
 
 
-def detections_within(scenario: Scenario, found: Detections) -> tuple[Detections, tuple[str, ...]]:
+def _detections_within(scenario: Scenario, found: Detections) -> tuple[Detections, tuple[str, ...]]:
     """Detections within the limits of agents, with names that can be printed, and what was left out, in sentences."""
     beyond = [~(np.abs(getattr(found, name) - _zero(scenario, name)) <= limit.most)
               for name, limit in LIMITS["agents"].items()]  # fmt: skip
@@ -307,3 +322,65 @@ def printable(scenario: Scenario) -> Scenario:
     what += [f"the {key}" for key in changed if key != "tracks"]
     note = f"Control characters in {', '.join(what)} are replaced, and long names cut."
     return replace(scenario, **{**changed, "notes": (*changed.get("notes", scenario.notes), note)})
+
+
+def reason_to_repair(choice: str, found: Detections | None) -> str | None:
+    """Why detections are made into tracks, in a sentence; None: they are not."""
+    if found is None or choice == "off":
+        return None
+    if choice == "on":
+        return "It was asked for."
+    from logs.repair import needs_repair
+
+    return needs_repair(found)
+
+
+def repaired(scenario: Scenario, choice: str) -> Scenario:
+    """The scenario with tracks made of its detections as `choice` ("auto", "on", "off") says; else the same tracks.
+
+    What is not repaired has no `detections` afterwards, what is repaired has them in its `repair`.
+    """
+    found = scenario.detections
+    if choice == "on" and found is None:
+        if scenario.repair is not None:
+            found = scenario.repair.detections
+        else:
+            from logs.repair import detections_of
+
+            tracks = scenario.tracks
+            found = detections_of(tracks.taken(np.repeat(~tracks.static, np.diff(tracks.offsets))))
+    reason = reason_to_repair(choice, found)
+    if found is None or reason is None:
+        return scenario if scenario.detections is None else replace(scenario, detections=None)
+    from logs.repair import repair
+
+    found, left_out = _detections_within(scenario, framed(found))
+    tracks, made = repair(found, scenario.ego, scenario.vehicle)
+    if scenario.detections is None and scenario.repair is None:
+        # who never moves stays, under names that are not taken
+        was, taken = scenario.tracks, {*tracks.ids, *made.removed.ids}
+        stay = was.taken(np.repeat(was.static, np.diff(was.offsets)))
+        names = ("length", "width", "static", "t", "x", "y", "yaw", "vx", "vy")
+        tracks = replace(
+            tracks,
+            ids=(*tracks.ids, *(f"{name}~static" if name in taken else name for name in stay.ids)),
+            kinds=(*tracks.kinds, *stay.kinds),
+            offsets=np.r_[tracks.offsets, stay.offsets[1:] + len(tracks.t)],
+            **{name: np.r_[getattr(tracks, name), getattr(stay, name)] for name in names},
+        )
+        made = replace(made, tracks=tracks, extended=np.r_[made.extended, np.zeros(len(stay.t), np.bool_)])
+    road, notes = scenario.road, [*scenario.notes, *left_out]
+    if road.source is RoadSource.DRIVEN_PATH and scenario.repair is None:
+        road = passed_width(road, tracks, notes)
+    notes.append(" ".join((f"The road users are made of {len(found)} detections. {reason}", *made.summary())))
+    return replace(scenario, tracks=tracks, road=road, detections=None, repair=made, notes=tuple(notes))
+
+
+def named(scenario: Scenario) -> Scenario:
+    """The repaired scenario whose tracks have the names by which a causal tracker knows them (`logs.repair.names`)."""
+    made = scenario.repair
+    assert made is not None and made.tracks is scenario.tracks
+    from logs.repair.names import named_as_tracked
+
+    made = named_as_tracked(made)
+    return replace(scenario, tracks=made.tracks, repair=made)

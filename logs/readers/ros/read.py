@@ -1,6 +1,6 @@
 """A bag as a scenario: which topics, which clock, which part; lights, goal, steering and on-board plans.
 
-For a part between `begin` and `end` only the messages around it are read: from `REACH_S` before it where the bag has
+For a part between `begin` and `end` only the messages around it are read: from `DETECTED_S` before it where the bag has
 detections that may be repaired, else from `HISTORY_S` before it, so that it is known who was there and how they moved;
 and the first seconds of the log, where t = 0 and the origin are. Where the log's clock is faster or slower than the
 senders' (a simulation slower than real time), log times do not tell what is in a part, and all messages are read.
@@ -24,10 +24,10 @@ from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap.complete import derived_acceleration, derived_curvature, road_along
 from logs.observed import Spans, of_stream
+from logs.readers.admission import reason_to_repair
 from logs.readers.base import LogSettings
-from logs.readers.cut import HISTORY_S
+from logs.readers.cut import DETECTED_S, HISTORY_S
 from logs.readers.recorded import car_of, unit_or_identity
-from logs.readers.repaired import REACH_S, reason_to_repair
 from logs.readers.ros import Bag, opened, schemas
 from logs.readers.ros.ego import POSITION, EgoLog, Part, at_poses, begin_of, read_ego, signal, states
 from logs.readers.ros.frames import HELD, Poses, composed, describe_timing, times_of
@@ -139,7 +139,7 @@ def _part(bag: Bag, settings: LogSettings) -> tuple[Part, int | None, FloatArray
             return whole, None, np.zeros(2)  # a part cannot be found by log time
     first = begin_of(ego, _measured(head, ego)[0])
     detected = settings.repair != "off" and whole.topics(schemas.OBJECTS, "agents")
-    log0, around = bag.start_ns, (REACH_S if detected else HISTORY_S) + MARGIN_S
+    log0, around = bag.start_ns, (DETECTED_S if detected else HISTORY_S) + MARGIN_S
     end = None if settings.end == inf else log0 + round(1e9 * (settings.end + around))
     if settings.begin <= 0.0:
         return Part(bag, settings, None, end), None, np.zeros(2)

@@ -98,14 +98,6 @@ class Borrowed(NamedTuple):
     right: bool
 
 
-class Knots(NamedTuple):
-    """Of the path QP: how many, the step between two, m, and its share of the middle of the bounds (`qp.PathQp`)."""
-
-    number: int
-    step: float
-    middle: float
-
-
 class RoadAhead(NamedTuple):
     """The road at the n knots of the path QP, for k points of the ego.
 
@@ -124,15 +116,14 @@ class RoadAhead(NamedTuple):
 
 @kernel
 def road_ahead(
-    line_s: FloatArray, table: FloatArray, ego: Ego, knots: Knots, borrowed: Borrowed, sides: FloatArray,
-    standing: FloatArray,
+    line_s: FloatArray, table: FloatArray, ego: Ego, step: float, n: int, middle: float, borrowed: Borrowed,
+    sides: FloatArray, standing: FloatArray,
 ) -> RoadAhead:  # fmt: skip
-    """(1) to (5) at the knots, along a reference line's stations and a reference path's table.
+    """(1) to (5) at n knots, `step` m apart, along a reference line's stations and a reference path's table.
 
     `sides` of the goal `(3, m)` are those of `GoalWindow.sides`; (3) is left out where one of those who stand, at
     stations from, to `(c, 2)`, m, is near the goal.
     """
-    n, step = knots.number, knots.step
     along, points = np.empty((3, n)), np.empty((6, len(ego.leads), n))
     for k in range(len(ego.leads)):
         lead, turning = ego.leads[k], np.empty(n)
@@ -151,7 +142,7 @@ def road_ahead(
     _towards(points, sides, standing)
     _widened(points[S], points[LOWER], points[UPPER], ego.start)
     _widened(points[S], points[LEAST], points[MOST], ego.start)
-    references, rows = loosen_bounds(along, points, points[LOWER], points[UPPER], np.empty(0), ego, knots)
+    references, rows = loosen_bounds(along, points, points[LOWER], points[UPPER], np.empty(0), ego, step, middle)
     return RoadAhead(along, points, references, rows)
 
 
@@ -266,14 +257,14 @@ def _widened(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatAr
 @kernel
 def loosen_bounds(
     along: FloatArray, points: FloatArray, lower: FloatArray, upper: FloatArray, near: FloatArray, ego: Ego,
-    knots: Knots,
+    step: float, middle: float,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """References and rows of the path QP (`RoadAhead`) for bounds `(points, n)`, loosened to what steering reaches (5).
 
     The bounds of the curvature are those at the offsets `near` `(n,)`, or where `HERE` as near to the reference line as
-    the bounds are. The references are `knots.middle` times the sum of the bounds (`qp`, (1) and (5)).
+    the bounds are. The references are `middle` times the sum of the bounds (`qp`, (1) and (5)).
     """
-    n, step = lower.shape[1], knots.step
+    n = lower.shape[1]
     references, rows = np.zeros((2, n)), np.zeros((2, 3 + len(ego.leads), n))
     offsets, least = np.empty(n), np.inf
     for i in range(n):
@@ -304,7 +295,7 @@ def loosen_bounds(
             break
         least = forced
     for i in range(n):
-        references[0, i] = knots.middle * (rows[0, X, i] + rows[1, X, i])
+        references[0, i] = middle * (rows[0, X, i] + rows[1, X, i])
     return references, rows
 
 

@@ -30,7 +30,6 @@ from planners.dp_qp.path.corridor import (
     SWING,
     UPPER,
     Ego,
-    Knots,
     RoadAhead,
     S,
     loosen_bounds,
@@ -102,7 +101,6 @@ class _Task:
     """
 
     program: PathQp
-    knots: Knots
     ego: Ego
     road: RoadAhead
     space: PathBounds
@@ -188,11 +186,13 @@ class PathStage:
         way = way.and_moving(moving) if moving else way
         start = np.array((scene.s, *scene.frenet, speed))
         ego = Ego(start, self._leads, self._car, 0.5 * car.width + self._config.corridor.edge_m)
-        knots, beside = Knots(program.knots, program.step, program.middle), bounds.borrowed_road(way, speed, car)
-        road = road_ahead(reference.line.s, reference.table, ego, knots, beside, sides, near)
+        road = road_ahead(
+            reference.line.s, reference.table, ego, program.step, program.knots, program.middle,
+            bounds.borrowed_road(way, speed, car), sides, near,
+        )  # fmt: skip
         space = PathBounds(road.points[S], road.points[LOWER], road.points[UPPER])
         problem = program.stated(start[1:4], road.references, road.rows)
-        return _Task(program, knots, ego, road, space, problem), way, standing
+        return _Task(program, ego, road, space, problem), way, standing
 
     def _solved(self, task: _Task, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...]) -> _Found:
         """The path within the bounds, else out of them as little as can be; then without those that it cannot clear."""
@@ -240,9 +240,11 @@ class PathStage:
 
     def _problem(self, task: _Task, space: PathBounds, near: FloatArray) -> PiecewiseJerkProblem:
         """The path QP in a space, as far as steering can keep it; bounds of the curvature as at offsets `near`."""
-        road = task.road
-        asked = loosen_bounds(road.along, road.points, space.lower, space.upper, near, task.ego, task.knots)
-        return task.program.stated(task.ego.start[1:4], *asked)
+        road, program = task.road, task.program
+        asked = loosen_bounds(
+            road.along, road.points, space.lower, space.upper, near, task.ego, program.step, program.middle
+        )
+        return program.stated(task.ego.start[1:4], *asked)
 
     def _in_the_way(
         self, scene: Scene, length: float, standing: Mapping[str, float]

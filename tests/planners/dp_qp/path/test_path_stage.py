@@ -24,7 +24,7 @@ from planners.dp_qp.path.bounds import (
     side_choices,
     standing_obstacles,
 )
-from planners.dp_qp.path.corridor import LOWER, UPPER, Ego, Knots, S, expected_speed, road_ahead
+from planners.dp_qp.path.corridor import LOWER, UPPER, Ego, S, expected_speed, road_ahead
 from planners.dp_qp.path.dp import PathDpConfig
 from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathMemory, PathStage
 from planners.frenet.path import MIN_REGULAR
@@ -134,7 +134,7 @@ def test_the_room_is_widened_for_an_ego_outside_of_it(l0: float, dl0: float, ddl
     def points(*start: float) -> FloatArray:
         ego = Ego(np.array([0.0, *start, speed]), np.array(LEADS), np.array([*TURNS, 3.0]), SIDE)
         line, none = STRAIGHT.line, np.empty((0, 2))
-        return road_ahead(line.s, STRAIGHT.table, ego, Knots(100, 1.0, 0.0), NOTHING, np.empty((3, 0)), none).points
+        return road_ahead(line.s, STRAIGHT.table, ego, 1.0, 100, 0.0, NOTHING, np.empty((3, 0)), none).points
 
     space, wide = points(0.0, 0.0, 0.0), points(l0, dl0, ddl0)
     assert wide[LOWER, 0, 0] <= l0 <= wide[UPPER, 0, 0]

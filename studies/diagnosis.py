@@ -31,8 +31,7 @@ from logs.frame import Predictions
 from logs.kernel import FloatArray
 from logs.scenario import Agents
 from replay.config import load_run
-from replay.diagnose.causes import NOT_FOUND
-from replay.diagnose.changes import load_changes
+from replay.diagnose.changes import NOT_FOUND, load_changes
 from replay.diagnose.diagnose import diagnose, question
 from replay.diagnose.findings import Diagnosis
 from replay.prediction import LaneMap

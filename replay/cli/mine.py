@@ -167,10 +167,8 @@ def suite(run: Mined, out: Annotated[Path, typer.Option("--out", "-o", help="The
         from logs.names import counted
         from replay.mine.coverage import suite_of, write_suite
         from replay.mine.mine import read_mined
-        from replay.mine.query import check_mined
         from replay.run.output import begun_in
 
-        check_mined(run)
         mined = read_mined(run)
         chosen = suite_of(mined)
         write_suite(chosen, out, begun_in(run, [one.source for one in chosen]))
@@ -195,9 +193,6 @@ def coverage(
     with handle_errors():
         from replay.cli.progress import sign_of_life
         from replay.mine.coverage import cells, gaps, lines, table, write_coverage
-        from replay.mine.query import check_mined
-
-        check_mined(run)
         from replay.mine.mine import mine as mine_logs
         from replay.mine.mine import read_mined
 
@@ -209,7 +204,6 @@ def coverage(
             with sign_of_life(progress_lines(), lambda: "mining the catalogue"):
                 other = mine_logs(catalogue(), RunConfig(), workers=worker_count(workers)).events
         else:
-            check_mined(against)
             other = read_mined(against).events
         have = cells(mined.events)
         missing = gaps(have, cells(other))

@@ -1,4 +1,6 @@
-"""The changes with which failing drives are driven again: rows of TOML tables, ours in `changes.toml`.
+"""The changes with which failing drives are driven again, and the cause that those point to with which one passes.
+
+The changes are rows of TOML tables, ours in `changes.toml`.
 
 [[change]]
 name = "no_delay"                           # of its folder
@@ -8,12 +10,20 @@ rank = "ideal"                              # one of RANKS
 default = ["loop.plan_delay_s"]             # keys that are set to their defaults
 set.loop = { traffic = "time" }             # keys that are set
 planner = "dp_qp"                           # only for this planner; left out: for all
+
+(1) a change counts     the drive passes with it, and with no part of it that points to another cause
+(2) cause               what the changes that count point to, those of the first rank of `RANKS` in which one counts;
+                        "prediction or control" where they point to several
+(3) fragile             it passes with a perturbation that should change nothing (`replay.run.perturb`): then no change
+                        shows anything, and the cause is not found
+(4) unavoidable         it passes with no change, and the careful driver of UN R157 does not avoid the contact either
+(5) not found           it passes with no change, and (4) does not hold
 """
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +37,7 @@ from replay.run.checks import checked
 from replay.settings import flat, merged, strict
 
 BUILT_IN = Path(__file__).with_name("changes.toml")
+NOT_FOUND, UNAVOIDABLE = "not found", "unavoidable"
 RANKS = ("default", "ideal", "limits", "planner")
 """In this order a cause is looked for: what was set otherwise before what could be better."""
 
@@ -112,33 +123,62 @@ def changed_runs(changes: Sequence[Change], run: RunConfig) -> tuple[tuple[Chang
     for change in changes:
         if change.planner and change.planner != run.planners[0]:
             continue
+        changed = tomllib.loads(table)
+        for key in change.default:  # without it its default holds
+            *parents, last = key.split(".")
+            inner = changed
+            for name in parents:
+                inner = inner.get(name, {})
+            inner.pop(last, None)
         try:
-            made = checked(strict(RunConfig, _changed(tomllib.loads(table), change)))[0]
+            made = checked(strict(RunConfig, merged(changed, change.set)))[0]
         except (ConfigError, PlannerError) as error:
             refused[change.name] = str(error)
             continue
-        keys = frozenset(_differences(base, dict(flat(tomllib.loads(dump_run(made))))))
+        now = dict(flat(tomllib.loads(dump_run(made))))
+        keys = frozenset((key, repr(now.get(key))) for key in {*base, *now} if base.get(key) != now.get(key))
         if keys and all(keys != other.keys for other in found):
             found.append(ChangedRun(change, made, keys))
     return tuple(found), refused
 
 
-def _differences(base: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Keys and new values as text; a key that is no more has none."""
-    for key in dict.fromkeys([*base, *now]):
-        if base.get(key) != now.get(key):
-            yield key, repr(now.get(key))
+@dataclass(frozen=True)
+class Cause:
+    """Why a drive fails.
+
+    Attributes:
+        name: "prediction", "prediction or control", "unavoidable", "not found".
+        changes: Names of the changes that point to it.
+        fragile: Perturbations with which the drive passes.
+    """
+
+    name: str
+    changes: tuple[str, ...] = ()
+    fragile: tuple[str, ...] = ()
 
 
-def _changed(table: dict[str, Any], change: Change) -> dict[str, Any]:
-    for key in change.default:
-        _remove(table, key.split("."))
-    return merged(table, change.set)
+def cause_of(
+    runs: Sequence[ChangedRun], passing: Collection[str], fragile: Sequence[str] = (), *, avoidable: bool = True
+) -> Cause:
+    """The cause of a drive.
 
-
-def _remove(table: dict[str, Any], path: Sequence[str]) -> None:
-    """Without a key: its default holds."""
-    *tables, last = path
-    for name in tables:
-        table = table.get(name, {})
-    table.pop(last, None)
+    Args:
+        runs: The changes that were driven.
+        passing: Names of those with which it passes.
+        fragile: Perturbations with which it passes.
+        avoidable: Whether the careful driver avoids the contact, or there is none.
+    """
+    if fragile:
+        return Cause(NOT_FOUND, fragile=tuple(fragile))  # (3)
+    passed = [run for run in runs if run.change.name in passing]
+    counts = [
+        run.change
+        for run in passed
+        if not any(part.is_part_of(run) and part.change.cause != run.change.cause for part in passed)
+    ]  # (1)
+    for rank in RANKS:
+        found = [change for change in counts if change.rank == rank]
+        if found:
+            causes = dict.fromkeys(change.cause for change in found)
+            return Cause(" or ".join(causes), tuple(change.name for change in found))  # (2)
+    return Cause(NOT_FOUND if avoidable else UNAVOIDABLE)  # (4), (5)

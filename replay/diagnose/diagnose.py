@@ -26,8 +26,7 @@ from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import PlannedFrame
 from replay.config import RunConfig, dump_run
-from replay.diagnose.causes import cause_of
-from replay.diagnose.changes import Change, ChangedRun, changed_runs, driven
+from replay.diagnose.changes import Change, ChangedRun, cause_of, changed_runs, driven
 from replay.diagnose.drives import MODE, Driven, as_driven, drive_again, failed_gates, parting, passes
 from replay.diagnose.failure import AHEAD_S, Beside, Failure, Foreseen, lane_change
 from replay.diagnose.findings import AS_IT_WAS, Diagnosis, Found

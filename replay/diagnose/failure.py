@@ -128,32 +128,21 @@ class Beside:
         return cls(*(None if one is None else round(one, 6) for one in numbers))  # type: ignore[arg-type]
 
     @property
-    def deed(self) -> str:
-        """What F does otherwise than P; "": nothing that is known."""
-        if self.ahead_m > APART_M and self.would_brake_s is not None:
-            if self.brakes_s is None:
-                return BRAKES[0]
-            if self.brakes_s - self.would_brake_s >= LATE_S:  # (4)
-                return BRAKES[1]
+    def deed(self) -> tuple[str, str]:
+        """What F does otherwise than P, and the numbers of that; empty: nothing that is known."""
+        does, would = self.brakes_s, self.would_brake_s
+        if would is not None and self.ahead_m > APART_M:
+            if does is None:
+                return BRAKES[0], f"does not brake, instead of braking at {would:.1f} s"
+            if does - would >= LATE_S:  # (4)
+                return BRAKES[1], f"brakes at {does:.1f} s instead of {would:.1f} s"
             if self.hardest_mps2 - self.would_hardest_mps2 > WEAKER_MPS2:
-                return BRAKES[2]
+                hardest, needed = -self.hardest_mps2, -self.would_hardest_mps2
+                return BRAKES[2], f"brakes with {hardest:.1f} m/s² instead of {needed:.1f} m/s²"
         if abs(self.left_m) > APART_M:  # (5)
-            return f"keeps too far {'right' if self.left_m > 0.0 else 'left'}"
-        return ""
-
-    @property
-    def numbers(self) -> str:
-        """The numbers of `deed`."""
-        match self.deed:
-            case "does not brake":
-                return f"does not brake, instead of braking at {self.would_brake_s:.1f} s"
-            case "brakes late":
-                return f"brakes at {self.brakes_s:.1f} s instead of {self.would_brake_s:.1f} s"
-            case "brakes too weakly":
-                return f"brakes with {-self.hardest_mps2:.1f} m/s² instead of {-self.would_hardest_mps2:.1f} m/s²"
-            case "":
-                return ""
-        return f"drives {abs(self.left_m):.1f} m to the {'right' if self.left_m > 0.0 else 'left'} of where it passes"
+            side = "right" if self.left_m > 0.0 else "left"
+            return f"keeps too far {side}", f"drives {abs(self.left_m):.1f} m to the {side} of where it passes"
+        return "", ""
 
 
 def _relative(ego: EgoState, x: float | FloatArray, y: float | FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -220,29 +209,19 @@ class Foreseen:
         return cls(frame.t, True, *(round(float(one), 6) for one in numbers))
 
     @property
-    def words(self) -> str:
-        """What is wrong of it, after a noun: " predicted to stand"; "": nothing that is known."""
+    def error(self) -> tuple[str, str]:
+        """What is wrong of it, after a noun (" predicted to stand"), and the numbers; empty: nothing that is known."""
         if not self.is_seen:
-            return " not seen"
+            return " not seen", f"not seen at {self.at_s:.1f} s"
         if self.seen_off_m > MISSED_M:
-            return " seen elsewhere"
+            return " seen elsewhere", f"seen {self.seen_off_m:.1f} m from where they are at {self.at_s:.1f} s"
         if self.off_m <= MISSED_M:
-            return ""
+            return "", ""
+        moves = f"predicted to move {self.predicted_m:.1f} m in {self.ahead_s:.1f} s, moves {self.moved_m:.1f} m"
+        numbers = f"{moves}, {self.off_m:.1f} m from there"
         if self.predicted_m < STAYS_M:
-            return " predicted to stand"
-        return " predicted to move although they stand" if self.moved_m < STAYS_M else " predicted elsewhere"
-
-    @property
-    def numbers(self) -> str:
-        """The numbers of `words`."""
-        if not self.is_seen:
-            return f"not seen at {self.at_s:.1f} s"
-        if self.seen_off_m > MISSED_M:
-            return f"seen {self.seen_off_m:.1f} m from where they are at {self.at_s:.1f} s"
-        if self.off_m <= MISSED_M:
-            return ""
-        moved = f"predicted to move {self.predicted_m:.1f} m in {self.ahead_s:.1f} s, moves {self.moved_m:.1f} m"
-        return f"{moved}, {self.off_m:.1f} m from there"
+            return " predicted to stand", numbers
+        return " predicted to move although they stand" if self.moved_m < STAYS_M else " predicted elsewhere", numbers
 
 
 @dataclass(frozen=True)
@@ -275,15 +254,15 @@ class Failure:
     @property
     def details(self) -> str:
         """The road user by name, and the numbers."""
-        who = ": ".join(filter(None, (self.who, self.foreseen.numbers)))
-        return "; ".join(filter(None, (who, self.beside.numbers)))
+        who = ": ".join(filter(None, (self.who, self.foreseen.error[1])))
+        return "; ".join(filter(None, (who, self.beside.deed[1])))
 
     @property
     def sentence(self) -> str:
         """It without names and numbers, for all drives of which the same can be said."""
         template = OUTCOMES.get(self.metric.partition(".")[0], f"fails {self.gate}")
-        deed, them = self.beside.deed, "it" if self.kind == "object" else "them"
-        who = f"{'an' if self.kind == 'object' else 'a'} {self.kind}{self.foreseen.words}" if self.who else SOMEONE
+        deed, them = self.beside.deed[0], "it" if self.kind == "object" else "them"
+        who = f"{'an' if self.kind == 'object' else 'a'} {self.kind}{self.foreseen.error[0]}" if self.who else SOMEONE
         lane = f" while changing to the {self.lane} lane" if self.lane else ""
         if not deed:
             return f"{template.replace('{}', who)}{lane}"

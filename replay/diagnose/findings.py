@@ -20,8 +20,7 @@ import pandas as pd
 
 from logs.errors import ConfigError
 from logs.names import counted
-from replay.diagnose.causes import UNAVOIDABLE, Cause
-from replay.diagnose.changes import ChangedRun
+from replay.diagnose.changes import UNAVOIDABLE, Cause, ChangedRun
 from replay.diagnose.failure import Failure
 from replay.diagnose.remedy import Remedy
 from replay.results.load import Results
@@ -149,12 +148,9 @@ class Diagnosis:
              "drives": [one.log for one in some]}
             for some in self.clusters()
         ]  # fmt: skip
-        drives = [
-            {**asdict(one), "happens": one.failure.sentence,
-             **{name: value if isfinite(value) else None for name, value in
-                (("time_s", one.time_s), ("beyond", one.beyond))}}
-            for one in self.drives
-        ]  # fmt: skip
+        drives = [{**asdict(one), "happens": one.failure.sentence} for one in self.drives]
+        for row in drives:
+            row.update({name: None for name in ("time_s", "beyond") if not isfinite(row[name])})
         return {
             "replan": replan_version(), "run": str(self.run), "planner": self.planner, "clusters": clusters,
             "drives": drives, "fails_no_more": list(self.not_failing), "not_driven": dict(self.not_driven),

@@ -9,7 +9,7 @@ and pass again: the change passes, and a smaller one may, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import exp, log
 
@@ -64,25 +64,24 @@ def smallest_change(
         settings: Their ranges.
         passes: Drives with a setting at a value.
     """
-    found = [one for setting in settings for one in _of_setting(setting, passes)]
+    found: list[tuple[Setting, Value, float]] = []
+    for setting in settings:
+        for end in setting.ends:
+            if end == setting.default or not passes(setting, end):
+                continue
+            if setting.choices:
+                found.append((setting, end, 1.0))
+                continue
+            low, high = 0.0, 1.0  # shares of the way: fails, passes
+            for _ in range(STEPS):
+                middle = 0.5 * (low + high)
+                value = between(setting, end, middle)
+                if value in (setting.default, between(setting, end, high)):
+                    break
+                low, high = (low, middle) if passes(setting, value) else (middle, high)
+            value = between(setting, end, high)
+            found.append((setting, value, distance(setting, value)))
     return min(found, key=lambda one: one[2], default=None)
-
-
-def _of_setting(setting: Setting, passes: Callable[[Setting, Value], bool]) -> Iterator[tuple[Setting, Value, float]]:
-    for end in setting.ends:
-        if end == setting.default or not passes(setting, end):
-            continue
-        if setting.choices:
-            yield setting, end, 1.0
-            continue
-        low, high = 0.0, 1.0  # shares of the way: fails, passes
-        for _ in range(STEPS):
-            middle = 0.5 * (low + high)
-            value = between(setting, end, middle)
-            if value in (setting.default, between(setting, end, high)):
-                break
-            low, high = (low, middle) if passes(setting, value) else (middle, high)
-        yield setting, between(setting, end, high), distance(setting, between(setting, end, high))
 
 
 def between(setting: Setting, end: Value, share: float) -> Value:

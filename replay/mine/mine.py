@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from math import isfinite, nan
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from logs.errors import LogError, PlannerError, ReplanError, of_users, raised
+from logs.errors import ConfigError, LogError, PlannerError, ReplanError, of_users, raised
 from logs.kernel import cold
 from logs.names import counted
 from logs.road import RoadSource
@@ -49,7 +49,6 @@ ALONE = "none"
 PLACES = ("location", "place", "city", "country")
 WEATHERS = ("weather", "time_of_day", "environment")
 """Entries of a log's metadata that say where and in which weather it was driven."""
-_SORTED = ["log", "t_from_s", "kind", "t_to_s"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,14 +121,17 @@ def mine(
         label = sources[index].label
         found[index] = _not_mined(label, f"{label}: not mined: {one.reason}") if isinstance(one, WorkerLost) else one
         on_log(found[index])
-    logs = _distinct([found[index] for index in sorted(found)])
+    logs = [found[index] for index in sorted(found)]
+    names = Counter(log.name for log in logs)
+    for place, log in enumerate(logs, 1):  # those that share a name get the hash of their content, or their place
+        if names[log.name] > 1:
+            name = f"{log.name}@{str(log.row['sha256'])[:8] or place}"
+            events, findings = (table.assign(log=name) if len(table) else table for table in (log.events, log.health))
+            logs[place - 1] = MinedLog(name, {**log.row, "log": name}, events, findings, log.failures)
     rows = pd.DataFrame([log.row for log in logs], columns=names_of(LOGS)).sort_values("log", ignore_index=True)
-    return Mined(
-        joined([log.events for log in logs], _SORTED, names_of(EVENTS)),
-        rows,
-        joined([log.health for log in logs], ["log", "t_from_s", "kind"], names_of(HEALTH)),
-        tuple(line for log in logs for line in log.failures),
-    )
+    events = joined([log.events for log in logs], ["log", "t_from_s", "kind", "t_to_s"], names_of(EVENTS))
+    findings = joined([log.health for log in logs], ["log", "t_from_s", "kind"], names_of(HEALTH))
+    return Mined(events, rows, findings, tuple(line for log in logs for line in log.failures))
 
 
 def write(mined: Mined, run: RunConfig, kinds: Sequence[str], planners: Sequence[str], out: Path | None) -> Path:
@@ -193,21 +195,14 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
             failures.append(f"{scenario.name}: {error} [{planner}]")
     about = scenario.metadata
     row = {
-        "log": scenario.name,
-        "source": source.label,
-        "sha256": digest,
-        "duration_s": float(scenario.duration),
+        "log": scenario.name, "source": source.label, "sha256": digest, "duration_s": float(scenario.duration),
         "driven_m": float(np.hypot(np.diff(scenario.ego.x), np.diff(scenario.ego.y)).sum()),
-        "agents": len(scenario.tracks),
-        "lanes": scenario.road.source is RoadSource.LANES,
-        "family": scenario.family,
-        "dataset": scenario.dataset,
-        "tags": list(scenario.tags),
+        "agents": len(scenario.tracks), "lanes": scenario.road.source is RoadSource.LANES,
+        "family": scenario.family, "dataset": scenario.dataset, "tags": list(scenario.tags),
         "place": next((about[key] for key in PLACES if about.get(key)), ""),
-        "weather": next((about[key] for key in WEATHERS if about.get(key)), ""),
-        "not_asked": not_asked,
+        "weather": next((about[key] for key in WEATHERS if about.get(key)), ""), "not_asked": not_asked,
         "error": "",
-    }
+    }  # fmt: skip
     findings = health.table(scenario.name, health.findings(scenario))
     return MinedLog(scenario.name, row, pd.DataFrame(rows, columns=names_of(EVENTS)), findings, tuple(failures))
 
@@ -225,22 +220,13 @@ def _row(log: DrivenLog, kind: EventKind, event: Event, planner: str) -> dict[st
     main = event.agents[0] if event.agents else ""
     v = float(abs(log.ego.v[k]))
     return {
-        "log": log.scenario.name,
-        "kind": kind.name,
-        "t_from_s": event.begin,
-        "t_to_s": event.end,
+        "log": log.scenario.name, "kind": kind.name, "t_from_s": event.begin, "t_to_s": event.end,
         "agents": list(event.agents),
         "agent_kind": tracks.kinds[tracks.ids.index(main)].value if main in tracks.ids else ALONE,
-        "road": _road_at(log, middle),
-        "speed": next((name for bound, name in SPEEDS if v < bound), FASTER),
-        "v_mps": v,
-        "x_m": float(log.ego.x[k]),
-        "y_m": float(log.ego.y[k]),
-        "value": float(event.value),
-        "unit": kind.unit,
-        "what": event.what,
-        "planner": planner,
-    }
+        "road": _road_at(log, middle), "speed": next((name for bound, name in SPEEDS if v < bound), FASTER),
+        "v_mps": v, "x_m": float(log.ego.x[k]), "y_m": float(log.ego.y[k]), "value": float(event.value),
+        "unit": kind.unit, "what": event.what, "planner": planner,
+    }  # fmt: skip
 
 
 def _road_at(log: DrivenLog, k: int) -> str:
@@ -263,20 +249,6 @@ def _not_mined(label: str, line: str) -> MinedLog:
     lists: dict[str, Any] = {"tags": [], "not_asked": []}
     row = {"log": label, "source": label, "agents": 0, "lanes": False, "error": line, **numbers, **words, **lists}
     return MinedLog(label, row, failures=(line,))
-
-
-def _distinct(logs: Sequence[MinedLog]) -> list[MinedLog]:
-    """The logs with different names: those that share one get the hash of their content, or their place, behind it."""
-    names = Counter(log.name for log in logs)
-    found = []
-    for place, log in enumerate(logs, 1):
-        if names[log.name] > 1:
-            name = f"{log.name}@{str(log.row['sha256'])[:8] or place}"
-            tables = (table.assign(log=name) if len(table) else table for table in (log.events, log.health))
-            events, findings = tables
-            log = replace(log, name=name, row={**log.row, "log": name}, events=events, health=findings)
-        found.append(log)
-    return found
 
 
 def summary(mined: Mined) -> list[str]:
@@ -303,8 +275,11 @@ def read_mined(folder: Path) -> Mined:
     """The tables that `replan mine` wrote.
 
     Raises:
+        ConfigError: The folder is not the result of `replan mine`.
         LogError: A table is damaged.
     """
+    if not (folder / CARD).is_file():
+        raise ConfigError(f"{folder}: holds no mined logs (no {CARD} in it): replan mine LOGS -o {folder}")
     try:
         events, logs, findings = (pd.read_parquet(folder / name) for name in (EVENTS, LOGS, HEALTH))
     except (OSError, ValueError) as error:

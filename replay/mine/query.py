@@ -70,12 +70,6 @@ def views(folder: Path) -> Mapping[str, Callable[[], pd.DataFrame]]:
     return {name: lambda name=name: getattr(run, name) for name in RUN_VIEWS}  # type: ignore[misc]
 
 
-def check_mined(folder: Path) -> None:
-    """ConfigError where a folder is not the result of `replan mine`."""
-    if not (folder / CARD).is_file():
-        raise ConfigError(f"{folder}: holds no mined logs (no {CARD} in it): replan mine LOGS -o {folder}")
-
-
 def query(folder: Path, sql: str) -> pd.DataFrame:
     """The rows that one SELECT gives.
 

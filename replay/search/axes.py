@@ -47,15 +47,9 @@ FORM = "write it as NAME=LOW:HIGH, for example time=-3:3"
 TIME_S, SPEED, EGO_SPEED, LATERAL_M, ALONG_M, AHEAD_M = 1.0, 0.2, 0.1, 0.375, 5.0, 10.0
 ACCEL_MPS2, ANGLE_DEG, PERCENT = 1.0, 10.0, 25.0
 SCALES: Mapping[str, float] = {
-    "time": TIME_S,
-    "copy": TIME_S,
-    "speed": SPEED,
-    "side": LATERAL_M,
-    "ego_start": ALONG_M,
-    "ego_speed": EGO_SPEED,
-    "pedestrian": AHEAD_M,
-    "standing_car": AHEAD_M,
-}
+    "time": TIME_S, "copy": TIME_S, "speed": SPEED, "side": LATERAL_M, "ego_start": ALONG_M, "ego_speed": EGO_SPEED,
+    "pedestrian": AHEAD_M, "standing_car": AHEAD_M,
+}  # fmt: skip
 """Of the variations, by name."""
 _LATERAL = ("lateral", "offset", "side", "intrusion", "kerb", "clearance", "room", "marking", "width", "swing")
 """Words in the names of parameters that are ways across the lane."""

@@ -335,17 +335,11 @@ class Drives:
     def _row(self, point: Point, part: str, case: Case) -> dict[str, Any]:
         distance = norm(point)
         return {
-            "key": _key(point),
-            "part": part,
-            **values_at(self._question.axes, point),
-            "distance": distance,
-            "outcome": case.outcome,
-            "score": case.score(distance / self._farthest),
+            "key": _key(point), "part": part, **values_at(self._question.axes, point), "distance": distance,
+            "outcome": case.outcome, "score": case.score(distance / self._farthest),
             "robustness": case.robustness if isfinite(case.robustness) else None,
-            "gates": "; ".join(case.gates),
-            "why": case.why,
-            "end": case.end,
-        }
+            "gates": "; ".join(case.gates), "why": case.why, "end": case.end,
+        }  # fmt: skip
 
     def _driven(self, points: Sequence[Point]) -> list[Case]:
         """What came of points that are driven now."""
@@ -398,17 +392,12 @@ def _write(result: Falsified, workers: int) -> None:
     card = {
         "replan": replan_version(),
         **{key: value for key, value in asked.head().items() if key not in ("study", "replan", "code", "run")},
-        "planner": asked.planner,
-        "budget": asked.budget,
-        "resolution": asked.resolution,
-        "falsified": found.point is not None,
-        "distance": found.distance if isfinite(found.distance) else None,
+        "planner": asked.planner, "budget": asked.budget, "resolution": asked.resolution,
+        "falsified": found.point is not None, "distance": found.distance if isfinite(found.distance) else None,
         "passes_at": found.passes if isfinite(found.passes) else None,
         "case": {axis.name: result.case[axis.name] for axis in asked.axes} if result.case else None,
-        "gates": result.case.get("gates", "").split("; ") if result.case else [],
-        "drives": len(result.table),
-        "outcomes": dict(Counter(result.table["outcome"])),
-        "said": result.lines(),
+        "gates": result.case.get("gates", "").split("; ") if result.case else [], "drives": len(result.table),
+        "outcomes": dict(Counter(result.table["outcome"])), "said": result.lines(),
         "exit_code": result.exit_code,
-    }
+    }  # fmt: skip
     write_json(out / "falsify.json", card)

@@ -11,7 +11,6 @@ import pandas as pd
 from replay.draw.report.figures import STYLE, empty_figure
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from replay.search.axes import SearchAxis
@@ -55,7 +54,13 @@ def falsify_figure(table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mappin
             place = case[first.name], 0.0 if second is None else case[second.name]
             label = f"mildest failure, distance {case['distance']:.3f}"
             picture.plot(*place, "*", ms=15.0, mfc="none", mec=MILDEST, mew=1.4, label=label)
-            _equal(picture, first, second, float(case["distance"]))
+            turn, away = np.linspace(0.0, 2.0 * np.pi, 181), float(case["distance"])
+            along = first.origin + first.scale * away * np.cos(turn)  # where no other axis is moved, and as far
+            if second is not None:
+                across = second.origin + second.scale * away * np.sin(turn)
+                picture.plot(along, across, color="#555555", lw=0.8, ls="--", label="as far as that")
+            for end in (along.min(), along.max()) if second is None else ():
+                picture.axvline(end, color="#555555", lw=0.8, ls="--")
         picture.set(xlabel=first.label, xlim=_padded(first), title=title)
         if second is None:
             picture.set_yticks([])
@@ -63,18 +68,6 @@ def falsify_figure(table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mappin
             picture.set(ylabel=second.label, ylim=_padded(second))
         figure.legend(loc="outside lower left", ncols=2, fontsize=8)
         return figure
-
-
-def _equal(picture: Axes, first: SearchAxis, second: SearchAxis | None, distance: float) -> None:
-    """Where points with no other axis moved have the distance of the case."""
-    turn = np.linspace(0.0, 2.0 * np.pi, 181)
-    x = first.origin + first.scale * distance * np.cos(turn)
-    if second is None:
-        for end in (x.min(), x.max()):
-            picture.axvline(end, color="#555555", lw=0.8, ls="--")
-    else:
-        y = second.origin + second.scale * distance * np.sin(turn)
-        picture.plot(x, y, color="#555555", lw=0.8, ls="--", label="as far as that")
 
 
 def _padded(axis: SearchAxis) -> tuple[float, float]:

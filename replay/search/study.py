@@ -39,7 +39,13 @@ class Study:
         if entries and (earlier is None or earlier[0].get("study") != head["study"]):
             raise ConfigError(f"{out}: holds no study of `replan {head['study']}`; give --out a new or empty folder")
         if resume:
-            self._rows = _resumed(out, earlier, self._head)
+            if earlier is None:
+                raise ConfigError(f"{out}: holds no study to resume; leave out --resume to start one")
+            changed = changes(earlier[0], json.loads(json.dumps(self._head)))
+            if changed:
+                again = "give the same options, or leave out --resume"
+                raise ConfigError(f"{out}: was begun otherwise: {changed}; {again}")
+            self._rows = earlier[1:]
             clear_partial(out)
         else:
             for entry in entries:
@@ -77,13 +83,3 @@ def _read(path: Path) -> list[dict[str, Any]]:
     if not rows or not all(isinstance(row, dict) for row in rows) or not all("key" in row for row in rows[1:]):
         raise ConfigError(f"{path}: contains no study; remove the file to start over")
     return rows
-
-
-def _resumed(out: Path, earlier: list[dict[str, Any]] | None, head: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The rows of an interrupted study of the same head."""
-    if earlier is None:
-        raise ConfigError(f"{out}: holds no study to resume; leave out --resume to start one")
-    changed = changes(earlier[0], json.loads(json.dumps(head)))
-    if changed:
-        raise ConfigError(f"{out}: was begun otherwise: {changed}; give the same options, or leave out --resume")
-    return earlier[1:]

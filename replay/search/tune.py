@@ -54,7 +54,7 @@ from replay.search.gains import (
     measured,
     scales,
     stratum,
-)
+)  # fmt: skip
 from replay.search.space import chosen_table, listed, with_values
 from replay.search.study import Study
 from replay.search.trials import Plan, Trials, Values, key_of, optuna_module
@@ -137,14 +137,12 @@ class Tuned:
         broken = [verdict for verdict in self.comparison.verdicts if verdict.outcome.value == "fail"]
         said += [f"Broken: {verdict.rule}: {verdict.reason}." for verdict in broken]
         if self.passed:
-            said.append(
-                "PASS: the chosen settings are better on the held-out logs, and no rule of comparison is broken."
-            )
+            word = "PASS: the chosen settings are better on the held-out logs, and no rule of comparison is broken."
         elif not self.better.holds:
-            said.append("FAIL: they are not better on the held-out logs.")
+            word = "FAIL: they are not better on the held-out logs."
         else:
-            said.append("FAIL: they break a rule of comparison on the held-out logs.")
-        return said
+            word = "FAIL: they break a rule of comparison on the held-out logs."
+        return [*said, word]
 
 
 def tune(
@@ -330,23 +328,17 @@ def _write(result: Tuned, default: Measured) -> None:
     chosen = with_values(plan.run, result.values)
     note = "the chosen settings" if result.passed else "NOT better than the defaults on the held-out logs"
     write_text(out / "best.toml", f"# Written by `replan tune`: {note}.\n{tomli_w.dumps(chosen_table(chosen))}")
+    gain = result.better
     card = {
-        "replan": replan_version(),
-        "planner": plan.run.planners[0],
-        "objectives": [one.metric for one in plan.objectives],
-        "seed": plan.seed,
-        "trials": len(table),
-        "training": list(result.logs.training),
-        "held_out": list(result.logs.held_out),
-        "strata": dict(result.logs.strata),
-        "failed_by_default": default.failed,
+        "replan": replan_version(), "planner": plan.run.planners[0],
+        "objectives": [one.metric for one in plan.objectives], "seed": plan.seed, "trials": len(table),
+        "training": list(result.logs.training), "held_out": list(result.logs.held_out),
+        "strata": dict(result.logs.strata), "failed_by_default": default.failed,
         "chosen": {one.key: result.values[one.path] for one in plan.settings} if result.values else None,
-        "gain": None if result.better is None else {
-            "mean": result.better.mean,
-            "interval": [end if isfinite(end) else None for end in (result.better.low, result.better.high)],
-            "logs": result.better.logs,
+        "gain": None if gain is None else {
+            "mean": gain.mean, "interval": [end if isfinite(end) else None for end in (gain.low, gain.high)],
+            "logs": gain.logs,
         },
-        "said": result.lines(),
-        "exit_code": result.exit_code,
+        "said": result.lines(), "exit_code": result.exit_code,
     }  # fmt: skip
     write_json(out / "tune.json", card)

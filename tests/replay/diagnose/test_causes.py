@@ -10,8 +10,17 @@ from hypothesis import strategies as st
 
 from logs.errors import ConfigError
 from replay.config import RunConfig, load_run
-from replay.diagnose.causes import NOT_FOUND, UNAVOIDABLE, cause_of
-from replay.diagnose.changes import RANKS, Change, ChangedRun, changed_runs, driven, load_changes
+from replay.diagnose.changes import (
+    NOT_FOUND,
+    RANKS,
+    UNAVOIDABLE,
+    Change,
+    ChangedRun,
+    cause_of,
+    changed_runs,
+    driven,
+    load_changes,
+)
 from replay.diagnose.remedy import STEPS, distance, smallest_change
 from replay.search.space import Setting, Value
 

@@ -53,16 +53,17 @@ def test_late_weak_and_missing_braking_are_what_the_drives_do(
 ) -> None:
     passing, failing = braked(at, decel), braked(at + late, share * decel)
     found = beside(failing, passing)
-    if found.deed:
+    deed = found.deed[0]
+    if deed:
         assert found.would_brake_s == pytest.approx(at, abs=0.02) and found.ahead_m > 0.0
-    if found.deed.startswith("brakes"):
+    if deed.startswith("brakes"):
         assert found.brakes_s == pytest.approx(at + late, abs=0.02)
         assert found.hardest_mps2 == pytest.approx(-share * decel, abs=1e-6)
-    assert found.deed != "brakes late" or late > LATE_S - 0.02
-    assert found.deed != "brakes too weakly" or share < 1.0
-    assert found.deed != "does not brake" or share * decel <= 0.5
+    assert deed != "brakes late" or late > LATE_S - 0.02
+    assert deed != "brakes too weakly" or share < 1.0
+    assert deed != "does not brake" or share * decel <= 0.5
     failed, passed = (drive(moved(LOG, turn, 3.0, 4.0), moved_ego(one, turn, 3.0, 4.0)) for one in (failing, passing))
-    assert Beside.of(failed, passed, inf).deed == found.deed, "wherever the scene lies"
+    assert Beside.of(failed, passed, inf).deed[0] == deed, "wherever the scene lies"
 
 
 @pytest.mark.parametrize(
@@ -81,8 +82,7 @@ def test_late_weak_and_missing_braking_are_what_the_drives_do(
 def test_a_deed_and_its_numbers(
     failing: Trajectory, passing: Trajectory, until: float, deed: str, numbers: str
 ) -> None:
-    found = beside(failing, passing, until)
-    assert (found.deed, found.numbers) == (deed, numbers)
+    assert beside(failing, passing, until).deed == (deed, numbers)
 
 
 def shown(speed: float, predicted: float, off: float = 0.0, *, seen: bool = True) -> Trace:
@@ -103,25 +103,26 @@ def shown(speed: float, predicted: float, off: float = 0.0, *, seen: bool = True
 @given(st.floats(0.0, 2.0), st.floats(0.0, 2.0), st.floats(-2.0, 2.0), st.booleans())
 def test_what_is_said_of_a_prediction_is_what_it_was(speed: float, predicted: float, off: float, seen: bool) -> None:
     found = Foreseen.of(shown(speed, predicted, off, seen=seen), "ped 7", 1.3)
-    assert bool(found.words) == bool(found.numbers)
+    words, numbers = found.error
+    assert bool(words) == bool(numbers)
     if not seen:
-        assert found.words == " not seen"
+        assert words == " not seen"
         return
     assert found.seen_off_m == pytest.approx(abs(off), abs=1e-5)
     assert found.moved_m == pytest.approx(3.0 * speed, abs=1e-5) and found.off_m == pytest.approx(
         3.0 * abs(speed - predicted), abs=1e-5
     )
-    if found.words == " predicted to stand":
+    if words == " predicted to stand":
         assert 3.0 * predicted < STAYS_M + 1e-5 and 3.0 * speed > MISSED_M - 1e-5
-    if " they stand" in found.words:
+    if " they stand" in words:
         assert 3.0 * speed < STAYS_M + 1e-5 and 3.0 * predicted > MISSED_M - 1e-5
-    assert (found.words == "") == (found.seen_off_m <= MISSED_M and found.off_m <= MISSED_M)
+    assert (words == "") == (found.seen_off_m <= MISSED_M and found.off_m <= MISSED_M)
 
 
 def test_of_someone_who_is_not_there_nothing_is_known() -> None:
     trace = shown(1.0, 0.0)
     assert Foreseen.of(trace, "car 3", 1.0) == Foreseen.of(trace, "ped 7", 0.5) == Foreseen()
-    assert Foreseen().words == Beside().deed == ""
+    assert Foreseen().error == Beside().deed == ("", "")
 
 
 LATE = beside(braked(3.0, 4.0), braked(2.0, 4.0))
@@ -150,7 +151,7 @@ ANY = Failure("collision_at_fault.count <= 0", "collision_at_fault.count")
 def test_the_sentence_of_a_failure(changes: dict[str, object], sentence: str) -> None:
     found = replace(ANY, **changes)  # type: ignore[arg-type]
     assert found.sentence == sentence
-    assert found.who in found.details and found.beside.numbers in found.details
+    assert found.who in found.details and found.beside.deed[1] in found.details
 
 
 def test_every_gate_of_ours_has_words_and_no_others_have() -> None:

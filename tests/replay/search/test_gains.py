@@ -1,6 +1,9 @@
-"""Gains against the defaults: directions, missing values, and chance."""
+"""Held-out logs, and gains against the defaults: directions, missing values, and chance."""
 
 from __future__ import annotations
+
+from collections import Counter
+from math import floor
 
 import numpy as np
 import pytest
@@ -9,8 +12,10 @@ from hypothesis import strategies as st
 
 from logs import ConfigError
 from metrics import METRICS
-from replay.search.gains import LEAST_LOGS, Objective, better, gains, is_dominated, objectives, scales
+from metrics.judge.aggregate import LogLabels
+from replay.search.gains import LEAST_LOGS, Objective, better, gains, held_out, is_dominated, objectives, scales
 
+NAMES = st.dictionaries(st.text("abcdefgh", min_size=1, max_size=6), st.sampled_from(["a", "b", "c", ""]), max_size=40)
 TWO = (Objective("up", "closed", 1.0), Objective("down", "closed", -1.0))
 
 
@@ -58,3 +63,20 @@ def test_wrong_objectives_are_refused(names: list[str], said: str) -> None:
 def test_an_objective_has_the_loop_in_which_it_is_defined() -> None:
     found = objectives(["ttc.min", "ade.3s.mean"], METRICS)
     assert [(one.mode, one.sign) for one in found] == [("closed", 1.0), ("open", -1.0)]
+
+
+@given(NAMES, st.floats(0.0, 1.0))
+def test_the_share_is_held_out_of_all_logs_and_of_each_stratum(families: dict[str, str], share: float) -> None:
+    labels = {name: LogLabels(family) for name, family in families.items()}
+    held = held_out(labels, share)
+    assert len(held) == floor(len(labels) * share + 1e-9) and held <= set(labels)
+    sizes, mine = Counter(families.values()), Counter(families[name] for name in held)
+    assert all(abs(mine[family] - share * size) < 1.0 + 1e-6 for family, size in sizes.items())
+
+
+@given(NAMES, st.randoms())
+def test_the_order_of_the_logs_does_not_matter(families: dict[str, str], random: st.DataObject) -> None:
+    labels = {name: LogLabels(dataset=family) for name, family in families.items()}
+    names = list(labels)
+    random.shuffle(names)  # type: ignore[attr-defined]
+    assert held_out({name: labels[name] for name in names}, 0.3) == held_out(labels, 0.3)

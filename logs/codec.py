@@ -180,7 +180,7 @@ def _read(hint: Any, absent: float | None = None) -> Convert | None:
     if hint == Points:
         return _points
     if hint == FloatArray:
-        return unpacked if absent is None else lambda values: _filled(values, absent)
+        return unpacked if absent is None else lambda values: _fill_nulls(values, absent)
     if hint == IntArray:
         return lambda values: np.array(values, np.int64)
     if _is_enum(hint):
@@ -208,7 +208,7 @@ def _points(value: Any) -> FloatArray:
     return unpacked(value).reshape(-1 if isinstance(value, bytes) else len(value), 2)
 
 
-def _filled(values: Any, absent: float) -> FloatArray:
+def _fill_nulls(values: Any, absent: float) -> FloatArray:
     """The values with `absent` in the place of null."""
     found = np.array(values, np.float64)
     return np.where(np.isnan(found), absent, found)

@@ -86,7 +86,7 @@ class Kind(Generic[T]):
         try:
             thing: Any = reduce(getattr, name.split("."), loaded)
         except (AttributeError, ImportError) as error:  # ImportError: `replan.own.missing`
-            there = [key for key, offered in _offered(loaded) if not self.wrong(offered)]
+            there = [key for key, offered in _public_names(loaded) if not self.wrong(offered)]
             nearest = unknown_name(f"{self.name} in {loaded.__name__}", name, there)
             hint = self._clash(error) if rival(loaded.__name__) else ""
             raise self.error(f"{self.name} '{spec}': {nearest}{hint}") from None
@@ -110,7 +110,7 @@ class Kind(Generic[T]):
     def entries(self) -> dict[str, EntryPoint]:
         """The entry points, by name; ConfigError where two have one name."""
         found: dict[str, EntryPoint] = {}
-        for entry in _installed(self.group, tuple(sys.path)):
+        for entry in _installed_entry_points(self.group, tuple(sys.path)):
             if entry.name in self.builtin or entry.name in found:
                 raise ConfigError(
                     f"there are two {self.plural} called '{entry.name}'; rename or uninstall {entry.value}"
@@ -145,7 +145,7 @@ class Kind(Generic[T]):
         return f"; {clash(package, rival(package))}{program}" if package in PACKAGES else ""
 
 
-def _offered(module: ModuleType) -> Iterator[tuple[str, Any]]:
+def _public_names(module: ModuleType) -> Iterator[tuple[str, Any]]:
     """What a module has for others: what `__all__` names, else what is its own or imported under a name of its own."""
     names = getattr(module, "__all__", None)
     for name, thing in vars(module).items():
@@ -156,7 +156,7 @@ def _offered(module: ModuleType) -> Iterator[tuple[str, Any]]:
 
 
 @cache
-def _installed(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+def _installed_entry_points(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
     """The entry points of a group, by name; `path` is Python's, with which they change."""
     return tuple(sorted(entry_points(group=group), key=lambda each: (each.name, each.value)))
 

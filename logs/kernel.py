@@ -46,12 +46,12 @@ _WORD = re.compile(r"[A-Za-z_]\w*")
 def stamp(kernel: Any) -> str:
     """SHA-256 of all that the machine code of a kernel (a dispatcher of numba's) depends on, hexadecimal."""
     digest = sha256(repr(sorted(kernel.targetoptions.items())).encode())
-    for part in _parts(kernel.py_func, {kernel}):
+    for part in _parts_of_kernel(kernel.py_func, {kernel}):
         digest.update(f"{part}\n".encode())
     return digest.hexdigest()
 
 
-def _parts(function: FunctionType, seen: set[Any]) -> Iterator[str]:
+def _parts_of_kernel(function: FunctionType, seen: set[Any]) -> Iterator[str]:
     """A function's code, and what its global names stand for; kernels in `seen` are left out, and added to it."""
     yield f"{function.__module__}.{function.__qualname__} {_as_text(function.__defaults__)}"  # it is loaded from there
     yield from (_as_text(each) for each in _hinted_classes(function.__annotations__, function.__globals__))
@@ -65,7 +65,7 @@ def _parts(function: FunctionType, seen: set[Any]) -> Iterator[str]:
                 yield _as_text(value)
             elif value not in seen:
                 seen.add(value)
-                yield from _parts(value.py_func, seen)
+                yield from _parts_of_kernel(value.py_func, seen)
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:
@@ -213,7 +213,7 @@ class _ShippedLocator(caching.InTreeCacheLocator):
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` when it is first called; types as in its annotations."""
-    return _compiled(function)
+    return _compile_kernel(function)
 
 
 def inner_kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -221,10 +221,10 @@ def inner_kernel(function: Callable[P, R]) -> Callable[P, R]:
 
     For a small one whose arguments are named tuples, that is most of what there is to compile.
     """
-    return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    return _compile_kernel(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
-def _compiled(function: Callable[P, R], **unlisted: Any) -> Callable[P, R]:
+def _compile_kernel(function: Callable[P, R], **unlisted: Any) -> Callable[P, R]:
     """With its machine code on disk where it can be kept; `unlisted`: numba knows them, its types do not."""
     options: Any = {"error_model": "numpy", **unlisted}
     try:

@@ -80,7 +80,7 @@ def _trend(
 
 
 @kernel
-def _perceived(
+def _perceived_rows(
     offsets: IntArray, static: BoolArray, turns: BoolArray, size: tuple[FloatArray, FloatArray], t: FloatArray,
     x: FloatArray, y: FloatArray, yaw: FloatArray, vx: FloatArray, vy: FloatArray, patience: FloatArray, time: float,
 ) -> tuple[IntArray, FloatArray, bool]:  # fmt: skip
@@ -275,9 +275,9 @@ class Tracks:
         """
         columns = self.t, self.x, self.y, self.yaw, self.vx, self.vy
         fixed = self.offsets, self.static, self._turns, (self.length, self.width)
-        seen, rows, lacking = _perceived(*fixed, *columns, _NOT_ASKED, time)
+        seen, rows, lacking = _perceived_rows(*fixed, *columns, _NOT_ASKED, time)
         if lacking:
-            seen, rows, _ = _perceived(*fixed, *columns, self.patience, time)
+            seen, rows, _ = _perceived_rows(*fixed, *columns, self.patience, time)
         if len(seen) == len(self):
             return Agents.of_rows(self.ids, self.kinds, rows, self.codes)
         ids, kinds = self._names[:, seen].tolist()
@@ -288,7 +288,7 @@ class Tracks:
 
         Velocity and acceleration are those of `motion`, in which later samples are.
         """
-        seen, before = self._there(time)
+        seen, before = self._present_at(time)
         last = self.offsets[1:] - 1
         at = np.where(self.static[seen], self.offsets[seen], before[seen])
         after = np.where(self.static[seen] | self.gap_after[at], at, np.minimum(at + 1, last[seen]))
@@ -306,9 +306,9 @@ class Tracks:
 
     def ids_at(self, time: float) -> tuple[str, ...]:
         """Of `truth(time)`, the names alone."""
-        return tuple(self.ids[i] for i in self._there(time)[0])
+        return tuple(self.ids[i] for i in self._present_at(time)[0])
 
-    def _there(self, time: float) -> tuple[IntArray, IntArray]:
+    def _present_at(self, time: float) -> tuple[IntArray, IntArray]:
         """Who is in the scene at `time` `(k,)`, and the last sample until then of each track `(n,)`; -1: none."""
         before = _last_samples(self.offsets, self.t, time)
         last = self.offsets[1:] - 1

@@ -220,7 +220,7 @@ class Internals(Sequence[Artefact]):
         self._build = build
         self._all: tuple[Artefact, ...] | None = None
 
-    def _built(self) -> tuple[Artefact, ...]:
+    def _build_internals(self) -> tuple[Artefact, ...]:
         if self._all is None:
             self._all = self._build()
         return self._all
@@ -232,10 +232,10 @@ class Internals(Sequence[Artefact]):
     def __getitem__(self, index: slice) -> tuple[Artefact, ...]: ...
 
     def __getitem__(self, index: int | slice) -> Artefact | tuple[Artefact, ...]:
-        return self._built()[index]
+        return self._build_internals()[index]
 
     def __len__(self) -> int:
-        return len(self._built())
+        return len(self._build_internals())
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -52,7 +52,7 @@ def moved(scenario: Scenario, dx: float, dy: float, dyaw: float) -> Scenario:
         goal=goal,
         origin=(float(x), float(y)),
     )
-    return _placed(turned, lambda points: points @ turn + np.array([dx, dy]))
+    return _with_points(turned, lambda points: points @ turn + np.array([dx, dy]))
 
 
 def rotated(scenario: Scenario, angle: float, about: tuple[float, float] = (0.0, 0.0)) -> Scenario:
@@ -141,7 +141,7 @@ def jittered(scenario: Scenario, size: float, seed: int = 0) -> Scenario:
         ego=replace(ego, yaw=off(ego.yaw), v=off(ego.v), a=off(ego.a), kappa=off(ego.kappa)),
         **_with_boxes(scenario, noisy_boxes),
     )
-    return _placed(noisy, off)
+    return _with_points(noisy, off)
 
 
 def mirrored(scenario: Scenario) -> Scenario:
@@ -192,7 +192,7 @@ def _turn(angle: float) -> FloatArray:
     return np.array([[c, s], [-s, c]])
 
 
-def _placed(scenario: Scenario, points: _Points) -> Scenario:
+def _with_points(scenario: Scenario, points: _Points) -> Scenario:
     """The scenario with all its points `(k, 2)` elsewhere, and nothing else changed."""
     goal = scenario.goal
 

@@ -142,10 +142,10 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
         was = now if VARIATIONS[name].inserts else was
     now = replace(now, tracks=continued(was, now), ego=start_of(now.ego))
     check_start(scenario, now)
-    return _signed(scenario, now, agents, ordered)
+    return _sign_variation(scenario, now, agents, ordered)
 
 
-def _signed(was: Scenario, now: Scenario, agents: Sequence[str], values: Mapping[str, float]) -> Scenario:
+def _sign_variation(was: Scenario, now: Scenario, agents: Sequence[str], values: Mapping[str, float]) -> Scenario:
     changes = ", ".join(f"{name} {VARIATIONS[name].shown(value)}" for name, value in values.items())
     agents = agents if any(VARIATIONS[name].of != "ego" for name in values) else ()
     about = f" of {', '.join(agents)}" if agents else ""
@@ -214,12 +214,12 @@ def check_start(was: Scenario, now: Scenario) -> None:
     lateral = start.v**2 * abs(start.kappa)
     if lateral > max(LATERAL_MPS2, before.v**2 * abs(before.kappa)):
         raise LogError(f"the ego would start at {start.v:.1f} m/s in a curve of {1.0 / abs(start.kappa):.0f} m radius")
-    stands_in = [name for name in _touched(now) if name not in _touched(was)]
+    stands_in = [name for name in _touched_agents(now) if name not in _touched_agents(was)]
     if stands_in:
         raise LogError(f"{stands_in[0]} would stand in the ego at the start")
 
 
-def _touched(scenario: Scenario) -> list[str]:
+def _touched_agents(scenario: Scenario) -> list[str]:
     """Ids of those whose boxes the ego's touches at the start."""
     start, car = scenario.ego.state(0), scenario.vehicle
     x, y = start.x + car.axle_to_center * cos(start.yaw), start.y + car.axle_to_center * sin(start.yaw)

@@ -85,7 +85,7 @@ def _savgol(value: FloatArray, window: int, degree: int, order: int = 0, step: f
     return np.asarray(savgol_filter(value, min(window, len(value)), degree, deriv=order, delta=step))
 
 
-def _derived(value: FloatArray, window: int, degree: int, order: int, drive: Trajectory) -> FloatArray:
+def _derivative(value: FloatArray, window: int, degree: int, order: int, drive: Trajectory) -> FloatArray:
     """SG' or SG'' of a signal of a drive."""
     return _savgol(value, window, degree, order, float(np.mean(np.diff(drive.t))))
 
@@ -99,13 +99,13 @@ def r79_jerk(drive: Trajectory) -> FloatArray:
     return metric.rate_of_change(drive.t, np.asarray(low), R79_MEAN_S)  # (9)
 
 
-def _driven(signal: Signal, trace: Trace, scenario: Scenario) -> Measured:
+def _driven_signal(signal: Signal, trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t, signal(trace.ego), missing=f"the drive is shorter than {WINDOW_S} s")
 
 
 def _with_cause(signal: Signal, bounds: tuple[str, float, float], trace: Trace, scenario: Scenario) -> Measured:
     """The signal, labelled where it is out of bounds with the road user of the least TTC in the last `CAUSE_S`."""
-    found, ttc = _driven(signal, trace, scenario), TTC.found(trace, scenario)
+    found, ttc = _driven_signal(signal, trace, scenario), TTC.found(trace, scenario)
     if not isinstance(found, Series) or not isinstance(ttc, Series):
         return found
     labels, times = [""] * len(found.t), np.where(ttc.value <= CAUSE_TTC_S, ttc.value, np.inf)
@@ -116,7 +116,7 @@ def _with_cause(signal: Signal, bounds: tuple[str, float, float], trace: Trace, 
     return replace(found, labels=tuple(labels))
 
 
-def _filtered(signal: Signal, step: float, least: float, trace: Trace, scenario: Scenario) -> Measured:
+def _filtered_signal(signal: Signal, step: float, least: float, trace: Trace, scenario: Scenario) -> Measured:
     """The signal of the drive resampled to `step` s from its start, linear between its samples."""
     length = float(trace.ego.t[-1] - trace.ego.t[0])
     if length < least - 1e-9:
@@ -143,7 +143,7 @@ def _state_metric(
     source: str = "bounds: nuPlan devkit e9241677, ego_is_comfortable", more: tuple[Reduction, ...] = (), *,
     caused: bool = False,
 ) -> Metric:  # fmt: skip
-    measure = partial(_with_cause, signal, bounds) if caused else partial(_driven, signal)
+    measure = partial(_with_cause, signal, bounds) if caused else partial(_driven_signal, signal)
     return Metric(
         name, bounds[0], "lower", (Mode.CLOSED,), measure, _outside(bounds, metric.P95, metric.P99, *more), meaning,
         source, 2, formula=formula, parameters=(_as_text(bounds), f"W {WINDOW_S} s"), needs=f"a drive of {WINDOW_S} s",
@@ -183,7 +183,7 @@ YAW_ACCEL = _state_metric(
 NUPLAN = tuple(
     Metric(
         f"{kind}_nuplan", NUPLAN_BOUNDS[kind][0], "lower", (Mode.CLOSED,),
-        partial(_filtered, signal, NUPLAN_STEP_S, NUPLAN_LEAST_S), _outside(NUPLAN_BOUNDS[kind]),
+        partial(_filtered_signal, signal, NUPLAN_STEP_S, NUPLAN_LEAST_S), _outside(NUPLAN_BOUNDS[kind]),
         f"{what}, as nuPlan filters it{aside}.",
         "nuPlan devkit e9241677, ego_is_comfortable; there at the ego's centre", formula=formula,
         parameters=(_as_text(NUPLAN_BOUNDS[kind]), f"step {NUPLAN_STEP_S} s"), needs=f"a drive of {NUPLAN_LEAST_S} s",
@@ -193,16 +193,17 @@ NUPLAN = tuple(
         ("lat_accel", "Lateral acceleration", "", lambda drive: _savgol(lat_accel(drive), 8, 2),
          "SG(8, 2) of v^2 kappa"),
         ("lon_jerk", "Longitudinal jerk", ": a cascade of 2.2 s",
-         lambda drive: _derived(_savgol(drive.a, 8, 2), 15, 2, 1, drive), "SG'(15, 2) of SG(8, 2) of a"),
+         lambda drive: _derivative(_savgol(drive.a, 8, 2), 15, 2, 1, drive), "SG'(15, 2) of SG(8, 2) of a"),
         ("jerk", "Rate of the size of the acceleration", ": turning it counts nothing",
-         lambda drive: _derived(_savgol(np.hypot(drive.a, lat_accel(drive)), 8, 2), 15, 2, 1, drive),
+         lambda drive: _derivative(_savgol(np.hypot(drive.a, lat_accel(drive)), 8, 2), 15, 2, 1, drive),
          "SG'(15, 2) of SG(8, 2) of hypot(a, v^2 kappa)"),
-        ("yaw_rate", "Yaw rate", "", lambda drive: _derived(drive.yaw, 5, 2, 1, drive), "SG'(5, 2) of yaw"),
-        ("yaw_accel", "Yaw acceleration", "", lambda drive: _derived(drive.yaw, 5, 3, 2, drive), "SG''(5, 3) of yaw"),
+        ("yaw_rate", "Yaw rate", "", lambda drive: _derivative(drive.yaw, 5, 2, 1, drive), "SG'(5, 2) of yaw"),
+        ("yaw_accel", "Yaw acceleration", "", lambda drive: _derivative(drive.yaw, 5, 3, 2, drive),
+         "SG''(5, 3) of yaw"),
     )
 )  # fmt: skip
 LAT_JERK_R79 = Metric(
-    "lat_jerk_r79", "m/s3", "lower", (Mode.CLOSED,), partial(_filtered, r79_jerk, R79_STEP_S, R79_MEAN_S),
+    "lat_jerk_r79", "m/s3", "lower", (Mode.CLOSED,), partial(_filtered_signal, r79_jerk, R79_STEP_S, R79_MEAN_S),
     _outside(R79_BOUNDS), "Lateral jerk as UN R79 measures it: low-pass, derivative, moving mean.",
     "UN R79 (read at second hand)",
     formula="mean over 0.5 s of dB/dt = (B(t) - B(t - 0.5 s)) / 0.5 s, B = Butterworth low-pass of v^2 kappa",

@@ -68,7 +68,7 @@ def _iterations(trace: Trace, scenario: Scenario) -> Unavailable | Mapping[str, 
     return found or Unavailable("the plans hold no solver reports")
 
 
-def _unsolved(trace: Trace, scenario: Scenario) -> Measured:
+def _unsolved_frames(trace: Trace, scenario: Scenario) -> Measured:
     frames = _reports(trace)
     if not any(frames):
         return Unavailable("the plans hold no solver reports")
@@ -127,7 +127,8 @@ EFFORT = (
         formula="max over a frame's calls of a stage", needs="solver reports in the plans",
     ),
     Metric(
-        "solver_unsolved", "count", "lower", _BOTH, _unsolved, (metric.COUNT,), "Solver calls that did not end solved.",
+        "solver_unsolved", "count", "lower", _BOTH, _unsolved_frames, (metric.COUNT,),
+        "Solver calls that did not end solved.",
         formula="sum of calls that are not solved", needs="solver reports in the plans",
     ),
     Metric(

@@ -67,7 +67,7 @@ class Body(NamedTuple):
 
 
 @inner_kernel
-def _travelled(v: float, a: float, t: float) -> float:
+def _distance_travelled(v: float, a: float, t: float) -> float:
     """Distance after t without reversing: the motion stops where v + a t = 0."""
     if a < 0.0 and v + a * t < 0.0:
         return -0.5 * v * v / a
@@ -86,7 +86,7 @@ def time_to_contact_accelerated(one: Body, two: Body, horizon: float) -> float:
     d1, d2 = 0.0, 0.0
     for i in range(round(horizon / PIECE_S)):
         then = (i + 1) * PIECE_S
-        e1, e2 = _travelled(v1, a1, then), _travelled(v2, a2, then)
+        e1, e2 = _distance_travelled(v1, a1, then), _distance_travelled(v2, a2, then)
         dx, dy = x2 - x1 + d2 * c2 - d1 * c1, y2 - y1 + d2 * s2 - d1 * s1
         if hypot(dx, dy) - reach <= (e1 - d1) + (e2 - d2):
             u1, u2 = (e1 - d1) / PIECE_S, (e2 - d2) / PIECE_S
@@ -131,7 +131,9 @@ def _body(others: Others, i: int, k: int, accel: float) -> Body:
 
 
 @kernel
-def _accelerated(ego: FloatArray, ego_accel: FloatArray, car: Car, others: Others) -> tuple[FloatArray, IntArray]:
+def _least_with_acceleration(
+    ego: FloatArray, ego_accel: FloatArray, car: Car, others: Others
+) -> tuple[FloatArray, IntArray]:
     """Per step the least (1) (NaN: none) and the agent's index (-1)."""
     pose, size, steps = others.pose, others.size, others.there.shape[1]
     least, agent = np.full(steps, np.nan), np.full(steps, -1, np.int64)
@@ -145,7 +147,9 @@ def _accelerated(ego: FloatArray, ego_accel: FloatArray, car: Car, others: Other
                 continue
             u, a = hypot(pose[3, i, k], pose[4, i, k]), others.accel[i, k]
             a = a if np.isfinite(a) else 0.0
-            if distance_bound(x, y, car, others, i, k) > _travelled(v, ego_accel[k], best) + _travelled(u, a, best):
+            if distance_bound(x, y, car, others, i, k) > _distance_travelled(
+                v, ego_accel[k], best
+            ) + _distance_travelled(u, a, best):
                 continue
             one = Body(x, y, yaw, car.length, car.width, vx, vy, ego_accel[k])
             found = time_to_contact_accelerated(one, _body(others, i, k, a), best)
@@ -211,7 +215,7 @@ def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
     ego, car = grid_of(trace), car_of(scenario)
     boxes, forth = ego_boxes(ego, scenario), ego.a * np.where(ego.v < 0.0, -1.0, 1.0)
     least, agent = nearest(
-        trace.agents, ego.t, lambda k, seen, others: _accelerated(boxes[:, k], forth[k], car, others)
+        trace.agents, ego.t, lambda k, seen, others: _least_with_acceleration(boxes[:, k], forth[k], car, others)
     )
     return Series(ego.t, least, labels_of(trace, agent), f"never on a course to touch within {HORIZON_S:g} s")
 

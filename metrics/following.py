@@ -109,7 +109,7 @@ def arc_point(kappa: float, x: float, y: float) -> tuple[float, float]:
 
 
 @inner_kernel
-def _clipped(s0: float, l0: float, s1: float, l1: float, half: float) -> float:
+def _least_s_within(s0: float, l0: float, s1: float, l1: float, half: float) -> float:
     """The least s of a straight piece within |l| <= half; inf where no part of it is."""
     if max(l0, l1) < -half or min(l0, l1) > half:
         return np.inf
@@ -142,7 +142,7 @@ def extent(
         s_low, s_high = min(s_low, along), max(s_high, along)
         l_low, l_high = min(l_low, left), max(l_high, left)
         if i > 0 and abs(kappa * (along - before[0])) < pi:
-            near = min(near, _clipped(before[0], before[1], along, left, half))
+            near = min(near, _least_s_within(before[0], before[1], along, left, half))
         before[0], before[1] = along, left
     return near, s_low, s_high, l_low, l_high
 

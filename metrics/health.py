@@ -399,7 +399,7 @@ def twins(scenario: Scenario) -> Iterator[Finding]:
         for k in range(at.there.shape[1]):
             here = np.flatnonzero(at.there[:, k])
             order = here[np.argsort(at.pose[0, here, k], kind="stable")]
-            for one, other in _near(at.pose[:2, order, k]):
+            for one, other in _near_pairs(at.pose[:2, order, k]):
                 i, j = sorted((int(seen[order[one]]), int(seen[order[other]])))
                 met[i, j].append(piece.start + k)
     for (i, j), steps in sorted(met.items()):
@@ -409,7 +409,7 @@ def twins(scenario: Scenario) -> Iterator[Finding]:
             yield _of_track(tracks, i, Kind.TWIN, t[steps[0]], t[steps[-1]], lasting, "s", text)
 
 
-def _near(places: FloatArray) -> Iterator[tuple[int, int]]:
+def _near_pairs(places: FloatArray) -> Iterator[tuple[int, int]]:
     """Pairs of places `(2, n)`, sorted by x, that are within `TWIN_M`."""
     x, y = places
     for i in range(len(x)):

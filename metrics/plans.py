@@ -144,7 +144,7 @@ def _differences(trace: Trace) -> tuple[FloatArray, FloatArray]:
     return np.where(known, change, np.nan), np.where(known, np.fmax.reduce(np.where(both, aside, 0.0), axis=1), np.nan)
 
 
-def _extended(trace: Trace, scenario: Scenario) -> Measured:
+def _endpoint_errors(trace: Trace, scenario: Scenario) -> Measured:
     """(3), at the frames with another 0.5 s before them."""
     t = frame_times(trace)
     earlier = np.searchsorted(t, t - APART_S - 1e-6)
@@ -204,7 +204,7 @@ PLAN_CHANGE, PLAN_CHANGE_LATERAL = (
     ))
 )  # fmt: skip
 EXTENDED_COMFORT = Metric(
-    "extended_comfort", "1", "lower", _BOTH, _extended, (metric.MEAN, metric.P95, metric.MAX),
+    "extended_comfort", "1", "lower", _BOTH, _endpoint_errors, (metric.MEAN, metric.P95, metric.MAX),
     "Difference of two plans 0.5 s apart as one would feel it, over its bound: the worst of four; above 1 is a change"
     " of mind.", "NAVSIM 0a380a90, extended comfort of EPDMS; there of filtered signals and of one pair",
     formula="max over q of rms(q_i - q_j) / bound(q), t_i - t_j = 0.5 s, q = |A|, d|A|/dt, yaw rate, yaw acceleration",
@@ -265,7 +265,7 @@ _average: Pick = lambda errors: np.asarray(errors.mean(axis=1))  # noqa: E731
 _at_end: Pick = lambda errors: np.abs(errors[:, -1])  # noqa: E731
 
 
-def _missed(errors: FloatArray) -> FloatArray:
+def _missed_frames(errors: FloatArray) -> FloatArray:
     farthest, bound = errors.max(axis=1), MISS_M[round(errors.shape[1] * STEP_S)]
     return np.where(np.isfinite(farthest), farthest > bound, np.nan)
 
@@ -293,7 +293,7 @@ ADE, FDE, AHE, FHE, ALONG, CROSS = (
     )
 )  # fmt: skip
 MISS = Metric(
-    "miss", "1", "lower", (Mode.OPEN,), partial(_per_horizon, _missed, 2, tuple(MISS_M)),
+    "miss", "1", "lower", (Mode.OPEN,), partial(_per_horizon, _missed_frames, 2, tuple(MISS_M)),
     (replace(metric.RATE, empty=None), metric.SHARE),
     "Share of the frames whose plan is anywhere up to the horizon farther from the log than the bound.",
     "nuPlan devkit e9241677, planner_miss_rate_within_bound (3, 5, 8 s), at 10 Hz and at the rear axle",

@@ -229,11 +229,11 @@ def _priority_gap(trace: Trace, scenario: Scenario) -> Measured:
     boxes, car, no_drivers = ego_boxes(ego, scenario), car_of(scenario), (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
     gap, labels = np.full(len(t), np.nan), [""] * len(t)
     for lane, first in pairs:
-        mine = _around(on_lane(lane, boxes[0], boxes[1], ego.yaw))
+        mine = _steps_around(on_lane(lane, boxes[0], boxes[1], ego.yaw))
         for i, others, row in each(trace.agents, t) if mine.any() else ():
             if trace.agents.kinds[i] in no_drivers:
                 continue
-            theirs = _around(on_lane(first, *others.pose[:3, row])) & others.there[row]
+            theirs = _steps_around(on_lane(first, *others.pose[:3, row])) & others.there[row]
             sizes = np.array([car[1:3], others.size[row]])
             after, _, ego_first, other_first = encroachment(
                 boxes, np.flatnonzero(mine), others.pose[:, row], np.flatnonzero(theirs), sizes, 0.0
@@ -245,7 +245,7 @@ def _priority_gap(trace: Trace, scenario: Scenario) -> Measured:
     return Series(t, gap, tuple(labels), "the ego was never ahead of a road user that goes first")
 
 
-def _around(on: BoolArray) -> BoolArray:
+def _steps_around(on: BoolArray) -> BoolArray:
     """The steps `(k,)` that are marked, and `AROUND_S` before and after them."""
     at = np.flatnonzero(on)
     found, reach = np.zeros(len(on), np.bool_), round(AROUND_S / GRID_S)

@@ -261,7 +261,7 @@ def label(contact: Contact, trace: Trace) -> str:
     return f"{name_of(trace.agents, contact.agent)}: {contact.kind.value}, {fault}"
 
 
-def _wanted(trace: Trace, vulnerable_only: bool) -> BoolArray:
+def _counted_agents(trace: Trace, vulnerable_only: bool) -> BoolArray:
     """Which agents count `(n,)`: all, or pedestrians and riders."""
     return np.array([kind.is_vulnerable or not vulnerable_only for kind in trace.agents.kinds], np.bool_)
 
@@ -309,7 +309,7 @@ def _approachable(ego: FloatArray, car: Car, others: Others, leaving: float) -> 
 def _gap(
     trace: Trace, scenario: Scenario, *, vulnerable_only: bool, kept: bool = False, leaving: float = inf
 ) -> Measured:
-    ego, car, wanted = ego_boxes(trace.ego, scenario), car_of(scenario), _wanted(trace, vulnerable_only)
+    ego, car, wanted = ego_boxes(trace.ego, scenario), car_of(scenario), _counted_agents(trace, vulnerable_only)
     who = "pedestrian or rider" if vulnerable_only else "other road user"
     if not wanted.any():
         return Unavailable(f"no {who} in the scene")
@@ -334,7 +334,7 @@ def _passing_room(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
-    ego, car, wanted = ego_boxes(trace.ego, scenario), car_of(scenario), _wanted(trace, vulnerable_only)
+    ego, car, wanted = ego_boxes(trace.ego, scenario), car_of(scenario), _counted_agents(trace, vulnerable_only)
     if not wanted.any():
         return Unavailable(f"no {'pedestrian or rider' if vulnerable_only else 'other road user'} in the scene")
 
@@ -349,7 +349,7 @@ def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured
     return Series(trace.ego.t, least, labels_of(trace, agents), never)
 
 
-def _integrated(series: Series) -> tuple[float, int]:
+def _integral(series: Series) -> tuple[float, int]:
     """TIT (1)."""
     flags = series.known & (series.value <= TAU_S)
     return float(np.sum((metric.durations(series.t) * (TAU_S - series.value))[flags])), metric.first_of(flags)
@@ -441,7 +441,7 @@ PASSING_ROOM = Metric(
     parameters=(f"going away: {LEAVING_MPS} m/s",), needs="a pedestrian or rider",
 )  # fmt: skip
 _TTC_TIMES = (metric.MIN, metric.time_below(CLOSE_S, "time_below_950ms"), metric.time_below(TAU_S, "time_below_1500ms"),
-              Reduction("integrated_1500ms", _integrated, "s2", "lower", 0.0))  # fmt: skip
+              Reduction("integrated_1500ms", _integral, "s2", "lower", 0.0))  # fmt: skip
 _TTC_HOW = (
     f"horizon {TTC_HORIZON_S:g} s", "bounds 0.95 s and 1.5 s (tau of TET and TIT)",
     "not to who is more than 150 degrees off the heading", "0 at a collision at fault",

@@ -339,16 +339,16 @@ def load_run(path: Path | None, changes: Mapping[str, Any] | None = None) -> Run
 
 def dump_run(run: RunConfig) -> str:
     """The configuration as TOML, every default spelled out; `load_run` reads it back to an equal one."""
-    return HEADER + tomli_w.dumps(_plain(run))
+    return HEADER + tomli_w.dumps(_as_toml_value(run))
 
 
-def _plain(value: Any) -> Any:
+def _as_toml_value(value: Any) -> Any:
     """Values as TOML has them: dataclasses as tables of their keys, enums by value, no None."""
     if is_dataclass(value) and not isinstance(value, type):
         keys = (item.name for item in fields(value) if item.metadata.get("key", True))
         value = {key: getattr(value, key) for key in keys}
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items() if item is not None}
+        return {str(key): _as_toml_value(item) for key, item in value.items() if item is not None}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [_as_toml_value(item) for item in value]
     return value.value if isinstance(value, Enum) else value

@@ -154,10 +154,10 @@ def _of_agent(tracks: Tracks, i: int, seen: Sight, rng: np.random.Generator) -> 
         [seen.frame[rows], codes, seen.x[rows] + c * u - s * v, seen.y[rows] + s * u + c * v, yaw, length, width,
          np.full(n, np.nan) if cluster else score]
     )  # fmt: skip
-    return boxes[_noticed(seen.far[rows], rng) & ~seen.hidden[rows]]
+    return boxes[_is_seen(seen.far[rows], rng) & ~seen.hidden[rows]]
 
 
-def _noticed(far: FloatArray, rng: np.random.Generator) -> BoolArray:
+def _is_seen(far: FloatArray, rng: np.random.Generator) -> BoolArray:
     """The frames `(n,)` in which a road user at distances `far` `(n,)` is seen: the gaps have the measured lengths."""
     share = np.interp(far, FAR_M, SEEN)
     mean = SHORT_GAPS / SHORT_END + (1.0 - SHORT_GAPS) / LONG_END

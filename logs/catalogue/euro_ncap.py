@@ -54,7 +54,7 @@ STEPS = {"2023": 5, "2026": 10}
 """Of the ego's speed, km/h."""
 
 
-def _along(p: Mapping[str, float], target: Target) -> Scenario:
+def _target_ahead(p: Mapping[str, float], target: Target) -> Scenario:
     """A target that goes along the lane ahead, met after `TTC_S`."""
     v, u, car = p["ego_kmh"] * KMH, p["target_kmh"] * KMH, VehicleParameters()
     if not v > u:
@@ -157,12 +157,12 @@ def _vulnerable(year: str) -> tuple[Family, ...]:
             defaults={**CROSSING, "target_kmh": 10.0, "start_m": 6.05, "run_up_m": 1.55, "hidden_m": 3.55}),
         own("cbfa", summary="a cyclist crosses from the far side", build=partial(rides, far=True),
             defaults={**CROSSING, "target_kmh": 20.0, "start_m": 28.2, "run_up_m": 6.2}, grid={**ego, **far}),
-        own("cpla", summary="an adult walks along the lane ahead", build=partial(_along, target=PEDESTRIAN),
+        own("cpla", summary="an adult walks along the lane ahead", build=partial(_target_ahead, target=PEDESTRIAN),
             defaults=ALONG, grid={"ego_kmh": speeds(10 if later else 20, 60, step)}),
         own("cpla_warning", summary="an adult walks along at the lane's side, the ego is fast",
-            build=partial(_along, target=PEDESTRIAN), defaults={**ALONG, "overlap_percent": 25.0},
+            build=partial(_target_ahead, target=PEDESTRIAN), defaults={**ALONG, "overlap_percent": 25.0},
             grid={"ego_kmh": speeds(50, 80, step)}),
-        own("cbla", summary="a cyclist rides along the lane ahead", build=partial(_along, target=CYCLIST),
+        own("cbla", summary="a cyclist rides along the lane ahead", build=partial(_target_ahead, target=CYCLIST),
             defaults={**ALONG, "target_kmh": 15.0}, grid={"ego_kmh": speeds(20 if later else 25, 60, step)}),
     )  # fmt: skip
 
@@ -204,7 +204,7 @@ def _braking(p: Mapping[str, float]) -> Scenario:
 
 CBLA_WARNING = _family(
     "cbla_warning", "2023", "a cyclist rides along at the lane's side, the ego is fast",
-    partial(_along, target=CYCLIST), {**ALONG, "target_kmh": 20.0, "overlap_percent": 25.0},
+    partial(_target_ahead, target=CYCLIST), {**ALONG, "target_kmh": 20.0, "overlap_percent": 25.0},
     {"ego_kmh": speeds(50, 80)},
 )  # fmt: skip
 TURNS = {"ego_kmh": (10.0, 15.0, 20.0), "target_kmh": (30.0, 45.0, 60.0)}

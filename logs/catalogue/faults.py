@@ -52,7 +52,7 @@ def _perception(
     return made
 
 
-def _kept(tracks: Tracks, keep: BoolArray) -> Tracks:
+def _keep_samples(tracks: Tracks, keep: BoolArray) -> Tracks:
     """The tracks with some of their samples; ValueError where a track has none left."""
     left = tracks.taken(keep)
     if len(left) < len(tracks):
@@ -66,7 +66,7 @@ def _kept(tracks: Tracks, keep: BoolArray) -> Tracks:
 )  # fmt: skip
 def flicker(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
     shown, hidden = int(p["shown_frames"]), int(p["hidden_frames"])
-    return _kept(tracks, np.rint(tracks.t / SAMPLE_S).astype(np.int64) % (shown + hidden) < shown)
+    return _keep_samples(tracks, np.rint(tracks.t / SAMPLE_S).astype(np.int64) % (shown + hidden) < shown)
 
 
 @_perception(
@@ -74,12 +74,12 @@ def flicker(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
     {"from_s": 6.0, "lasts_s": 0.5}, {"from_s": (4.0, 6.0, 8.0), "lasts_s": (0.3, 0.5, 1.0, 2.0)},
 )  # fmt: skip
 def dropout(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
-    return _kept(tracks, (tracks.t < p["from_s"] - 1e-9) | (tracks.t >= p["from_s"] + p["lasts_s"] - 1e-9))
+    return _keep_samples(tracks, (tracks.t < p["from_s"] - 1e-9) | (tracks.t >= p["from_s"] + p["lasts_s"] - 1e-9))
 
 
 @_perception("late", "a box appears late", {"first_s": 5.0}, {"first_s": (1.0, 3.0, 5.0, 6.0)})
 def late(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
-    return _kept(tracks, tracks.t >= p["first_s"] - 1e-9)
+    return _keep_samples(tracks, tracks.t >= p["first_s"] - 1e-9)
 
 
 @_perception(
@@ -109,7 +109,7 @@ def noisy(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
 @_perception("sparse", "few frames, and no velocities", {"every_frames": 2.0}, {"every_frames": (1.0, 2.0, 5.0, 10.0)})
 def sparse(tracks: Tracks, p: Mapping[str, float]) -> Tracks:
     """One frame of every `every`, without velocities."""
-    left = _kept(tracks, np.rint(tracks.t / SAMPLE_S).astype(np.int64) % int(p["every_frames"]) == 0)
+    left = _keep_samples(tracks, np.rint(tracks.t / SAMPLE_S).astype(np.int64) % int(p["every_frames"]) == 0)
     return replace(left, vx=np.full(len(left.t), np.nan), vy=np.full(len(left.t), np.nan))
 
 

@@ -119,17 +119,17 @@ def _kerbs(p: Mapping[str, float]) -> tuple[float, float]:
     return -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
 
 
-def _driven(
+def _waiting_driver(
     p: Mapping[str, float], walkers: Sequence[Agent], x: float, sets_off: float,
     *, cars: Sequence[Agent] = (), cruise: Callable[[float], float] | None = None, noticed: float | None = None,
 ) -> Scenario:  # fmt: skip
     """The scenario with a driver who waits before x until all are off the lane."""
     begin, clear = sets_off + p["reaction_s"] if noticed is None else noticed, off_lane(walkers)
     ahead = waiting(x, p["stop_distance_m"], begin, clear, VehicleParameters().axle_to_front)
-    return _crossed(p, [*walkers, *cars], sets_off, clear, ahead, cruise=cruise)
+    return _crossing_scene(p, [*walkers, *cars], sets_off, clear, ahead, cruise=cruise)
 
 
-def _crossed(
+def _crossing_scene(
     p: Mapping[str, float], agents: Sequence[Agent], sets_off: float, clear: float,
     ahead: Reaction, *, cruise: Callable[[float], float] | None = None, kinds: tuple[DecisionKind, ...] = WAITS,
 ) -> Scenario:  # fmt: skip
@@ -162,7 +162,7 @@ def turns_back(p: Mapping[str, float]) -> Scenario:
     back = Leg(there.end + p["dwell_s"], -way, p["return_speed_mps"])
     x = _station(p, there.begin)
     one = walker("pedestrian", grid(p["duration_s"]), (x, y0), (there, back))
-    return _driven(p, [one], x, there.begin)
+    return _waiting_driver(p, [one], x, there.begin)
 
 
 @family(
@@ -179,7 +179,7 @@ def hesitates(p: Mapping[str, float]) -> Scenario:
     across = Leg(to_kerb.end + p["dwell_s"], y1 - y0, p["pedestrian_speed_mps"])
     x = _station(p, across.begin)
     one = walker("pedestrian", grid(p["duration_s"]), (x, y0 - p["approach_m"]), (to_kerb, across))
-    return _driven(p, [one], x, across.begin)
+    return _waiting_driver(p, [one], x, across.begin)
 
 
 @family(
@@ -208,7 +208,7 @@ def runs_out(p: Mapping[str, float]) -> Scenario:
         wanted = sqrt(slow**2 + 2.0 * SLOWING_MPS2 * max(begin - s, 0.0))
         return min(p["ego_speed_mps"], wanted if s + car.axle_to_front < x else inf)
 
-    return _driven(p, [child], x, leg.begin, cars=cars, cruise=cruise, noticed=emerges + p["reaction_s"])
+    return _waiting_driver(p, [child], x, leg.begin, cars=cars, cruise=cruise, noticed=emerges + p["reaction_s"])
 
 
 @family(
@@ -231,7 +231,7 @@ def jaywalker(p: Mapping[str, float]) -> Scenario:
     x = _station(p, begin.begin)
     one = walker("pedestrian", grid(p["duration_s"]), (x, y0), (begin, hurry), towards=angle)
     on = np.abs(one.samples[:, 2]) <= HALF_LANE
-    return _driven(p, [one], float(one.samples[on, 1].min()), begin.begin)
+    return _waiting_driver(p, [one], float(one.samples[on, 1].min()), begin.begin)
 
 
 @family(
@@ -248,7 +248,7 @@ def group(p: Mapping[str, float]) -> Scenario:
     x = _station(p, begin)
     legs = [Leg(begin + k * p["between_s"], y1 - y0, p["pedestrian_speed_mps"]) for k in range(3)]
     walkers = [walker(f"pedestrian_{k + 1}", t, (x + k * p["beside_m"], y0), [leg]) for k, leg in enumerate(legs)]
-    return _driven(p, walkers, x, begin)
+    return _waiting_driver(p, walkers, x, begin)
 
 
 @family(
@@ -275,7 +275,7 @@ def along(p: Mapping[str, float]) -> Scenario:
         gap = float(np.interp(time, t, x)) - 0.5 * max(ADULT) - p["stop_distance_m"] - (s + front)
         return Ahead(gap, v) if p["reaction_s"] <= time < clear else None
 
-    return _crossed(p, [one], 0.0, clear, ahead, kinds=(DecisionKind.FOLLOW, *WAITS))
+    return _crossing_scene(p, [one], 0.0, clear, ahead, kinds=(DecisionKind.FOLLOW, *WAITS))
 
 
 @family(
@@ -296,7 +296,7 @@ def both_sides(p: Mapping[str, float]) -> Scenario:
     for name, side, beyond in (("right", -1.0, 0.0), ("left", 1.0, p["beside_m"])):
         leg = Leg(p[f"{name}_start_s"], y1 - y0, p[f"{name}_speed_mps"])
         walkers.append(walker(name, t, (x + beyond, copysign(y0, side)), [leg], towards=-0.5 * pi * side))
-    return _driven(p, walkers, x, sets_off)
+    return _waiting_driver(p, walkers, x, sets_off)
 
 
 FAMILIES = (turns_back, hesitates, runs_out, jaywalker, group, along, both_sides)

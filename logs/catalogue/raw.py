@@ -38,14 +38,14 @@ def _row(name: str, first: float, last: float, y: float, *, spacing: float = 6.5
     return [parked(f"{name}_{k}", x, y) for k, x in enumerate(np.arange(first, last, spacing).tolist())]
 
 
-def _along(
+def _moving_agent(
     name: str, kind: AgentKind, size: tuple[float, float], t: FloatArray, x: float, y: float, speed: float
 ) -> Agent:
     """A road user along the road at a constant speed, which is backwards where it is negative."""
     return moving(name, kind, size, t, x + speed * t, np.full(len(t), y), yaw=0.0 if speed > 0.0 else pi)
 
 
-def _finished(
+def _true_scene(
     p: Parameters, others: list[Agent], road: Callable[..., Road], cruise: float, ahead: Callable[..., Ahead | None]
 ) -> Scenario:
     """The true scene: the ego drives along x."""
@@ -69,8 +69,8 @@ def _crossing(p: Parameters) -> Scenario:
     straight = curve((float(whole.ego.x[-1]) + BEYOND_M, 0.0, 0.0))
     bystanders = [
         *_row("right", START_M, x - 12.0, -ROW_M), *_row("left", x + 12.0, x + 60.0, ROW_M),
-        _along("walker_1", AgentKind.PEDESTRIAN, ADULT, t, x - 20.0, -6.0, 1.3),
-        _along("walker_2", AgentKind.PEDESTRIAN, ADULT, t, x + 40.0, 6.2, -1.1),
+        _moving_agent("walker_1", AgentKind.PEDESTRIAN, ADULT, t, x - 20.0, -6.0, 1.3),
+        _moving_agent("walker_2", AgentKind.PEDESTRIAN, ADULT, t, x + 40.0, 6.2, -1.1),
     ]  # fmt: skip
     one, two = whole.tracks, tracks(bystanders)
     names = ("length", "width", "static", "t", "x", "y", "yaw", "vx", "vy")
@@ -99,28 +99,34 @@ def _queue(p: Parameters) -> Scenario:
 
     beside = _row("beside", last - 40.0, last + 40.0, LANE_WIDTH_M, spacing=6.8)
     turned = [replace(each, samples=each.samples + np.array([0.0, 0.0, 0.0, pi, 0.0, 0.0])) for each in beside]
-    return _finished(p, [*queue, *turned], two_way, v, ahead)
+    return _true_scene(p, [*queue, *turned], two_way, v, ahead)
 
 
-def _parked(p: Parameters) -> Scenario:
+def _parked_rows(p: Parameters) -> Scenario:
     """Rows of parked cars on both sides, a truck among them, and people behind them."""
     t, end = grid(p["duration_s"]), START_M + p["ego_speed_mps"] * p["duration_s"] + 40.0
     truck = Agent("truck", AgentKind.TRUCK, TRUCK, np.array([[0.0, 90.0, -ROW_M - 0.3, 0.0, 0.0, 0.0]]), static=True)
-    walkers = [_along(f"walker_{k}", AgentKind.PEDESTRIAN, ADULT, t, 40.0 + 30.0 * k, -6.5, 1.2) for k in range(3)]
+    walkers = [
+        _moving_agent(f"walker_{k}", AgentKind.PEDESTRIAN, ADULT, t, 40.0 + 30.0 * k, -6.5, 1.2) for k in range(3)
+    ]
     rows = [
         *_row("right", START_M, 82.0, -ROW_M), *_row("right_on", 99.0, end, -ROW_M),
         *_row("left", START_M, end, ROW_M, spacing=7.5),
     ]  # fmt: skip
-    return _finished(p, [*rows, truck, *walkers], one_lane, p["ego_speed_mps"], lambda t, s: None)
+    return _true_scene(p, [*rows, truck, *walkers], one_lane, p["ego_speed_mps"], lambda t, s: None)
 
 
 def _rider(p: Parameters) -> Scenario:
     """A rider comes towards the ego in the lane beside, detected as a pedestrian; cars come, too."""
     t = grid(p["duration_s"])
-    rider = _along("rider", AgentKind.PEDESTRIAN, BICYCLE, t, p["distance_m"], p["offset_m"], -p["rider_speed_mps"])
-    cars = [_along(f"oncoming_{k}", AgentKind.CAR, CAR, t, 160.0 + 60.0 * k, LANE_WIDTH_M, -8.0) for k in range(2)]
+    rider = _moving_agent(
+        "rider", AgentKind.PEDESTRIAN, BICYCLE, t, p["distance_m"], p["offset_m"], -p["rider_speed_mps"]
+    )
+    cars = [
+        _moving_agent(f"oncoming_{k}", AgentKind.CAR, CAR, t, 160.0 + 60.0 * k, LANE_WIDTH_M, -8.0) for k in range(2)
+    ]
     side = _row("right", START_M, 140.0, -ROW_M, spacing=9.0)
-    return _finished(p, [rider, *cars, *side], two_way, p["ego_speed_mps"], lambda t, s: None)
+    return _true_scene(p, [rider, *cars, *side], two_way, p["ego_speed_mps"], lambda t, s: None)
 
 
 def _clusters(p: Parameters) -> Scenario:
@@ -134,8 +140,8 @@ def _clusters(p: Parameters) -> Scenario:
               np.array([[0.0, x[k], side[k] * y[k], yaw[k], 0.0, 0.0]]), static=True)
         for k in range(count)
     ]  # fmt: skip
-    lead = _along("lead", AgentKind.CAR, CAR, t, START_M + 30.0, 0.0, v)
-    return _finished(p, [lead, *things], one_lane, v, lambda t, s: None)
+    lead = _moving_agent("lead", AgentKind.CAR, CAR, t, START_M + 30.0, 0.0, v)
+    return _true_scene(p, [lead, *things], one_lane, v, lambda t, s: None)
 
 
 def _family(
@@ -171,7 +177,7 @@ FAMILIES = (
         {"ego_speed_mps": 8.0, "distance_m": 60.0, "stands_s": 10.0, "duration_s": 34.0}, "follow", _queue,
     ),
     _family("parked", "rows of parked cars on both sides, people behind them",
-            {"ego_speed_mps": 8.0, "duration_s": 25.0}, "static", _parked),
+            {"ego_speed_mps": 8.0, "duration_s": 25.0}, "static", _parked_rows),
     _family(
         "rider", "a rider comes towards the ego, taken for a pedestrian",
         {"ego_speed_mps": 8.0, "distance_m": 90.0, "offset_m": 2.4, "rider_speed_mps": 5.5, "duration_s": 25.0},
@@ -181,6 +187,6 @@ FAMILIES = (
             {"ego_speed_mps": 8.0, "clusters": 80.0, "duration_s": 25.0}, "static", _clusters),
 )  # fmt: skip
 TRUE: Mapping[str, Callable[[Parameters], Scenario]] = {
-    f"raw/{scene.__name__[1:]}": scene for scene in (_crossing, _queue, _parked, _rider, _clusters)
+    f"raw/{scene.__name__[1:]}": scene for scene in (_crossing, _queue, _parked_rows, _rider, _clusters)
 }
 """The scenes as they are, by the name of their family."""

@@ -104,7 +104,7 @@ def alongside(p: Mapping[str, float]) -> Scenario:
     return tested(p, path, road, [other], {"car": tuple(DecisionKind)}, beyond=end)
 
 
-def _blocked(p: Mapping[str, float]) -> Scenario:
+def _blocked_lane(p: Mapping[str, float]) -> Scenario:
     """4.2_1, 4.2_2: a stopped car in the lane, `lateral_m` to the left of its middle; the neighbour lane is free."""
     v, car = p["ego_kmh"] * KMH, VehicleParameters()
     x = START_M + car.axle_to_front + v * TTC_S + 0.5 * CAR[0]
@@ -198,9 +198,9 @@ def cut_out(p: Mapping[str, float]) -> Scenario:
 
 FAMILIES = (
     free, swerves, alongside,
-    _family("4.2_1", "blocking_obstacle", "a car stands in the lane", {**BASE, "lateral_m": 0.0})(_blocked),
+    _family("4.2_1", "blocking_obstacle", "a car stands in the lane", {**BASE, "lateral_m": 0.0})(_blocked_lane),
     _family("4.2_2", "partly_blocking", "a car stands partly in the lane", {**BASE, "lateral_m": 1.0},
-            {**EGO, "lateral_m": tuple(0.25 * k for k in range(-8, 9))})(_blocked),
+            {**EGO, "lateral_m": tuple(0.25 * k for k in range(-8, 9))})(_blocked_lane),
     _family("4.2_3", "crossing_pedestrian", "a pedestrian crosses from 5 m beside the ego's path",
             {**CROSSING, "ego_kmh": 60.0, "start_m": 5.0})(partial(crossing, target=PEDESTRIAN)),
     _family("4.3_1", "following", "the car ahead becomes slower or faster by 5 m/s",

@@ -151,7 +151,7 @@ def rules_of(
     lost = unnamed = 0
     for element in elements:
         for owners, ways, light, must_stop in _demands(held, element):
-            placed = list(_placed(held, owners, ways))
+            placed = list(_stop_lines_of(held, owners, ways))
             unnamed += not owners
             lost += not placed
             for number, line in enumerate(placed, start=len(stop_lines) + 1):
@@ -214,7 +214,7 @@ def _demands(held: _Map, element: Element) -> Iterator[tuple[Sequence[int], list
             yield owners, marks, None, True
 
 
-def _placed(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> Iterator[StopLine]:
+def _stop_lines_of(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> Iterator[StopLine]:
     """The stop lines of an element, without what they demand."""
     lines = [line[[0, -1]] for line in map(held.line, ways) if line is not None]
     if not lines:
@@ -222,7 +222,7 @@ def _placed(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> Iterator[
             yield StopLine(0, owner, np.array([held.lanes[owner].left[-1], held.lanes[owner].right[-1]]))
         return
     towards: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
-    for owner in owners or _crossed(held, lines):
+    for owner in owners or _crossed_lanes(held, lines):
         k = min(range(len(lines)), key=lambda k: _nearest(held.lanes[owner], lines[k])[0])
         begins = _nearest(held.lanes[owner], lines[k])[1] < AT_BEGIN_M
         for lane in (held.before.get(owner, ()) if begins else ()) or (owner,):
@@ -231,7 +231,7 @@ def _placed(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> Iterator[
         yield StopLine(0, lane, clipped(held.lanes[lane], lines[k]), towards=tuple(sorted(set(after))))
 
 
-def _crossed(held: _Map, lines: Iterable[FloatArray]) -> list[int]:
+def _crossed_lanes(held: _Map, lines: Iterable[FloatArray]) -> list[int]:
     """The drivable lanes of whose second half the lines cross the middle."""
     found = []
     for line, lane in product(lines, held.lanes.values()):

@@ -225,13 +225,13 @@ def opened(chunk: Chunk) -> list[McapRecord]:
         what = f"a chunk of {len(chunk.data)} bytes would inflate to {chunk.uncompressed_size / 2**20:.0f} MiB"
         raise LogError(what, time_ns=time, remedy=f"the bound is {MOST_CHUNK_BYTES / 2**20:.0f} MiB; {SPLIT}")
     try:
-        return breakup_chunk(replace(chunk, compression="", data=_inflated(chunk)), validate_crc=True)
+        return breakup_chunk(replace(chunk, compression="", data=_inflate(chunk)), validate_crc=True)
     except DAMAGE as error:
         what = f"the chunk that begins there is damaged ({_name(error)})"
         raise LogError(what, time_ns=time, remedy=remedy) from None
 
 
-def _inflated(chunk: Chunk) -> bytes:
+def _inflate(chunk: Chunk) -> bytes:
     """The chunk's records; ValueError where they are more or fewer bytes than it states."""
     size = chunk.uncompressed_size
     if chunk.compression == "zstd":

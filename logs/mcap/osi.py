@@ -118,7 +118,7 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
         LogError: A message cannot be decoded, no ego is named, a pose is not finite, time does not increase.
     """
     notes: list[str] = []
-    seen = _decoded(stream)
+    seen = _decode_stream(stream)
     if ego_id:
         seen.host = next((key for key in seen.rows if str(key) == ego_id), None)
     if seen.host is None or seen.host not in seen.rows:
@@ -210,7 +210,7 @@ def _add_file(name: str, files: dict[str, Any], pool: Any, open_files: set[str])
     pool.Add(files.pop(name))
 
 
-def _decoded(stream: Stream) -> _Seen:
+def _decode_stream(stream: Stream) -> _Seen:
     kind, seen = _message_class(stream), _Seen()
     for log_time, payload in zip(stream.times, stream.payloads, strict=True):
         try:
@@ -368,9 +368,9 @@ def _classic(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[i
             centers[key] = center[::-1] if turned else center
     lanes, assumed = {}, 0
     for key, center in centers.items():
-        lane = _bounded(key, osi, center, origin)
+        lane = _lane_between_boundaries(key, osi, center, origin)
         if lane is None:
-            lane, assumed = _widened(key, osi, centers), assumed + 1
+            lane, assumed = _lane_around_center(key, osi, centers), assumed + 1
         lanes[key] = lane
     if assumed:
         notes.append(
@@ -406,7 +406,7 @@ def _facts(message: Any) -> dict[str, Any]:
     return {"drivable": kind in ("driving", "intersection"), "kind": word}
 
 
-def _bounded(key: int, osi: _OsiMap, center: FloatArray, origin: FloatArray) -> Lane | None:
+def _lane_between_boundaries(key: int, osi: _OsiMap, center: FloatArray, origin: FloatArray) -> Lane | None:
     """The lane between its boundaries, or None where one is missing."""
     known = osi.lanes[key].classification
     lines, crossable = [], []
@@ -421,19 +421,19 @@ def _bounded(key: int, osi: _OsiMap, center: FloatArray, origin: FloatArray) -> 
             return None
         lines.append(np.vstack([part for _, part in sorted(placed, key=itemgetter(0))]))
         crossable.append(all(_enum_name(b.classification, "type") in CROSSABLE for b in found))
-    if _beside(center, lines[0])[0] < 0.0 < _beside(center, lines[1])[0]:
+    if _lateral_offset(center, lines[0])[0] < 0.0 < _lateral_offset(center, lines[1])[0]:
         lines, crossable = lines[::-1], crossable[::-1]
     left, right = paired(*lines)
     return Lane(key, left, right, left_crossable=crossable[0], right_crossable=crossable[1], **_facts(osi.lanes[key]))
 
 
-def _widened(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) -> Lane:
+def _lane_around_center(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) -> Lane:
     """The lane around its centre line."""
     center, known = centers[key], osi.lanes[key].classification
     near: dict[bool, list[float]] = {True: [], False: []}
     for ids in (known.left_adjacent_lane_id, known.right_adjacent_lane_id):
         for other in (centers[i.value] for i in ids if i.value in centers):
-            offset, _ = _beside(center, other)
+            offset, _ = _lateral_offset(center, other)
             if BESIDE[0] <= abs(offset) <= BESIDE[1]:
                 near[offset > 0.0].append(0.5 * abs(offset))
     half = [min(near[side], default=min(near[not side], default=HALF_WIDTH)) for side in (True, False)]
@@ -442,7 +442,7 @@ def _widened(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) -> Lane:
     return Lane(key, center + half[0] * normal, center - half[1] * normal, **_facts(osi.lanes[key]))
 
 
-def _beside(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
+def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
     """Lateral offset of `other` at the middle of `line`, positive to the left, and whether it runs the same way.
 
     NaN where the middle has no foot on `other`.
@@ -482,7 +482,7 @@ def _beside_each_other(lanes: dict[int, Lane], adjacent: dict[int, list[int]]) -
         nearest: dict[bool, tuple[int | None, bool]] = {True: (None, False), False: (None, False)}  # left, right
         distance = {True: BESIDE[1], False: BESIDE[1]}
         for other in (lanes[i] for i in adjacent[key] if i in lanes):
-            offset, same = _beside(lane.center, other.center)
+            offset, same = _lateral_offset(lane.center, other.center)
             if 0.5 * BESIDE[0] <= abs(offset) <= distance[offset > 0.0]:
                 nearest[offset > 0.0], distance[offset > 0.0] = (other.id, same), abs(offset)
         (left, left_same), (right, right_same) = nearest[True], nearest[False]

@@ -174,7 +174,7 @@ def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[s
     blocks = stream.decoded(block)
     for time, message in zip(stream.times, blocks, strict=True):
         _equal_lengths(message, stream.topic, time)
-    joined = _joined(blocks, block)
+    joined = _join_columns(blocks, block)
     times = joined.pop("log_time")
     if not times:
         raise LogError("the blocks hold no sample", topic=stream.topic, remedy=MEND)
@@ -262,7 +262,7 @@ def _detections(
         for time, each in zip(stream.times, messages, strict=True):
             _equal_lengths(each, stream.topic, time)
         frames = seconds(stream.times, start_ns)
-        joined = _joined(messages, native.DetectionColumns)
+        joined = _join_columns(messages, native.DetectionColumns)
         ids, kinds = joined.pop("id"), joined.pop("kind")
         t = np.repeat(frames, [len(each.id) for each in messages])
         columns = {name: np.array(some, np.float64) for name, some in joined.items()}
@@ -282,7 +282,7 @@ def _detections(
     return None, Repair(found, marked_tracks(streams, start_ns, [], REMOVED)[0], extended, changes, tracks)
 
 
-def _joined(messages: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> dict[str, list[Any]]:
+def _join_columns(messages: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> dict[str, list[Any]]:
     """The columns of all messages of a kind, each one after the other."""
     return {
         name: list(chain.from_iterable(getattr(each, name) for each in messages)) for name in kind.__struct_fields__

@@ -298,13 +298,13 @@ def write_part(ranged: Ranged, size: int, begin: float, end: float, path: Path) 
         if footer.summary_start < at:
             tail, at = ranged(footer.summary_start, at) + tail, footer.summary_start
         summary = list(_records(tail[footer.summary_start - at :]))
-        index = next(each for each in _of(summary, MetadataIndex) if each.name == native.SCENARIO_RECORD)
+        index = next(each for each in _records_of_kind(summary, MetadataIndex) if each.name == native.SCENARIO_RECORD)
         found = next(iter(_records(ranged(index.offset, index.offset + index.length))))
         record = found.metadata if isinstance(found, Metadata) else {}
         if "start_ns" not in record:
             return False
         start_ns = msgspec.json.decode(record["start_ns"], type=int)
-        detected = any(channel.topic == "/detections" for channel in _of(summary, Channel))
+        detected = any(channel.topic == "/detections" for channel in _records_of_kind(summary, Channel))
         around = DETECTED_S if detected else HISTORY_S
         chunks = _chosen(summary, start_ns + 1e9 * (begin - around), start_ns + 1e9 * (end + around))
         if not chunks:
@@ -324,14 +324,14 @@ def _records(raw: bytes) -> Iterable[McapRecord]:
     return StreamReader(BytesIO(raw), skip_magic=True).records
 
 
-def _of(summary: Sequence[McapRecord], kind: type[R]) -> list[R]:
+def _records_of_kind(summary: Sequence[McapRecord], kind: type[R]) -> list[R]:
     return [record for record in summary if isinstance(record, kind)]
 
 
 def _chosen(summary: Sequence[McapRecord], first_ns: float, last_ns: float) -> list[ChunkIndex]:
     """The chunks (1) to (4), in the order of the file."""
-    chunks = sorted(_of(summary, ChunkIndex), key=lambda chunk: chunk.chunk_start_offset)
-    rare = {channel.id for channel in _of(summary, Channel) if channel.topic not in PERIODIC}
+    chunks = sorted(_records_of_kind(summary, ChunkIndex), key=lambda chunk: chunk.chunk_start_offset)
+    rare = {channel.id for channel in _records_of_kind(summary, Channel) if channel.topic not in PERIODIC}
     kept = set(range(len(chunks[:1])))  # (4)
     for k, chunk in enumerate(chunks):
         if chunk.message_start_time <= last_ns and first_ns <= chunk.message_end_time:
@@ -346,12 +346,12 @@ def _chosen(summary: Sequence[McapRecord], first_ns: float, last_ns: float) -> l
 
 def _pieces(ranged: Ranged, summary: Sequence[McapRecord], chunks: Sequence[ChunkIndex]) -> Iterator[bytes]:
     """A file without index: head, metadata, schemas and channels, the chunks as they are, its end."""
-    indices = _of(summary, MetadataIndex)
+    indices = _records_of_kind(summary, MetadataIndex)
     first = min([index.offset for index in indices] + [chunk.chunk_start_offset for chunk in chunks])
     yield ranged(0, first)
     for index in indices:
         yield ranged(index.offset, index.offset + index.length)
-    yield _written([*_of(summary, Schema), *_of(summary, Channel)])
+    yield _written([*_records_of_kind(summary, Schema), *_records_of_kind(summary, Channel)])
     runs, behind = list[tuple[int, int]](), -1  # neighbours, with the indices between, are one: a request costs more
     for chunk in chunks:
         begin = chunk.chunk_start_offset

@@ -106,7 +106,9 @@ def check_clocks(scenario: Scenario) -> Scenario:
     apart = ~tracks.static & (late | (ends < first - OTHER_CLOCK_S))
     if not apart.any():
         return scenario
-    note = f"{_named(tracks, apart)} have no sample within {OTHER_CLOCK_S:.0f} s of the ego's log: never in the scene."
+    note = (
+        f"{_names_of(tracks, apart)} have no sample within {OTHER_CLOCK_S:.0f} s of the ego's log: never in the scene."
+    )
     return replace(scenario, notes=(*scenario.notes, note))
 
 
@@ -145,11 +147,11 @@ def admitted(scenario: Scenario) -> Scenario:
     if len(far):
         k = int(far[0])
         what = f"the position jumps by {d[k]:g} m within {dt[k]:g} s"
-        raise _refused(scenario, "ego", what, float(ego.t[k + 1]))
+        raise _refusal(scenario, "ego", what, float(ego.t[k + 1]))
     long = np.flatnonzero(dt > GAP_S)
     if len(long):
         k = int(long[0])
-        raise _refused(scenario, "ego", f"no state for {dt[k]:g} s, longer than {GAP_S:g} s", float(ego.t[k]))
+        raise _refusal(scenario, "ego", f"no state for {dt[k]:g} s, longer than {GAP_S:g} s", float(ego.t[k]))
     if scenario.controls is not None:
         _check_columns(scenario, "controls", scenario.controls)
     for plan in scenario.onboard:
@@ -178,7 +180,7 @@ def _check_columns(scenario: Scenario, topic: str, table: Any) -> None:
         if len(wrong):
             value, time = float(column[wrong[0]]), float(table.t[wrong[0]])
             what = f"{name} is {value:g} {limit.unit}".rstrip() + f", beyond {limit.most:g} {limit.unit}".rstrip()
-            raise _refused(scenario, topic, what, time)
+            raise _refusal(scenario, topic, what, time)
 
 
 def _zero(scenario: Scenario, name: str) -> float:
@@ -188,7 +190,7 @@ def _zero(scenario: Scenario, name: str) -> float:
     return at if abs(at) < 1e8 else 0.0
 
 
-def _refused(scenario: Scenario, topic: str, what: str, time: float) -> LogError:
+def _refusal(scenario: Scenario, topic: str, what: str, time: float) -> LogError:
     remedy = "correct or remove that sample, or leave that part out with --from and --to"
     return LogError(what, topic=topic, time_ns=scenario.start_ns + round(1e9 * time), remedy=remedy)
 
@@ -235,7 +237,7 @@ def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
     if fast.any():
         whose = np.add.reduceat(fast, tracks.offsets[:-1]) > 0
         notes.append(
-            f"The velocity of {_named(tracks, whose)} is up to {speed.max():g} m/s, beyond {SPEED.most:g} m/s, at"
+            f"The velocity of {_names_of(tracks, whose)} is up to {speed.max():g} m/s, beyond {SPEED.most:g} m/s, at"
             f" {counted(int(fast.sum()), 'sample')}: taken as not known there."
         )
         tracks = replace(tracks, vx=np.where(fast, np.nan, tracks.vx), vy=np.where(fast, np.nan, tracks.vy))
@@ -243,7 +245,7 @@ def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
     odd = ~((np.minimum(tracks.length, tracks.width) >= low) & (np.maximum(tracks.length, tracks.width) <= high))
     if odd.any():
         what = f"not between {low:g} and {high:g} m: usual for the kind, assumed"
-        notes.append(f"The size of {_named(tracks, odd)} is {what}.")
+        notes.append(f"The size of {_names_of(tracks, odd)} is {what}.")
         usual = np.array([USUAL_SIZE_M[kind] for kind in tracks.kinds])
         length, width = np.where(odd, usual[:, 0], tracks.length), np.where(odd, usual[:, 1], tracks.width)
         tracks = replace(tracks, length=length, width=width)
@@ -261,7 +263,9 @@ def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
         raise LogError(f"no pose of an agent can be used: {value}", topic="agents", remedy=remedy)
     whose = np.add.reduceat(bad, tracks.offsets[:-1]) > 0
     when = (scenario.start_ns / 1e9) + float(tracks.t[k])
-    notes.append(f"{counted(int(bad.sum()), 'sample')} of {_named(tracks, whose)} are left out: {value}, {when:.3f} s.")
+    notes.append(
+        f"{counted(int(bad.sum()), 'sample')} of {_names_of(tracks, whose)} are left out: {value}, {when:.3f} s."
+    )
     return tracks.taken(~bad)
 
 
@@ -282,7 +286,7 @@ def _detections_within(scenario: Scenario, found: Detections) -> tuple[Detection
     return replace(found, ids=ids, length=length, width=width, vx=vx, vy=vy), notes
 
 
-def _named(tracks: Tracks, whose: BoolArray) -> str:
+def _names_of(tracks: Tracks, whose: BoolArray) -> str:
     """Some road users: how many, and the first of them by name."""
     names = [visible_name(tracks.ids[i]) for i in np.flatnonzero(whose)]
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""

@@ -323,7 +323,7 @@ def _claims(path: Path) -> bool:
         return False
 
 
-def _located(path: Path) -> tuple[Path, bool]:
+def _locate_log(path: Path) -> tuple[Path, bool]:
     """The folder of a sensor log or the table of a motion-forecasting scenario, and whether it is a sensor log."""
     if path.name == POSES:
         return path.parent, True
@@ -334,7 +334,7 @@ def _located(path: Path) -> tuple[Path, bool]:
 
 def _read(path: Path, settings: LogSettings) -> Scenario:
     with reading(path):
-        log, is_sensor_log = _located(path)
+        log, is_sensor_log = _locate_log(path)
         if not is_sensor_log:
             return read_forecasting(log, settings)
         if settings.ego:
@@ -343,14 +343,14 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
 
 
 def _files(path: Path) -> tuple[Path, ...]:
-    log, is_sensor_log = _located(path)
+    log, is_sensor_log = _locate_log(path)
     scenario = (log, map_beside(log.parent, scenario_id(log)))
     files = (log / POSES, annotations_of(log), map_beside(log)) if is_sensor_log else scenario
     return tuple(file for file in files if file is not None)
 
 
 def _contents(path: Path) -> Contents:
-    log, is_sensor_log = _located(path)
+    log, is_sensor_log = _locate_log(path)
     topics = []
     if not is_sensor_log:
         try:

@@ -276,17 +276,17 @@ def _places(
 ) -> Iterator[tuple[int, float, tuple[int, ...]]]:
     """Where a zone is entered: lane, part of its length, the lanes after it for which it counts (none: all)."""
     ahead = [lanes[i] for i in feeding.get(lane.id, ())]
-    part = _entered(lane, ring)
+    part = _entry_into_outline(lane, ring)
     if part is not None and (part * lane.length > STEP_M or not ahead):
         yield lane.id, part, ()
         return
     for one in ahead:
-        entry = _entered(one, ring)
+        entry = _entry_into_outline(one, ring)
         if entry is not None or part is not None:
             yield one.id, 1.0 if entry is None else entry, (lane.id,)
 
 
-def _entered(lane: Lane, ring: FloatArray) -> float | None:
+def _entry_into_outline(lane: Lane, ring: FloatArray) -> float | None:
     """The part of a lane's length at which its centre line comes into an outline."""
     points = dense(lane.center, STEP_M)
     within = [inside(x, y, ring) for x, y in points]

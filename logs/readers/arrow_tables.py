@@ -50,7 +50,7 @@ def ipc_table(path: Path, columns: Sequence[str] = ()) -> Any:
         with pa.OSFile(str(path)) as stream, pa.ipc.open_file(stream) as file:
             _demand(path, columns, file.schema.names)
             table = file.read_all()
-        return _checked(table)
+        return _checked_table(table)
 
 
 def parquet_table(path: Path, columns: Sequence[str]) -> Any:
@@ -63,7 +63,7 @@ def parquet_table(path: Path, columns: Sequence[str]) -> Any:
             if sum(file.metadata.row_group(i).total_byte_size for i in range(file.num_row_groups)) > LARGEST_BYTES:
                 raise LogError(f"it would take more than {LARGEST_BYTES} bytes")
             table = file.read(columns=list(columns), use_threads=False)
-        return _checked(table)
+        return _checked_table(table)
 
 
 def _demand(path: Path, columns: Sequence[str], there: Sequence[str]) -> None:
@@ -72,7 +72,7 @@ def _demand(path: Path, columns: Sequence[str], there: Sequence[str]) -> None:
         raise LogError(f"column {lacking[0]} is missing; there are {', '.join(there[:12]) or 'none'}", topic=path.name)
 
 
-def _checked(table: Any) -> Any:
+def _checked_table(table: Any) -> Any:
     table.validate(full=True)
     if table.nbytes > LARGEST_BYTES:
         raise LogError(f"it takes {table.nbytes} bytes, more than {LARGEST_BYTES}")
@@ -113,7 +113,7 @@ def numbers(table: Any, name: str) -> FloatArray:
 
 def words(table: Any, name: str) -> tuple[IntArray, list[str]]:
     """A column of strings as numbers `(n,)` and what they stand for."""
-    return _coded(_one(table[name]))
+    return _codes_and_names(_one(table[name]))
 
 
 def vectors(column: Any, size: int) -> FloatArray:
@@ -161,7 +161,7 @@ class Lists:
 
     def words(self, name: str) -> tuple[IntArray, list[str]]:
         """Strings as numbers `(m,)` and what they stand for."""
-        return _coded(self.items(name))
+        return _codes_and_names(self.items(name))
 
 
 def _one(column: Any) -> Any:
@@ -173,7 +173,7 @@ def _one(column: Any) -> Any:
     )  # fmt: skip
 
 
-def _coded(array: Any) -> tuple[IntArray, list[str]]:
+def _codes_and_names(array: Any) -> tuple[IntArray, list[str]]:
     if array.null_count or not (pa.types.is_string(array.type) or pa.types.is_large_string(array.type)):
         raise ValueError("names are missing or are no text")
     coded = array.dictionary_encode()

@@ -54,7 +54,7 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
     t = np.r_[first, ego.t[(ego.t > first + CLOSE_S) & (ego.t < last - CLOSE_S)], last]
     moved = ego.resampled(t)
     columns = (getattr(moved, name) for name in ("x", "y", "yaw", "v", "a", "kappa"))
-    kept = _kept(scenario.tracks, begin, end)
+    kept = _samples_within(scenario.tracks, begin, end)
     tracks = scenario.tracks.taken(kept).shifted(-begin)
     goal = scenario.goal
     if goal is not None:
@@ -95,7 +95,7 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
     )
 
 
-def _kept(tracks: Tracks, begin: float, end: float) -> BoolArray:
+def _samples_within(tracks: Tracks, begin: float, end: float) -> BoolArray:
     """Which samples `(m,)` the part has."""
     owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
     before = np.r_[-inf, tracks.t[:-1]]
@@ -115,12 +115,12 @@ def _repair(scenario: Scenario, begin: float, end: float, kept: BoolArray, track
     made = scenario.repair
     assert made is not None
     if made.tracks is not scenario.tracks:
-        kept = _kept(made.tracks, begin, end)
+        kept = _samples_within(made.tracks, begin, end)
         tracks = made.tracks.taken(kept).shifted(-begin)
     changes = (replace(each, begin=each.begin - begin, end=each.end - begin) for each in made.changes)
     return Repair(
         _detections(made.detections, begin, end),
-        made.removed.taken(_kept(made.removed, begin, end)).shifted(-begin),
+        made.removed.taken(_samples_within(made.removed, begin, end)).shifted(-begin),
         made.extended[kept],
         tuple(each for each in changes if each.end >= -DETECTED_S and each.begin <= end - begin + HISTORY_S),
         tracks,
@@ -137,23 +137,25 @@ def in_nanoseconds(scenario: Scenario) -> Scenario:
         LogError: Two samples of the ego, of a road user or of a light fall on one nanosecond.
     """
     try:
-        tracks, onboard, made = _timed(scenario.tracks), [], scenario.repair
+        tracks, onboard, made = _columns_over_time(scenario.tracks), [], scenario.repair
         for plan in scenario.onboard:
-            known = float(_rounded(np.array(plan.known)))
+            known = float(_round_times(np.array(plan.known)))
             onboard.append(plan if known == plan.known else replace(plan, known=known))
         if made is not None:
             changes = []
             for each in made.changes:
-                begin, end = _rounded(np.array([each.begin, each.end])).tolist()
+                begin, end = _round_times(np.array([each.begin, each.end])).tolist()
                 changes.append(replace(each, begin=begin, end=end))
-            shown = tracks if made.tracks is scenario.tracks else _timed(made.tracks)
-            made = Repair(framed(made.detections), _timed(made.removed), made.extended, tuple(changes), shown)
+            shown = tracks if made.tracks is scenario.tracks else _columns_over_time(made.tracks)
+            made = Repair(
+                framed(made.detections), _columns_over_time(made.removed), made.extended, tuple(changes), shown
+            )
         return replace(
             scenario,
-            ego=_timed(scenario.ego),
+            ego=_columns_over_time(scenario.ego),
             tracks=tracks,
-            controls=None if scenario.controls is None else _timed(scenario.controls),
-            lights=tuple(map(_timed, scenario.lights)),
+            controls=None if scenario.controls is None else _columns_over_time(scenario.controls),
+            lights=tuple(map(_columns_over_time, scenario.lights)),
             onboard=tuple(onboard),
             detections=None if scenario.detections is None else framed(scenario.detections),
             repair=made,
@@ -162,17 +164,17 @@ def in_nanoseconds(scenario: Scenario) -> Scenario:
         raise LogError(f"in whole nanoseconds: {error}", remedy="keep one of the samples") from None
 
 
-def _rounded(t: FloatArray) -> FloatArray:
+def _round_times(t: FloatArray) -> FloatArray:
     return np.asarray(np.rint(1e9 * t) / 1e9)  # (1)
 
 
-def _timed(table: Timed) -> Timed:
-    t = _rounded(table.t)
+def _columns_over_time(table: Timed) -> Timed:
+    t = _round_times(table.t)
     return table if np.array_equal(t, table.t) else replace(table, t=t)
 
 
 def framed(found: Detections) -> Detections:
     """Detections whose frames are at whole nanoseconds (1); those of one nanosecond become one frame."""
-    t, frames = _rounded(found.t), np.unique(_rounded(found.frames))
+    t, frames = _round_times(found.t), np.unique(_round_times(found.frames))
     same = np.array_equal(t, found.t) and np.array_equal(frames, found.frames)
     return found if same else replace(found, t=t, frames=frames)

@@ -168,20 +168,20 @@ class _Table:
         self.frame, self.name = frame, name
         self._headers = [(str(header), header) for header in frame.columns]
         given = {ours: columns.get(f"{name}.{ours}", columns.get(ours, ours)) for ours in (*TIMES, *_COLUMNS)}
-        self._columns = {ours: self._found(ours, theirs) for ours, theirs in given.items()}
+        self._columns = {ours: self._find_column(ours, theirs) for ours, theirs in given.items()}
         if not len(frame):
             raise LogError("the table has no rows", topic=name, remedy="give at least one")
 
-    def _found(self, ours: str, given: str) -> tuple[Any, float] | None:
+    def _find_column(self, ours: str, given: str) -> tuple[Any, float] | None:
         """The table's own header of a column and the factor of its unit; None where it has no such column.
 
         The header is `given`, or `given` without its unit, or with the header's own unit behind it. Of two units that
         are given the same must be meant.
         """
-        name, asked = _parted(given)
+        name, asked = _split_unit(given)
         exact = [header for text, header in self._headers if text == given]
         whole = [header for text, header in self._headers if text == name]
-        parts = [(header, *_parted(text)) for text, header in self._headers]
+        parts = [(header, *_split_unit(text)) for text, header in self._headers]
         short = [header for header, base, unit in parts if unit and base == name]
         short += [header for header, base, unit in _with_suffix(self._headers, ours) if base == name]
         found = list(dict.fromkeys(exact or whole or short))
@@ -192,7 +192,7 @@ class _Table:
             raise LogError(what, topic=self.name, remedy=f'name one: columns = {{{ours} = "{found[0]}"}}')
         held, header = "", str(found[0])
         if exact or not whole:  # the unit that the header itself names
-            held = _parted(header)[1] or "".join(unit for _, _, unit in _with_suffix([(header, header)], ours))
+            held = _split_unit(header)[1] or "".join(unit for _, _, unit in _with_suffix([(header, header)], ours))
         units, known = [], DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
         for unit in filter(None, (asked, held)):  # as `UNITS` spells it
             plain = SPELLINGS.get(unit, SPELLINGS.get(unit.lower(), unit if unit in UNITS else unit.lower()))
@@ -271,7 +271,7 @@ _DIMENSION = (
 """What each of our columns measures."""
 
 
-def _parted(text: str) -> tuple[str, str]:
+def _split_unit(text: str) -> tuple[str, str]:
     """A header, and the unit in brackets behind it ("": none)."""
     match = _WITH_UNIT.match(text)
     return (match["name"], (match["unit"] or match["unit2"] or "").strip()) if match else (text, "")
@@ -404,7 +404,7 @@ def _files(path: Path) -> tuple[Path, ...]:
     return tuple(file for name in NAMES if (file := _file(path, name)) is not None)
 
 
-def _loaded(path: Path) -> pd.DataFrame:
+def _load_table(path: Path) -> pd.DataFrame:
     """A table; the separator of CSV is the one that parts its first line most often, and the comma where none does."""
     import pyarrow as pa
 
@@ -434,7 +434,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
         raise LogError("there is no ego.csv or ego.parquet in it", remedy="a table of the ego is what a log needs")
     agents = _file(path, "agents")
     vehicle = settings.vehicle() if settings.car else None
-    frames = _loaded(ego), None if agents is None else _loaded(agents)
+    frames = _load_table(ego), None if agents is None else _load_table(agents)
     return from_frames(*frames, name=path.name, columns=settings.columns, vehicle=vehicle, tags=("recorded", "table"))
 
 
@@ -446,7 +446,7 @@ def _contents(path: Path) -> Contents:
         files = ()
     for file in files:
         try:
-            frame = _loaded(file)
+            frame = _load_table(file)
         except LogError:
             continue
         columns = ", ".join(map(str, frame.columns))

@@ -87,7 +87,7 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
             stay.append(kept)
             notes.append(note)
     removed.sort(key=lambda each: _birth(each[0]))
-    users = [_extended(user, stay, frames, ego, vehicle) for user in stay]
+    users = [_extend_standing(user, stay, frames, ego, vehicle) for user in stay]
 
     def sources(user: User) -> tuple[str, ...]:
         """The ids that the log gave to a user's detections, in order of time."""
@@ -274,7 +274,7 @@ def _beside_ego(user: User, ego: Trajectory, vehicle: VehicleParameters) -> tupl
     return longest, f"Its box was {deepest:.2f} m within the ego's for {share:.0%} of its time."
 
 
-def _extended(
+def _extend_standing(
     user: User, users: Sequence[User], frames: FloatArray, ego: Trajectory, vehicle: VehicleParameters
 ) -> User:
     """A user who stands where sight ends, standing there before the first (after the last) sight as well.

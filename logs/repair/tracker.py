@@ -123,12 +123,14 @@ def tracked(detections: Detections) -> Tracked:
                 tracks[name] = _Track(t, t > detections.frames[0], float(boxes.yaw[i]))
             tracks[name].see(boxes, i)
         tracks = {name: tracks[name] for name in joining.tracks["name"].tolist()}
-        out.append(_reported(joining, tracks, t))
+        out.append(_reported_agents(joining, tracks, t))
     agents, growth, patience = zip(*out, strict=True) if out else ((), (), ())
     return Tracked(tuple(detections.frames.tolist()), agents, growth, patience)
 
 
-def _reported(joining: Association, tracks: dict[int, _Track], t: float) -> tuple[Agents, FloatArray, FloatArray]:
+def _reported_agents(
+    joining: Association, tracks: dict[int, _Track], t: float
+) -> tuple[Agents, FloatArray, FloatArray]:
     """Who is reported at t (1), their growth and patience as in `Tracked`."""
     ids, codes, columns, growth, patience = [], [], [], [], []
     for (name, track), row in zip(tracks.items(), joining.tracks, strict=True):

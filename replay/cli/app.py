@@ -106,21 +106,21 @@ def say_json(document: Any) -> None:
     import json
 
     ascii_only = "utf" not in (sys.stdout.encoding or "").lower()  # else "?" would be written
-    say(json.dumps(_plain(document), indent=2, ensure_ascii=ascii_only, allow_nan=False))
+    say(json.dumps(_as_json_value(document), indent=2, ensure_ascii=ascii_only, allow_nan=False))
 
 
-def _plain(value: Any) -> Any:
+def _as_json_value(value: Any) -> Any:
     """A value as JSON has it."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
+        return {item.name: _as_json_value(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _as_json_value(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [_as_json_value(item) for item in value]
     if hasattr(value, "to_dict"):
-        return _plain(value.to_dict("records"))
+        return _as_json_value(value.to_dict("records"))
     if hasattr(value, "item"):  # a number of NumPy's
-        return _plain(value.item())
+        return _as_json_value(value.item())
     if isinstance(value, float):
         return value if isfinite(value) else None
     if isinstance(value, Enum):

@@ -66,12 +66,12 @@ def counts() -> list[str]:
 
 
 def _planners() -> Iterator[Entry]:
-    yield from _coded(_all(PLANNER))
-    for one in _coded(ORACLES):
+    yield from _entries_of_code(_all(PLANNER))
+    for one in _entries_of_code(ORACLES):
         yield Entry(one.name, f"{one.says} (oracle)", one.where)
 
 
-def _coded(table: Mapping[str, Callable[..., Any]]) -> Iterator[Entry]:
+def _entries_of_code(table: Mapping[str, Callable[..., Any]]) -> Iterator[Entry]:
     """By the docstrings of what the names stand for."""
     for name, thing in table.items():
         yield Entry(name, _first_line(thing), _where(thing))
@@ -82,7 +82,7 @@ def _all(kind: Kind[Any]) -> dict[str, Any]:
     return {**kind.builtin, **kind.installed()}
 
 
-def _tabled(module: str, names: Mapping[str, Callable[..., Any]] | Iterable[str]) -> Iterator[Entry]:
+def _entries_of_table(module: str, names: Mapping[str, Callable[..., Any]] | Iterable[str]) -> Iterator[Entry]:
     """By the table in a module's docstring: `"name"    what it is`."""
     doc = inspect.getdoc(import_module(module)) or ""
     code = names if isinstance(names, Mapping) else {}
@@ -93,8 +93,8 @@ def _tabled(module: str, names: Mapping[str, Callable[..., Any]] | Iterable[str]
 
 
 def _predictions() -> Iterator[Entry]:
-    where = {one.name: one for one in _coded(_all(PREDICTION))}
-    for one in _tabled("replay.prediction", tuple(dict.fromkeys((*PREDICTIONS, *where)))):
+    where = {one.name: one for one in _entries_of_code(_all(PREDICTION))}
+    for one in _entries_of_table("replay.prediction", tuple(dict.fromkeys((*PREDICTIONS, *where)))):
         own = where.get(one.name, one)
         yield Entry(one.name, one.says or own.says, "replay.loop.perception" if own is one else own.where)
 
@@ -125,13 +125,13 @@ def _where(thing: Any) -> str:
 
 KINDS: Mapping[str, Callable[[], Iterable[Entry]]] = {
     "planners": _planners,
-    "controllers": lambda: _coded(_all(CONTROLLER)),
-    "vehicles": lambda: _coded(_all(VEHICLE)),
+    "controllers": lambda: _entries_of_code(_all(CONTROLLER)),
+    "vehicles": lambda: _entries_of_code(_all(VEHICLE)),
     "cars": _cars,
-    "traffic": lambda: _tabled("replay.traffic", _all(TRAFFIC_KIND)),
+    "traffic": lambda: _entries_of_table("replay.traffic", _all(TRAFFIC_KIND)),
     "predictions": _predictions,
-    "perceptions": lambda: _tabled("replay.loop.perception", _all(PERCEPTION)),
-    "charts": lambda: _coded(_all(CHART)),
+    "perceptions": lambda: _entries_of_table("replay.loop.perception", _all(PERCEPTION)),
+    "charts": lambda: _entries_of_code(_all(CHART)),
     "metrics": lambda: (Entry(name, one.meaning, _where(one.measure)) for name, one in _all(METRIC).items()),
     "families": lambda: (Entry(name, one.summary, _where(one.build)) for name, one in families().items()),
     "suites": lambda: (Entry(name, one.summary, "logs.catalogue") for name, one in SUITES.items()),

@@ -164,12 +164,12 @@ def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[
     for key in changed:
         if not any(key == known.partition(".")[0] for known in keys):
             raise unknown_name("key", key, keys)
-    return load_run(config, merged(_given(options), changed))
+    return load_run(config, merged(_without_defaults(options), changed))
 
 
-def _given(options: Mapping[str, Any]) -> dict[str, Any]:
+def _without_defaults(options: Mapping[str, Any]) -> dict[str, Any]:
     """A table without the options that were not given."""
-    tables = {key: _given(value) if isinstance(value, Mapping) else value for key, value in options.items()}
+    tables = {key: _without_defaults(value) if isinstance(value, Mapping) else value for key, value in options.items()}
     return {key: value for key, value in tables.items() if value is not None and value != []}
 
 

@@ -79,13 +79,13 @@ def scenario_channels(scenario: Scenario) -> Iterator[Entry]:
         yield start, "/foxglove/obstacles", _boxes(tracks.taken(still).truth(0.0), start, short)
     if not still.all():
         moving = tracks.taken(~still)
-        instants = _thinned(np.unique(np.r_[moving.t, scenario.duration]))
+        instants = _thin_times(np.unique(np.r_[moving.t, scenario.duration]))
         for t, time in zip(instants.tolist(), log_times(instants, start, "/foxglove/agents"), strict=True):
             yield time, "/foxglove/agents", _boxes(moving.truth(t), time, short)
-    kept = np.isin(ego.t, _thinned(ego.t))
+    kept = np.isin(ego.t, _thin_times(ego.t))
     states = zip(ego.x[kept].tolist(), ego.y[kept].tolist(), ego.yaw[kept].tolist(), strict=True)
     for time, (x, y, yaw) in zip(log_times(ego.t[kept], start, "/foxglove/tf"), states, strict=True):
-        at: dict[str, Any] = {"translation": Vector3(x=x, y=y), "rotation": _turned(yaw)}
+        at: dict[str, Any] = {"translation": Vector3(x=x, y=y), "rotation": _quaternion_of_yaw(yaw)}
         stamp = _stamp(time)
         yield time, "/foxglove/tf", FrameTransform(timestamp=stamp, parent_frame_id=MAP, child_frame_id=BASE, **at)
     height = HEIGHT_M[AgentKind.CAR]
@@ -177,7 +177,7 @@ def _plans(topic: str, plans: Sequence[tuple[float, Trajectory]], start: int) ->
         yield time, topic, PosesInFrame(timestamp=_stamp(time), frame_id=MAP, poses=poses)
 
 
-def _thinned(t: FloatArray) -> FloatArray:
+def _thin_times(t: FloatArray) -> FloatArray:
     """Of increasing times the first one, and each that is at least `STEP_S` after the last one that is kept."""
     kept = [-np.inf]
     for time in t.tolist():
@@ -209,10 +209,10 @@ def _line(points: FloatArray, colour: int, *, closed: bool = False) -> LinePrimi
 
 
 def _pose(x: float, y: float, yaw: float, z: float) -> Pose:
-    return Pose(position=Vector3(x=x, y=y, z=z), orientation=_turned(yaw))
+    return Pose(position=Vector3(x=x, y=y, z=z), orientation=_quaternion_of_yaw(yaw))
 
 
-def _turned(yaw: float) -> Quaternion:
+def _quaternion_of_yaw(yaw: float) -> Quaternion:
     return Quaternion(z=np.sin(0.5 * yaw), w=np.cos(0.5 * yaw))
 
 

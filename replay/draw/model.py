@@ -140,7 +140,7 @@ class Panel:
         return max(low, self.floor), min(high, self.most)
 
 
-def _shown(*panels: Panel) -> list[Panel]:
+def _panels_with_values(*panels: Panel) -> list[Panel]:
     """The panels with their curves that have a finite value; no panel without any."""
     kept = (replace(panel, curves=tuple(curve for curve in panel.curves if len(curve.known))) for panel in panels)
     return [panel for panel in kept if panel.curves]
@@ -220,7 +220,7 @@ def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray, steps: St
         use = tyre_use(ego, done, scenario.vehicle)
         slips = [Curve("front", "front", ego.t, use.front), Curve("rear", "rear", ego.t, use.rear, YELLOW)]
         friction = [Curve("friction", "of the tyres", ego.t, use.friction, RED)]
-    return _shown(
+    return _panels_with_values(
         Panel("speed", "Speed [m/s]", speeds, 2.0),
         Panel("acceleration", "Acceleration [m/s²], jerk [m/s³]", accelerations, 1.0),
         Panel("jerk", "Jerk in full", (Curve("ego", "jerk [m/s³]", *jerk, RED),), 2.0),
@@ -264,7 +264,7 @@ def stage_panel(timings: Sequence[StageTime], names: dict[str, str]) -> list[Pan
         t, seconds = np.array(some).T
         colour, width = (GREY, 2.0) if stage == "total" else (SERIES[k % 7], 1.2)
         curves.append(Curve(name, stage, t, 1e3 * seconds, colour, width, spiky=True))
-    return _shown(Panel("stages", "Stage times [ms]", tuple(curves), 0.2))
+    return _panels_with_values(Panel("stages", "Stage times [ms]", tuple(curves), 0.2))
 
 
 # charts -----------------------------------------------------------------------------------------------------------
@@ -295,7 +295,7 @@ def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
         planned = measured("along", "plan_lon_accel"), measured("across", "plan_lat_accel")
         jerk = (measured("along", "plan_lon_jerk", spiky=True),)
         change = (measured("from plan to plan", "plan_change"),)
-        return _shown(
+        return _panels_with_values(
             Panel("speed", "Speed of the log [m/s]", (Curve("log", "log", ego.t, ego.v),), 2.0, (), -0.5),
             Panel("displacement", "Mean distance of plan and log [m]", away, 0.5, ("ade", "fde"), 0.0),
             Panel("acceleration", "Largest acceleration of each plan [m/s²]", planned, 1.0, ("plan_l",), 0.0),
@@ -310,7 +310,7 @@ def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
     ttc = (measured("TTC", "ttc", gaps=True),)
     steers = (("done", done), ("asked", asked))
     steer = tuple(Curve(word, word, some.t, some.steer) for word, some in steers if some)
-    return _shown(
+    return _panels_with_values(
         Panel("speed", "Speed [m/s]", (Curve("ego", "ego", ego.t, ego.v), *plan), 2.0, ("speed",), -0.5),
         Panel("acceleration", "Acceleration [m/s²]", accelerations, 1.0, ("lon_accel", "lat_accel")),
         Panel("jerk", "Jerk [m/s³]", jerks, 2.0, ("lon_jerk", "lat_jerk", "jerk")),

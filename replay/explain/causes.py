@@ -240,7 +240,7 @@ def _stops(case: _Case) -> Iterator[Cause]:
             demanded = lights.get(line.light, Colour.OFF) in (*RED, Colour.YELLOW)
         on_way = line.lane in lanes and (not line.towards or not lanes.isdisjoint(line.towards))
         if on_way and (name in case.decided or demanded):
-            places[name] = _crossed(line, case.way, front)
+            places[name] = _crossing_station(line, case.way, front)
     for thing in (one for each in case.plan.internals if isinstance(each, StGraph) for one in each.obstacles):
         if thing.agent in case.frame.agents.ids or thing.agent not in case.decided or not len(thing.outline):
             continue
@@ -255,7 +255,7 @@ def _stops(case: _Case) -> Iterator[Cause]:
             yield case.cause(CauseKind.STOP, place, need, name)
 
 
-def _crossed(line: StopLine, way: Way, front: float) -> float:
+def _crossing_station(line: StopLine, way: Way, front: float) -> float:
     """The arc length at which the ego's front crosses a line, m; inf if it does not."""
     x, y = way.x + front * np.cos(way.yaw), way.y + front * np.sin(way.yaw)
     (ax, ay), (bx, by) = line.points

@@ -90,7 +90,7 @@ def first_difference(one: Trace, two: Trace) -> FirstDifference | None:
     if abs(last[0] - last[1]) > SAME_TIME_S or ends[0] != ends[1]:
         what = f"{ends[0]} at {last[0]:.2f} s -> {ends[1]} at {last[1]:.2f} s"
         found.append(_Difference(min(last), "end", inf, partial(str, what)))
-    for some in _framed(one, two):
+    for some in _frame_differences(one, two):
         found += some
         clear = [each.t for each in found if each.size > FINE]
         if clear and some and some[0].t >= min(clear) and any(each.size > TOLERANCE for each in found):
@@ -127,7 +127,7 @@ def _together(one: FloatArray, two: FloatArray) -> int:
 # frame by frame ---------------------------------------------------------------------------------------------------
 
 
-def _framed(one: Trace, two: Trace) -> Iterator[list[_Difference]]:
+def _frame_differences(one: Trace, two: Trace) -> Iterator[list[_Difference]]:
     """What differs in each frame, up to the end of the drive that ends first."""
     end = min(float(trace.ego.t[-1]) for trace in (one, two)) + SAME_TIME_S
     frames = [{round(f.t / SAME_TIME_S): f for f in trace.frames if f.t <= end} for trace in (one, two)]
@@ -144,8 +144,9 @@ def _framed(one: Trace, two: Trace) -> Iterator[list[_Difference]]:
             yield [
                 _Difference(before.t, stage, size, describe)
                 for stage, found in (
-                    ("input frame", _others(one, two, before, now)), ("prediction", _predicted(before, now)),
-                    *_inside(before, now, kept), ("plan", _planned(before, now)),
+                    ("input frame", _others(one, two, before, now)),
+                    ("prediction", _prediction_differences(before, now)),
+                    *_inside(before, now, kept), ("plan", _plan_differences(before, now)),
                 )
                 for size, describe in found
             ]  # fmt: skip
@@ -172,7 +173,7 @@ def _others(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame) -> 
         yield from _largest(getattr(known[0], name), getattr(known[1], name)[order], where.__getitem__, unit)
 
 
-def _predicted(before: PlannedFrame, now: PlannedFrame) -> _Found:
+def _prediction_differences(before: PlannedFrame, now: PlannedFrame) -> _Found:
     old, new = before.predictions, now.predictions
     if old is None or new is None or old.t.shape != new.t.shape:
         return
@@ -187,7 +188,7 @@ def _predicted(before: PlannedFrame, now: PlannedFrame) -> _Found:
         yield from _largest(one.ravel(), two.ravel(), where.__getitem__, "m")
 
 
-def _planned(before: PlannedFrame, now: PlannedFrame) -> _Found:
+def _plan_differences(before: PlannedFrame, now: PlannedFrame) -> _Found:
     old, new = before.plan, now.plan
     for name in ("status", "start"):
         words = (getattr(old, name).value, getattr(new, name).value)
@@ -222,13 +223,13 @@ def _inside(before: PlannedFrame, now: PlannedFrame, kept: set[type]) -> Iterato
             yield "route", _largest(ends[0], ends[1], lambda i: "station of the ego", "m")
         yield "path DP", _room(*paths, "lateral offset", "station {:g} m", moves=False)
         yield "path QP", _curve(paths[0].qp, paths[1].qp, "lateral offset", "station {:g} m")
-    yield "path DP", _decided(one, two, "path")
+    yield "path DP", _decision_differences(one, two, "path")
     speeds = _graphs(one, two, StGraph)
     if speeds is not None:
         yield "S-T graph", _outlines(*speeds)
         yield "speed DP", _room(*speeds, "station", "{:g} s", moves=True)
         yield "speed QP", _curve(speeds[0].qp, speeds[1].qp, "station", "{:g} s")
-    yield "speed DP", _decided(one, two, "speed")
+    yield "speed DP", _decision_differences(one, two, "speed")
     for kind, stage in ((SlGraph, "path QP"), (StGraph, "speed QP")):
         there = [any(isinstance(item, kind) for item in items) for items in (one, two)]
         if kind in kept and there[0] != there[1]:
@@ -269,7 +270,7 @@ def _outlines(one: Graph, two: Graph) -> _Found:
             yield from _largest(old.outline.ravel(), new.outline.ravel(), where.__getitem__, "")
 
 
-def _decided(one: Sequence[object], two: Sequence[object], stage: str) -> _Found:
+def _decision_differences(one: Sequence[object], two: Sequence[object], stage: str) -> _Found:
     decided = [
         {item.agent: item.kind.value for item in side if isinstance(item, Decision) and item.stage == stage}
         for side in (one, two)

@@ -35,7 +35,8 @@ def sentences(account: Account) -> list[str]:
             nothing = "the trace does not hold the predictions that the planner used."
             if account.predicted:
                 nothing = (
-                    f"{_held(account, cause)} it would meet no road user ahead of it within {cause.time_s:.0f} s, and"
+                    f"{_describe_held_plan(account, cause)} it would meet no road user ahead of it within"
+                    f" {cause.time_s:.0f} s, and"
                     f" no limit, curve, stop line, goal or end of the road within {cause.distance_m:.0f} m requires"
                     f" braking.{near}"
                 )
@@ -78,7 +79,7 @@ def _join(*parts: str) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def _held(account: Account, cause: Cause) -> str:
+def _describe_held_plan(account: Account, cause: Cause) -> str:
     if account.course.is_slow:
         return "driving off" if account.course.action is Action.STANDS else "speeding up"
     return f"at {cause.hold_mps:.1f} m/s"
@@ -86,7 +87,7 @@ def _held(account: Account, cause: Cause) -> str:
 
 def _numbers(account: Account, cause: Cause) -> str:
     """The numbers of a cause, by its kind."""
-    held, place = _held(account, cause), f"after {cause.distance_m:.1f} m"
+    held, place = _describe_held_plan(account, cause), f"after {cause.distance_m:.1f} m"
     match cause.kind:
         case CauseKind.AGENT:
             if cause.is_met:
@@ -94,33 +95,33 @@ def _numbers(account: Account, cause: Cause) -> str:
             else:
                 would = f"it would follow by less than {HEADWAY_S:g} s from {cause.time_s:.1f} s on"
             left = f"the plan keeps {cause.left_m:.1f} m or more, the least in {cause.left_at_s:.1f} s"
-            need = _need("staying behind", cause)
+            need = _describe_needed_braking("staying behind", cause)
             return _join(f"{cause.away_m:.1f} m away", f"{held} {would}", need, left if isfinite(cause.left_m) else "")
         case CauseKind.STOP:
-            return _join(f"{place}, {held} in {cause.time_s:.1f} s", _need("stopping there", cause))
+            return _join(f"{place}, {held} in {cause.time_s:.1f} s", _describe_needed_braking("stopping there", cause))
         case CauseKind.LIMIT:
             limit = f"{cause.value:.1f} m/s {place}, instead of {cause.hold_mps:.1f} m/s"
-            return _join(limit, _need("keeping it", cause))
+            return _join(limit, _describe_needed_braking("keeping it", cause))
         case CauseKind.CURVE:
             across = f"{held} the lateral acceleration would be {cause.value:.1f} m/s² {place}"
-            return _join(across, _need("slowing down for it", cause))
+            return _join(across, _describe_needed_braking("slowing down for it", cause))
         case CauseKind.GOAL:
             goal = {
                 "time": f"{held} it is passed in {cause.time_s:.1f} s, but its time begins at t = {cause.value:.1f} s",
                 "speed": f"at most {cause.value:.1f} m/s, instead of {cause.hold_mps:.1f} m/s",
                 "place": "the plan stops at it",
             }[cause.who]
-            return _join(f"{place}, {goal}", _need("that", cause))
+            return _join(f"{place}, {goal}", _describe_needed_braking("that", cause))
         case CauseKind.BEGUN:
             return (
                 f"the plan starts at {cause.value:.1f} m/s², as the ego moves, and releases it in {cause.time_s:.1f} s"
             )
         case CauseKind.ROAD_END:
-            return _join(f"the map ends {place}", _need("stopping before it", cause))
+            return _join(f"the map ends {place}", _describe_needed_braking("stopping before it", cause))
     return f"near its way, but not met {held}" if cause.inferred else "a decision of the planner alone"
 
 
-def _need(what: str, cause: Cause) -> str:
+def _describe_needed_braking(what: str, cause: Cause) -> str:
     if not isfinite(cause.need_mps2):
         return ""
     return f"{what} takes " + (f"{cause.need_mps2:.1f} m/s²" if cause.need_mps2 >= 0.05 else "less than 0.05 m/s²")

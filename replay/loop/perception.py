@@ -95,7 +95,7 @@ class Recorded:
             now, shown = log, known
         else:
             now = self._around.of(world.tracks, t, t).perceived(t)
-            shown = _displaced(known, whose, now, log)
+            shown = _displace_known(known, whose, now, log)
         static = {name for name, still in zip(world.tracks.ids, world.tracks.static, strict=True) if still}
         logged = set(log.ids)
         others = [i for i, name in enumerate(now.ids) if name in static or name not in logged]
@@ -112,7 +112,7 @@ def _rows(places: Iterable[int]) -> IntArray:
     return np.array(list(places), np.int64)
 
 
-def _displaced(known: Agents, whose: list[str], now: Agents, log: Agents) -> Agents:
+def _displace_known(known: Agents, whose: list[str], now: Agents, log: Agents) -> Agents:
     """The known agents moved by (1), without those that only the log has."""
     there, then = ({name: i for i, name in enumerate(some.ids)} for some in (now, log))
     kept = [i for i, name in enumerate(whose) if name not in then or name in there]

@@ -86,21 +86,21 @@ def _start_fault(trajectory: Trajectory, frame: Frame) -> str:
     if len(trajectory) > MOST_POINTS:
         return f"it has {len(trajectory)} states, more than {MOST_POINTS}"
     first, starts = trajectory.state(0), [frame.ego]
-    if _apart(frame.ego, first) <= START_M and abs(frame.ego.v - first.v) <= START_MPS:
+    if _distance_between(frame.ego, first) <= START_M and abs(frame.ego.v - first.v) <= START_MPS:
         return ""
     if frame.previous is not None:
         old = frame.previous.trajectory.at(frame.t)
-        starts += [old] if _apart(old, frame.ego) <= NEAR_M else []
-    nearest = min(starts, key=lambda start: _apart(start, first))
-    if _apart(nearest, first) > START_M:
-        return f"it starts {_apart(nearest, first):.2f} m from the ego and from the plan being driven"
+        starts += [old] if _distance_between(old, frame.ego) <= NEAR_M else []
+    nearest = min(starts, key=lambda start: _distance_between(start, first))
+    if _distance_between(nearest, first) > START_M:
+        return f"it starts {_distance_between(nearest, first):.2f} m from the ego and from the plan being driven"
     speeds = [start.v for start in starts] + [0.0 for start in starts if -SWING_MPS <= start.v < 0.0]
     if min(abs(speed - first.v) for speed in speeds) > START_MPS:
         return f"it starts at {first.v:.1f} m/s, the ego drives {frame.ego.v:.1f} m/s"
     return ""
 
 
-def _apart(one: EgoState, two: EgoState) -> float:
+def _distance_between(one: EgoState, two: EgoState) -> float:
     return hypot(one.x - two.x, one.y - two.y)
 
 

@@ -91,7 +91,7 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
     last = int(np.argmax(near)) if near.any() else -1
     gain = gain_along(route_of(scenario), trace.ego).metres[last]
     scenario = replace(scenario, metadata={**scenario.metadata, FOLLOWER_M: repr(float(gain))})
-    return scenario, _measured([(trace, ("safety", "progress"))], scenario)
+    return scenario, _measure_drives([(trace, ("safety", "progress"))], scenario)
 
 
 def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, list[pd.DataFrame]]:
@@ -115,7 +115,7 @@ def late_follower(tables: Sequence[pd.DataFrame], scenario: Scenario, loop: Loop
     return [with_follower(scenario, loop)[1]] if missed else []
 
 
-def _measured(drives: Iterable[tuple[Trace, tuple[str, ...]]], scenario: Scenario) -> pd.DataFrame:
+def _measure_drives(drives: Iterable[tuple[Trace, tuple[str, ...]]], scenario: Scenario) -> pd.DataFrame:
     """The rows of drives, each measured by some groups of metrics."""
     rows = []
     for trace, groups in drives:
@@ -130,13 +130,13 @@ def reference_table(scenario: Scenario) -> pd.DataFrame:
         DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",),
         CAREFUL: ("safety", "progress", "comfort"),  # the careful driver knows no rules
     }
-    return _measured(((trace, groups[trace.planner]) for trace in reference_drives(scenario)), scenario)
+    return _measure_drives(((trace, groups[trace.planner]) for trace in reference_drives(scenario)), scenario)
 
 
 def reference_drives(scenario: Scenario) -> Iterator[Trace]:
     """The drives, as traces without plans."""
     if len(scenario.ego) >= SHORTEST:
-        yield _ended(DRIVER, scenario.ego, scenario)
+        yield _end_drive(DRIVER, scenario.ego, scenario)
     line, start = reference_line(scenario), scenario.ego.state(0)
     drive = careful_drive(scenario, line)
     s0, l0 = line.project(start.x, start.y)
@@ -146,15 +146,15 @@ def reference_drives(scenario: Scenario) -> Iterator[Trace]:
     x, y = frames[:, 0] - offset * np.sin(frames[:, 2]), frames[:, 1] + offset * np.cos(frames[:, 2])
     t = start.t + STEP_S * np.arange(len(drive.s))
     rear_axle = Trajectory(t, x, y, np.unwrap(frames[:, 2]), drive.v, drive.a, frames[:, 3])
-    yield _ended(CAREFUL, rear_axle, scenario)
+    yield _end_drive(CAREFUL, rear_axle, scenario)
 
 
-def _ended(name: str, ego: Trajectory, scenario: Scenario) -> Trace:
+def _end_drive(name: str, ego: Trajectory, scenario: Scenario) -> Trace:
     """The drive up to the goal or its first contact."""
     agents = without_phantoms(scenario.tracks, phantoms(scenario))
     whole = Trace(scenario.name, name, Mode.CLOSED, True, ego, agents, (), EndReason.END_OF_LOG)
     ends: list[tuple[int, EndReason, str]] = []
-    reached = _reached(scenario.goal, ego, scenario)
+    reached = _first_state_in_goal(scenario.goal, ego, scenario)
     if reached is not None:
         ends.append((reached, EndReason.GOAL, ""))
     for contact in contacts(whole, scenario)[:1]:
@@ -167,7 +167,7 @@ def _ended(name: str, ego: Trajectory, scenario: Scenario) -> Trace:
     return Trace(scenario.name, name, Mode.CLOSED, True, driven, agents, (), reason, detail)
 
 
-def _reached(goal: Goal | None, ego: Trajectory, scenario: Scenario) -> int | None:
+def _first_state_in_goal(goal: Goal | None, ego: Trajectory, scenario: Scenario) -> int | None:
     """The first state in the goal."""
     if goal is None:
         return None

@@ -61,20 +61,20 @@ class Sensor:
         self._name, self._vehicle, self._config = scenario.name, scenario.vehicle, config
         self._made: deque[Measurement] = deque()
         self._since: dict[str, float] | None = None
-        self._around = NearbyTracks()
+        self._boxes_around = NearbyTracks()
 
     def see(self, world: World) -> tuple[Agents, Visibility]:
         """The agents as they reach the planner at the world's time, and what the sensor could see of the ground."""
         now = world.ego.t
-        self._made.append(self._measured(world))
+        self._made.append(self._measure(world))
         due = now - self._config.latency_s + 1e-9
         arrived = [made for made in self._made if made.t <= due] or [self._made[0]]
         oldest = arrived[-1].t - self._config.coast_s - 1e-9
         while self._made[0].t < oldest:
             self._made.popleft()
-        return self._tracked([made for made in arrived if made.t >= oldest], now), arrived[-1].visibility
+        return self._track_measurements([made for made in arrived if made.t >= oldest], now), arrived[-1].visibility
 
-    def _tracked(self, made: list[Measurement], now: float) -> Agents:
+    def _track_measurements(self, made: list[Measurement], now: float) -> Agents:
         """Each agent's newest measurement, carried on to `now` with its velocity.
 
         The age counts from the first measurement since the agent was last lost; that of agents in the first frame is
@@ -92,13 +92,13 @@ class Sensor:
         seen = Agents.of_rows(tuple(newest), kinds, rows.reshape(-1, len(NUMBERS)).T, codes_of(kinds))
         return replace(seen, x=seen.x + unseen * seen.vx, y=seen.y + unseen * seen.vy, age=age, unseen=unseen)
 
-    def _measured(self, world: World) -> Measurement:
+    def _measure(self, world: World) -> Measurement:
         t, config = world.ego.t, self._config
-        agents = self._around.of(world.tracks, t, t).perceived(t)
+        agents = self._boxes_around.of(world.tracks, t, t).perceived(t)
         x, y = box_center(world.ego, self._vehicle)
         boxes = np.column_stack([agents.x, agents.y, agents.yaw, agents.length, agents.width])
         hiding = np.array([config.occlusion and not kind.is_vulnerable for kind in agents.kinds], bool)
-        hiding &= ~_around(boxes, x, y)
+        hiding &= ~_boxes_around(boxes, x, y)
         view = np.array([x, y, world.ego.yaw, config.range_m, radians(config.field_of_view_deg)])
         seen = _seen_shares(boxes, hiding, view) >= VISIBLE
         if config.dropout > 0.0:  # (2)
@@ -151,7 +151,7 @@ def _crosses(ax: float, ay: float, bx: float, by: float, box: FloatArray) -> boo
 
 
 @kernel
-def _around(boxes: FloatArray, x: float, y: float) -> BoolArray:
+def _boxes_around(boxes: FloatArray, x: float, y: float) -> BoolArray:
     """Which boxes hold the point: an agent there is no view but a collision."""
     out = np.zeros(len(boxes), np.bool_)
     for i in range(len(boxes)):

@@ -139,13 +139,13 @@ class Termination:
             k, hit, off, self._on = first_event(
                 rows, first, end, self._car, self._agents, self._near, self._lanes, self._on
             )
-            ended = self._judged(rows, k, off, tracks if hit else None) if k < end else None
+            ended = self._end_of_drive(rows, k, off, tracks if hit else None) if k < end else None
             if ended:
                 return ended
             first = k + 1
         return None
 
-    def _judged(self, rows: FloatArray, k: int, off: float, touching: Tracks | None) -> Ended | None:
+    def _end_of_drive(self, rows: FloatArray, k: int, off: float, touching: Tracks | None) -> Ended | None:
         if touching is not None:
             real, driven = without_phantoms(touching.whole, self._phantoms), rows[: k + 1]
             recent = driven[driven[:, 0] >= rows[k, 0] - LOOK_BACK_S]  # earlier touches would have ended the drive

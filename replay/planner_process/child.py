@@ -89,7 +89,7 @@ class PlannerServer:
         """Answer every message; an exception of the planner becomes an answer, too."""
         while True:
             question = self._channel.receive()
-            answer = _tried(self._answer, question)
+            answer = _try_answer(self._answer, question)
             try:
                 self._channel.send(answer)
             except (TypeError, ValueError, OverflowError) as error:
@@ -97,10 +97,10 @@ class PlannerServer:
 
     def _answer(self, question: Any) -> msgspec.Struct:
         if isinstance(question, schema.Frame):
-            return self._sent(self._planned(lambda planners, frames: planners[0].plan(frames[0]), [0], [question]))
+            return self._sent(self._plan_frames(lambda planners, frames: planners[0].plan(frames[0]), [0], [question]))
         if isinstance(question, schema.Frames):
             seats = question.seats
-            plans = self._planned(lambda planners, frames: self._together(frames, planners), seats, question.each)
+            plans = self._plan_frames(lambda planners, frames: self._together(frames, planners), seats, question.each)
             if not isinstance(plans, list | tuple) or len(plans) != len(seats):
                 what = f"{len(plans)} plans" if isinstance(plans, list | tuple) else type(plans).__name__
                 return schema.Failed(f"plan_batch returned {what} instead of {len(seats)} plans", "contract")
@@ -112,10 +112,10 @@ class PlannerServer:
                 raise ConfigError(f"planner '{question.planner}' has no plan_batch: {remedy}")
             return schema.Described(table)
         if isinstance(question, schema.Hellos):
-            return schema.Answers([_tried(self._built, hello) for hello in question.each])
-        return self._built(question)
+            return schema.Answers([_try_answer(self._build_planner, hello) for hello in question.each])
+        return self._build_planner(question)
 
-    def _built(self, hello: schema.Hello) -> schema.Ready:
+    def _build_planner(self, hello: schema.Hello) -> schema.Ready:
         self._planners.append(None)
         keywords = planner_keywords(hello.planner, hello.config)
         context = schema.context_of(hello.context, self._watch.lap)
@@ -124,7 +124,7 @@ class PlannerServer:
         self._together, self._keep = of_class(factory, "plan_batch"), hello.keep_internals
         return schema.Ready()
 
-    def _planned(
+    def _plan_frames(
         self, plan: Callable[[list[Any], list[Frame]], Any], seats: list[int], sent: list[schema.Frame]
     ) -> Any:
         """What the planners in some seats return for their frames; `plan` calls them."""
@@ -144,7 +144,7 @@ class PlannerServer:
         return schema.plan_message(plan.recorded(keep=self._keep), self._watch.laps, inside=True)
 
 
-def _tried(answer: Callable[[Any], Any], question: Any) -> Any:
+def _try_answer(answer: Callable[[Any], Any], question: Any) -> Any:
     """The answer to a question, or the failure that was raised."""
     try:
         return answer(question)

@@ -53,15 +53,15 @@ FOLLOW = among(*FOLLOWING)
 
 def followers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """The hypotheses of the vehicles that follow a lane, and of no other agents (module docstring)."""
-    return _predicted(agents, t, lanes, others=False)
+    return _predict_vehicles(agents, t, lanes, others=False)
 
 
 def everybody(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """The same; agents that follow no lane go on at a constant turn rate (`off_lanes`)."""
-    return _predicted(agents, t, lanes, others=True)
+    return _predict_vehicles(agents, t, lanes, others=True)
 
 
-def _predicted(agents: Agents, t: FloatArray, lanes: LaneMap, *, others: bool) -> Predictions:
+def _predict_vehicles(agents: Agents, t: FloatArray, lanes: LaneMap, *, others: bool) -> Predictions:
     a = agents
     columns = a.x, a.y, a.yaw, a.vx, a.vy, a.yaw_rate, a.width, a.accel, np.arctan2(a.vy, a.vx)
     agent, probability, way = _predict_all(lanes.arrays, a.codes, columns, t, others)
@@ -135,7 +135,7 @@ def _ways(
     made = 0
     for m in range(count):
         lane, s, left, half = lanes[m], found[m, 0], found[m, 1], found[m, 2]
-        along, across = _along(map_, lane, s, vehicle)
+        along, across = _velocity_along_lane(map_, lane, s, vehicle)
         if along < -0.5:
             continue
         target, then = lane, left + CHANGE_S * across
@@ -157,13 +157,13 @@ def _ways(
             break
     h = 0
     while h < made:
-        made = _extended(map_, h, made, reach, hypot(vehicle[3], vehicle[4]), ways, depth, shares, start)
+        made = _extend_way(map_, h, made, reach, hypot(vehicle[3], vehicle[4]), ways, depth, shares, start)
         h += 1
     return made
 
 
 @inner_kernel
-def _along(map_: LaneArrays, lane: int, s: float, vehicle: FloatArray) -> tuple[float, float]:
+def _velocity_along_lane(map_: LaneArrays, lane: int, s: float, vehicle: FloatArray) -> tuple[float, float]:
     """Velocity of a vehicle along and across (to the left of) a lane at its foot, m/s."""
     yaw = lane_point(map_, lane, s)[2]
     c, n = cos(yaw), sin(yaw)
@@ -182,7 +182,7 @@ def _turn(map_: LaneArrays, lane: int, s: float) -> float:
 
 
 @inner_kernel
-def _extended(
+def _extend_way(
     map_: LaneArrays, h: int, made: int, reach: float, speed: float,
     ways: IntArray, depth: IntArray, shares: FloatArray, start: FloatArray,
 ) -> int:  # fmt: skip
@@ -285,7 +285,7 @@ def _roll_out(
 ) -> None:  # fmt: skip
     """Drive a way (1)-(3): rows x, y, yaw `(3, k)` into `out`; the first column is where the vehicle is."""
     s, left, half = start[0], start[1], start[2]
-    along, across = _along(map_, way[0], s, vehicle)
+    along, across = _velocity_along_lane(map_, way[0], s, vehicle)
     speed = max(along, 0.0)
     gone = _stations(map_, way, s, speed, vehicle[7], ahead, dying)
     paced = max(speed, SLOW_MPS)

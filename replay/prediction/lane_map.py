@@ -86,7 +86,7 @@ class LaneMap:
 def _arrays(road: Road) -> LaneArrays:
     lanes = [lane for lane in road.lanes.values() if lane.drivable and lane.length >= SHORTEST_M]
     index = {lane.id: i for i, lane in enumerate(lanes)}
-    sampled = [_sampled(lane) for lane in lanes]
+    sampled = [_sample_center(lane) for lane in lanes]
     follow = [[index[k] for k in lane.successors if k in index] for lane in lanes]
     beside = [
         [index.get(k, -1) if k is not None else -1 for k in (lane.left_neighbour, lane.right_neighbour)]
@@ -107,7 +107,7 @@ def _arrays(road: Road) -> LaneArrays:
     )
 
 
-def _sampled(lane: Lane) -> tuple[FloatArray, float]:
+def _sample_center(lane: Lane) -> tuple[FloatArray, float]:
     """Rows x, y, yaw, kappa, half width `(5, k)` of a lane's centre line at equal steps, and the step, m."""
     chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))]
     keep = np.r_[True, np.diff(chord) > 1e-9]

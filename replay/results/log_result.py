@@ -263,11 +263,11 @@ class StepsFile:
 
     def table(self, some: Sequence[Steps]) -> pd.DataFrame:
         """Some of the metrics of a drive, as `metrics.series` has them."""
-        curves = [(steps.metric, *self._taken(steps)) for steps in some]
+        curves = [(steps.metric, *self._samples_of(steps)) for steps in some]
         parts = [pd.DataFrame({"t_s": t, "metric": metric, "value": value}) for metric, t, value in curves]
         return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["t_s", "metric", "value"])
 
-    def _taken(self, steps: Steps) -> tuple[FloatArray, FloatArray]:
+    def _samples_of(self, steps: Steps) -> tuple[FloatArray, FloatArray]:
         """Times and values `(n,)` of a metric."""
         self._file.seek(steps.begin)
         both = np.frombuffer(self._file.read(16 * steps.rows))
@@ -291,7 +291,7 @@ class StepsFile:
         with pq.ParquetWriter(partial, schema, compression="zstd") as writer:
             for planner, mode in sorted(self._drives):
                 for steps in self._drives[planner, mode]:
-                    t, value = self._taken(steps)
+                    t, value = self._samples_of(steps)
                     kind, text = schema.field(0).type, {"planner": planner, "mode": mode, "metric": steps.metric}
                     words = {key: pa.repeat(pa.scalar(word, kind), steps.rows) for key, word in text.items()}
                     numbers = {"t_s": pa.array(t, from_pandas=True), "value": pa.array(value, from_pandas=True)}

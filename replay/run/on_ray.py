@@ -74,17 +74,19 @@ class OnRay:
         absolute = [
             source if source.path is None else replace(source, path=source.path.absolute()) for source in sources
         ]
-        with self._connected(run) as ray:
+        with self._ray_connection(run) as ray:
             job = ray.put((run, stamp, uuid4().hex))
             task = ray.remote(_on_node).options(max_retries=RETRIES, num_cpus=1)
             yield from longest_first(
                 absolute,
-                lambda ordered: _write_folders(self._streamed(ray, lambda one: task.remote(one, job), ordered), out),
+                lambda ordered: _write_folders(
+                    self._stream_results(ray, lambda one: task.remote(one, job), ordered), out
+                ),
                 lambda source: source.expected_s,
             )
 
     @contextmanager
-    def _connected(self, run: RunConfig) -> Iterator[Any]:
+    def _ray_connection(self, run: RunConfig) -> Iterator[Any]:
         """Ray, with a connection for the time of the run; one that the caller had is used as it is."""
         try:
             import ray
@@ -116,7 +118,7 @@ class OnRay:
             finally:
                 ray.shutdown()
 
-    def _streamed(
+    def _stream_results(
         self, ray: Any, submit: Callable[[T], Any], items: Sequence[T]
     ) -> Iterator[tuple[int, tuple[Any, Any] | WorkerLost]]:
         """What came of each item, as it ends; a bounded number of them is in flight."""

@@ -216,7 +216,7 @@ def _drive_one(
     scenario: Scenario, place: _Place, run: RunConfig, file: Path, progress: _Progress, steps: StepsFile
 ) -> Trace:
     """Drive, measure and write one planner in one loop: the trace as `file`.mcap, its recording as `file`.rrd."""
-    drive = _probed(_driven(scenario, place, run, keep=run.keep_internals), scenario, place, run)
+    drive = _probe_determinism(_drive_log(scenario, place, run, keep=run.keep_internals), scenario, place, run)
     found: dict[str, Steps] = {}
 
     def put(name: str, series: metrics.Series) -> None:
@@ -257,7 +257,7 @@ def _tidy(trace: Trace) -> None:
         trim_memory()
 
 
-def _driven(scenario: Scenario, place: _Place, run: RunConfig, *, keep: bool, until_s: float = inf) -> Drive:
+def _drive_log(scenario: Scenario, place: _Place, run: RunConfig, *, keep: bool, until_s: float = inf) -> Drive:
     table = run.planner.get(place.planner, {})
     keywords = table if is_apart(place.planner, run.loop.apart) else planner_keywords(place.planner, table)
     return LOOPS[place.mode](
@@ -271,14 +271,14 @@ def _driven(scenario: Scenario, place: _Place, run: RunConfig, *, keep: bool, un
     )
 
 
-def _probed(drive: Drive, scenario: Scenario, place: _Place, run: RunConfig) -> Drive:
+def _probe_determinism(drive: Drive, scenario: Scenario, place: _Place, run: RunConfig) -> Drive:
     """The drive, marked where its planner is the user's own and is not deterministic (`RunConfig.repeat_s`)."""
     planner, until_s = drive.trace.planner, float(scenario.ego.t[0]) + run.repeat_s
     if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:
         return drive
     try:
         second = place._replace(key=replace(place.key, again=True))
-        again = _driven(scenario, second, run, keep=False, until_s=until_s).trace
+        again = _drive_log(scenario, second, run, keep=False, until_s=until_s).trace
     except PlannerError as error:
         note = f"{NOT_DETERMINISTIC}{planner}, driven twice: it can be built only once: {error}"
         return replace(drive, trace=replace(drive.trace, notes=(*drive.trace.notes, note)))
@@ -295,7 +295,7 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
         other, tables = with_references(other, run.drive_loop)
     for place in _places(run, member):
         with progress.attempt(place.planner, place.mode):
-            drive = _driven(other, place, run, keep=bool(run.metrics))
+            drive = _drive_log(other, place, run, keep=bool(run.metrics))
             noted = progress.broken(place.planner, place.mode)
             tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
     tables += late_follower(tables, other, run.drive_loop)

@@ -87,7 +87,7 @@ def _lock(path: Path) -> int:
             handle, is_new = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), True
         except FileExistsError:
             handle, is_new = os.open(path, os.O_RDWR | os.O_CREAT, 0o666), False
-        locked = _locked(handle)
+        locked = _try_lock(handle)
         os.lseek(handle, 0, os.SEEK_SET)
         try:
             card: dict[str, Any] = dict(json.loads(os.read(handle, _CARD_BYTES)))
@@ -106,7 +106,7 @@ def _lock(path: Path) -> int:
         os.close(handle)  # its holder removed it between our opening and our locking
 
 
-def _locked(handle: int) -> bool | None:
+def _try_lock(handle: int) -> bool | None:
     """Lock the file; False: another has it; None: the file system has no locks."""
     try:
         if sys.platform == "win32":
@@ -127,7 +127,7 @@ def _locked(handle: int) -> bool | None:
 def lock_card() -> bytes:
     """Who holds it, for people and for a file system without locks."""
     since = datetime.now(UTC).isoformat(timespec="seconds")
-    card = {"pid": os.getpid(), "host": socket.gethostname(), "since": since, "started": _started(os.getpid())}
+    card = {"pid": os.getpid(), "host": socket.gethostname(), "since": since, "started": _start_of_process(os.getpid())}
     return json.dumps(card).encode()
 
 
@@ -141,10 +141,10 @@ def has_ended(card: dict[str, Any]) -> bool:
         return True
     except OSError:
         return False
-    return bool(card["started"] != _started(card["pid"]))
+    return bool(card["started"] != _start_of_process(card["pid"]))
 
 
-def _started(pid: int) -> str:
+def _start_of_process(pid: int) -> str:
     """When a process was started, in the system's ticks: another process of its number has another; "": not known."""
     try:
         return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]

@@ -27,7 +27,7 @@ START_M, NOISE_M, TINY, RATE_HZ = 0.05, 0.02, 1e-9, 5.0
 DAY_NS = 86_400_000_000_000
 
 
-def _turned(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+def _turn_world(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     start = scenario.ego.state(0)
     return rotated(scenario, float(rng.uniform(-np.pi, np.pi)), (start.x, start.y))
 
@@ -49,7 +49,7 @@ def noisy(scenario: Scenario, rng: np.random.Generator, size: float = NOISE_M) -
 PERTURBATIONS: Mapping[str, Callable[[Scenario, np.random.Generator], Scenario]] = MappingProxyType(
     {
         "again": lambda scenario, rng: scenario,
-        "turned": _turned,
+        "turned": _turn_world,
         "clock": lambda scenario, rng: shifted_clock(scenario, int(rng.integers(DAY_NS))),
         "tiny": lambda scenario, rng: jittered(scenario, TINY, int(rng.integers(2**31))),
         "start": _start,

@@ -293,21 +293,21 @@ def _first_touched(
                 reaches = own + 0.5 * (boxes[j, 3] + boxes[j, 4])
                 if abs(boxes[j, 0] - x) > reaches or abs(boxes[j, 1] - y) > reaches:
                     continue
-                if _touch(_moved(begin, leap, m / steps), boxes[j], brush):
+                if _touch(_box_after(begin, leap, m / steps), boxes[j], brush):
                     u = _touch_at(begin, leap, (m - 1.0) / steps, m / steps, boxes[j], brush)
                     if u < best:
                         best, who = u, j
             if who >= 0:
-                there = _moved(begin, leap, best)
+                there = _box_after(begin, leap, best)
                 return station + best * length, who, there[0], there[1], there[2]
-        begin = _moved(begin, leap, 1.0)
+        begin = _box_after(begin, leap, 1.0)
         station += length
         k += 1
     return inf, -1, 0.0, 0.0, 0.0
 
 
 @inner_kernel
-def _moved(box: FloatArray, leap: FloatArray, u: float) -> FloatArray:
+def _box_after(box: FloatArray, leap: FloatArray, u: float) -> FloatArray:
     """A box after the part u of a leap (x, y, yaw)."""
     out = box.copy()
     for c in range(3):
@@ -322,7 +322,7 @@ def _touch_at(
     """The last part of a leap, between `low` (apart) and `high` (touching), at which the boxes are still apart."""
     for _ in range(5):
         middle = 0.5 * (low + high)
-        if _touch(_moved(begin, leap, middle), other, narrower):
+        if _touch(_box_after(begin, leap, middle), other, narrower):
             high = middle
         else:
             low = middle

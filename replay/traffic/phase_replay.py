@@ -126,9 +126,9 @@ class PhaseReplay:
         end, at = first.copy(), np.searchsorted(members, who)
         first[at], end[at] = low, high
         columns = self._columns(since, members, first, end, slice(recent, count))
-        return Recent(*columns, all_of_them=partial(self._whole, since, count))
+        return Recent(*columns, all_of_them=partial(self._all_samples, since, count))
 
-    def _whole(self, since: FloatArray, count: int) -> Tracks:
+    def _all_samples(self, since: FloatArray, count: int) -> Tracks:
         """All samples of all tracks, with the first `count` replayed ones."""
         own = self._own.offsets
         return Tracks(*self._columns(since, np.arange(len(self._own)), own[:-1].copy(), own[1:].copy(), slice(count)))
@@ -138,7 +138,7 @@ class PhaseReplay:
     ) -> tuple[Any, ...]:
         """The columns of `Tracks`: the log's samples `first` to before `end` of `who`, and `some` replayed ones."""
         played = np.searchsorted(who, self._who[some])
-        rows, sizes = _merged(self._logged_own, since[who], first, end, played, self._played[some])
+        rows, sizes = _merge_samples(self._logged_own, since[who], first, end, played, self._played[some])
         left = np.flatnonzero(sizes)
         return *heads(self._own, who[left]), np.r_[0, np.cumsum(sizes[left])], *rows
 
@@ -196,7 +196,7 @@ def play(
 
 
 @kernel
-def _merged(
+def _merge_samples(
     log: LoggedTracks, since: FloatArray, first: IntArray, end: IntArray, who: IntArray, played: FloatArray
 ) -> tuple[FloatArray, IntArray]:
     """Rows t, x, y, yaw, vx, vy `(6, samples)` of some tracks one after the other, and how many samples each has.

@@ -260,7 +260,7 @@ class _Rounds:
                 outcome = _broken(made_as)
             else:
                 assert found is not None
-                outcome = _judged(found, names[str(made_as)])
+                outcome = _judge_cell(found, names[str(made_as)])
             log = _file(self.question.values(cell))
             self.rows.append({"cell": cell, **self.question.values(cell), "part": part, **outcome, "log": log})
         return [row["outcome"] for row in self.rows[-len(cells) :]]
@@ -277,7 +277,7 @@ def _broken(why: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _judged(results: Results, log: str) -> dict[str, Any]:
+def _judge_cell(results: Results, log: str) -> dict[str, Any]:
     """The verdict of `replan evaluate` on a log, in one row."""
     drives = results.drives[results.drives["log"] == log]
     failures = results.failures[results.failures["log"] == log]

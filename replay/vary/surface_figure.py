@@ -51,7 +51,7 @@ def surface_figure(table: pd.DataFrame, edges: Sequence[Bracket], question: Ques
             y = edge.row[0] if edge.row else 0.0
             axes.fill_betweenx([y - half_y, y + half_y], edge.low, edge.high, color=EDGE, alpha=0.25, lw=0.0, zorder=2)
             axes.plot([edge.middle] * 2, [y - half_y, y + half_y], color=EDGE, lw=2.5, zorder=2)
-        point = _recorded(question)
+        point = _recorded_point(question)
         if point is not None:
             axes.plot(*(*point, 0.0)[:2], "o", ms=34.0, mfc="none", mec=RECORDED, mew=2.5, zorder=5)
         axes.set(xlabel=x.label, xticks=x.values, title=title)
@@ -82,7 +82,7 @@ def _cell(axes: Axes, cell: pd.Series, x: float, y: float, half_x: float, half_y
                   bbox=back if gate else None, zorder=3)  # fmt: skip
 
 
-def _recorded(question: Question) -> tuple[float, ...] | None:
+def _recorded_point(question: Question) -> tuple[float, ...] | None:
     """Where nothing is varied; None where that is not within the axes."""
     point = question.recorded
     inside = point is not None and all(
@@ -107,7 +107,7 @@ def _legend(figure: Figure, cells: pd.DataFrame, edges: Sequence[Bracket], quest
         unit = question.axes[0].label.partition(" ")[2].strip("[]")
         fine = f"{question.resolution:.3g} {unit}".strip()
         handles.append(Line2D([], [], color=EDGE, lw=3.0, label=f"edge of pass, to {fine}"))
-    if _recorded(question) is not None:
+    if _recorded_point(question) is not None:
         ring = Line2D([], [], marker="o", ms=10.0, mfc="none", mec=RECORDED, mew=2.0, ls="", label="as recorded")
         handles.append(ring)
     handles.append(Line2D([], [], ls="", label="number: least gap [m]; x: contact; below: the first gate"))

@@ -118,21 +118,21 @@ def _by_problem(document: Document, number: int | None) -> _Ego:
     step, x, y = problem.start[:3]
     for o in document.obstacles:
         at = np.flatnonzero(np.abs(o.states[:, 0] - step) < 0.5)
-        if not o.static and len(at) and len(o.states) - at[0] > 1 and _near(o.states[at[0]], x, y):
+        if not o.static and len(at) and len(o.states) - at[0] > 1 and _is_near(o.states[at[0]], x, y):
             return _Ego(replace(o, states=o.states[at[0] :]), problem)
     for o in document.obstacles:
         first = o.states[0]
         same = o.id == problem.id - MONA_PROBLEM_OFFSET and abs(first[4] - problem.start[4]) < 0.1
-        if same and _near(first, x, y) and not o.static and len(o.states) > 1:
+        if same and _is_near(first, x, y) and not o.static and len(o.states) > 1:
             late = (first[0] - step) * document.dt
             note = f"the problem starts at step {step:g}, its recorded driver {late:.1f} s later: taken"
             return _Ego(o, problem, (note,))
-    if any(not o.static and _near(o.states[0], x, y) for o in document.obstacles):
+    if any(not o.static and _is_near(o.states[0], x, y) for o in document.obstacles):
         return _Ego(None, problem, ("a vehicle of the traffic appears later where the ego starts",))
     return _Ego(None, problem)
 
 
-def _near(state: FloatArray, x: float, y: float) -> bool:
+def _is_near(state: FloatArray, x: float, y: float) -> bool:
     return bool(np.hypot(state[1] - x, state[2] - y) <= SAME_PLACE_M)
 
 

@@ -97,18 +97,18 @@ def with_rules(document: Document, road: Road, origin: tuple[float, float]) -> t
     known = {light.id for light in document.lights}
     unused = known - {i for chain in names for i in chain}
     if unused:
-        notes.append(f"traffic lights {_listed(unused)} are ignored: no lane that goes their way names them")
+        notes.append(f"traffic lights {_comma_list(unused)} are ignored: no lane that goes their way names them")
     dark = {light.id for light in document.lights if light.active and not light.cycle}
     if dark:
-        notes.append(f"traffic lights {_listed(dark)} have no cycle: they are taken as off")
+        notes.append(f"traffic lights {_comma_list(dark)} have no cycle: they are taken as off")
     lost = {i for lanelet in document.lanelets for i in _lights_at(lanelet)} - known
     if lost:
-        notes.append(f"traffic lights {_listed(lost)} are named by lanelets, but are not in the file")
+        notes.append(f"traffic lights {_comma_list(lost)} are named by lanelets, but are not in the file")
     ruled = replace(road, lanes=lanes, stop_lines=stop_lines, crosswalks=walks)
     return ruled, {name: chain for chain, name in names.items()}, tuple(notes)
 
 
-def _listed(names: Iterable[int]) -> str:
+def _comma_list(names: Iterable[int]) -> str:
     return ", ".join(map(str, sorted(names)))
 
 

@@ -93,14 +93,14 @@ class Bag:
             LogError: The file has none, and neither has replan.
         """
         if topic.name not in self._types:
-            self._types[topic.name] = self._defined(topic)
+            self._types[topic.name] = self._message_definitions(topic)
         types = self._types[topic.name]
         if topic.kind not in types:
             what = f"the log does not define its message type {topic.kind}, and replan does not know it"
             raise LogError(what, topic=topic.name, remedy="record as MCAP, which holds the definitions")
         return types
 
-    def _defined(self, topic: Topic) -> Types:
+    def _message_definitions(self, topic: Topic) -> Types:
         """The definitions in the file; where it has none, what rosbags and replan know."""
         from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 

@@ -74,7 +74,7 @@ ROLES = {
 def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     if not any(topic.count for topic in bag.topics):
         raise LogError("the bag holds no messages", remedy="record or copy it again")
-    part, start, origin = _part(bag, settings)
+    part, start, origin = _part_to_read(bag, settings)
     notes = part.notes
     vehicle = VehicleParameters()
     if settings.car:
@@ -82,7 +82,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     else:
         notes.append(f"{VEHICLE_ASSUMED} (set log.car).")
     ego = read_ego(part)
-    v, a = _measured(part, ego)
+    v, a = _logged_motion(part, ego)
     columns = states(ego, v, a, notes)
     if start is None:
         first = begin_of(ego, v)
@@ -122,7 +122,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     return replace(scenario, notes=tuple(dict.fromkeys(notes)))
 
 
-def _part(bag: Bag, settings: LogSettings) -> tuple[Part, int | None, FloatArray]:
+def _part_to_read(bag: Bag, settings: LogSettings) -> tuple[Part, int | None, FloatArray]:
     """What is read of a bag; where that begins later than the log, also the time of t = 0, ns, and the origin, m."""
     whole = Part(bag, settings)
     if settings.begin <= 0.0 and settings.end == inf:
@@ -137,7 +137,7 @@ def _part(bag: Bag, settings: LogSettings) -> tuple[Part, int | None, FloatArray
         pace = float(clock.stamp[-1] - clock.stamp[0]) / float(clock.log[-1] - clock.log[0])
         if not 0.8 < pace < 1.25:
             return whole, None, np.zeros(2)  # a part cannot be found by log time
-    first = begin_of(ego, _measured(head, ego)[0])
+    first = begin_of(ego, _logged_motion(head, ego)[0])
     detected = settings.repair != "off" and whole.topics(schemas.OBJECTS, "agents")
     log0, around = bag.start_ns, (DETECTED_S if detected else HISTORY_S) + MARGIN_S
     end = None if settings.end == inf else log0 + round(1e9 * (settings.end + around))
@@ -147,7 +147,7 @@ def _part(bag: Bag, settings: LogSettings) -> tuple[Part, int | None, FloatArray
     return Part(bag, settings, max(begin, log0), end), int(ego.poses.t[first]), np.round(ego.poses.p[first, :2])
 
 
-def _measured(part: Part, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
+def _logged_motion(part: Part, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
     """Speed and acceleration at the poses `(n,)` as far as they are logged; else NaN."""
     v, notes = ego.v, part.notes
     if np.isfinite(v).all() and "speed" not in part.settings.topics:

@@ -138,7 +138,7 @@ def tracks_of(samples: Samples, t: FloatArray, notes: list[str]) -> Tracks:
         notes.append("Some objects have no size: that of their kind is assumed.")
     if varied:
         notes.append("An agent's box is the median of its sizes, its kind the one that it had most often.")
-    vx, vy = _filled(some, seconds, first, kinds, np.diff(offsets), notes)
+    vx, vy = _fill_velocities(some, seconds, first, kinds, np.diff(offsets), notes)
     return Tracks(
         tuple(names[order[offsets[:-1]]].tolist()), kinds, sizes[0], sizes[1], np.zeros(len(parts), np.bool_), offsets,
         seconds, some.x, some.y, yaw, vx, vy,
@@ -173,7 +173,7 @@ def _one_front(
     return out
 
 
-def _filled(
+def _fill_velocities(
     samples: Samples, t: FloatArray, first: IntArray, kinds: tuple[AgentKind, ...], counts: IntArray, notes: list[str]
 ) -> tuple[FloatArray, FloatArray]:
     """The logged velocities, and where there are none the motion over a backward window; a first sample has none."""
@@ -263,7 +263,7 @@ def joined(
             continue
         now = float(t[part[0]])
         known = [each for each in known if now - each.past[-1][0] <= LOST_S]
-        found = _assigned(known, now, x[part], y[part], [kinds[i] for i in part], sizes[part])
+        found = _assign_ids(known, now, x[part], y[part], [kinds[i] for i in part], sizes[part])
         for i, k in zip(part, found, strict=True):
             if k < 0:
                 k, count = len(known), count + 1
@@ -274,7 +274,7 @@ def joined(
     return names
 
 
-def _assigned(
+def _assign_ids(
     known: list[_Known], now: float, x: FloatArray, y: FloatArray, kinds: list[AgentKind], sizes: FloatArray
 ) -> list[int]:
     """Which known object each of a frame's is; -1: none."""

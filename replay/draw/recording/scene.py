@@ -69,7 +69,7 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants)
     draw_road(tape, scenario.road)
     draw_goal(tape, scenario)
     draw_lights(tape, scenario, instants)
-    vehicle, (xy, yaw) = scenario.vehicle, _resampled(trace.ego, instants.t)
+    vehicle, (xy, yaw) = scenario.vehicle, _poses_at(trace.ego, instants.t)
     poses = rr.Transform3D.columns(translation=at_height(xy, 0.0), quaternion=quaternions(yaw))
     tape.rows("world/ego", instants, poses)
     size = [vehicle.length / 2.0, vehicle.width / 2.0, EGO_HEIGHT / 2.0]
@@ -100,7 +100,7 @@ def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants
     about = [decided(plan) for plan in plans] or [{}]
     begin = int(frames.frame[0]) if plans else 0
     here = [about[min(int(frame) - begin, len(about) - 1)] for frame in instants.frame]
-    xy, yaw = _resampled(trace.ego, instants.t)
+    xy, yaw = _poses_at(trace.ego, instants.t)
     full = [in_full(some.ids, some.x, some.y, now, (x, y)) for some, now, (x, y) in zip(agents, here, xy, strict=True)]
     for kind in AgentKind:
         if kind in kinds:
@@ -132,7 +132,7 @@ def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants
     tape.rows("world/plan/seconds", frames, rr.Points3D.columns(positions=at_height(points, 0.2)), counts)
 
 
-def _resampled(ego: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _poses_at(ego: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Positions `(n, 2)` and headings `(n,)` at times; the ends hold outside the span."""
     x, y, yaw = (np.interp(t, ego.t, column) for column in (ego.x, ego.y, ego.yaw))
     return np.column_stack([x, y]), yaw
@@ -146,7 +146,7 @@ def _draw_log(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) 
     if trace.commands is None:
         return
     there = (instants.t >= log.t[0] - 1e-9) & (instants.t <= log.t[-1] + 1e-9)
-    xy, yaw = _resampled(log, instants.t[there])
+    xy, yaw = _poses_at(log, instants.t[there])
     center = xy + vehicle.axle_to_center * np.column_stack([np.cos(yaw), np.sin(yaw)])
     half = np.tile([vehicle.length / 2.0, vehicle.width / 2.0, EGO_HEIGHT / 2.0], (len(xy), 1))
     boxes = rr.Boxes3D.columns(

@@ -117,7 +117,7 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
         anchors=anchors,
         pages=pages(),
         paged=paged,
-        comparison=None if overview.comparison is None else _compared(overview.comparison),
+        comparison=None if overview.comparison is None else _comparison_rows(overview.comparison),
         style=Markup(_read("style.css") + roles("auto") + filled(RULES, "auto")),  # our own files
         script=Markup(_read("script.js")),
     )  # fmt: skip
@@ -132,7 +132,7 @@ def _markup(chart: Chart) -> Markup:
     return Markup(chart.inline())  # canvas escapes every word
 
 
-def _compared(comparison: Comparison) -> dict[str, Any]:
+def _comparison_rows(comparison: Comparison) -> dict[str, Any]:
     """The comparison as lists of rows."""
     groups = comparison.groups
     asked = groups["metric"].isin(set(comparison.pairs.loc[comparison.pairs["asked"].astype(bool), "metric"]))

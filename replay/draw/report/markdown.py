@@ -57,9 +57,9 @@ def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
     if not over.shard:  # the gates that do not pass, and folded those that do
         names = ("outcome", "rule", "loop", "what was found")
         parts += ["## Gates", _table(names, bad) if bad else ""]
-        parts.append(_folded(f"{len(good)} verdicts pass", _table(names, good)) if good else "")
+        parts.append(_fold(f"{len(good)} verdicts pass", _table(names, good)) if good else "")
         unasked = f"{len(over.not_asked)} gates were not asked of some drives"
-        parts.append(_folded(unasked, _list("", over.not_asked)) if over.not_asked else "")
+        parts.append(_fold(unasked, _list("", over.not_asked)) if over.not_asked else "")
     if over.diagnosis is not None:
         said = [line.strip() for line in over.diagnosis["said"]]
         parts.append(_list(f"Why {over.diagnosis['planner']} fails", said))
@@ -80,7 +80,7 @@ def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
     if times:
         head = ("planner", "stage", "p50 [ms]", "p95 [ms]", "p99 [ms]", "share")
         title = f"Planning time (wall clock, {counted(over.frames, 'plan')})"
-        parts.append(_folded(title, _table(head, times, right=range(2, 6))))
+        parts.append(_fold(title, _table(head, times, right=range(2, 6))))
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -125,7 +125,7 @@ def _shares(over: Overview) -> Iterator[str]:
     yield table(over.whole)
     yield "Shares of all logs: a log that is inconclusive or could not be evaluated does not pass."
     if over.grouped:
-        yield _folded("By family, tag and dataset", table(over.grouped))
+        yield _fold("By family, tag and dataset", table(over.grouped))
 
 
 def _drives(over: Overview, *, linked: bool) -> Iterator[str]:
@@ -149,7 +149,7 @@ def _drives(over: Overview, *, linked: bool) -> Iterator[str]:
     yield _raw_table(names, rows[:MAX_OPEN], right)
     if len(rows) > MAX_OPEN:
         more = f"{counted(len(rows) - MAX_OPEN, 'drive')} more, none of them worse"
-        yield _folded(more, _raw_table(names, rows[MAX_OPEN:], right))
+        yield _fold(more, _raw_table(names, rows[MAX_OPEN:], right))
     yield "\n".join(f"- {_text(line)}" for line in legend(over.columns))
 
 
@@ -184,7 +184,7 @@ def _frame(title: str, rows: pd.DataFrame, names: Sequence[str]) -> str:
         return str(cell) if not isinstance(cell, float) else f"{cell:.4g}" if isfinite(cell) else NOTHING
 
     table = _table(names, (map(value, row) for row in rows[list(names)].itertuples(index=False)))
-    return f"### {title}\n\n{table if len(rows) <= MAX_OPEN else _folded(f'{len(rows)} rows', table)}"
+    return f"### {title}\n\n{table if len(rows) <= MAX_OPEN else _fold(f'{len(rows)} rows', table)}"
 
 
 # Markdown ---------------------------------------------------------------------------------------------------------
@@ -221,9 +221,9 @@ def _list(title: str, lines: Sequence[str], level: int = 2) -> str:
     if not lines:
         return ""
     text = "\n".join(f"- {_text(line)}" for line in lines)
-    text = text if len(lines) <= MAX_OPEN else _folded(f"{len(lines)} lines", text)
+    text = text if len(lines) <= MAX_OPEN else _fold(f"{len(lines)} lines", text)
     return f"{'#' * level} {_text(title)}\n\n{text}"
 
 
-def _folded(title: str, text: str) -> str:
+def _fold(title: str, text: str) -> str:
     return f"<details>\n<summary>{title}</summary>\n\n{text}\n\n</details>"

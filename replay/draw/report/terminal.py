@@ -71,7 +71,7 @@ def print_report(over: Overview, console: Console, folder: Path, *, ending: bool
     parts += _shares(over)
     if over.ensembles:
         title = f"Ensemble: {len(over.fragile)} of {over.ensembles} verdicts are fragile"
-        parts += titled(title, *_listed(over.fragile, MAX_ROWS, "metrics.csv"))
+        parts += titled(title, *_indented_lines(over.fragile, MAX_ROWS, "metrics.csv"))
     parts += _list(BROKEN, over.broken, MAX_NOTES, "report.html")
     parts += _list("Notes", over.notes, MAX_NOTES, "summary.json")
     parts += _list(f"Could not be evaluated ({len(over.failures)})", over.failures, MAX_ROWS, "summary.json")
@@ -94,10 +94,10 @@ def print_ending(over: Overview, console: Console, folder: Path, place: str = ""
 
 def _list(title: str, lines: Sequence[str], most: int, rest: str = "") -> Iterator[RenderableType]:
     """A titled list; nothing if it has no lines."""
-    return titled(title, *_listed(lines, most, rest)) if lines else iter(())
+    return titled(title, *_indented_lines(lines, most, rest)) if lines else iter(())
 
 
-def _listed(lines: Sequence[str], most: int, rest: str = "") -> Iterator[RenderableType]:
+def _indented_lines(lines: Sequence[str], most: int, rest: str = "") -> Iterator[RenderableType]:
     """The lines, indented; the number of further lines, and the file that has them."""
     more = [f"{len(lines) - most} more{f': {rest}' if rest else ''}"] if len(lines) > most else []
     return (Padding(Text(line), (0, 0, 0, 2)) for line in (*lines[:most], *more))
@@ -185,13 +185,13 @@ def print_comparison(
             table.add_row(Text(row.log), row.mode, Text(row.what))
         unseen = comparison.not_looked_at
         aside = [Text(f"not searched in {counted(unseen, 'more drive')} that differ", style="dim")] if unseen else []
-        parts += _titled("First differences of drives", table, *aside)
+        parts += _title_lines("First differences of drives", table, *aside)
     if comparison.verdicts:
         table = grid("outcome", "rule", "what was found")
         for verdict in sorted(comparison.verdicts, key=lambda verdict: list(Outcome).index(verdict.outcome)):
             word = verdict.outcome.value
             table.add_row(Text(word.upper(), style=STYLES[word]), Text(verdict.rule), Text(verdict.reason))
-        parts += _titled("Rules", table)
+        parts += _title_lines("Rules", table)
     pairs = comparison.pairs
     count = len(pairs[["log", "planner", "mode"]].drop_duplicates())
     worse, better = int((pairs["worse"] > 0.0).sum()), int((pairs["worse"] < 0.0).sum())
@@ -205,14 +205,14 @@ def _rows(table: pd.DataFrame) -> Iterator[Any]:
     return iter(table.itertuples())
 
 
-def _titled(title: str, *parts: RenderableType) -> Iterator[RenderableType]:
+def _title_lines(title: str, *parts: RenderableType) -> Iterator[RenderableType]:
     return titled(title, *(Padding(part, (0, 0, 0, 2)) if isinstance(part, Text) else part for part in parts))
 
 
 def _flips(comparison: Comparison) -> Iterator[RenderableType]:
     flips = comparison.flips
     if flips.empty:
-        yield from _titled("Flips", Text("none: no verdict changed"))
+        yield from _title_lines("Flips", Text("none: no verdict changed"))
         return
     table = grid("log", "loop", "gate", "before", "after", "value", "at")
     for row in _rows(worst_flips(comparison).head(MOST_FLIPS)):
@@ -222,7 +222,7 @@ def _flips(comparison: Comparison) -> Iterator[RenderableType]:
         table.add_row(Text(row.log), row.mode, Text(row.gate), row.before, after, values, _time(row.time_s))
     count = {word: int((flips["after"] == word).sum()) for word in ("fail", "pass")}
     title = f"Flips: {count['fail']} to FAIL, {count['pass']} to pass, {len(flips) - sum(count.values())} others"
-    yield from _titled(title, table, *_more(len(flips), MOST_FLIPS), *map(Text, comparison.by_loop))
+    yield from _title_lines(title, table, *_further_lines(len(flips), MOST_FLIPS), *map(Text, comparison.by_loop))
 
 
 def _extremes(title: str, pairs: pd.DataFrame, command: str) -> Iterator[RenderableType]:
@@ -232,7 +232,9 @@ def _extremes(title: str, pairs: pd.DataFrame, command: str) -> Iterator[Rendera
     for row in _rows(pairs):
         values = f"{_number(row.baseline)} -> {_number(row.candidate)}{_unit(row.unit)}"
         table.add_row(Text(row.log), row.mode, Text(row.metric), values, _time(row.time_s), Text(row.reason))
-    yield from _titled(title, table, *([Text.assemble("Look at the first:  ", (command, "bold"))] if command else []))
+    yield from _title_lines(
+        title, table, *([Text.assemble("Look at the first:  ", (command, "bold"))] if command else [])
+    )
 
 
 def _groups(comparison: Comparison) -> Iterator[RenderableType]:
@@ -261,7 +263,7 @@ def _groups(comparison: Comparison) -> Iterator[RenderableType]:
         values = _number(row.baseline), _number(row.candidate)
         table.add_row(row.group, row.mode, row.metric, str(row.logs), *values, change, str(row.better), str(row.worse))
     note = Text("* more than chance over these logs (paired bootstrap, at least 6 logs)", style="dim")
-    yield from _titled("Means over the logs", table, *_more(len(shown), MOST_GROUPS), note)
+    yield from _title_lines("Means over the logs", table, *_further_lines(len(shown), MOST_GROUPS), note)
 
 
 def last_line(comparison: Comparison, *, alone: bool = True) -> str:
@@ -270,7 +272,7 @@ def last_line(comparison: Comparison, *, alone: bool = True) -> str:
     return f"Comparison: {OUTCOMES[comparison.exit_code].upper()}{code}"
 
 
-def _more(count: int, most: int) -> list[Text]:
+def _further_lines(count: int, most: int) -> list[Text]:
     return [Text(f"{count - most} more: --json", style="dim")] if count > most else []
 
 

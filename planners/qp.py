@@ -136,9 +136,11 @@ class QuadraticProgram:
         """Solve with new vectors; `fresh` forgets the last solution, so that the result depends on nothing before."""
         if not (lower <= upper).all():
             row = int(np.argmin(lower <= upper))
-            return self._unsolved(f"bounds [{lower[row]:.3g}, {upper[row]:.3g}] in row {row} cross or are not numbers")
+            return self._unsolved_result(
+                f"bounds [{lower[row]:.3g}, {upper[row]:.3g}] in row {row} cross or are not numbers"
+            )
         if not np.isfinite(q).all():
-            return self._unsolved("cost is not finite")
+            return self._unsolved_result("cost is not finite")
         q, lower, upper = self._scale * q, self._row_scale * lower, self._row_scale * upper
         if self._fast is None:
             return self._solve_surely(q, lower, upper, 0, fresh=fresh)
@@ -151,7 +153,7 @@ class QuadraticProgram:
         report = SolverReport(
             self._stage, solved, str(info.status), int(info.iter), float(info.prim_res), float(info.dual_res)
         )
-        result = self._checked(np.asarray(answer.x), report, lower, upper)
+        result = self._check_answer(np.asarray(answer.x), report, lower, upper)
         if result.report.solved:
             return result
         self._fast.warm_start(x=self._zero[0], y=self._zero[1])
@@ -177,9 +179,9 @@ class QuadraticProgram:
         report = SolverReport(
             self._stage, solved, name, spent + int(info.iter), float(info.primal_res), float(info.dual_res)
         )
-        return self._checked(np.array(found.x), report, lower, upper)
+        return self._check_answer(np.array(found.x), report, lower, upper)
 
-    def _checked(self, z: FloatArray, report: SolverReport, lower: FloatArray, upper: FloatArray) -> QPResult:
+    def _check_answer(self, z: FloatArray, report: SolverReport, lower: FloatArray, upper: FloatArray) -> QPResult:
         """The answer to a scaled problem, not solved where a bound is violated by more than the tolerance."""
         if report.solved:
             value = self._rows @ z
@@ -190,5 +192,5 @@ class QuadraticProgram:
                 report = replace(report, solved=False, status=status)
         return QPResult(self._scale * z, report)
 
-    def _unsolved(self, status: str) -> QPResult:
+    def _unsolved_result(self, status: str) -> QPResult:
         return QPResult(self._zero[0], SolverReport(self._stage, False, status, 0, np.nan, np.nan))

@@ -27,12 +27,12 @@ MIN_REST_S = 3.0
 
 def trajectory_along(path: Path, profile: FloatArray, t: float) -> Trajectory:
     """The trajectory of a speed profile, rows s, v, a `(3, n)` every 0.1 s from time `t`, along a path."""
-    rows = _driven(path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile), t)
+    rows = _trajectory_rows(path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile), t)
     return Trajectory.of_rows(rows)
 
 
 @kernel
-def _driven(
+def _trajectory_rows(
     sigma: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, kappa: FloatArray, profile: FloatArray, t: float
 ) -> FloatArray:
     """`trajectory_along` as rows t, x, y, yaw, v, a, kappa `(7, n)`."""

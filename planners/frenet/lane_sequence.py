@@ -63,7 +63,7 @@ class LaneSequences:
     def of(self, lane: int) -> LaneSequence:
         """The sequence that a lane belongs to."""
         if lane not in self._sequences:
-            sequence = self._made(lane)
+            sequence = self._make_sequence(lane)
             for each in sequence.lanes[sequence.lanes.index(lane) :]:
                 self._sequences.setdefault(each, sequence)
         return self._sequences[lane]
@@ -84,7 +84,7 @@ class LaneSequences:
                 found.append((side, self.of(other)))
         return tuple(found)
 
-    def _made(self, lane: int) -> LaneSequence:
+    def _make_sequence(self, lane: int) -> LaneSequence:
         """The sequence of a lane: on towards the goal, or straight on where no successor leads there; and behind it."""
         onward, length = [lane], 0.0
         while length < BEYOND_M:

@@ -186,7 +186,7 @@ def make_line(
             groups[-1].append(road.lanes[now])
         else:
             groups.append([road.lanes[now]])
-    points = thinned(np.vstack([_blended(group, ego if i == 0 else None) for i, group in enumerate(groups)]), 1.0)
+    points = thinned(np.vstack([_blend_centers(group, ego if i == 0 else None) for i, group in enumerate(groups)]), 1.0)
     across = (road.lanes[lane].left - road.lanes[lane].right for lane in lanes)
     width = min(float(np.median(np.hypot(*each.T))) for each in across)
     line = ReferenceLine.through(smooth_points(points))
@@ -233,7 +233,7 @@ def smooth_points(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: fl
     return raw + across * normal + along * tangent
 
 
-def _blended(group: list[Lane], ego: EgoState | None) -> FloatArray:
+def _blend_centers(group: list[Lane], ego: EgoState | None) -> FloatArray:
     """The centre line of lanes side by side: from the first to the last, over as much of their length as is left."""
     if len(group) == 1:
         return group[0].center
@@ -316,9 +316,9 @@ def _own_lane(
         limit = np.where(under, np.fmin(limit, road.limit(lane)), limit)
     floor = 0.5 * HALF_LANE_M
     return (
-        np.maximum(_filled(left, HALF_LANE_M), floor),
-        np.minimum(_filled(right, -HALF_LANE_M), -floor),
-        _filled(limit, road.default_speed_limit),
+        np.maximum(_fill_nan(left, HALF_LANE_M), floor),
+        np.minimum(_fill_nan(right, -HALF_LANE_M), -floor),
+        _fill_nan(limit, road.default_speed_limit),
     )
 
 
@@ -337,7 +337,7 @@ def _one_lane_further(edge: FloatArray, beside: list[tuple[FloatArray, FloatArra
     return moved
 
 
-def _filled(values: FloatArray, default: float) -> FloatArray:
+def _fill_nan(values: FloatArray, default: float) -> FloatArray:
     """NaN replaced by the nearest known values, linearly between them; all NaN: the default."""
     known = np.isfinite(values)
     if not known.any():

@@ -233,7 +233,7 @@ class Sampler:
         counts[Fault.NONE] = 0
         fit = faults == Fault.NONE
         kept = Longitudinal(*(column[fit] for column in lon))
-        return self._paired(ego, futures, kept, motion[fit], offsets, wanted, counts)
+        return self._pair_candidates(ego, futures, kept, motion[fit], offsets, wanted, counts)
 
     def _keeping(self, ego: Ego, wanted: float, aim: float) -> list[Row]:
         """Polynomials to speeds up to the wanted one, also the ego's own; rests, from gentle to as hard as allowed.
@@ -276,7 +276,7 @@ class Sampler:
                         rows.append((c3, c4, c5, T, v1, config.time_gap_s * v1 - time_gap, track))
         return rows
 
-    def _paired(
+    def _pair_candidates(
         self, ego: Ego, futures: Futures, lon: Longitudinal, motion: FloatArray, offsets: FloatArray, wanted: float,
         faults: IntArray,
     ) -> Pairs:  # fmt: skip
@@ -396,10 +396,10 @@ def artefacts(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
             passed[scene.frame.agents.ids[i]] = Decision(scene.frame.agents.ids[i], kind, "path", reason)
     decided = tuple(passed.values())
     costs = CostTerms("lattice", tuple(zip(COST_PARTS, chosen.pairs.costs[:, chosen.pair].tolist(), strict=True)))
-    return (_sl_graph(chosen, decided), *_along(chosen, config), *decided, costs)
+    return (_sl_graph(chosen, decided), *_graph_along(chosen, config), *decided, costs)
 
 
-def _along(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
+def _graph_along(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
     """The S-T graph along the planned path, and who is followed, let go first or driven ahead of."""
     scene, at, futures = chosen.scene, chosen.at, chosen.futures
     way, d = path_through(at[0], at[1], at[2], at[5]), np.arange(1.0, 30.0)

@@ -240,7 +240,7 @@ class Rulebook:
             i = int(np.argmin(np.where(in_way, rears, inf)))
             visit.leader = float(rears[i]), float(scene.speed[i]), i
         rear, speed, _ = visit.leader
-        sooner, later = (self._driven(scene.s, scene.v, at_first) for at_first in (max(accel, 0.0), accel))
+        sooner, later = (self._drive_profile(scene.s, scene.v, at_first) for at_first in (max(accel, 0.0), accel))
         if isfinite(rear):  # not into the one ahead
             behind = rear - front - ROOM_M + speed * STEP_S * np.arange(HORIZON_KNOTS)
             for motion in (sooner, later):
@@ -288,7 +288,7 @@ class Rulebook:
             since.pop(zone.name, None)
         return zone.name in since and frame.t - since[zone.name] >= self._config.patience_s - TIE
 
-    def _driven(self, s: float, v: float, a: float) -> FloatArray:
+    def _drive_profile(self, s: float, v: float, a: float) -> FloatArray:
         stations = self._reference.line.s
         first = max(int(np.searchsorted(stations, s)) - 1, 0)
         ahead = stations[first:] - s
@@ -320,7 +320,7 @@ class Rulebook:
         inf where within the horizon it does not.
         """
         hold = next(each for each in zone.holds if each >= visit.scene.front)
-        go = self._driven(hold - self._vehicle.axle_to_front, 0.0, 0.0)
+        go = self._drive_profile(hold - self._vehicle.axle_to_front, 0.0, 0.0)
         fastest = float(np.interp(hold, self._reference.line.s, self._limit))
         enters, leaves = (zone.s_in - hold) / max(fastest, 1.0), self._passage(zone, hold, go)[1]
         arrives = _when(motion, hold - visit.scene.front)

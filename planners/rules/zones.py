@@ -372,7 +372,7 @@ def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[Window]:
             if lane_id == priority.lane.id:
                 yield from _passage(priority, i, frame)
             rows, size = np.flatnonzero(futures.agent == i), np.array([agents.length[i], agents.width[i]])
-            touches = _touched(priority.boxes, futures.x[rows], futures.y[rows], futures.yaw[rows], size)
+            touches = _boxes_touched(priority.boxes, futures.x[rows], futures.y[rows], futures.yaw[rows], size)
             if futures.probability[rows][touches.any(axis=1)].sum() >= UNLIKELY:  # (3)
                 for mine in touches:
                     yield from _span(mine, futures.t - frame.t, i, frame)
@@ -406,7 +406,7 @@ def _span(taken: BoolArray, ahead: FloatArray, i: int, frame: Frame) -> Iterator
 
 
 @kernel
-def _touched(boxes: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, size: FloatArray) -> BoolArray:
+def _boxes_touched(boxes: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, size: FloatArray) -> BoolArray:
     """Which boxes at `(n, k)` poses of one size (length, width) overlap any of the `boxes` `(m, 5)`."""
     out = np.zeros(x.shape, np.bool_)
     for i in range(x.shape[0]):

@@ -68,7 +68,7 @@ def _near_miss_pet(log: DrivenLog) -> Iterator[Event]:
 
 def _ego_yields(log: DrivenLog) -> Iterator[Event]:
     for one, i, j in _conflicts(log):
-        slowed = _slowed(log.ego.v, log.station, j, i) if j < i else -1
+        slowed = _step_of_slowing(log.ego.v, log.station, j, i) if j < i else -1
         if slowed >= 0:
             yield Event(float(log.t[slowed]), float(log.t[i]), float(log.t[i] - log.t[j]), (one.id,))
 
@@ -81,12 +81,12 @@ def _ego_is_yielded_to(log: DrivenLog) -> Iterator[Event]:
             continue
         way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(one.pose[:2], axis=1)))]
         first = int(np.searchsorted(one.k, i))
-        slowed = _slowed(one.speed, way, min(first, at), at)
+        slowed = _step_of_slowing(one.speed, way, min(first, at), at)
         if slowed >= 0:
             yield Event(float(log.t[one.k[slowed]]), float(log.t[j]), float(log.t[j] - log.t[i]), (one.id,))
 
 
-def _slowed(v: FloatArray, way: FloatArray, first: int, at: int) -> int:
+def _step_of_slowing(v: FloatArray, way: FloatArray, first: int, at: int) -> int:
     """The step at which the second one begins to slow down for the first one, -1 where it does not.
 
     Args:

@@ -162,7 +162,7 @@ class DrivenLog:
         self.station = _own_stations(self.path.s, self.path.coef, self.ego.x, self.ego.y)
         self.front = self.station + self.car.front
         self.back = self.front - self.car.length
-        self.neighbours = tuple(self._near())
+        self.neighbours = tuple(self._near_agents())
 
     @cached_property
     def accel(self) -> FloatArray:
@@ -198,7 +198,7 @@ class DrivenLog:
         inside = (at > 0) & (at < len(front))
         return np.where(inside, self.t[np.minimum(at, len(self.t) - 1)], np.nan)
 
-    def _near(self) -> Iterator[Neighbour]:
+    def _near_agents(self) -> Iterator[Neighbour]:
         """The road users that come within `NEAR_M`."""
         tracks = without_phantoms(self.scenario.tracks, phantoms(self.scenario))
         for i, span, others in in_spans(tracks, self.t):

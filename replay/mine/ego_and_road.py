@@ -117,7 +117,7 @@ def in_roundabout(road: Road, lane: Lane) -> bool:
     return False
 
 
-def _mapped(log: DrivenLog) -> bool:
+def _has_map(log: DrivenLog) -> bool:
     return log.scenario.road.source is RoadSource.LANES
 
 
@@ -132,7 +132,7 @@ def _hard_braking(log: DrivenLog) -> Iterator[Event]:
 
 
 def _lane_change(log: DrivenLog) -> Iterable[Event] | Unavailable:
-    if not _mapped(log):
+    if not _has_map(log):
         return NO_LANES
     found, road, lanes = [], log.scenario.road, stays(log)
     for before, now in pairwise(lanes):
@@ -181,7 +181,7 @@ def _lines_on_way(log: DrivenLog) -> Iterator[tuple[StopLine, float]]:
 
 
 def _unprotected_turn(log: DrivenLog) -> Iterable[Event] | Unavailable:
-    if not _mapped(log):
+    if not _has_map(log):
         return NO_LANES
     road, found = log.scenario.road, []
     lights = [s for line, s in _lines_on_way(log) if line.light is not None]
@@ -200,7 +200,7 @@ def _unprotected_turn(log: DrivenLog) -> Iterable[Event] | Unavailable:
 
 
 def _merge(log: DrivenLog) -> Iterable[Event] | Unavailable:
-    if not _mapped(log):
+    if not _has_map(log):
         return NO_LANES
     road, found = log.scenario.road, []
     into: dict[int, list[Lane]] = {}
@@ -233,7 +233,7 @@ def _merge(log: DrivenLog) -> Iterable[Event] | Unavailable:
 
 
 def _roundabout(log: DrivenLog) -> Iterable[Event] | Unavailable:
-    if not _mapped(log):
+    if not _has_map(log):
         return NO_LANES
     flags = np.zeros(len(log.t), np.bool_)
     for stay in stays(log):

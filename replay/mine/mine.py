@@ -108,7 +108,7 @@ def mine(
     Raises:
         ConfigError: A kind or planner is unknown.
     """
-    _loaded(kinds)
+    _load_kinds(kinds)
     job = partial(mine_log, run=run, kinds=tuple(kinds), planners=tuple(planners))
     sources = selection.sources
     if workers == 0:
@@ -170,7 +170,7 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
         return _not_mined(source.label, f"{source.label}: a bug in replan: {raised(error)}")
     not_asked, failures, rows = [], [], []
     log = DrivenLog(scenario) if len(scenario.ego) > 1 else None
-    for kind in _loaded(kinds):
+    for kind in _load_kinds(kinds):
         if log is None:
             not_asked.append(f"{kind.name}: the log holds one ego state only: there is no drive")
             continue
@@ -207,7 +207,7 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
     return MinedLog(scenario.name, row, pd.DataFrame(rows, columns=names_of(EVENTS)), findings, tuple(failures))
 
 
-def _loaded(kinds: Sequence[str]) -> tuple[EventKind, ...]:
+def _load_kinds(kinds: Sequence[str]) -> tuple[EventKind, ...]:
     """The built-in kinds and those that are named; ConfigError where one is unknown, or has the name of another."""
     return (*KINDS.values(), *(EVENT_KIND.find(name) for name in kinds if name not in KINDS))
 

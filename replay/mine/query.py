@@ -193,12 +193,12 @@ def cut_logs(folder: Path, found: Sequence[Moment], out: Path) -> Iterator[Path]
     for last, one, name in zip([None, *found], found, names, strict=False):
         if scenario is None or last is None or last.log != one.log:
             scenario = scenario_of(folder, logs.loc[one.log].to_dict(), settings)
-        part = _part(scenario, one)
+        part = _cut_moment(scenario, one)
         write_scenario(out / name, part)
         yield out / name
 
 
-def _part(scenario: Scenario, one: Moment) -> Scenario:
+def _cut_moment(scenario: Scenario, one: Moment) -> Scenario:
     """The moment as a scenario of its own, with its origin."""
     begin = max(one.begin, float(scenario.ego.t[0]))
     end = min(one.end, scenario.duration)

@@ -181,11 +181,11 @@ def judged(results: Results, log: str, gates: Sequence[Gate], planner: str, agai
 
 def robustness(gates: Sequence[Gate], values: Mapping[str, float]) -> float:
     """(5) of a drive's values by metric; NaN where no gate has one."""
-    near = [(1.0 + within) ** -POWER for gate in gates if isfinite(within := _within(gate, values))]
+    near = [(1.0 + within) ** -POWER for gate in gates if isfinite(within := _margin_within(gate, values))]
     return 1.0 - float((sum(near) / len(near)) ** (1.0 / POWER)) if near else nan
 
 
-def _within(gate: Gate, values: Mapping[str, float]) -> float:
+def _margin_within(gate: Gate, values: Mapping[str, float]) -> float:
     """M of (5); NaN: the gate is left out."""
     name, _, reduced = gate.metric.rpartition(".")
     value, bound = values.get(gate.metric, nan), gate.max if gate.min is None else gate.min
@@ -317,7 +317,9 @@ class Drives:
         """As `replay.search.mildest.Evaluate`; points that the study holds are not driven again."""
         new = [point for point in points if self._study.known(_key(point)) is None]
         if new:
-            self._study.add(self._row(point, part, case) for point, case in zip(new, self._driven(new), strict=True))
+            self._study.add(
+                self._row(point, part, case) for point, case in zip(new, self._drive_points(new), strict=True)
+            )
         rows = [self._study.known(_key(point)) or {} for point in points]
         self.rows += [{"trial": len(self.rows) + k, **row} for k, row in enumerate(rows)]
         first = self.rows[0]
@@ -341,7 +343,7 @@ class Drives:
             "gates": "; ".join(case.gates), "why": case.why, "end": case.end,
         }  # fmt: skip
 
-    def _driven(self, points: Sequence[Point]) -> list[Case]:
+    def _drive_points(self, points: Sequence[Point]) -> list[Case]:
         """What came of points that are driven now."""
         asked = self._question
         shutil.rmtree(self._scratch, ignore_errors=True)

@@ -61,16 +61,16 @@ def falsify_figure(table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mappin
                 picture.plot(along, across, color="#555555", lw=0.8, ls="--", label="as far as that")
             for end in (along.min(), along.max()) if second is None else ():
                 picture.axvline(end, color="#555555", lw=0.8, ls="--")
-        picture.set(xlabel=first.label, xlim=_padded(first), title=title)
+        picture.set(xlabel=first.label, xlim=_padded_range(first), title=title)
         if second is None:
             picture.set_yticks([])
         else:
-            picture.set(ylabel=second.label, ylim=_padded(second))
+            picture.set(ylabel=second.label, ylim=_padded_range(second))
         figure.legend(loc="outside lower left", ncols=2, fontsize=8)
         return figure
 
 
-def _padded(axis: SearchAxis) -> tuple[float, float]:
+def _padded_range(axis: SearchAxis) -> tuple[float, float]:
     room = 0.03 * (axis.high - axis.low)
     return axis.low - room, axis.high + room
 

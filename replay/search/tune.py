@@ -184,7 +184,7 @@ def tune(
                 file = Path(logs.places[scenario.name])
                 file.parent.mkdir(exist_ok=True)
                 write_scenario(file, scenario)
-        return _tuned(plan, logs, study, _Driver(out, engine, resume), say)
+        return _run_search(plan, logs, study, _Driver(out, engine, resume), say)
 
 
 # logs -------------------------------------------------------------------------------------------------------------
@@ -251,7 +251,7 @@ class _Driver:
 # trials -----------------------------------------------------------------------------------------------------------
 
 
-def _tuned(plan: Plan, logs: Logs, study: Study, driver: _Driver, say: Callable[[str], None]) -> Tuned:
+def _run_search(plan: Plan, logs: Logs, study: Study, driver: _Driver, say: Callable[[str], None]) -> Tuned:
     say(f"{counted(len(logs.training), 'training log')}, {len(logs.held)} held out; first the defaults")
     names, where = logs.training, logs.at(logs.training)
     default = measured(driver.kept(where, plan.driven, "training"), names, plan.objectives)
@@ -286,7 +286,7 @@ def _tuned(plan: Plan, logs: Logs, study: Study, driver: _Driver, say: Callable[
     points = table.loc[table["feasible"], columns].to_numpy(float)
     table["pareto"] = False
     table.loc[table["feasible"], "pareto"] = [not is_dominated(point, points) for point in points]
-    result = _judged(plan, logs, table, scales(default.values), driver, say)
+    result = _judge_held_out(plan, logs, table, scales(default.values), driver, say)
     _write(result, default)
     return result
 
@@ -294,7 +294,7 @@ def _tuned(plan: Plan, logs: Logs, study: Study, driver: _Driver, say: Callable[
 # the end ----------------------------------------------------------------------------------------------------------
 
 
-def _judged(
+def _judge_held_out(
     plan: Plan, logs: Logs, table: pd.DataFrame, scale: np.ndarray, driver: _Driver, say: Callable[[str], None]
 ) -> Tuned:
     """Choose, and drive the held-out logs with the chosen settings and the defaults."""

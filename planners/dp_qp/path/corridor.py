@@ -7,7 +7,7 @@ corners stay in the bounds widened by half its width. They are built in named st
                     width, and 1 - kappa l >= MIN_REGULAR: short of the centre of a turn
 (2) `_for_the_nose` wider where the ego's nose needs it in a sharp turn
 (3) `_towards`      within the sides of the goal region, as near to them as it goes
-(4) `_widened`      where the ego is outside the lane: holding a quintic from its state back into it
+(4) `_widen_bounds`      where the ego is outside the lane: holding a quintic from its state back into it
 (5) `loosen_bounds` to the reach (8) of comfortable steering, where a bound asks for more; of hard steering where
                     comfort would leave the road's room by more than `FORCED_M` and that leaves it by less
 
@@ -140,8 +140,8 @@ def road_ahead(
                 along[LIMIT, i], along[KAPPA, i] = road.limit[i], road.kappa[i]
     _for_the_nose(points)
     _towards(points, sides, standing)
-    _widened(points[S], points[LOWER], points[UPPER], ego.start)
-    _widened(points[S], points[LEAST], points[MOST], ego.start)
+    _widen_bounds(points[S], points[LOWER], points[UPPER], ego.start)
+    _widen_bounds(points[S], points[LEAST], points[MOST], ego.start)
     references, rows = loosen_bounds(along, points, points[LOWER], points[UPPER], np.empty(0), ego, step, middle)
     return RoadAhead(along, points, references, rows)
 
@@ -236,7 +236,7 @@ def _at(s: float, stations: FloatArray, values: FloatArray) -> float:
 
 
 @inner_kernel
-def _widened(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArray) -> None:
+def _widen_bounds(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArray) -> None:
     """(4) in place, of bounds `(points, n)` at stations of that shape, for a start as of `Ego`."""
     l0, dl0, ddl0, speed = start[1], start[2], start[3], start[4]
     ahead = l0 + dl0 * min(5.0, 0.5 * speed)

@@ -144,7 +144,7 @@ def pass_targets(
     for i in who:
         spare = 0.0 if agents.ids[i] in passed else SPARE_S
         ego = Passer(t, stations, scene.s, car.axle_to_front, car.rear_overhang, spare)
-        (s_from, s_to, l_from, l_to), (begin, end), places = _boxed(
+        (s_from, s_to, l_from, l_to), (begin, end), places = _boxes_along(
             line.s, line.coef, line.yaw, futures, i, (agents.length[i], agents.width[i]), ego
         )
         if isfinite(begin):
@@ -169,7 +169,7 @@ class Passer(NamedTuple):
 
 
 @kernel
-def _boxed(
+def _boxes_along(
     knots: FloatArray, coef: FloatArray, line_yaw: FloatArray, futures: Futures, agent: int,
     size: tuple[float, float], ego: Passer,
 ) -> tuple[tuple[float, float, float, float], tuple[float, float], FloatArray]:  # fmt: skip

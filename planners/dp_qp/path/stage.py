@@ -146,7 +146,7 @@ class PathStage:
         program = task.program
         grid, decisions = self._sides(scene, task, way, memory.sides)
         self._lap("path DP")
-        found = self._solved(task, way.obstacles, decisions)
+        found = self._solve_within_bounds(task, way.obstacles, decisions)
         self._lap("path QP")
         path, shift = None, 0.0
         if found.offsets is not None:  # to where it is to wait, if it can stop there, or turns beyond the lock
@@ -194,7 +194,9 @@ class PathStage:
         problem = program.stated(start[1:4], road.references, road.rows)
         return _Task(program, ego, road, space, problem), way, standing
 
-    def _solved(self, task: _Task, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...]) -> _Found:
+    def _solve_within_bounds(
+        self, task: _Task, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...]
+    ) -> _Found:
         """The path within the bounds, else out of them as little as can be; then without those that it cannot clear."""
         config, car = self._config.corridor, self._vehicle
         reports: tuple[SolverReport, ...] = ()

@@ -345,7 +345,7 @@ def hidden_beside(
     points = np.column_stack([x.ravel(), y.ravel()])
     everywhere = replace(view, range=inf, field_of_view=2.0 * pi, shadows=shadows)
     boxes = np.column_stack([agents.x, agents.y, agents.yaw, 0.5 * agents.length, 0.5 * agents.width])
-    hides = (everywhere.hides(points) & ~_occupied(points, boxes)).reshape(x.shape)
+    hides = (everywhere.hides(points) & ~_points_in_boxes(points, boxes)).reshape(x.shape)
     return [
         Hidden(float(path.sigma[at[i]]), float(np.abs(side[row]).min() - 0.5 * vehicle.width))
         for i, row in enumerate(hides)
@@ -354,7 +354,7 @@ def hidden_beside(
 
 
 @kernel
-def _occupied(points: FloatArray, boxes: FloatArray) -> BoolArray:
+def _points_in_boxes(points: FloatArray, boxes: FloatArray) -> BoolArray:
     """Which of the points `(k, 2)` lie in a box `(n, 5)`: x, y, yaw, half length, half width."""
     out = np.zeros(len(points), np.bool_)
     for i in range(len(boxes)):

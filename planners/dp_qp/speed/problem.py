@@ -144,7 +144,7 @@ def build_problem(
     times, at = STEP_S * np.arange(settings.knots), np.empty(len(taken.t))
     if n + len(stops) > 0 and (is_drawn or moves or not waits):
         cost, chosen = _search(v_limit, sigma, taken, start, time_gap, settings, inf if is_drawn else LIKELY)
-        s_dp = _resampled(STEP_S, settings.knots, DT_S * np.arange(len(chosen)), DS_M * chosen)
+        s_dp = _resample(STEP_S, settings.knots, DT_S * np.arange(len(chosen)), DS_M * chosen)
     for k in range(len(at)):
         at[k] = interpolated(taken.t[k], times, s_dp)
     kinds = decide(lower, upper, taken.speed, taken.pace, at)
@@ -172,7 +172,7 @@ def _free(sigma: FloatArray, v_limit: FloatArray, start: tuple[float, float], se
 
 
 @inner_kernel
-def _resampled(step: float, n: int, xp: FloatArray, fp: FloatArray) -> FloatArray:
+def _resample(step: float, n: int, xp: FloatArray, fp: FloatArray) -> FloatArray:
     """`fp` over `xp` at 0, step, 2 step ... `(n,)`."""
     out = np.empty(n)
     for i in range(n):
@@ -188,7 +188,7 @@ def _search(
     """Cost of the speed DP's grid and its solution: no gap is wanted beyond that of the stops."""
     t, lower, upper, speed, stops = taken.t, taken.lower, taken.upper, taken.speed, taken.stops
     rows = int(sigma[-1] / DS_M + 1e-6) + 1
-    limit = _resampled(DS_M, rows, sigma, v_limit)
+    limit = _resample(DS_M, rows, sigma, v_limit)
     wanted, columns = (settings.standstill_gap, time_gap), settings.columns
     per_column = max(1, round(DT_S / (t[1] - t[0]))) if len(t) > 1 else 1
     occupancy = cost_map(rows, lower, upper, speed, settings.gap, wanted, settings.w_near)

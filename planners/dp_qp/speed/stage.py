@@ -161,7 +161,7 @@ class SpeedStage:
         limits = PathLimits(path.sigma, path.kappa, own.v, limit.v, limit.is_bound, limit.v is not own.v)
         stops = np.array([(stop.s_from, stop.until) for stop in task.stops]) if task.stops else NO_STOPS
         way = _Way(view, limits, limit.decisions, stops, taken, memory)
-        planned, unlikely = self._believed(way, found)
+        planned, unlikely = self._plan_with_doubt(way, found)
         solved = planned.solved
         chosen = ChosenSpeed(
             solved.profile, solved.reason, solved.unavoidable, planned.built.free_m, solved.reports,
@@ -170,15 +170,15 @@ class SpeedStage:
         waits = frozenset(scene.frame.agents.ids[who] for who in planned.blocks.agent[planned.built.kinds == YIELD])
         return chosen, SpeedMemory(solved.is_full, came, waits)
 
-    def _believed(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries]:
+    def _plan_with_doubt(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries]:
         """The speed that keeps to the rows as far as they are believed (`doubt`), and the rows that do not bind."""
         if not len(found):
-            return self._planned(way, found), found
+            return self._plan_within(way, found), found
         scene = way.view.scene
         p = doubt.weights(scene, way.view.path, found)
         binds = p >= doubt.CERTAIN
         is_sure = bool(binds.all())
-        planned = self._planned(way, found if is_sure else found.only(binds))
+        planned = self._plan_within(way, found if is_sure else found.only(binds))
         solved = planned.solved
         if is_sure and not solved.reason:
             return planned, found.only(~binds)
@@ -196,11 +196,11 @@ class SpeedStage:
             qp, gap = self._config.qp, self._config.dp.gap_m + TOLERANCE
             stop = qp.comfort.braking((scene.v, scene.start.a), qp.knots, share=RESERVE)[0]
             rows = doubt.relax_rows(found, eased, np.interp(found.t, self._times, stop), gap)
-            planned = self._planned(way, rows.only(binds | eased), found.agent[binds & ~eased])
+            planned = self._plan_within(way, rows.only(binds | eased), found.agent[binds & ~eased])
         binds |= eased
         return planned, replace(found, probability=p).only(~binds)
 
-    def _planned(self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None) -> _Planned:
+    def _plan_within(self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None) -> _Planned:
         """The speed that keeps to these boundaries; those of the agents `sure` (None: all) with other margins, too.
 
         Who would be overtaken by a profile that does not stay clear of them is yielded to: the DP knows nothing of

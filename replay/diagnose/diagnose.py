@@ -28,7 +28,7 @@ from logs.trace import PlannedFrame
 from replay.config import RunConfig, dump_run
 from replay.diagnose.changes import Change, ChangedRun, cause_of, changed_runs, driven
 from replay.diagnose.drives import MODE, Driven, as_driven, drive_again, failed_gates, parting, passes
-from replay.diagnose.failure import AHEAD_S, Beside, Failure, Foreseen, lane_change
+from replay.diagnose.failure import AHEAD_S, DriveDifference, Failure, Foresight, lane_change
 from replay.diagnose.findings import AS_IT_WAS, Diagnosis, Found
 from replay.diagnose.remedy import Remedy, smallest_change
 from replay.explain.causes import accounts
@@ -247,8 +247,8 @@ class _Trials:
         if not row["passes"]:
             return {**row, "parts": {}}
         was, now, until = self._drive_of(name), made.drive(file), base["time_s"]
-        beside = Beside.of(was.trace, now.trace, inf if until is None else until)
-        return {**row, "parts": parting(was, now), "beside": asdict(beside)}
+        difference = DriveDifference.of(was.trace, now.trace, inf if until is None else until)
+        return {**row, "parts": parting(was, now), "difference": asdict(difference)}
 
     def found(self, name: str, runs: Sequence[ChangedRun]) -> Found:
         """What all changes show of a drive."""
@@ -257,28 +257,28 @@ class _Trials:
         passing = tuple(change for change, answer in answers.items() if answer["passes"])
         cause = cause_of(runs, passing, base["fragile"], avoidable=base["avoidable"])
         shows = answers[cause.changes[0]] if cause.changes else {"parts": {}}
-        beside, parts = Beside(**shows.get("beside", {})), shows["parts"]
+        difference, parts = DriveDifference(**shows.get("difference", {})), shows["parts"]
         time, beyond = (nan if base[key] is None else base[key] for key in ("time_s", "beyond"))
 
         frames, last = drive.trace.frames, float(drive.trace.ego.t[-1])
-        told = list(accounts(drive.trace, drive.scenario, drive.result.run.drive_loop))
+        explained = list(accounts(drive.trace, drive.scenario, drive.result.run.drive_loop))
         at = parts.get("t_s", time)
         k = _frame_at(frames, at)
-        because = Explanation.of(frames[k], told[k], bounds=False).because if frames and isfinite(at) else ()
+        because = Explanation.of(frames[k], explained[k], bounds=False).because if frames and isfinite(at) else ()
         kind, _, agent = base["about"].partition(" ")
         known = kind in {one.value for one in AgentKind} and agent in drive.trace.agents.ids
-        begun = None if beside.brakes_s is None or not frames else told[_frame_at(frames, beside.brakes_s)]
+        begun = None if difference.brakes_s is None or not frames else explained[_frame_at(frames, difference.brakes_s)]
         fails = time if isfinite(time) else last
         seen = (
             max(fails - AHEAD_S, frames[0].t if frames else 0.0)
-            if beside.would_brake_s is None
-            else beside.would_brake_s
+            if difference.would_brake_s is None
+            else difference.would_brake_s
         )
         failure = Failure(
             base["gates"][0], base["metric"], drive.scenario.short_names(base["about"]) if known else "",
-            lane_change(drive.trace, fails), beside,
+            lane_change(drive.trace, fails), difference,
             begun is not None and any(one.who == agent for one in begun.causes),
-            Foreseen.of(drive.trace, agent, seen) if known else Foreseen(),
+            Foresight.of(drive.trace, agent, seen) if known else Foresight(),
         )  # fmt: skip
         first = because[0] if because else ""
         return Found(name, tuple(base["gates"]), time, beyond, cause, failure, parts, first, passing)

@@ -83,7 +83,7 @@ OUTCOMES = {
 
 
 @dataclass(frozen=True)
-class Beside:
+class DriveDifference:
     """The failing drive beside the one that passes: equations (1) to (5); None: there is none.
 
     Attributes:
@@ -103,7 +103,7 @@ class Beside:
     would_hardest_mps2: float = 0.0
 
     @classmethod
-    def of(cls, failing: Trace, passing: Trace, until: float) -> Beside:
+    def of(cls, failing: Trace, passing: Trace, until: float) -> DriveDifference:
         """Compare two drives of one log up to a time (inf: to the end of the shorter)."""
         f, p = failing.ego, passing.ego
         last = min(until, float(f.t[-1]), float(p.t[-1]))
@@ -128,7 +128,7 @@ class Beside:
         return cls(*(None if one is None else round(one, 6) for one in numbers))  # type: ignore[arg-type]
 
     @property
-    def deed(self) -> tuple[str, str]:
+    def behaviour(self) -> tuple[str, str]:
         """What F does otherwise than P, and the numbers of that; empty: nothing that is known."""
         does, would = self.brakes_s, self.would_brake_s
         if would is not None and self.ahead_m > APART_M:
@@ -162,7 +162,7 @@ def _braking(ego: Trajectory, since: float, until: float) -> float | None:
 
 
 @dataclass(frozen=True)
-class Foreseen:
+class Foresight:
     """What the planner was shown of a road user, and what the prediction said (5); None: not known.
 
     Attributes:
@@ -184,7 +184,7 @@ class Foreseen:
     off_m: float = 0.0
 
     @classmethod
-    def of(cls, trace: Trace, who: str, at: float) -> Foreseen:
+    def of(cls, trace: Trace, who: str, at: float) -> Foresight:
         """What the frame at a time held of a road user of the trace."""
         frame = next((one for one in reversed(trace.frames) if one.t <= at + SAME_S), None)
         if frame is None or who not in trace.agents.ids or frame.predictions is None:
@@ -233,18 +233,18 @@ class Failure:
         metric: See there.
         who: Kind and short name of the road user that this is about: "pedestrian 17"; "": none.
         lane: "left" or "right": the lane change that is under way then; "": none.
-        beside: It beside the drive that passes.
+        difference: How it differs from the drive that passes.
         brakes_for: Whether its plan names the road user as a reason to slow down when it begins to brake.
-        foreseen: What the planner was shown of the road user.
+        foresight: What the planner was shown of the road user.
     """
 
     gate: str
     metric: str
     who: str = ""
     lane: str = ""
-    beside: Beside = Beside()
+    difference: DriveDifference = DriveDifference()
     brakes_for: bool = False
-    foreseen: Foreseen = Foreseen()
+    foresight: Foresight = Foresight()
 
     @property
     def kind(self) -> str:
@@ -254,21 +254,21 @@ class Failure:
     @property
     def details(self) -> str:
         """The road user by name, and the numbers."""
-        who = ": ".join(filter(None, (self.who, self.foreseen.error[1])))
-        return "; ".join(filter(None, (who, self.beside.deed[1])))
+        who = ": ".join(filter(None, (self.who, self.foresight.error[1])))
+        return "; ".join(filter(None, (who, self.difference.behaviour[1])))
 
     @property
     def sentence(self) -> str:
         """It without names and numbers, for all drives of which the same can be said."""
         template = OUTCOMES.get(self.metric.partition(".")[0], f"fails {self.gate}")
-        deed, them = self.beside.deed[0], "it" if self.kind == "object" else "them"
-        who = f"{'an' if self.kind == 'object' else 'a'} {self.kind}{self.foreseen.error[0]}" if self.who else SOMEONE
+        behaviour, them = self.difference.behaviour[0], "it" if self.kind == "object" else "them"
+        who = f"{'an' if self.kind == 'object' else 'a'} {self.kind}{self.foresight.error[0]}" if self.who else SOMEONE
         lane = f" while changing to the {self.lane} lane" if self.lane else ""
-        if not deed:
+        if not behaviour:
             return f"{template.replace('{}', who)}{lane}"
-        if self.who and (deed == BRAKES[0] or (self.brakes_for and deed in BRAKES)):
-            return f"{deed} for {who}, and {template.replace('{}', them)}{lane}"
-        return f"{deed}, and {template.replace('{}', who)}{lane}"
+        if self.who and (behaviour == BRAKES[0] or (self.brakes_for and behaviour in BRAKES)):
+            return f"{behaviour} for {who}, and {template.replace('{}', them)}{lane}"
+        return f"{behaviour}, and {template.replace('{}', who)}{lane}"
 
 
 def lane_change(trace: Trace, at: float) -> str:

@@ -80,9 +80,9 @@ def test_the_planted_cause_is_named_and_the_table_holds_what_is_said(found: Path
     assert cause.startswith("  Cause: comfort bound; passes with the planner's default limits")
     assert "collision_at_fault.count <= 0" in cause
     (one,) = said["drives"]
-    beside = one["failure"]["beside"]
-    assert f"{-beside['hardest_mps2']:.1f} m/s² instead of {-beside['would_hardest_mps2']:.1f} m/s²" in place
-    assert beside["hardest_mps2"] > -0.6 and one["failure"]["who"] == "car wall" and "car wall" in place
+    difference = one["failure"]["difference"]
+    assert f"{-difference['hardest_mps2']:.1f} m/s² instead of {-difference['would_hardest_mps2']:.1f} m/s²" in place
+    assert difference["hardest_mps2"] > -0.6 and one["failure"]["who"] == "car wall" and "car wall" in place
     assert drives.loc[0, "happens"] == said["clusters"][0]["happens"] == happens.partition(": ")[2].rstrip(".")
     assert (found / "changes" / "default_limits_idm" / "metrics.parquet").is_file()
 

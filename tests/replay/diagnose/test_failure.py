@@ -20,9 +20,9 @@ from replay.diagnose.failure import (
     MISSED_M,
     OUTCOMES,
     STAYS_M,
-    Beside,
+    DriveDifference,
     Failure,
-    Foreseen,
+    Foresight,
     lane_change,
 )
 
@@ -43,8 +43,8 @@ LOG = scenario(AS_LOGGED)
 """Six seconds straight on."""
 
 
-def beside(failing: Trajectory, passing: Trajectory, until: float = inf) -> Beside:
-    return Beside.of(drive(LOG, failing), drive(LOG, passing), until)
+def compared_drives(failing: Trajectory, passing: Trajectory, until: float = inf) -> DriveDifference:
+    return DriveDifference.of(drive(LOG, failing), drive(LOG, passing), until)
 
 
 @given(st.floats(0.5, 3.0), st.floats(-0.5, 2.0), st.floats(1.0, 4.0), st.floats(0.2, 1.0), st.floats(-3.0, 3.0))
@@ -52,22 +52,22 @@ def test_late_weak_and_missing_braking_are_what_the_drives_do(
     at: float, late: float, decel: float, share: float, turn: float
 ) -> None:
     passing, failing = braked(at, decel), braked(at + late, share * decel)
-    found = beside(failing, passing)
-    deed = found.deed[0]
-    if deed:
+    found = compared_drives(failing, passing)
+    behaviour = found.behaviour[0]
+    if behaviour:
         assert found.would_brake_s == pytest.approx(at, abs=0.02) and found.ahead_m > 0.0
-    if deed.startswith("brakes"):
+    if behaviour.startswith("brakes"):
         assert found.brakes_s == pytest.approx(at + late, abs=0.02)
         assert found.hardest_mps2 == pytest.approx(-share * decel, abs=1e-6)
-    assert deed != "brakes late" or late > LATE_S - 0.02
-    assert deed != "brakes too weakly" or share < 1.0
-    assert deed != "does not brake" or share * decel <= 0.5
+    assert behaviour != "brakes late" or late > LATE_S - 0.02
+    assert behaviour != "brakes too weakly" or share < 1.0
+    assert behaviour != "does not brake" or share * decel <= 0.5
     failed, passed = (drive(moved(LOG, turn, 3.0, 4.0), moved_ego(one, turn, 3.0, 4.0)) for one in (failing, passing))
-    assert Beside.of(failed, passed, inf).deed[0] == deed, "wherever the scene lies"
+    assert DriveDifference.of(failed, passed, inf).behaviour[0] == behaviour, "wherever the scene lies"
 
 
 @pytest.mark.parametrize(
-    ("failing", "passing", "until", "deed", "numbers"),
+    ("failing", "passing", "until", "behaviour", "numbers"),
     [
         (braked(3.0, 4.0), braked(2.0, 4.0), inf, "brakes late", "brakes at 3.0 s instead of 2.0 s"),
         (braked(3.0, 4.0), braked(2.0, 4.0), 2.9, "brakes late", "brakes at 3.0 s instead of 2.0 s"),
@@ -80,9 +80,9 @@ def test_late_weak_and_missing_braking_are_what_the_drives_do(
     ],
 )  # fmt: skip
 def test_a_deed_and_its_numbers(
-    failing: Trajectory, passing: Trajectory, until: float, deed: str, numbers: str
+    failing: Trajectory, passing: Trajectory, until: float, behaviour: str, numbers: str
 ) -> None:
-    assert beside(failing, passing, until).deed == (deed, numbers)
+    assert compared_drives(failing, passing, until).behaviour == (behaviour, numbers)
 
 
 def shown(speed: float, predicted: float, off: float = 0.0, *, seen: bool = True) -> Trace:
@@ -102,7 +102,7 @@ def shown(speed: float, predicted: float, off: float = 0.0, *, seen: bool = True
 
 @given(st.floats(0.0, 2.0), st.floats(0.0, 2.0), st.floats(-2.0, 2.0), st.booleans())
 def test_what_is_said_of_a_prediction_is_what_it_was(speed: float, predicted: float, off: float, seen: bool) -> None:
-    found = Foreseen.of(shown(speed, predicted, off, seen=seen), "ped 7", 1.3)
+    found = Foresight.of(shown(speed, predicted, off, seen=seen), "ped 7", 1.3)
     words, numbers = found.error
     assert bool(words) == bool(numbers)
     if not seen:
@@ -121,12 +121,12 @@ def test_what_is_said_of_a_prediction_is_what_it_was(speed: float, predicted: fl
 
 def test_of_someone_who_is_not_there_nothing_is_known() -> None:
     trace = shown(1.0, 0.0)
-    assert Foreseen.of(trace, "car 3", 1.0) == Foreseen.of(trace, "ped 7", 0.5) == Foreseen()
-    assert Foreseen().error == Beside().deed == ("", "")
+    assert Foresight.of(trace, "car 3", 1.0) == Foresight.of(trace, "ped 7", 0.5) == Foresight()
+    assert Foresight().error == DriveDifference().behaviour == ("", "")
 
 
-LATE = beside(braked(3.0, 4.0), braked(2.0, 4.0))
-STOOD = Foreseen.of(shown(1.0, 0.0), "ped 7", 1.0)
+LATE = compared_drives(braked(3.0, 4.0), braked(2.0, 4.0))
+STOOD = Foresight.of(shown(1.0, 0.0), "ped 7", 1.0)
 ANY = Failure("collision_at_fault.count <= 0", "collision_at_fault.count")
 
 
@@ -135,15 +135,15 @@ ANY = Failure("collision_at_fault.count <= 0", "collision_at_fault.count")
     [
         ({}, "collides with a road user"),
         ({"who": "object 3"}, "collides with an object"),
-        ({"who": "pedestrian 7", "foreseen": STOOD}, "collides with a pedestrian predicted to stand"),
-        ({"who": "pedestrian 7", "foreseen": STOOD, "beside": LATE},
+        ({"who": "pedestrian 7", "foresight": STOOD}, "collides with a pedestrian predicted to stand"),
+        ({"who": "pedestrian 7", "foresight": STOOD, "difference": LATE},
          "brakes late, and collides with a pedestrian predicted to stand"),
-        ({"who": "pedestrian 7", "foreseen": STOOD, "beside": LATE, "brakes_for": True},
+        ({"who": "pedestrian 7", "foresight": STOOD, "difference": LATE, "brakes_for": True},
          "brakes late for a pedestrian predicted to stand, and collides with them"),
         ({"who": "car 23f7", "lane": "left"}, "collides with a car while changing to the left lane"),
         ({"metric": "needless_standing.worst_episode"}, "stands although the road is free"),
-        ({"metric": "red_light.count", "beside": LATE, "brakes_for": True}, "brakes late, and runs a red light"),
-        ({"metric": "lon_jerk_state.worst_episode", "who": "pedestrian 7", "beside": LATE, "brakes_for": True},
+        ({"metric": "red_light.count", "difference": LATE, "brakes_for": True}, "brakes late, and runs a red light"),
+        ({"metric": "lon_jerk_state.worst_episode", "who": "pedestrian 7", "difference": LATE, "brakes_for": True},
          "brakes late for a pedestrian, and accelerates or brakes too abruptly"),
         ({"metric": "my.metric", "gate": "my.metric < 3"}, "fails my.metric < 3"),
     ],
@@ -151,7 +151,7 @@ ANY = Failure("collision_at_fault.count <= 0", "collision_at_fault.count")
 def test_the_sentence_of_a_failure(changes: dict[str, object], sentence: str) -> None:
     found = replace(ANY, **changes)  # type: ignore[arg-type]
     assert found.sentence == sentence
-    assert found.who in found.details and found.beside.deed[1] in found.details
+    assert found.who in found.details and found.difference.behaviour[1] in found.details
 
 
 def test_every_gate_of_ours_has_words_and_no_others_have() -> None:

@@ -187,6 +187,10 @@ FAMILIES = (
             {"ego_speed_mps": 8.0, "clusters": 80.0, "duration_s": 25.0}, "static", _clusters),
 )  # fmt: skip
 TRUE: Mapping[str, Callable[[Parameters], Scenario]] = {
-    f"raw/{scene.__name__[1:]}": scene for scene in (_crossing, _queue, _parked_rows, _rider, _clusters)
+    "raw/crossing": _crossing,
+    "raw/queue": _queue,
+    "raw/parked": _parked_rows,
+    "raw/rider": _rider,
+    "raw/clusters": _clusters,
 }
 """The scenes as they are, by the name of their family."""

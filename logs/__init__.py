@@ -1,4 +1,4 @@
-"""What was driven: the shared nouns, and logs in and out.
+"""Logs: the shared data classes, readers and writers.
 
 Frames: world W (unsuffixed), `_ego` (x forward, y left), `_frenet` (s along, l left). The ego's reference point is its
 rear axle, an agent's the centre of its box. SI units inside; units stand in names only at the edges (files, options,
@@ -9,7 +9,7 @@ tables). Time: integer nanoseconds in logs and loops, seconds since the scenario
     Agents        the others at one instant        Tracks        the others over time
     Frame         what a planner may know          Predictions   the others' assumed futures
     Plan          what a planner answers           Command       steering and pedals
-    Trace         a drive: a log that we drove
+    Trace         one drive of one planner
     Road, Lane, Goal, ReferenceLine                where
     StopLine, Crosswalk, TrafficLight, Colour      where to stop, and for what
     VehicleParameters                              with what
@@ -76,7 +76,7 @@ _FROM = {name: module for module, names in _NAMES.items() for name in names.spli
 
 
 def __getattr__(name: str) -> Any:
-    """A noun, from the module that defines it."""
+    """Import a name from its module on first use."""
     if name not in _FROM:
         return replan.own.missing("logs")(name)
     globals()[name] = value = getattr(import_module(_FROM[name]), name)

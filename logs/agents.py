@@ -1,4 +1,4 @@
-"""Road users: what they are, where they are at one instant; raw detections, and how tracks were made of them."""
+"""Road users at one instant, raw detections, and what a repair changed when it made tracks of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from logs.scenario import Tracks
 
 OLDEST_S = 10.0
-"""Ages are not counted beyond this."""
+"""The greatest age, s; older agents get this age."""
 _UNKNOWN = frozen(np.empty(0))
 _UNCODED = frozen(np.empty(0), np.int64)
 
@@ -35,7 +35,7 @@ class AgentKind(Enum):
 
     @property
     def is_vulnerable(self) -> bool:
-        """Pedestrians and riders."""
+        """Whether it is a pedestrian or a rider."""
         return self in (AgentKind.PEDESTRIAN, AgentKind.BICYCLE, AgentKind.MOTORCYCLE)
 
 
@@ -49,7 +49,7 @@ _CODE = {kind: code for code, kind in enumerate(AgentKind)}
 
 
 def codes_of(kinds: tuple[AgentKind, ...]) -> IntArray:
-    """The kinds as numbers, `(n,)`: places in `AgentKind`, by which `among` picks."""
+    """The codes of the kinds, `(n,)`: their positions in `AgentKind`. `among` takes them as an index."""
     return frozen([_CODE[kind] for kind in kinds], np.int64)
 
 
@@ -68,13 +68,13 @@ class Agents:
         length: Of the box; `width` likewise.
         x: Of the box's centre; `y` likewise; `yaw` of the box, counter-clockwise from x.
         vx: Velocity in the world, not in the box; `vy` likewise.
-        yaw_rate: rad/s; 0 where it is not known, and of pedestrians, who turn on the spot. `accel` likewise: rate of
+        yaw_rate: rad/s; 0 if unknown, and 0 for pedestrians, who turn on the spot. `accel` likewise: rate of
             the speed, m/s2. Left out: all 0.
         age: s since the agent was first seen, at most `OLDEST_S`; NaN where that is not known: of those who never
-            move, and of those who were there when the scenario began. Left out: all NaN, as the next two columns.
+            move, and of those who were there when the scenario began. Default: all NaN, like the next two columns.
         unseen: s since the agent's last sample, 0 at a sample; NaN of those who never move.
         velocity_sigma: Standard deviation of vx and of vy, m/s; NaN where perception does not state it.
-        codes: `kinds` as numbers (`codes_of`, which makes them where they are left out).
+        codes: `kinds` as numbers; default: `codes_of(kinds)`.
     """
 
     ids: tuple[str, ...]
@@ -130,7 +130,7 @@ _COLUMNS = tuple(each.name for each in fields(Agents))
 NUMBERS = _COLUMNS[2:-1]
 """The columns of floats, in their order."""
 OPTIONAL = ("age", "unseen", "velocity_sigma")
-"""Those of them that are NaN where they are not known."""
+"""The columns that are NaN where unknown; the others are 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +198,7 @@ class Detections:
 
     @cached_property
     def tracked(self) -> Tracked:
-        """The road users as they could be known at each time; made at the first use."""
+        """The tracks that were known at each time, computed on first use."""
         from logs.repair.tracker import tracked
 
         return tracked(self)
@@ -246,7 +246,7 @@ class Repair:
         extended: Per sample of the repaired tracks `(m,)`: before the first or after the last detection of its track.
             Gaps between two detections are filled and not marked.
         changes: In order of the repaired tracks, then of the removed ones.
-        tracks: What they became; those of a scenario are these, unless traffic or a variation changed them since.
+        tracks: The repaired tracks. A scenario has the same object unless traffic or a variation replaced it.
 
     Raises:
         ValueError: `extended` is not of these tracks.

@@ -1,15 +1,14 @@
-"""The one decorator of compiled kernels, and where their machine code is kept.
+"""The decorators of compiled kernels, and where their machine code is kept.
 
 A kernel is a pure module-level function of scalars and arrays. `kernel` compiles it with numba: cached on disk, IEEE
 arithmetic (no fastmath), division by zero gives inf or nan as in NumPy. `NUMBA_DISABLE_JIT=1` runs the same source as
 plain Python.
 
 Machine code is kept in `NUMBA_CACHE_DIR`, else in `__pycache__` beside the sources, else in the user's cache folder. A
-wheel may bring some in `__pycache__` (`./dev wheel`). It belongs to the line where a kernel begins, to versions of
-Python and numba, to a processor (`PORTABLE`), and to a hash (`stamp`) of all that it depends on: the kernel's code, the
-kernels that it calls, and constants of modules. Numba itself compares the kernel's own file only. The kernels that it
-calls are compiled into it, and so are the values of the modules' constants: when those change, numba would go on with
-machine code of the old ones, in a cache that outlives an installation just as in a checkout.
+wheel may bring some in `__pycache__` (`./dev wheel`). It is valid for one start line of the kernel, one version of
+Python and numba, one processor (`PORTABLE`), and one hash (`stamp`) of everything that it depends on: the kernel's
+code, the kernels that it calls, and module constants. Numba compares only the kernel's own file, although it compiles
+called kernels and module constants into the code; when those change, numba would run stale machine code.
 """
 
 from __future__ import annotations
@@ -52,8 +51,9 @@ def stamp(kernel: Any) -> str:
 
 
 def _parts_of_kernel(function: FunctionType, seen: set[Any]) -> Iterator[str]:
-    """A function's code, and what its global names stand for; kernels in `seen` are left out, and added to it."""
-    yield f"{function.__module__}.{function.__qualname__} {_as_text(function.__defaults__)}"  # it is loaded from there
+    """Yield a function's code and the values of its globals; kernels in `seen` are skipped, new ones added."""
+    # machine code is found by this name
+    yield f"{function.__module__}.{function.__qualname__} {_as_text(function.__defaults__)}"
     yield from (_as_text(each) for each in _hinted_classes(function.__annotations__, function.__globals__))
     for code in _codes(function.__code__):
         yield f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {[_as_text(c) for c in code.co_consts]}"
@@ -77,7 +77,7 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 
 def _hinted_classes(hints: dict[str, Any], names: dict[str, Any]) -> Iterator[type]:
-    """The classes that annotations name: a kernel's machine code has the places of their fields."""
+    """The classes that annotations name: a kernel's machine code depends on the layout of their fields."""
     for hint in hints.values():
         text = getattr(hint, "__forward_arg__", hint)
         found = [names.get(word) for word in _WORD.findall(text)] if isinstance(text, str) else [text]
@@ -85,7 +85,7 @@ def _hinted_classes(hints: dict[str, Any], names: dict[str, Any]) -> Iterator[ty
 
 
 def _as_text(value: Any) -> str:
-    """A value in words that change where it does, and are the same in every process."""
+    """Text that changes when the value changes and is the same in every process."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, frozenset):
@@ -109,12 +109,12 @@ def _as_text(value: Any) -> str:
 
 
 class KernelIndex(IndexDataCacheFile):
-    """Numba's index of a kernel's machine code on disk, which is fresh where `stamp` is the same.
+    """Numba's index of a kernel's machine code on disk, valid while `stamp` is unchanged.
 
-    A file of machine code is named by all that it is for. Numba numbers the files of a kernel: where two processes
-    compile it at once for different arguments, the one's code may end under the other's number, and is run as that.
+    A file of machine code is named by a hash of its stamp and argument types. Numba numbers the files instead: two
+    processes that compile a kernel for different arguments at once may overwrite each other's file.
 
-    What its folder does not have may lie beside the source, where a wheel brought it.
+    Code that is missing in the folder may be beside the source, where a wheel installed it.
     """
 
     def __init__(self, kernel: Any, folder: str | None = None) -> None:
@@ -126,15 +126,15 @@ class KernelIndex(IndexDataCacheFile):
         self._beside = None if beside == self._cache_path else KernelIndex(kernel, beside)
 
     def load(self, key: Any) -> Any:
-        """The machine code of one kind of arguments, as numba kept it; None: there is none."""
+        """The stored machine code for one argument signature, or None."""
         try:
             found = super().load(key)  # type: ignore[no-untyped-call]
-        except ModuleNotFoundError:  # the module of a kernel that was compiled into it has moved since
+        except ModuleNotFoundError:  # it contains a kernel whose module has moved
             found = None
         return self._beside.load(key) if found is None and self._beside else found
 
     def holds(self, processor: Any) -> bool:
-        """Whether there is any for a processor (numba's `magic_tuple`)."""
+        """Whether there is machine code for a processor (numba's `magic_tuple`)."""
         kept = self._load_index()
         return any(key[1] == processor for key in kept) or (self._beside is not None and self._beside.holds(processor))
 
@@ -145,7 +145,7 @@ class KernelIndex(IndexDataCacheFile):
             return {}
 
     def save(self, key: Any, data: Any) -> None:
-        """Keep the machine code of one kind of arguments; what is kept of another `stamp` is removed."""
+        """Store the machine code for one argument signature, and delete code with another `stamp`."""
         kept = self._load_index()
         if not kept:
             self._clear()
@@ -159,11 +159,11 @@ class KernelIndex(IndexDataCacheFile):
 
     @property
     def _source_stamp(self) -> str:
-        return stamp(self._kernel)  # asked when it is first used: by then all that it calls is there
+        return stamp(self._kernel)  # computed on first use, when everything that the kernel calls is defined
 
     @_source_stamp.setter
     def _source_stamp(self, _: object) -> None:
-        """Numba's own is not asked."""
+        """Ignored: numba sets its own stamp here."""
 
 
 FloatArray = NDArray[np.floating[Any]]
@@ -176,16 +176,17 @@ TIE = 1e-6
 """Lengths (m), times (s), angles, ratios and costs that differ by less are equal where something is decided.
 
 Far above rounding and far below any measurement. Round figures are common in maps and scenarios, so decisions
-must not have their edges on them: comparisons lean by this to the side that their code states.
+must not have their edges on them: each comparison is shifted by this, in the direction that its code shows.
 """
 
 PORTABLE = "x86-64-v3"
 """The processor that kernels are compiled for where the machine has it and the user chose none (`NUMBA_CPU_NAME`).
 
-Intel since Haswell (2013), AMD since Excavator (2015). Their machine code may be shipped, and is the same on each.
+Intel since Haswell (2013), AMD since Excavator (2015). Machine code for it can be shipped and gives the same results on
+all of them.
 """
 PORTABLE_HAS = frozenset({"+avx2", "+bmi", "+bmi2", "+f16c", "+fma", "+lzcnt", "+movbe", "+xsave"})
-"""What it has beyond x86-64-v2, in LLVM's words (x86-64 psABI 1.0, table 3.1)."""
+"""Its features beyond x86-64-v2, by LLVM's names (x86-64 psABI 1.0, table 3.1)."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -204,7 +205,7 @@ if (
 
 
 class _ShippedLocator(caching.InTreeCacheLocator):
-    """Beside the source, to be read: the last of all places, where none can be written and a wheel brought kernels."""
+    """Finds kernels of a wheel beside the source, read-only; used if no folder is writable."""
 
     def ensure_cache_path(self) -> None:
         if next(Path(self.get_cache_path()).glob("*.nbi"), None) is None:  # type: ignore[no-untyped-call]
@@ -217,15 +218,15 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inner_kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """A kernel that only kernels call: compiled without the code that takes Python's objects apart.
+    """A kernel that only kernels call: compiled without the code that unpacks Python objects.
 
-    For a small one whose arguments are named tuples, that is most of what there is to compile.
+    For a small kernel with named tuples as arguments, that code takes most of the compilation.
     """
     return _compile_kernel(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 def _compile_kernel(function: Callable[P, R], **unlisted: Any) -> Callable[P, R]:
-    """With its machine code on disk where it can be kept; `unlisted`: numba knows them, its types do not."""
+    """Compile, and cache the machine code on disk if possible; `unlisted`: options that numba's type stubs lack."""
     options: Any = {"error_model": "numpy", **unlisted}
     try:
         compiled = njit(cache=True, **options)(function)
@@ -282,8 +283,7 @@ cast("Any", event).register("numba:compile", _NoCollection())
 def _check_folder(folder: str) -> None:
     """Make sure of a folder for machine code; OSError if it is of no use.
 
-    It must be one that can be written, but for a `NUMBA_CACHE_DIR` with kernels: of that, reading is enough (an image
-    whose file system is read-only).
+    It must be writable. A `NUMBA_CACHE_DIR` that holds kernels need only be readable (a read-only container image).
     """
     chosen = _CONFIG.CACHE_DIR
     if chosen and Path(folder).is_relative_to(chosen) and next(Path(folder).glob("*.nbi"), None) is not None:
@@ -293,12 +293,12 @@ def _check_folder(folder: str) -> None:
 
 
 cast("Any", caching)._CacheLocator.ensure_cache_path = lambda self: _check_folder(self.get_cache_path())
-"""As numba has it, but once a folder and not once a kernel."""
+"""Like numba's check, but once per folder and not once per kernel."""
 cast("Any", caching).CacheImpl._locator_classes.append(_ShippedLocator)
 
 
 def cold() -> bool:
-    """Whether the disk has no machine code for this processor of any kernel that is imported."""
+    """Whether the disk holds no machine code for this processor, for any imported kernel."""
     return bool(_STORED) and not any(
         each._cache._cache_file.holds(each.targetctx.codegen().magic_tuple()) for each in _STORED
     )

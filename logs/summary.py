@@ -1,6 +1,6 @@
-"""What a log holds, over which time, and what is missing for which evaluation.
+"""What a log holds, when it was recorded, and which evaluations it allows.
 
-Works in part on damaged and foreign files: the topics up to the damage, and the error that reading the log would give.
+Works partly on damaged and foreign files: the topics up to the damage, and the error that reading the log would give.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Whether an evaluation is possible, and what it rests on or what is missing."""
+    """Whether an evaluation is possible, and the data that it uses or lacks."""
 
     name: str
     possible: bool

@@ -1,7 +1,8 @@
-"""Was it good? (Trace, Scenario) -> table.
+"""Measures a drive with metrics: (Trace, Scenario) -> table.
 
-`evaluate` gives the table, `series` the same numbers step by step. A metric is added in one file (vocabulary:
-`metrics/metric.py`) and one line of METRICS; a user's own comes from outside: `load_metric("my_package.mine:METRIC")`.
+`evaluate` gives the table, `series` the same numbers step by step. To add a metric, define it in one file with the
+types of `metrics/metric.py` and list it in GROUPS. A metric of your own stays outside:
+`load_metric("my_package.mine:METRIC")`.
 """
 
 from __future__ import annotations
@@ -127,9 +128,9 @@ def evaluate(
 
     `metric` is "gap.min" or, with a part, "ade.3s.mean". Where `available` is False, `value` is NaN and `reason` says
     why; else `reason` names what the value is about ("car 12: from behind"), with short names (`logs.names`), and
-    `about` is that road user or thing alone, with the whole id ("car 12"); both may be empty. `time_s` is when the
-    value occurred, NaN where it belongs to no instant. A metric that raises is unavailable where `broken` is given,
-    which is then called; else the error is raised. `found` is called with each series and its name.
+    `about` is only the name of that road user or object, with the whole id ("car 12"); both may be empty. `time_s` is
+    when the value occurred, NaN where it belongs to no instant. If a metric raises, `broken` is called and the metric
+    is unavailable; without `broken` the error is raised. `found` is called with each series and its name.
     """
     return as_table(rows_of(trace, scenario, metrics=metrics, broken=broken, found=found))
 
@@ -160,7 +161,7 @@ def evaluate_with_series(
 
 
 def as_table(rows: Sequence[tuple[object, ...]]) -> pd.DataFrame:
-    """Rows of `rows_of` as a table; of several drives in one go, which costs less than to join their tables."""
+    """The rows of `rows_of` as a table. One call for several drives is cheaper than joining their tables."""
     columns = {name: [row[k] for row in rows] for k, name in enumerate(COLUMNS)}
     return pd.DataFrame({**columns, **{name: np.array(columns[name], np.float64) for name in ("value", "time_s")}})
 
@@ -173,12 +174,16 @@ def rows_of(
     broken: Broken | None = None,
     found: Callable[[str, Series], None] = lambda name, series: None,
 ) -> list[tuple[object, ...]]:
-    """The rows of `evaluate`. What is a phantom is left out for all metrics."""
-    ours = all(METRICS.get(name) is metric for name, metric in metrics.items())  # none looks at graphs or predictions
+    """The rows of `evaluate`. All metrics ignore phantom agents."""
+    ours = all(
+        METRICS.get(name) is metric for name, metric in metrics.items()
+    )  # no built-in metric reads graphs or predictions
     frames = light(trace.frames) if ours else trace.frames
     agents = without_phantoms(trace.agents, phantoms(scenario))
     changed = agents is not trace.agents or frames is not trace.frames
-    judged = replace(trace, agents=agents, frames=frames) if changed else trace  # what was measured of it is known
+    judged = (
+        replace(trace, agents=agents, frames=frames) if changed else trace
+    )  # an unchanged trace keeps its cached measurements
     drive, short = (scenario.name, trace.planner, trace.mode.value, trace.oracle), scenario.short_names
     rows: list[tuple[object, ...]] = []
     for metric in metrics.values():
@@ -206,7 +211,7 @@ def rows_of(
 
 
 def _report_error(metric: Metric, function: Callable[..., object], error: BaseException, broken: Broken | None) -> str:
-    """The reason of an error in a metric's function, after a call of `broken`; without `broken` it is raised again."""
+    """Call `broken` and return the reason of an error in a metric's function; without `broken`, raise it again."""
     if broken is None:
         raise error
     reason = raised(error, of=function)
@@ -218,7 +223,7 @@ def _reduce(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, fl
     """The columns value, available, reason (with whole ids) and time_s.
 
     Raises:
-        Exception: What the reduction raises; ValueError: it names a step that is not there.
+        Exception: The error of the reduction; a ValueError if it returns a step that does not exist.
     """
     if isinstance(steps, Unavailable):
         return nan, False, steps.reason, nan
@@ -235,7 +240,7 @@ def _reduce(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, fl
 
 
 METRIC: Kind[Metric] = Kind("metric", "metrics", METRICS, an_instance(Metric, "metrics.Metric"))
-"""Those of ours, and of users."""
+"""Finds metrics by name: the built-in ones and those of users."""
 
 
 def load_metric(spec: str) -> Metric:
@@ -243,5 +248,5 @@ def load_metric(spec: str) -> Metric:
     return METRIC.find(spec)
 
 
-if not TYPE_CHECKING:  # a type checker would take any name for one of ours
+if not TYPE_CHECKING:  # with `__getattr__` visible, a type checker would accept any name of this package
     __getattr__ = replan.own.missing("metrics")

@@ -12,7 +12,7 @@ J. Geodesy 85, 2011, equations 7 to 12 and 35), phi latitude, lam longitude from
     and every 2,000 km to the north (the letters of WGS 84 grids: DMA TM 8358.1)
 (6) tangent plane: east and north of the place's own Cartesian frame, at the ellipsoid's height
 
-What files call it: Lanelet2's and Autoware Mini's UTM with origin and Autoware's LocalCartesianUTM are "utm LAT, LON";
+Names in files: Lanelet2's and Autoware Mini's UTM with origin and Autoware's LocalCartesianUTM are "utm LAT, LON";
 Autoware's MGRS is the square's name; CARLA's towns are "tmerc 0, 0".
 """
 
@@ -98,7 +98,7 @@ class Projection:
     """How a map's latitudes and longitudes become its plane coordinates.
 
     Attributes:
-        kind: "utm", "tmerc" or "enu", all less the origin's own coordinates; "mgrs".
+        kind: "utm", "tmerc" or "enu", each minus the coordinates of the origin; "mgrs".
         origin: Latitude and longitude, degrees; None: "utm" and "mgrs" are not shifted, their zone is the map's.
         square: Of "mgrs" ("54SUE"); "": the one of the map's first point.
         scale: Of "tmerc" along its meridian.
@@ -143,7 +143,7 @@ def projection_named(text: str) -> Projection:
     """The projection that a text names (`FORMS`).
 
     Raises:
-        LogError: It names none.
+        LogError: The text names no projection.
     """
     text = text.strip()
     place, square = _PLACE.fullmatch(text), _SQUARE.fullmatch(text.upper())

@@ -1,11 +1,12 @@
-"""Logs out: a Scenario as a native MCAP file.
+"""Writes a Scenario as a native MCAP file.
 
-Same scenario, same bytes. Messages are encoded one by one and wait in a file for their turn, so that a long drive takes
-no more memory than a short one. Beside the native messages a file may hold protobuf messages on topics of their own,
-for viewers (`replay.draw.foxglove`); no reader of replan looks at them. The file is written under a temporary name
-beside its place and renamed, so that a killed writer leaves no half log; chunks are small, so that it loses little.
+The same scenario gives the same bytes. Messages are encoded one by one and wait in a file for their turn, so that a
+long drive takes no more memory than a short one. Beside the native messages a file may hold protobuf messages on topics
+of their own, for viewers (`replay.draw.foxglove`); no reader of replan looks at them. The file is written under a
+temporary name beside its place and renamed, so that a killed writer leaves no half log; chunks are small, so that it
+loses little.
 Times become integer nanoseconds: reading returns the identical scenario if its times are whole nanoseconds (and |t| is
-below 26 days). A repair is left out where the tracks were changed since: then it is none of theirs.
+below 26 days). A repair is not written if the tracks changed after it.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ SPOOL_BYTES = 16 * 2**20
 BLOCK = 100
 """Samples of a block: a second of a drive, so that a killed writer loses little."""
 COLUMNS = ("x", "y", "yaw", "vx", "vy")
-"""Of the samples of other road users."""
+"""The columns of samples of other road users."""
 Entry = tuple[int, str, msgspec.Struct | Message]
 """Log time (ns), topic, message."""
 
@@ -149,7 +150,7 @@ def scenario_records(scenario: Scenario, *, version: int = native.WITHOUT_BLOCKS
 
 
 def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[Entry]:
-    """The messages of a scenario, topic by topic; ego and controls in blocks, if so wanted."""
+    """The messages of a scenario, topic by topic; ego and controls in blocks if `blocks` is set."""
     start = scenario.start_ns
     vehicle = {name: _finite_all(value, f"vehicle {name}") for name, value in asdict(scenario.vehicle).items()}
     yield start, "/vehicle", native.Vehicle(**vehicle)
@@ -199,7 +200,7 @@ def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
 
 
 def check(values: FloatArray, topic: str, name: str) -> None:
-    """NaN stands for missing.
+    """Check that no value is infinite; NaN means missing.
 
     Raises:
         LogError: A value is infinite.
@@ -217,7 +218,7 @@ def column(values: FloatArray, topic: str, name: str) -> list[float]:
 
 
 def finite(value: float, name: str) -> float:
-    """The number.
+    """Return the number if it is finite.
 
     Raises:
         LogError: It is not finite.
@@ -258,7 +259,7 @@ def _tracks(
     tracks: Tracks, start_ns: int, topics: tuple[str, str, str] = ("/agents/table", "/obstacles", "/agents"), *,
     extended: BoolArray | None = None,
 ) -> Iterator[Entry]:  # fmt: skip
-    """Tracks on the topics of who they are, of those that never move, and of the others."""
+    """Tracks on three topics: agent table, obstacles, moving agents."""
     if not len(tracks):
         return
     table, still, moving = topics
@@ -284,7 +285,7 @@ def _tracks(
 
 
 def _detections(found: Detections, start_ns: int) -> Iterator[Entry]:
-    """A message a frame."""
+    """One message per frame."""
     for name in ("length", "width", "vx", "vy", "score"):
         check(getattr(found, name), "/detections", name)
     times = log_times(found.frames, start_ns, "/detections")
@@ -299,7 +300,7 @@ def _detections(found: Detections, start_ns: int) -> Iterator[Entry]:
 
 
 def table_of(tracks: Tracks) -> native.AgentTable:
-    """Who they are."""
+    """The table of ids, kinds and sizes of tracks."""
     sizes = tracks.length.tolist(), tracks.width.tolist()
     return native.AgentTable(list(tracks.ids), list(tracks.kinds), *sizes, tracks.static.tolist())
 

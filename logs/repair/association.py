@@ -1,7 +1,7 @@
-"""Which detection of a frame belongs to which track so far: one piece of code for the offline repair and the tracker.
+"""Which detection of a frame belongs to which track so far: used by the offline repair and by the tracker.
 
 (1) m = e' S^-1 e with the detection's offset e from where the track should be by now and its covariance S; a detection
-    beyond `GATE`, or farther than its group reaches, is another object
+    beyond `GATE`, or farther away than the `REACH` of its group, is another object
 (2) cost = m + ln det S + `OTHER_GROUP` if the group differs + `OTHER_SIZE` |ln of the sizes' ratio|: the frame's
     detections are assigned to the tracks with the least sum (Hungarian method)
 
@@ -27,12 +27,15 @@ joined without them began with a step above 2.5 m, 18 % sideways."""
 REACH = frozen([4.0, 1.5, 1.5])
 """A detection farther from where a track should be is another object, m; Autoware's gates are 2 m."""
 GATE = 13.8
-"""Chi squared with 2 degrees of freedom, 0.999."""
+"""The 99.9 % quantile of chi squared with 2 degrees of freedom."""
 OTHER_GROUP, OTHER_SIZE, MOST_GROWTH, SIZE_MEMORY = 6.0, 2.0, 1.2, 0.8
-"""Clusters may become persons and back; vehicles join only vehicles. Sizes within a factor of e^1.2."""
+"""A cluster may become a person and a person a cluster; a vehicle stays a vehicle.
+
+Sizes may differ by a factor of up to e^`MOST_GROWTH`.
+"""
 AGE_S, YOUNG_AGE_S, YOUNG = 2.0, 0.35, 3
-"""A track ends when it was not seen for `AGE_S`, one of up to `YOUNG` detections for `YOUNG_AGE_S`; not before it
-missed more than one frame."""
+"""A track ends when it is not seen for `AGE_S`, a track of at most `YOUNG` detections after `YOUNG_AGE_S`. A track that
+missed no frame before the present one does not end."""
 _NEVER = 1e6
 _TRACK = np.dtype(
     [("state", np.float64, WIDTH), ("group", np.int64), ("size", np.float64, 2), ("name", np.int64),
@@ -57,7 +60,7 @@ class Association:
             yield t, rows, self._step(t, boxes, rows)
 
     def _step(self, t: float, boxes: Boxes, rows: slice) -> IntArray:
-        """The tracks' names, numbers of birth, of the detections `rows` of the frame at t."""
+        """The track numbers of the detections `rows` of the frame at t."""
         most = np.where(self.tracks["hits"] > YOUNG, AGE_S, YOUNG_AGE_S)
         tracks = self.tracks[(t - self.tracks["last"] <= most + 1e-9) | (self.tracks["missed"] < 1)]
         carry_all(tracks["state"], t - self.time, DENSITY[tracks["group"]])
@@ -94,7 +97,7 @@ def _costs(
     states: FloatArray, group: IntArray, size: FloatArray, place: FloatArray, groups: IntArray, variance: FloatArray,
     sizes: FloatArray, reach: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """(2) of each track and detection `(n, k)`; `_NEVER` where they may not be one."""
+    """The cost (2) of each pair of track and detection `(n, k)`; `_NEVER` if they cannot be the same object."""
     out = np.full((len(states), len(place)), _NEVER)
     for i in range(len(states)):
         for j in range(len(place)):

@@ -1,4 +1,4 @@
-"""Constant velocity: one Kalman filter for joining, for tracking and for smoothing.
+"""A constant-velocity Kalman filter, used to join detections, to track and to smooth.
 
 Per axis, with the covariance C = (pp, pv, vv) of position m and velocity m/s, white acceleration of density q, m2/s3:
 (1) pp += 2 d pv + d^2 vv + q d^3/3,  pv += d vv + q d^2/2,  vv += q d;  d s between samples
@@ -18,7 +18,7 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
 
 STAND_MPS, FIRST_MPS = 0.02, 10.0
-"""Standard deviations of the velocity of who stands, and of the first one where a track is smoothed."""
+"""Standard deviations of the velocity of a standing agent, and of the first sample of a smoothed track."""
 X, Y, VX, VY, COS, SIN, ALONG, ACROSS, WIDTH = 0, 1, 2, 3, 4, 5, 6, 9, 12
 """Columns of states `(n, WIDTH)`; from `ALONG` and from `ACROSS` on three each for C."""
 
@@ -70,7 +70,7 @@ def absorb_one(state: FloatArray, x: float, y: float, r: float) -> None:
 def smoothed(t: FloatArray, z: FloatArray, r: FloatArray, q: float, stands: BoolArray) -> FloatArray:
     """x, y, vx, vy `(n, 4)` at all times t `(n,)` of positions z `(n, 2)`, NaN where not seen, with variances r `(n,)`.
 
-    `stands` `(n,)`: when the velocity is 0. z begins with a position.
+    `stands` `(n,)`: when the velocity is 0. The first row of z is a position.
     """
     n = len(t)
     after, before = np.empty((n, 4)), np.empty((n, 4))

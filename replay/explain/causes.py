@@ -10,10 +10,11 @@ decision of the planner is its cause only if the numbers confirm it; all other c
 (4) curve   v^2 |kappa| > `CURVE_MPS2` somewhere along the way
 (5) goal    reached before its time, too fast, or passed although the plan stops at it
 (6) end     the map ends on the way, and the plan stops before it
-(7) word    a planner's STOP or YIELD for an agent near the way that is not met, or for a thing without a place
-(8) passed  none of these, but a planner's OVERTAKE of an agent near the way: the plan brakes before the ego goes first
-(9) begun   none of these, and the plan brakes hardest at its start and less before it stands: it releases the braking
-            that is under way
+(7) word    the planner's STOP or YIELD for an agent near the way that the ego would not meet, or for an object without
+    a position
+(8) passed  none of these, but a planner's OVERTAKE of an agent near the way: the plan brakes before it overtakes
+(9) begun   none of these, and the plan brakes hardest at its start and less before it stands: it eases a braking that
+    began in an earlier plan
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ OVER_MPS = 0.3
 CURVE_MPS2 = 2.5
 """Lateral acceleration above which a curve is a reason to be slower: below what planners allow themselves (3.0)."""
 SOON_S = 1.0
-"""A limit or curve nearer than this time counts as this far: no driver brakes to a limit in no time."""
+"""A limit or curve nearer than this is treated as this far away, because no driver brakes instantly."""
 LEAST_MPS2 = 0.05
 """A limit, curve or goal that requires less is no cause."""
 MOST_MPS2 = 9.81
-"""A stop line that requires more cannot be kept."""
+"""The ego cannot stop at a stop line that requires more."""
 GOAL_ROOM_M = 10.0
 """A plan that stops at most this far before the end of the goal's region stops for the goal."""
 SAME_M = 0.1
@@ -106,7 +107,7 @@ class Cause:
 
     @property
     def rank(self) -> tuple[bool, bool, float, float]:
-        """Confirmed by numbers before a mere decision, named before inferred, then most demanding, then first."""
+        """Sort key: causes with numbers before decisions alone, named before inferred, by deceleration, by time."""
         need = self.need_mps2 if isfinite(self.need_mps2) else MOST_MPS2 if self.is_met else 0.0
         return self.kind is CauseKind.WORD, self.inferred, -need, self.time_s if isfinite(self.time_s) else LOOK_S
 
@@ -247,7 +248,9 @@ def _stops(case: _Case) -> Iterator[Cause]:
         t, s = thing.outline.T
         place, level = float(s.min()), {float(s[t == each].min()) for each in set(t.tolist())}
         end = float(case.plan.trajectory.t[-1]) - case.frame.planned.t - STEP_S
-        if max(level) - place < SAME_M and t.max() >= min(case.held.when(place), end):  # stands, and is there then
+        if max(level) - place < SAME_M and t.max() >= min(
+            case.held.when(place), end
+        ):  # it stands, and is still predicted when the ego would arrive
             places[thing.agent] = place
     for name, place in places.items():
         need = case.held.need(place)

@@ -1,4 +1,4 @@
-"""Which plan is driven, and control, vehicle and record over the steps until the next: the inner loop, compiled.
+"""The compiled inner loop of a closed-loop drive: controller and vehicle run from plan to plan and fill the trace.
 
 The time that planning takes is modelled without a clock, so that a drive is the same twice (`Latency`). A step reads
 row k of the trace (`replay.vehicle.base`) and writes row k + 1:
@@ -9,8 +9,9 @@ row k of the trace (`replay.vehicle.base`) and writes row k + 1:
 (4) motion, state = step(state, command, dt)                                the vehicle's own kernel
 (5) row k + 1: motion, actuation
 
-Who has compiled steps is run by one kernel over all steps; any other pair of controller and vehicle takes one step at a
-time through their methods, into the same rows. Adding a compiled vehicle is its kernel of (4) and a line in RUNS.
+A pair of controller and vehicle in RUNS is run by one kernel over all steps; any other pair of controller and vehicle
+takes one step at a time through their methods, into the same rows. To add a compiled vehicle, write its kernel (4) and
+add a line to RUNS.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ EGO = slice(0, len(TRAJECTORY_COLUMNS))
 
 
 class Latency:
-    """Plans on their way: each is driven from `delay` control steps after its frame on; the first one at once.
+    """Delays plans: each is driven from `delay` control steps after its frame; the first one at once.
 
     Args:
         delay: Steps, not negative.

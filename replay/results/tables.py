@@ -67,7 +67,7 @@ MINED = ("events.parquet", "logs.parquet", "mined.json", "coverage.csv", "covera
 """What `replan mine` and `replan coverage` write."""
 REPORTS = ("report.md", "junit.xml", "report.html")
 FILES = (*TABLES, *MINED, *REPORTS)
-"""What stands in a result folder beside the folders of the logs."""
+"""The files in a result folder beside the folders of the logs."""
 KEYS = ["log", "planner", "mode", "metric"]
 TIMING_COLUMNS = ["log", "planner", "mode", "t_s", "stage", "seconds"]
 
@@ -115,7 +115,7 @@ def write_timings(path: Path, tables: Iterable[pd.DataFrame]) -> None:
 
 
 def read_timings(path: Path) -> pd.DataFrame:
-    """The timings of a run; words are categories, of which there are few."""
+    """The timings of a run; text columns become categoricals."""
     words = [name for name in TIMING_COLUMNS if name not in ("t_s", "seconds")]
     return pq.read_table(path, read_dictionary=words).to_pandas()
 
@@ -143,7 +143,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def next_free(parent: Path = Path("results")) -> Path:
-    """The first of `parent/run-001`, `parent/run-002`, ... that is not there, made: no other run is given it.
+    """Create the first of `parent/run-001`, `parent/run-002`, ... that does not exist.
 
     Raises:
         ConfigError: It cannot be made.
@@ -169,7 +169,7 @@ def claim(out: Path) -> None:
 
 
 def check_ours(out: Path) -> None:
-    """ConfigError where a folder holds anything that no run wrote."""
+    """ConfigError where a folder holds anything that was not written by a run."""
     foreign = [entry.name for entry in sorted(out.iterdir()) if not is_ours(entry)]
     if foreign:
         raise ConfigError(f"{out}: contains {foreign[0]}, not a replan result; give --out a new or empty folder")

@@ -1,4 +1,4 @@
-"""What a run asks for, checked as a whole before anything is driven: exit code 2 says that nothing was run."""
+"""Checks a run's configuration before anything is driven. An error here gives exit code 2: nothing was run."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ KINDS: Mapping[str, tuple[Kind[Callable[..., Any]], int]] = {
     "prediction": (PREDICTION, 3),
     "perception": (PERCEPTION, 2),
 }
-"""By the keys of [loop]: what finds what they name, and how many arguments it is given before its settings."""
+"""By key of [loop]: the kind that resolves its name, and how many arguments the factory takes before its settings."""
 SCENE = "paper/crossing_pedestrian"
 REFUSALS = (ValueError, TypeError)
-"""What is raised by who refuses a setting."""
+"""The errors with which a factory refuses a setting."""
 _OF_THE_LOG = ("length", "wheelbase", "rear_overhang")
-"""Whether these fit each other depends on the log's vehicle."""
+"""Not checked here: whether they fit together depends on the log's vehicle."""
 
 
 def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
@@ -60,15 +60,15 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
     _check_plant(run)
     _check_others(run)
     if run.foxglove:
-        import replay.draw.foxglove  # noqa: F401  # its package is there, or this says so before anything is driven
+        import replay.draw.foxglove  # noqa: F401  # raises ConfigError now if its package is not installed
     named = {*PLANNERS, *ORACLES, *PLANNER.entries(), *run.planners}
-    for name, table in run.planner.items():  # of all planners, be they driven or not
+    for name, table in run.planner.items():  # also the planners that are not driven
         if name not in named and ":" not in name:
             raise unknown_name("planner (in the configuration)", name, named)
         if name in PLANNERS or name in ORACLES:
             planner_keywords(name, table)
     if run.charts:
-        from replay.draw.charts.layout import CHART  # that imports what reads results, and they this
+        from replay.draw.charts.layout import CHART  # here, because its import of the results would be circular
 
         for chart in run.charts:
             CHART.find(chart)
@@ -86,7 +86,7 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
 
 
 def _resolve_choice(key: str, run: RunConfig) -> Mapping[str, Mapping[str, Any]]:
-    """The settings of what a key of [loop] names, with its defaults; ConfigError where they or the name are wrong."""
+    """The settings, with defaults, of the choice for a key of [loop]; ConfigError if its name or a setting is wrong."""
     kind, given = KINDS[key]
     tables, chosen = getattr(run, SETTINGS[key]), getattr(run.loop, key)
     for name, table in tables.items():
@@ -158,7 +158,7 @@ def _check_others(run: RunConfig) -> None:
 
 
 def _refusal(make: Callable[[Any], object], factory: Any) -> BaseException | None:
-    """The error with which the user's code refuses a setting; None where it raises none, or one of another kind."""
+    """The error with which the user's code refuses a setting; None if it raises no error, or another kind of error."""
     try:
         make(factory)
     except ConfigError:
@@ -170,7 +170,7 @@ def _refusal(make: Callable[[Any], object], factory: Any) -> BaseException | Non
 
 @contextmanager
 def _building(kind: str, name: str) -> Iterator[None]:
-    """What code of the user's raises where it is built, as ConfigError: each log would fail."""
+    """Turn errors of user code into a ConfigError, because every log would fail."""
     try:
         yield
     except ConfigError:

@@ -1,4 +1,4 @@
-"""One log: log -> drives -> tables -> files. What a worker does; it returns its errors and raises none.
+"""Evaluates one log in a worker: log -> drives -> tables -> files. It returns errors and raises none.
 
 The files of a log are written into a folder with a temporary name, which is renamed when all are there.
 """
@@ -49,7 +49,7 @@ LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
 
 @dataclass
 class _Progress:
-    """What one log has given so far."""
+    """The results of one log so far."""
 
     log: str
     drives: list[DriveRecord] = field(default_factory=list)
@@ -79,10 +79,11 @@ class _Progress:
 
         def noted(metric: Metric, reason: str, error: BaseException) -> None:
             ours = METRICS.get(metric.name) is metric
-            what = "a bug in replan, in its" if ours else "not available is the"
-            line = f"{self.log}: {what} metric '{metric.name}': {reason}; traceback in summary.json"
+            name = f"the metric '{metric.name}'"
+            what = f"a bug in replan: {name} raised" if ours else f"{name} is not available"
+            line = f"{self.log}: {what}: {reason}; traceback in summary.json"
             known = {(one.message, one.planner, one.mode) for one in self.failures}
-            if (line, planner, mode.value) not in known:  # each reduction, each member of an ensemble
+            if (line, planner, mode.value) not in known:  # once, whatever the number of reductions and ensemble members
                 trace = "".join(traceback.format_exception(error))
                 self.failures.append(Failure(self.log, line, planner, mode.value, traceback=trace))
 
@@ -92,7 +93,7 @@ class _Progress:
 def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> LogResult:
     """Drive one log with each planner in each mode, measure, and write the log's folder into `out`.
 
-    Where it cannot be written (the disk is full), `LogResult.stopped` says so, and nothing of it is left.
+    If it cannot be written (full disk), `LogResult.stopped` gives the error, and the partial folder is removed.
     """
     progress, begin = _Progress(source.label), perf_counter()
     partial = out / f"{PARTIAL}{sha256(source.label.encode()).hexdigest()[:16]}-{os.getpid()}"
@@ -192,7 +193,7 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
                     files=files,
                 )
                 progress.drives.append(record)
-                del trace  # before the next one is driven: of an hour it is large
+                del trace  # free it before the next drive: the trace of an hour is large
         steps.write()
     with progress.attempt():
         progress.tables += late_follower(progress.tables, scenario, run.drive_loop)

@@ -13,12 +13,13 @@ For a log i and an objective j, a row of the table of metrics whose direction sa
     percentile bootstrap over logs, seeded, of `LEAST_LOGS` logs at least (`metrics.compare`, (5) and (6))
 
 Logs are put in the order of their stratum (the family, else the dataset, else none), then of the SHA-256 of their name.
-Of this order the k-th, from 0, is held out where
+The k-th log in this order, from 0, is held out if
 
 (7) floor((k + 1) share) > floor(k share)
 
-a systematic sample: every stratum gives about its share, and floor(n share) logs are held out in all. No clock, seed or
-order of arguments has a say; a log that is added may move others of its stratum and those after it.
+a systematic sample: every stratum gives about its share, and floor(n share) logs are held out in all. The sample does
+    not depend on time, seed or order of arguments. Adding a log may change which logs of its stratum and of later
+    strata are held out.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from replay.results.load import Results
 
 LEAST_LOGS = MIN_SIGNIFICANT
 SLACK = 1e-9
-"""0.3 of ten logs are three, rounding or not."""
+"""Tolerance so that rounding does not change floor(): 0.3 of ten logs are three."""
 DEFAULT_OBJECTIVES = ("plan_score.mean", "lon_jerk_state.p95")
 """Progress, safety and rules of the plans as NAVSIM weighs them (EPDMS), and comfort as it is driven."""
 
@@ -90,7 +91,7 @@ def objectives(names: Sequence[str], metrics: Mapping[str, Metric]) -> tuple[Obj
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What counts of a run.
+    """The values of a run that the search compares.
 
     Attributes:
         values: `(j, n)` by objective and log, NaN where there is none.
@@ -171,5 +172,5 @@ def held_out(labels: Mapping[str, LogLabels], share: float) -> frozenset[str]:
 
 
 def stratum(labels: LogLabels) -> str:
-    """What a log is drawn from."""
+    """The stratum of a log: its family, else its dataset."""
     return labels.family or labels.dataset

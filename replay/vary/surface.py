@@ -1,15 +1,14 @@
-"""A surface: cells -> varied logs -> `evaluate_logs` -> table, edges, picture.
+"""Evaluates a surface: cells -> varied logs -> `evaluate_logs` -> table, edges, picture.
 
     OUT/vary.json                     the question
-    OUT/logs/                         the varied logs: `replan evaluate --mode closed` of one says what its cell says
-    OUT/grid/, OUT/edge-1/, ...       results of the cells, and of the points between them, as `replan evaluate` leaves
-    OUT/surface.parquet, .csv         a row per point: parameters, outcome, gates, least gap, contact, careful driver
-    OUT/edges.csv                     where rows go from pass to something else
-    OUT/surface.png
+    OUT/logs/                         the varied logs: `replan evaluate --mode closed` of one gives the outcome of its
+    cell OUT/grid/, OUT/edge-1/, ...       results of the cells, and of the points between them, as `replan evaluate`
+    leaves OUT/surface.parquet, .csv         a row per point: parameters, outcome, gates, least gap, contact, careful
+    driver OUT/edges.csv                     where rows go from pass to something else OUT/surface.png
 
-The outcome of a point is what the gates say of its log, the worst of them: "pass", "fail" or "inconclusive". What is
-inconclusive where the careful driver of UN R157 collides is "unavoidable"; "error" is a point that could not be made
-or driven. Points without a log, and logs that cannot be driven, cost only themselves.
+The outcome of a point is the worst outcome of the gates on its log: "pass", "fail" or "inconclusive". An inconclusive
+    point where the careful driver of UN R157 collides is "unavoidable"; "error" is a point that could not be made
+or driven. Points without a log, and logs that cannot be driven, do not stop the others.
 
 Where a row goes from pass to something else is found by halving between two cells, of all rows at once, so that the
 points of a round are evaluated beside each other.
@@ -78,7 +77,7 @@ class Bracket:
 
     @property
     def middle(self) -> float:
-        """Half way."""
+        """The midpoint."""
         return 0.5 * (self.low + self.high)
 
     def halved(self, outcome: str) -> Bracket:
@@ -120,7 +119,7 @@ def bisected(
 
 @dataclass(frozen=True, eq=False)
 class VaryResult:
-    """What came of a surface.
+    """The result of a surface.
 
     Attributes:
         out: The folder.
@@ -167,13 +166,13 @@ def vary(
     Args:
         scenario: What is varied, `prepared`.
         question: Over what.
-        run: Planner (one) and settings; only the closed loop is run, and the log settings are not asked again.
+        run: Planner (one) and settings; only the closed loop is run, and the log settings are not applied again.
         out: A folder that is new, empty, or holds an earlier surface.
         workers: Processes; 0: this one.
         say: Called with a line before each round.
 
     Raises:
-        ConfigError: A wrong setting, an agent who is not there, a folder that is not ours to write, or in use.
+        ConfigError: A wrong setting, an unknown agent, a folder with foreign files, or in use.
     """
     if len(run.planners) != 1:
         raise ConfigError(f"a surface is of one planner, got {', '.join(run.planners)}")

@@ -1,28 +1,28 @@
-"""Who is passed although they go on, or block the lane: where the path must pass them, and by which road.
+"""Which moving or blocking agents the path passes, where, and on which lane.
 
-Pedestrians and cyclists along the lane, slower than the ego: where they are while the ego passes depends on its speed,
-and how fast it may pass (`caps.passing_caps`) on the room that the path leaves them. So path and speed are found in
-turns (`choice`). With s(t) the stations of the ego's rear axle, as of the last plan,
+Pedestrians and cyclists along the lane, slower than the ego: their position while the ego passes depends on the ego's
+    speed, and the permitted speed (`caps.passing_caps`) depends on the room that the path leaves. Path and speed are
+    therefore planned in turns (`choice`). With s(t) the stations of the ego's rear axle, as of the last plan,
 
 (1) beside   = the times at which the ego's front is past their rear, less `NEAR_M`, and its rear not past their front
 (2) box      = the stations and offsets at which they are predicted while the ego is beside them, and their offset now;
                `ASIDE_M` wider on both sides
 
-Who cannot be passed within the predictions, or only near a place where lanes part or meet, the ego may have to wait or
-others cross, is followed; beside them it is too late to turn back.
+The ego follows an agent that it cannot pass before the predictions end, or could pass only near a place where lanes
+part or meet, where it may have to wait, or where others cross. Once it is beside an agent, it is too late to turn back.
 
 An agent that blocks the lane and leaves no room on either side of the road, and is in no queue, is passed by the lane
 of the opposite direction where the marking between may be crossed and, for the whole stretch from where the ego leaves
 its lane to where it is back,
 
-(3) no agent is predicted on the oncoming lane there until the ego is back, and `facing_margin_s` more; nor stands
-    there so that the ego would not fit between: behind one who stands there may be more,
+(3) no agent is predicted on the oncoming lane there until the ego is back, and `facing_margin_s` more; and no standing
+    agent there leaves too little room for the ego, because more agents may be behind it,
 (4) (BACK_M behind the obstacle - s) / max(v, PASSING_MPS) + facing_margin_s <= horizon of the predictions.
 
 Otherwise the ego waits `WAIT_M` before it, from where it can still steer round it. For an agent along the lane, (4)
 asks when the ego will be there by its plan, and the sensor must
 
-(5) see the oncoming lane as far as one who comes at its speed limit must be away to leave (3) true (StVO, 5 (2)).
+(5) see the oncoming lane far enough that a vehicle beyond it, at the speed limit, cannot violate (3) (StVO, 5 (2)).
 """
 
 from __future__ import annotations
@@ -44,22 +44,21 @@ from planners.frenet.reference_path import ReferencePath, Section
 from planners.frenet.scene import UNLIKELY, AgentsAlong, Bodies, Futures, Occupancy, Scene
 
 PASSED = among(AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
-"""Who is passed while they go on, by their codes."""
+"""By code: the kinds that the ego passes while they move."""
 SLOW_MPS = 7.0
-"""Who is faster is followed, m/s."""
+"""The ego follows faster agents, m/s."""
 NEAR_M = 2.0
 """The ego is beside them from so far behind them on (1), m."""
 ASIDE_M = 0.9
 """Room on both sides of them (2), m: with the path's usual clearance 1.5 m, as German law asks in towns (StVO, 5 (4));
 where there is less, 1.15 m.
 
-So much keeps a plan that passes them. Where they are beside the lane that is kept, `caps.passing_caps` alone says how
-fast.
+A plan that passes keeps this room. If the ego keeps its lane, only `caps.passing_caps` limits its speed.
 """
 ROAD_RIGHT, ROAD_LEFT = Section._fields.index("road_right"), Section._fields.index("road_left")
 """Rows of `Scene.across`."""
 ALONG_RAD = 0.4
-"""Who turns further aside crosses, rad."""
+"""An agent whose heading differs more from the lane crosses it, rad."""
 SLACK = 1.5
 """By this factor those that the ego is passing may be faster, or turn further."""
 GAIN_MPS2 = 1.2
@@ -67,28 +66,28 @@ GAIN_MPS2 = 1.2
 PLACE_M = 10.0
 """So far before a place at which it may have to wait the ego is back in its lane, m."""
 REACH_M = 120.0
-"""Who is farther is not looked at, m."""
+"""Agents farther away are ignored, m."""
 SPARE_S = 1.0
 """So long before the predictions end the ego must be past those that it begins to pass, s."""
 PASSING_MPS = 5.0
-"""What the ego drives at least while it passes (4), m/s."""
+"""Least assumed speed while passing (4), m/s."""
 BACK_M = 10.0
-"""So far behind the obstacle the ego is in its lane again (4), m."""
+"""The ego is back in its lane this far behind the obstacle (4), m."""
 WAIT_M = 9.0
-"""It waits with its front so far before the obstacle, m: from there it can still steer round it."""
+"""Gap between the waiting ego's front and the obstacle, m; enough to steer round it."""
 NEARLY_M = 1.0
 """A gap is looked at closely where it is less than this wider than the ego, m."""
 SIGHT_M = 5.0
 """Between two places of the oncoming lane that must be seen, m."""
 QUEUE_M = 25.0
-"""Who stands so near behind another who stands in the lane waits in a queue, m."""
+"""An obstacle nearer than this to another one in the lane stands in a queue, m."""
 ROOM_M = 0.5
 """Room that the oncoming lane must leave beside the ego for it to be worth waiting for, m."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassTarget:
-    """A road user along the lane, slower than the ego, that is to be passed: their index, and where they are meanwhile.
+    """A road user along the lane, slower than the ego, that the ego passes: its index, and its positions meanwhile.
 
     `box` holds them while the ego is beside them, `begin` to `end` the stations of its rear axle, m; `places` `(n, 2)`,
     m.
@@ -264,7 +263,7 @@ def may_block(scene: Scene, obstacles: Sequence[Occupancy]) -> bool:
 def blocking(
     obstacles: tuple[Occupancy, ...], space: PathBounds, vehicle: VehicleParameters, config: CorridorConfig
 ) -> tuple[Occupancy, ...]:
-    """The obstacles that leave the ego no room on either side of the road, those in a queue not among them."""
+    """The obstacles that leave the ego no room on either side of the road, without those in a queue."""
     found = []
     for box, (lower, upper) in zip(obstacles, space.room(obstacles, vehicle, config), strict=True):
         touches = lower < box.l_to + 0.5 * vehicle.width and upper > box.l_from - 0.5 * vehicle.width

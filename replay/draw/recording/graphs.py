@@ -310,7 +310,7 @@ def _label_style(colour: int | None) -> rr.Points2D:
 
 
 def beside(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
-    """The position of an obstacle's label, where it hides nothing of it: above its left end, otherwise below it.
+    """The position of a label that does not cover its obstacle: above its left end, otherwise below it.
 
     Args:
         strokes: `(k, 2, 2)` its visible part, from left to right, x from the begin of the graph.

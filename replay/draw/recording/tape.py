@@ -7,7 +7,7 @@ A glyph that the viewer's font lacks terminates the headless viewer, so every te
 `cell` (one line inside Markdown) or `document` (our own Markdown). Many names come from users.
 
 The viewer's 2D views draw lines, not areas: an outline is filled with strokes. It is cut by vertical lines of equal
-distance; between two crossings that follow each other the line is inside (even-odd rule).
+distance; between its first and second crossing, third and fourth, and so on, the line is inside (even-odd rule).
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def application_name(words: str) -> str:
 SIM_TIME = "sim_time"
 FRAME = "frame"
 ROOM = "room"
-"""Entity of a page without words."""
+"""Entity of an empty text view that reserves layout space."""
 REMOVED = "world/removed"
 """Entity of the tracks that a repair of the log removed."""
 NO_NAMES = ShortNames(())
@@ -260,7 +260,7 @@ def _outlet(file: Path) -> Iterator[Path]:
         pipe = Path(folder) / file.name
         os.mkfifo(pipe)
         reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-        writer = os.open(pipe, os.O_WRONLY)  # ours: the pipe ends when the library and we have closed it
+        writer = os.open(pipe, os.O_WRONLY)  # our end: the pipe ends when both the library and we have closed it
         os.set_blocking(reader, True)
         errors: list[OSError] = []
         thread = Thread(target=_drain, args=(reader, file, errors))

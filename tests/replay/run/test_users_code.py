@@ -81,7 +81,7 @@ def test_a_metric_that_fails_costs_itself_only(
         {"bad.mean", "bad.odd"} if "def ok" in body else set()
     )
     (failure,) = found.failures.itertuples()
-    assert "not available is the metric 'bad'" in failure.message and "bug" not in failure.message
+    assert "the metric 'bad' is not available" in failure.message and "bug" not in failure.message
     assert any(place in failure.message for place in where) and failure.planner == "constant_speed"
     assert found.exit_code == 3 and len(found.drives) == 1 and (found.path / found.drives.iloc[0].files[0]).exists()
 
@@ -96,7 +96,7 @@ def test_a_bug_of_our_own_is_called_one_and_costs_its_metric(
     monkeypatch.setattr("replay.run.one_log.METRICS", own)
     found = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, mode="closed"))
     (failure,) = found.failures.itertuples()
-    assert "a bug in replan, in its metric 'speed': KeyError: 'lane'" in failure.message
+    assert "a bug in replan: the metric 'speed' raised: KeyError: 'lane'" in failure.message
     rows = found.metrics[found.metrics["planner"] == "constant_speed"].set_index("metric")
     assert not rows.loc["speed.mean", "available"] and rows.loc["distance.final", "available"]
 
@@ -145,7 +145,7 @@ def test_the_command_line_says_it_in_a_line(logs: Path, tmp_path: Path, module: 
     name = module("mine_cli", f"{HEAD}\n{BAD['raises']}\nBAD = metric('bad', bad)\n")
     done = evaluate(logs / "a.mcap", "--metric", f"{name}:BAD", "--mode", "open", "-o", tmp_path / "out")
     assert done.exit_code == 3
-    assert "error: test/a: not available is the metric 'bad': ZeroDivisionError: division by zero" in one_error(done)
+    assert "error: test/a: the metric 'bad' is not available: ZeroDivisionError: division by zero" in one_error(done)
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,7 @@ Column = bytes | list[float]
 """A column of a message in which both forms are read."""
 ABSENT = {"cost": np.inf, "lower": -np.inf, "upper": np.inf}
 """What null stands for in the arrays of a graph: a node that is not reached, a bound that is free; elsewhere NaN."""
+_AXES: dict[str, Convert] = {"x": lambda points: points[:, 0].tolist(), "y": lambda points: points[:, 1].tolist()}
 
 
 def packed(values: FloatArray) -> Any:
@@ -105,12 +106,8 @@ def _writers(kind: Any, noun: Any) -> tuple[Row, ...]:
         if name in own:
             found.append((name, name, _written(hint, own[name])))
         elif own.get(source) == Points:
-            found.append((name, source, _axis("xy".index(axis))))
+            found.append((name, source, _AXES[axis]))
     return tuple(found)
-
-
-def _axis(index: int) -> Convert:
-    return lambda points: points[:, index].tolist()
 
 
 def _written(hint: Any, own: Any = None) -> Convert | None:
@@ -180,7 +177,9 @@ def _read(hint: Any, absent: float | None = None) -> Convert | None:
     if hint == Points:
         return _points
     if hint == FloatArray:
-        return unpacked if absent is None else lambda values: _fill_nulls(values, absent)
+        if absent is None:
+            return unpacked
+        return lambda values: np.nan_to_num(np.array(values, np.float64), nan=absent, posinf=np.inf, neginf=-np.inf)
     if hint == IntArray:
         return lambda values: np.array(values, np.int64)
     if _is_enum(hint):
@@ -206,12 +205,6 @@ def _points(value: Any) -> FloatArray:
     if isinstance(value, msgspec.Struct):
         return np.column_stack(msgspec.structs.astuple(value))
     return unpacked(value).reshape(-1 if isinstance(value, bytes) else len(value), 2)
-
-
-def _fill_nulls(values: Any, absent: float) -> FloatArray:
-    """The values with `absent` in the place of null."""
-    found = np.array(values, np.float64)
-    return np.where(np.isnan(found), absent, found)
 
 
 def _without_none(hint: Any) -> Any:

@@ -121,21 +121,17 @@ def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
     """The lanes whose centre line runs through a goal region; for a region that none meets, those under its middle."""
     found: set[int] = set()
     for region in goal.regions if goal is not None else ():
-        through = [lane.id for lane in road.lanes.values() if lane.drivable and _runs_through(lane, region)]
+        through = []  # lanes with a point of the centre line, at most 1 m from the next, in the region, not on its edge
+        for lane in road.lanes.values():
+            near = (lane.polygon.max(axis=0) >= region.min(axis=0)) & (lane.polygon.min(axis=0) <= region.max(axis=0))
+            if lane.drivable and near.all():
+                chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))]
+                at = np.union1d(chord, np.arange(0.0, chord[-1], 1.0))
+                x, y = (np.interp(at, chord, lane.center[:, k]) for k in (0, 1))
+                through += [lane.id] if _any_within(x, y, region) else []
         middle = road.lanes_at(*region.mean(axis=0))
         found.update(through or [lane.id for lane in middle if lane.drivable])
     return frozenset(found)
-
-
-def _runs_through(lane: Lane, region: FloatArray) -> bool:
-    """Whether a point of the centre line, at most 1 m from the next, lies in a polygon `(k, 2)`, not on its edge."""
-    near = (lane.polygon.max(axis=0) >= region.min(axis=0)) & (lane.polygon.min(axis=0) <= region.max(axis=0))
-    if not near.all():
-        return False
-    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))]
-    at = np.union1d(chord, np.arange(0.0, chord[-1], 1.0))
-    x, y = (np.interp(at, chord, lane.center[:, k]) for k in (0, 1))
-    return _any_within(x, y, region)
 
 
 @kernel

@@ -73,7 +73,7 @@ def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
     begins with its first multiple and ends with its last, and keeps its gaps; one that holds no multiple keeps its
     first sample.
     """
-    tracks, ego = scenario.tracks, scenario.ego
+    tracks, ego, moved = scenario.tracks, scenario.ego, scenario.tracks.motion
     times, columns = [], []
     for i in range(len(tracks)):
         mine = tracks.samples(i)
@@ -83,8 +83,18 @@ def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
             k = np.searchsorted(old, t + 1e-9, side="right") - 1
             kept = t[~(tracks.gap_after[mine][k] & (t > old[k] + 1e-9))]
             t = kept if len(kept) else old[:1]
+        k = np.clip(np.searchsorted(old, t + 1e-9, side="right") - 1, 0, max(len(old) - 2, 0))
+        after = np.minimum(k + 1, len(old) - 1)
+        d = old[after] - old[k]
+        u = np.clip(np.divide(t - old[k], d, out=np.zeros(len(t)), where=d > 0.0), 0.0, 1.0)
+        curves = [
+            (1.0 + 2.0 * u) * (1.0 - u) ** 2 * p[k] + u * (1.0 - u) ** 2 * d * v[k]
+            + u * u * (3.0 - 2.0 * u) * p[after] - u * u * (1.0 - u) * d * v[after]
+            for p, v in ((tracks.x[mine], moved.vx[mine]), (tracks.y[mine], moved.vy[mine]))
+        ]  # (3)  # fmt: skip
+        lines = [p[k] + u * (p[after] - p[k]) for p in (tracks.yaw[mine], tracks.vx[mine], tracks.vy[mine])]
         times.append(t)
-        columns.append(_between(tracks, i, t))
+        columns.append(np.stack([*curves, *lines]))
     x, y, yaw, vx, vy = np.hstack(columns) if columns else np.empty((5, 0))
     offsets = np.r_[0, np.cumsum([len(t) for t in times])].astype(np.int64)
     t = np.concatenate([np.empty(0), *times])
@@ -100,23 +110,6 @@ def _multiples(t: FloatArray, rate_hz: float) -> FloatArray:
     """The multiples of 1 / `rate_hz` within the span of the times `t`."""
     found = np.arange(np.ceil(t[0] * rate_hz - 1e-6), np.floor(t[-1] * rate_hz + 1e-6) + 1.0) / rate_hz
     return np.clip(found, t[0], t[-1])
-
-
-def _between(tracks: Tracks, i: int, t: FloatArray) -> FloatArray:
-    """x, y, yaw, vx, vy `(5, n)` of a track at times within its span (3)."""
-    mine = tracks.samples(i)
-    old, moved = tracks.t[mine], tracks.motion
-    k = np.clip(np.searchsorted(old, t + 1e-9, side="right") - 1, 0, max(len(old) - 2, 0))
-    after = np.minimum(k + 1, len(old) - 1)
-    d = old[after] - old[k]
-    u = np.clip(np.divide(t - old[k], d, out=np.zeros(len(t)), where=d > 0.0), 0.0, 1.0)
-    curves = [
-        (1.0 + 2.0 * u) * (1.0 - u) ** 2 * p[k] + u * (1.0 - u) ** 2 * d * v[k]
-        + u * u * (3.0 - 2.0 * u) * p[after] - u * u * (1.0 - u) * d * v[after]
-        for p, v in ((tracks.x[mine], moved.vx[mine]), (tracks.y[mine], moved.vy[mine]))
-    ]  # fmt: skip
-    lines = [p[k] + u * (p[after] - p[k]) for p in (tracks.yaw[mine], tracks.vx[mine], tracks.vy[mine])]
-    return np.stack([*curves, *lines])
 
 
 def jittered(scenario: Scenario, size: float, seed: int = 0) -> Scenario:
@@ -151,12 +144,28 @@ def mirrored(scenario: Scenario) -> Scenario:
     markings swap, so do the ends of stop lines, and the words "nudge left" and "nudge right" in the expected decisions.
     Sizes, times, speeds, right of way, lights, and the name except for its ending stay.
     """
-    goal, controls, name = scenario.goal, scenario.controls, scenario.name
+    goal, controls, name, road = scenario.goal, scenario.controls, scenario.name, scenario.road
 
     def flipped(one: Goal) -> Goal:
         yaw = None if one.yaw is None else (-one.yaw[1], -one.yaw[0])
         return replace(one, regions=tuple(region[::-1] * _FLIP for region in one.regions), yaw=yaw)
 
+    lanes = {
+        lane.id: replace(
+            lane, left=lane.right * _FLIP, right=lane.left * _FLIP,
+            left_neighbour=lane.right_neighbour, right_neighbour=lane.left_neighbour,
+            left_opposite=lane.right_opposite, right_opposite=lane.left_opposite,
+            left_crossable=lane.right_crossable, right_crossable=lane.left_crossable,
+        )
+        for lane in road.lanes.values()
+    }  # fmt: skip
+    road = replace(
+        road,
+        lanes=lanes,
+        drives_on_right=not road.drives_on_right,
+        stop_lines=tuple(replace(line, points=line.points[::-1] * _FLIP) for line in road.stop_lines),
+        crosswalks=tuple(replace(each, polygon=each.polygon[::-1] * _FLIP) for each in road.crosswalks),
+    )
     metadata = dict(scenario.metadata)
     if "expected_decisions" in metadata:
         text = metadata["expected_decisions"].replace("nudge left", "nudge\0").replace("nudge right", "nudge left")
@@ -167,7 +176,7 @@ def mirrored(scenario: Scenario) -> Scenario:
         ego=mirrored_trajectory(scenario.ego),
         onboard=_with_trajectories(scenario.onboard, mirrored_trajectory),
         **_with_boxes(scenario, lambda one: replace(one, y=-one.y, yaw=-one.yaw, vy=-one.vy)),
-        road=_mirrored_road(scenario.road),
+        road=road,
         goal=None if goal is None else goal.changed(flipped),
         controls=None if controls is None else Controls(controls.t, -controls.steer, controls.throttle, controls.brake),
         origin=(scenario.origin[0], -scenario.origin[1]),
@@ -233,23 +242,4 @@ def placed_road(road: Road, points: _Points) -> Road:
         lanes={i: replace(lane, left=points(lane.left), right=points(lane.right)) for i, lane in road.lanes.items()},
         stop_lines=tuple(replace(line, points=points(line.points)) for line in road.stop_lines),
         crosswalks=tuple(replace(each, polygon=points(each.polygon)) for each in road.crosswalks),
-    )
-
-
-def _mirrored_road(road: Road) -> Road:
-    lanes = {
-        lane.id: replace(
-            lane, left=lane.right * _FLIP, right=lane.left * _FLIP,
-            left_neighbour=lane.right_neighbour, right_neighbour=lane.left_neighbour,
-            left_opposite=lane.right_opposite, right_opposite=lane.left_opposite,
-            left_crossable=lane.right_crossable, right_crossable=lane.left_crossable,
-        )
-        for lane in road.lanes.values()
-    }  # fmt: skip
-    return replace(
-        road,
-        lanes=lanes,
-        drives_on_right=not road.drives_on_right,
-        stop_lines=tuple(replace(line, points=line.points[::-1] * _FLIP) for line in road.stop_lines),
-        crosswalks=tuple(replace(each, polygon=each.polygon[::-1] * _FLIP) for each in road.crosswalks),
     )

@@ -142,30 +142,26 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
         was = now if VARIATIONS[name].inserts else was
     now = replace(now, tracks=continued(was, now), ego=start_of(now.ego))
     check_start(scenario, now)
-    return _sign_variation(scenario, now, agents, ordered)
-
-
-def _sign_variation(was: Scenario, now: Scenario, agents: Sequence[str], values: Mapping[str, float]) -> Scenario:
-    changes = ", ".join(f"{name} {VARIATIONS[name].shown(value)}" for name, value in values.items())
-    agents = agents if any(VARIATIONS[name].of != "ego" for name in values) else ()
+    changes = ", ".join(f"{name} {VARIATIONS[name].shown(value)}" for name, value in ordered.items())
+    agents = agents if any(VARIATIONS[name].of != "ego" for name in ordered) else ()
     about = f" of {', '.join(agents)}" if agents else ""
     notes = (
-        f"Varied from {was.name}: {changes}{about}.",
+        f"Varied from {scenario.name}: {changes}{about}.",
         "Of the ego's log only the start is kept: it was driven in another world and is no reference in this one.",
         "A varied track goes straight on where its recording was cut by the begin or the end of the log.",
     )
-    entries = {f"{VARIED}.{name}": repr(float(value)) for name, value in values.items()}
-    kept = {key: text for key, text in was.metadata.items() if key != "expected_decisions"}
+    entries = {f"{VARIED}.{name}": repr(float(value)) for name, value in ordered.items()}
+    kept = {key: text for key, text in scenario.metadata.items() if key != "expected_decisions"}
     early = -min(0, now.start_ns + round(1e9 * float(now.tracks.t.min(initial=0.0))))  # no sample before log time 0
     return replace(
         now,
         start_ns=now.start_ns + early,
-        name=f"{was.name}~{','.join(f'{name}={value:.10g}' for name, value in values.items())}",
+        name=f"{scenario.name}~{','.join(f'{name}={value:.10g}' for name, value in ordered.items())}",
         controls=None,
         onboard=(),
-        tags=tuple(dict.fromkeys((*(tag for tag in was.tags if tag != "recorded"), VARIED))),
-        metadata={**kept, f"{VARIED}.of": was.name, f"{VARIED}.agents": json.dumps(list(agents)), **entries},
-        notes=(*was.notes, *notes),
+        tags=tuple(dict.fromkeys((*(tag for tag in scenario.tags if tag != "recorded"), VARIED))),
+        metadata={**kept, f"{VARIED}.of": scenario.name, f"{VARIED}.agents": json.dumps(list(agents)), **entries},
+        notes=(*scenario.notes, *notes),
     )
 
 
@@ -307,20 +303,20 @@ def in_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenari
 
 def sideways(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
     """(3)."""
-    tracks, mine = scenario.tracks, _theirs(scenario.tracks, agents)
-    _, course = min(_nearest(scenario, i) for i in places(tracks, agents))
+    tracks, ego, mine = scenario.tracks, scenario.ego, _theirs(scenario.tracks, agents)
+    nearest = []  # how near each agent comes to the ego, m, and their course there, rad: the box's where they stand
+    for i in places(tracks, agents):
+        rows = _samples(tracks, i)
+        to_x = rows[:, 1] - np.interp(rows[:, 0], ego.t, ego.x)
+        to_y = rows[:, 2] - np.interp(rows[:, 0], ego.t, ego.y)
+        away = np.hypot(to_x, to_y)
+        at = int(np.argmin(away))
+        near = np.flatnonzero(np.abs(rows[:, 0] - rows[at, 0]) <= COURSE_S)
+        dx, dy = (rows[near[-1], 1:3] - rows[near[0], 1:3]).tolist()
+        nearest.append((float(away[at]), atan2(dy, dx) if hypot(dx, dy) >= COURSE_M else float(rows[at, 3])))
+    _, course = min(nearest)
     x, y = tracks.x - value * sin(course) * mine, tracks.y + value * cos(course) * mine  # (3)
     return replace(scenario, tracks=replace(tracks, x=x, y=y))
-
-
-def _nearest(scenario: Scenario, i: int) -> tuple[float, float]:
-    """How near an agent comes to the ego, m, and in which direction they go there, rad: the box's where they stand."""
-    rows, ego = _samples(scenario.tracks, i), scenario.ego
-    away = np.hypot(rows[:, 1] - np.interp(rows[:, 0], ego.t, ego.x), rows[:, 2] - np.interp(rows[:, 0], ego.t, ego.y))
-    at = int(np.argmin(away))
-    near = np.flatnonzero(np.abs(rows[:, 0] - rows[at, 0]) <= COURSE_S)
-    dx, dy = (rows[near[-1], 1:3] - rows[near[0], 1:3]).tolist()
-    return float(away[at]), atan2(dy, dx) if hypot(dx, dy) >= COURSE_M else float(rows[at, 3])
 
 
 def removed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:

@@ -150,26 +150,21 @@ def _of_agent(tracks: Tracks, i: int, seen: Sight, rng: np.random.Generator) -> 
     flicker = vehicle & (rng.random(n) < FLICKER)
     codes[flicker] = rng.choice([_CODES[AgentKind.TRUCK], _CODES[AgentKind.BUS]], int(flicker.sum()))
     score = np.clip(0.75 - 0.008 * seen.far[rows] - 0.1 * (not vehicle) + rng.normal(0.0, 0.12, n), LEAST_SCORE, 0.9)
-    boxes = np.column_stack(
-        [seen.frame[rows], codes, seen.x[rows] + c * u - s * v, seen.y[rows] + s * u + c * v, yaw, length, width,
-         np.full(n, np.nan) if cluster else score]
-    )  # fmt: skip
-    return boxes[_is_seen(seen.far[rows], rng) & ~seen.hidden[rows]]
-
-
-def _is_seen(far: FloatArray, rng: np.random.Generator) -> BoolArray:
-    """The frames `(n,)` in which a road user at distances `far` `(n,)` is seen: the gaps have the measured lengths."""
-    share = np.interp(far, FAR_M, SEEN)
+    share = np.interp(seen.far[rows], FAR_M, SEEN)
     mean = SHORT_GAPS / SHORT_END + (1.0 - SHORT_GAPS) / LONG_END
     begins = (1.0 - share) / share / mean
-    out, end = np.ones(len(far), np.bool_), 0.0
-    for k in range(len(far)):
+    shown, end = np.ones(n, np.bool_), 0.0  # the gaps have the measured lengths
+    for k in range(n):
         if end > 0.0 and rng.random() < end:
             end = 0.0
         elif end == 0.0 and rng.random() < begins[k]:
             end = SHORT_END if rng.random() < SHORT_GAPS else LONG_END
-        out[k] = end == 0.0
-    return out
+        shown[k] = end == 0.0
+    boxes = np.column_stack(
+        [seen.frame[rows], codes, seen.x[rows] + c * u - s * v, seen.y[rows] + s * u + c * v, yaw, length, width,
+         np.full(n, np.nan) if cluster else score]
+    )  # fmt: skip
+    return boxes[shown & ~seen.hidden[rows]]
 
 
 def _nothing(rows: IntArray, frames: FloatArray, ego: Trajectory, most: float, rng: np.random.Generator) -> FloatArray:

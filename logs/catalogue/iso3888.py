@@ -85,22 +85,6 @@ APPROACH_M, BRAKE_MPS2, LATERAL_MPS2 = 40.0, 1.2, 2.0
 """Of the logged driver: way before the track, how they slow down on it, and the room they like to the side."""
 
 
-def _lane(sections: tuple[Section, ...], begin: float, end: float) -> tuple[FloatArray, FloatArray]:
-    """Boundaries left and right `(n, 2)` of the lane through the sections, from x = `begin` to `end`."""
-    knots = [(begin, HALF_LANE, -HALF_LANE), (sections[0].begin - TAPER_M, HALF_LANE, -HALF_LANE)]
-    for i, section in enumerate(sections):
-        edges = section.offset + 0.5 * section.width, section.offset - 0.5 * section.width
-        if i:
-            before, on_left, on_right = knots[-1]
-            middle = 0.5 * (on_left + edges[0]) + WIDER_M, 0.5 * (on_right + edges[1]) - WIDER_M
-            knots.append((0.5 * (before + section.begin), *middle))
-        knots += [(section.begin, *edges), (section.end, *edges)]
-    knots += [(sections[-1].end + TAPER_M, HALF_LANE, -HALF_LANE), (end, HALF_LANE, -HALF_LANE)]
-    at, left, right = np.array(knots).T
-    x = np.union1d(at, np.arange(begin, end, LANE_STEP_M))
-    return np.column_stack([x, np.interp(x, at, left)]), np.column_stack([x, np.interp(x, at, right)])
-
-
 def _track(p: Mapping[str, float], sections: Callable[..., tuple[Section, ...]]) -> Scenario:
     v, car = p["ego_kmh"] * KMH, VehicleParameters()
     approach = APPROACH_M + 0.5 * v * v / BRAKE_MPS2
@@ -119,9 +103,20 @@ def _track(p: Mapping[str, float], sections: Callable[..., tuple[Section, ...]])
     driven = drive(path, start=0.0, speed=v, cruise=cruise, duration=tenths(last / slow + SPARE_S))
     driven = driven.between(0.0, float(driven.t[np.argmax(driven.x > last + 2.0 * TAPER_M)]))
     duration = float(driven.t[-1])
-    left, right = _lane(there, -approach - car.length, path.length - approach)
-    shift = np.array([approach, 0.0])
-    lane = Lane(1, left + shift, right + shift, speed_limit=v, kind="urban")
+    begin, end = -approach - car.length, path.length - approach  # of the lane through the sections
+    knots = [(begin, HALF_LANE, -HALF_LANE), (there[0].begin - TAPER_M, HALF_LANE, -HALF_LANE)]
+    for i, section in enumerate(there):
+        edges = section.offset + 0.5 * section.width, section.offset - 0.5 * section.width
+        if i:
+            before, on_left, on_right = knots[-1]
+            middle = 0.5 * (on_left + edges[0]) + WIDER_M, 0.5 * (on_right + edges[1]) - WIDER_M
+            knots.append((0.5 * (before + section.begin), *middle))
+        knots += [(section.begin, *edges), (section.end, *edges)]
+    knots += [(there[-1].end + TAPER_M, HALF_LANE, -HALF_LANE), (end, HALF_LANE, -HALF_LANE)]
+    at, left, right = np.array(knots).T
+    x = np.union1d(at, np.arange(begin, end, LANE_STEP_M))
+    left, right = (np.column_stack([x, np.interp(x, at, y)]) + np.array([approach, 0.0]) for y in (left, right))
+    lane = Lane(1, left, right, speed_limit=v, kind="urban")
     road = Road({1: lane}, default_speed_limit=v)
     return finished(curve((path.length, 0.0, 0.0)), driven, [], road, duration, begin=last + TAPER_M)
 

@@ -16,7 +16,7 @@ before the junction, those that follow on them count.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -66,7 +66,18 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
             stop_lines=rules.stop_lines,
             crosswalks=rules.crosswalks,
         )
-        return MapFile(road, frame, (*notes, *_left_out(osm)), rules.aliases, bool(votes))
+        for key, count in sorted(osm.blanks.items()):
+            notes.append(f"{count} tags have blanks around the key '{key}': it is read without.")
+        drawn = sum(1 for each in osm.relations.values() for _ in each.named("centerline"))
+        if drawn:
+            notes.append(f"{drawn} drawn centre lines are not read: the middle between the boundaries counts.")
+        others = Counter(each.tags.get("type", "without type") for each in osm.relations.values())
+        for kind in ("lanelet", "regulatory_element"):
+            del others[kind]
+        if others:
+            listed = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
+            notes.append(f"Relations that are not read: {listed}.")
+        return MapFile(road, frame, tuple(notes), rules.aliases, bool(votes))
     except LogError as error:
         raise error if error.file is not None else error.at(path) from None
     except (ValueError, OverflowError) as error:
@@ -80,21 +91,6 @@ def _height(node: Element) -> float:
     except ValueError:
         return 0.0
     return height if abs(height) < 1e5 else 0.0
-
-
-def _left_out(osm: Osm) -> Iterator[str]:
-    """What was put right or left out, one sentence each."""
-    for key, count in sorted(osm.blanks.items()):
-        yield f"{count} tags have blanks around the key '{key}': it is read without."
-    drawn = sum(1 for each in osm.relations.values() for _ in each.named("centerline"))
-    if drawn:
-        yield f"{drawn} drawn centre lines are not read: the middle between the boundaries counts."
-    others = Counter(each.tags.get("type", "without type") for each in osm.relations.values())
-    for kind in ("lanelet", "regulatory_element"):
-        del others[kind]
-    if others:
-        listed = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
-        yield f"Relations that are not read: {listed}."
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,27 +217,22 @@ def _stop_lines_of(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> It
         for owner in owners:
             yield StopLine(0, owner, np.array([held.lanes[owner].left[-1], held.lanes[owner].right[-1]]))
         return
-    towards: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
-    for owner in owners or _crossed_lanes(held, lines):
-        k = min(range(len(lines)), key=lambda k: _nearest(held.lanes[owner], lines[k])[0])
-        begins = _nearest(held.lanes[owner], lines[k])[1] < AT_BEGIN_M
-        for lane in (held.before.get(owner, ()) if begins else ()) or (owner,):
-            towards[k, lane] += [owner] if lane != owner and owners else []
-    for (k, lane), after in towards.items():
-        yield StopLine(0, lane, clipped(held.lanes[lane], lines[k]), towards=tuple(sorted(set(after))))
-
-
-def _crossed_lanes(held: _Map, lines: Iterable[FloatArray]) -> list[int]:
-    """The drivable lanes of whose second half the lines cross the middle."""
-    found = []
-    for line, lane in product(lines, held.lanes.values()):
+    crossed = []  # where no lanelet names the element: drivable lanes of whose second half a line crosses the middle
+    for line, lane in product(lines, () if owners else held.lanes.values()):
         along = (line[1] - line[0]) / max(float(np.hypot(*(line[1] - line[0]))), 1e-9) * ASIDE_M
         ahead = lane.center[-1] - lane.center[max(0, len(lane.center) - 4)]
         beyond = lane.center[-1] + ahead / max(float(np.hypot(*ahead)), 1e-9) * ASIDE_M
         half = np.vstack([lane.center[(len(lane.center) - 1) // 2 :], beyond])
         if lane.drivable and len(crossings(line[0] - along, line[1] + along, half)):
-            found.append(lane.id)
-    return found
+            crossed.append(lane.id)
+    towards: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
+    for owner in owners or crossed:
+        k = min(range(len(lines)), key=lambda k: _nearest(held.lanes[owner], lines[k])[0])
+        begins = _nearest(held.lanes[owner], lines[k])[1] < AT_BEGIN_M
+        for on in (held.before.get(owner, ()) if begins else ()) or (owner,):
+            towards[k, on] += [owner] if on != owner and owners else []
+    for (k, on), after in towards.items():
+        yield StopLine(0, on, clipped(held.lanes[on], lines[k]), towards=tuple(sorted(set(after))))
 
 
 def _nearest(lane: Lane, line: FloatArray) -> tuple[float, float]:

@@ -277,6 +277,15 @@ def lanes_of(osm: Osm, strips: Sequence[Strip], xyz: FloatArray, notes: list[str
         if len(left) < 2 or max(np.ptp(line, axis=0).max() for line in (left, right)) > LONGEST_M:
             unread[f"lanelets without length or longer than {LONGEST_M / 1000.0:g} km"] += 1
             continue
+        texts: list[str] = []  # of the speed limit signs, else of the lanelet's tag
+        for sign in (osm.relations[ref] for ref in strip.rules if ref in osm.relations):
+            if sign.tags.get("subtype") == "speed_limit":
+                ways = (osm.ways[ref].tags for ref in sign.named("refers") if ref in osm.ways)
+                own = [sign.tags[key] for key in ("sign_type", "speed_limit") if key in sign.tags]
+                texts += own or [tags["subtype"] for tags in ways if "subtype" in tags]
+        texts = texts or [strip.tags[key] for key in _keys("speed_limit") if key in strip.tags][:1]
+        limits = [speed_in(text) for text in texts]
+        unread["speed limits that are no number with a unit"] += sum(not isfinite(limit) for limit in limits)
         lanes[strip.id] = Lane(
             strip.id,
             left,
@@ -286,13 +295,13 @@ def lanes_of(osm: Osm, strips: Sequence[Strip], xyz: FloatArray, notes: list[str
             right_neighbour=beside.neighbour(strip, "right", same=True),
             left_opposite=strip.drivable and beside.neighbour(strip, "left", same=False) is not None,
             right_opposite=strip.drivable and beside.neighbour(strip, "right", same=False) is not None,
-            speed_limit=_limit(osm, strip, unread),
+            speed_limit=min(filter(isfinite, limits), default=nan),
             drivable=strip.drivable,
             left_crossable=crossable(strip.left, near=-1),
             right_crossable=crossable(strip.right, near=0),
             kind=strip.tags.get("subtype", "lanelet"),
         )
-    notes += [f"{count} {what} are ignored." for what, count in sorted(unread.items())]
+    notes += [f"{count} {what} are ignored." for what, count in sorted((+unread).items())]
     doubled = len(beside.ends) - len(set(beside.ends.values()))
     if doubled:
         notes.append(f"{doubled} ends of boundaries lie within {SAME_M} m of another one: they are taken as the same.")
@@ -313,22 +322,6 @@ def crossable(bound: Bound, *, near: int) -> bool:
 def _keys(key: str) -> tuple[str, ...]:
     """A key for cars, for vehicles, for all."""
     return f"{key}:vehicle:car", f"{key}:vehicle", key
-
-
-def _limit(osm: Osm, strip: Strip, unread: Counter[str]) -> float:
-    """The speed limit of a lanelet, m/s: the lowest of its speed limit signs, else its tag; NaN where it has none."""
-    signs = [osm.relations[ref] for ref in strip.rules if ref in osm.relations]
-    texts: list[str] = []
-    for sign in signs:
-        if sign.tags.get("subtype") == "speed_limit":
-            ways = (osm.ways[ref].tags for ref in sign.named("refers") if ref in osm.ways)
-            own = [sign.tags[key] for key in ("sign_type", "speed_limit") if key in sign.tags]
-            texts += own or [tags["subtype"] for tags in ways if "subtype" in tags]
-    texts = texts or [strip.tags[key] for key in _keys("speed_limit") if key in strip.tags][:1]
-    limits = [speed_in(text) for text in texts]
-    unread["speed limits that are no number with a unit"] += sum(not isfinite(limit) for limit in limits)
-    unread += Counter()
-    return min(filter(isfinite, limits), default=nan)
 
 
 def speed_in(text: str) -> float:

@@ -105,8 +105,17 @@ def _root(path: Path) -> Element:
         if root.tag != "OpenDRIVE":
             raise LogError(f"root element is <{root.tag}>", remedy="give an OpenDRIVE map (<OpenDRIVE>)")
         lengths = [float(part.get("length", "nan")) for part in root.iter("geometry")]
-        far = [part for part, length in zip(root.iter("geometry"), lengths, strict=True)
-               if not _reach(part, length) <= FARTHEST * length]  # fmt: skip
+        far = []
+        for part, length in zip(root.iter("geometry"), lengths, strict=True):
+            reach = 0.0  # of its polynomials at most, m: the sum of |a|, |b| p, |c| p^2, |d| p^3 at their end
+            for curve in part:
+                if curve.tag in ("poly3", "paramPoly3"):
+                    whole = curve.tag == "paramPoly3" and curve.get("pRange", "normalized") == "normalized"
+                    p = 1.0 if whole else length
+                    keys = ((k, key) for k, one in enumerate("abcd") for key in (one, one + "U", one + "V"))
+                    reach += sum(abs(float(curve.get(key, "0"))) * p**k for k, key in keys)
+            if not reach <= FARTHEST * length:
+                far.append(part)
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror}", file=path) from None
     except (ParseError, ValueError, LookupError) as error:
@@ -119,22 +128,6 @@ def _root(path: Path) -> Element:
         what = f"the geometry at s = {far[0].get('s')} leads more than {FARTHEST:.0f} times its length away"
         raise LogError(what, file=path, remedy="mend its coefficients")
     return root
-
-
-def _reach(geometry: Element, length: float) -> float:
-    """How far its polynomials lead at most, m: the sum of |a|, |b| p, |c| p^2, |d| p^3 at their end; else 0."""
-    total = 0.0
-    for part in geometry:
-        if part.tag in ("poly3", "paramPoly3"):
-            whole = part.tag == "paramPoly3" and part.get("pRange", "normalized") == "normalized"
-            p = 1.0 if whole else length
-            terms = (
-                abs(float(part.get(key, "0"))) * p**k
-                for k, one in enumerate("abcd")
-                for key in (one, one + "U", one + "V")
-            )
-            total += sum(terms)
-    return total
 
 
 def _pieces(roads: Sequence[Any], root: Element) -> Iterator[_Piece]:

@@ -69,7 +69,13 @@ class Stream:
             try:
                 out.append(decoder.decode(payload))
             except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
-                raise LogError(_complaint(error, payload), topic=self.topic, time_ns=time, remedy=MEND) from None
+                what = f"message does not fit: {error}".replace("`", "")
+                malformed = isinstance(error, msgspec.DecodeError) and not isinstance(error, msgspec.ValidationError)
+                bare = next((word for word in (b"NaN", b"Infinity") if word in payload), b"")
+                if malformed and bare:
+                    name = payload.partition(bare)[0].rpartition(b'":')[0].rpartition(b'"')[2].decode(errors="replace")
+                    what = f"{name} is {bare.decode()}, which is not JSON: a missing value is null"
+                raise LogError(what, topic=self.topic, time_ns=time, remedy=MEND) from None
         return out
 
     def check_order(self, *, strictly: bool) -> None:
@@ -88,16 +94,6 @@ class Stream:
 
 
 MEND = "write the field as its schema in the file says"
-
-
-def _complaint(error: Exception, payload: bytes) -> str:
-    """The message of msgspec, without its backticks; a bare NaN or Infinity is named with its field."""
-    for word in (b"NaN", b"Infinity"):
-        before, found, _ = payload.partition(word)
-        if found and isinstance(error, msgspec.DecodeError) and not isinstance(error, msgspec.ValidationError):
-            name = before.rpartition(b'":')[0].rpartition(b'"')[2].decode(errors="replace")
-            return f"{name} is {word.decode()}, which is not JSON: a missing value is null"
-    return f"message does not fit: {error}".replace("`", "")
 
 
 @dataclass(frozen=True)
@@ -224,25 +220,20 @@ def opened(chunk: Chunk) -> list[McapRecord]:
     if chunk.uncompressed_size > MOST_CHUNK_BYTES:
         what = f"a chunk of {len(chunk.data)} bytes would inflate to {chunk.uncompressed_size / 2**20:.0f} MiB"
         raise LogError(what, time_ns=time, remedy=f"the bound is {MOST_CHUNK_BYTES / 2**20:.0f} MiB; {SPLIT}")
+    size = chunk.uncompressed_size
     try:
-        return breakup_chunk(replace(chunk, compression="", data=_inflate(chunk)), validate_crc=True)
+        if chunk.compression == "zstd":
+            data: bytes = ZstdDecompressor().stream_reader(BytesIO(chunk.data), read_across_frames=True).read(size + 1)
+        elif chunk.compression == "lz4":
+            data = LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+        else:
+            data = chunk.data
+        if len(data) != size:
+            raise ValueError(f"it states {size} bytes and holds {'more' if len(data) > size else len(data)}")
+        return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
     except DAMAGE as error:
         what = f"the chunk that begins there is damaged ({_name(error)})"
         raise LogError(what, time_ns=time, remedy=remedy) from None
-
-
-def _inflate(chunk: Chunk) -> bytes:
-    """The chunk's records; ValueError where they are more or fewer bytes than it states."""
-    size = chunk.uncompressed_size
-    if chunk.compression == "zstd":
-        data: bytes = ZstdDecompressor().stream_reader(BytesIO(chunk.data), read_across_frames=True).read(size + 1)
-    elif chunk.compression == "lz4":
-        data = LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
-    else:
-        data = chunk.data
-    if len(data) != size:
-        raise ValueError(f"it states {size} bytes and holds {'more' if len(data) > size else len(data)}")
-    return data
 
 
 def _name(error: BaseException) -> str:

@@ -121,15 +121,40 @@ def salvage(source: Path, target: Path) -> Salvage:
         LogError: The source cannot be read, is no MCAP file, or holds no intact message; nothing is written then.
     """
     raw = content_of(source)
-    report, writer = Salvage(), _Copy()
-    _walk(raw, writer, report)
+    report, copy = Salvage(), _Copy()
+    at, last, broken = BEGIN, None, None
+    while at < len(raw):
+        if broken is None and raw[at] == Opcode.DATA_END:
+            break
+        records = _records_at(raw, at, in_step=broken is None, undamaged=not report.lost and broken is None)
+        if records is None:
+            broken = at if broken is None else broken
+            at = _next_chunk(raw, at + 1)
+            continue
+        size, found, is_chunk = records
+        times = [record.log_time for record in found if isinstance(record, Message)]
+        if broken is not None and times:
+            report.lost.append(Lost(broken, at - broken, last, times[0]))
+            broken = None
+        for record in found:
+            copy.take(record)
+        last = times[-1] if times else last
+        report.chunks += is_chunk
+        report.unchecked += is_chunk and not any(raw[at + CRC.start : at + CRC.stop])
+        at += HEAD + size
+    if broken is not None:
+        report.lost.append(Lost(broken, len(raw) - broken, last, None))
+    _summary(raw, copy)
+    named = [message for message in copy.messages if message.channel_id in copy.channels]
+    report.nameless, report.messages = len(copy.messages) - len(named), len(named)
+    copy.messages = named
     if not report.messages:
         raise LogError("no intact message is left", file=source, remedy="copy or record it again")
     part = target.with_name(f".{target.name}.part")
     try:
         with writing(target):
             target.parent.mkdir(parents=True, exist_ok=True)
-            writer.write(part)
+            copy.write(part)
             part.replace(target)
     finally:
         part.unlink(missing_ok=True)
@@ -177,36 +202,6 @@ class _Copy:
                 sent = message.log_time, message.data, message.publish_time
                 writer.add_message(channels[message.channel_id], *sent, message.sequence)
             writer.finish()
-
-
-def _walk(raw: bytes, copy: _Copy, report: Salvage) -> None:
-    """Every intact record of the data section into `copy`; then messages without a channel are taken out."""
-    at, last, broken = BEGIN, None, None
-    while at < len(raw):
-        if broken is None and raw[at] == Opcode.DATA_END:
-            break
-        records = _records_at(raw, at, in_step=broken is None, undamaged=not report.lost and broken is None)
-        if records is None:
-            broken = at if broken is None else broken
-            at = _next_chunk(raw, at + 1)
-            continue
-        size, found, is_chunk = records
-        times = [record.log_time for record in found if isinstance(record, Message)]
-        if broken is not None and times:
-            report.lost.append(Lost(broken, at - broken, last, times[0]))
-            broken = None
-        for record in found:
-            copy.take(record)
-        last = times[-1] if times else last
-        report.chunks += is_chunk
-        report.unchecked += is_chunk and not any(raw[at + CRC.start : at + CRC.stop])
-        at += HEAD + size
-    if broken is not None:
-        report.lost.append(Lost(broken, len(raw) - broken, last, None))
-    _summary(raw, copy)
-    named = [message for message in copy.messages if message.channel_id in copy.channels]
-    report.nameless, report.messages = len(copy.messages) - len(named), len(named)
-    copy.messages = named
 
 
 def _records_at(

@@ -123,10 +123,10 @@ def answer(_: int) -> tuple[Any, dict[str, bytes]]:
 def overhead() -> None:
     """Wall per item that does nothing, where the workers are warm."""
     one = OnRay(workers=4)
-    with one._connected(RUN) as ray:
+    with one._ray_connection(RUN) as ray:
         task = ray.remote(answer).options(max_retries=3, num_cpus=1)
-        list(one._streamed(ray, task.remote, range(20)))
-        wall, cpu, _ = timed(lambda: list(one._streamed(ray, task.remote, range(ITEMS))))
+        list(one._stream_results(ray, task.remote, range(20)))
+        wall, cpu, _ = timed(lambda: list(one._stream_results(ray, task.remote, range(ITEMS))))
     print(f"ray:   {1e3 * wall / ITEMS:.1f} ms wall, {1e3 * cpu / ITEMS:.1f} ms CPU of the driver a log")
     stream = run_all(answer, range(ITEMS + 20), 2)
     for _ in range(20):

@@ -1,4 +1,4 @@
-"""What can go wrong, and what each of it costs: one root, few leaves.
+"""The errors of replan and their exit codes: one base class, few subclasses.
 
     ReplanError                 one line that names the thing, the place and the remedy
      |- LogError                a log cannot be read or evaluated            exit code 3
@@ -23,7 +23,7 @@ from typing import Any
 
 
 class ReplanError(Exception):
-    """Root of all errors that a user can cause and mend."""
+    """Base class of all errors that a user can cause and correct."""
 
 
 class LogError(ReplanError):
@@ -77,7 +77,7 @@ class OutputError(ReplanError):
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """What the system raises inside becomes an OutputError that names the file."""
+    """Turn an OSError of the body into an OutputError that names the file."""
     try:
         yield
     except OSError as error:
@@ -92,7 +92,7 @@ LONGEST_MESSAGE = 400
 
 
 def of_users(error: BaseException) -> bool:
-    """Whether what was raised passed through code that is neither ours nor a library's."""
+    """Whether an exception passed through code that is neither replan's nor a library's."""
     return any(_is_users(place.filename) for place in extract_tb(error.__traceback__))
 
 
@@ -101,11 +101,11 @@ def _is_users(file: str) -> bool:
 
 
 def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str:
-    """What was raised, in one line, with the place: the innermost in the user's code, where it is in the call at all.
+    """An exception in one line, with the innermost place in the user's code, if the traceback contains any.
 
     Args:
         error: The exception.
-        of: The user's function that is to blame where nothing of theirs is in the traceback.
+        of: The user's function to name if the traceback contains no code of the user.
     """
     try:
         words = " ".join(str(error)[: 10 * LONGEST_MESSAGE].split())
@@ -123,7 +123,7 @@ def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], within: str = "") -> ConfigError:
-    """The error for a name that is not in a table, `within` being the table's ("loop."): says the nearest, or all."""
+    """The error for a name that is not in a table, `within` being the table's ("loop."): names the nearest, or all."""
     names = sorted(known)
     near = get_close_matches(name, names, n=1, cutoff=0.6)
     hint = f"did you mean '{within}{near[0]}'?" if near else f"known are: {', '.join(names) or 'none'}"

@@ -1,4 +1,4 @@
-"""What users add by name: one loader for planners, metrics, vehicles, controllers, readers and more (docs/extend.md).
+"""One loader for what users add by name: planners, metrics, vehicles, controllers, readers ... (docs/extend.md).
 
 A thing of a kind is named as
 
@@ -42,7 +42,7 @@ class Kind(Generic[T]):
     Attributes:
         name: In messages ("controller").
         plural: As `replan list` and the entry points' group have it ("controllers").
-        builtin: Those of ours.
+        builtin: The things that come with replan.
         wrong: What is wrong with what was found, in words that follow its name; "": nothing.
         error: What is raised where a module cannot be imported, or has no such thing.
         form: How one of the user's own is named.
@@ -67,10 +67,10 @@ class Kind(Generic[T]):
 
         Args:
             spec: A name of ours or of an entry point, or "module:NAME".
-            also: Names that the caller knows besides, for the message where `spec` is no name at all.
+            also: Further names that the caller knows, for the error message about an unknown name.
 
         Raises:
-            ConfigError: Nothing is called so, or two are.
+            ConfigError: Nothing has this name, or two things have it.
             error: The module cannot be imported, or what it has of that name is no such thing.
         """
         if spec in self.builtin:
@@ -96,7 +96,7 @@ class Kind(Generic[T]):
         return thing
 
     def place(self, spec: str, *, also: Iterable[str] = ()) -> tuple[str, str]:
-        """Module and name in it of what is not ours; ConfigError where `spec` names nothing."""
+        """Module and attribute of a thing that is not built in; ConfigError where `spec` names nothing."""
         if ":" not in spec:
             entries = self.entries()
             if spec not in entries:

@@ -1,4 +1,4 @@
-"""What a long drive keeps in memory: its frames, the road users around an instant, and nothing that is free.
+"""Memory of a long drive: its frames, the road users around an instant, and the return of free memory.
 
 Frames. A plan's trajectory, graphs and costs and the predictions are most of a frame (46 kB of 47 among thirty road
 users). The first `WHOLE` frames are kept in memory; of later frames these parts go into an unnamed file and are read

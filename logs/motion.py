@@ -1,4 +1,4 @@
-"""How the others moved: velocity and acceleration of every track, for whatever judges. Ground truth, not for planners.
+"""Velocity and acceleration of every track, estimated for metrics. Ground truth, not for planners.
 
 Per axis of the world, with the state (p, v, a) of position m, velocity m/s and acceleration m/s2, white jerk (Li and
 Jilkov, Survey of Maneuvering Target Tracking I, IEEE Trans. AES 39, 2003):

@@ -25,7 +25,7 @@ class Colour(Enum):
 
 
 RED = (Colour.RED, Colour.RED_YELLOW)
-"""What forbids to cross a stop line."""
+"""The colours that forbid crossing a stop line."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -205,7 +205,7 @@ class Tracks:
 
     @property
     def whole(self) -> Tracks:
-        """What these are a part of (`logs.memory.Recent`): themselves."""
+        """The tracks of which these are a part (`logs.memory.Recent`): here these tracks themselves."""
         return self
 
     def samples(self, index: int) -> slice:
@@ -213,7 +213,7 @@ class Tracks:
         return slice(int(self.offsets[index]), int(self.offsets[index + 1]))
 
     def taken(self, keep: BoolArray) -> Tracks:
-        """The tracks with only the samples `keep` `(m,)`; who has none left is not among them. By name: `only`."""
+        """The tracks with only the samples `keep` `(m,)`; tracks without a sample are left out. By name: `only`."""
         owner = np.repeat(np.arange(len(self)), np.diff(self.offsets))
         sizes = np.bincount(owner[keep], minlength=len(self))
         left = np.flatnonzero(sizes)
@@ -418,12 +418,12 @@ class Scenario:
 
     @property
     def family(self) -> str:
-        """What reports group by: the catalogue's family, or what the format calls alike; "": nothing."""
+        """The group in reports: the family of the catalogue, or the group that the format names; "": none."""
         return self.metadata.get("family", "")
 
     @property
     def dataset(self) -> str:
-        """Where it comes from, without what names this log alone."""
+        """The source, without the part that names this log alone."""
         return self.metadata.get("dataset") or self.metadata.get("generator") or self.source
 
     @property

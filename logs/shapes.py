@@ -76,7 +76,7 @@ def axis_gap(
     x1: float, y1: float, c1: float, s1: float, length1: float, width1: float,
     x2: float, y2: float, c2: float, s2: float, length2: float, width2: float,
 ) -> float:  # fmt: skip
-    """A distance that boxes as of `overlap_turned` are apart at least, m; not positive where they overlap (1)."""
+    """A lower bound of the distance of two boxes (see `overlap_turned`), m; not positive where they overlap (1)."""
     dx, dy = x2 - x1, y2 - y1
     gap = hypot(dx, dy) - 0.5 * (hypot(length1, width1) + hypot(length2, width2))
     if gap > 0.0:

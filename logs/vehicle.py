@@ -104,7 +104,7 @@ class VehicleParameters:
             raise ValueError("vehicle rear_overhang must lie between 0 and length - wheelbase")
         n = len(self.motor_speed)
         if (len(self.motor_torque), len(self.motor_overrun)) != (n, n) or bool(self.gears) != bool(n):
-            raise ValueError("vehicle gears, motor_speed, motor_torque and motor_overrun: tell all of them or none")
+            raise ValueError("vehicle gears, motor_speed, motor_torque and motor_overrun: give all of them or none")
         if n and (n < 2 or not all(a < b for a, b in zip((0.0, *self.motor_speed), self.motor_speed, strict=False))):
             raise ValueError("vehicle motor_speed must have at least two values, positive and increasing")
         if min((*self.gears, 1.0)) <= 0.0 or min((*self.motor_torque, *self.motor_overrun, 0.0)) < 0.0:
@@ -147,7 +147,7 @@ def vehicle_parameters(name: str) -> VehicleParameters:
     """The parameters of a known vehicle; every number is in its file, none is a default.
 
     Raises:
-        ConfigError: No vehicle is called so.
+        ConfigError: No vehicle has this name.
     """
     if name not in vehicle_names():
         raise unknown_name("vehicle", name, vehicle_names())

@@ -109,7 +109,7 @@ def each(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, Others, int]]:
 
 
 def in_spans(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, slice, Others]]:
-    """Each track that has a sample among the increasing times `t` `(k,)`: its steps from first to last, and it there.
+    """Each track with a sample among the increasing times `t` `(k,)`: its first to last step, and its boxes there.
 
     A static one is there at all of them.
     """

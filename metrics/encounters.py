@@ -255,7 +255,7 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 
 
 def may_meet(boxes: FloatArray, car: Car, others: Others, i: int) -> tuple[IntArray, IntArray]:
-    """The steps of the ego and of the agent in row i that lie in the rectangle which the other's drive takes."""
+    """The steps of the ego and of the agent in row i that lie in the bounding box of the other's drive."""
     ego, other = boxes[:2].T, others.pose[:2, i].T
     if not others.there[i].any():
         return np.empty(0, np.int64), np.empty(0, np.int64)

@@ -1,4 +1,4 @@
-"""What a drive can be evidence of: how much was driven, did the replay end it, were its plans plans, is it robust.
+"""Evidence of a drive: how much was driven, did the replay end it, did the planner plan, is it robust.
 
 EVIDENCE measures where a drive had what verdicts about it rest on, a series of 0 and 1 over its steps for each kind:
 

@@ -218,14 +218,14 @@ def ghosts(scenario: Scenario) -> Iterator[Finding]:
 
 
 def ego_gaps(scenario: Scenario) -> Iterator[Finding]:
-    """(1)."""
+    """Gaps in the samples of the ego (1)."""
     t, dt = scenario.ego.t, np.diff(scenario.ego.t)
     for k in np.flatnonzero((dt > EGO_GAP_S) & (dt > RARE * np.median(dt))) if len(dt) else ():
         yield Finding(Kind.EGO_GAP, "ego", "", t[k], t[k + 1], dt[k], "s", f"no ego state for {dt[k]:.2f} s")
 
 
 def ego_jumps(scenario: Scenario) -> Iterator[Finding]:
-    """(2)."""
+    """Jumps of the ego (2)."""
     ego = scenario.ego
     dt, d = np.diff(ego.t), np.hypot(np.diff(ego.x), np.diff(ego.y))
     fastest = np.maximum(np.abs(ego.v[:-1]), np.abs(ego.v[1:]))
@@ -235,7 +235,7 @@ def ego_jumps(scenario: Scenario) -> Iterator[Finding]:
 
 
 def ego_speed(scenario: Scenario) -> Iterator[Finding]:
-    """(3), (4)."""
+    """Speeds of the ego that do not fit its positions, also by a factor (3), (4)."""
     ego = scenario.ego
     positions, speeds = _ways(ego.t, ego.x, ego.y, np.abs(ego.v))
     way, by_speed = float(positions.sum()), float(speeds.sum())
@@ -249,7 +249,7 @@ def ego_speed(scenario: Scenario) -> Iterator[Finding]:
 
 
 def ego_heading(scenario: Scenario) -> Iterator[Finding]:
-    """(5)."""
+    """Headings of the ego that do not fit its motion (5)."""
     ego = scenario.ego
     dx, dy = np.diff(ego.x), np.diff(ego.y)
     moved = np.hypot(dx, dy) >= STEP_M
@@ -292,7 +292,7 @@ def flickering(scenario: Scenario) -> Iterator[Finding]:
 
 
 def id_switches(scenario: Scenario) -> Iterator[Finding]:
-    """(7)."""
+    """Tracks that switch their id (7)."""
     tracks = scenario.tracks
     first, last = tracks.offsets[:-1], tracks.offsets[1:] - 1
     begins, ends = tracks.t[first], tracks.t[last]
@@ -327,7 +327,7 @@ def teleports(scenario: Scenario) -> Iterator[Finding]:
 
 
 def speeds(scenario: Scenario) -> Iterator[Finding]:
-    """(9), (13)."""
+    """Speeds of road users that do not fit their positions, also by a factor (9), (13)."""
     tracks, found, ratios = scenario.tracks, [], []
     for i, mine, t in _moving(tracks):
         v = np.hypot(tracks.vx[mine], tracks.vy[mine])
@@ -381,7 +381,7 @@ def across(scenario: Scenario) -> Iterator[Finding]:
 
 
 def short_tracks(scenario: Scenario) -> Iterator[Finding]:
-    """(19)."""
+    """Too many short tracks (19)."""
     tracks = scenario.tracks
     vehicles = among(*LONG)[tracks.codes] & ~tracks.static
     short = int((np.diff(tracks.offsets)[vehicles] < SHORT).sum())
@@ -391,7 +391,7 @@ def short_tracks(scenario: Scenario) -> Iterator[Finding]:
 
 
 def twins(scenario: Scenario) -> Iterator[Finding]:
-    """(11)."""
+    """Boxes that show one road user twice (11)."""
     tracks = scenario.tracks
     t = np.arange(0.0, scenario.duration + 1e-9, GRID_S)
     met: dict[tuple[int, int], list[int]] = defaultdict(list)
@@ -421,7 +421,7 @@ def _near_pairs(places: FloatArray) -> Iterator[tuple[int, int]]:
 
 
 def unrecorded(scenario: Scenario) -> Iterator[Finding]:
-    """(17)."""
+    """Times at which no traffic was observed (17)."""
     spans = clipped(scenario.traffic_spans, 0.0, scenario.duration)
     edges = [0.0, *(edge for span in spans for edge in span), scenario.duration]
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
@@ -431,7 +431,7 @@ def unrecorded(scenario: Scenario) -> Iterator[Finding]:
 
 
 def sizes(scenario: Scenario) -> Iterator[Finding]:
-    """(12)."""
+    """Implausible sizes (12)."""
     tracks = scenario.tracks
     for i, kind in enumerate(tracks.kinds):
         length, width = float(tracks.length[i]), float(tracks.width[i])
@@ -442,7 +442,7 @@ def sizes(scenario: Scenario) -> Iterator[Finding]:
 
 
 def off_map(scenario: Scenario) -> Iterator[Finding]:
-    """(14)."""
+    """The ego's states off the map (14)."""
     road, ego = scenario.road, scenario.ego
     if road.source is not RoadSource.LANES:
         return
@@ -458,7 +458,7 @@ def off_map(scenario: Scenario) -> Iterator[Finding]:
 
 
 def lane_graph(scenario: Scenario) -> Iterator[Finding]:
-    """(15)."""
+    """Faults of the lane graph (15)."""
     lanes, end = scenario.road.lanes, scenario.duration
     if scenario.road.source is not RoadSource.LANES:
         return
@@ -479,7 +479,7 @@ def lane_graph(scenario: Scenario) -> Iterator[Finding]:
 
 
 def lights(scenario: Scenario) -> Iterator[Finding]:
-    """(16)."""
+    """Lights without a stop line (16)."""
     named, end = {line.light for line in scenario.road.stop_lines}, scenario.duration
     if scenario.lights and not named:
         begin = min(float(light.t[0]) for light in scenario.lights)

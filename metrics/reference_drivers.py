@@ -242,7 +242,7 @@ def _observe(
     """Fill the driver's view of each agent at step k, `(n, 7)`.
 
     Gap, u, lateral gap, lateral speed towards the band, extent along the line, whether it crosses, extent across.
-    Gap is NaN for who is not there, too far, or not ahead. In the band the lateral gap is negative.
+    The gap is NaN for agents that are absent, too far away, or not ahead. In the band the lateral gap is negative.
     """
     knots, coef, pose, size = line.knots, line.coef, others.pose, others.size
     x, y = line_frame(knots, coef, s)[:2]
@@ -286,7 +286,7 @@ def _cc_acceleration(
     seen: FloatArray, accel: FloatArray, car: Car, v: float, clock: FloatArray, nearer: FloatArray, late: float,
     braking: bool,
 ) -> float:  # fmt: skip
-    """What "cc" wishes; `clock` (how long each is a hazard) and `nearer` (1) are kept up."""
+    """The acceleration that "cc" wants; updates `clock` (how long each agent is a hazard) and `nearer` (1)."""
     wish, held = 0.0, False
     for i in range(len(seen)):
         nearer[i] = max(nearer[i] + STEP_S * seen[i, 3], 0.0) if np.isfinite(seen[i, 0]) else 0.0

@@ -45,18 +45,18 @@ PLANNER: Kind[PlannerFactory] = Kind("planner", "planners", PLANNERS, _wrong, Pl
 
 
 def load_planner(spec: str, *, also: Iterable[str] = ()) -> PlannerFactory:
-    """What builds the planner that the user named.
+    """The factory of the planner that the user named.
 
     Args:
         spec: A name in PLANNERS or of an entry point, or "module:Class".
-        also: Names that the caller knows besides, for the message where `spec` is no name at all.
+        also: Further names that the caller knows, for the error message about an unknown name.
 
     Raises:
         ConfigError: No planner has this name.
         PlannerError: The module cannot be imported, or has no such planner.
     """
     if spec.partition(":")[0] in ("exec", "tcp"):
-        raise ConfigError(f"planner '{spec}': write exec:COMMAND or tcp://HOST:PORT; no such is loaded into Python")
+        raise ConfigError(f"planner '{spec}': write exec:COMMAND or tcp://HOST:PORT; neither is loaded into Python")
     return PLANNER.find(spec, also=also)
 
 

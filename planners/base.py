@@ -1,4 +1,4 @@
-"""The planner's seam: one method.
+"""The interface of a planner: one method.
 
 A planner is built as `Class(context, **config)`, once per scenario, and then asked for a plan at each frame. Its
 memory (solver warm starts, hysteresis) lives in the object; there is no reset. `frame.previous is None` means fresh

@@ -1,4 +1,4 @@
-"""The smallest planner, and the template to copy: it goes on as the ego goes, at its speed and its curvature.
+"""The smallest planner, and the template to copy: it keeps the ego's speed and curvature.
 
 Copy this file, rename the class, change `plan`, and run it without touching this package:
 

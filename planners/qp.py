@@ -1,4 +1,4 @@
-"""The only door to the QP solvers.
+"""The only module that calls the QP solvers.
 
     minimise 1/2 x' P x + q' x    subject to    l <= A x <= u,  the first rows equalities
 

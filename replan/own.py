@@ -22,17 +22,17 @@ PACKAGES = ("logs", "metrics", "planners", "replay")
 
 
 class OwnPackages(MetaPathFinder):
-    """Finds our packages, and nothing else."""
+    """Finds the packages of replan, and no others."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Where a package of ours is; None for any other name."""
+        """The place of a package of replan; None for any other name."""
         return PathFinder.find_spec(fullname, [str(ROOT)]) if fullname in PACKAGES else None
 
 
 def first() -> None:
-    """From here on, our packages are found before others of their names.
+    """Make Python find the packages of replan before others with the same names.
 
     Raises:
         ImportError: Another of these names is imported already.
@@ -48,7 +48,7 @@ def first() -> None:
 
 
 def rival(package: str) -> str:
-    """The file or folder in the Python path that has the name of a package of ours; "": there is none."""
+    """The file or folder in the Python path with the name of a package of replan; "" if there is none."""
     for folder in (Path(entry or ".").resolve() for entry in sys.path):
         for file in (folder / package / "__init__.py", folder / f"{package}.py", folder / package):
             if folder != ROOT and file.exists():
@@ -57,7 +57,7 @@ def rival(package: str) -> str:
 
 
 def clash(package: str, theirs: str) -> str:
-    """The message about a file of the user's that has the name of a package of ours."""
+    """The error message about a file of the user with the name of a package of replan."""
     ours = ROOT / package / "__init__.py"
     yours = f"yours ({theirs})" if theirs else "a package of yours with that name"
     says = f"'{package}' is the name of a package of replan ({ours})"
@@ -65,7 +65,7 @@ def clash(package: str, theirs: str) -> str:
 
 
 def missing(package: str) -> Callable[[str], Any]:
-    """The `__getattr__` of a package: where what is not in it may be meant of the user's, both files are named."""
+    """The `__getattr__` of a package: if the user has a file of the package's name, the error names both files."""
 
     def lacking(name: str) -> Any:
         theirs = "" if name.startswith("__") else rival(package)

@@ -54,7 +54,7 @@ def evaluate(
         window: Split each log into windows of this length, s.
         workers: Child processes; 0 evaluates in this one. Results do not depend on it. With any, a script needs
             `if __name__ == "__main__":`.
-        resume: Go on with an interrupted run into `out`.
+        resume: Continue the interrupted run in `out`.
         loop: Keys of [loop] (`replay.config.LoopConfig`): {"controller": "mpc", "plan_period_s": 0.2}.
 
     Raises:
@@ -106,7 +106,7 @@ def compare(
 
 
 def named(planner: str | type) -> str:
-    """The name by which a worker finds a planner: of a class "module:Class".
+    """The name by which a worker finds a planner; for a class, "module:Class".
 
     Raises:
         ConfigError: The class is of a script or a notebook, which a worker cannot import.

@@ -60,15 +60,15 @@ class SensorConfig:
     Attributes:
         range_m: Nothing farther is seen.
         field_of_view_deg: About the ego's heading; 360 is all round.
-        occlusion: Whether others hide others.
-        position_noise_m: Standard deviation along and across the agent's heading; of each measurement anew.
+        occlusion: Whether road users hide others behind them.
+        position_noise_m: Standard deviation along and across the agent's heading; drawn for each measurement.
         yaw_noise_deg: Standard deviation.
         velocity_noise_mps: Standard deviation along and across the agent's heading.
-        latency_s: From measuring to the planner; counted in whole frames.
+        latency_s: Time from the measurement to the planner; counted in whole frames.
         dropout: Probability that an agent is not measured in a slot.
         dropout_s: Length of the slots.
-        coast_s: How long an agent is carried on that is not measured any more.
-        seed: Another seed, other draws.
+        coast_s: How long an agent that is no longer measured is extrapolated.
+        seed: Seed of the random draws.
 
     Raises:
         ConfigError: A value is out of its range.
@@ -102,12 +102,12 @@ class PlannerProcessConfig:
     """How planners that are not built in are kept apart (docs/planners_apart.md).
 
     Attributes:
-        trust: Planners named "module:Class" run in the process that holds the log: faster, and no limit holds.
+        trust: Planners named "module:Class" run in the process that holds the log: faster, and without limits.
         plan_timeout_s: Longest time of a plan.
         start_timeout_s: Longest time to build the planner, and of its first plan (kernels, models).
         log_timeout_s: Longest time of all plans of a drive; 0: no limit.
         memory_gb: Data of the planner's process; 0: no limit.
-        environment: Variables that it is given beside `replay.planner_process.processes.ENVIRONMENT`.
+        environment: Variables that it receives besides `replay.planner_process.processes.ENVIRONMENT`.
         batch: Number of logs in lock step, whose frames are planned together (`plan_batch`); 0: each log by itself.
 
     Raises:
@@ -140,12 +140,12 @@ class LoopConfig:
     Attributes:
         plan_period_s: Time between two frames.
         control_period_s: Time between two commands; the plan period is a multiple of it.
-        vehicle: Name in `replay.vehicle.VEHICLES`, or "module:Class" as all that is named here (docs/extend.md).
+        vehicle: Name in `replay.vehicle.VEHICLES`, or "module:Class", as for all names here (docs/extend.md).
         plant: What the vehicle model has that planner and controller do not know of: VehicleParameters by name, and
             keywords of the model (`replay.vehicle.build_vehicle`).
         controller: Name in `replay.control.CONTROLLERS`; the vehicle "perfect" needs none.
         traffic: Name in `replay.traffic.TRAFFIC`.
-        plan_delay_s: A plan is driven from so long after its frame on (what computing it takes), whole control periods.
+        plan_delay_s: Time from a frame until its plan is driven (the computing time), in whole control periods.
         perception: Name in `replay.loop.perception.PERCEPTIONS`.
         sensor: What the sensor can do, where the perception is "sensor".
         prediction: Name in `replay.prediction.PREDICTORS`, or "oracle": the log's own future, with traffic "time".
@@ -153,7 +153,7 @@ class LoopConfig:
         prediction_step_s: Time between two samples of a prediction.
         end_with_evidence: A closed drive ends where the recording of the log's traffic does (`Scenario.traffic_spans`).
         apart: How planners that are not built in are kept apart.
-        settings: Keywords of what is named here, by its key; no key of the file: `RunConfig.drive_loop` fills them in.
+        settings: Keywords of the parts named here, by key; not in the file: `RunConfig.drive_loop` fills them in.
 
     Raises:
         ConfigError: A period is not positive, or the periods do not fit.
@@ -181,7 +181,7 @@ class LoopConfig:
                 raise ConfigError(f"loop.{name} must be positive, got {getattr(self, name)}")
         if self.prediction == "oracle" and self.traffic != "time":
             raise ConfigError(
-                f"loop.prediction 'oracle' knows the log's future, which is not the others' with loop.traffic"
+                f"loop.prediction 'oracle' uses the log's future, which road users do not follow with loop.traffic"
                 f" '{self.traffic}'; take traffic 'time' (--traffic time)"
             )
         if not 0.0 <= self.plan_delay_s < 1e6:
@@ -204,7 +204,7 @@ class LoopConfig:
 
     @property
     def plan_delay_steps(self) -> int:
-        """Control periods from a frame to its plan being driven."""
+        """Control periods from a frame until its plan is driven."""
         return round(self.plan_delay_s * 1e9) // self.control_period_ns
 
     @property
@@ -224,13 +224,13 @@ class RunConfig:
         planners: Names as `replay.loop.planning.Planning` takes them; one column of the results each.
         mode: Which loops are run.
         gates: "default" (the packaged thresholds), or the path of a TOML file.
-        internals: How much of the planner's inside is kept in the traces.
+        internals: How much of the planner's internals is kept in the traces.
         recording: Whether Rerun recordings are written.
         foxglove: Whether the logs and traces that are written get channels for Foxglove (`replay.draw.foxglove`).
         metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
         charts: "module:NAME" of charts from outside, drawn in the report beside the built-in ones.
         ensemble: How many times each log is driven again under a perturbation (`replay.run.perturb`).
-        repeat_s: So much of the start of a drive is driven twice where the planner does not come with replan
+        repeat_s: Length of the start of a drive that is driven twice if the planner does not come with replan
             (`replay.loop.planning`), s; 0: nothing.
         deadline_s: At most 1 % of a drive's plans may take longer, s; 0: not asked.
         log: How logs are read.
@@ -278,7 +278,7 @@ class RunConfig:
 
     @property
     def drive_loop(self) -> LoopConfig:
-        """`loop` with the settings of what it names, as the loops take it."""
+        """`loop` with the settings of the parts that it names, in the form that the loops take."""
         chosen = {key: getattr(self, table).get(getattr(self.loop, key), {}) for key, table in SETTINGS.items()}
         return replace(self.loop, settings={key: dict(table) for key, table in chosen.items() if table})
 
@@ -294,7 +294,7 @@ class RunConfig:
 
     @property
     def keep_internals(self) -> bool:
-        """Whether anything looks at the planner's inside: traces, recordings, metrics from outside."""
+        """Whether the planner's internals are used: by traces, recordings or metrics from outside."""
         return self.recording or self.internals != "none" or bool(self.metrics)
 
     @property
@@ -306,7 +306,7 @@ class RunConfig:
         """The vehicle of a log with this run's replacements.
 
         Raises:
-            ConfigError: They make no vehicle.
+            ConfigError: The result is not a valid vehicle.
         """
         over = dict(self.vehicle)
         name = over.pop("set", None)

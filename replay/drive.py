@@ -1,4 +1,4 @@
-"""One drive of a log: which one it is, what it gives back, and the clock of its planner."""
+"""One drive of a log: its key, its result, and the clock of its planner."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ NOT_DETERMINISTIC = "not deterministic: "
 
 @dataclass(frozen=True, order=True)
 class DriveKey:
-    """Which of a log's drives it is; they are driven in this order.
+    """Identifies one drive of a log; drives are run in the order of their keys.
 
     Attributes:
-        member: Of the ensemble; 0: the log itself.
-        planner: Of the run's, by place.
-        mode: Of its loops, by place.
+        member: Number in the ensemble; 0: the log itself.
+        planner: Index of the planner in the run.
+        mode: Index of the loop in the run.
         again: Whether it is the second drive of a start, which is compared with the first (`replay.loop.planning`).
     """
 
@@ -52,14 +52,14 @@ class StageTime:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Drive:
-    """A trace, and apart from it what is not the same twice: how long planning took."""
+    """A trace and, apart from it, the planning times, which differ when the drive is repeated."""
 
     trace: Trace
     timings: tuple[StageTime, ...]
 
 
 class Stopwatch:
-    """How long a planner takes, in all and per stage: the one clock; nothing that it reads goes into a trace.
+    """Measures how long a planner takes, in total and per stage. Its times do not go into the trace.
 
     It runs from `start` to `stop`; in between, `lap` is given to the planner as `PlannerContext.lap`.
     """
@@ -77,7 +77,7 @@ class Stopwatch:
         self._begin = self._last = perf_counter()
 
     def lap(self, stage: str) -> None:
-        """A stage has ended; ignored while no plan is being made (a planner under construction)."""
+        """End a stage; ignored while no plan is made (while the planner is built)."""
         if not self._running:
             return
         now = perf_counter()
@@ -93,11 +93,11 @@ class Stopwatch:
         self._times += [StageTime(t, stage, seconds) for stage, seconds in laps.items()]
 
     def took(self, stage: str, seconds: float) -> None:
-        """A stage that another process has measured."""
+        """Add the time of a stage that another process has measured."""
         self._laps[stage] = self._laps.get(stage, 0.0) + seconds
 
     def waited(self, seconds: float) -> None:
-        """The plan was not being made for so long: it is not counted."""
+        """Exclude a time during which the plan was not computed."""
         self._begin += seconds
         self._last += seconds
 
@@ -108,5 +108,5 @@ class Stopwatch:
 
     @property
     def times(self) -> tuple[StageTime, ...]:
-        """Of all plans so far: their stages in order of their first lap, then "total"."""
+        """The times of all plans so far: stages in order of their first lap, then "total"."""
         return tuple(self._times)

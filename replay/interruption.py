@@ -25,7 +25,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 def end_at_once() -> None:
-    """From here on, a signal ends the process with `EXIT_CODE`: no command has begun, so there is nothing to clear."""
+    """From now on, a signal ends the process with `EXIT_CODE`: no command has begun, so there is nothing to clear."""
     for name in _SIGNALS:
         if signal.getsignal(name) is not signal.SIG_IGN:
             signal.signal(name, _end)

@@ -1,4 +1,4 @@
-"""Planners that are given the Scenario, future included: they calibrate the metrics, and every table marks them.
+"""Planners that see the whole Scenario, with its future. They calibrate the metrics; every table marks them.
 
 "logged"    what was driven, as a plan: no error in open loop; in closed loop the car has to follow the log
 "onboard"   what the log's own planner had planned by then (`Scenario.onboard`), to be judged beside others. It knew
@@ -38,13 +38,13 @@ class Logged:
         self._horizon = horizon_s
 
     def plan(self, frame: Frame) -> Plan:
-        """The log from `frame.t` on, its own samples, so that both interpolate to the same."""
+        """The log from `frame.t` on, at the log's samples, so that plan and log interpolate to the same states."""
         start = PlanStart.EGO if frame.previous is None else PlanStart.PREVIOUS_PLAN
         if frame.t >= self._log.t[-1] - 1e-6:
             last = self._log.state(len(self._log) - 1)
             state = [np.array([frame.t if name == "t" else getattr(last, name)]) for name in TRAJECTORY_COLUMNS]
             rest = Trajectory(*state) if frame.t <= last.t + 1e-6 else arc(last, np.array([frame.t]))
-            return Plan(rest, reason="nothing of the log lies ahead: carried on", start=start)
+            return Plan(rest, reason="the log has ended: its last state is extrapolated", start=start)
         end = min(frame.t + self._horizon, float(self._log.t[-1]))
         within = self._log.t[(self._log.t > frame.t) & (self._log.t < end)]
         return Plan(self._log.resampled(np.r_[frame.t, within, end]), start=start)
@@ -56,7 +56,7 @@ class Onboard:
     Args:
         context: As every planner's.
         scenario: The whole log; plans made later than a frame are not looked at in it.
-        oldest_s: A plan is followed for so long, s; then the car keeps its speed and curvature.
+        oldest_s: How long a plan is followed, s; then the car keeps its speed and curvature.
 
     Raises:
         PlannerError: The log has no on-board plans.
@@ -70,7 +70,7 @@ class Onboard:
         self._oldest = oldest_s
 
     def plan(self, frame: Frame) -> Plan:
-        """The rest of that plan from `frame.t` on, its own samples."""
+        """The rest of that plan from `frame.t` on, at the plan's own samples."""
         newest = int(np.searchsorted(self._known, frame.t + 1e-9, side="right")) - 1
         if newest < 0:
             return self._none(frame, "no on-board plan was made so far")

@@ -1,4 +1,4 @@
-"""A table in the configuration -> the keywords that something is built with: planners, vehicle models, controllers ...
+"""Converts a table of the configuration into keywords of a planner, vehicle model, controller ...
 
 A factory takes its settings either as keywords (`horizon_s: float = 8.0`), or all in one keyword `config`, annotated
 with a frozen dataclass: then its table mirrors that dataclass, sub-tables included.
@@ -54,7 +54,7 @@ def keywords_of(factory: Callable[..., Any], table: Table, where: str) -> dict[s
 
 
 def resolved(factory: Callable[..., Any], table: Table, where: str, what: str, given: int) -> dict[str, Any]:
-    """The table with every default spelled out, checked that something can be built with it.
+    """The table with all defaults, after a check that the factory accepts it.
 
     `keywords_of` makes the same of it.
 
@@ -63,7 +63,7 @@ def resolved(factory: Callable[..., Any], table: Table, where: str, what: str, g
         table: Its table.
         where: Dotted name of the table.
         what: The thing, for messages ("planner 'idm'").
-        given: How many arguments it is given before the keywords.
+        given: How many positional arguments it receives before the keywords.
 
     Raises:
         ConfigError: As `keywords_of`; or says which keyword is missing or too much.
@@ -73,7 +73,7 @@ def resolved(factory: Callable[..., Any], table: Table, where: str, what: str, g
         inspect.signature(factory).bind(*given * (None,), **keywords)
     except TypeError as error:
         raise ConfigError(
-            f"{what} cannot be built so: {error}; it is given {given} argument{'s' * (given != 1)} and its settings"
+            f"{what} cannot be built: {error}; it receives {given} argument{'s' * (given != 1)} and its settings"
         ) from None
     if config is not None:
         return asdict(keywords.get("config") or config())
@@ -83,18 +83,18 @@ def resolved(factory: Callable[..., Any], table: Table, where: str, what: str, g
 
 
 def configured(kind: Kind[F], name: str, settings: Mapping[str, Table]) -> F:
-    """What the user named, with its `LoopConfig.settings` in it; ConfigError as `Kind.find` and `keywords_of`."""
+    """The factory of this name with its `LoopConfig.settings`; ConfigError as `Kind.find` and `keywords_of`."""
     factory, table = kind.find(name), settings.get(kind.name, {})
     made: Any = partial(factory, **keywords_of(factory, table, dotted(SETTINGS[kind.name], name))) if table else factory
     return made
 
 
 def check_members(kind: str, name: str, thing: object, protocol: type) -> None:
-    """Refuse what lacks a member of its protocol; ConfigError says which."""
+    """Check that an object has all members of its protocol; ConfigError names the one that is missing."""
     lacking = [member for member in vars(protocol) if not member.startswith("_") and not hasattr(thing, member)]
     if lacking:
         of = f"{protocol.__module__}.{protocol.__name__}"
-        raise ConfigError(f"{kind} '{name}': what it built is a {type(thing).__name__} without {lacking[0]} ({of})")
+        raise ConfigError(f"{kind} '{name}': it built a {type(thing).__name__} without {lacking[0]} ({of})")
 
 
 def _config_class(factory: Callable[..., Any]) -> type | None:
@@ -114,7 +114,7 @@ def _config_class(factory: Callable[..., Any]) -> type | None:
 
 
 def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
-    """The dataclass that a table spells, nested tables included.
+    """The dataclass that a table describes, nested tables included.
 
     Args:
         cls: A dataclass; its own checks (`__post_init__`) are run.
@@ -190,7 +190,7 @@ def flat(table: Table, where: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def set_table(words: Iterable[str]) -> dict[str, Any]:
-    """The table that words "KEY=VALUE" spell: the key dotted as in TOML, the value as TOML has it, or else plain text.
+    """The table that words "KEY=VALUE" describe: the key is dotted as in TOML, the value is TOML or plain text.
 
     Raises:
         ConfigError: A word is not of this form.

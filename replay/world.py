@@ -35,7 +35,7 @@ def box_center(ego: EgoState, vehicle: VehicleParameters) -> tuple[float, float]
 
 
 def logged_ego(log: Trajectory, vehicle: VehicleParameters, t: float) -> EgoState:
-    """The ego as known at `t`: the log's last sample not later, carried on at its speed and curvature.
+    """The ego as known at `t`: the log's last sample up to `t`, extrapolated at its speed and curvature.
 
     Later samples do not go in. Steering and yaw rate follow from the curvature, as a kinematic bicycle has them.
     """
@@ -60,7 +60,7 @@ def ego_box(vehicle: VehicleParameters) -> EgoBox:
 
 
 class AgentBoxes(NamedTuple):
-    """`Tracks` as kernels take them, ragged likewise; and who is not there when.
+    """`Tracks` for kernels, ragged likewise, and the times at which agents are absent.
 
     Attributes:
         offsets: Of `Tracks`, as all but the last.
@@ -72,7 +72,7 @@ class AgentBoxes(NamedTuple):
         yaw: Likewise.
         length: Likewise.
         width: Likewise.
-        absent: `(k, 3)`: track, and between which times it does not count, s.
+        absent: `(k, 3)`: track, start and end of an absence, s.
     """
 
     offsets: IntArray
@@ -109,7 +109,7 @@ def contact(world: World, vehicle: VehicleParameters, left_out: tuple[Phantom, .
 
 @kernel
 def touched(rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBoxes) -> tuple[int, int]:
-    """The first of the rows t, x, y, yaw from `first` to before `end` at which the ego touches an agent, and which.
+    """The first row (t, x, y, yaw) from `first` to before `end` at which the ego touches an agent, and the agent.
 
     Row `end` and agent -1 where it touches none; of several at one row, the first.
     """

@@ -105,7 +105,7 @@ def suite(name: str, seed: int = SEED) -> tuple[str, ...]:
     A suite has families of ours only; one of the user's own is "module:NAME".
 
     Raises:
-        ConfigError: Nothing is called so.
+        ConfigError: Nothing has this name.
     """
     if name in SUITES:
         return tuple(islice(ordered(seed), SUITES[name].size))

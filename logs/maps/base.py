@@ -32,7 +32,7 @@ class MapFile:
     """A map in its own world coordinates.
 
     Attributes:
-        road: Its lanes, m; lanes without a speed limit have NaN, the road's default counts for nothing.
+        road: Its lanes, m; lanes without a speed limit have NaN, the road's default is not used.
         frame: How its coordinates came about, in words.
         notes: What was assumed or left out in reading, one sentence each.
         aliases: Other numbers under which logs may know a light of the road's stop lines, by its id.

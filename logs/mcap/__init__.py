@@ -1,4 +1,4 @@
-"""The only doors to MCAP: logs in, logs and traces out.
+"""The only package that reads and writes MCAP: logs in, logs and traces out.
 
 Modules:
     native.py      the messages of our own log: one definition gives schema, names with units, validation, and a page

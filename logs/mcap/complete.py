@@ -1,4 +1,4 @@
-"""What a log leaves out and how it is filled in; each assumption is a sentence in the scenario's notes.
+"""Fills in what a log leaves out; each assumption is a sentence in the scenario's notes.
 
 (1) a_k = (v_k - v_(k-1)) / (t_k - t_(k-1))                     a_0 = 0: a derived value never knows a later sample
 (2) kappa_k = (yaw_k - yaw_(k-1)) / d,  d = +-|p_k - p_(k-1)|   negative in reverse; below `MIN_STEP` the value before

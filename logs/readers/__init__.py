@@ -160,7 +160,7 @@ def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
 
 
 def foreign(path: Path) -> LogError:
-    """The error for what no reader claims: what was found, and the way there."""
+    """The error for a path that no reader claims: what was found, and how to convert it."""
     if not path.exists():
         return LogError("no such file or folder", file=path)
     if path.is_dir():

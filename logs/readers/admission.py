@@ -79,7 +79,7 @@ VEHICLE = Limit(1e9, "")
 """Any parameter of the ego's vehicle; `VEHICLE_M` for its sizes."""
 VEHICLE_M = Limit(100.0, "m")
 SHOWN_BEFORE_S = 3600.0
-"""A light's last change may be so long before the ego's log."""
+"""The last change of a light may be this long before the ego's log."""
 OTHER_CLOCK_S = 60.0
 """A road user all of whose samples are farther than this from the ego's log is on another clock."""
 NAMED = 5

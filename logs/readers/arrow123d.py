@@ -57,7 +57,7 @@ from logs.states import Trajectory
 
 SYNC, EGO, BOXES = "sync.arrow", "ego_state_se3", "box_detections_se3"
 HEAD_BYTES = 65_536
-"""Bytes in which an old log's schema says what it is."""
+"""Bytes by which the schema of an old log is recognised."""
 SAME_MPS = 1e-5
 """Times are in whole microseconds: differences at 10 m/s come out within 2e-6 m/s."""
 TELLING_MPS = 1e-4

@@ -49,7 +49,7 @@ MARKS = (
 """Types of road lines by number."""
 ZONE_LIGHT, ZONE_STOP = 1, 2
 REACH_M = 300.0
-"""So far around the places that are asked for a map is read."""
+"""A map is read up to this distance around the requested places."""
 MARK_M = 0.35
 STEP_M = 0.5
 CONNECTORS_RIGHT = (0, 5)

@@ -24,7 +24,7 @@ class LogSettings:
     Attributes:
         ego: Id of the road user who is taken as the ego; "": the one that the log names.
         problem: Planning problem of a CommonRoad file, by id or by place from 1; 0: the first.
-        reader: Who is asked first whether a log is theirs: a format's name, or "module:NAME" of a reader of your own.
+        reader: The reader that is asked first: a format's name, or "module:NAME" of a reader of your own.
         map: Path of a map that replaces the log's (Lanelet2 .osm, 123D map.arrow, OpenDRIVE .xodr); "": the log's own.
         map_origin: Where such a map's coordinates begin, if it does not say so (`logs.maps.projections.FORMS`).
         begin: Seconds after the log's first ego state at which the scenario begins.
@@ -138,7 +138,7 @@ def _nothing(path: Path) -> Contents:
 
 
 def files_named(suffix: str) -> Callable[[Path], bool]:
-    """What claims all files with a suffix."""
+    """A function that claims all files with a suffix."""
 
     def claims(path: Path) -> bool:
         return path.suffix.lower() == suffix and path.is_file()

@@ -54,7 +54,7 @@ def carry_all(states: FloatArray, d: float, q: FloatArray) -> None:
 
 @kernel
 def absorb_one(state: FloatArray, x: float, y: float, r: float) -> None:
-    """(2) of one state `(WIDTH,)`, in place: it was seen at x, y, with the variance r."""
+    """(2) of one state `(WIDTH,)`, in place, with a detection at x, y of variance r."""
     c, s = state[COS], state[SIN]
     ex, ey = x - state[X], y - state[Y]
     along, across = c * ex + s * ey, c * ey - s * ex

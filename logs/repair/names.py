@@ -46,7 +46,7 @@ def needs_repair(detections: Detections) -> str | None:
 
 
 def no_identities(ids: Sequence[str], t: FloatArray, x: FloatArray, y: FloatArray) -> str | None:
-    """Why the ids `(m,)` of boxes at times t `(m,)`, s, equal within a frame, name no objects throughout; else None."""
+    """Why the ids `(m,)` of boxes at times t `(m,)`, s, equal within a frame, are no identities; None if they are."""
     codes = np.unique(np.array(ids), return_inverse=True)[1]
     order = np.lexsort((t, codes))
     same, dt = np.diff(codes[order]) == 0, np.diff(t[order])

@@ -1,4 +1,4 @@
-"""Raw detections to tracks with the whole log at hand: what the judge, traffic and drawing get. Not causal.
+"""Raw detections to tracks, by use of the whole log, for metrics, traffic and drawing. Not causal.
 
 1. twins     of boxes of a frame that show one object the best stays (`boxes`)
 2. join      detections to tracks, frame by frame (`association`)

@@ -87,7 +87,7 @@ class _Track:
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """Who is known after each frame: `agents[k]` at `frames[k]` s, without the motion since.
+    """The road users that are known after each frame: `agents[k]` at `frames[k]` s, without the motion since.
 
     `growth[k]` `(n,)`: how fast the variance of their velocities grows, m2/s3; `patience[k]` `(n,)`: for how long they
     are reported without a detection, s.
@@ -113,7 +113,7 @@ class Tracked:
 
 
 def tracked(detections: Detections) -> Tracked:
-    """The road users that raw detections show, as known after each frame: from no later one."""
+    """The road users that raw detections show, as known after each frame, without later frames."""
     every = Boxes.of(detections)
     boxes = every.taken(np.flatnonzero(stronger_twins(every) < 0))
     joining, tracks, out = Association(), dict[int, _Track](), []

@@ -292,7 +292,7 @@ def _check_keys(table: Mapping[str, Any], keys: Sequence[str], place: str) -> No
 
 
 def unit_of(unit: str) -> str:
-    """A unit behind its number; nothing of ratios and counts."""
+    """A unit as it follows its number; empty for ratios and counts."""
     return "" if unit in ("1", "count") else f" {unit}"
 
 

@@ -35,9 +35,9 @@ from planners.frenet.scene import Scene
 from planners.rules.rulebook import YIELD_MPS2
 
 MIN_GAP_M = 2.0
-"""Least gap to who follows (1) or is beside (2), m."""
+"""Least gap to an agent that follows (1) or is beside (2), m."""
 REACTION_S = 1.0
-"""Of who follows, before they brake with `YIELD_MPS2` (1), s."""
+"""Reaction time of a follower before it brakes with `YIELD_MPS2` (1), s."""
 INSIDE_M = 1.0
 """An ego nearer than this to a lane's reference line drives in that lane, m."""
 SLOWEST_CHANGE_MPS = 1.0
@@ -96,7 +96,7 @@ def _unsafe(scene: Scene) -> str:
 
 
 def endangered(scene: Scene, beside: str = "") -> str:
-    """Which agent an ego would endanger (1), (2), and how; empty where none.
+    """The agent that the ego would endanger (1), (2), and how; empty if there is none.
 
     By a change into the scene's lane, or by borrowing the road `beside` it ("left" or "right").
     """
@@ -125,9 +125,9 @@ def endangered(scene: Scene, beside: str = "") -> str:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassMemory:
-    """What is remembered of passing those who are slower in one lane: when it was thought of last, s, who is passed.
+    """Memory of passing slower agents in one lane: when it was last considered, s, and the agents that are passed.
 
-    `given_up`: who was not passed in the end, when, s; `stations` of the last plan that passes, at the times of the
+    `given_up`: when passing an agent was given up, s; `stations` of the last plan that passes, at the times of the
     predictions since `t` `(k,)`, m; `lane`: of the plans that pass, apart from those that keep the lane.
     """
 
@@ -141,7 +141,7 @@ class PassMemory:
 def passing(
     keep: LanePlan, planner: LanePlanner, memory: PassMemory, config: DpQpConfig, *, passes_left: bool
 ) -> tuple[LanePlan, tuple[Artefact, ...], PassMemory]:
-    """The plan in the lane, past who is slower where that is worth it, else `keep`; what was considered; the memory."""
+    """The plan that passes slower agents where it is worth it, else `keep`; the options considered; the memory."""
     scene, t, hysteresis = keep.scene, keep.scene.frame.t, config.lane.hysteresis_s
     if not 0.0 <= t - memory.t <= FORGET_S:
         memory = PassMemory()

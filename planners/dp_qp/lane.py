@@ -30,14 +30,14 @@ from planners.frenet.scene import TRACK_M, Scene, behind, on_path, scene_of
 from planners.rules import Rulebook, RuleMemory
 
 FORGET_S = 0.5
-"""A lane that was not planned for so long is planned as if for the first time, s."""
+"""A lane that was not planned for this long is planned as if for the first time, s."""
 LOST_M = 15.0
 """A start that is farther from the last one is looked for anew: its foot point is not near the last one's, m."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassWay:
-    """Those that a plan is to pass while they go on, and what the path stage is given for it."""
+    """The moving agents that a plan shall pass, and the input of the path stage for that."""
 
     targets: tuple[PassTarget, ...]
     way: InTheWay
@@ -45,7 +45,7 @@ class PassWay:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LaneMemory:
-    """What is remembered of the frames before, in one lane; a fresh frame is `LaneMemory()`.
+    """Memory of the previous frames in one lane; a fresh frame has `LaneMemory()`.
 
     When it was planned last, s; x, y and station of the last start, m, None where unknown; of both stages and the
     rules.
@@ -60,7 +60,7 @@ class LaneMemory:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LanePlan:
-    """What was planned in one lane: "keep", "pass" (the same lane, past who is slower), "left" or "right".
+    """What was planned in one lane: "keep", "pass" (the same lane, past slower agents), "left" or "right".
 
     `speed` is None where there is no path; `costs` are (1)-(5).
     """
@@ -79,13 +79,13 @@ class LanePlan:
 
     @property
     def time_lost(self) -> float:
-        """(1) and (5), s."""
+        """The time lost (1) and the lateness (5), s."""
         (_, lost), *_, (_, late) = self.costs.terms
         return lost + late
 
     @property
     def braking(self) -> float:
-        """(4), s."""
+        """The cost of hard braking (4), s."""
         return dict(self.costs.terms)["braking"]
 
     @property
@@ -100,11 +100,11 @@ class LanePlan:
 
     @property
     def reports(self) -> tuple[SolverReport, ...]:
-        """Of both stages' solver."""
+        """The solver reports of both stages."""
         return (*self.path.reports, *(self.speed.reports if self.speed else ()))
 
     def artefacts(self) -> tuple[Artefact, ...]:
-        """Of both stages."""
+        """The artefacts of both stages."""
         return (*self.path.artefacts(), *(self.speed.artefacts() if self.speed else ()))
 
 

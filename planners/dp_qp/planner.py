@@ -1,4 +1,4 @@
-"""The planner's one screen: start, candidate lanes, choice, trajectory; or the fallback and why."""
+"""The planner: start, candidate lanes, choice, trajectory; or the fallback and its reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ground floor of all planners: reference path, lanes, path and profiles in the Frenet frame, S-T boundaries.
+"""The common base of all planners: reference path, lanes, path and profiles in the Frenet frame, S-T boundaries.
 
 reference_path   the smoothed reference line of a lane sequence, and the width along it
 lane_sequence    the lane that is driven and its neighbours, each with its reference path

@@ -22,7 +22,7 @@ from planners.frenet.path import Path, path_through, states_on_path
 from planners.frenet.profiles import COMFORT, EMERGENCY, HORIZON_KNOTS, STEP_S, SpeedLimits, braking
 
 MIN_REST_S = 3.0
-"""The rest of the previous plan is driven if it lasts at least so long, s."""
+"""The rest of the previous plan is driven if it lasts at least this long, s."""
 
 
 def trajectory_along(path: Path, profile: FloatArray, t: float) -> Trajectory:

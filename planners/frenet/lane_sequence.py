@@ -20,7 +20,7 @@ from logs.states import EgoState
 from planners.frenet.reference_path import BEYOND_M, ReferencePath, make_reference_path
 
 BEHIND_M = 60.0
-"""A sequence holds so much behind the lane that it was made for, m: for those who follow."""
+"""Length of a sequence behind the lane that it was made for, m: for agents that follow."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -48,9 +48,9 @@ class SpeedLimits:
 
 
 COMFORT = SpeedLimits(1.8, 3.0, 3.0)
-"""What a profile uses where it need not brake harder."""
+"""Limits of a profile that need not brake harder."""
 EMERGENCY = SpeedLimits(1.8, 7.5, 15.0)
-"""What it uses where it must."""
+"""Limits of a profile that must."""
 HORIZON_STEPS = 80
 """Steps of a plan: 8 s."""
 HORIZON_KNOTS = HORIZON_STEPS + 1

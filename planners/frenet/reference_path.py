@@ -49,7 +49,7 @@ LOCK_SHARE = 0.9
 EDGE_M = 0.1
 """Room to the lane's edge that a shift leaves the car, m."""
 BEYOND_M = 300.0
-"""The line goes on for so long after the route, m: farther than a plan of 8 s reaches at 130 km/h."""
+"""Length of the line after the route, m: farther than a plan of 8 s reaches at 130 km/h."""
 HALF_LANE_M = 1.75
 """Half the width of a lane where the map gives none, m; half of that is the least that is taken."""
 REACH_M = 16.0

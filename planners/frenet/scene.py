@@ -40,17 +40,17 @@ WINDOW_SHARE = 1.5
 WINDOW_M = (80.0, 370.0)
 """... and the first, m, more, not farther than the second, m: that keeps off other branches of a road that winds."""
 FOOT_M = 30.0
-"""The ego's foot is looked for so far from where it is expected, m."""
+"""The ego's foot is searched within this distance of where it is expected, m."""
 STANDING_MPS = 0.5
-"""Who is slower stands, m/s: the path passes them or stops, the speed does not follow them."""
+"""An agent slower than this stands, m/s: the path passes it or stops, the speed does not follow it."""
 UNLIKELY = 0.2
 """A predicted hypothesis that is not more probable than this is unlikely."""
 TRACK_M = 1.0
 """The ego keeps its track where its offset changes by less than this, m."""
 TRACK_ROOM_M = 0.3
-"""Who is beside the ego's track by more than this is not in it, m."""
+"""An agent beside the ego's track by more than this is not in it, m."""
 OVERLAP_M = 0.5
-"""Whose front is past the ego's rear by less than this follows it, m."""
+"""An agent whose front is past the ego's rear by less than this follows the ego, m."""
 VULNERABLE = among(*(kind for kind in AgentKind if kind.is_vulnerable))
 """By their codes."""
 
@@ -147,7 +147,7 @@ class Scene:
         return Futures(known.t, known.agent, known.probability, known.x, known.y, known.yaw)
 
     def name(self, agent: int) -> str:
-        """An agent as they are named to the user ("car 12")."""
+        """The name of an agent in messages ("car 12")."""
         return f"{self.frame.agents.kinds[agent].value} {self.frame.agents.ids[agent]}"
 
 
@@ -196,7 +196,7 @@ def place_agents(
 
 
 def behind(scene: Scene, *, keeps_track: bool) -> BoolArray:
-    """Which agents `(n,)` follow behind the ego, so that it is they who must see it.
+    """Which agents `(n,)` follow behind the ego, so that they must react to it and not the ego to them.
 
     Where the ego keeps its track these are all behind it in its direction; where it changes, those in its track.
     """
@@ -250,10 +250,10 @@ class RouteTracker:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Occupancy:
-    """A row.
+    """A part of the lane that is taken for a time (module docstring).
 
     Attributes:
-        agent: Who or what it is: an agent's id, or a name ("stop line 7").
+        agent: An agent's id, or the name of a thing ("stop line 7").
         s_from: Station at which it begins, m; `s_to` at which it ends.
         l_from: Offset of its right side, m; `l_to` of its left side.
         aside: How much of the box on either side is room for the agent, not the agent, m.

@@ -35,7 +35,7 @@ from planners.frenet.scene import STANDING_MPS, Bodies, Futures, Occupancy, Scen
 NO_ONE = np.zeros(0, np.bool_)
 """None of the agents."""
 ALONG = 0.8
-"""Who moves along the path with this share of their speed is followed, not let go first; at 45 degrees they cross."""
+"""An agent with this share of its speed along the path is followed, not let go first; at 45 degrees it crosses."""
 HALVINGS = 4
 """Of the path's spacing, about 0.4 m, towards the edge of an interval."""
 JUMP = 0.999

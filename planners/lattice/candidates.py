@@ -22,7 +22,7 @@ point by:
 
 Where the traffic rules demand a stop soon, v_wanted is 0, and a pair that ends before that place misses it. All but H
 is Werling's. Without H, a pair that ends a hand's breadth behind its leader would be as good as any. A pair must keep
-speed and acceleration, the curvature, the road, and a distance from everybody.
+speed and acceleration, the curvature, the road, and a distance from all agents.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 LEAST_M = 8.0
 """A lateral move is not shorter than this (3), m: at low speeds it would be too sharp to steer."""
 REST_MPS = 0.05
-"""Below this the ego stands: who then runs into it is not its doing."""
+"""Below this speed the ego stands: an agent that then runs into it is not the ego's fault."""
 SIDE_M = 0.1
-"""Who is nearer than this beside a track is on it."""
+"""An agent nearer than this beside a track is on it."""
 COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")
 """The terms of (4) as a recording names them."""
 STRIDE = 4
@@ -225,7 +225,7 @@ class Futures(NamedTuple):
 
     Attributes:
         agent: `(n,)` index into the frame's agents.
-        pose: x, y, yaw `(3, n, HORIZON_KNOTS)`; beyond the predictions' horizon everybody stays.
+        pose: x, y, yaw `(3, n, HORIZON_KNOTS)`; beyond the predictions' horizon all agents stay.
         frenet: `futures_frenet` of every `STRIDE`-th time `(4, n, m)`.
         speed: Along the line at first `(n,)`, m/s.
         sizes: Length, width, margin `(3, n)`, m.
@@ -317,7 +317,7 @@ def drive_fault(
 ) -> int:
     """The first fault of a candidate's `states` `(9, k)` and s, s_dot, s_ddot `(3, k)` along time, 0 where it has none.
 
-    A bound that the start breaks already may stay broken as much as there, but not more. `skip`: who is not looked at.
+    A bound that the start breaks already may stay broken as much as there, but not more. `skip`: ignored agents.
     """
     out = _outside(at[6, 0], s0, room.knots, room.left, room.right) + 0.02
     kappa_max = max(ego.max_kappa, abs(at[5, 0]) + 0.01)

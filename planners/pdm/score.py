@@ -43,9 +43,9 @@ AGAINST_M = 2.0, 6.0
 LEAST_WAY_M = 0.1
 """Below this no proposal gets on."""
 STOPPED_MPS = 0.05
-"""Who is slower stands, as nuPlan judges contacts, m/s; the ego has no time to collision below a tenth of it."""
+"""Slower agents stand, as nuPlan judges contacts, m/s; the ego has no time to collision below a tenth of it."""
 BEHIND = cos(np.deg2rad(150.0))
-"""Who is more than 150 degrees off the heading, seen from the rear axle, is behind: cosine."""
+"""An agent more than 150 degrees off the heading, seen from the rear axle, is behind: cosine."""
 CARRIED = (0, 3, 6, 9)
 """Steps over which the ego is carried on straight for `ttc`."""
 BOUNDS = frozen([(-4.05, 2.40), (-4.89, 4.89), (-8.37, 8.37), (-4.13, 4.13), (-1.93, 1.93), (-0.95, 0.95)])
@@ -206,7 +206,7 @@ def _contact_at_fault(states: FloatArray, other: FloatArray, is_object: bool, as
 
 @inner_kernel
 def _comes_close(states: FloatArray, other: FloatArray, ego: Body) -> bool:
-    """Whether the first meeting with another that `ttc` sees is with one who is not behind."""
+    """Whether the first contact that `ttc` finds is with an agent that is not behind."""
     for k in range(states.shape[1]):
         for ahead in CARRIED:
             met = _meets(states, k, ahead, other, ego) if states[3, k] >= 0.1 * STOPPED_MPS else 0

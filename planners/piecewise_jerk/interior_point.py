@@ -217,7 +217,7 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
 
 @inner_kernel
 def _fault(problem: PiecewiseJerkProblem) -> int:
-    """Why there is nothing to solve; `SPENT` where there is."""
+    """Why there is nothing to solve; `SPENT` if there is something."""
     kinds, n = problem.lower.shape
     for k in range(kinds):
         first = 0 if k == DDDX else 1

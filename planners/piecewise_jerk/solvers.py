@@ -1,4 +1,4 @@
-"""The door to the solvers of piecewise-jerk QPs. None is warm-started: an answer depends on its problem alone.
+"""The interface to the solvers of piecewise-jerk QPs. None is warm-started: an answer depends on its problem alone.
 
 `interior_point` is ours (default). `osqp` and `piqp` solve the sparse form through `planners.qp`: OSQP (ADMM) with PIQP
 to the rescue where it runs out of iterations, or PIQP at once.
@@ -63,7 +63,7 @@ _RECORDED: ContextVar[list[SolvedProblem] | None] = ContextVar("recorded", defau
 
 @contextmanager
 def record_problems() -> Iterator[list[SolvedProblem]]:
-    """Within it all problems that are solved and their answers are kept: for debugging, they change nothing."""
+    """Record all problems that are solved in the body, and their answers, for debugging; results do not change."""
     asked: list[SolvedProblem] = []
     token = _RECORDED.set(asked)
     try:

@@ -4,7 +4,7 @@
     rulebook   the demands at one frame, and what is remembered of them
 
 Give a `Rulebook` the reference path, and each frame its scene; it answers with the stops ahead, as occupancy, and with
-what it must be given next time. Where a road has no rules it answers at once. It knows the colours of now and the
+what it must be given next time. Where a road has no rules it answers at once. It uses the present colours and the
 predictions of the frame, nothing of the future.
 
 Sources: lights and stop signs as everywhere (StVO 37, 41 sign 206; Vienna Convention on Road Signs, art. 23). The

@@ -166,7 +166,7 @@ def changes_as_text(scenario: Scenario) -> Iterator[str]:
 
 
 def unrepaired(log: Path, settings: LogSettings, scenario: Scenario) -> Scenario | None:
-    """The log of a repaired scenario without the repair; None where the log does not hold it so."""
+    """The log of a repaired scenario as it was before the repair; None if the log does not hold it."""
     if scenario.repair is None:
         return None
     raw = read_log(log, replace(settings, repair="off"))

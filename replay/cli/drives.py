@@ -26,7 +26,7 @@ OfMode = Annotated[Loop | None, option(None, "Default: the loop with a failed ga
 
 
 class Chosen(NamedTuple):
-    """A drive, and why it is this one: a remark in brackets that follows its name; "" where no other fits."""
+    """A drive, and a remark in brackets on why it was chosen; "" if no other drive fits."""
 
     drive: DriveResult
     remark: str

@@ -42,7 +42,7 @@ def commonroad_solution(trace: Path, cost: str = COSTS[0]) -> str:
         cost: The cost function that the benchmark id names.
 
     Raises:
-        LogError: The file is no such trace, or its vehicle is none of CommonRoad's.
+        LogError: The file is not such a trace, or its vehicle is not one of CommonRoad's.
     """
     try:
         scenario = read_scenario(trace)
@@ -82,7 +82,7 @@ def _solution(scenario: Scenario, cost: str) -> str:
     kind = next((number for one, number in sizes if (one.length, one.width, one.wheelbase) == size), None)
     if kind is None:
         remedy = f"drive with --vehicle kinematic_bicycle --car {' or '.join(TYPES)}"
-        raise LogError("the vehicle is none of CommonRoad's", topic="/vehicle", remedy=remedy)
+        raise LogError("the vehicle is not one of CommonRoad's", topic="/vehicle", remedy=remedy)
     first = round(scenario.start_ns / 1e9 / dt)
     driven = _carried_on(scenario, dt) if facts.get("trace_end") == EndReason.GOAL.name.lower() else scenario.ego
     steps = np.arange(int(driven.t[-1] / dt + 1e-6) + 1)

@@ -1,4 +1,4 @@
-"""What replan knows by name: each with one line and where it stands. `replan list` prints it.
+"""Lists all that replan knows by name, each with one line and its place in the code. `replan list` prints it.
 
 The lines are those that stand in the code already: of a class or function its docstring's first, of a table of names
 what its module's docstring says of each, of a metric, family, reader or suite its own summary, of a car the first

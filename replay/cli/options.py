@@ -146,7 +146,7 @@ NoReport = Annotated[bool, option(OUTPUT, "Write no report.html, report.md and j
 
 
 def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[str] = ()) -> RunConfig:
-    """The configuration of a run: the file, over it the options, over these the words of `--set`.
+    """The configuration of a run: the file, overridden by the options, overridden by the words of `--set`.
 
     Args:
         config: A TOML file, or None.

@@ -30,16 +30,16 @@ LEAST_S, MOST_S = 5.0, 60.0
 
 @dataclass
 class Pace:
-    """When to say how far a run is, and what.
+    """Decides when to print the progress of a run, and what.
 
     Attributes:
         total: How many logs there are.
         begin: When the first was begun, s.
         done: How many have ended.
-        left: What is expected of those that have not ended, in the unit of `step`'s `cost`; None: one each.
-        driven: How many of them were not there already.
-        spent: What had been expected of those.
-        last: When the last line was said, s.
+        left: Expected cost of the logs that have not ended, in the unit of `step`'s `cost`; None: one each.
+        driven: How many of them were driven, not taken from an earlier run.
+        spent: Expected cost of the driven ones.
+        last: When the last line was printed, s.
         tenth: How many tenths had been done then.
     """
 
@@ -57,7 +57,7 @@ class Pace:
         self.left = float(self.total) if self.left is None else self.left
 
     def step(self, now: float, *, driven: bool, cost: float = 1.0) -> str | None:
-        """A log has ended at `now`, s; the line that is due, if one is. The last log needs none: the report follows."""
+        """Count a log that ended at `now`, s; return the line to print, if any. The last log has none."""
         assert self.left is not None
         self.done, self.driven, self.left = self.done + 1, self.driven + driven, max(self.left - cost, 0.0)
         self.spent += cost * driven
@@ -69,7 +69,7 @@ class Pace:
         return f"{self.done} of {counted(self.total, 'log')}, {self.rest(now)}"
 
     def rest(self, now: float) -> str:
-        """Rate, and the time that is left at it: the longest logs come first, so that it goes by what is expected."""
+        """Rate and remaining time; the time follows from expected costs, since the longest logs come first."""
         assert self.left is not None
         if not self.spent:
             return ""
@@ -81,7 +81,7 @@ class Pace:
 
 @contextmanager
 def sign_of_life(say: Callable[[str], None], words: Callable[[], str], every_s: float = QUIET_S) -> Iterator[None]:
-    """For as long as the body runs, `say` the words and for how long it has been running, each `every_s` seconds."""
+    """While the body runs, `say` the words and the elapsed time every `every_s` seconds."""
     ended, began = Event(), perf_counter()
 
     def speak() -> None:

@@ -60,7 +60,7 @@ def write_suite(name: str, out: Path, form: str = NATIVE) -> Iterator[Path]:
     """Write the logs of a suite (or of a family or group, all cells) into `out`, and last their table, `TABLE`.
 
     Raises:
-        ConfigError: Nothing is called so, or there is no such form of it.
+        ConfigError: Nothing has this name, or it does not exist in this form.
     """
     rows = []
     for label in suite(name):
@@ -101,7 +101,7 @@ def listed() -> Iterator[str]:
 
 
 def table() -> dict[str, Any]:
-    """What `listed` says, as data."""
+    """The content of `listed`, as data."""
     keys = ("name", "summary", "parameters", "grid", "tags", "source")
     found = [{key: getattr(one, key) for key in keys} | {"cells": _count(one)} for one in families().values()]
     suites = [{"name": name, "size": one.size, "summary": one.summary} for name, one in SUITES.items()]

@@ -202,7 +202,7 @@ class DlqrLaw(NamedTuple):
         wheelbase: m.
         max_steer: rad.
         lag: Of the steering, s.
-        commands: Whether what this law asks for is what is commanded; else another tells of the steering.
+        commands: Whether this law's output is the command; otherwise another controller reports the steering.
     """
 
     gains: FloatArray
@@ -216,7 +216,7 @@ class DlqrLaw(NamedTuple):
 
 
 class DlqrState(NamedTuple):
-    """What is known of the tyres and of the steering."""
+    """What the controller has learned about the tyres and the steering."""
 
     slip: SlipState
     delay: DelayState
@@ -234,7 +234,7 @@ def dlqr_law(
 
 
 def dlqr_start(period: float) -> DlqrState:
-    """Nothing is known yet."""
+    """The state before anything is learned."""
     return DlqrState(estimation.NO_SLIP, estimation.no_delay(period))
 
 
@@ -242,7 +242,7 @@ def dlqr_start(period: float) -> DlqrState:
 def steer_slipping(
     law: DlqrLaw, state: DlqrState, now: Motion, off: Deviation, knots: FloatArray
 ) -> tuple[float, DlqrState]:
-    """Front wheel angle to command, rad, and what is known then."""
+    """Front wheel angle to command, rad, and the updated state."""
     v, delay, model = now.v, state.delay, law.delay
     if law.commands:
         delay = estimation.observed(delay, model, now.steer)

@@ -44,7 +44,7 @@ SLIP_GAIN_PER_S = 16.0
 PHI_0_RAD = 0.005
 SLOWEST_MPS = 2.0
 LEAST, MOST = 1.0 / 3.0, 4.0
-"""Beyond these it is no tyre: where hardly any force acts, slip that the model does not have passes for compliance."""
+"""Bounds of plausible ratios: at small forces, slip that the model lacks looks like compliance."""
 DELAY_GAIN_PER_S = 12.0
 RATE_0_RADPS = 0.05
 OFFSET_S = 2.0
@@ -90,7 +90,7 @@ def slip_model(p: VehicleParameters, period: float) -> SlipModel:
 
 @kernel
 def learned(state: SlipState, car: SlipModel, now: Motion) -> SlipState:
-    """What is known after the motion one period after the last."""
+    """The state after the motion of one more period."""
     r, v = now.yaw_rate, now.v
     if v < SLOWEST_MPS:
         return SlipState(state.front, state.rear, nan, nan, nan, nan)
@@ -120,7 +120,7 @@ class DelayModel(NamedTuple):
 
     Attributes:
         most: The most that the wheel turns in a period, rad.
-        share: Of the way to the command that it goes in a period.
+        share: Share of the way to the command that it moves in a period.
         period: s.
         table: `lateral_table` for the period.
     """
@@ -138,7 +138,7 @@ class DelayState(NamedTuple):
         wheel: `(k,)` w of (4) now, one period ago, ... rad; kernels write into it.
         offset: o of (5), rad.
         delay: d of (6), s.
-        known: Whether the wheel's angle is.
+        known: Whether the wheel's angle is known.
     """
 
     wheel: FloatArray
@@ -172,7 +172,7 @@ def settled_wheel(state: DelayState) -> float:
 
 @kernel
 def observed(state: DelayState, model: DelayModel, measured: float) -> DelayState:
-    """What is known after the wheel angle `measured` now, rad."""
+    """The state after the wheel angle `measured` is observed, rad."""
     wheel, h = state.wheel, model.period
     if not state.known:
         wheel[:] = measured
@@ -256,7 +256,7 @@ class SteeringDelay:
         return float(settled_wheel(self.state))
 
     def rest(self) -> None:
-        """The vehicle is held: what the wheel does until it drives again is not known."""
+        """Note that the vehicle is held: the wheel angle is not known until it drives again."""
         self.state = self.state._replace(known=False)
 
     def observe(self, measured: float) -> None:

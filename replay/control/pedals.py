@@ -76,7 +76,7 @@ class PedalState(NamedTuple):
 
 
 class StopState(NamedTuple):
-    """j m/s3 and o m/s2 of the stop (4) that is being ended; j = 0: none is."""
+    """j m/s3 and o m/s2 of the stop (4) in progress; j = 0: there is none."""
 
     jerk: float
     offset: float
@@ -100,7 +100,7 @@ def press(state: PedalState, train: PedalMap, acceleration: float, v: float) -> 
 
 @kernel
 def hold(state: PedalState, v: float, a: float) -> tuple[float, float, PedalState]:
-    """Throttle and brake that hold a standstill; none while the last of `v` (m/s) goes by itself, `a` (m/s2)."""
+    """Throttle and brake that hold a standstill; both 0 while the car still slows down by itself, `v` m/s, `a` m/s2."""
     holding = state.holding or v < STILL_MPS or a > -SLOWING_MPS2
     return 0.0, HOLDING_BRAKE if holding else 0.0, PedalState(True, holding)
 

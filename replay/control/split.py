@@ -88,7 +88,7 @@ class SplitState(NamedTuple):
 def steer(
     law: SplitLaw, state: SplitState, now: Motion, off: Deviation, knots: FloatArray
 ) -> tuple[float, float, DlqrState]:
-    """Front wheel angle to command, rad; the steering integral and what the DLQR knows, after it."""
+    """Front wheel angle to command, rad; the steering integral and the state of the DLQR after it."""
     if law.steers == DLQR:
         angle, known = steer_slipping(law.dlqr, state.dlqr, now, off, knots)
         return angle, state.steer_integral, known
@@ -130,7 +130,7 @@ def control(
 
 @kernel
 def remembered(m: FloatArray, wheel: FloatArray) -> SplitState:
-    """The state that an array of MEMORY numbers and the wheel's angles hold."""
+    """The state stored in an array of MEMORY numbers and the wheel's angles."""
     return SplitState(
         m[0] > 0.0, PedalState(m[1] > 0.0, m[2] > 0.0), StopState(m[3], m[4]), SpeedState(m[5], m[6], m[7]), m[8],
         DlqrState(SlipState(m[9], m[10], m[11], m[12], m[13], m[14]), DelayState(wheel, m[15], m[16], m[17] > 0.0)),
@@ -139,7 +139,7 @@ def remembered(m: FloatArray, wheel: FloatArray) -> SplitState:
 
 @kernel
 def remember(m: FloatArray, s: SplitState) -> None:
-    """`remembered`, the other way; the wheel's angles are written where they are."""
+    """The inverse of `remembered`; the wheel's angles are written in place."""
     slip, delay = s.dlqr.slip, s.dlqr.delay
     m[0], m[1], m[2], m[3], m[4] = s.standing, s.pedal.braking, s.pedal.holding, s.stop.jerk, s.stop.offset
     m[5], m[6], m[7], m[8] = s.speed.integral, s.speed.m, s.speed.error, s.steer_integral
@@ -160,7 +160,7 @@ def named_law(p: Plain) -> SplitLaw:
 def control_row(
     law: SplitLaw, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray, k: int
 ) -> tuple[float, float, float]:
-    """The command at row k of a trace, which with the errors is written there; what is remembered, into `memory`."""
+    """Write the command and the errors into row k of a trace, and the state into `memory`."""
     now = motion_at(rows, k)
     off = deviation(times, knots, now.t, now.x, now.y, now.yaw, now.v)
     steer, throttle, brake, state = control(law, remembered(memory, wheel), now, off, times, knots)
@@ -222,7 +222,7 @@ def split_law(
     steers: int, parameters: VehicleParameters, powertrain: Powertrain, period: float,
     *, drives: int = DUAL_LOOP, commands: bool = True,
 ) -> SplitLaw:  # fmt: skip
-    """The law of a vehicle as controllers believe it to be; with rigid tyres a DLQR is the kinematic one.
+    """The law for a vehicle as controllers model it; with rigid tyres, the kinematic DLQR replaces the DLQR.
 
     Args:
         steers: One of DLQR, KINEMATIC_DLQR, ...
@@ -230,7 +230,7 @@ def split_law(
         powertrain: Of the vehicle.
         period: Between two commands, s.
         drives: DUAL_LOOP or SPEED_PID.
-        commands: Whether what it asks for is what is commanded.
+        commands: Whether its output is the command.
     """
     p, wheelbase, most = parameters, float(parameters.wheelbase), float(parameters.max_steer)
     steers = KINEMATIC_DLQR if steers == DLQR and has_rigid_tyres(p) else steers

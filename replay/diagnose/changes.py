@@ -1,4 +1,4 @@
-"""The changes with which failing drives are driven again, and the cause that those point to with which one passes.
+"""The changes with which failing drives are driven again, and the cause to which the passing ones point.
 
 The changes are rows of TOML tables, ours in `changes.toml`.
 
@@ -58,7 +58,7 @@ class Change:
         if self.rank not in RANKS:
             raise ConfigError(f"change '{self.name}': rank is one of {', '.join(RANKS)}, got '{self.rank}'")
         if not self.name or safe_name(self.name) != self.name:
-            raise ConfigError(f"change '{self.name}': the name has to do for a folder: letters, digits and _")
+            raise ConfigError(f"change '{self.name}': the name must be valid for a folder: letters, digits and _")
         if not (self.default or self.set):
             raise ConfigError(f"change '{self.name}': needs default or set")
 
@@ -106,7 +106,7 @@ def load_changes(path: Path | None = None) -> tuple[Change, ...]:
 
 
 def driven(run: RunConfig, planner: str) -> RunConfig:
-    """What is driven of a run: the closed loop of one planner, the plans' inside kept for its first difference."""
+    """The part of a run to drive: the closed loop of one planner, with internals for the first difference."""
     return replace(
         run, planners=(planner,), planner={planner: run.planner.get(planner, {})}, mode="closed", log=LogSettings(),
         deadline_s=0.0, ensemble=0, repeat_s=0.0, recording=False, foxglove=False, internals="summary",

@@ -39,8 +39,8 @@ class Driven:
     Attributes:
         results: The run.
         names: Name of each log in the run, by its file's name.
-        planner: Who drove.
-        gates: By which they are judged, by their rules as text.
+        planner: The planner that drove.
+        gates: The gates that judge them, by their rules as text.
         outcomes: A row per drive and gate: `COLUMNS`; `drive` is the name of the log's file.
     """
 
@@ -65,7 +65,7 @@ class Driven:
         return self.results.drive(self.names[file.name], self.planner, MODE)
 
     def ended(self, file: Path) -> str:
-        """How it ended; why it was not driven."""
+        """How a drive ended, or why it was not driven."""
         name = self.names.get(file.name, file.name)
         rows = self.results.drives
         mine = rows[(rows["log"] == name) & (rows["planner"] == self.planner)]
@@ -110,7 +110,7 @@ def as_driven(results: Results, planner: str) -> Driven:
 
 
 def judged(results: Results, names: Mapping[str, str], rules: Gates) -> pd.DataFrame:
-    """The outcomes of a run of one planner, as of any planner that is no oracle."""
+    """The outcomes of a run of one planner, judged as a planner that is not an oracle."""
     planner = results.run.planners[0]
     crashes = results.failures.dropna(subset=["planner", "mode"])
     columns = (crashes[name].astype(str) for name in ("log", "planner", "mode", "message"))
@@ -129,7 +129,7 @@ def failed_gates(rows: pd.DataFrame) -> tuple[str, ...]:
 
 
 def passes(before: Sequence[str], rows: pd.DataFrame) -> bool:
-    """Whether a drive fails no gate, and those that it failed before have an answer."""
+    """Whether a drive fails no gate, and none of the gates that it failed before is inconclusive."""
     now = dict(zip(rows["gate"], rows["outcome"], strict=True))
     answered = all(now.get(gate, INCONCLUSIVE) != INCONCLUSIVE for gate in before)
     return answered and Outcome.FAIL.value not in now.values()

@@ -29,9 +29,9 @@ BRAKES_MPS2, WEAKER_MPS2, MOVES_MPS = -0.5, 0.5, 0.1
 APART_MPS, APART_M, LATE_S = 0.5, 0.3, 0.2
 AHEAD_S, SAME_S = 3.0, 1e-6
 MISSED_M = 1.0
-"""A road user who is shown or predicted this far from where they are is shown or predicted elsewhere."""
+"""A road user shown or predicted this far from their true place counts as shown or predicted elsewhere."""
 STAYS_M = 0.5
-"""Who moves less than this within `AHEAD_S` stands."""
+"""A road user that moves less than this within `AHEAD_S` stands."""
 SOMEONE = "a road user"
 BRAKES = ("does not brake", "brakes late", "brakes too weakly")
 OUTCOMES = {
@@ -129,7 +129,7 @@ class DriveDifference:
 
     @property
     def behaviour(self) -> tuple[str, str]:
-        """What F does otherwise than P, and the numbers of that; empty: nothing that is known."""
+        """How F differs from P, and the numbers; empty if nothing is known."""
         does, would = self.brakes_s, self.would_brake_s
         if would is not None and self.ahead_m > APART_M:
             if does is None:
@@ -163,11 +163,11 @@ def _braking(ego: Trajectory, since: float, until: float) -> float | None:
 
 @dataclass(frozen=True)
 class Foresight:
-    """What the planner was shown of a road user, and what the prediction said (5); None: not known.
+    """What the planner perceived of a road user, and what was predicted (6); None: not known.
 
     Attributes:
         at_s: Time of the frame.
-        is_seen: Whether they are in it.
+        is_seen: Whether they are in the frame.
         seen_off_m: How far from where they are, m.
         ahead_s: For how long they are predicted.
         predicted_m: How far they are predicted to move, m.
@@ -185,7 +185,7 @@ class Foresight:
 
     @classmethod
     def of(cls, trace: Trace, who: str, at: float) -> Foresight:
-        """What the frame at a time held of a road user of the trace."""
+        """What the frame at a time contained about a road user of the trace."""
         frame = next((one for one in reversed(trace.frames) if one.t <= at + SAME_S), None)
         if frame is None or who not in trace.agents.ids or frame.predictions is None:
             return cls()
@@ -210,7 +210,7 @@ class Foresight:
 
     @property
     def error(self) -> tuple[str, str]:
-        """What is wrong of it, after a noun (" predicted to stand"), and the numbers; empty: nothing that is known."""
+        """The error in words that follow a noun (" predicted to stand"), and the numbers; empty if none is known."""
         if not self.is_seen:
             return " not seen", f"not seen at {self.at_s:.1f} s"
         if self.seen_off_m > MISSED_M:
@@ -259,7 +259,7 @@ class Failure:
 
     @property
     def sentence(self) -> str:
-        """It without names and numbers, for all drives of which the same can be said."""
+        """The failure without names and numbers: the same sentence for all drives that fail in this way."""
         template = OUTCOMES.get(self.metric.partition(".")[0], f"fails {self.gate}")
         behaviour, them = self.difference.behaviour[0], "it" if self.kind == "object" else "them"
         who = f"{'an' if self.kind == 'object' else 'a'} {self.kind}{self.foresight.error[0]}" if self.who else SOMEONE

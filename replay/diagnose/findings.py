@@ -34,7 +34,7 @@ ANSWERS = ("log", "change", "cause", "rank", "passes", "fails", "end", "parts_s"
 
 @dataclass(frozen=True)
 class Found:
-    """What was found of a failing drive.
+    """The findings about one failing drive.
 
     Attributes:
         log: Its name in the run.
@@ -60,7 +60,7 @@ class Found:
 
     @property
     def place(self) -> str:
-        """Where to look, and what is to be seen there."""
+        """Where to look, and what can be seen there."""
         at = f" at {self.time_s:.1f} s" if isfinite(self.time_s) else ""
         parts = f"; it parts at {self.parts['what']}" if self.parts else ""
         because = f" {self.because}" if self.because else ""
@@ -77,11 +77,11 @@ class Diagnosis:
         run: The result folder of the run.
         planner: Whose drives.
         drives: A row per failing drive.
-        not_failing: Logs whose drives fail no more.
+        not_failing: Logs whose drives no longer fail.
         not_driven: Logs that could not be driven again, and why.
         runs: The changes that were driven.
         refused: Changes that cannot be applied to the run, and why.
-        answers: By change and log, what came of it: passes, gates, end, parts.
+        answers: The result by change and log: passes, gates, end, parts.
         remedies: The smallest change of a setting for the first drive of each cluster, where settings are given.
     """
 
@@ -102,7 +102,7 @@ class Diagnosis:
         return 3 if self.not_driven else 0
 
     def clusters(self) -> list[tuple[Found, ...]]:
-        """Drives of one cause and change in which the same goes wrong: most drives first, the worst ahead."""
+        """Groups of drives with the same cause, changes and failure: the largest first, in each the worst first."""
         found: dict[tuple[Any, ...], list[Found]] = {}
         for one in self.drives:
             found.setdefault((one.cause.name, one.cause.changes, one.failure.sentence), []).append(one)
@@ -216,7 +216,7 @@ def read_diagnosis(folder: Path, results: Results) -> dict[str, Any]:
         found = {name: found[name] for name in ("planner", "clusters", "said")}
         logs = {log for cluster in found["clusters"] for log in cluster["drives"]}
     except (OSError, ValueError, KeyError, TypeError):
-        raise ConfigError(f"{file}: is no diagnosis; `replan diagnose RUN -o {folder}` writes one") from None
+        raise ConfigError(f"{file}: is not a diagnosis; `replan diagnose RUN -o {folder}` writes one") from None
     if found["planner"] not in results.run.planners or not logs <= set(results.logs["log"]):
         raise ConfigError(f"{file}: is a diagnosis of another run than {results.path}")
     return found

@@ -45,7 +45,7 @@ class Remedy:
     drives: int = 0
 
     def line(self) -> str:
-        """It in a sentence."""
+        """The remedy in a sentence."""
         if not self.key:
             return f"Remedy: with no setting of the space alone does {self.log} pass."
         breaks = f"breaks {', '.join(self.broken)}" if self.broken else "breaks none"
@@ -96,7 +96,7 @@ def between(setting: Setting, end: Value, share: float) -> Value:
 
 
 def distance(setting: Setting, value: Value) -> float:
-    """(1)."""
+    """The size (1) of a change."""
     assert setting.low is not None and setting.high is not None
     numbers = [float(number) for number in (setting.default, value, setting.low, setting.high)]
     was, now, low, high = map(log, numbers) if setting.log else numbers

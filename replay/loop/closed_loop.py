@@ -32,7 +32,7 @@ def run_closed_loop(
 
     The ego starts as logged and is then moved by the vehicle model; the others by `config.traffic`. The planner's
     internals are only built where they are kept. The last frame is at `until_s`, s since the scenario's start.
-    `seat` builds what asks the planner.
+    `seat` builds the object that calls the planner.
 
     Raises:
         LogError: The log has no time to drive.

@@ -32,10 +32,10 @@ def run_open_loop(
 ) -> Drive:
     """Plan at every `config.plan_period_s` of the ego's log, from its first sample to its last.
 
-    Between two samples of the log, the ego is the earlier one carried on: no later sample goes in. Every frame is the
-    planner's first as far as memory goes (`Frame.previous` is None). The planner's internals are only built where they
+    Between two samples of the log, the earlier one is extrapolated: no later sample is used. The planner's
+    memory is fresh at every frame (`Frame.previous` is None). The planner's internals are only built where they
     are kept. The last frame is at `until_s`, s since the scenario's start.
-    `seat` builds what asks the planner.
+    `seat` builds the object that calls the planner.
 
     Raises:
         ConfigError: A name of `config` or a keyword of the planner is unknown.

@@ -71,12 +71,12 @@ class Latency:
         return None if self.driven is None else self.at(step)
 
     def planned(self, step: int, plan: Plan) -> None:
-        """A plan was made of the frame at `step`."""
+        """Add the plan of the frame at `step`."""
         self._coming.append((step + self._delay, plan))
         self.driven = self.driven or plan
 
     def changes(self, step: int) -> int:
-        """The first step after `step` at which another plan may come to be driven; NEVER where none is on its way."""
+        """The first step after `step` at which another plan may take effect; NEVER if none is pending."""
         return next((due for due, _ in self._coming if due > step), NEVER)
 
     def at(self, step: int) -> Plan:
@@ -151,9 +151,9 @@ class PlanPeriod:
     """Runs one drive's controller and vehicle over the rows of its trace.
 
     Args:
-        controller: Drives.
-        vehicle: Is driven.
-        period: Of the control, s.
+        controller: Gives the commands.
+        vehicle: Receives the commands.
+        period: Control period, s.
 
     Attributes:
         most_steps: The greatest number of control steps in one call.
@@ -165,7 +165,7 @@ class PlanPeriod:
         self.most_steps = ANY_NUMBER if self._run else 1
 
     def run(self, plan: Plan, rows: FloatArray, first: int, count: int) -> None:
-        """Drive `count` control steps along the plan, from row `first`, whose motion and actuation stand there."""
+        """Drive `count` control steps along the plan, from row `first`, which holds motion and actuation."""
         path = self._tracker.path(plan)
         if self._run:
             self._run(self._controller, self._vehicle, path, rows, first, count, self._period)
@@ -185,7 +185,7 @@ class TraceRecorder:
         vehicle: At the start.
 
     Attributes:
-        rows: `(steps + 1, COLUMNS)`; what is not driven yet is not defined.
+        rows: `(steps + 1, COLUMNS)`; rows that are not driven yet are undefined.
         count: Rows of the drive, once it is closed.
         frames: The plans so far.
     """
@@ -197,11 +197,11 @@ class TraceRecorder:
         write_state(self.rows, 0, vehicle.state, vehicle.actuation)
 
     def planned(self, frame: Frame, plan: Plan) -> None:
-        """A plan was made for a frame."""
+        """Add the plan of a frame."""
         self.frames.append(PlannedFrame.of(frame, plan))
 
     def close(self, last: int, plan: Plan | None) -> None:
-        """The drive is over at a row: nothing is commanded there, so the command before stands (NaN if there is none).
+        """End the drive at a row. It has no command of its own: it repeats the one before (NaN if there is none).
 
         Args:
             last: The row.
@@ -215,21 +215,21 @@ class TraceRecorder:
 
     @property
     def ego(self) -> Trajectory:
-        """As driven."""
+        """The ego's states as driven."""
         return Trajectory(*self.rows[: self.count, EGO].T)
 
     @property
     def commands(self) -> Controls:
-        """As commanded."""
+        """The commands of the controller."""
         return Controls(self.rows[: self.count, 0], *self.rows[: self.count, COMMAND].T)
 
     @property
     def actuation(self) -> Controls:
-        """As actuated."""
+        """The actuation of the vehicle."""
         return Controls(self.rows[: self.count, 0], *self.rows[: self.count, ACTUATION].T)
 
     @property
     def errors(self) -> TrackingErrors:
-        """Against the plans."""
+        """The tracking errors against the plans."""
         columns = np.ascontiguousarray(self.rows[: self.count, ERRORS].T)
         return TrackingErrors(self.ego.t, *columns)

@@ -101,7 +101,7 @@ class Planning:
             try:
                 inspect.signature(factory).bind(*arguments, **table)
             except TypeError as error:
-                raise ConfigError(f"planner '{spec}' cannot be built so: {error}") from None
+                raise ConfigError(f"planner '{spec}' cannot be built: {error}") from None
             return prepared(spec, table)(*arguments, **table)
         except ReplanError:
             raise

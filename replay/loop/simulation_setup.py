@@ -92,7 +92,7 @@ class SimulationSetup:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was assumed, and what controller and traffic have to say of the drive so far."""
+        """The assumptions, and the notes of controller and traffic on the drive so far."""
         return (*self.assumptions, *self.controller.notes, *self.traffic.notes)
 
     def world(self) -> World:
@@ -100,11 +100,11 @@ class SimulationSetup:
         return World(self.vehicle.state, self.traffic.step(self.vehicle.state))
 
     def plan_period(self) -> PlanPeriod:
-        """What runs controller and vehicle."""
+        """The object that runs controller and vehicle."""
         return PlanPeriod(self.controller, self.vehicle, self.period)
 
     def horizon(self, step: int, most: int) -> int:
-        """Up to which step, `most` from `step` on, nothing but the ego moves: to the next frame, or the traffic's."""
+        """The step until which only the ego moves, at most `most` after `step`: the next frame or traffic step."""
         frame = step - step % self.steps_per_plan + self.steps_per_plan
         ahead = (self.traffic.due - self.vehicle.state.t) / self.period
         reacts = step + max(ceil(ahead - ROUNDING), 1) if ahead < most else self.steps
@@ -118,7 +118,7 @@ def controller_of(
     period: float,
     settings: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
 ) -> Controller:
-    """The controller of that name for a vehicle as it is believed to be; one that follows plans by itself is its own.
+    """The controller of that name for the vehicle's assumed parameters; a vehicle that follows plans has its own.
 
     Where the vehicle's tyres are rigid, the controller's model has them so.
 

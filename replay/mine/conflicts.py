@@ -1,4 +1,4 @@
-"""Events of two who want the same place: near misses, and who lets whom go first.
+"""Events of two road users that want the same place: near misses, and which of them yields.
 
 A road user and the ego conflict where their boxes take the same place at different times, the ego's at step i and the
 other's at step j of the grid; for vehicles with headings that differ by 30 degrees or more. With the pair of least time
@@ -31,10 +31,10 @@ from replay.mine.ego_and_road import HARD_MPS2
 NEAR_S, NEAR_M = 2.0, 1.0
 """A course to touch was a near miss where they come this near within this time after it, or where one brakes hard."""
 WINDOW_S = 10.0
-"""Two who come to a place at times farther apart do not meet."""
+"""Road users that reach a place at times farther apart do not meet."""
 CLOSE_S = 1.0
 BEFORE_S = 10.0
-"""Who yields slows down within this before the other one is there."""
+"""A road user that yields slows down within this time before the other one is there."""
 SLOWED_MPS, SLOWED = 1.0, 0.3
 """By how much, and by which part of the speed that it had, a road user that yields slows down at least."""
 MOVES_MPS = 0.5

@@ -37,7 +37,7 @@ _TITLES = {"road": "road", "agent_kind": "main road user", "speed": "speed of th
 
 
 def cells(events: pd.DataFrame) -> pd.DataFrame:
-    """The cells of some events, a row each: `CELL`, how many events and logs, and the log with most of them."""
+    """The cells of some events, a row each: `CELL`, numbers of events and logs, and the log with most events."""
     rows = []
     for key, group in events.groupby(list(CELL), sort=True):
         counts = group["log"].value_counts()

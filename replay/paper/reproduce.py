@@ -232,7 +232,7 @@ FAILED_COLUMNS = (
     "brake_begin_s", "braking_s", "path_clear_s", "release_after_clear_s", "peak_decel_mps2", "peak_jerk_mps3",
     "first_reason",
 )  # fmt: skip
-"""What the page shows of the cells in which something failed."""
+"""The page's part about the cells in which something failed."""
 
 
 def _page(

@@ -1,7 +1,7 @@
 """Several logs in lock step: the frames of one step are sent to one planner's process together (`loop.apart.batch`).
 
 Each log is evaluated in a thread, of which one runs at a time, until its drive asks the planner; then the next one
-runs. So nothing that drives, measures or writes has to know of threads, and the results depend on no clock. When all
+runs. So code that drives, measures or writes knows no threads, and the results depend on no clock. When all
 logs wait, they are answered. First come the frames of the drive that is on (one planner, one loop; each log has made as
 many steps). Where no log waits for a plan any more, the drive begins that comes first of those that they wait for.
 """
@@ -33,7 +33,7 @@ class Request:
     """What the drive of a log asks.
 
     Attributes:
-        place: Which drive.
+        place: The drive.
         message: `schema.Hello`, where it begins, or `schema.Frame`.
         limit: How long the answer may take, s.
         limits: Of the planner's process.
@@ -132,7 +132,7 @@ class BatchConnection:
         return FaultError(what)
 
     def kill(self) -> None:
-        """Nothing: the process goes on."""
+        """Do nothing: the process goes on."""
 
 
 class BatchSession:
@@ -163,7 +163,7 @@ class BatchSession:
         try:
             answer = self._connection.ask(message, sum(log.request.limit for log in logs), when)
             if not isinstance(answer, schema.Failed) and len(getattr(answer, "each", ())) != len(logs):
-                raise self._connection.fault(f"broke its contract {when}: it did not answer each")
+                raise self._connection.fault(f"broke its contract {when}: it did not answer every frame")
         except FaultError as fault:
             answer = fault
         answers = answer.each if isinstance(answer, schema.Answers) else [answer] * len(logs)
@@ -176,7 +176,7 @@ class BatchSession:
 
 
 def in_lockstep(tasks: Sequence[Callable[[], R]]) -> list[R]:
-    """What the tasks return, each of which evaluates a log; planners that may be shared plan for all of them."""
+    """Run tasks that each evaluate a log, and return their results; shared planners plan for all of them."""
     logs = [BatchLog(task) for task in tasks]
     session: BatchSession | None = None
     try:

@@ -29,7 +29,7 @@ LAST_CHARACTERS, LAST_LINES = 300, 3
 
 
 class FaultError(Exception):
-    """What a planner did wrong, as it follows its name in a sentence."""
+    """A fault of a planner, in words that follow its name in a sentence."""
 
 
 class PlannerConnection(Protocol):
@@ -89,7 +89,7 @@ class Node:
     kill = close
 
     def ending(self) -> str:
-        """How it ended, in words."""
+        """How the planner ended, in words."""
         return "it closed the connection"
 
 

@@ -1,4 +1,4 @@
-"""What builds the planner of a name, where it runs, and the keywords that its table in the configuration stands for."""
+"""Finds the factory of a named planner, where it runs, and the keywords of its configuration table."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def is_apart(spec: str, apart: PlannerProcessConfig) -> bool:
 
 
 def planner_factory(spec: str) -> Factory:
-    """What builds the planner or oracle of this name; ConfigError or PlannerError where there is none."""
+    """The factory of the planner or oracle of this name; ConfigError or PlannerError where there is none."""
     return ORACLES[spec] if spec in ORACLES else load_planner(spec, also=ORACLES)
 
 
 def of_class(factory: Factory, name: str) -> Callable[..., Any] | None:
-    """A class method, or a static one, of a class of planners; None: it has none, or its planners mean their own."""
+    """A class method or static method of a planner class; None if it has none, or only an instance method."""
     shared = isinstance(getattr_static(factory, name, None), classmethod | staticmethod)
     return getattr(factory, name) if shared else None
 
@@ -50,7 +50,7 @@ _prepared: dict[Factory, Mapping[str, Any]] = {}
 
 
 def prepared(spec: str, keywords: Mapping[str, Any]) -> Factory:
-    """What builds the planner, which has loaded what all its drives share.
+    """The factory of the planner, after it has loaded what all its drives share.
 
     A class may have a class method `prepare(**keywords)`, which is given the keywords of the planner before it is built
     of them: called once in a process, and once in that from which the processes of drives are forked.

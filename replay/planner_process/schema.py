@@ -65,7 +65,7 @@ class Context(msgspec.Struct):
 
 
 class Hello(msgspec.Struct, tag="hello"):
-    """The drive begins; answered by `Ready`. `config` is the planner's table; its inside is wanted if so it says."""
+    """The drive begins; answered by `Ready`. `config` is the planner's table; `keep_internals` asks for internals."""
 
     schema: int
     planner: str
@@ -136,7 +136,7 @@ class Trajectory(msgspec.Struct):
 
 
 class Inside(msgspec.Struct, omit_defaults=True):
-    """What a planner wants to be seen, as the traces of replan have it (docs/results.md)."""
+    """The internals that a planner shows, in the form of replan's traces (docs/results.md)."""
 
     decisions: list[native.Decision] = []
     costs: list[native.CostTerms] = []

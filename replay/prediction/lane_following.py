@@ -35,7 +35,7 @@ CHANGE_S = 1.5
 DRIFTING_MPS = 0.3
 """A vehicle that moves sideways slower than this does not change lanes."""
 SETTLE_S, SLOW_MPS = 1.0, 2.0
-"""T of (2); below this speed theta goes with the distance, so that who stands does not slide sideways."""
+"""T of (2); below this speed theta goes with the distance, so that a standing vehicle does not slide sideways."""
 FADE_S, LEAST_MPS2, MOST_MPS2 = 1.0, -4.0, 2.0
 """T_a of (1), measured to be about the best over recorded traffic; a_0 is cut to these."""
 CURVE_MPS2, EASE_MPS2 = 4.0, 2.0

@@ -1,4 +1,4 @@
-"""What came of one log, in memory and in the log's folder: `log.json`, its tables, and the steps of its metrics.
+"""The result of one log, in memory and in the log's folder: `log.json`, its tables, and the steps of its metrics.
 
 A folder is there only when all of it is (it is renamed from a temporary name), so that a run that was interrupted can
 take it as it stands. The tables of a run are always made of tables read back from the folders: whether a log was
@@ -48,8 +48,8 @@ class Failure:
         message: One line that names the thing, the place and the remedy.
         planner: None: the log itself.
         mode: None: before any loop.
-        exit_code: What it costs.
-        traceback: Of a bug; empty where the user can mend it.
+        exit_code: The exit code that it causes.
+        traceback: Traceback of a bug; empty for an error that the user can correct.
     """
 
     log: str
@@ -82,7 +82,7 @@ class DriveRecord:
 
 @dataclass(frozen=True, eq=False)
 class LogResult:
-    """What came of one log.
+    """The result of one log.
 
     Attributes:
         source: Label of the log: the path as given, or the family's name.
@@ -93,9 +93,9 @@ class LogResult:
         tags: Of the scenario.
         notes: What was assumed in reading it.
         drives: What was driven, planners in the order of the run, open before closed.
-        failures: What was not.
-        seconds: How long it took, for people to read; in no file; NaN where it was there already.
-        stopped: Why it could not be written, and with it the run; empty: it was.
+        failures: What could not be driven.
+        seconds: How long it took; for display, in no file; NaN if it was taken from an earlier run.
+        stopped: Why the result, and so the run, could not be written; empty if it was.
     """
 
     source: str
@@ -145,7 +145,7 @@ class LogTables:
 
 @dataclass(frozen=True)
 class Stamp:
-    """What a log's results depend on beside the configuration.
+    """What the results of a log depend on besides the configuration.
 
     Attributes:
         replan: Version.
@@ -250,7 +250,7 @@ class StepsFile:
         self._drives: dict[tuple[str, str], tuple[Steps, ...]] = {}
 
     def put(self, metric: str, series: Series) -> Steps:
-        """Where a metric's steps are from now on."""
+        """Write a metric's steps, and return their place in the file."""
         with writing(self._path):
             begin = self._file.seek(0, 2)
             self._file.write(series.t.tobytes())
@@ -258,7 +258,7 @@ class StepsFile:
         return Steps(metric, begin, len(series.t))
 
     def add(self, planner: str, mode: str, steps: tuple[Steps, ...]) -> None:
-        """A drive has been measured: these are its metrics."""
+        """Add the metrics of a drive."""
         self._drives[planner, mode] = tuple(sorted(steps, key=lambda one: one.metric))
 
     def table(self, some: Sequence[Steps]) -> pd.DataFrame:
@@ -279,7 +279,7 @@ class StepsFile:
             write_file(self._path, self._write)
 
     def close(self) -> None:
-        """The file goes; whether the rest of it could be written no longer matters."""
+        """Remove the file; whether the rest of it could be written no longer matters."""
         with suppress(OSError):
             self._file.close()
 

@@ -284,7 +284,7 @@ FRAMES: Mapping[str, Table] = {
         ),
     ),
 }
-"""What `Results` has besides, made of summary.json and the traces."""
+"""Tables that only `Results` has, made of summary.json and the traces."""
 
 
 def names_of(file: str) -> list[str]:

@@ -40,7 +40,7 @@ PARTIAL = ".partial-"
 """Names of what is being written begin with this."""
 
 LOG_CARD = "log.json"
-"""A file that replan puts beside the traces of a log: what lies beside it is a result, not an input."""
+"""A file that replan puts beside the traces of a log: a log beside it is a result, not an input."""
 OUTCOMES = {0: "pass", 1: "fail", 2: "configuration error", 3: "not all could be evaluated", 4: "inconclusive"}
 LOCK = ".lock"
 """The file by which a run holds its folder (`replay.run.output`)."""
@@ -176,7 +176,7 @@ def check_ours(out: Path) -> None:
 
 
 def clear_partial(out: Path) -> None:
-    """Remove what was begun and not finished."""
+    """Remove unfinished files and folders."""
     for entry in out.glob(f"{PARTIAL}*"):
         shutil.rmtree(entry, ignore_errors=True) if entry.is_dir() else entry.unlink(missing_ok=True)
 

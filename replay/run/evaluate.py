@@ -51,7 +51,7 @@ def evaluate_logs(
         window: Split each log into windows of this length, s; each is a log of its own.
         suite: Instead of logs: a suite of the catalogue, or a family or group of it with all its cells.
         shard: Drive this part of the logs only; `replay.run.shards` judges all parts together.
-        on_start: Called once with what was selected and the result folder.
+        on_start: Called once with the selection and the result folder.
         on_log: Called as each log ends, in order of ending.
 
     Raises:

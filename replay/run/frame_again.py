@@ -85,7 +85,7 @@ def replan_frame(drive: DriveResult, at: float, planner: str | None = None, *, d
     run, recorded = drive.result.run, drive.frame(at)
     for spec in (drive.planner, planner or drive.planner):
         if is_foreign(spec) or spec in ORACLES:
-            raise ConfigError(f"planner '{spec}': a frame is planned again only by Python planners that know no log")
+            raise ConfigError(f"planner '{spec}': only Python planners that are not oracles can plan a frame again")
     row = drive.result.logs.set_index("log").loc[drive.log].to_dict()
     scenario = scenario_of(drive.result.path, row, run.log)
     scenario, table = scenario.in_vehicle(run.driven(scenario.vehicle)), run.planner.get(drive.planner, {})
@@ -147,7 +147,7 @@ def _plan_with(
 
 
 def report_of(again: ReplannedFrame) -> Iterator[str]:
-    """What a person who debugs the frame wants to read."""
+    """The report for debugging the frame."""
     dump, frame, plan = again.dump, again.dump.frame, again.dump.plan
     yield f"{dump.log}, {dump.planner}, frame at {frame.t:.3f} s ({len(dump.frames)} since the planner was built)"
     if again.is_same is not None:

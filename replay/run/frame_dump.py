@@ -38,7 +38,7 @@ class Problem(msgspec.Struct):
     """`planners.piecewise_jerk.problem.PiecewiseJerkProblem`, and the curve x, x', x'' `(3 n,)` that answered it.
 
     Attributes:
-        report: Of the solver; its stage is who asked.
+        report: The solver's report; its stage names the caller.
         numbers: step, soft, and the weights x, dx, ddx, dddx.
         leads: `(k,)`.
         start: `(3,)`.

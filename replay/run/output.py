@@ -51,7 +51,7 @@ _FAR = 1 << 30
 
 @contextmanager
 def held(out: Path) -> Iterator[None]:
-    """Hold the folder, which is made where it is not there; nothing of the lock stays behind.
+    """Lock the folder, and make it if needed; nothing of the lock remains afterwards.
 
     Raises:
         ConfigError: Another run holds it (says which, where and since when), or it cannot be made or written to.
@@ -125,14 +125,14 @@ def _try_lock(handle: int) -> bool | None:
 
 
 def lock_card() -> bytes:
-    """Who holds it, for people and for a file system without locks."""
+    """The owner of a lock, for people and for file systems without locks."""
     since = datetime.now(UTC).isoformat(timespec="seconds")
     card = {"pid": os.getpid(), "host": socket.gethostname(), "since": since, "started": _start_of_process(os.getpid())}
     return json.dumps(card).encode()
 
 
 def has_ended(card: dict[str, Any]) -> bool:
-    """Whether the holder was a process of this machine, and is no more."""
+    """Whether the holder was a process of this machine that has ended."""
     if card.get("host") != socket.gethostname():
         return False
     try:
@@ -157,10 +157,10 @@ class OutputLocation:
     """Where the results of a run are written.
 
     Attributes:
-        folder: On this machine; None: the next free one.
-        url: Where it goes from there; "": nowhere.
-        there: When each file was written that is at the URL and need not go there again unless it is written anew.
-        old: What is at the URL and goes before anything is sent.
+        folder: The folder on this machine; None: the next free one.
+        url: The URL to which it is sent; "": none.
+        there: Write times of the files that are at the URL already; they are sent again only if written anew.
+        old: Files at the URL that are removed before anything is sent.
     """
 
     folder: Path | None
@@ -257,7 +257,7 @@ def _open_url(url: str, folder: Path, *, resume: bool) -> OutputLocation:
 
 
 def write_origin(out: Path, begun: Path | None = None) -> None:
-    """Note beside the results where they were begun (None: in the working directory); OutputError."""
+    """Record in the results where the run was started (None: in the working directory); OutputError."""
     here = begun or Path.cwd()
     try:
         seen = Path(os.path.relpath(here, out.resolve())).as_posix()
@@ -267,7 +267,7 @@ def write_origin(out: Path, begun: Path | None = None) -> None:
 
 
 def begun_in(out: Path, sources: Iterable[str]) -> Path:
-    """Where results were begun: the first place from which one of their logs is seen, else the working directory."""
+    """Where a run was started: the first place from which one of its logs is found, else the working directory."""
     logs = [local_path(source) for source in sources if not url_of(source)]
     seen = (place for place in _directories(out) if any((place / log).exists() for log in logs))
     return Path(os.path.normpath(next(seen, Path.cwd())))
@@ -313,7 +313,7 @@ def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenar
     with found.fetched() as near:
         assert near.path is not None
         if log_hash(near.path, settings) != digest:
-            raise ConfigError(f"{found.label}: is not the log of these results any more, its bytes are others")
+            raise ConfigError(f"{found.label}: is no longer the log of these results: its bytes differ")
         return near.read()
 
 

@@ -60,7 +60,7 @@ PERTURBATIONS: Mapping[str, Callable[[Scenario, np.random.Generator], Scenario]]
 
 
 def perturbed(scenario: Scenario, member: int) -> tuple[str, Scenario]:
-    """Member `member` (from 1) of a log's ensemble: what was done, and the scenario; the kinds take turns."""
+    """Member `member` (from 1) of a log's ensemble: the perturbation and the scenario; the kinds take turns."""
     name = list(PERTURBATIONS)[(member - 1) % len(PERTURBATIONS)]
     seed = int.from_bytes(sha256(f"{scenario.name} {member}".encode()).digest()[:8], "big")
     return name, PERTURBATIONS[name](scenario, np.random.default_rng(seed))

@@ -26,7 +26,7 @@ _CONTEXT = multiprocessing.get_context("spawn")
 
 @dataclass(frozen=True)
 class WorkerLost:
-    """What is known of an item whose worker died: a sentence for the user."""
+    """The result of an item whose worker died: a sentence for the user."""
 
     reason: str
 

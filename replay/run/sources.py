@@ -73,7 +73,7 @@ class LogSource:
     format: str = ""
 
     def identity(self) -> str:
-        """What tells it from every other input: names and hashes of log and map, or the name; LogError as `read`.
+        """Identifies the input: names and hashes of log and map, or the name; LogError as `read`.
 
         Of a remote log sizes and versions are taken for the hash: it is not fetched for that.
         """
@@ -90,7 +90,7 @@ class LogSource:
 
     @contextmanager
     def fetched(self) -> Iterator[LogSource]:
-        """This log on this machine, for as long; LogError where it cannot be fetched."""
+        """This log on this machine, within a `with` block; LogError if it cannot be fetched."""
         if not self.remote:
             yield self
             return
@@ -121,7 +121,7 @@ class LogSource:
 
     @property
     def expected_s(self) -> float:
-        """About how long the drive is, s, by the log's size; of the catalogue 0: that would have to be made first."""
+        """Approximate length of the drive, s, by the log's size; 0 for the catalogue, whose logs are not made yet."""
         if self.settings.end < inf:
             return self.settings.end - self.settings.begin
         if self.path is None:
@@ -144,7 +144,7 @@ class LogSource:
 
 @dataclass(frozen=True)
 class Selection:
-    """The logs of a run; as text the funnel: found, kept, and why not the others.
+    """The logs of a run; as text: how many were found and kept, and why others were left out.
 
     Attributes:
         sources: Kept, in the order given (folders: sorted by path).
@@ -165,7 +165,7 @@ def builtin_suite() -> Selection:
 
 
 def named_suite(name: str) -> Selection:
-    """A suite of the catalogue, or all cells of one of its families or groups; ConfigError: nothing is called so."""
+    """A suite of the catalogue, or all cells of one of its families or groups; ConfigError if nothing has this name."""
     return Selection(tuple(LogSource(label) for label in suite(name)))
 
 

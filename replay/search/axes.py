@@ -1,4 +1,4 @@
-"""What is falsified, and what is varied of it: axes with a scale each, and so a distance from what was recorded.
+"""The subject of a falsification and its axes; their scales define a distance from the recorded case.
 
 The subject is a recorded log or a family of the catalogue; a point of the axes makes a scenario of it. Of a log, and of
 a family of which a variation is an axis, every point is a varied log (`logs.variations.varied`), the recorded point
@@ -210,7 +210,7 @@ class Subject:
         name: Of the log or the family.
         scenario: As it was recorded, or the family's with its defaults; prepared for variations.
         family: None: a log.
-        agents: Ids of those who are varied; empty: nobody, or the inserted one.
+        agents: Ids of the varied agents; empty: none, or the inserted one.
     """
 
     name: str
@@ -224,7 +224,7 @@ class Subject:
 
     @property
     def short_agents(self) -> tuple[str, ...]:
-        """Short names of those who are varied."""
+        """Short names of the varied agents."""
         return tuple(map(self.scenario.short_names, self.agents))
 
     def at(self, axes: Sequence[SearchAxis], values: Mapping[str, float]) -> Scenario:
@@ -264,7 +264,7 @@ def opened(name: str, settings: LogSettings) -> Subject:
 
 
 def agents_of(subject: Subject, axes: Sequence[SearchAxis], named: Sequence[str]) -> tuple[str, ...]:
-    """Who is varied: those who are named, else the one in the conflict of the drive, where an axis asks for one.
+    """The agents to vary: the named ones, else the one in the conflict of the drive, if an axis needs one.
 
     Raises:
         ConfigError: An agent is not there, or there is none.

@@ -82,7 +82,7 @@ def objectives(names: Sequence[str], metrics: Mapping[str, Metric]) -> tuple[Obj
             raise unknown_name("metric (of --objective)", name, known)
         objective = known[name]
         if objective is None:
-            raise ConfigError(f"--objective {name}: neither more nor less of it is better; replan metrics lists others")
+            raise ConfigError(f"--objective {name}: neither more nor less is better; replan metrics lists others")
         found.append(objective)
     if len(set(names)) < len(names):
         raise ConfigError(f"--objective: a metric is named twice: {', '.join(names)}")

@@ -175,7 +175,7 @@ def with_values(run: RunConfig, values: Mapping[tuple[str, ...], Value]) -> RunC
 
 
 def difference(table: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, Any]:
-    """What of a table is not the same in another one."""
+    """The entries of a table that differ in another one."""
     found: dict[str, Any] = {}
     for key, value in table.items():
         was = base.get(key)

@@ -44,7 +44,7 @@ class Study:
             changed = changes(earlier[0], json.loads(json.dumps(self._head)))
             if changed:
                 again = "give the same options, or leave out --resume"
-                raise ConfigError(f"{out}: was begun otherwise: {changed}; {again}")
+                raise ConfigError(f"{out}: was started with other settings: {changed}; {again}")
             self._rows = earlier[1:]
             clear_partial(out)
         else:

@@ -80,7 +80,7 @@ class Logs:
         return tuple(sorted(self.held))
 
     def at(self, names: Sequence[str]) -> list[Path | str]:
-        """Where logs are."""
+        """The places of logs."""
         return [self.places[name] for name in names]
 
 
@@ -121,7 +121,7 @@ class Tuned:
         return 0 if self.passed else 1
 
     def lines(self) -> list[str]:
-        """What is said of it, a sentence each."""
+        """The result in sentences."""
         feasible = int(self.table["feasible"].sum())
         refused = int((self.table["refused"] != "").sum())
         tried = f"{counted(len(self.table), 'trial')} on {counted(len(self.logs.training), 'training log')}"
@@ -171,7 +171,7 @@ def tune(
         PlannerError: The planner cannot be loaded.
     """
     if len(plan.run.planners) != 1:
-        raise ConfigError(f"a tuning is of one planner, got {', '.join(plan.run.planners)}")
+        raise ConfigError(f"a tuning needs exactly one planner, got {', '.join(plan.run.planners)}")
     optuna_module()
     checked(plan.driven)
     engine = engine or Local()

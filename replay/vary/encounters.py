@@ -68,7 +68,7 @@ class Encounter:
 def prepared(scenario: Scenario) -> Scenario:
     """The scenario as it is varied: without phantoms, and with a goal where its drive ended if it names none.
 
-    Both are known by the recorded drive, which a varied log holds no longer.
+    Both need the recorded drive, which a varied log no longer holds.
     """
     found = phantoms(scenario)
     goal, note = goal_of(scenario)
@@ -95,7 +95,7 @@ def opened(log: str, settings: LogSettings) -> Scenario:
 
 
 def encounters(scenario: Scenario) -> tuple[Encounter, ...]:
-    """All who are there while the ego drives as logged (the careful driver, where the log holds no drive).
+    """All road users that are present while the ego drives as logged (without a logged drive: the careful driver).
 
     The nearest first.
     """

@@ -24,7 +24,7 @@ Plain = tuple[Any, ...]
 
 
 def plain(named: Any) -> Any:
-    """Named tuples, and those within them, as plain ones; what is none of them as it is."""
+    """Named tuples, also nested ones, as plain tuples; any other value as it is."""
     return tuple(plain(item) for item in named) if isinstance(named, tuple) else named
 
 
@@ -141,7 +141,7 @@ class Vehicle(Protocol):
 
     @property
     def own_controller(self) -> Controller | None:
-        """What controls it where it follows plans by itself; None: it needs a controller."""
+        """Its own controller, if it follows plans by itself; None: it needs a controller."""
         ...
 
     def step(self, command: Command, dt: float) -> EgoState:

@@ -175,7 +175,7 @@ def next_span(line: Pending, end_ns: int) -> tuple[float, float, Pending]:
 
 
 def pending(delay: float, value: float) -> Pending:
-    """Nothing is on its way yet.
+    """A line of commands in which none is pending.
 
     Args:
         delay: s, not negative.
@@ -232,7 +232,7 @@ class Drivetrain:
         return self.tables.max_decel
 
     def gearbox(self, v: float, throttle: float) -> Gearbox:
-        """The gearbox as it is after driving like this for long."""
+        """The gearbox in steady state at this speed and throttle."""
         return Gearbox(int(best_gear(v, wanted_force(v, throttle, self.tables), self.tables)), 0.0, MIN_HOLD_S)
 
     @cached_property

@@ -1,7 +1,7 @@
 """The 29-state multi-body model of commonroad-vehicle-models, driven by our pedals and steering: the reference plant.
 
 Sprung and unsprung masses, roll, pitch, four wheels that spin, magic formula with combined slip and camber (Althoff and
-Wuersching, "CommonRoad: Vehicle Models", 2020, section 9). Not ours is all that; ours is what stands around it:
+Wuersching, "CommonRoad: Vehicle Models", 2020, section 9). All that is the package's; replan adds the following:
 
 - Its inputs, steering rate and acceleration, come from our actuators and drive train (drivetrain.py):
   (1) u = drive - rolling - drag v^2 - brake, a torque at the wheels; held over a sub-step.

@@ -56,7 +56,7 @@ from replay.vehicle.tyres import GRAVITY, Tyre, axle_force, axle_tyres, slip_for
 
 SLIP_MPS = 1.0
 SLIDING_MPS = 0.5
-"""An axle that moves sideways faster than this is no vehicle at a stand."""
+"""A vehicle with an axle that moves sideways faster than this is not at a standstill."""
 TURNOVER_MPS = 0.1
 REAR_BRAKE = 0.85
 STABLE = 1.25

@@ -113,7 +113,7 @@ def axle_tyres(parameters: VehicleParameters, kind: str, stiffness: float) -> tu
     """Front and rear tyres; cornering stiffness times `stiffness`.
 
     Raises:
-        ConfigError: No tyre is called so, or the stiffness is not positive.
+        ConfigError: No tyre has this name, or the stiffness is not positive.
     """
     if kind not in TYRES:
         raise unknown_name("tyre", kind, TYRES)
@@ -131,7 +131,7 @@ def axle_tyres(parameters: VehicleParameters, kind: str, stiffness: float) -> tu
 def slip_for(force: float, load: float, tyre: Tyre) -> float:
     """tan(alpha) that gives a lateral force, N, at a load, N: `lateral_force` inverted on its rising side.
 
-    Forces beyond 0.95 of the peak are taken as that; an axle off the ground slips nothing.
+    Forces beyond 0.95 of the peak are taken as that; an axle off the ground has no slip.
     """
     stiffness, peak = grip_and_peak(load, tyre)
     wanted = abs(force) if tyre.kind == LINEAR else min(abs(force), 0.95 * peak)
@@ -156,7 +156,7 @@ class TyreUse:
 
 
 def tyre_use(ego: Trajectory, done: Controls, car: VehicleParameters) -> TyreUse:
-    """Of a drive of at least two states and what its actuators did, on the same times."""
+    """Tyre use of a drive of at least two states, from its motion and actuation at the same times."""
     vx, vy = np.gradient(ego.x, ego.t), np.gradient(ego.y, ego.t)
     rear = np.angle(np.exp(1j * (np.arctan2(vy, vx) - ego.yaw)))  # (8)
     rear = np.where(ego.v >= SLOWEST_MPS, rear, np.nan)

@@ -249,7 +249,7 @@ def test_a_name_that_is_none_is_a_configuration_error() -> None:
         load_planner("loged", also=ORACLES)
     with pytest.raises(ConfigError, match="module:Class"):
         load_planner("mine:")
-    with pytest.raises(ConfigError, match="no such is loaded into Python"):
+    with pytest.raises(ConfigError, match="neither is loaded into Python"):
         load_planner("exec:./planner")
 
 

@@ -210,7 +210,7 @@ def test_a_wrong_setting_is_refused_and_names_its_key(desk: Path, key: str) -> N
     with pytest.raises(ConfigError, match=r"no .* is called 'unknown'"):
         checked(RunConfig(("constant_speed",), **{table: {"unknown": {}}}))
     Path("my_needy.py").write_text("def needy(*given, must): ...\n", encoding="utf-8")
-    with pytest.raises(ConfigError, match=f"{key} 'my_needy:needy' cannot be built so: missing .* argument: 'must'"):
+    with pytest.raises(ConfigError, match=f"{key} 'my_needy:needy' cannot be built: missing .* argument: 'must'"):
         checked(loop(**{key: "my_needy:needy"}))
 
 
@@ -234,7 +234,7 @@ def test_one_that_raises_in_a_drive_costs_that_drive_and_is_named_with_its_line(
 def test_what_lacks_a_member_of_its_protocol_is_refused(desk: Path) -> None:
     Path("my_half.py").write_text("class Half:\n    def __init__(self, *given): ...\n", encoding="utf-8")
     for key, lacks in (("controller", "notes"), ("vehicle", "state")):
-        with pytest.raises(ConfigError, match=f"{key} 'my_half:Half': what it built is a Half without {lacks}"):
+        with pytest.raises(ConfigError, match=f"{key} 'my_half:Half': it built a Half without {lacks}"):
             checked(loop(**{key: "my_half:Half"}))
 
 
@@ -279,7 +279,7 @@ def test_two_of_one_name_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     kind: Kind[object] = Kind("thing", "things", {"a": print})
     twice = tuple(EntryPoint("b", value, kind.group) for value in ("x:B", "y:B"))
     for entries in (twice, (EntryPoint("a", "x:A", kind.group),)):
-        monkeypatch.setattr("logs.extension._installed", lambda group, path, found=entries: found)
+        monkeypatch.setattr("logs.extension._installed_entry_points", lambda group, path, found=entries: found)
         with pytest.raises(ConfigError, match="there are two things called"):
             kind.find("b")
 

@@ -110,7 +110,7 @@ def _prediction_error(obstacles: Sequence[Obstacle], velocity: Sequence[FloatArr
 
 
 EXCESS_M = 0.1
-"""A box may be wider than the set by so much on average, m."""
+"""A box may be this much wider than the set on average, m."""
 SHORTEST_M = 1.0
 """A shorter box is not cut, m."""
 DEEPEST = 6

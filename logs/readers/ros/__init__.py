@@ -1,6 +1,6 @@
 """ROS 2 bags (rosbag2: MCAP and SQLite, one file or a folder with metadata.yaml) and ROS 1 bags, without ROS.
 
-This module is the one door to rosbags: a bag as topics, and the wanted fields of their messages by time. A folder with
+Only this module uses rosbags: a bag as topics, and the wanted fields of their messages by time. A folder with
 `metadata.yaml` is one bag, split over its files; `.mcap` and `.db3` alone are bags of ROS 2, `.bag` of ROS 1. Message
 definitions come from the file; where it has none, from `definitions.msg` (Autoware and other packages) and the
 distribution's own that rosbags knows. With an index in the file only the chunks of a time and topic are read.

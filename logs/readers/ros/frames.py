@@ -95,7 +95,7 @@ class Frames:
         return tuple(name for name in self.names if name not in self.parents)
 
     def path(self, name: str) -> list[str]:
-        """The frame, its parent, and so on to its root; it ends where it would go round."""
+        """The frame, its parent, and so on to its root; it ends before a cycle."""
         out = [name]
         while out[-1] in self.parents and self.parents[out[-1]] not in out:
             out.append(self.parents[out[-1]])

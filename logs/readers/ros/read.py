@@ -44,11 +44,11 @@ from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 HEAD_S = 2.0
 """Of the log's begin this is read to find t = 0, where only a later part is wanted."""
 MARGIN_S = 1.0
-"""Messages may be recorded so much later than they are stamped; on both sides of the wanted part."""
+"""Messages may be recorded this much later than they are stamped; read on both sides of the wanted part."""
 
 
 def read_bag(path: Path, settings: LogSettings) -> Scenario:
-    """The scenario in a bag, or of it what lies around the part between `settings.begin` and `settings.end`.
+    """The scenario in a bag, or its part around the time between `settings.begin` and `settings.end`.
 
     Raises:
         LogError: The bag is damaged or does not say where the ego is; the line says what it holds.

@@ -35,7 +35,7 @@ NO_CARS = ("cart", "cardboard", "carton")
 
 
 def kind_of_word(label: str) -> AgentKind:
-    """What a label in words is; OBJECT where no word is known."""
+    """The kind that a label in words means; OBJECT if no word is known."""
     text = label.lower()
     if any(word in text for word in NO_CARS):
         return OBJECT

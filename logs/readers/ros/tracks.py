@@ -36,7 +36,7 @@ standard deviation that follows on: an object that was seen twice 0.1 s apart is
 MOVES_MPS = 1.0
 """Only objects that are faster tell their front and the frame of their velocities."""
 EGO_WITHIN_M, EGO_LEAST_S = 1.0, 1.0
-"""A track whose centre stays so near the ego's for so long while the ego drives is the ego."""
+"""A track whose centre stays within this distance of the ego's for this time while the ego drives is the ego."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,9 +220,9 @@ UNKNOWN_MPS = {AgentKind.PEDESTRIAN: 2.5, AgentKind.OBJECT: 5.0}
 UNKNOWN_OTHERS_MPS = 20.0
 """And more, per second, after a first sample, whose velocity is not known."""
 OTHER_KIND_M = 1.0
-"""An object of another kind counts as so much farther away: labels flicker."""
+"""An object of another kind counts as this much farther away, since labels flicker."""
 LOST_S = 1.0
-"""Who was not seen for longer is not waited for."""
+"""A road user not seen for longer is no longer expected."""
 OTHER_SIZE_M, OTHER_SIZE = 0.5, 0.25
 """An outline is another object's if its size differs by more than both, m and as a share of the larger one."""
 MEMORY = 5

@@ -1,4 +1,4 @@
-"""Path bounds: who stands in the way, on which side they are passed, and what they leave of the corridor.
+"""Path bounds: the agents in the way, the sides on which they are passed, and the corridor that remains.
 
 Only what stands still, or goes slowly along the lane (`passing`), is passed by the path; what else moves is met in the
 S-T graph. (The path DP, coarser than `corridor`, moves the rear axle past boxes grown by the ego's length.)
@@ -6,8 +6,8 @@ S-T graph. (The path DP, coarser than `corridor`, moves the rear axle past boxes
 (1) nudge left of an obstacle:  lower >= its left side + half width + clearance     over its stations
     nudge right:                upper <= its right side - half width - clearance
 
-A bound that steering cannot reach from the start any more is loosened to what it can (`corridor`); who is then not
-cleared is a stop (`check_clearance`).
+A bound that steering cannot reach from the start any more is loosened to what it can (`corridor`); an agent that is
+then not cleared is a stop (`check_clearance`).
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from planners.frenet.scene import Bodies, Occupancy, Scene
 SIDES = {DecisionKind.NUDGE_LEFT: 1.0, DecisionKind.NUDGE_RIGHT: -1.0}
 """The decisions to pass, by the side as kernels take it."""
 TOLERANCE_M = 0.05
-"""What a solution may lack of a clearance, m."""
+"""How much of a clearance a solution may lack, m."""
 NEAR_PATH_M = 30.0
-"""Who stands farther than this and the path's length from the ego is not looked at."""
+"""Agents that stand farther from the ego than this plus the path's length are ignored."""
 NEAR_ROAD_M = 1.0
-"""Who stands off the road by less than this still counts as an obstacle, m."""
+"""An agent that stands off the road by less than this still counts as an obstacle, m."""
 NOTHING = Borrowed(np.empty((0, 3)), left=True, right=True)
 """No road beside the lane is used."""
 
@@ -50,8 +50,8 @@ class CorridorConfig:
         gap_m: Ahead and behind an obstacle, added to its length.
         neighbour_behind_m: A neighbouring lane may be borrowed if no agent moves on it from this far behind ...
         neighbour_ahead_m: ... to this far ahead.
-        facing_margin_s: The facing lane may be borrowed where no agent comes for so long after the ego has left it, s.
-        patience_s: A vehicle that has stood for so long is passed by the facing lane.
+        facing_margin_s: The facing lane may be borrowed if no agent comes for this long after the ego has left it, s.
+        patience_s: A vehicle that has stood for this long is passed on the facing lane.
     """
 
     clearance_m: float = 0.6
@@ -70,7 +70,7 @@ class CorridorConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class InTheWay:
-    """Who stands in the way, and what of the road beside the lane may be used to pass them.
+    """The agents in the way, and the road beside the lane that may be used to pass them.
 
     Attributes:
         obstacles: In order of their stations.
@@ -86,7 +86,7 @@ class InTheWay:
     wait: float = np.inf
 
     def and_moving(self, more: InTheWay) -> InTheWay:
-        """With those who are passed while they go on; the lanes beside must be free for all."""
+        """The same with moving agents that are passed; the lanes beside must be free for all."""
         if not more.obstacles:
             return self
         both = tuple(sorted((*self.obstacles, *more.obstacles), key=lambda box: (box.s_from, box.agent)))
@@ -109,7 +109,7 @@ class PathBounds:
         return room_beside(self.s, self.lower, self.upper, _boxes(obstacles), self.gap(vehicle, config)).tolist()
 
     def gap(self, vehicle: VehicleParameters, config: CorridorConfig) -> float:
-        """So far before and behind an obstacle the ego is beside it, or nearly, m.
+        """Distance before and behind an obstacle at which the ego still counts as beside it, m.
 
         Half the distance between two points of the ego, the rear overhang and a knot fit.
         """
@@ -142,7 +142,7 @@ def _standing_boxes(
     knots: FloatArray, coef: FloatArray, bodies: Bodies, standing: BoolArray, s: FloatArray, left: FloatArray,
     right: FloatArray, near: tuple[float, float, float],
 ) -> tuple[IntArray, FloatArray]:  # fmt: skip
-    """Who stands on the road, or near its edge, `(b,)`, and their stations and offsets, from and to `(b, 4)`, m.
+    """The agents that stand on the road or near its edge `(b,)`; their stations and offsets, from and to `(b, 4)`, m.
 
     By the feet of their corners and of the middles of their sides, between which a curve bulges. `s` are the stations
     of all `(n,)`, `left` and `right` the road's edges there, `near` a place x, y and how far around it they are looked
@@ -210,14 +210,14 @@ def free_sides(scene: Scene, config: CorridorConfig) -> tuple[bool, bool]:
 
 
 def side_gaps(box: Occupancy, lower: float, upper: float, vehicle: VehicleParameters) -> tuple[float, float]:
-    """What is left beside the ego that passes a box between two bounds of its axis, on the left and on the right, m."""
+    """The space beside an ego that passes a box between two bounds of its axis, on the left and right, m."""
     side = 0.5 * vehicle.width
     return upper - box.l_to - side, box.l_from - side - lower
 
 
 @dataclass(frozen=True, slots=True)
 class SideChoice:
-    """What can be done about one obstacle, before anything decides.
+    """The options for one obstacle, before a decision is made.
 
     `left`: what is left beside the ego that passes it on its left, m; `right` on its right; `settled`: the decision
     where there is nothing to choose, None: the obstacle can be passed.
@@ -229,7 +229,7 @@ class SideChoice:
     settled: Decision | None
 
     def is_open(self, least: float) -> bool:
-        """Whether it can be passed on either side with at least so much, m."""
+        """Whether it can be passed on either side with at least this much space, m."""
         return self.settled is None and min(self.left, self.right) >= least
 
     def decided(self, goes_left: bool, costs: tuple[float, float] | None, config: CorridorConfig) -> Decision:
@@ -248,7 +248,7 @@ class SideChoice:
 def side_choices(
     obstacles: tuple[Occupancy, ...], space: PathBounds, vehicle: VehicleParameters, config: CorridorConfig
 ) -> list[SideChoice]:
-    """What can be done about obstacles within the bounds of the ego's points."""
+    """The options for obstacles within the bounds of the ego's points."""
     if not obstacles:
         return []
     found = []

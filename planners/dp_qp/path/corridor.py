@@ -54,7 +54,7 @@ NEARLY_M = 0.5
 LEFT_M = 0.1
 """What is left of the room where the goal is outside of it, m."""
 NEAR_GOAL_M = 15.0
-"""Who stands within this of the goal is passed as anywhere else: its sides are not kept to then, m."""
+"""An agent that stands within this of the goal is passed as anywhere else, and the goal's sides are not kept, m."""
 HERE = np.empty(0)
 """`loosen_bounds`: near the reference line."""
 COMFORT = frozen(np.array([4.0, 3.0, 1.8]))

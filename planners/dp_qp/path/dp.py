@@ -35,7 +35,7 @@ OUTSIDE = 1e3
 SAMPLES = 10
 """Of an edge (2)."""
 BESIDES = 3.0 * TIE
-"""What costs more than straight on by this is not the least, nor does it tie with it."""
+"""A path that costs this much more than straight on is not the cheapest, and does not tie with it."""
 
 
 class PathDpWeights(NamedTuple):

@@ -64,11 +64,11 @@ SLACK = 1.5
 GAIN_MPS2 = 1.2
 """Acceleration of an ego with a free road ahead, m/s2."""
 PLACE_M = 10.0
-"""So far before a place at which it may have to wait the ego is back in its lane, m."""
+"""Distance before a place where it may have to wait at which the ego is back in its lane, m."""
 REACH_M = 120.0
 """Agents farther away are ignored, m."""
 SPARE_S = 1.0
-"""So long before the predictions end the ego must be past those that it begins to pass, s."""
+"""Time before the end of the predictions by which the ego must be past agents that it begins to pass, s."""
 PASSING_MPS = 5.0
 """Least assumed speed while passing (4), m/s."""
 BACK_M = 10.0
@@ -120,7 +120,7 @@ def _goes_along(
     may: BoolArray, slack: FloatArray, speed: FloatArray, along: AgentsAlong, across: FloatArray, bodies: Bodies,
     ego: tuple[float, float, float],
 ) -> BoolArray:  # fmt: skip
-    """Who of those that `may` goes along the lane `(n,)`, each with its slack; `ego` is x, y, station of the rear."""
+    """Which of the agents `may` `(n,)` go along the lane, each with its slack; `ego` is x, y, station of the rear."""
     out = np.zeros(len(may), np.bool_)
     for i in range(len(may)):
         near, half = hypot(bodies.x[i] - ego[0], bodies.y[i] - ego[1]) < REACH_M, 0.5 * bodies.length[i]
@@ -155,8 +155,8 @@ def pass_targets(
 class Passer(NamedTuple):
     """The ego that passes: the times that are looked at `(m,)`, s, and its stations at those of the predictions, m.
 
-    Its station now, from its rear axle to its front and to its rear, m; so long before the last time it must be past
-    them, s.
+    Its station now, from its rear axle to its front and to its rear, m; how long before the last time it must be
+    past them, s.
     """
 
     t: FloatArray
@@ -215,7 +215,7 @@ def obstacles_to_pass(
     scene: Scene, found: tuple[PassTarget, ...], stations: FloatArray, sides: tuple[bool, bool],
     config: CorridorConfig, places: tuple[float, ...], passed: frozenset[str] = frozenset(),
 ) -> InTheWay:  # fmt: skip
-    """What the path stage gets, for an ego as in `pass_targets`.
+    """The input of the path stage, for an ego as in `pass_targets`.
 
     Those who are to be passed too near to one of the `places`, m, are left out; an ego that passes someone already may
     be back in its lane nearer to one. `sides`: whether the road left and right of the lane may be borrowed.

@@ -49,15 +49,15 @@ LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
 WAITING_MPS2 = 2.0
 """Braking with which it stops at the place from which it could pass by the oncoming lane, m/s2."""
 JUNCTION_M = 40.0
-"""Who stands within this before a place where lanes part or meet waits for others, and is not passed, m."""
+"""An agent that stands within this before a place where lanes part or meet waits, and is not passed, m."""
 RELINEARISED = 2
-"""So often the path that cannot keep its bounds is solved anew ..."""
+"""How often a path that cannot keep its bounds is solved anew ..."""
 MOVED_M = 0.02
 """... until that moves it by less than this, m."""
 LOCK_SLACK = 1.05
 """A path ends where its curvature is more than this share of the steering lock's."""
 NO_ONE = np.empty((0, 2))
-"""Stations of none who stand."""
+"""Stations of standing agents where there are none."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class PathConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PathMemory:
-    """Who stands in the way since when, s, and on which side the last path passed each agent: 1 left, -1 right."""
+    """Since when each agent has been in the way, s, and the side on which the last path passed it: 1 left, -1 right."""
 
     standing: Mapping[str, float] = field(default_factory=dict)
     sides: Mapping[str, float] = field(default_factory=dict)
@@ -95,7 +95,7 @@ class ChosenPath:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Task:
-    """What the path QP is asked: from where, along which road, and the problem in its room without obstacles.
+    """The input of the path QP: the start, the road, and the problem in its room without obstacles.
 
     `space` holds the bounds of the ego's points `(points, knots)`.
     """
@@ -139,7 +139,7 @@ class PathStage:
         self._car = np.array([car.max_kappa, car.max_steer_rate / car.wheelbase, curve_accel_mps2])
 
     def choose(self, scene: Scene, memory: PathMemory, moving: InTheWay | None = None) -> tuple[ChosenPath, PathMemory]:
-        """The path from the scene's start, past those who move, too; and what is remembered."""
+        """The path from the scene's start, which also passes moving agents; and the memory."""
         if scene.trouble:
             return ChosenPath(None, scene.trouble, {}, 0.0, (), tuple), PathMemory()
         task, way, standing = self._task(scene, memory.standing, moving)
@@ -171,7 +171,7 @@ class PathStage:
     ) -> tuple[_Task, InTheWay, Mapping[str, float]]:
         """The corridor without obstacles, who is in the way, and who has stood there since when.
 
-        The goal's sides are kept where none of those who stand is near.
+        The goal's sides are kept where no standing agent is near.
         """
         reference, car, speed = scene.reference, self._vehicle, scene.start.v
         wanted = (speed + 4.0) * self._horizon + 10.0
@@ -251,7 +251,7 @@ class PathStage:
     def _in_the_way(
         self, scene: Scene, length: float, standing: Mapping[str, float]
     ) -> tuple[InTheWay, Mapping[str, float]]:
-        """Who stands in the way and what of the road beside the lane is free; and who has stood there since when."""
+        """The agents in the way, the free road beside the lane, and since when each agent has stood there."""
         config, car, agents = self._config.corridor, self._vehicle, scene.frame.agents
         obstacles = bounds.standing_obstacles(scene, length)
         since = {box.agent: standing.get(box.agent, scene.frame.t) for box in obstacles}

@@ -58,15 +58,15 @@ REACTION_S = 0.5
 LEAST_MPS = 2.5
 """The ego creeps past with this in any case (5), m/s."""
 PERSON_M = 0.3
-"""Radius of who steps out of hidden ground, m."""
+"""Radius of a person who steps out of hidden ground, m."""
 LOOK_M = 60.0
-"""So far ahead hidden ground and those who stand beside the path are looked for, m ..."""
+"""Distance ahead within which hidden ground and people beside the path are looked for, m ..."""
 STEP_M = 1.0
 """... in steps of this, m."""
 SIDE_M = 0.25 * np.arange(1, 15)
 """Distances from the ego's side at which ground is looked at, m; beyond the last it does not limit a car's speed."""
 ROOM_M = 0.5
-"""Room beside those who stand with which the ego passes at the limit (6), m."""
+"""Room beside standing agents with which the ego passes at the speed limit (6), m."""
 NUDGE_SHARE = 0.6
 """Of the limit, where there is hardly any (6)."""
 SWERVE_MPS2 = 1.6
@@ -80,7 +80,7 @@ class CautionConfig:
     Attributes:
         walk_mps: Who may step out, or set off, walks as fast as this: 5 km/h, up to which UN R157 asks to avoid them.
         ride_mps: Who rides along the lane may swerve into the way as fast as this.
-        hesitates_s: Who came to the path, and stands beside it, may set off again for so long.
+        hesitates_s: How long someone who came to the path and stands beside it may still set off again.
     """
 
     walk_mps: float = 5.0 / 3.6
@@ -114,12 +114,12 @@ class SpeedCap:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SpeedTask:
-    """What the speed stage is asked on a path.
+    """The input of the speed stage on a path.
 
     Attributes:
         passed: The room that the path leaves to each agent that it passes while they stand, m.
         skip: Agents who follow behind `(agents,)`.
-        stops: That the rules demand on the path.
+        stops: The stops that the rules demand on the path.
         targets: Those who go along the lane where the ego comes beside them; `is_pass`: the path swings out for them.
         goal: The goal along the lane; `target` what it asks now.
     """
@@ -193,17 +193,17 @@ def lower_limit(sigma: FloatArray, road: LoweredLimit, caps: Sequence[SpeedCap])
 
 
 def avoidable_speed(d: float, w: float, decel: float) -> float:
-    """(5): the speed at which the ego passes first or stops for who comes with `w` m/s from `d` m aside, m/s."""
+    """(5): the speed, m/s, at which the ego passes first or stops for an agent from `d` m aside at `w` m/s."""
     return max(2.0 * decel * (d / w - REACTION_S), LEAST_MPS)  # (5)
 
 
 def stopping_speed(x: float, decel: float) -> float:
-    """The speed of which (4) needs just `x` m, m/s."""
+    """The speed for which (4) needs exactly `x` m, m/s."""
     return decel * (sqrt(REACTION_S**2 + 2.0 * x / decel) - REACTION_S) if x < inf else inf  # (4)
 
 
 def goal_and_rules_caps(view: PathView) -> tuple[SpeedCap, ...]:
-    """No sooner than the goal's time, no faster in its region than it says (`goal_window`), not beyond an open stop."""
+    """Caps that keep the goal's time, the speed in its region (`goal_window`) and the first open stop."""
     target, found = view.task.target, []
     if target.cap < inf:
         found.append(SpeedCap(-inf, view.arc(target.until), target.cap, is_bound=False))
@@ -220,7 +220,7 @@ def goal_and_rules_caps(view: PathView) -> tuple[SpeedCap, ...]:
 
 
 def passing_caps(view: PathView) -> tuple[SpeedCap, ...]:
-    """(6) beside those who stand and are passed, (5) beside those who go along the lane.
+    """(6) beside standing agents that are passed, (5) beside agents that go along the lane.
 
     Of these, who comes nearer to the path than the margin is followed, in the S-T graph.
     """
@@ -266,9 +266,9 @@ def swerve_caps(view: PathView) -> tuple[SpeedCap, ...]:
 def came_to_path(
     scene: Scene, taken: StBoundaries, came: Mapping[str, float], hesitates_s: float
 ) -> Mapping[str, float]:
-    """Which pedestrians and riders took the path last when, s, for the frames to come.
+    """When each pedestrian or rider was last in the path, s, for the next frames.
 
-    `came` is that of the frames before; who took it longer ago than `hesitates_s` is forgotten.
+    `came` is that of the frames before; those who took it longer ago than `hesitates_s` are forgotten.
     """
     if not (came or len(taken)):
         return came
@@ -369,6 +369,6 @@ def _points_in_boxes(points: FloatArray, boxes: FloatArray) -> BoolArray:
 Producer = Callable[[PathView], tuple[SpeedCap, ...]]
 
 OWN: tuple[Producer, ...] = (goal_and_rules_caps,)
-"""What the ego would keep on an empty road, too: the time lost to others counts against these."""
+"""Caps that hold on an empty road, too: the time lost to others is counted against these."""
 OTHERS: tuple[Producer, ...] = (passing_caps, swerve_caps, hidden_ground_caps, hesitation_caps)
-"""What it keeps for the sake of others, seen or hidden."""
+"""Caps for the sake of others, seen or hidden."""

@@ -1,4 +1,4 @@
-"""How far the speed stage believes that a road user will take the path, and what it does where it does not.
+"""How likely it is that a road user will take the path, and how the speed stage acts on unlikely cases.
 
 A row of the S-T boundaries has the weight p = p_said p_exist p_enter, with
 
@@ -40,12 +40,12 @@ LEAST = 0.1
 """p_exist of a road user that is seen for the first time: it is doubted, not neglected."""
 PLACE_M, DRIFT_MPS = 0.3, 0.5
 WALK_MPS = 3.0
-"""Who is faster does not walk: a rider, or a detector's error."""
+"""An agent faster than this does not walk: it is a rider, or a detector's error."""
 SHARED_MPS2, SHARED_S = 3.0, 0.5
 ERROR_MPS2, MOST_MPS2 = 0.5, 8.0
 """Error of a measured deceleration; and the greatest that is believed."""
 WALKERS = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
-"""Who walks where they are slow enough, by their codes: what a detector cannot name may be on foot."""
+"""Kinds, by their codes, that count as walking when slow: an agent that a detector cannot name may be on foot."""
 
 
 class Seen(NamedTuple):
@@ -114,7 +114,7 @@ def _walks(scene: Scene) -> BoolArray:
 
 
 def extend_braking(scene: Scene, rows: StBoundaries) -> StBoundaries:
-    """(6): the rows with those who are followed and brake coming to a stop."""
+    """(6): the rows, in which followed agents that brake come to a stop."""
     accel = scene.frame.agents.accel[rows.agent]
     if not (accel < -ERROR_MPS2).any():
         return rows

@@ -29,7 +29,7 @@ from logs.kernel import TIE, FloatArray, IntArray, inner_kernel, kernel
 COLLISION = 1e5
 """Cost of a second inside a blocked interval (2): more than all others together."""
 LIKELY = 300.0
-"""What the best way hardly ever costs more than: dearer ones are followed only where there is none cheaper."""
+"""The best way rarely costs more than this: dearer ones are followed only if there is none cheaper."""
 DT_S = 1.0
 """Between two columns, s."""
 DS_M = 0.5

@@ -51,12 +51,12 @@ class PathLimits(NamedTuple):
 
 
 class Taken(NamedTuple):
-    """Who takes the path when, and what stops the ego.
+    """When agents take the path, and what stops the ego.
 
     Attributes:
         t: Times of the boundaries `(k,)`, s; `lower`, `upper` `(n, k)`, `speed` `(n,)` as in `StBoundaries`.
         pace: Speeds of their agents `(n,)`, m/s.
-        may_overtake: `(n,)`, False: who would be overtaken is yielded to.
+        may_overtake: `(n,)`, False: the ego yields to an agent instead of overtaking it.
         stops: Columns station, time until which it holds, of the stops on the path `(stops, 2)`, m, s.
     """
 

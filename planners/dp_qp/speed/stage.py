@@ -1,6 +1,6 @@
 """Speed stage: S-T boundaries, caps -> speed DP (order of passing) -> bounds -> speed QP (how hard), and the S-T graph.
 
-How far a prediction binds is decided in `doubt`. Who was let go first is still let go first, unless the ego could be
+How far a prediction binds is decided in `doubt`. An agent that was let go first stays first, unless the ego could be
 first with `CHANGE_S` to spare.
 """
 
@@ -47,7 +47,7 @@ from planners.frenet.st_boundaries import (
 from planners.piecewise_jerk.solvers import DEFAULT
 
 CHANGE_S = 0.5
-"""So much later the ego could still be first, where it now waits, s."""
+"""How much later the ego could still be first where it now waits, s."""
 DOUBTED = "that is doubted: comfortable braking is all that is done"
 
 
@@ -98,7 +98,7 @@ class ChosenSpeed:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """What is planned on: the scene on its path, the limits there and the decisions of the caps, the stops, the memory.
+    """The input of a plan: the scene on its path, the limits there and decisions of the caps, the stops, the memory.
 
     `taken` gives the boundaries of some agents with other margins, stops included.
     """

@@ -121,7 +121,7 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     def install(loaded: Any) -> None:
         entry = EntryPoint("mine", "my_reader:READER", "replan.readers")
-        monkeypatch.setattr(extension, "_installed", lambda group, path: (entry,))
+        monkeypatch.setattr(extension, "_installed_entry_points", lambda group, path: (entry,))
         module = ModuleType("my_reader")
         vars(module).update({} if loaded is None else {"READER": loaded})
         monkeypatch.setitem(sys.modules, "my_reader", module)

@@ -70,7 +70,7 @@ def test_what_is_no_such_drive_is_refused(trace: Path, tmp_path: Path) -> None:
         commonroad_solution(tmp_path / "log.mcap")
     driven = read_scenario(trace)
     write_scenario(tmp_path / "other.mcap", replace(driven, vehicle=replace(BMW, length=4.0)))
-    with pytest.raises(LogError, match="the vehicle is none of CommonRoad's; drive with --vehicle kinematic_bicycle"):
+    with pytest.raises(LogError, match="not one of CommonRoad's; drive with --vehicle kinematic_bicycle"):
         commonroad_solution(tmp_path / "other.mcap")
 
 

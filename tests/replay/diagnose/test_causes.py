@@ -99,7 +99,7 @@ ROW = '[[change]]\nname = "{0}"\nwords = "so"\ncause = "prediction"\nrank = "{1}
     ("text", "said"),
     [
         (ROW.format("mine", "worst"), "rank is one of default, ideal, limits, planner, got 'worst'"),
-        (ROW.format("a/b", "ideal"), "has to do for a folder"),
+        (ROW.format("a/b", "ideal"), "must be valid for a folder"),
         (ROW.format("true_futures", "ideal"), "two changes are called 'true_futures'"),
         ('[[changes]]\nname = "mine"\n', "holds rows [[change]] and nothing else"),
         (ROW.format("mine", "ideal") + "colour = 1\n", "colour"),

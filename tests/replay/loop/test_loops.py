@@ -231,7 +231,7 @@ def test_a_log_of_one_sample_is_carried_on_and_says_so(run: Run) -> None:
     trace = run(scenario(start, road=road, duration=5.0), "logged").trace
     assert trace.end is EndReason.END_OF_LOG
     assert len(trace.frames) == (1 if trace.mode is Mode.OPEN else 50)
-    assert all("nothing of the log lies ahead" in frame.plan.reason for frame in trace.frames)
+    assert all("the log has ended" in frame.plan.reason for frame in trace.frames)
     assert trace.ego.x[-1] == pytest.approx(0.0 if trace.mode is Mode.OPEN else 40.0, abs=0.2)
     assert run(scenario(start, road=road, duration=5.0), "constant_speed").trace.end is EndReason.END_OF_LOG
 

@@ -65,7 +65,7 @@ def test_a_log_with_other_bytes_is_refused_and_passed_over_for_the_right_one(run
     write_scenario(tmp_path / "work" / SOURCE, short("test/other"))
     assert found(run, digest) == "test/a"
     (tmp_path / "elsewhere" / SOURCE).unlink()
-    with pytest.raises(ConfigError, match="its bytes are others"):
+    with pytest.raises(ConfigError, match="its bytes differ"):
         found(run, digest)
 
 

@@ -103,7 +103,9 @@ def test_an_interrupted_search_ends_with_the_same_bytes(found: Path, folder: Pat
     for name in SAME:
         assert (out / name).read_bytes() == (found / name).read_bytes(), name
     assert not list(out.glob(".partial*"))
-    assert "was begun otherwise: seed was 0, is 7" in one_error(replan(*words(folder, out, "--resume", "--seed", 7)))
+    assert "was started with other settings: seed was 0, is 7" in one_error(
+        replan(*words(folder, out, "--resume", "--seed", 7))
+    )
 
 
 @pytest.mark.slow

@@ -51,7 +51,7 @@ def test_what_no_other_beats() -> None:
     ("names", "said"),
     [
         (["ttc.mn"], "did you mean 'ttc.min'"),
-        (["speed.mean"], "neither more nor less of it is better"),
+        (["speed.mean"], "neither more nor less is better"),
         (["ttc.min", "ttc.min"], "named twice"),
     ],
 )

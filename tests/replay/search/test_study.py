@@ -19,7 +19,7 @@ def test_trials_are_known_again_and_another_head_is_refused(tmp_path: Path) -> N
     again = Study(tmp_path, HEAD, resume=True)
     assert again.resumed == 2 and again.known("a") == {"key": "a", "value": 1.5} and again.known("c") is None
     assert (tmp_path / FILE).read_bytes() == before
-    with pytest.raises(ConfigError, match="was begun otherwise: seed was 0, is 1"):
+    with pytest.raises(ConfigError, match="was started with other settings: seed was 0, is 1"):
         Study(tmp_path, {**HEAD, "seed": 1}, resume=True)
     assert (tmp_path / FILE).read_bytes() == before
     assert Study(tmp_path, {**HEAD, "seed": 1}, resume=False).resumed == 0

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import nan
 from pathlib import Path
@@ -90,7 +89,13 @@ def side_of(run: Run) -> Side:
         text = table[["log", "sha256", "family", "dataset"]].astype(object)
         logs = text.where(text.notna(), "")  # what an older version did not write is empty
         logs["tags"] = [list(tags) if isinstance(tags, list) else [] for tags in table["tags"]]
-        logs["vehicle"] = [_vehicle_hash(run, log.get("drives", ())) for log in run.summary["logs"]]
+        vehicles = []  # of each log, the hash of the vehicle in a trace of its drives; "" without a trace
+        for log in run.summary["logs"]:
+            named = (run.path / file for drive in log.get("drives", ()) for file in drive["files"])
+            trace = next((file for file in named if file.suffix == ".mcap" and file.is_file()), None)
+            stream = read_container(trace).streams.get("/vehicle") if trace else None
+            vehicles.append(hashlib.sha256(stream.payloads[0]).hexdigest()[:12] if stream else "")
+        logs["vehicle"] = vehicles
         messages = {row.log: str(row.message) for row in run.failures.itertuples()}
         failed = {log: messages.get(log, "not evaluated") for log in sorted(run.unread)}
         rows = run.failures[["log", "planner", "mode"]].dropna().drop_duplicates()
@@ -106,16 +111,6 @@ def side_of(run: Run) -> Side:
         return Side(run.path.name, run.metrics, logs, facts, failed, crashed, own)
     except (OSError, ValueError, KeyError) as error:
         raise LogError(f"cannot be read as results: {error}", file=run.path) from None
-
-
-def _vehicle_hash(results: Results, drives: Sequence[Mapping[str, Any]]) -> str:
-    """Hash of the vehicle in a trace of the drives; "" without a trace."""
-    for drive in drives:
-        for file in drive["files"]:
-            if file.endswith(".mcap") and (results.path / file).is_file():
-                stream = read_container(results.path / file).streams.get("/vehicle")
-                return hashlib.sha256(stream.payloads[0]).hexdigest()[:12] if stream else ""
-    return ""
 
 
 # the file ---------------------------------------------------------------------------------------------------------

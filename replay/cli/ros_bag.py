@@ -10,6 +10,7 @@ Velocities that a detector does not give are 0, scores that it does not give, to
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import cos, isfinite, sin
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,7 @@ def write_bag(path: Path, scenario: Scenario) -> None:
         types.register(get_types_from_msg(text, name))
     writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    rows = sorted([*_ego(scenario), *_objects(scenario, scenario.detections), *_goal(scenario)], key=lambda row: row[2])
+    rows = sorted(_rows(scenario, scenario.detections), key=lambda row: row[2])
     with writing(path), writer:
         topics: dict[str, Any] = {}
         for topic, kind, time, values in rows:
@@ -103,19 +104,14 @@ def _ns(scenario: Scenario, t: float) -> int:
     return (scenario.start_ns or START_NS) + round(1e9 * t)
 
 
-def _ego(scenario: Scenario) -> list[Row]:
-    rows: list[Row] = []
+def _rows(scenario: Scenario, found: Detections) -> Iterator[Row]:
+    """The messages of the ego, of the detected objects, and of the goal where the drive reaches it."""
     for i in range(len(scenario.ego)):
         state, ns = scenario.ego.state(i), _ns(scenario, float(scenario.ego.t[i]))
         where = {"pose": {"pose": pose(state.x, state.y, state.yaw)}, "twist": {"twist": {"linear": {"x": state.v}}}}
         named = {"header": _header(ns), "child_frame_id": "base_link", **where}
-        rows.append(("/localization/kinematic_state", "nav_msgs/msg/Odometry", ns, named))
-        rows.append(("/clock", "rosgraph_msgs/msg/Clock", ns, {"clock": _header(ns)["stamp"]}))
-    return rows
-
-
-def _objects(scenario: Scenario, found: Detections) -> list[Row]:
-    rows: list[Row] = []
+        yield "/localization/kinematic_state", "nav_msgs/msg/Odometry", ns, named
+        yield "/clock", "rosgraph_msgs/msg/Clock", ns, {"clock": _header(ns)["stamp"]}
     kinds, ends = found.kinds, np.searchsorted(found.t, found.frames, side="right")
     for k, t in enumerate(found.frames.tolist()):
         ns, items = _ns(scenario, t), []
@@ -127,16 +123,12 @@ def _objects(scenario: Scenario, found: Detections) -> list[Row]:
                 "dimensions": {"x": found.length[i], "y": found.width[i], "z": HEIGHT_M},
             })  # fmt: skip
         values = {"header": _header(ns), "objects": items}
-        rows.append(("/detection/detected_objects", "autoware_msgs/msg/DetectedObjectArray", ns, values))
-    return rows
-
-
-def _goal(scenario: Scenario) -> list[Row]:
+        yield "/detection/detected_objects", "autoware_msgs/msg/DetectedObjectArray", ns, values
     goal, ahead = scenario.goal, scenario.vehicle.axle_to_center
     for i in range(len(scenario.ego) if goal is not None else 0):
         s = scenario.ego.state(i)
         if goal is not None and goal.holds_place(s.x + ahead * cos(s.yaw), s.y + ahead * sin(s.yaw)):
             ns = _ns(scenario, 0.0)
             values = {"header": _header(ns), "pose": pose(s.x, s.y, s.yaw)}
-            return [("/planning/goal", "geometry_msgs/msg/PoseStamped", ns, values)]
-    return []
+            yield "/planning/goal", "geometry_msgs/msg/PoseStamped", ns, values
+            break

@@ -161,7 +161,18 @@ class _Trials:
         self._logs = asked.results.logs.set_index("log")
         self.files = {name: self._file(name) for name in asked.failing()}
         if study.known(AS_IT_WAS) is None and self.files:
-            lost = self._write_logs()
+            lost: dict[str, dict[str, Any]] = {}
+            (out / "logs").mkdir(exist_ok=True)
+            for name, file in self.files.items():
+                try:
+                    scenario = self._scenario(name)
+                except (ConfigError, LogError) as error:  # it is not where it was, or damaged
+                    lost[name] = {"gates": [], "lost": str(error)}
+                    continue
+                write_scenario(file, scenario)
+                for control in CONTROLS:
+                    member = list(PERTURBATIONS).index(control) + 1
+                    write_scenario(_control(file, control), perturbed(scenario, member)[1])
             rows = {name: lost.get(name) or self._base_row(name) for name in self.files}
             study.add([{"key": AS_IT_WAS, "drives": rows}])
         self._base_rows: dict[str, Any] = (study.known(AS_IT_WAS) or {"drives": {}})["drives"]
@@ -176,22 +187,6 @@ class _Trials:
     def _scenario(self, name: str) -> Scenario:
         results = self._asked.results
         return scenario_of(results.path, self._logs.loc[name].to_dict(), results.run.log)
-
-    def _write_logs(self) -> dict[str, Any]:
-        """Write the logs of the failing drives, and each with a perturbation; rows of those that cannot be read."""
-        lost = {}
-        (self._out / "logs").mkdir(exist_ok=True)
-        for name, file in self.files.items():
-            try:
-                scenario = self._scenario(name)
-            except (ConfigError, LogError) as error:  # it is not where it was, or damaged
-                lost[name] = {"gates": [], "lost": str(error)}
-                continue
-            write_scenario(file, scenario)
-            for control in CONTROLS:
-                member = list(PERTURBATIONS).index(control) + 1
-                write_scenario(_control(file, control), perturbed(scenario, member)[1])
-        return lost
 
     @cached_property
     def _base(self) -> Driven:
@@ -235,20 +230,23 @@ class _Trials:
         if known is None:
             files, place = [self.files[name] for name in self.failing], self._out / "changes" / run.change.name
             made = drive_again(files, run.run, self._asked.planner, place, workers=self._workers)
-            known = {"key": run.change.name, "drives": {name: self._answer(name, made) for name in self.failing}}
+            answers: dict[str, dict[str, Any]] = {}
+            for name, file in zip(self.failing, files, strict=True):
+                base, rows = self._base_rows[name], made.of(file)
+                row = {
+                    "passes": passes(base["gates"], rows),
+                    "gates": list(failed_gates(rows)),
+                    "end": made.ended(file),
+                }
+                answers[name] = {**row, "parts": {}}
+                if row["passes"]:
+                    was, now, until = self._drive_of(name), made.drive(file), base["time_s"]
+                    difference = DriveDifference.of(was.trace, now.trace, inf if until is None else until)
+                    answers[name] = {**row, "parts": parting(was, now), "difference": asdict(difference)}
+            known = {"key": run.change.name, "drives": answers}
             self._study.add([known])
         self.answers[run.change.name] = known["drives"]
         return self.answers[run.change.name]
-
-    def _answer(self, name: str, made: Driven) -> dict[str, Any]:
-        base, file = self._base_rows[name], self.files[name]
-        rows = made.of(file)
-        row = {"passes": passes(base["gates"], rows), "gates": list(failed_gates(rows)), "end": made.ended(file)}
-        if not row["passes"]:
-            return {**row, "parts": {}}
-        was, now, until = self._drive_of(name), made.drive(file), base["time_s"]
-        difference = DriveDifference.of(was.trace, now.trace, inf if until is None else until)
-        return {**row, "parts": parting(was, now), "difference": asdict(difference)}
 
     def found(self, name: str, runs: Sequence[ChangedRun]) -> Found:
         """What all changes show of a drive."""
@@ -308,7 +306,16 @@ class _Trials:
 
         def everywhere(setting: Setting, value: Value) -> dict[str, Any]:
             """What a change does to the drives of the run that can be driven."""
-            files = self._all_files()
+            files = {}
+            for log in map(str, self._logs.index[self._logs["sha256"] != ""]):
+                place = self._file(log)
+                try:
+                    if not place.is_file():
+                        write_scenario(place, self._scenario(log))
+                except (ConfigError, LogError):
+                    continue  # it cannot be read
+                if log not in self.not_driven:
+                    files[log] = place
             made = drives(setting, value, list(files.values()))
             rows = {log: made.of(place) for log, place in files.items()}
             mended = [log for log in self.failing if passes(self._base_rows[log]["gates"], rows[log])]
@@ -326,20 +333,6 @@ class _Trials:
             shutil.rmtree(scratch, ignore_errors=True)
         mended, broken = tuple(row["mended"]), tuple(row["broken"])
         return Remedy(name, setting.key, setting.default, value, u, mended, broken, row["drives"])
-
-    def _all_files(self) -> dict[str, Path]:
-        """The logs of the whole run that can be read, without those whose drives could not be driven again."""
-        files = {}
-        for name in map(str, self._logs.index[self._logs["sha256"] != ""]):
-            file = self._file(name)
-            try:
-                if not file.is_file():
-                    write_scenario(file, self._scenario(name))
-            except (ConfigError, LogError):
-                continue
-            if name not in self.not_driven:
-                files[name] = file
-        return files
 
 
 def _control(file: Path, name: str) -> Path:

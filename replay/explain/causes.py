@@ -26,7 +26,7 @@ from math import isfinite, nan
 
 import numpy as np
 
-from logs.rules import RED, Colour, StopLine
+from logs.rules import RED, Colour
 from logs.scenario import Scenario
 from logs.trace import Candidates, Decision, DecisionKind, LaneOption, Plan, StGraph, Trace
 from replay.config import LoopConfig
@@ -241,7 +241,16 @@ def _stops(case: _Case) -> Iterator[Cause]:
             demanded = lights.get(line.light, Colour.OFF) in (*RED, Colour.YELLOW)
         on_way = line.lane in lanes and (not line.towards or not lanes.isdisjoint(line.towards))
         if on_way and (name in case.decided or demanded):
-            places[name] = _crossing_station(line, case.way, front)
+            way = case.way
+            x, y = way.x + front * np.cos(way.yaw), way.y + front * np.sin(way.yaw)
+            (ax, ay), (bx, by) = line.points
+            side = (bx - ax) * (y - ay) - (by - ay) * (x - ax)  # of the line on which the front is
+            i = np.flatnonzero((side[:-1] * side[1:] <= 0.0) & (side[:-1] != side[1:]))
+            u = side[i] / (side[i] - side[i + 1])
+            px, py = x[i] + u * (x[i + 1] - x[i]), y[i] + u * (y[i + 1] - y[i])
+            within = ((px - ax) * (bx - ax) + (py - ay) * (by - ay)) / ((bx - ax) ** 2 + (by - ay) ** 2)
+            crossings = (way.s[i] + u * (way.s[i + 1] - way.s[i]))[(within >= 0.0) & (within <= 1.0)]
+            places[name] = float(min(crossings, default=np.inf))
     for thing in (one for each in case.plan.internals if isinstance(each, StGraph) for one in each.obstacles):
         if thing.agent in case.frame.agents.ids or thing.agent not in case.decided or not len(thing.outline):
             continue
@@ -256,19 +265,6 @@ def _stops(case: _Case) -> Iterator[Cause]:
         need = case.held.need(place)
         if place <= case.held.reach and (case.held.drives_off or need <= MOST_MPS2):
             yield case.cause(CauseKind.STOP, place, need, name)
-
-
-def _crossing_station(line: StopLine, way: Way, front: float) -> float:
-    """The arc length at which the ego's front crosses a line, m; inf if it does not."""
-    x, y = way.x + front * np.cos(way.yaw), way.y + front * np.sin(way.yaw)
-    (ax, ay), (bx, by) = line.points
-    side = (bx - ax) * (y - ay) - (by - ay) * (x - ax)  # of the line on which the front is
-    i = np.flatnonzero((side[:-1] * side[1:] <= 0.0) & (side[:-1] != side[1:]))
-    u = side[i] / (side[i] - side[i + 1])
-    px, py = x[i] + u * (x[i + 1] - x[i]), y[i] + u * (y[i + 1] - y[i])
-    within = ((px - ax) * (bx - ax) + (py - ay) * (by - ay)) / ((bx - ax) ** 2 + (by - ay) ** 2)
-    hits = way.s[i] + u * (way.s[i + 1] - way.s[i])
-    return float(min(hits[(within >= 0.0) & (within <= 1.0)], default=np.inf))
 
 
 def _limit_and_curve(case: _Case) -> Iterator[Cause]:

@@ -37,11 +37,10 @@ from logs.kernel import BoolArray, FloatArray
 from logs.road import line_project_many
 from logs.scenario import Scenario
 from logs.shapes import distance
-from logs.states import EgoState, Trajectory, wrap
+from logs.states import Trajectory, wrap
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from planners.frenet.lane_sequence import LaneSequences
-from planners.frenet.reference_path import ReferencePath
 from planners.frenet.scene import STANDING_MPS as AGENT_STANDS_MPS
 from planners.frenet.scene import VULNERABLE, Bodies, Futures
 from planners.frenet.st_boundaries import ALONG, Roles, Swept, sweep
@@ -244,31 +243,31 @@ class Ways:
         lane = self._lanes.start(first).reference
         own = path_rows(path)
         near = lane.line.project(first.x, first.y)[0]
-        beyond = _beyond(lane, last, near + float(own[0, -1]), reach - float(own[0, -1]))
+        length = reach - float(own[0, -1])  # of the way beyond the path
+        d = np.arange(SPACING_M, length + 2.0 * SPACING_M, SPACING_M) if length > 0.0 else np.empty(0)
+        s, l = lane.line.project(last.x, last.y, near + float(own[0, -1]), 50.0)  # noqa: E741
+        yaw = lane.line.frame(s)[2]
+        if abs(l) > LEFT_M or abs(wrap(last.yaw - yaw)) > ACROSS_RAD:  # straight on
+            c, sn = np.cos(last.yaw), np.sin(last.yaw)
+            beyond = np.stack([d, last.x + d * c, last.y + d * sn, np.full(len(d), last.yaw), np.zeros(len(d))])
+        else:
+            turn = last.yaw - wrap(last.yaw - yaw) - yaw
+            frames = np.array([lane.line.frame(s + each) for each in d]).reshape(-1, 4)
+            x, y = frames[:, 0] - l * np.sin(frames[:, 2]), frames[:, 1] + l * np.cos(frames[:, 2])
+            along = np.hypot(np.diff(np.r_[last.x, x]), np.diff(np.r_[last.y, y])).cumsum()
+            kappa = frames[:, 3] / np.maximum(1.0 - frames[:, 3] * l, 0.1)
+            beyond = np.stack([along, x, y, frames[:, 2] + turn, kappa])
         rows = np.hstack([own, beyond + np.array([[own[0, -1]], [0.0], [0.0], [0.0], [0.0]])])
         rows[3] = np.unwrap(rows[3])
-        s = np.arange(0.0, max(reach, float(own[0, -1])) + SPACING_M, SPACING_M)
-        x, y, yaw, kappa = (np.interp(s, rows[0], row) for row in rows[1:])
+        stations = np.arange(0.0, max(reach, float(own[0, -1])) + SPACING_M, SPACING_M)
+        x, y, yaws, kappa = (np.interp(stations, rows[0], row) for row in rows[1:])
         placed = line_project_many(lane.line.s, lane.line.coef, x, y, near, 30.0)
         limit = np.interp(placed[:, 0], lane.line.s, lane.limit)
         out = np.flatnonzero((placed[:, 0] >= lane.line.length - SAME_M) & (np.abs(placed[:, 1]) <= LEFT_M))
-        end = float(s[out[0]]) if len(out) else inf
-        return Way(s, x, y, yaw, kappa, np.where(np.abs(placed[:, 1]) <= LEFT_M, limit, np.nan), end, lane.lanes)
-
-
-def _beyond(lane: ReferencePath, last: EgoState, near: float, length: float) -> FloatArray:
-    """Rows s, x, y, yaw, kappa `(5, k)` after the end of a path, s from there; empty where it is long enough."""
-    d = np.arange(SPACING_M, length + 2.0 * SPACING_M, SPACING_M) if length > 0.0 else np.empty(0)
-    s, l = lane.line.project(last.x, last.y, near, 50.0)  # noqa: E741
-    yaw = lane.line.frame(s)[2]
-    if abs(l) > LEFT_M or abs(wrap(last.yaw - yaw)) > ACROSS_RAD:
-        c, sn = np.cos(last.yaw), np.sin(last.yaw)
-        return np.stack([d, last.x + d * c, last.y + d * sn, np.full(len(d), last.yaw), np.zeros(len(d))])
-    turn = last.yaw - wrap(last.yaw - yaw) - yaw
-    frames = np.array([lane.line.frame(s + each) for each in d]).reshape(-1, 4)
-    x, y = frames[:, 0] - l * np.sin(frames[:, 2]), frames[:, 1] + l * np.cos(frames[:, 2])
-    along = np.hypot(np.diff(np.r_[last.x, x]), np.diff(np.r_[last.y, y])).cumsum()
-    return np.stack([along, x, y, frames[:, 2] + turn, frames[:, 3] / np.maximum(1.0 - frames[:, 3] * l, 0.1)])
+        end = float(stations[out[0]]) if len(out) else inf
+        return Way(
+            stations, x, y, yaws, kappa, np.where(np.abs(placed[:, 1]) <= LEFT_M, limit, np.nan), end, lane.lanes
+        )
 
 
 MARGIN_M, VULNERABLE_MARGIN_M = 0.3, 0.6

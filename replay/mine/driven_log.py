@@ -162,7 +162,24 @@ class DrivenLog:
         self.station = _own_stations(self.path.s, self.path.coef, self.ego.x, self.ego.y)
         self.front = self.station + self.car.front
         self.back = self.front - self.car.length
-        self.neighbours = tuple(self._near_agents())
+        neighbours: list[Neighbour] = []
+        tracks = without_phantoms(scenario.tracks, phantoms(scenario))
+        for i, span, others in in_spans(tracks, self.t):
+            x, y = others.pose[:2, 0]
+            near = np.hypot(x - self.boxes[0, span], y - self.boxes[1, span]) <= NEAR_M
+            near &= others.there[0]
+            if not near.any():
+                continue
+            k, pose = np.flatnonzero(near) + span.start, np.ascontiguousarray(others.pose[:, 0, near])
+            frame = _on_path(self.path.s, self.path.coef, k, self.station[k], pose)
+            along, aside = np.cos(frame[2]), np.abs(np.sin(frame[2]))
+            length, width = others.size[0].tolist()
+            half_s, half_l = np.abs(along) * length + aside * width, aside * length + np.abs(along) * width
+            neighbours.append(Neighbour(
+                i, tracks.ids[i], tracks.kinds[i], k, pose, others.accel[0, near], (length, width), frame[0], frame[1],
+                along, 0.5 * half_s, 0.5 * half_l,
+            ))  # fmt: skip
+        self.neighbours = tuple(neighbours)
 
     @cached_property
     def accel(self) -> FloatArray:
@@ -197,25 +214,6 @@ class DrivenLog:
         at = np.searchsorted(front, s)
         inside = (at > 0) & (at < len(front))
         return np.where(inside, self.t[np.minimum(at, len(self.t) - 1)], np.nan)
-
-    def _near_agents(self) -> Iterator[Neighbour]:
-        """The road users that come within `NEAR_M`."""
-        tracks = without_phantoms(self.scenario.tracks, phantoms(self.scenario))
-        for i, span, others in in_spans(tracks, self.t):
-            x, y = others.pose[:2, 0]
-            near = np.hypot(x - self.boxes[0, span], y - self.boxes[1, span]) <= NEAR_M
-            near &= others.there[0]
-            if not near.any():
-                continue
-            k, pose = np.flatnonzero(near) + span.start, np.ascontiguousarray(others.pose[:, 0, near])
-            frame = _on_path(self.path.s, self.path.coef, k, self.station[k], pose)
-            along, aside = np.cos(frame[2]), np.abs(np.sin(frame[2]))
-            length, width = others.size[0].tolist()
-            half_s, half_l = np.abs(along) * length + aside * width, aside * length + np.abs(along) * width
-            yield Neighbour(
-                i, tracks.ids[i], tracks.kinds[i], k, pose, others.accel[0, near], (length, width), frame[0], frame[1],
-                along, 0.5 * half_s, 0.5 * half_l,
-            )  # fmt: skip
 
 
 def runs(marked: BoolArray, k: IntArray | None = None, least: int = 1, hole: int = 0) -> Iterator[tuple[int, int]]:

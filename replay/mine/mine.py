@@ -219,28 +219,24 @@ def _row(log: DrivenLog, kind: EventKind, event: Event, planner: str) -> dict[st
     middle = int(np.clip(np.searchsorted(log.t, 0.5 * (event.begin + event.end)), 0, len(log.t) - 1))
     main = event.agents[0] if event.agents else ""
     v = float(abs(log.ego.v[k]))
+    here = log.scenario.road
+    around = (log.path.frame(float(log.station[middle]) + away)[:2] for away in (-JUNCTION_M, 0.0, JUNCTION_M))
+    if here.source is not RoadSource.LANES:
+        road = "no lanes"
+    elif any(in_roundabout(here, stay.lane) for stay in stays(log) if stay.first <= middle <= stay.last):
+        road = "roundabout"
+    elif any(crosses_others(here, x, y) for x, y in around):
+        road = "junction"
+    else:
+        road = "curve" if abs(log.path.frame(float(log.station[middle]))[3]) > CURVE_KAPPA else "straight"
     return {
         "log": log.scenario.name, "kind": kind.name, "t_from_s": event.begin, "t_to_s": event.end,
         "agents": list(event.agents),
         "agent_kind": tracks.kinds[tracks.ids.index(main)].value if main in tracks.ids else ALONE,
-        "road": _road_at(log, middle), "speed": next((name for bound, name in SPEEDS if v < bound), FASTER),
+        "road": road, "speed": next((name for bound, name in SPEEDS if v < bound), FASTER),
         "v_mps": v, "x_m": float(log.ego.x[k]), "y_m": float(log.ego.y[k]), "value": float(event.value),
         "unit": kind.unit, "what": event.what, "planner": planner,
     }  # fmt: skip
-
-
-def _road_at(log: DrivenLog, k: int) -> str:
-    """Which of `ROADS` the ego is on at a step."""
-    road = log.scenario.road
-    if road.source is not RoadSource.LANES:
-        return "no lanes"
-    lane = next((stay.lane for stay in stays(log) if stay.first <= k <= stay.last), None)
-    if lane is not None and in_roundabout(road, lane):
-        return "roundabout"
-    around = (log.path.frame(float(log.station[k]) + away)[:2] for away in (-JUNCTION_M, 0.0, JUNCTION_M))
-    if any(crosses_others(road, x, y) for x, y in around):
-        return "junction"
-    return "curve" if abs(log.path.frame(float(log.station[k]))[3]) > CURVE_KAPPA else "straight"
 
 
 def _not_mined(label: str, line: str) -> MinedLog:

@@ -193,25 +193,23 @@ def cut_logs(folder: Path, found: Sequence[Moment], out: Path) -> Iterator[Path]
     for last, one, name in zip([None, *found], found, names, strict=False):
         if scenario is None or last is None or last.log != one.log:
             scenario = scenario_of(folder, logs.loc[one.log].to_dict(), settings)
-        part = _cut_moment(scenario, one)
+        begin = max(one.begin, float(scenario.ego.t[0]))
+        end = min(one.end, scenario.duration)
+        if not (isfinite(begin) and end - begin >= LEAST_S):
+            much = f"from {one.begin:.1f} to {one.end:.1f} s there is less than {LEAST_S} s of the log"
+            raise LogError(f"{one.log}: {much}")
+        part = in_nanoseconds(cut_scenario(scenario, begin, end))
+        origin = {"cut.of": scenario.name, "cut.from_s": repr(begin), "cut.to_s": repr(end)}
+        origin["cut.kinds"] = " ".join(one.kinds)
+        tags = tuple(dict.fromkeys((*scenario.tags, *one.kinds)))
+        notes = [f"Cut from {scenario.name}, from {begin:.1f} to {end:.1f} s."]
+        x, y = ego_boxes(part.ego, part)[:2]
+        if part.goal is not None and not any(map(part.goal.reached, part.ego.t, x, y, part.ego.yaw, part.ego.v)):
+            part = replace(part, goal=None)
+            notes.append("The goal of the whole log is beyond this part and is left out.")
+        part = replace(
+            part, name=f"{scenario.name}@{begin:.1f}s", metadata={**part.metadata, **origin}, tags=tags,
+            notes=(*part.notes, *notes),
+        )  # fmt: skip
         write_scenario(out / name, part)
         yield out / name
-
-
-def _cut_moment(scenario: Scenario, one: Moment) -> Scenario:
-    """The moment as a scenario of its own, with its origin."""
-    begin = max(one.begin, float(scenario.ego.t[0]))
-    end = min(one.end, scenario.duration)
-    if not (isfinite(begin) and end - begin >= LEAST_S):
-        raise LogError(f"{one.log}: from {one.begin:.1f} to {one.end:.1f} s there is less than {LEAST_S} s of the log")
-    part = in_nanoseconds(cut_scenario(scenario, begin, end))
-    origin = {"cut.of": scenario.name, "cut.from_s": repr(begin), "cut.to_s": repr(end)}
-    origin["cut.kinds"] = " ".join(one.kinds)
-    name = f"{scenario.name}@{begin:.1f}s"
-    tags = tuple(dict.fromkeys((*scenario.tags, *one.kinds)))
-    notes = [f"Cut from {scenario.name}, from {begin:.1f} to {end:.1f} s."]
-    x, y = ego_boxes(part.ego, part)[:2]
-    if part.goal is not None and not any(map(part.goal.reached, part.ego.t, x, y, part.ego.yaw, part.ego.v)):
-        part = replace(part, goal=None)
-        notes.append("The goal of the whole log is beyond this part and is left out.")
-    return replace(part, name=name, metadata={**part.metadata, **origin}, tags=tags, notes=(*part.notes, *notes))

@@ -163,13 +163,16 @@ def _close_pass(log: DrivenLog) -> Iterator[Event]:
             yield log.event(one, first, last, room[first : last + 1].min())
 
 
-def _walks_across(log: DrivenLog) -> Iterator[tuple[Neighbour, int, int]]:
-    """Pedestrians who walk into the band ahead of the ego, and from when to when they are in it."""
+def _pedestrian_crossing(log: DrivenLog, *, off_crosswalks: bool = False) -> Iterable[Event] | Unavailable:
+    if off_crosswalks and not log.scenario.road.crosswalks:
+        return Unavailable("the log's map has no crosswalk")
+    if log.scenario.tracks.kinds and set(log.scenario.tracks.kinds) == {AgentKind.OBJECT}:
+        return Unavailable("the log does not say what its road users are")
+    found = []
     for one in log.neighbours:
         if one.kind is not AgentKind.PEDESTRIAN:
             continue
-        into = one.reaches_into(log.half)
-        for first, last in runs(into, one.k):
+        for first, last in runs(one.reaches_into(log.half), one.k):  # they are in the band ahead of the ego
             low, high = max(first - steps(1.0), 0), min(last + steps(1.0), len(one.k) - 1)
             aside = abs(float(one.l[high] - one.l[low]))
             walked = aside > max(log.half, WALKS_MPS * 0.1 * (high - low))
@@ -177,32 +180,17 @@ def _walks_across(log: DrivenLog) -> Iterator[tuple[Neighbour, int, int]]:
             gap = log.gap_to(one)[first : last + 1]
             waits = log.ego.v[one.k[first : last + 1]] < WAITS_MPS
             concerns = (np.abs(comes) <= CROSSING_S) | ((gap > 0.0) & (gap < CROSSING_AHEAD_M) & waits)
-            if walked and (gap > 0.0).any() and concerns.any():
-                yield one, first, last
-
-
-def _on_crosswalk(log: DrivenLog, one: Neighbour, first: int, last: int) -> bool:
-    """Whether a pedestrian is on a crosswalk, or within `BESIDE_CROSSWALK_M` of one, at half of the steps or more."""
-    on = np.zeros(last - first + 1, np.bool_)
-    x, y = one.pose[0, first : last + 1], one.pose[1, first : last + 1]
-    for crosswalk in log.scenario.road.crosswalks:
-        center = crosswalk.polygon.mean(axis=0)
-        away = np.hypot(*(crosswalk.polygon - center).T)[:, None]
-        wider = center + (crosswalk.polygon - center) * (1.0 + BESIDE_CROSSWALK_M / np.maximum(away, 1.0))
-        on |= points_inside(wider, x, y)
-    return bool(2 * on.sum() >= len(on))
-
-
-def _pedestrian_crossing(log: DrivenLog, *, off_crosswalks: bool = False) -> Iterable[Event] | Unavailable:
-    if off_crosswalks and not log.scenario.road.crosswalks:
-        return Unavailable("the log's map has no crosswalk")
-    if log.scenario.tracks.kinds and set(log.scenario.tracks.kinds) == {AgentKind.OBJECT}:
-        return Unavailable("the log does not say what its road users are")
-    found = []
-    for one, first, last in _walks_across(log):
-        if not (off_crosswalks and _on_crosswalk(log, one, first, last)):
-            least = max(float(log.gap_to(one)[first : last + 1].min()), 0.0)
-            found.append(log.event(one, first, last, least))
+            if not (walked and (gap > 0.0).any() and concerns.any()):
+                continue
+            on = np.zeros(last - first + 1, np.bool_)  # a crosswalk, or within `BESIDE_CROSSWALK_M` of one
+            x, y = one.pose[0, first : last + 1], one.pose[1, first : last + 1]
+            for crosswalk in log.scenario.road.crosswalks if off_crosswalks else ():
+                center = crosswalk.polygon.mean(axis=0)
+                away = np.hypot(*(crosswalk.polygon - center).T)[:, None]
+                wider = center + (crosswalk.polygon - center) * (1.0 + BESIDE_CROSSWALK_M / np.maximum(away, 1.0))
+                on |= points_inside(wider, x, y)
+            if 2 * on.sum() < len(on):
+                found.append(log.event(one, first, last, max(float(gap.min()), 0.0)))
     return found
 
 

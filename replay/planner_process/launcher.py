@@ -103,7 +103,14 @@ class Forks:
             self.given += came
             for line in lines:
                 self._do(json.loads(line))
-        self._end()
+        until = time.monotonic() + ENDING_S
+        for pid in [pid for pid, request in self.live.items() if "load" not in request]:
+            _kill(pid)
+        while self.live and time.monotonic() < until:  # templates end by themselves, as their sockets have closed, too
+            time.sleep(0.005)
+            self._reap()
+        for pid in self.live:
+            _kill(pid)
 
     def _do(self, request: dict[str, Any]) -> None:
         """One request; a start takes its descriptors from `given`."""
@@ -133,29 +140,14 @@ class Forks:
                 with suppress(OSError):
                     os.killpg(pid, signal.SIGKILL)  # what it started goes with it
                 message = {"ended": self.live.pop(pid)["start"], "status": status}
-                self._kill_orphans()
+                until = time.monotonic() + ENDING_S  # the ended process left children, and this one is their parent now
+                while (orphans := children() - self.live.keys()) and time.monotonic() < until:
+                    for orphan in orphans:
+                        _kill(orphan)
+                        with suppress(ChildProcessError):
+                            os.waitpid(orphan, 0)  # then what it has started itself is a child of this process
                 with suppress(OSError):
                     self.control.send(json.dumps(message).encode() + b"\n")
-
-    def _kill_orphans(self) -> None:
-        """Kill children that were not started here: an ended process left them, and this one became their parent."""
-        until = time.monotonic() + ENDING_S
-        while (orphans := children() - self.live.keys()) and time.monotonic() < until:
-            for pid in orphans:
-                _kill(pid)
-                with suppress(ChildProcessError):
-                    os.waitpid(pid, 0)  # then what it has started itself is a child of this process
-
-    def _end(self) -> None:
-        """Kill what runs; templates end by themselves, as their sockets have closed, too: they know what they began."""
-        until = time.monotonic() + ENDING_S
-        for pid in [pid for pid, request in self.live.items() if "load" not in request]:
-            _kill(pid)
-        while self.live and time.monotonic() < until:
-            time.sleep(0.005)
-            self._reap()
-        for pid in self.live:
-            _kill(pid)
 
 
 def children() -> set[int]:

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import time
 import weakref
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,7 +101,15 @@ def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfi
     """
     if not hasattr(socket, "send_fds"):
         raise ConfigError("planners are kept apart on Linux and macOS only; here give --set loop.apart.trust=true")
-    launcher, request = _launcher(limits.environment), {"argv": argv, "memory": round(limits.memory_gb * 1e9)}
+    names = set(limits.environment)
+    environment = {name: value for name, value in os.environ.items() if name.startswith(ENVIRONMENT) or name in names}
+    path = dict.fromkeys([*(str(Path(entry).absolute()) for entry in sys.path if "://" not in entry), str(ROOT)])
+    environment |= {"PYTHONPATH": os.pathsep.join(path), "PYTHONHASHSEED": "0"}
+    wanted = os.getpid(), str(Path.cwd()), environment
+    if _warm.get("for") != wanted or not _warm["launcher"].alive:  # the launcher is started anew where those change
+        _warm.update({"for": wanted, "launcher": Launcher(environment)})
+    launcher: Launcher = _warm["launcher"]
+    request = {"argv": argv, "memory": round(limits.memory_gb * 1e9)}
     template = launcher.template(load, limits) if load and _warm.get("run") else None
     if template is not None:
         with suppress(OSError):  # it has just died
@@ -254,16 +262,3 @@ def _end_launcher(
 
 _warm: dict[str, Any] = {}
 """launcher: that of this process; for: the settings it was started with; run: the run that is driven."""
-
-
-def _launcher(more: Iterable[str]) -> Launcher:
-    """The launcher of this process, with the variables of `ENVIRONMENT` and `more`; started anew where those change."""
-    names = set(more)
-    environment = {name: value for name, value in os.environ.items() if name.startswith(ENVIRONMENT) or name in names}
-    path = dict.fromkeys([*(str(Path(entry).absolute()) for entry in sys.path if "://" not in entry), str(ROOT)])
-    environment |= {"PYTHONPATH": os.pathsep.join(path), "PYTHONHASHSEED": "0"}
-    wanted = os.getpid(), str(Path.cwd()), environment
-    if _warm.get("for") != wanted or not _warm["launcher"].alive:
-        _warm.update({"for": wanted, "launcher": Launcher(environment)})
-    launcher: Launcher = _warm["launcher"]
-    return launcher

@@ -61,10 +61,14 @@ class Local:
         teams = [sources[places.start : places.stop] for places in teams_of(len(sources), run.loop.apart.batch)]
         job, begins = Job(run, out, stamp), list(accumulate(map(len, teams), initial=0))
         if self.workers == 0:
-            ended: Iterator[tuple[int, list[LogResult] | WorkerLost]] = _in_this_process(job, teams)
-        else:
-            drive = partial(run_all, job, workers=max(1, min(self.workers, len(teams))), one_first=cold())
-            ended = longest_first(teams, drive, lambda team: sum(source.expected_s for source in team))
+            try:
+                for begin, team in zip(begins, teams, strict=False):
+                    yield from enumerate(job(team), begin)
+            finally:
+                set_template_run("")  # this process may go on to other things
+            return
+        drive = partial(run_all, job, workers=max(1, min(self.workers, len(teams))), one_first=cold())
+        ended = longest_first(teams, drive, lambda team: sum(source.expected_s for source in team))
         for index, results in ended:
             every = [results] * len(teams[index]) if isinstance(results, WorkerLost) else results
             yield from enumerate(every, begins[index])
@@ -97,15 +101,6 @@ class Job:
         set_template_run(self.name)
         tasks = [partial(evaluate_log, source, self.run, self.out, self.stamp) for source in team]
         return in_lockstep(tasks) if self.run.loop.apart.batch else [task() for task in tasks]
-
-
-def _in_this_process(job: Job, teams: Sequence[Sequence[LogSource]]) -> Iterator[tuple[int, list[LogResult]]]:
-    """In this process, which may go on to other things."""
-    try:
-        for index, team in enumerate(teams):
-            yield index, job(team)
-    finally:
-        set_template_run("")
 
 
 def longest_first(

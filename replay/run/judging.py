@@ -65,7 +65,16 @@ def judge_and_write(
         resumed: How many logs were taken from an interrupted run.
         shard: Which part of a run it is; "": all of it.
     """
-    results = _distinct(results)
+    names, distinct = Counter(result.name for result in results), list[LogResult]()
+    for result in results:  # logs that share a name get the hash of their content behind it
+        if names[result.name] > 1 and result.digest:
+            name = f"{result.name}@{result.digest[:8]}"
+            driven = tuple(replace(drive, log=name) for drive in result.drives)
+            failed = tuple(replace(failure, log=name) for failure in result.failures)
+            distinct.append(replace(result, name=name, drives=driven, failures=failed))
+        else:
+            distinct.append(result)
+    results = tuple(distinct)
     table = joined([table_of(out, results, METRICS)], KEYS, COLUMNS).astype({"value": float, "time_s": float})
     labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in results}
     read = {log.name: labels[log.name] for log in results if log.digest}
@@ -138,17 +147,3 @@ def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None
     if Outcome.FAIL in asked:
         return 1
     return 4 if Outcome.INCONCLUSIVE in asked or not asked else 0
-
-
-def _distinct(results: Sequence[LogResult]) -> tuple[LogResult, ...]:
-    """The results with different names: logs that share one get the hash of their content behind it."""
-    names, distinct = Counter(result.name for result in results), []
-    for result in results:
-        if names[result.name] > 1 and result.digest:
-            name = f"{result.name}@{result.digest[:8]}"
-            drives = tuple(replace(drive, log=name) for drive in result.drives)
-            failures = tuple(replace(failure, log=name) for failure in result.failures)
-            distinct.append(replace(result, name=name, drives=drives, failures=failures))
-        else:
-            distinct.append(result)
-    return tuple(distinct)

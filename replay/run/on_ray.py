@@ -77,13 +77,26 @@ class OnRay:
         with self._ray_connection(run) as ray:
             job = ray.put((run, stamp, uuid4().hex))
             task = ray.remote(_on_node).options(max_retries=RETRIES, num_cpus=1)
-            yield from longest_first(
+            for index, answer in longest_first(
                 absolute,
-                lambda ordered: _write_folders(
-                    self._stream_results(ray, lambda one: task.remote(one, job), ordered), out
-                ),
+                lambda ordered: self._stream_results(ray, lambda one: task.remote(one, job), ordered),
                 lambda source: source.expected_s,
-            )
+            ):
+                if isinstance(answer, WorkerLost):
+                    yield index, answer
+                    continue
+                result, files = answer
+                if result.folder:
+                    partial = out / f"{PARTIAL}{result.folder}"  # until all of it is there
+                    try:
+                        with writing(out / result.folder):
+                            partial.mkdir()
+                            for file, content in files.items():
+                                (partial / Path(file).name).write_bytes(content)
+                            partial.rename(out / result.folder)
+                    finally:
+                        shutil.rmtree(partial, ignore_errors=True)
+                yield index, result
 
     @contextmanager
     def _ray_connection(self, run: RunConfig) -> Iterator[Any]:
@@ -152,6 +165,7 @@ def code_of(run: RunConfig, folder: Path) -> Path:
     too), or its file; and the other modules beside it, which it may import. Of "exec:COMMAND" the files here that the
     command names.
     """
+    here = str(Path.cwd())
     for name in (*run.planners, *run.metrics, *_of_loop(run), run.log.reader):
         if name.startswith("exec:"):
             for word in command_of(name):
@@ -159,9 +173,17 @@ def code_of(run: RunConfig, folder: Path) -> Path:
                     (folder / word).parent.mkdir(parents=True, exist_ok=True)
                     shutil.copy2(word, folder / word)
         module, separator, _ = name.partition(":")
-        place = _place_of(module.partition(".")[0]) if separator else None
-        if place is None:
+        if not separator:
             continue
+        if here not in sys.path:
+            sys.path.append(here)
+        spec = importlib.util.find_spec(module.partition(".")[0])
+        if spec is None or not spec.origin:
+            continue
+        file = Path(spec.origin)
+        if {"site-packages", "dist-packages"} & set(file.parts) or file.is_relative_to(Path(__file__).parents[2]):
+            continue  # installed, or ours
+        place = file.parent if spec.submodule_search_locations else file
         for beside in place.parent.glob("*.py"):
             shutil.copy2(beside, folder / beside.name)
         if place.is_dir():
@@ -172,20 +194,6 @@ def code_of(run: RunConfig, folder: Path) -> Path:
 def _of_loop(run: RunConfig) -> tuple[str, ...]:
     """What is chosen by name in [loop]."""
     return tuple(getattr(run.loop, key) for key in KINDS)
-
-
-def _place_of(package: str) -> Path | None:
-    """The file or folder of a top-level module in the user's own folders; None: it is installed, or not there."""
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
-    spec = importlib.util.find_spec(package)
-    if spec is None or not spec.origin:
-        return None
-    file = Path(spec.origin)
-    if {"site-packages", "dist-packages"} & set(file.parts) or file.is_relative_to(Path(__file__).parents[2]):
-        return None
-    return file.parent if spec.submodule_search_locations else file
 
 
 def _on_node(source: LogSource, job: tuple[RunConfig, Stamp, str]) -> tuple[LogResult, dict[str, bytes]]:
@@ -216,25 +224,3 @@ def _stamp_here(planners: tuple[str, ...], metrics: tuple[str, ...], of_loop: tu
 
 _settled = cache(freeze_gc)
 """Once in each process, behind its first log: by then all kernels are loaded."""
-
-
-def _write_folders(
-    ended: Iterator[tuple[int, tuple[LogResult, dict[str, bytes]] | WorkerLost]], out: Path
-) -> Iterator[tuple[int, LogResult | WorkerLost]]:
-    """The results, whose folders are in `out` by then."""
-    for index, answer in ended:
-        if isinstance(answer, WorkerLost):
-            yield index, answer
-            continue
-        result, files = answer
-        if result.folder:
-            partial = out / f"{PARTIAL}{result.folder}"  # until all of it is there
-            try:
-                with writing(out / result.folder):
-                    partial.mkdir()
-                    for file, content in files.items():
-                        (partial / Path(file).name).write_bytes(content)
-                    partial.rename(out / result.folder)
-            finally:
-                shutil.rmtree(partial, ignore_errors=True)
-        yield index, result

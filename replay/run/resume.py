@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import shutil
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -43,26 +43,23 @@ def stamp_of(run: RunConfig) -> Stamp:
     digest = sha256()
     for file in files:
         digest.update(f"{file.relative_to(root)}\n".encode() + file.read_bytes())
-    for file in _users_files(run):
-        digest.update(f"{file.name}\n".encode() + file.read_bytes())
-    return Stamp(replan_version(), digest.hexdigest())
-
-
-def _users_files(run: RunConfig) -> Iterator[Path]:
-    """The files of all that is not ours: modules ("module:NAME", entry points), and what commands name."""
+    own: list[Path] = []  # what is not ours: modules ("module:NAME", entry points), and what commands name
     for name in run.planners:
         if name.startswith("exec:"):
             words = command_of(name)
             found = [Path(shutil.which(words[0]) or words[0]), *map(Path, words[1:])]
-            yield from (file for file in found if file.is_file())
-        elif name not in ORACLES and not name.startswith("tcp:") and (file := PLANNER.file(name)) is not None:
-            yield file
+            own += [file for file in found if file.is_file()]
+        elif name not in ORACLES and not name.startswith("tcp:") and (source := PLANNER.file(name)) is not None:
+            own.append(source)
     named: list[tuple[Kind[Any], str]] = [(METRIC, name) for name in run.metrics]
     named += [(READER, name) for name in (*READER.entries(), run.log.reader) if name]
     named += [(kind, getattr(run.loop, key)) for key, (kind, _) in KINDS.items()]
     for kind, name in named:
-        if name not in kind.besides and (file := kind.file(name)) is not None:
-            yield file
+        if name not in kind.besides and (source := kind.file(name)) is not None:
+            own.append(source)
+    for file in own:
+        digest.update(f"{file.name}\n".encode() + file.read_bytes())
+    return Stamp(replan_version(), digest.hexdigest())
 
 
 def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Stamp) -> dict[int, LogResult]:

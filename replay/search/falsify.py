@@ -181,24 +181,24 @@ def judged(results: Results, log: str, gates: Sequence[Gate], planner: str, agai
 
 def robustness(gates: Sequence[Gate], values: Mapping[str, float]) -> float:
     """(5) of a drive's values by metric; NaN where no gate has one."""
-    near = [(1.0 + within) ** -POWER for gate in gates if isfinite(within := _margin_within(gate, values))]
+    near = []
+    for gate in gates:
+        value, bound = values.get(gate.metric, nan), gate.max if gate.min is None else gate.min
+        assert bound is not None
+        if bound == 0.0:
+            name, _, reduced = gate.metric.rpartition(".")
+            metric = METRICS.get(name.partition(".")[0])
+            bounds = next((one.bounds for one in metric.reductions if one.name == reduced), None) if metric else None
+            if bounds is None:
+                continue  # there is no M: the gate is left out
+            below = isfinite(bounds[0])
+            bound, value = bounds[0 if below else 1], values.get(f"{name}.{'min' if below else 'max'}", nan)
+            within = max((value - bound if below else bound - value) / abs(bound), 0.0) if bound else nan
+        else:
+            within = max(gate.margin(value) / abs(bound), 0.0) if isfinite(value) else nan
+        if isfinite(within):
+            near.append((1.0 + within) ** -POWER)
     return 1.0 - float((sum(near) / len(near)) ** (1.0 / POWER)) if near else nan
-
-
-def _margin_within(gate: Gate, values: Mapping[str, float]) -> float:
-    """M of (5); NaN: the gate is left out."""
-    name, _, reduced = gate.metric.rpartition(".")
-    value, bound = values.get(gate.metric, nan), gate.max if gate.min is None else gate.min
-    if bound == 0.0:
-        metric = METRICS.get(name.partition(".")[0])
-        bounds = next((one.bounds for one in metric.reductions if one.name == reduced), None) if metric else None
-        if bounds is None:
-            return nan
-        below = isfinite(bounds[0])
-        bound, value = bounds[0 if below else 1], values.get(f"{name}.{'min' if below else 'max'}", nan)
-        return max((value - bound if below else bound - value) / abs(bound), 0.0) if bound else nan
-    assert bound is not None
-    return max(gate.margin(value) / abs(bound), 0.0) if isfinite(value) else nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,9 +317,16 @@ class Drives:
         """As `replay.search.mildest.Evaluate`; points that the study holds are not driven again."""
         new = [point for point in points if self._study.known(_key(point)) is None]
         if new:
+            cases = zip(new, self._drive_points(new), strict=True)
             self._study.add(
-                self._row(point, part, case) for point, case in zip(new, self._drive_points(new), strict=True)
-            )
+                {
+                    "key": _key(point), "part": part, **values_at(self._question.axes, point), "distance": norm(point),
+                    "outcome": case.outcome, "score": case.score(norm(point) / self._farthest),
+                    "robustness": case.robustness if isfinite(case.robustness) else None,
+                    "gates": "; ".join(case.gates), "why": case.why, "end": case.end,
+                }
+                for point, case in cases
+            )  # fmt: skip
         rows = [self._study.known(_key(point)) or {} for point in points]
         self.rows += [{"trial": len(self.rows) + k, **row} for k, row in enumerate(rows)]
         first = self.rows[0]
@@ -333,15 +340,6 @@ class Drives:
     def row_of(self, point: Point | None) -> Mapping[str, Any]:
         """The row of a point; empty for None."""
         return {} if point is None else next(row for row in self.rows if row["key"] == _key(point))
-
-    def _row(self, point: Point, part: str, case: Case) -> dict[str, Any]:
-        distance = norm(point)
-        return {
-            "key": _key(point), "part": part, **values_at(self._question.axes, point), "distance": distance,
-            "outcome": case.outcome, "score": case.score(distance / self._farthest),
-            "robustness": case.robustness if isfinite(case.robustness) else None,
-            "gates": "; ".join(case.gates), "why": case.why, "end": case.end,
-        }  # fmt: skip
 
     def _drive_points(self, points: Sequence[Point]) -> list[Case]:
         """What came of points that are driven now."""

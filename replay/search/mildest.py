@@ -143,12 +143,17 @@ def search(box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resol
         for begin in range(0, count, BATCH):
             trials.ask(trials.pulled(points[begin : begin + BATCH]), "spread")
         for reserve in (min(3 * BATCH + box.shape[1], budget // 3), BATCH, 0):  # for what comes after a find
-            _evolve(trials, cma, seed, reserve=reserve)
+            runs = 0
+            while trials.left - reserve >= BATCH and runs < trials.left:
+                left = trials.left
+                _generations(trials, cma, seed + 1 + runs, reserve)
+                runs += 1
+                if trials.left == left and runs > PATIENCE:
+                    break  # all points that it asks for are known
             if trials.mildest() is not None:
                 break
     if trials.mildest() is not None:
-        _fewer(trials)
-        _line(trials, resolution)
+        _approach_origin(trials, resolution)
     point = trials.mildest()
     if point is None:
         return Mildest(None, inf, np.nan, len(trials.found))
@@ -170,17 +175,6 @@ def cma_class(budget: int) -> Any:
     except ImportError:
         raise ConfigError("replan falsify needs cmaes: pip install 'replan[improve]'") from None
     return CMA
-
-
-def _evolve(trials: _Trials, cma: Any, seed: int, *, reserve: int) -> None:
-    """Generations of CMA-ES until only `reserve` evaluations are left."""
-    runs = 0
-    while trials.left - reserve >= BATCH and runs < trials.left:
-        left = trials.left
-        _generations(trials, cma, seed + 1 + runs, reserve)
-        runs += 1
-        if trials.left == left and runs > PATIENCE:
-            return  # all points that it asks for are known
 
 
 def _generations(trials: _Trials, cma: Any, seed: int, reserve: int) -> None:
@@ -205,18 +199,14 @@ def _generations(trials: _Trials, cma: Any, seed: int, reserve: int) -> None:
             return
 
 
-def _fewer(trials: _Trials) -> None:
-    """Axes of the mildest point at the origin, as many as may be."""
+def _approach_origin(trials: _Trials, resolution: float) -> None:
+    """As many axes of the mildest point as may be at the origin; then the bracket between it and the origin."""
     before = inf
     while trials.distance < before:
         before, point = trials.distance, np.array(trials.mildest())
         without = [np.where(np.arange(len(point)) == k, 0.0, point) for k in np.flatnonzero(point)]
         if len(without) > 1:
             trials.ask(np.array(without), "fewer")
-
-
-def _line(trials: _Trials, resolution: float) -> None:
-    """The bracket between the mildest point and the origin."""
     point = np.array(trials.mildest())
     low, high = 0.0, 1.0
     while (high - low) * norm(point) > resolution and trials.left:

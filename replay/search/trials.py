@@ -91,19 +91,22 @@ class Trials:
             self._study: Any = self._optuna.create_study(
                 directions=["maximize"] * len(plan.objectives), sampler=sampler
             )
-        self._distributions = {one.key: self._distribution(one) for one in plan.settings}
+        self._distributions: dict[str, Any] = {}
+        for one in plan.settings:
+            kinds, low, high = self._optuna.distributions, one.low, one.high
+            if one.choices:
+                self._distributions[one.key] = kinds.CategoricalDistribution(one.choices)
+                continue
+            assert low is not None and high is not None
+            if one.is_whole:
+                step = int(one.step or 1)
+                self._distributions[one.key] = kinds.IntDistribution(int(low), int(high), log=one.log, step=step)
+            else:
+                distribution = kinds.FloatDistribution(float(low), float(high), log=one.log, step=one.step)
+                self._distributions[one.key] = distribution
         self._trial: Any = None
         if all(one.holds_default for one in plan.settings):
             self._study.enqueue_trial({one.key: one.default for one in plan.settings})
-
-    def _distribution(self, setting: Setting) -> Any:
-        kinds, low, high = self._optuna.distributions, setting.low, setting.high
-        if setting.choices:
-            return kinds.CategoricalDistribution(setting.choices)
-        assert low is not None and high is not None
-        if setting.is_whole:
-            return kinds.IntDistribution(int(low), int(high), log=setting.log, step=int(setting.step or 1))
-        return kinds.FloatDistribution(float(low), float(high), log=setting.log, step=setting.step)
 
     def ask(self) -> Values:
         """The settings of the next trial."""

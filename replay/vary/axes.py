@@ -86,7 +86,23 @@ def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float
     axes: list[Axis] = []
     fixed: dict[str, float] = {}
     for word in words:
-        name, values = _parse(word)
+        name, separator, text = word.partition("=")
+        if not separator:
+            raise ConfigError(f"--vary {word}: {FORM}")
+        if name not in VARIATIONS:
+            raise unknown_name("variation", name, VARIATIONS)
+        try:
+            numbers = [float(part) for part in text.split(":")]
+        except ValueError:
+            raise ConfigError(f"--vary {word}: '{text}' is no number; {FORM}") from None
+        if len(numbers) == 1:
+            values: tuple[float, ...] = (numbers[0],)
+        elif len(numbers) == 3 and numbers[0] < numbers[1] and numbers[2] >= 2 and numbers[2] == int(numbers[2]):
+            values = tuple(np.linspace(numbers[0], numbers[1], int(numbers[2])).round(12).tolist())
+        else:
+            raise ConfigError(f"--vary {word}: {FORM}; LOW below HIGH, COUNT 2 or more")
+        for value in values:
+            VARIATIONS[name].check(value)
         if name in fixed or any(axis.name == name for axis in axes):
             raise ConfigError(f"--vary {word}: {name} is varied twice")
         if len(values) > 1:
@@ -98,27 +114,6 @@ def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float
     if resolution is not None and not resolution > 0.0:
         raise ConfigError(f"--resolution must be positive, got {resolution:g}")
     return Question(tuple(axes), fixed, tuple(agents), resolution or axes[0].spacing / FINER)
-
-
-def _parse(word: str) -> tuple[str, tuple[float, ...]]:
-    name, separator, text = word.partition("=")
-    if not separator:
-        raise ConfigError(f"--vary {word}: {FORM}")
-    if name not in VARIATIONS:
-        raise unknown_name("variation", name, VARIATIONS)
-    try:
-        numbers = [float(part) for part in text.split(":")]
-    except ValueError:
-        raise ConfigError(f"--vary {word}: '{text}' is no number; {FORM}") from None
-    if len(numbers) == 1:
-        values = (numbers[0],)
-    elif len(numbers) == 3 and numbers[0] < numbers[1] and numbers[2] >= 2 and numbers[2] == int(numbers[2]):
-        values = tuple(np.linspace(numbers[0], numbers[1], int(numbers[2])).round(12).tolist())
-    else:
-        raise ConfigError(f"--vary {word}: {FORM}; LOW below HIGH, COUNT 2 or more")
-    for value in values:
-        VARIATIONS[name].check(value)
-    return name, values
 
 
 def variations() -> Iterator[str]:

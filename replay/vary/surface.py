@@ -183,7 +183,12 @@ def vary(
         what = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
         raise ConfigError(f"{what}; `replan vary LOG --list-agents` lists them")
     with held(out):
-        _claim(out)
+        entries = [entry for entry in out.iterdir() if entry.name != LOCK]
+        if entries and not (out / CARD).is_file():
+            raise ConfigError(f"{out}: holds no surface of `replan vary`; give --out a new or empty folder")
+        for entry in entries:  # of an earlier surface
+            shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+        (out / "logs").mkdir()
         card = {
             "replan": replan_version(),
             "log": scenario.name,
@@ -204,16 +209,6 @@ def vary(
         result = VaryResult(out, question, table, edges)
         _write(result, scenario, run.planners[0])
         return result
-
-
-def _claim(out: Path) -> None:
-    """Remove an earlier surface from the folder, which is held. ConfigError where it holds anything else."""
-    entries = [entry for entry in out.iterdir() if entry.name != LOCK]
-    if entries and not (out / CARD).is_file():
-        raise ConfigError(f"{out}: holds no surface of `replan vary`; give --out a new or empty folder")
-    for entry in entries:
-        shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
-    (out / "logs").mkdir()
 
 
 # points -----------------------------------------------------------------------------------------------------------

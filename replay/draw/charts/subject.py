@@ -96,28 +96,24 @@ def violations(drive: DriveResult) -> list[Violation]:
         t, values = drive.steps(series)
         known = np.isfinite(values)
         t, values = t[known], values[known]
-        low, high = _step_bounds(gate, series, reduction)
+        # the bounds that steps break: those of the reduction, otherwise those of the rule; infinite if there are none
+        metric = METRICS.get(series.partition(".")[0])
+        how = next((some for some in metric.reductions if some.name == reduction), None) if metric else None
+        rule = _RULE.match(gate)
+        low, high = -inf, inf
+        if how is not None and how.bounds is not None:
+            low, high = how.bounds
+        elif reduction in ("count", "rate"):
+            high = 0.0
+        elif rule is not None and reduction in ("min", "max", "max_abs"):
+            bound = float(rule["bound"])
+            low, high = (bound, inf) if rule["sign"] == ">=" else (float(rule["low"] or -inf), bound)
+            low = -high if reduction == "max_abs" else low
         edge = np.diff(np.r_[False, (values < low) | (values > high), False].astype(np.int64))
         stretches = zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)
         spans = tuple((float(t[first]), float(t[end - 1])) for first, end in stretches)
         found.append(Violation(gate, series, spans or (((time_s, time_s),) if isfinite(time_s) else ())))
     return found
-
-
-def _step_bounds(gate: str, series: str, reduction: str) -> tuple[float, float]:
-    """The bounds that steps break: those of the reduction, otherwise those of the rule; infinite if there are none."""
-    metric = METRICS.get(series.partition(".")[0])
-    how = next((some for some in metric.reductions if some.name == reduction), None) if metric else None
-    if how is not None and how.bounds is not None:
-        return how.bounds
-    found = _RULE.match(gate)
-    if reduction in ("count", "rate"):
-        return -inf, 0.0
-    if found is None or reduction not in ("min", "max", "max_abs"):
-        return -inf, inf
-    bound = float(found["bound"])
-    low, high = (bound, inf) if found["sign"] == ">=" else (float(found["low"] or -inf), bound)
-    return (-high, high) if reduction == "max_abs" else (low, high)
 
 
 @dataclass(frozen=True, eq=False)

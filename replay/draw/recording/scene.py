@@ -234,7 +234,21 @@ def _draw_names(
 def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
     """Predictions, perceived agents and the sensor, as far as the trace holds them, a row per frame."""
     if any(frame.predictions is not None for frame in trace.frames):
-        _draw_predictions(tape, trace, frames)
+        known = [trace.agents] if trace.perceived is None else [trace.perceived, trace.agents]
+        kinds = {name: kind for each in known for name, kind in zip(each.ids, each.kinds, strict=True)}
+        paths: list[FloatArray] = []
+        shades: list[int] = []
+        per_frame: list[int] = []
+        for frame, (x, y) in zip(trace.frames, places(trace).tolist(), strict=True):
+            some = futures(frame, x, y)
+            paths += [path for _, _, path in some]
+            for name, p, _ in some:  # visible however unlikely
+                shade = colours.with_alpha(colours.KINDS[kinds[name]], round(50 + 150 * min(max(p, 0.0), 1.0)))
+                shades.append(shade)
+            per_frame.append(len(some))
+        points, lengths = joined(paths, 2)
+        drawn, colour_of = at_height(points, LOW), np.array(shades, dtype=np.uint32)
+        tape.lines("world/predictions", frames, drawn, lengths, per_frame, colour_of, radii=[pixels(1.2)])
     if trace.frames and (len(trace.agents) or trace.perceived is not None):
         # with a sensor model: all agents that it showed; without: the agents that are carried on after their log ended
         shown = [perceived_only(trace, float(t)) for t in frames.t]
@@ -248,23 +262,6 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
         points, lengths = joined([line for some in lines for line in some], 2)
         counts, drawn = [len(some) for some in lines], at_height(points, LOW / 2)
         tape.lines(f"world/sensor/{name}", frames, drawn, lengths, counts, colors=[colour], radii=[pixels(0.8)])
-
-
-def _draw_predictions(tape: Tape, trace: Trace, frames: Instants) -> None:
-    known = [trace.agents] if trace.perceived is None else [trace.perceived, trace.agents]
-    kinds = {name: kind for each in known for name, kind in zip(each.ids, each.kinds, strict=True)}
-    lines: list[FloatArray] = []
-    colour: list[int] = []
-    counts: list[int] = []
-    for frame, (x, y) in zip(trace.frames, places(trace).tolist(), strict=True):
-        some = futures(frame, x, y)
-        lines += [line for _, _, line in some]
-        for name, p, _ in some:  # visible however unlikely
-            colour.append(colours.with_alpha(colours.KINDS[kinds[name]], round(50 + 150 * min(max(p, 0.0), 1.0))))
-        counts.append(len(some))
-    points, lengths = joined(lines, 2)
-    drawn, shades = at_height(points, LOW), np.array(colour, dtype=np.uint32)
-    tape.lines("world/predictions", frames, drawn, lengths, counts, shades, radii=[pixels(1.2)])
 
 
 def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, FloatArray]]:

@@ -9,14 +9,13 @@ A thing of a kind is named as
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache, reduce
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Generic, TypeVar
 
 from logs.errors import ConfigError, PlannerError, raised, unknown_name
@@ -86,7 +85,12 @@ class Kind(Generic[T]):
         try:
             thing: Any = reduce(getattr, name.split("."), loaded)
         except (AttributeError, ImportError) as error:  # ImportError: `replan.own.missing`
-            there = [key for key, offered in _public_names(loaded) if not self.wrong(offered)]
+            there, public = [], getattr(loaded, "__all__", None)
+            for key, offered in vars(loaded).items():  # without `__all__`: its own, or imported under a name of its own
+                imported = getattr(offered, "__module__", loaded.__name__) != loaded.__name__
+                own = not key.startswith("_") and not (imported and getattr(offered, "__name__", "") == key)
+                if (own if public is None else key in public) and not self.wrong(offered):
+                    there.append(key)
             nearest = unknown_name(f"{self.name} in {loaded.__name__}", name, there)
             hint = self._clash(error) if rival(loaded.__name__) else ""
             raise self.error(f"{self.name} '{spec}': {nearest}{hint}") from None
@@ -143,16 +147,6 @@ class Kind(Generic[T]):
         package = str(of).partition(".")[0]
         program = " (or run the planner as a program of its own: exec:COMMAND)" if self.error is PlannerError else ""
         return f"; {clash(package, rival(package))}{program}" if package in PACKAGES else ""
-
-
-def _public_names(module: ModuleType) -> Iterator[tuple[str, Any]]:
-    """What a module has for others: what `__all__` names, else what is its own or imported under a name of its own."""
-    names = getattr(module, "__all__", None)
-    for name, thing in vars(module).items():
-        imported = getattr(thing, "__module__", module.__name__) != module.__name__
-        own = not name.startswith("_") and not (imported and getattr(thing, "__name__", "") == name)
-        if own if names is None else name in names:
-            yield name, thing
 
 
 @cache

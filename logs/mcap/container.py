@@ -142,13 +142,21 @@ def read_container(path: Path) -> Container:
             if isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
-                channels[record.id] = _stream(record, schemas, streams)
+                topic, schema = record.topic, schemas.get(record.schema_id)
+                if schema is None and record.schema_id != 0:
+                    raise LogError(f"schema {record.schema_id} is not in the file", topic=topic, remedy=COPY_AGAIN)
+                parts = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
+                stream = streams.setdefault(topic, Stream(topic, record.message_encoding, *parts))
+                if (stream.encoding, stream.schema) != (record.message_encoding, parts[0]):
+                    what = f"two channels with different schemas, {stream.schema} and {parts[0]}"
+                    raise LogError(what, topic=topic, remedy="keep one of them")
+                channels[record.id] = stream
             elif isinstance(record, Metadata):
                 metadata[record.name] = record.metadata
             elif isinstance(record, Message):
-                stream = channels.get(record.channel_id)
-                if stream is None:
+                if record.channel_id not in channels:
                     raise LogError(f"channel {record.channel_id} is not in the file", remedy=COPY_AGAIN)
+                stream = channels[record.channel_id]
                 if record.log_time > LAST_TIME_NS:
                     what = f"log time {record.log_time} ns is beyond any clock"
                     raise LogError(what, topic=stream.topic, remedy=COPY_AGAIN)
@@ -168,19 +176,6 @@ def content_of(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror or error}", file=path) from None
-
-
-def _stream(channel: Channel, schemas: dict[int, Schema], streams: dict[str, Stream]) -> Stream:
-    """The stream of a channel; two channels of one topic share it if their schemas agree."""
-    schema = schemas.get(channel.schema_id)
-    if schema is None and channel.schema_id != 0:
-        raise LogError(f"schema {channel.schema_id} is not in the file", topic=channel.topic, remedy=COPY_AGAIN)
-    parts = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
-    stream = streams.setdefault(channel.topic, Stream(channel.topic, channel.message_encoding, *parts))
-    if (stream.encoding, stream.schema) != (channel.message_encoding, parts[0]):
-        what = f"two channels with different schemas, {stream.schema} and {parts[0]}"
-        raise LogError(what, topic=channel.topic, remedy="keep one of them")
-    return stream
 
 
 def _records(raw: bytes, streams: dict[str, Stream]) -> Iterator[McapRecord]:

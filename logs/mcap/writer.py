@@ -11,12 +11,12 @@ below 26 days). A repair is not written if the tracks changed after it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, astuple
 from itertools import chain, pairwise
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import IO, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -29,7 +29,7 @@ from logs.codec import message_of, scalar_as_number
 from logs.errors import LogError, writing
 from logs.kernel import BoolArray, FloatArray
 from logs.mcap import native
-from logs.rules import Colour, TrafficLight
+from logs.rules import Colour
 from logs.scenario import Scenario, Tracks
 
 CHUNK_BYTES = 128 * 1024
@@ -69,41 +69,37 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
             writer.start(profile="replan", library="replan")
             for name, record in records.items():
                 writer.add_metadata(name, dict(record))
-            _add_messages(writer, entries, spool)
+            encoder = msgspec.json.Encoder(enc_hook=scalar_as_number)
+            kinds: dict[str, type[msgspec.Struct | Message]] = {}
+            places, end = list[tuple[int, str, int, int]](), 0
+            for time, topic, message in entries:  # encoded, they wait in the spool until all are known
+                if isinstance(message, Message):
+                    data = message.SerializeToString(deterministic=True)
+                else:
+                    data = encoder.encode(message)
+                kinds.setdefault(topic, type(message))
+                places.append((time, topic, end, len(data)))
+                spool.write(data)
+                end += len(data)
+            rank = {topic: index for index, topic in enumerate(dict.fromkeys((*native.TOPICS, *kinds)))}
+            schemas: dict[type[msgspec.Struct | Message], int] = {}
+            channels: dict[str, int] = {}
+            for topic in sorted(kinds, key=rank.__getitem__):
+                kind = kinds[topic]
+                if kind not in schemas:
+                    schemas[kind] = writer.register_schema(*_schema(kind))
+                encoding = "protobuf" if issubclass(kind, Message) else "json"
+                channels[topic] = writer.register_channel(topic, encoding, schemas[kind])
+            sequence = dict.fromkeys(channels, 0)
+            for time, topic, begin, size in sorted(places, key=lambda place: (place[0], rank[place[1]])):
+                spool.seek(begin)
+                writer.add_message(channels[topic], time, spool.read(size), time, sequence[topic])
+                sequence[topic] += 1
             writer.finish()
         with writing(path):
             part.replace(path)
     finally:
         part.unlink(missing_ok=True)
-
-
-def _add_messages(writer: Any, entries: Iterable[Entry], spool: IO[bytes]) -> None:
-    """Add the messages in order; encoded, they wait in the spool until all are known."""
-    encoder = msgspec.json.Encoder(enc_hook=scalar_as_number)
-    kinds: dict[str, type[msgspec.Struct | Message]] = {}
-    places, end = list[tuple[int, str, int, int]](), 0
-    for time, topic, message in entries:
-        data = (
-            message.SerializeToString(deterministic=True) if isinstance(message, Message) else encoder.encode(message)
-        )
-        kinds.setdefault(topic, type(message))
-        places.append((time, topic, end, len(data)))
-        spool.write(data)
-        end += len(data)
-    rank = {topic: index for index, topic in enumerate(dict.fromkeys((*native.TOPICS, *kinds)))}
-    schemas: dict[type[msgspec.Struct | Message], int] = {}
-    channels: dict[str, int] = {}
-    for topic in sorted(kinds, key=rank.__getitem__):
-        kind = kinds[topic]
-        if kind not in schemas:
-            schemas[kind] = writer.register_schema(*_schema(kind))
-        encoding = "protobuf" if issubclass(kind, Message) else "json"
-        channels[topic] = writer.register_channel(topic, encoding, schemas[kind])
-    sequence = dict.fromkeys(channels, 0)
-    for time, topic, begin, size in sorted(places, key=lambda place: (place[0], rank[place[1]])):
-        spool.seek(begin)
-        writer.add_message(channels[topic], time, spool.read(size), time, sequence[topic])
-        sequence[topic] += 1
 
 
 def _schema(kind: type[msgspec.Struct | Message]) -> tuple[str, str, bytes]:
@@ -167,7 +163,17 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
         if np.isinf(lane.speed_limit):
             raise LogError(f"lane {lane.id}: the speed limit is infinite", topic="/road", remedy="use NaN for no limit")
     yield start, "/road", message_of(native.Road, scenario.road)
-    yield from _lights(scenario.lights, start)
+    shown: dict[int, tuple[list[int], list[Colour]]] = {}  # a message for each time: the lights that change then
+    for light in scenario.lights:
+        at = log_times(light.t, start, "/traffic_lights")
+        if any(time <= before for before, time in pairwise(at)):
+            raise LogError(f"light {light.id} changes twice on one nanosecond", topic="/traffic_lights")
+        for time, colour in zip(at, light.colours, strict=True):
+            ids, colours = shown.setdefault(time, ([], []))
+            ids.append(light.id)
+            colours.append(colour)
+    for time, columns in shown.items():
+        yield time, "/traffic_lights", native.LightColumns(*columns)
     made = None if scenario.repair is None or scenario.repair.tracks is not scenario.tracks else scenario.repair
     yield from _tracks(scenario.tracks, start, extended=None if made is None else made.extended)
     if made is not None:
@@ -303,18 +309,3 @@ def table_of(tracks: Tracks) -> native.AgentTable:
     """The table of ids, kinds and sizes of tracks."""
     sizes = tracks.length.tolist(), tracks.width.tolist()
     return native.AgentTable(list(tracks.ids), list(tracks.kinds), *sizes, tracks.static.tolist())
-
-
-def _lights(lights: Sequence[TrafficLight], start_ns: int) -> Iterator[Entry]:
-    """A message for each time at which a light changes, with all those that change then."""
-    shown: dict[int, tuple[list[int], list[Colour]]] = {}
-    for light in lights:
-        times = log_times(light.t, start_ns, "/traffic_lights")
-        if any(time <= before for before, time in pairwise(times)):
-            raise LogError(f"light {light.id} changes twice on one nanosecond", topic="/traffic_lights")
-        for time, colour in zip(times, light.colours, strict=True):
-            ids, colours = shown.setdefault(time, ([], []))
-            ids.append(light.id)
-            colours.append(colour)
-    for time, columns in shown.items():
-        yield time, "/traffic_lights", native.LightColumns(*columns)

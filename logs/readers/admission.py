@@ -24,7 +24,7 @@ of "auto" may be others than for the whole.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from math import inf, isfinite
 from types import MappingProxyType
@@ -93,14 +93,26 @@ def check_clocks(scenario: Scenario) -> Scenario:
     Raises:
         LogError: The times of the agents, lights, controls or plans nowhere overlap those of the ego.
     """
-    ego = scenario.ego
+    ego, tracks = scenario.ego, scenario.tracks
     first, last = float(ego.t[0]), float(ego.t[-1]) if len(ego) > 1 else scenario.duration
-    for topic, begin, end in _side_spans(scenario):
+    spans = list[tuple[str, float, float]]()
+    moving = tracks.t[np.repeat(~tracks.static, np.diff(tracks.offsets))]
+    if scenario.repair is not None:
+        moving = scenario.repair.detections.t
+    if len(moving):
+        spans.append(("agents", float(moving.min()), float(moving.max())))
+    if scenario.lights:
+        shown = np.concatenate([light.t for light in scenario.lights])
+        spans.append(("traffic lights", float(shown.min()), float(shown.max()) + SHOWN_BEFORE_S))
+    if scenario.controls is not None and len(scenario.controls):
+        spans.append(("controls", float(scenario.controls.t[0]), float(scenario.controls.t[-1])))
+    if scenario.onboard:
+        spans.append(("onboard plans", scenario.onboard[0].known, scenario.onboard[-1].known + SHOWN_BEFORE_S))
+    for topic, begin, end in spans:
         if end < first or begin > last:
             theirs, own = _log_times(scenario, begin, end), _log_times(scenario, first, last)
             what = f"times from {theirs}, the ego's are from {own}: they do not overlap"
             raise LogError(what, topic=topic, remedy=ONE_CLOCK)
-    tracks = scenario.tracks
     begins, ends = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
     late = begins > max(last, scenario.duration) + OTHER_CLOCK_S
     apart = ~tracks.static & (late | (ends < first - OTHER_CLOCK_S))
@@ -110,23 +122,6 @@ def check_clocks(scenario: Scenario) -> Scenario:
         f"{_names_of(tracks, apart)} have no sample within {OTHER_CLOCK_S:.0f} s of the ego's log: never in the scene."
     )
     return replace(scenario, notes=(*scenario.notes, note))
-
-
-def _side_spans(scenario: Scenario) -> Iterator[tuple[str, float, float]]:
-    """Name, first and last time of what stands beside the ego's states, s since the start."""
-    tracks = scenario.tracks
-    moving = tracks.t[np.repeat(~tracks.static, np.diff(tracks.offsets))]
-    if scenario.repair is not None:
-        moving = scenario.repair.detections.t
-    if len(moving):
-        yield "agents", float(moving.min()), float(moving.max())
-    if scenario.lights:
-        shown = np.concatenate([light.t for light in scenario.lights])
-        yield "traffic lights", float(shown.min()), float(shown.max()) + SHOWN_BEFORE_S
-    if scenario.controls is not None and len(scenario.controls):
-        yield "controls", float(scenario.controls.t[0]), float(scenario.controls.t[-1])
-    if scenario.onboard:
-        yield "onboard plans", scenario.onboard[0].known, scenario.onboard[-1].known + SHOWN_BEFORE_S
 
 
 def _log_times(scenario: Scenario, begin: float, end: float) -> str:

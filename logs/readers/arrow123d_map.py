@@ -20,7 +20,7 @@ Which map. The log's own map comes before that of its place in the data root,
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -250,7 +250,16 @@ def stop_lines(
     feeding, found, lost = predecessors(lanes), list[StopLine](), 0
     for f, ring in zones:
         named = [lanes[i] for i in _ids(f.get("lane_ids")) if i in lanes]
-        placed = [place for lane in named for place in _places(lane, ring, lanes, feeding)] if len(ring) > 2 else []
+        placed = list[tuple[int, float, tuple[int, ...]]]()  # lane, part of its length, the lanes that it counts for
+        for lane in named if len(ring) > 2 else ():
+            ahead, part = [lanes[i] for i in feeding.get(lane.id, ())], _entry_into_outline(lane, ring)
+            if part is not None and (part * lane.length > STEP_M or not ahead):
+                placed.append((lane.id, part, ()))
+                continue
+            for one in ahead:
+                entry = _entry_into_outline(one, ring)
+                if entry is not None or part is not None:
+                    placed.append((one.id, 1.0 if entry is None else entry, (lane.id,)))
         lost += not placed
         kind = f.get("stop_zone_type")
         for across, part, towards in placed:
@@ -269,21 +278,6 @@ def stop_lines(
         ways = (*known.towards, *line.towards) if known.towards and line.towards else ()
         joined[key] = replace(known, towards=tuple(dict.fromkeys(ways)))
     return tuple(joined.values())
-
-
-def _places(
-    lane: Lane, ring: FloatArray, lanes: Mapping[int, Lane], feeding: Mapping[int, Sequence[int]]
-) -> Iterator[tuple[int, float, tuple[int, ...]]]:
-    """Where a zone is entered: lane, part of its length, the lanes after it for which it counts (none: all)."""
-    ahead = [lanes[i] for i in feeding.get(lane.id, ())]
-    part = _entry_into_outline(lane, ring)
-    if part is not None and (part * lane.length > STEP_M or not ahead):
-        yield lane.id, part, ()
-        return
-    for one in ahead:
-        entry = _entry_into_outline(one, ring)
-        if entry is not None or part is not None:
-            yield one.id, 1.0 if entry is None else entry, (lane.id,)
 
 
 def _entry_into_outline(lane: Lane, ring: FloatArray) -> float | None:
@@ -341,7 +335,27 @@ def road_of(
         road = replace(road, default_speed_limit=assumed_limit(ego))
         limit = f"{road.default_speed_limit:.1f} m/s"
         notes.append(f"{lacking} of {len(road.lanes)} lanes have no speed limit: {limit} is assumed ({ASSUMED}).")
-    return _lit(road, lights, notes)
+    # a stop line for each light that no stop zone names: at the ends of the lanes before its lane
+    named, feeding = {line.light for line in road.stop_lines}, predecessors(road.lanes)
+    lines, lost = list(road.stop_lines), 0
+    number = max((line.id for line in lines), default=-1) + 1
+    for light in lights:
+        if light.id in named or light.id not in road.lanes:
+            lost += light.id not in road.lanes
+            continue
+        own = [line for line in road.stop_lines if line.lane == light.id]
+        places: list[tuple[int, FloatArray, tuple[int, ...]]] = [(line.lane, line.points, ()) for line in own[:1]]
+        places = places or [(i, ends_at(road.lanes[i], 1.0), (light.id,)) for i in feeding.get(light.id, ())]
+        places = places or [(light.id, ends_at(road.lanes[light.id], 0.0), ())]
+        for across, ends, towards in places:
+            lines.append(StopLine(number, across, ends, light.id, towards=towards))
+            number += 1
+    if lost:
+        notes.append(f"{lost} of {len(lights)} traffic lights are for lanes that are not in the map and are left out.")
+    if lights:
+        notes.append("A light stands where the lanes end that lead to its lane, or at the stop zone that lies on them.")
+    wanted = {line.light for line in lines}
+    return replace(road, stop_lines=tuple(lines)), tuple(light for light in lights if light.id in wanted)
 
 
 def _observed_lights(folder: Path, start_us: int, notes: list[str]) -> tuple[TrafficLight, ...]:
@@ -368,27 +382,3 @@ def _observed_lights(folder: Path, start_us: int, notes: list[str]) -> tuple[Tra
             changes = [k for n, k in enumerate(at) if n == 0 or colours[k] is not colours[at[n - 1]]]
             lights.append(TrafficLight(int(i), t[changes], tuple(colours[k] for k in changes)))
         return tuple(lights)
-
-
-def _lit(road: Road, lights: tuple[TrafficLight, ...], notes: list[str]) -> tuple[Road, tuple[TrafficLight, ...]]:
-    """The road with a stop line for each light that no stop zone names: at the ends of the lanes before its lane."""
-    named, feeding = {line.light for line in road.stop_lines}, predecessors(road.lanes)
-    lines, lost = list(road.stop_lines), 0
-    number = max((line.id for line in lines), default=-1) + 1
-    for light in lights:
-        if light.id in named or light.id not in road.lanes:
-            lost += light.id not in road.lanes
-            continue
-        own = [line for line in road.stop_lines if line.lane == light.id]
-        places: list[tuple[int, FloatArray, tuple[int, ...]]] = [(line.lane, line.points, ()) for line in own[:1]]
-        places = places or [(i, ends_at(road.lanes[i], 1.0), (light.id,)) for i in feeding.get(light.id, ())]
-        places = places or [(light.id, ends_at(road.lanes[light.id], 0.0), ())]
-        for across, ends, towards in places:
-            lines.append(StopLine(number, across, ends, light.id, towards=towards))
-            number += 1
-    if lost:
-        notes.append(f"{lost} of {len(lights)} traffic lights are for lanes that are not in the map and are left out.")
-    if lights:
-        notes.append("A light stands where the lanes end that lead to its lane, or at the stop zone that lies on them.")
-    wanted = {line.light for line in lines}
-    return replace(road, stop_lines=tuple(lines)), tuple(light for light in lights if light.id in wanted)

@@ -57,39 +57,35 @@ class Association:
         ends = np.searchsorted(boxes.frame, np.arange(len(frames) + 1))
         for k, t in enumerate(frames.tolist()):
             rows = slice(int(ends[k]), int(ends[k + 1]))
-            yield t, rows, self._step(t, boxes, rows)
-
-    def _step(self, t: float, boxes: Boxes, rows: slice) -> IntArray:
-        """The track numbers of the detections `rows` of the frame at t."""
-        most = np.where(self.tracks["hits"] > YOUNG, AGE_S, YOUNG_AGE_S)
-        tracks = self.tracks[(t - self.tracks["last"] <= most + 1e-9) | (self.tracks["missed"] < 1)]
-        carry_all(tracks["state"], t - self.time, DENSITY[tracks["group"]])
-        # each of the detections may begin a track
-        found, group, variance = np.zeros(rows.stop - rows.start, _TRACK), boxes.group[rows], boxes.noise[rows] ** 2
-        state = found["state"]
-        place = state[:, :ALONG]
-        state[:, X], state[:, Y] = boxes.x[rows], boxes.y[rows]
-        state[:, COS], state[:, SIN] = np.cos(boxes.yaw[rows]), np.sin(boxes.yaw[rows])
-        state[:, ALONG] = state[:, ACROSS] = variance
-        state[:, ALONG + 2], state[:, ACROSS + 2] = FIRST_ALONG[group] ** 2, FIRST_ACROSS[group] ** 2
-        found["size"] = np.sort(np.column_stack([boxes.length[rows], boxes.width[rows]]))
-        found["group"], found["last"], found["hits"] = group, t, 1
-        cost = _costs(
-            tracks["state"], tracks["group"], tracks["size"], place, found["group"], variance, found["size"], REACH
-        )
-        old, new = linear_sum_assignment(cost)
-        good = cost[old, new] < _NEVER
-        old, new = old[good], new[good]
-        tracks["missed"] += 1
-        for k, i in zip(old, new, strict=True):
-            absorb_one(tracks["state"][k], place[i, X], place[i, Y], variance[i])
-        tracks["size"][old] = SIZE_MEMORY * tracks["size"][old] + (1.0 - SIZE_MEMORY) * found["size"][new]
-        tracks["missed"][old], tracks["last"][old] = 0, t
-        tracks["hits"][old] += 1
-        born = np.setdiff1d(np.arange(len(found)), new)
-        found["name"][new], found["name"][born] = tracks["name"][old], self.count + np.arange(len(born))
-        self.tracks, self.time, self.count = np.concatenate([tracks, found[born]]), t, self.count + len(born)
-        return found["name"]
+            most = np.where(self.tracks["hits"] > YOUNG, AGE_S, YOUNG_AGE_S)
+            tracks = self.tracks[(t - self.tracks["last"] <= most + 1e-9) | (self.tracks["missed"] < 1)]
+            carry_all(tracks["state"], t - self.time, DENSITY[tracks["group"]])
+            # each of the detections may begin a track
+            found, group, variance = np.zeros(rows.stop - rows.start, _TRACK), boxes.group[rows], boxes.noise[rows] ** 2
+            state = found["state"]
+            place = state[:, :ALONG]
+            state[:, X], state[:, Y] = boxes.x[rows], boxes.y[rows]
+            state[:, COS], state[:, SIN] = np.cos(boxes.yaw[rows]), np.sin(boxes.yaw[rows])
+            state[:, ALONG] = state[:, ACROSS] = variance
+            state[:, ALONG + 2], state[:, ACROSS + 2] = FIRST_ALONG[group] ** 2, FIRST_ACROSS[group] ** 2
+            found["size"] = np.sort(np.column_stack([boxes.length[rows], boxes.width[rows]]))
+            found["group"], found["last"], found["hits"] = group, t, 1
+            cost = _costs(
+                tracks["state"], tracks["group"], tracks["size"], place, found["group"], variance, found["size"], REACH
+            )
+            old, new = linear_sum_assignment(cost)
+            good = cost[old, new] < _NEVER
+            old, new = old[good], new[good]
+            tracks["missed"] += 1
+            for j, i in zip(old, new, strict=True):
+                absorb_one(tracks["state"][j], place[i, X], place[i, Y], variance[i])
+            tracks["size"][old] = SIZE_MEMORY * tracks["size"][old] + (1.0 - SIZE_MEMORY) * found["size"][new]
+            tracks["missed"][old], tracks["last"][old] = 0, t
+            tracks["hits"][old] += 1
+            born = np.setdiff1d(np.arange(len(found)), new)
+            found["name"][new], found["name"][born] = tracks["name"][old], self.count + np.arange(len(born))
+            self.tracks, self.time, self.count = np.concatenate([tracks, found[born]]), t, self.count + len(born)
+            yield t, rows, found["name"]
 
 
 @kernel

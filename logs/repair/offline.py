@@ -127,7 +127,25 @@ def _road_users(
     reasons = [_trouble(user, boxes) for user in every]
     removed = [(user, why) for user, why in zip(every, reasons, strict=True) if why]
     users = [user for user, why in zip(every, reasons, strict=True) if not why]
-    better = _in_anothers_place(users, boxes)
+    # in the place of another one that is seen better: no cluster, then the larger sum of scores
+    group = np.array([user.piece.group for user in users])
+    proof = np.array([boxes.weight[user.piece.rows].sum() for user in users]) + len(boxes) * (group != CLUSTER)
+    reach = np.array([0.5 * np.hypot(user.length, user.width) for user in users])[:, None]
+    low, high = (
+        np.array([end(user.poses[:, :2], axis=0) for user in users]).reshape(-1, 2) + sign * reach
+        for end, sign in ((np.min, -1.0), (np.max, 1.0))
+    )
+    better: dict[int, int] = {}
+    for a in np.argsort(proof, kind="stable").tolist():
+        near = ((low <= high[a]) & (high >= low[a])).all(axis=1) & (proof >= proof[a])
+        near &= (group != PERSON) | (group[a] != PERSON)  # people walk close together
+        for b in np.flatnonzero(near).tolist():
+            part = OTHER_PART if PERSON in (group[a], group[b]) else SAME_PART
+            if b == a or b in better:
+                continue
+            if shares(users[a].t, users[a].poses, users[b].t, users[b].poses, part).mean() > SAME_SHARE:
+                better[a] = b
+                break
     gained: dict[int, list[IntArray]] = {}
     for a in sorted(better):
         b = better[a]
@@ -212,32 +230,6 @@ def _trouble(user: User, boxes: Boxes) -> str | None:
     if median <= SIDEWAYS_RAD:
         return None
     return f"A {user.kind.value} that moves {np.degrees(median):.0f} degrees off its axis: parts of several objects."
-
-
-def _in_anothers_place(users: Sequence[User], boxes: Boxes) -> dict[int, int]:
-    """Which users are in the place of another one that is seen better, by their places in `users`.
-
-    Better: no cluster, then the larger sum of scores.
-    """
-    group = np.array([user.piece.group for user in users])
-    proof = np.array([boxes.weight[user.piece.rows].sum() for user in users]) + len(boxes) * (group != CLUSTER)
-    reach = np.array([0.5 * np.hypot(user.length, user.width) for user in users])[:, None]
-    low, high = (
-        np.array([end(user.poses[:, :2], axis=0) for user in users]).reshape(-1, 2) + sign * reach
-        for end, sign in ((np.min, -1.0), (np.max, 1.0))
-    )
-    out: dict[int, int] = {}
-    for a in np.argsort(proof, kind="stable").tolist():
-        near = ((low <= high[a]) & (high >= low[a])).all(axis=1) & (proof >= proof[a])
-        near &= (group != PERSON) | (group[a] != PERSON)  # people walk close together
-        for b in np.flatnonzero(near).tolist():
-            part = OTHER_PART if PERSON in (group[a], group[b]) else SAME_PART
-            if b == a or b in out:
-                continue
-            if shares(users[a].t, users[a].poses, users[b].t, users[b].poses, part).mean() > SAME_SHARE:
-                out[a] = b
-                break
-    return out
 
 
 def _depths(t: FloatArray, boxes: FloatArray, ego: Trajectory, vehicle: VehicleParameters) -> FloatArray:

@@ -123,40 +123,33 @@ def tracked(detections: Detections) -> Tracked:
                 tracks[name] = _Track(t, t > detections.frames[0], float(boxes.yaw[i]))
             tracks[name].see(boxes, i)
         tracks = {name: tracks[name] for name in joining.tracks["name"].tolist()}
-        out.append(_reported_agents(joining, tracks, t))
-    agents, growth, patience = zip(*out, strict=True) if out else ((), (), ())
-    return Tracked(tuple(detections.frames.tolist()), agents, growth, patience)
-
-
-def _reported_agents(
-    joining: Association, tracks: dict[int, _Track], t: float
-) -> tuple[Agents, FloatArray, FloatArray]:
-    """Who is reported at t (1), their growth and patience as in `Tracked`."""
-    ids, codes, columns, growth, patience = [], [], [], [], []
-    for (name, track), row in zip(tracks.items(), joining.tracks, strict=True):
-        state, group = row["state"], int(row["group"])
-        early = t - track.first < BIRTH_TIME[group] - 1e-9
-        if early or track.count < BIRTH_COUNT[group] or track.score < BIRTH_SCORE[group]:
-            continue
-        code = int(track.votes.argmax())
-        length, width = (track.size[code] / track.votes[code]).tolist()
-        vx, vy = float(state[VX]), float(state[VY])
-        sigma, most = float(np.sqrt(0.5 * (state[ALONG + 2] + state[ACROSS + 2]))), KEEP_S
-        if track.stands(group, float(np.hypot(vx, vy)), length):
-            vx, vy, sigma, most = 0.0, 0.0, float(NOISE[group]) / WINDOW_S, KEEP_STILL_S
-        elif track.count <= FEW:
-            most = KEEP_YOUNG_S
-        unseen = t - float(row["last"])
-        if unseen > most + 1e-9:
-            continue
-        age = min(t - track.first, OLDEST_S) if track.late else np.nan
-        pose = state[X], state[Y], track.front(group, vx, vy)
-        ids.append(str(name + 1))
-        codes.append(code)
-        columns.append((length, width, *pose, vx, vy, 0.0, 0.0, age, unseen, sigma))
-        growth.append(float(DENSITY[group]))
-        patience.append(most)
-    return _agents(ids, codes, columns), np.array(growth), np.array(patience)
+        ids, codes, columns, growth, patience = [], [], [], [], []  # of those who are reported at t (1)
+        for (name, track), row in zip(tracks.items(), joining.tracks, strict=True):
+            state, group = row["state"], int(row["group"])
+            early = t - track.first < BIRTH_TIME[group] - 1e-9
+            if early or track.count < BIRTH_COUNT[group] or track.score < BIRTH_SCORE[group]:
+                continue
+            code = int(track.votes.argmax())
+            length, width = (track.size[code] / track.votes[code]).tolist()
+            vx, vy = float(state[VX]), float(state[VY])
+            sigma, most = float(np.sqrt(0.5 * (state[ALONG + 2] + state[ACROSS + 2]))), KEEP_S
+            if track.stands(group, float(np.hypot(vx, vy)), length):
+                vx, vy, sigma, most = 0.0, 0.0, float(NOISE[group]) / WINDOW_S, KEEP_STILL_S
+            elif track.count <= FEW:
+                most = KEEP_YOUNG_S
+            unseen = t - float(row["last"])
+            if unseen > most + 1e-9:
+                continue
+            age = min(t - track.first, OLDEST_S) if track.late else np.nan
+            pose = state[X], state[Y], track.front(group, vx, vy)
+            ids.append(str(name + 1))
+            codes.append(code)
+            columns.append((length, width, *pose, vx, vy, 0.0, 0.0, age, unseen, sigma))
+            growth.append(float(DENSITY[group]))
+            patience.append(most)
+        out.append((_agents(ids, codes, columns), np.array(growth), np.array(patience)))
+    agents, growths, patiences = zip(*out, strict=True) if out else ((), (), ())
+    return Tracked(tuple(detections.frames.tolist()), agents, growths, patiences)
 
 
 def _agents(ids: Sequence[str], codes: Sequence[int], columns: Sequence[tuple[float, ...]]) -> Agents:

@@ -117,30 +117,14 @@ def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
 
 def stitched(pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray) -> list[Piece]:
     """The pieces with those put together whose ends meet when both are carried on to the middle of the gap."""
-    following: dict[int, int] = {}
-    for i, j in _pairs(pieces, boxes):
-        if i not in following and j not in following.values():
-            following[i] = j
-    out = []
-    for k in sorted(set(range(len(pieces))) - set(following.values())):
-        chain = [k]
-        while chain[-1] in following:
-            chain.append(following[chain[-1]])
-        rows = np.concatenate([pieces[i].rows for i in chain])
-        out.append(pieces[k] if len(chain) == 1 else fitted(rows, boxes, frames))
-    return out
-
-
-def _pairs(pieces: Sequence[Piece], boxes: Boxes) -> list[tuple[int, int]]:
-    """Pieces i and j, one ending before the other begins, that can be one; those that fit best come first."""
     if len(pieces) < 2:
-        return []
+        return list(pieces)
     begin, end = (np.array([[piece.t[at], *piece.path[at]] for piece in pieces]) for at in (0, -1))
     group, still = np.array([piece.group for piece in pieces]), np.array([piece.still for piece in pieces])
     sides = [(boxes.length[piece.rows], boxes.width[piece.rows]) for piece in pieces]
     size = np.log([(np.median(np.maximum(*each)), np.median(np.minimum(*each))) for each in sides])
     gaps = begin[:, 0] - end[:, :1]
-    i, j = np.nonzero((gaps > 1e-6) & (gaps <= STITCH_STILL_S))
+    i, j = np.nonzero((gaps > 1e-6) & (gaps <= STITCH_STILL_S))  # piece i ends before piece j begins
     gap, few = gaps[i, j], np.array([len(piece.rows) < FEW for piece in pieces])
     before, after = (np.where(still[:, None], 0.0, each[:, 3:]) for each in (end, begin))
     out = np.where((few[i] & ~few[j])[:, None], after[j], before[i])
@@ -154,7 +138,18 @@ def _pairs(pieces: Sequence[Piece], boxes: Boxes) -> list[tuple[int, int]]:
     fits &= (gap <= STITCH_S) | (still[i] & still[j])
     cost = (miss / most + CHANGE_MPS * change + growth + GAP_WORTH * gap)[fits]
     best = np.argsort(cost, kind="stable")
-    return list(zip(i[fits][best].tolist(), j[fits][best].tolist(), strict=True))
+    following: dict[int, int] = {}
+    for first, second in zip(i[fits][best].tolist(), j[fits][best].tolist(), strict=True):
+        if first not in following and second not in following.values():
+            following[first] = second
+    whole = []
+    for k in sorted(set(range(len(pieces))) - set(following.values())):
+        chain = [k]
+        while chain[-1] in following:
+            chain.append(following[chain[-1]])
+        rows = np.concatenate([pieces[each].rows for each in chain])
+        whole.append(pieces[k] if len(chain) == 1 else fitted(rows, boxes, frames))
+    return whole
 
 
 @dataclass(frozen=True, eq=False)

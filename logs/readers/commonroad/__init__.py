@@ -74,7 +74,19 @@ def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | 
     path = Path(path)
     document, headings = turned(parse(path))
     try:
-        chosen = _by_id(document, ego) if ego is not None else _by_problem(document, problem)
+        if ego is None:
+            chosen = _by_problem(document, problem)
+        else:  # (1)
+            can = [o for o in document.obstacles if not o.static and len(o.states) > 1]
+            can = [o for o in can if KINDS.get(o.type, AgentKind.OBJECT) not in _CANNOT_DRIVE]
+            found = next((o for o in can if str(o.id) == ego), None)
+            if found is None:
+                longest = sorted(can, key=lambda o: -len(o.states))[:8]
+                remedy = f"longest drives: {', '.join(str(o.id) for o in longest) or 'none'}"
+                what = f"no vehicle {ego} with a trajectory in the file"
+                raise LogError(what, topic=f"obstacle {ego}", remedy=remedy)
+            note = "the ego was taken from the traffic: its goal is the place where its log ends"
+            chosen = _Ego(found, None, (note,))
         scenario = _scenario(document, chosen)
     except (LogError, ValueError) as error:
         raise (error if isinstance(error, LogError) else LogError(str(error))).at(path) from error
@@ -90,18 +102,6 @@ def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | 
     if problem is not None and chosen.problem is not None:
         name += f"_problem{chosen.problem.id}"
     return replace(scenario, name=name, notes=tuple(notes))
-
-
-def _by_id(document: Document, ego: str) -> _Ego:
-    """(1)."""
-    can = [o for o in document.obstacles if not o.static and len(o.states) > 1]
-    can = [o for o in can if KINDS.get(o.type, AgentKind.OBJECT) not in _CANNOT_DRIVE]
-    found = next((o for o in can if str(o.id) == ego), None)
-    if found is None:
-        longest = sorted(can, key=lambda o: -len(o.states))[:8]
-        remedy = f"longest drives: {', '.join(str(o.id) for o in longest) or 'none'}"
-        raise LogError(f"no vehicle {ego} with a trajectory in the file", topic=f"obstacle {ego}", remedy=remedy)
-    return _Ego(found, None, ("the ego was taken from the traffic: its goal is the place where its log ends",))
 
 
 def _by_problem(document: Document, number: int | None) -> _Ego:

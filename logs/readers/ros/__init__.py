@@ -92,40 +92,37 @@ class Bag:
         Raises:
             LogError: The file has none, and neither has replan.
         """
-        if topic.name not in self._types:
-            self._types[topic.name] = self._message_definitions(topic)
-        types = self._types[topic.name]
-        if topic.kind not in types:
-            what = f"the log does not define its message type {topic.kind}, and replan does not know it"
-            raise LogError(what, topic=topic.name, remedy="record as MCAP, which holds the definitions")
-        return types
-
-    def _message_definitions(self, topic: Topic) -> Types:
-        """The definitions in the file; where it has none, what rosbags and replan know."""
         from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
+        if topic.name in self._types:
+            return self._types[topic.name]
         types: dict[str, Any] = dict(TIMES)
         own = next((c.msgdef for c in topic.connections if c.msgdef.data), None)
-        if own is None:
+        if own is None:  # what rosbags and replan know
             types = dict(get_typestore(Stores.ROS2_HUMBLE if self.is_ros2 else Stores.ROS1_NOETIC).fielddefs)
             text = files("logs.readers.ros").joinpath("definitions.msg").read_text()
             for part in text.split("=" * 20 + "\n")[1:]:
                 name, _, body = part.partition("\n")
                 types |= get_types_from_msg(body, name.removeprefix("MSG: ").strip())
-            return types
-        if len(own.data) > LARGEST_DEFINITION:
+        elif len(own.data) > LARGEST_DEFINITION:
             what = f"the definition of {topic.kind} has {len(own.data)} characters, at most {LARGEST_DEFINITION} are"
             raise LogError(f"{what} read", topic=topic.name, remedy=SIMPLIFY)
-        try:
-            if own.format.name == "MSG":
-                return types | get_types_from_msg(own.data, topic.kind)
-            parts = [part.partition("\n")[2] for part in own.data.split("=" * 80 + "\n") if part.startswith("IDL: ")]
-            for part in parts or [own.data]:
-                types |= get_types_from_idl(part)
-            return types
-        except DAMAGE as error:
-            what = f"the definition of {topic.kind} in the file cannot be used ({_describe(error)})"
-            raise LogError(what, topic=topic.name, remedy=COPY_AGAIN) from None
+        else:
+            try:
+                if own.format.name == "MSG":
+                    types |= get_types_from_msg(own.data, topic.kind)
+                else:
+                    idl = [part for part in own.data.split("=" * 80 + "\n") if part.startswith("IDL: ")]
+                    for part in [part.partition("\n")[2] for part in idl] or [own.data]:
+                        types |= get_types_from_idl(part)
+            except DAMAGE as error:
+                what = f"the definition of {topic.kind} in the file cannot be used ({_describe(error)})"
+                raise LogError(what, topic=topic.name, remedy=COPY_AGAIN) from None
+        if topic.kind not in types:
+            what = f"the log does not define its message type {topic.kind}, and replan does not know it"
+            raise LogError(what, topic=topic.name, remedy="record as MCAP, which holds the definitions")
+        self._types[topic.name] = types
+        return types
 
     def has(self, topic: Topic, path: str) -> bool:
         """Whether the topic's messages have a field, by its dotted name."""
@@ -184,7 +181,17 @@ def opened(path: Path) -> Iterator[Bag]:
     except DAMAGE as error:
         raise LogError(f"the bag cannot be opened ({_describe(error)})", file=path, remedy=COPY_AGAIN) from None
     try:
-        _check_chunks(reader, path)
+        storage = getattr(reader, "storage", None)
+        for part in getattr(storage, "storages", [storage]):
+            for chunk in getattr(part, "chunks", ()):
+                size = chunk.uncompressed_size
+                if chunk.compression == "zstd":  # the frame states how many bytes it holds, whatever the index states
+                    begin = chunk.chunk_start_offset + _CHUNK_HEAD_BYTES + len(chunk.compression)
+                    with suppress(ZstdError, OSError, OverflowError):  # reading it says what is wrong
+                        size = max(size, frame_content_size(os.pread(part.bio.fileno(), _FRAME_HEAD_BYTES, begin)))
+                if size > MAX_CHUNK_BYTES:  # refused before it is inflated
+                    what = f"a chunk of {chunk.compressed_size} bytes would become {size}"
+                    raise LogError(what, file=path, time_ns=chunk.message_start_time, remedy=COPY_AGAIN)
         connections: dict[tuple[str, str], list[Any]] = {}
         for each in reader.connections:
             connections.setdefault((each.topic, each.msgtype), []).append(each)
@@ -198,24 +205,6 @@ def opened(path: Path) -> Iterator[Bag]:
         yield Bag(sorted_topics, reader.start_time, reader.end_time - 1, is_ros2, reader.messages)
     finally:
         reader.close()
-
-
-def _check_chunks(reader: Any, path: Path) -> None:
-    """Refuse chunks that say that they inflate beyond all measure, before they are inflated.
-
-    The frame of a chunk says how many bytes it holds, whatever the index says.
-    """
-    storage = getattr(reader, "storage", None)
-    for part in getattr(storage, "storages", [storage]):
-        for chunk in getattr(part, "chunks", ()):
-            size = chunk.uncompressed_size
-            if chunk.compression == "zstd":
-                begin = chunk.chunk_start_offset + _CHUNK_HEAD_BYTES + len(chunk.compression)
-                with suppress(ZstdError, OSError, OverflowError):  # reading it says what is wrong
-                    size = max(size, frame_content_size(os.pread(part.bio.fileno(), _FRAME_HEAD_BYTES, begin)))
-            if size > MAX_CHUNK_BYTES:
-                what = f"a chunk of {chunk.compressed_size} bytes would become {size}"
-                raise LogError(what, file=path, time_ns=chunk.message_start_time, remedy=COPY_AGAIN)
 
 
 def _describe(error: BaseException) -> str:

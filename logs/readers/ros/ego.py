@@ -153,22 +153,6 @@ def _map_frame(edges: Edges, named: str, settings: LogSettings) -> str:
     return known[0] if known else named or min(roots, default="map")
 
 
-def _base_frame(edges: Edges, map_frame: str, settings: LogSettings) -> tuple[str, str]:
-    """The car's frame, and why it is that one; "" where nothing moves."""
-    if "base" in settings.frames:
-        return settings.frames["base"], "as set"
-    moving = {child: len(edge.log) for (_, child), edge in edges.items() if not edge.static and len(edge.log) > 1}
-    below = {child for _, child in edges}
-    known = [name for name in BASE_NAMES if name in below]
-    if known:
-        return known[0], "by its name"
-    ends = {name: count for name, count in moving.items() if name != map_frame}
-    if not ends:
-        return "", ""
-    why = "the only frame that moves" if len(ends) == 1 else "of the frames that move the one with most transforms"
-    return min(ends, key=lambda name: (-ends[name], name)), why
-
-
 def read_ego(part: Part) -> EgoLog:
     """The ego's poses.
 
@@ -182,7 +166,19 @@ def read_ego(part: Part) -> EgoLog:
     if found is not None:
         return _from_topic(part, found, edges)
     map_frame = _map_frame(edges, "", settings)
-    base, why = _base_frame(edges, map_frame, settings)
+    moving = {child: len(edge.log) for (_, child), edge in edges.items() if not edge.static and len(edge.log) > 1}
+    moving.pop(map_frame, None)
+    named = [name for name in BASE_NAMES if any(child == name for _, child in edges)]
+    if "base" in settings.frames:
+        base, why = settings.frames["base"], "as set"
+    elif named:
+        base, why = named[0], "by its name"
+    elif moving:
+        base = min(moving, key=lambda name: (-moving[name], name))
+        several = "of the frames that move the one with most transforms"
+        why = "the only frame that moves" if len(moving) == 1 else several
+    else:
+        base, why = "", ""
     if not base:
         raise _no_ego(part.bag)
     chain = Frames((p, c, Poses(e.log, e.p, e.q)) for (p, c), e in edges.items()).chain(map_frame, base)

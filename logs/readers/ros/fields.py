@@ -140,8 +140,12 @@ class _Code:
             if self.fields > MOST_FIELDS:
                 what = f"the message type has more than {MOST_FIELDS} fields with all messages in it"
                 raise LogError(what, remedy=SIMPLIFY)
-            here = [(i, _after(w, name)) for i, w in enumerate(wanted)]
-            places |= self.value(desc, [(i, w) for i, w in here if w is not None], level + 1)
+            here = []  # what is left of each wanted path behind the field's name; "": the field itself
+            for i, w in enumerate(wanted):
+                first, dot, rest = (w if isinstance(w, str) else w[0]).partition(".")
+                if first == name:
+                    here.append((i, rest if isinstance(w, str) else (rest, w[1]) if dot else w[1]))
+            places |= self.value(desc, here, level + 1)
         for i, w in enumerate(wanted):
             if i not in places:
                 lacking = w if isinstance(w, str) else w[0]
@@ -305,14 +309,3 @@ def _lacks_sequence(types: Types, kind: str) -> bool:
 
 def _tuple(names: list[str]) -> str:
     return "(" + "".join(f"{name}, " for name in names) + ")"
-
-
-def _after(wanted: Any, name: str) -> Any:
-    """What is left of a wanted path behind a field's name: None: nothing of it, "": the field itself."""
-    if isinstance(wanted, str):
-        first, dot, rest = wanted.partition(".")
-        return (rest if dot else "") if first == name else None
-    first, dot, rest = wanted[0].partition(".")
-    if first != name:
-        return None
-    return (rest, wanted[1]) if dot else wanted[1]

@@ -263,7 +263,25 @@ def joined(
             continue
         now = float(t[part[0]])
         known = [each for each in known if now - each.past[-1][0] <= LOST_S]
-        found = _assign_ids(known, now, x[part], y[part], [kinds[i] for i in part], sizes[part])
+        found = [-1] * len(part)  # which known object each one is; -1: none
+        if known:
+            where, reach = np.array([each.expected(now) for each in known]), np.empty(len(known))
+            for k, each in enumerate(known):
+                reach[k] = REACH_M.get(each.kind, REACH_OTHERS_M)
+                if len(each.past) == 1:
+                    reach[k] += UNKNOWN_MPS.get(each.kind, UNKNOWN_OTHERS_MPS) * (now - each.past[-1][0])
+            away = np.hypot(where[:, 0, None] - x[part], where[:, 1, None] - y[part])
+            near = np.nonzero(away <= reach[:, None])
+            codes = codes_of(tuple(kinds[i] for i in part))
+            other = codes_of(tuple(each.kind for each in known))[near[0]] != codes[near[1]]
+            a, b = np.sort(np.array([each.size for each in known]))[near[0]], np.sort(sizes[part])[near[1]]
+            apart = np.abs(a - b)  # NaN, a size that is not known, may be that of any object
+            alike = ~((apart > OTHER_SIZE_M) & (apart > OTHER_SIZE * np.maximum(a, b))).any(axis=-1)
+            cost = np.full(away.shape, _FAR)
+            cost[near] = np.where(alike, away[near] + OTHER_KIND_M * other, _FAR)
+            for row, column in zip(*linear_sum_assignment(cost), strict=True):
+                if cost[row, column] < _FAR:
+                    found[column] = int(row)
         for i, k in zip(part, found, strict=True):
             if k < 0:
                 k, count = len(known), count + 1
@@ -272,29 +290,3 @@ def joined(
             names[i], each.kind = each.name, kinds[i]
             each.past = [*each.past[1 - MEMORY :], (now, float(x[i]), float(y[i]))]
     return names
-
-
-def _assign_ids(
-    known: list[_Known], now: float, x: FloatArray, y: FloatArray, kinds: list[AgentKind], sizes: FloatArray
-) -> list[int]:
-    """Which known object each of a frame's is; -1: none."""
-    out = [-1] * len(x)
-    if not known:
-        return out
-    where, reach = np.array([each.expected(now) for each in known]), np.empty(len(known))
-    for k, each in enumerate(known):
-        reach[k] = REACH_M.get(each.kind, REACH_OTHERS_M)
-        if len(each.past) == 1:
-            reach[k] += UNKNOWN_MPS.get(each.kind, UNKNOWN_OTHERS_MPS) * (now - each.past[-1][0])
-    away = np.hypot(where[:, 0, None] - x, where[:, 1, None] - y)
-    near = np.nonzero(away <= reach[:, None])
-    other = codes_of(tuple(each.kind for each in known))[near[0]] != codes_of(tuple(kinds))[near[1]]
-    a, b = np.sort(np.array([each.size for each in known]))[near[0]], np.sort(sizes)[near[1]]
-    apart = np.abs(a - b)  # NaN, a size that is not known, may be that of any object
-    alike = ~((apart > OTHER_SIZE_M) & (apart > OTHER_SIZE * np.maximum(a, b))).any(axis=-1)
-    cost = np.full(away.shape, _FAR)
-    cost[near] = np.where(alike, away[near] + OTHER_KIND_M * other, _FAR)
-    for row, column in zip(*linear_sum_assignment(cost), strict=True):
-        if cost[row, column] < _FAR:
-            out[column] = int(row)
-    return out

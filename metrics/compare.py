@@ -29,7 +29,7 @@ fewer logs than any change can be significant on.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import NamedTuple
@@ -206,12 +206,28 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
     pairs["fragile"] = pd.MultiIndex.from_frame(pairs[DRIVE]).isin(fragile)
     flips = _flips(baseline, candidate, gates, changed.keys() | alone)
     flips["marginal"] |= pd.MultiIndex.from_frame(flips[DRIVE]).isin(fragile)
+    old, new = baseline.facts, candidate.facts
+    differences = [f"{key}: {old[key]} -> {new[key]}" for key in old if key in new and old[key] != new[key]]
+    metrics = [list(dict.fromkeys(side.driven["metric"])) for side in (baseline, candidate)]
+    other_logs = _differing_logs(baseline, candidate, "sha256")
+    for what, names in (
+        ("settings of the baseline only", [key for key in old if key not in new]),
+        ("settings of the candidate only", [key for key in new if key not in old]),
+        ("logs with another SHA-256", other_logs),
+        ("logs with another vehicle", _differing_logs(baseline, candidate, "vehicle")),
+        ("metrics of another version, not compared", [f"{name} ({both})" for name, both in changed.items()]),
+        ("metrics in the baseline only", [name for name in metrics[0] if name not in metrics[1]]),
+        ("metrics in the candidate only", [name for name in metrics[1] if name not in metrics[0]]),
+    ):
+        if names:
+            more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+            differences.append(f"{what}: {', '.join(names[:NAMED])}{more}")
     return Comparison(
-        baseline.label, candidate.label, tuple(_differences(baseline, candidate, changed)),
+        baseline.label, candidate.label, tuple(differences),
         _missing_drives(baseline, candidate), _missing_drives(candidate, baseline), pairs, flips,
         group_deltas(pairs, candidate.labels),
         not_compared=tuple(sorted(bounds.keys() & (changed.keys() | alone & valued))),
-        other_logs=tuple(_differing_logs(baseline, candidate, "sha256")),
+        other_logs=tuple(other_logs),
     )  # fmt: skip
 
 
@@ -292,26 +308,6 @@ def _flips(baseline: Side, candidate: Side, gates: Gates, left_out: Collection[s
         rows.append((*key, metric[key[3]], *values))
     kinds = {"value_before": float, "value_after": float, "time_s": float, "marginal": bool}
     return pd.DataFrame(rows, columns=list(FLIP_COLUMNS)).astype(kinds)
-
-
-def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) -> Iterator[str]:
-    """Sentences on the settings, logs and metrics that are not the same."""
-    old, new = baseline.facts, candidate.facts
-    yield from (f"{key}: {old[key]} -> {new[key]}" for key in old if key in new and old[key] != new[key])
-    metrics = [list(dict.fromkeys(side.driven["metric"])) for side in (baseline, candidate)]
-    changes = [f"{name} ({versions})" for name, versions in changed.items()]
-    for what, names in (
-        ("settings of the baseline only", [key for key in old if key not in new]),
-        ("settings of the candidate only", [key for key in new if key not in old]),
-        ("logs with another SHA-256", _differing_logs(baseline, candidate, "sha256")),
-        ("logs with another vehicle", _differing_logs(baseline, candidate, "vehicle")),
-        ("metrics of another version, not compared", changes),
-        ("metrics in the baseline only", [name for name in metrics[0] if name not in metrics[1]]),
-        ("metrics in the candidate only", [name for name in metrics[1] if name not in metrics[0]]),
-    ):
-        if names:
-            more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-            yield f"{what}: {', '.join(names[:NAMED])}{more}"
 
 
 def _differing_logs(baseline: Side, candidate: Side, column: str) -> list[str]:

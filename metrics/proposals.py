@@ -34,7 +34,6 @@ from logs.frame import PLAN_HORIZON_S
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners
-from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from metrics import comfort, metric, plans, safety
 from metrics.boxes import (
@@ -82,24 +81,21 @@ def _measure_plans(trace: Trace, scenario: Scenario) -> Rows:
             ahead = scenario.vehicle.axle_to_center
             box = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
             off[there] = safety.box_off_lanes(lanes, box, scenario.vehicle, np.inf)
+        x, y, yaw = (np.interp(times, drive.t, column) for column in (drive.x, drive.y, drive.yaw))
+        dx, dy = witnessed[0] - x, witnessed[1] - y
+        ways = plan_way(witnessed[0], witnessed[1]), plan_way(x, y)
+        planned, driven = (np.fmax.reduce(way + 0.0 * dx, axis=1) for way in ways)
+        best = np.maximum(planned, driven)
+        aside = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw))
+        lasting = (best > SHORT_M) & (times[:, 0] + PLAN_HORIZON_S <= drive.t[-1] + 1e-6)
+        kept, lateral = (np.where(lasting, np.fmax.reduce(d, axis=1), np.nan) for d in (np.hypot(dx, dy), aside))
+        progress = np.where(best > SHORT_M, planned / np.maximum(best, SHORT_M), 1.0)
         found.append({
-            "off": off.max(axis=1) - off[:, 0], **_comfort_signals(plan), **_against_drive(times, witnessed, drive),
+            "off": off.max(axis=1) - off[:, 0], **_comfort_signals(plan),
+            "progress": progress, "kept": kept, "kept_lateral": lateral,  # (5), (6)
             **_contacts_and_ttc(times, witnessed, trace.agents, scenario),
         })  # fmt: skip
     return {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
-
-
-def _against_drive(times: FloatArray, plan: FloatArray, drive: Trajectory) -> Rows:
-    """(5) and (6) against a drive."""
-    x, y, yaw = (np.interp(times, drive.t, column) for column in (drive.x, drive.y, drive.yaw))
-    dx, dy = plan[0] - x, plan[1] - y
-    planned, driven = (np.fmax.reduce(way + 0.0 * dx, axis=1) for way in (plan_way(plan[0], plan[1]), plan_way(x, y)))
-    best = np.maximum(planned, driven)
-    aside = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw))
-    lasting = (best > SHORT_M) & (times[:, 0] + PLAN_HORIZON_S <= drive.t[-1] + 1e-6)
-    kept, lateral = (np.where(lasting, np.fmax.reduce(d, axis=1), np.nan) for d in (np.hypot(dx, dy), aside))
-    progress = np.where(best > SHORT_M, planned / np.maximum(best, SHORT_M), 1.0)
-    return {"progress": progress, "kept": kept, "kept_lateral": lateral}
 
 
 def _comfort_signals(plan: FloatArray) -> Rows:

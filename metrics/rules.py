@@ -180,10 +180,17 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
             if first == 0:  # a passage that is under way at the start
                 continue
             way = np.ascontiguousarray(ego[:2, first:end])
+            dx, dy = way[:, -1] - way[:, 0]  # straight: the way over a crosswalk is short
+            length = hypot(dx, dy)
             seen = np.intersect1d(walkers, present_between(trace.agents, t[first], t[end - 1]))
             others = some_at(trace.agents, seen, t[first:end])
             for row, i in enumerate(seen.tolist()):
-                on = _on_half(others.pose[:2, row], way, crosswalk.polygon)
+                who, on = others.pose[:2, row], np.zeros(end - first, np.bool_)
+                for k in np.flatnonzero(np.isfinite(who[0])):  # on the crosswalk and near the ego's way over it
+                    x, y = float(who[0, k]), float(who[1, k])
+                    ahead, aside = x - way[0, 0], y - way[1, 0]
+                    beside = hypot(ahead, aside) if length < 1e-6 else abs(ahead * dy - aside * dx) / length
+                    on[k] = inside(x, y, crosswalk.polygon) and beside <= HALF_LANE_M
                 on &= others.there[row] & (np.abs(trace.ego.v[first:end]) > REST_MPS)
                 if on.any():
                     events.append((first + int(np.argmax(on)), f"crosswalk {crosswalk.id}: {name_of(trace.agents, i)}"))
@@ -202,19 +209,6 @@ def _over(ego: FloatArray, car: Car, polygon: FloatArray) -> BoolArray:
                 out[k] = True
                 break
     return out
-
-
-def _on_half(who: FloatArray, way: FloatArray, polygon: FloatArray) -> BoolArray:
-    """At which steps `(k,)` a point `(2, k)` is on a crosswalk and near the way `(2, m)` over it."""
-    found = np.zeros(who.shape[1], np.bool_)
-    dx, dy = way[:, -1] - way[:, 0]  # straight: the way over a crosswalk is short
-    length = hypot(dx, dy)
-    for k in np.flatnonzero(np.isfinite(who[0])):
-        x, y = float(who[0, k]), float(who[1, k])
-        ahead, aside = x - way[0, 0], y - way[1, 0]
-        beside = hypot(ahead, aside) if length < 1e-6 else abs(ahead * dy - aside * dx) / length
-        found[k] = inside(x, y, polygon) and beside <= HALF_LANE_M
-    return found
 
 
 def _priority_gap(trace: Trace, scenario: Scenario) -> Measured:

@@ -263,8 +263,16 @@ class Rulebook:
             taken = windows(zone, self._reference.line, self._road, scene.frame)
             less = KEPT_S if zone.name in visit.taken else 0.0
             against = [each for each in taken if not self._passes(zone, each, t_in, t_out, later, less)]
-            late = late and not all(each.waits for each in against)
-            if not against or (not late and self._has_waited(zone, against, visit)):
+            waits, has_waited, ego = all(each.waits for each in against), False, scene.frame.ego
+            late = late and not waits
+            if against and waits:  # pedestrians who stand there: the ego goes first once it has stood long enough
+                if ego.v < REST_MPS:
+                    visit.since.setdefault(zone.name, scene.frame.t)
+                elif ego.v > ROLLING_MPS and zone.name not in visit.taken:
+                    visit.since.pop(zone.name, None)
+                since = visit.since.get(zone.name, inf)
+                has_waited = scene.frame.t - since >= self._config.patience_s - TIE
+            if not against or has_waited:
                 visit.taken.add(zone.name)
                 return None
             first, until = against[0], self._release(zone, visit, taken, sooner)
@@ -276,17 +284,6 @@ class Rulebook:
             if room >= 0.0 and (visit.hard if held or late else visit.soft) <= room:
                 return _stop(hold, visit, until, zone.name, DecisionKind.YIELD, why)
         return None
-
-    def _has_waited(self, zone: Zone, against: list[Window], visit: _Visit) -> bool:
-        """Whether the ego has stood long enough for pedestrians who stand there too."""
-        if not all(each.waits for each in against):
-            return False
-        since, frame = visit.since, visit.scene.frame
-        if frame.ego.v < REST_MPS:
-            since.setdefault(zone.name, frame.t)
-        elif frame.ego.v > ROLLING_MPS and zone.name not in visit.taken:
-            since.pop(zone.name, None)
-        return zone.name in since and frame.t - since[zone.name] >= self._config.patience_s - TIE
 
     def _drive_profile(self, s: float, v: float, a: float) -> FloatArray:
         stations = self._reference.line.s

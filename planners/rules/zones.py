@@ -142,13 +142,27 @@ def zones_along(road: Road, reference: ReferencePath, vehicle: VehicleParameters
 
     These are a stop line before the group of zones, the begin of the group, and the zone itself.
     """
-    zones = [*_walks(road, reference, vehicle.width), *_priorities(road, reference, vehicle)]
+    line, half, zones = reference.line, 0.5 * vehicle.width + SIDE_M, list[Zone]()
+    for crosswalk in road.crosswalks:
+        polygon = crosswalk.polygon
+        low, high = polygon.min(axis=0) - half - 1.0, polygon.max(axis=0) + half + 1.0
+        close = np.flatnonzero(((line.xy >= low) & (line.xy <= high)).all(axis=1))
+        if not len(close):
+            continue
+        s = np.arange(float(line.s[close[0]]) - 1.0, float(line.s[close[-1]]) + 1.0, 0.5 * STEP_M)
+        over = [at for at in s if any(inside(*line.point(at, l), polygon) for l in (0.0, half, -half))]  # (1)  # noqa: E741
+        if over:
+            middle = 0.5 * (over[0] + over[-1])
+            edges = reference.lane_right, reference.lane_left
+            walk = Walk(crosswalk, *(float(np.interp(middle, line.s, edge)) for edge in edges))
+            zones.append(Zone(f"crosswalk {crosswalk.id}", walk, float(over[0]), float(over[-1])))
+    zones += _priorities(road, reference, vehicle)
     if not zones:
         return ()
     waiting = [
         station
         for mark in _marks(road, reference.lanes)
-        if mark.light is None and (station := _stop_station(mark, reference.line, vehicle.width)) is not None
+        if mark.light is None and (station := _stop_station(mark, line, vehicle.width)) is not None
     ]
     held, begin, end = [], -np.inf, -np.inf
     for zone in sorted(zones, key=lambda zone: (zone.s_in, zone.name)):
@@ -180,23 +194,6 @@ def _stop_station(mark: StopLine, line: ReferenceLine, width: float) -> float | 
         return None
     slope = (s1 - s0) / (l1 - l0)
     return s0 - slope * l0 - abs(slope) * 0.5 * width
-
-
-def _walks(road: Road, reference: ReferencePath, width: float) -> Iterator[Zone]:
-    line, half = reference.line, 0.5 * width + SIDE_M
-    for crosswalk in road.crosswalks:
-        polygon = crosswalk.polygon
-        low, high = polygon.min(axis=0) - half - 1.0, polygon.max(axis=0) + half + 1.0
-        close = np.flatnonzero(((line.xy >= low) & (line.xy <= high)).all(axis=1))
-        if not len(close):
-            continue
-        s = np.arange(float(line.s[close[0]]) - 1.0, float(line.s[close[-1]]) + 1.0, 0.5 * STEP_M)
-        over = [at for at in s if any(inside(*line.point(at, l), polygon) for l in (0.0, half, -half))]  # (1)  # noqa: E741
-        if over:
-            middle = 0.5 * (over[0] + over[-1])
-            edges = reference.lane_right, reference.lane_left
-            right, left = (float(np.interp(middle, line.s, edge)) for edge in edges)
-            yield Zone(f"crosswalk {crosswalk.id}", Walk(crosswalk, right, left), float(over[0]), float(over[-1]))
 
 
 def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> list[Zone]:

@@ -277,7 +277,19 @@ class Mpc:
             self._solve(state, path, off)
         tau = self._period * (self._since % self._every)
         self._since += 1
-        command = self._command(state, path, off, tau) if self._solved else other
+        command = other
+        if self._solved:
+            train, t, v = self._train.pedal_map, state.t, state.v
+            _, angle = following_at(self._slips, self._p.wheelbase, self._ratios, v)
+            foot = off.foot + v * self._delay.seconds
+            steer = steer_for(path.knots, foot, v, command_series(angle, self._lag, self._period))
+            steer += self._steer + self._steer_rate * (tau + self._lag + 0.5 * self._period)  # (3)
+            steer = min(max(steer, -self._p.max_steer), self._p.max_steer)
+            led, self._lead = pedals.compensated(self._lead, train, path.times, t, v, self._period)
+            wanted = led + float(self._input[0])  # (4)
+            wanted, self._stop = pedals.eased(self._stop, train, path.times, t, v, state.a, wanted, self._period)
+            throttle, brake, self._pedal = pedals.press(self._pedal, train, wanted, v)
+            command = Command(float(steer), throttle, brake)
         self._delay.record(command.steer)
         return command
 
@@ -309,17 +321,3 @@ class Mpc:
             self._first_fall = self._first_fall or f"at {state.t:.2f} s: {result.report.status}"
         self._input = result.x[:INPUTS].copy()
         self._steer, self._steer_rate = xi[7] / scale, self._input[1] / scale
-
-    def _command(self, state: EgoState, path: PlanPath, off: Deviation, tau: float) -> Command:
-        """(3)-(4), `tau` s after the solve."""
-        train, t, v = self._train.pedal_map, state.t, state.v
-        _, angle = following_at(self._slips, self._p.wheelbase, self._ratios, v)
-        foot = off.foot + v * self._delay.seconds
-        steer = steer_for(path.knots, foot, v, command_series(angle, self._lag, self._period))
-        steer += self._steer + self._steer_rate * (tau + self._lag + 0.5 * self._period)  # (3)
-        steer = min(max(steer, -self._p.max_steer), self._p.max_steer)
-        led, self._lead = pedals.compensated(self._lead, train, path.times, t, v, self._period)
-        wanted = led + float(self._input[0])  # (4)
-        wanted, self._stop = pedals.eased(self._stop, train, path.times, t, v, state.a, wanted, self._period)
-        throttle, brake, self._pedal = pedals.press(self._pedal, train, wanted, v)
-        return Command(float(steer), throttle, brake)

@@ -95,7 +95,16 @@ class Recorded:
             now, shown = log, known
         else:
             now = self._around.of(world.tracks, t, t).perceived(t)
-            shown = _displace_known(known, whose, now, log)
+            there, then = ({name: i for i, name in enumerate(some.ids)} for some in (now, log))
+            kept = [i for i, name in enumerate(whose) if name not in then or name in there]
+            both = [row for row, i in enumerate(kept) if whose[i] in then]
+            in_world, in_log = (_rows(places[whose[kept[row]]] for row in both) for places in (there, then))
+            shown = known.some(_rows(kept))
+            columns = np.array([getattr(shown, name) for name in NUMBERS])
+            for name in MOVED:  # (1)
+                change = getattr(now, name)[in_world] - getattr(log, name)[in_log]
+                columns[NUMBERS.index(name), both] += wrapped(change) if name == "yaw" else change
+            shown = Agents.of_rows(shown.ids, shown.kinds, columns, shown.codes)
         static = {name for name, still in zip(world.tracks.ids, world.tracks.static, strict=True) if still}
         logged = set(log.ids)
         others = [i for i, name in enumerate(now.ids) if name in static or name not in logged]
@@ -110,20 +119,6 @@ class Recorded:
 
 def _rows(places: Iterable[int]) -> IntArray:
     return np.array(list(places), np.int64)
-
-
-def _displace_known(known: Agents, whose: list[str], now: Agents, log: Agents) -> Agents:
-    """The known agents moved by (1), without those that only the log has."""
-    there, then = ({name: i for i, name in enumerate(some.ids)} for some in (now, log))
-    kept = [i for i, name in enumerate(whose) if name not in then or name in there]
-    both = [row for row, i in enumerate(kept) if whose[i] in then]
-    in_world, in_log = (_rows(places[whose[kept[row]]] for row in both) for places in (there, then))
-    columns = np.array([getattr(known, name)[_rows(kept)] for name in NUMBERS])
-    for name in MOVED:
-        change = getattr(now, name)[in_world] - getattr(log, name)[in_log]
-        columns[NUMBERS.index(name), both] += wrapped(change) if name == "yaw" else change
-    some = known.some(_rows(kept))
-    return Agents.of_rows(some.ids, some.kinds, columns, some.codes)
 
 
 def shows_truth(perception: str, scenario: Scenario) -> bool:
@@ -194,7 +189,27 @@ class Perception:
     @property
     def shown(self) -> Tracks | None:
         """The agents as the planner saw them, one sample per frame; None with ground truth."""
-        return None if self._true else _shown_tracks(self._shown)
+        if self._true:
+            return None
+        rows: dict[str, list[tuple[float, Agents, int]]] = {}
+        for t, agents in self._shown:
+            for i, name in enumerate(agents.ids):
+                rows.setdefault(name, []).append((t, agents, i))
+        if not rows:
+            return Tracks.empty()
+        first = [some[0] for some in rows.values()]
+        samples = [sample for some in rows.values() for sample in some]
+        columns = (np.array([getattr(a, name)[i] for _, a, i in samples]) for name in ("x", "y", "yaw", "vx", "vy"))
+        return Tracks(
+            tuple(rows),
+            tuple(a.kinds[i] for _, a, i in first),
+            np.array([a.length[i] for _, a, i in first]),
+            np.array([a.width[i] for _, a, i in first]),
+            np.zeros(len(rows), np.bool_),
+            np.cumsum([0, *map(len, rows.values())]),
+            np.array([t for t, _, _ in samples]),
+            *columns,
+        )
 
 
 def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
@@ -213,26 +228,3 @@ def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
         for c, (column, v) in enumerate(((log.x, vx[i]), (log.y, vy[i]), (log.yaw, 0.0))):
             way[c, row] = np.interp(t, log.t[span], column[span]) + v * beyond
     return Predictions(t, np.arange(len(agents)), np.ones(len(agents)), way[0], way[1], way[2], ORACLE)
-
-
-def _shown_tracks(shown: list[tuple[float, Agents]]) -> Tracks:
-    """The agents shown at each time, as tracks."""
-    rows: dict[str, list[tuple[float, Agents, int]]] = {}
-    for t, agents in shown:
-        for i, name in enumerate(agents.ids):
-            rows.setdefault(name, []).append((t, agents, i))
-    if not rows:
-        return Tracks.empty()
-    first = [some[0] for some in rows.values()]
-    samples = [sample for some in rows.values() for sample in some]
-    columns = (np.array([getattr(a, name)[i] for _, a, i in samples]) for name in ("x", "y", "yaw", "vx", "vy"))
-    return Tracks(
-        tuple(rows),
-        tuple(a.kinds[i] for _, a, i in first),
-        np.array([a.length[i] for _, a, i in first]),
-        np.array([a.width[i] for _, a, i in first]),
-        np.zeros(len(rows), np.bool_),
-        np.cumsum([0, *map(len, rows.values())]),
-        np.array([t for t, _, _ in samples]),
-        *columns,
-    )

@@ -24,7 +24,7 @@ from logs.shapes import corners
 from logs.states import TRAJECTORY_COLUMNS, EgoState
 from logs.trace import EndReason, Plan, Trace
 from planners.base import Planner
-from replay.config import LoopConfig, PlannerProcessConfig
+from replay.config import LoopConfig
 from replay.drive import BATCHED, FIRST, NOT_DETERMINISTIC, TRUSTED, DriveKey, StageTime, Stopwatch
 from replay.loop.plan_check import checked
 from replay.oracle import ORACLES
@@ -75,40 +75,39 @@ class Planning:
         batched = BATCHED.format(config.apart.batch) if shared else ""
         self.notes = tuple(filter(None, (note, known_path, trusted, batched)))
         self.goal = goal
-        self._keep, self._place = keep_internals, place
+        self._keep = keep_internals
         self._name = f"planner '{spec}' on {scenario.name}"
         self._watch = Stopwatch()
         period = config.plan_period_ns / 1e9
         lanes = {i: replace(lane) for i, lane in scenario.road.lanes.items()}
         road = replace(scenario.road, lanes=lanes)  # drives share no objects that a planner could change
         self.context = PlannerContext(road, goal, scenario.vehicle, period, start, self._watch.lap)
-        self._planner = self._build(spec, scenario, planner_config, config.apart)
-
-    @property
-    def timings(self) -> tuple[StageTime, ...]:
-        """Of all plans so far."""
-        return self._watch.times
-
-    def _build(
-        self, spec: str, scenario: Scenario, table: Mapping[str, object], apart: PlannerProcessConfig
-    ) -> Planner:
         try:
-            if is_apart(spec, apart):
-                watch, keep = self._watch, self._keep
-                return ApartPlanner(spec, self.context, table, apart, watch, keep_internals=keep, place=self._place)
-            factory = planner_factory(spec)
-            arguments = (self.context, scenario) if spec in ORACLES else (self.context,)
-            try:
-                inspect.signature(factory).bind(*arguments, **table)
-            except TypeError as error:
-                raise ConfigError(f"planner '{spec}' cannot be built: {error}") from None
-            return prepared(spec, table)(*arguments, **table)
+            if is_apart(spec, config.apart):
+                apart = ApartPlanner(
+                    spec, self.context, planner_config, config.apart, self._watch,
+                    keep_internals=keep_internals, place=place,
+                )  # fmt: skip
+                self._planner: Planner = apart
+            else:
+                factory = planner_factory(spec)
+                arguments = (self.context, scenario) if self.is_oracle else (self.context,)
+                try:
+                    inspect.signature(factory).bind(*arguments, **planner_config)
+                except TypeError as error:
+                    raise ConfigError(f"planner '{spec}' cannot be built: {error}") from None
+                self._planner = prepared(spec, planner_config)(*arguments, **planner_config)
         except ReplanError:
             raise
         except FaultError as error:
             raise PlannerError(f"{self._name} {error}") from None
         except (Exception, SystemExit) as error:
             raise PlannerError(f"{self._name} cannot be built: {raised(error)}") from error
+
+    @property
+    def timings(self) -> tuple[StageTime, ...]:
+        """Of all plans so far."""
+        return self._watch.times
 
     def plan(self, frame: Frame) -> Plan:
         """The plan for a frame, as it may be driven and judged (`replay.loop.plan_check`), with the internals to keep.

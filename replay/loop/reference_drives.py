@@ -154,9 +154,17 @@ def _end_drive(name: str, ego: Trajectory, scenario: Scenario) -> Trace:
     agents = without_phantoms(scenario.tracks, phantoms(scenario))
     whole = Trace(scenario.name, name, Mode.CLOSED, True, ego, agents, (), EndReason.END_OF_LOG)
     ends: list[tuple[int, EndReason, str]] = []
-    reached = _first_state_in_goal(scenario.goal, ego, scenario)
-    if reached is not None:
-        ends.append((reached, EndReason.GOAL, ""))
+    goal = scenario.goal
+    if goal is not None:
+        x, y = ego_boxes(ego, scenario)[:2]
+        near = np.full(len(x), not goal.regions)
+        for region in goal.regions:
+            (low_x, low_y), (high_x, high_y) = region.min(axis=0), region.max(axis=0)
+            near |= (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
+        states = np.column_stack([ego.t, x, y, ego.yaw, ego.v])
+        reached = next((k for k in np.flatnonzero(near).tolist() if goal.reached(*states[k].tolist())), None)
+        if reached is not None:
+            ends.append((reached, EndReason.GOAL, ""))
     for contact in contacts(whole, scenario)[:1]:
         reason = EndReason.COLLISION if contact.at_fault else EndReason.REPLAY_CONTACT
         ends.append((contact.step, reason, f"{name_of(agents, contact.agent)}: {contact.kind.value}"))
@@ -165,16 +173,3 @@ def _end_drive(name: str, ego: Trajectory, scenario: Scenario) -> Trace:
     step, reason, detail = min(ends, key=lambda end: end[0])
     driven = ego.between(float(ego.t[0]), float(ego.t[step]))
     return Trace(scenario.name, name, Mode.CLOSED, True, driven, agents, (), reason, detail)
-
-
-def _first_state_in_goal(goal: Goal | None, ego: Trajectory, scenario: Scenario) -> int | None:
-    """The first state in the goal."""
-    if goal is None:
-        return None
-    x, y = ego_boxes(ego, scenario)[:2]
-    near = np.full(len(x), not goal.regions)
-    for region in goal.regions:
-        (low_x, low_y), (high_x, high_y) = region.min(axis=0), region.max(axis=0)
-        near |= (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
-    states = np.column_stack([ego.t, x, y, ego.yaw, ego.v])
-    return next((k for k in np.flatnonzero(near).tolist() if goal.reached(*states[k].tolist())), None)

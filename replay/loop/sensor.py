@@ -72,17 +72,11 @@ class Sensor:
         oldest = arrived[-1].t - self._config.coast_s - 1e-9
         while self._made[0].t < oldest:
             self._made.popleft()
-        return self._track_measurements([made for made in arrived if made.t >= oldest], now), arrived[-1].visibility
-
-    def _track_measurements(self, made: list[Measurement], now: float) -> Agents:
-        """Each agent's newest measurement, carried on to `now` with its velocity.
-
-        The age counts from the first measurement since the agent was last lost; that of agents in the first frame is
-        not known.
-        """
         newest: dict[str, tuple[Measurement, int]] = {}
-        for measurement in made:
-            newest.update({name: (measurement, i) for i, name in enumerate(measurement.agents.ids)})
+        for made in arrived:
+            if made.t >= oldest:
+                newest.update({name: (made, i) for i, name in enumerate(made.agents.ids)})
+        # ages count from the first measurement since an agent was last lost; unknown for those in the first frame
         first, known = self._since is None, self._since or {}
         self._since = {name: known.get(name, nan if first else m.t) for name, (m, _) in newest.items()}
         age = np.minimum(now - np.array(list(self._since.values())), OLDEST_S)
@@ -90,7 +84,8 @@ class Sensor:
         rows = np.array([[getattr(m.agents, name)[i] for name in NUMBERS] for m, i in newest.values()], float)
         kinds = tuple(m.agents.kinds[i] for m, i in newest.values())
         seen = Agents.of_rows(tuple(newest), kinds, rows.reshape(-1, len(NUMBERS)).T, codes_of(kinds))
-        return replace(seen, x=seen.x + unseen * seen.vx, y=seen.y + unseen * seen.vy, age=age, unseen=unseen)
+        x, y = seen.x + unseen * seen.vx, seen.y + unseen * seen.vy  # carried on with its velocity
+        return replace(seen, x=x, y=y, age=age, unseen=unseen), arrived[-1].visibility
 
     def _measure(self, world: World) -> Measurement:
         t, config = world.ego.t, self._config
@@ -106,18 +101,13 @@ class Sensor:
                 slot = int((t + self._draws(name, "phase").uniform(0.0, config.dropout_s)) // config.dropout_s)
                 seen[i] &= self._draws(name, f"slot {slot}").uniform() >= config.dropout
         visibility = Visibility(x, y, world.ego.yaw, config.range_m, view[4], _shadows(boxes[hiding], view))
-        return Measurement(t, self._noisy(agents.some(np.flatnonzero(seen)), t), visibility)
-
-    def _noisy(self, agents: Agents, t: float) -> Agents:
-        """The agents with the noise (1)."""
-        config = self._config
-        stamp = f"noise {round(t * 1e9)}"
+        agents, stamp = agents.some(np.flatnonzero(seen)), f"noise {round(t * 1e9)}"
         draws = np.array([self._draws(name, stamp).standard_normal(5) for name in agents.ids]).reshape(-1, 5)
         spread = np.array([config.position_noise_m] * 2 + [radians(config.yaw_noise_deg)])
-        ahead, left, turn = (draws[:, :3] * spread).T
+        ahead, left, turn = (draws[:, :3] * spread).T  # (1)
         faster, aside = (draws[:, 3:] * config.velocity_noise_mps).T
         c, s = np.cos(agents.yaw), np.sin(agents.yaw)
-        return replace(
+        noisy = replace(
             agents,
             x=agents.x + ahead * c - left * s,
             y=agents.y + ahead * s + left * c,
@@ -126,6 +116,7 @@ class Sensor:
             vy=agents.vy + faster * s + aside * c,
             velocity_sigma=np.full(len(agents), config.velocity_noise_mps),
         )
+        return Measurement(t, noisy, visibility)
 
     def _draws(self, agent: str, what: str) -> np.random.Generator:
         """The generator of one agent's draws for one purpose."""

@@ -139,27 +139,23 @@ class Termination:
             k, hit, off, self._on = first_event(
                 rows, first, end, self._car, self._agents, self._near, self._lanes, self._on
             )
-            ended = self._end_of_drive(rows, k, off, tracks if hit else None) if k < end else None
-            if ended:
-                return ended
+            if k >= end:
+                break
+            if hit:
+                real, driven = without_phantoms(tracks.whole, self._phantoms), rows[: k + 1]
+                recent = driven[driven[:, 0] >= rows[k, 0] - LOOK_BACK_S]  # earlier touches would have ended the drive
+                found = classify(Trajectory(*recent[:, : len(TRAJECTORY_COLUMNS)].T), real, self._scenario)
+                worst = max(found, key=lambda touch: touch.at_fault, default=None)
+                if worst is not None:
+                    name = name_of(real, worst.agent)
+                    if worst.at_fault:
+                        return Ended(k, EndReason.COLLISION, name)
+                    return Ended(k, EndReason.REPLAY_CONTACT, f"{name}: {worst.kind.value}")
+            ego = state_at(rows, k)
+            x, y = box_center(ego, self._scenario.vehicle)
+            if self._goal is not None and self._goal.reached(ego.t, x, y, ego.yaw, ego.v):
+                return Ended(k, EndReason.GOAL, "")
+            if off > CRACK_M:
+                return Ended(k, EndReason.OFF_ROAD, f"box centre {off:.1f} m off the lanes at ({x:.1f}, {y:.1f})")
             first = k + 1
-        return None
-
-    def _end_of_drive(self, rows: FloatArray, k: int, off: float, touching: Tracks | None) -> Ended | None:
-        if touching is not None:
-            real, driven = without_phantoms(touching.whole, self._phantoms), rows[: k + 1]
-            recent = driven[driven[:, 0] >= rows[k, 0] - LOOK_BACK_S]  # earlier touches would have ended the drive
-            found = classify(Trajectory(*recent[:, : len(TRAJECTORY_COLUMNS)].T), real, self._scenario)
-            worst = max(found, key=lambda touch: touch.at_fault, default=None)
-            if worst is not None:
-                name = name_of(real, worst.agent)
-                if worst.at_fault:
-                    return Ended(k, EndReason.COLLISION, name)
-                return Ended(k, EndReason.REPLAY_CONTACT, f"{name}: {worst.kind.value}")
-        ego = state_at(rows, k)
-        x, y = box_center(ego, self._scenario.vehicle)
-        if self._goal is not None and self._goal.reached(ego.t, x, y, ego.yaw, ego.v):
-            return Ended(k, EndReason.GOAL, "")
-        if off > CRACK_M:
-            return Ended(k, EndReason.OFF_ROAD, f"box centre {off:.1f} m off the lanes at ({x:.1f}, {y:.1f})")
         return None

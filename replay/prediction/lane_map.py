@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import TIE, FloatArray, IntArray, frozen, kernel
-from logs.road import Lane, Road
+from logs.road import Road
 from logs.states import wrap
 from metrics.metric import once
 
@@ -86,7 +86,19 @@ class LaneMap:
 def _arrays(road: Road) -> LaneArrays:
     lanes = [lane for lane in road.lanes.values() if lane.drivable and lane.length >= SHORTEST_M]
     index = {lane.id: i for i, lane in enumerate(lanes)}
-    sampled = [_sample_center(lane) for lane in lanes]
+    sampled = []  # rows x, y, yaw, kappa, half width `(5, k)` of each centre line at equal steps, and the step, m
+    for lane in lanes:
+        chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))]
+        keep = np.r_[True, np.diff(chord) > 1e-9]
+        count = max(1, round(chord[-1] / SPACING_M)) + 1
+        s, step = np.linspace(0.0, chord[-1], count, retstep=True)
+        half = 0.5 * np.hypot(*(lane.left - lane.right).T)
+        x, y, width = (np.interp(s, chord[keep], column[keep]) for column in (*lane.center.T, half))
+        along = np.unwrap(np.arctan2(np.diff(y), np.diff(x)))
+        yaw = np.r_[along[0], 0.5 * (along[1:] + along[:-1]), along[-1]] if count > 2 else np.repeat(along, 2)
+        behind, ahead = np.maximum(s - BEND_M, 0.0), np.minimum(s + BEND_M, s[-1])
+        kappa = (np.interp(ahead, s, yaw) - np.interp(behind, s, yaw)) / (ahead - behind)
+        sampled.append((np.vstack([x, y, yaw, kappa, width]), float(step)))
     follow = [[index[k] for k in lane.successors if k in index] for lane in lanes]
     beside = [
         [index.get(k, -1) if k is not None else -1 for k in (lane.left_neighbour, lane.right_neighbour)]
@@ -105,21 +117,6 @@ def _arrays(road: Road) -> LaneArrays:
         frozen([k for some in follow for k in some], np.int64),
         frozen(np.array(beside).reshape(-1, 2), np.int64),
     )
-
-
-def _sample_center(lane: Lane) -> tuple[FloatArray, float]:
-    """Rows x, y, yaw, kappa, half width `(5, k)` of a lane's centre line at equal steps, and the step, m."""
-    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))]
-    keep = np.r_[True, np.diff(chord) > 1e-9]
-    count = max(1, round(chord[-1] / SPACING_M)) + 1
-    s, step = np.linspace(0.0, chord[-1], count, retstep=True)
-    half = 0.5 * np.hypot(*(lane.left - lane.right).T)
-    x, y, width = (np.interp(s, chord[keep], column[keep]) for column in (*lane.center.T, half))
-    along = np.unwrap(np.arctan2(np.diff(y), np.diff(x)))
-    yaw = np.r_[along[0], 0.5 * (along[1:] + along[:-1]), along[-1]] if count > 2 else np.repeat(along, 2)
-    behind, ahead = np.maximum(s - BEND_M, 0.0), np.minimum(s + BEND_M, s[-1])
-    kappa = (np.interp(ahead, s, yaw) - np.interp(behind, s, yaw)) / (ahead - behind)
-    return np.vstack([x, y, yaw, kappa, width]), float(step)
 
 
 @kernel

@@ -115,7 +115,18 @@ class PhaseReplay:
         its log, the result holds the tracks around the last row; its `whole` has all of them.
         """
         since = np.where(self._own.static, np.inf, since)
-        self._take(since)
+        wanted = since < np.inf
+        for k, row in enumerate(self._rows):  # keep them of agents off their log; one sample more of those newly off it
+            mine = wanted[row.who] & row.there & (row.t >= since[row.who] - 1e-9)
+            which = np.flatnonzero(mine & ~self._taken[row.who] if k < self._seen else mine)
+            begin, self._count = self._count, self._count + len(which)
+            while self._count > len(self._who):
+                twice = (np.concatenate([old, np.empty_like(old)]) for old in (self._who, self._played))
+                self._who, self._played = twice
+            self._who[begin : self._count] = row.who[which]
+            self._played[begin : self._count, 0] = row.t
+            self._played[begin : self._count, 1:] = row.pose[:, which].T
+        self._rows, self._seen, self._taken = self._rows[-1:], 1, wanted
         if not self._taken.any():
             return self._own
         now, count = self._rows[-1].t, self._count
@@ -145,21 +156,6 @@ class PhaseReplay:
     @cached_property
     def _logged_own(self) -> LoggedTracks:
         return logged_tracks(self._own, self._own.vx, self._own.vy)
-
-    def _take(self, since: FloatArray) -> None:
-        """Keep the samples since the last call of agents off their log; one sample more of those newly off it."""
-        wanted = since < np.inf
-        for k, row in enumerate(self._rows):
-            mine = wanted[row.who] & row.there & (row.t >= since[row.who] - 1e-9)
-            which = np.flatnonzero(mine & ~self._taken[row.who] if k < self._seen else mine)
-            first, self._count = self._count, self._count + len(which)
-            while self._count > len(self._who):
-                twice = (np.concatenate([old, np.empty_like(old)]) for old in (self._who, self._played))
-                self._who, self._played = twice
-            self._who[first : self._count] = row.who[which]
-            self._played[first : self._count, 0] = row.t
-            self._played[first : self._count, 1:] = row.pose[:, which].T
-        self._rows, self._seen, self._taken = self._rows[-1:], 1, wanted
 
 
 @kernel
@@ -265,31 +261,25 @@ class ReplayedByEgoPosition:
             self._next = ego.t
         while self._next <= ego.t + 1e-9:
             before = self._phase
-            self._advance(ego)
+            self._station = self._line.project(ego.x, ego.y, self._station)[0]
+            self._stood = self._stood + PERIOD_S if abs(ego.v) < STANDING_MPS else 0.0
+            ahead, t, s = self._station + max(ego.v, 0.0) * PERIOD_S, self._log_t, self._log_s
+            if self._stood > STUCK_S + 1e-9 or ahead >= s[-1]:
+                self._phase += PERIOD_S  # (3)
+                k = int(np.searchsorted(s, self._station + NEAR_M, side="right")) - 1
+                latest = float(t[max(k, 0)])  # at which the logged ego was no farther
+                self._delay = max(self._delay, self._phase - latest)
+            else:
+                k = min(int(np.searchsorted(s, ahead, side="left")), len(s) - 1)
+                earliest = float(t[0])  # the log time at which the logged ego had come `ahead`
+                if k > 0:
+                    u = min((ahead - s[k - 1]) / (s[k] - s[k - 1]), 1.0) if s[k] > s[k - 1] else 1.0
+                    earliest = float(t[k - 1] + u * (t[k] - t[k - 1]))
+                self._phase += min(max(earliest + self._delay - self._phase, 0.0), FASTEST * PERIOD_S)  # (1), (2)
             self._next += PERIOD_S
             self._add(self._next, (self._phase - before) / PERIOD_S)
             self._tracks = self._replay.tracks(np.full(len(self._replay.log), -np.inf))
         return self._tracks
-
-    def _advance(self, ego: EgoState) -> None:
-        """Advance the phase by one period."""
-        self._station = self._line.project(ego.x, ego.y, self._station)[0]
-        self._stood = self._stood + PERIOD_S if abs(ego.v) < STANDING_MPS else 0.0
-        ahead = self._station + max(ego.v, 0.0) * PERIOD_S
-        most = FASTEST * PERIOD_S
-        if self._stood > STUCK_S + 1e-9 or ahead >= self._log_s[-1]:
-            self._phase += PERIOD_S  # (3)
-            k = int(np.searchsorted(self._log_s, self._station + NEAR_M, side="right")) - 1
-            latest = float(self._log_t[max(k, 0)])  # at which the logged ego was no farther
-            self._delay = max(self._delay, self._phase - latest)
-        else:
-            t, s = self._log_t, self._log_s
-            k = min(int(np.searchsorted(s, ahead, side="left")), len(s) - 1)
-            earliest = float(t[0])  # the log time at which the logged ego had come `ahead`
-            if k > 0:
-                u = min((ahead - s[k - 1]) / (s[k] - s[k - 1]), 1.0) if s[k] > s[k - 1] else 1.0
-                earliest = float(t[k - 1] + u * (t[k] - t[k - 1]))
-            self._phase += min(max(earliest + self._delay - self._phase, 0.0), most)  # (1), (2)
 
     def _add(self, t: float, rate: float) -> None:
         who = present_between(self._replay.log, self._phase, self._phase)

@@ -35,9 +35,8 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
-from logs.road import Road
 from logs.route import ASIDE_M, ASKEW_RAD, BEHIND_M, on_lane
-from logs.rules import RED, Colour, StopLine
+from logs.rules import RED, Colour
 from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.shapes import overlap_turned
 from logs.states import EgoState
@@ -129,8 +128,16 @@ def _crossings(scenario: Scenario, paths: Tracks, reacts: BoolArray) -> Iterator
         if line.light not in lights:
             continue
         lane, over = scenario.road.lanes[line.lane], set[int]()
-        for k, u in _over(line, scenario.road, front, within):
-            i = int(owner[k])
+        half = 0.5 * hypot(*(line.points[1] - line.points[0]))
+        middle, across = line.points.mean(axis=0), (line.points[1] - line.points[0]) / max(2.0 * half, 1e-9)
+        normal = np.array([across[1], -across[0]])
+        if turned(lane, float(middle[0]), float(middle[1]), atan2(normal[1], normal[0])) > 0.5 * np.pi:
+            normal = -normal
+        forward, beside = (front - middle) @ normal, (front - middle) @ across
+        for k in np.flatnonzero(within & (forward[:-1] < 0.0) & (forward[1:] >= 0.0)).tolist():
+            i, u = int(owner[k]), float(forward[k] / (forward[k] - forward[k + 1]))
+            if abs(beside[k] + u * (beside[k + 1] - beside[k])) > half + ASIDE_M:
+                continue
             if i in over or turned(lane, float(front[k, 0]), float(front[k, 1]), float(paths.yaw[k])) >= ASKEW_RAD:
                 continue
             over.add(i)
@@ -143,20 +150,6 @@ def _crossings(scenario: Scenario, paths: Tracks, reacts: BoolArray) -> Iterator
                 until = paths.t[paths.offsets[i] + stood[-1] + 1] if len(stood) else -np.inf
                 at = station[k] + u * (station[k + 1] - station[k])
                 yield Crossing(i, lights[line.light], float(at), float(until))
-
-
-def _over(line: StopLine, road: Road, front: FloatArray, within: BoolArray) -> Iterator[tuple[int, float]]:
-    """The steps `within` a path in which a front `(samples, 2)` crosses a line, and each one's share before it."""
-    half = 0.5 * hypot(*(line.points[1] - line.points[0]))
-    middle, across = line.points.mean(axis=0), (line.points[1] - line.points[0]) / max(2.0 * half, 1e-9)
-    normal = np.array([across[1], -across[0]])
-    if turned(road.lanes[line.lane], float(middle[0]), float(middle[1]), atan2(normal[1], normal[0])) > 0.5 * np.pi:
-        normal = -normal
-    ahead, beside = (front - middle) @ normal, (front - middle) @ across
-    for k in np.flatnonzero(within & (ahead[:-1] < 0.0) & (ahead[1:] >= 0.0)).tolist():
-        u = float(ahead[k] / (ahead[k] - ahead[k + 1]))
-        if abs(beside[k] + u * (beside[k + 1] - beside[k])) <= half + ASIDE_M:
-            yield k, u
 
 
 @kernel

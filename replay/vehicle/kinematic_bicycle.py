@@ -171,7 +171,16 @@ class KinematicBicycle:
         self.powertrain = PedalPowertrain(parameters)
         self.model = kinematics_of(parameters, rear_ratio)
         self.numbers: Plain = plain(self.model)
-        self.inner = _initial(self.model, self.powertrain, start)
+        v, most = max(float(start.v), 0.0), self.model.steering[0]
+        steer = min(max(atan(self.model.wheelbase * start.kappa / (1.0 - self.model.rear_ratio)), -most), most)
+        for _ in range(20):  # Newton from the small-angle solution, to the steering that gives the start's curvature
+            missing = start.kappa - _kappa(steer, self.model)
+            if abs(missing) < KAPPA_TOLERANCE_PM:
+                break
+            slope = (_kappa(steer + 1e-6, self.model) - _kappa(steer - 1e-6, self.model)) / 2e-6
+            steer = min(max(steer + missing / slope, -most), most)
+        pedals = map(float, steady_pedals(self.powertrain, start.a, v))
+        self.inner = State(float(start.x), float(start.y), float(start.yaw), v, float(steer), *pedals)
         self.state = EgoState(*motion(self.inner, float(start.t), self.model))
 
     @property
@@ -198,20 +207,6 @@ def kinematics_of(p: VehicleParameters, rear_ratio: float = 0.0) -> Kinematics:
     lags = (max(float(p.throttle_lag), SHORTEST_LAG_S), max(float(p.brake_lag), SHORTEST_LAG_S))
     substep = min(MAX_SUBSTEP_S, 0.5 * steering[2], 0.5 * min(lags))
     return Kinematics(float(p.wheelbase), float(rear_ratio), steering, *lags, PedalPowertrain(p).limits, substep)
-
-
-def _initial(car: Kinematics, train: PedalPowertrain, start: EgoState) -> State:
-    """Steering that gives the start's curvature, pedals that give its acceleration, within their limits."""
-    v, most = max(float(start.v), 0.0), car.steering[0]
-    steer = min(max(atan(car.wheelbase * start.kappa / (1.0 - car.rear_ratio)), -most), most)
-    for _ in range(20):  # Newton from the small-angle solution
-        missing = start.kappa - _kappa(steer, car)
-        if abs(missing) < KAPPA_TOLERANCE_PM:
-            break
-        slope = (_kappa(steer + 1e-6, car) - _kappa(steer - 1e-6, car)) / 2e-6
-        steer = min(max(steer + missing / slope, -most), most)
-    pedals = steady_pedals(train, start.a, v)
-    return State(float(start.x), float(start.y), float(start.yaw), v, float(steer), *map(float, pedals))
 
 
 def _kappa(steer: float, car: Kinematics) -> float:

@@ -117,10 +117,7 @@ class BrakingLadder:
                 break
         if tried:
             return SolvedSpeed(None, "speed QP: no profile found", attempts=tuple(tried))
-        return self._last_resort(problem, taken)
-
-    def _last_resort(self, problem: SpeedProblem, taken: Callable[[StGraphConfig], StBoundaries]) -> SolvedSpeed:
-        """(3): all that the brakes can do where that leaves some of the gap or does not touch; else driving on."""
+        # (3): all that the brakes can do where that leaves some of the gap or does not touch; else driving on
         times, full = self._times, self._utmost.braking(problem.start, self._config.knots)
         left = self._gap - float((full[0] - problem.upper).max())
         if left > 0.0:

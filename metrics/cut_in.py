@@ -96,7 +96,14 @@ def _entries(
     s, l = np.stack([_on_path(path, *xy) for xy in outline[:, :, there]], axis=1)  # noqa: E741
     deep = 0.5 * width - np.maximum(l.min(axis=0), -l.max(axis=0))
     ahead = (s.max(axis=0) > front) & (s.min(axis=0) < np.minimum(front + NEAR_M, path.length + BEYOND_M))
-    rear, found = _rear_station(s, l, 0.5 * width), []
+    rear = np.where(np.abs(l) <= 0.5 * width, s, inf)  # of the part in the strip; of the box if none is
+    next_s, next_l = np.roll(s, 1, axis=0), np.roll(l, 1, axis=0)
+    for edge in (-0.5 * width, 0.5 * width):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = (edge - l) / (next_l - l)
+            rear = np.minimum(rear, np.where((share >= 0.0) & (share <= 1.0), s + share * (next_s - s), inf))
+    least = rear.min(axis=0)
+    rear, found = np.where(np.isfinite(least), least, s.min(axis=0)), []
     for first, last in _stays_in_strip(deep, ahead):
         k, stay = there[first], slice(first, last + 1)
         heading = _direction(path, rear[first]), _direction(path, front[first] - 0.5 * length)
@@ -131,19 +138,6 @@ def _stays_in_strip(deep: FloatArray, ahead: BoolArray) -> Iterator[tuple[int, i
         out = ahead[k] and deep[k] < IN_M and (out or deep[k] <= -OUT_M)
     if since >= 0:
         yield since, len(deep) - 1
-
-
-def _rear_station(s: FloatArray, l: FloatArray, half: float) -> FloatArray:  # noqa: E741
-    """The least station `(k,)` of the part in a strip of a box with corners at s, l `(4, k)`; of the box if none is."""
-    found = np.where(np.abs(l) <= half, s, inf)
-    other_s, other_l = np.roll(s, 1, axis=0), np.roll(l, 1, axis=0)
-    for edge in (-half, half):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u = (edge - l) / (other_l - l)
-            crossing = np.where((u >= 0.0) & (u <= 1.0), s + u * (other_s - s), inf)
-        found = np.minimum(found, crossing)
-    least = found.min(axis=0)
-    return np.where(np.isfinite(least), least, s.min(axis=0))
 
 
 def _direction(path: ReferenceLine, s: float) -> float:

@@ -30,7 +30,7 @@ from logs.trace import Artefact, Corridor, Internals, Plan, SlGraph, StGraph
 from planners.frenet.fallback import fall_back, trajectory_along
 from planners.frenet.path import Path, make_path, quintic
 from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, limit_profile
-from planners.frenet.scene import Occupancy, RouteTracker, Scene, behind, on_path
+from planners.frenet.scene import Occupancy, RouteTracker, behind, on_path
 from planners.frenet.st_boundaries import (
     StBoundaries,
     StGraphConfig,
@@ -123,9 +123,29 @@ class Idm:
         stops = on_path(demanded, path, car)
         self._lap("S-T graph")
         profile, leader = self._profile(path, blocks, stops, start)
-        internals = Internals((), lambda: _artefacts(scene, path, blocks, stops, profile, leader))
         self._lap("speed")
-        return Plan(trajectory_along(path, profile, frame.t), start=start_kind, internals=internals)
+
+        def artefacts() -> tuple[Artefact, ...]:
+            t, nothing = STEP_S * np.arange(profile.shape[1]), np.empty((0, 2))
+            decisions = decide_speed(blocks, scene, np.interp(blocks.t, t, profile[0]))
+            leads = [decision for i, decision in enumerate(decisions) if (leader == i).any()]
+            upper, lead = np.full(len(t), path.length), blocks.with_stops(stops)
+            for n in np.flatnonzero(leader >= 0):
+                k = int(np.searchsorted(lead.t, t[n] + 1e-9)) - 1
+                upper[n] = np.fmin(lead.lower[leader[n], k], path.length)
+            shown = (*outlines(blocks, decisions), *stop_outlines(stops, float(t[-1]), path.length))
+            free, driven = Corridor(t, np.zeros(len(t)), upper), np.column_stack([t, profile[0]])
+            at = np.arange(0, len(path.s), 8)  # every few metres
+            s, side, lane = path.s[at], 0.5 * scene.vehicle.width, scene.reference
+            right, left = (np.interp(s, lane.line.s, edge) for edge in (lane.lane_right, lane.lane_left))
+            offset = np.array([lane.line.project(path.x[i], path.y[i], path.s[i], 2.0)[1] for i in at])
+            sl_graph = SlGraph(None, Corridor(s, right + side, left - side), nothing, np.column_stack([s, offset]), ())
+            by_agent = {decision.agent: decision for decision in leads}  # several hypotheses of an agent may lead
+            st_graph = StGraph(None, free, nothing, driven, shown)
+            return (st_graph, sl_graph, *by_agent.values(), *(stop.decision for stop in stops))
+
+        way = trajectory_along(path, profile, frame.t)
+        return Plan(way, start=start_kind, internals=Internals((), artefacts))
 
     def _profile(
         self, path: Path, blocks: StBoundaries, stops: tuple[Occupancy, ...], start: EgoState
@@ -188,27 +208,3 @@ def _rolled_out(
             continue
         s, v = s + 0.5 * STEP_S * (v + v_next), v_next
     return out, led
-
-
-def _artefacts(
-    scene: Scene, path: Path, blocks: StBoundaries, stops: tuple[Occupancy, ...], profile: FloatArray, leader: IntArray
-) -> tuple[Artefact, ...]:  # fmt: skip
-    """Both graphs, the S-L graph every few metres, and a decision about whoever leads at some time."""
-    t, nothing = STEP_S * np.arange(profile.shape[1]), np.empty((0, 2))
-    decisions = decide_speed(blocks, scene, np.interp(blocks.t, t, profile[0]))
-    leads = [decision for i, decision in enumerate(decisions) if (leader == i).any()]
-    upper, lead = np.full(len(t), path.length), blocks.with_stops(stops)
-    for n in np.flatnonzero(leader >= 0):
-        k = int(np.searchsorted(lead.t, t[n] + 1e-9)) - 1
-        upper[n] = np.fmin(lead.lower[leader[n], k], path.length)
-    shown = (*outlines(blocks, decisions), *stop_outlines(stops, float(t[-1]), path.length))
-    free, driven = Corridor(t, np.zeros(len(t)), upper), np.column_stack([t, profile[0]])
-    st_graph = StGraph(None, free, nothing, driven, shown)
-    at = np.arange(0, len(path.s), 8)
-    s, side, lane = path.s[at], 0.5 * scene.vehicle.width, scene.reference
-    right, left = (np.interp(s, lane.line.s, edge) for edge in (lane.lane_right, lane.lane_left))
-    offset = np.array([lane.line.project(path.x[i], path.y[i], path.s[i], 2.0)[1] for i in at])
-    room = Corridor(s, right + side, left - side)
-    sl_graph = SlGraph(None, room, nothing, np.column_stack([s, offset]), ())
-    by_agent = {decision.agent: decision for decision in leads}  # several hypotheses of an agent may lead
-    return (st_graph, sl_graph, *by_agent.values(), *(stop.decision for stop in stops))

@@ -190,20 +190,19 @@ def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
             cut = (along > 0.0) != (after > 0.0)  # where the normal of the line runs through the region
             at = np.sort(aside[cut] + (then - aside)[cut] * along[cut] / (along - after)[cut])
             pieces[k] += [(float(low), float(high)) for low, high in zip(at[::2], at[1::2], strict=True)]
-    low, high = np.array([_nearest(each) for each in pieces]).reshape(-1, 2).T
+    across = []
+    for row in pieces:  # those that touch are joined; then the one around the line, or nearest to it
+        joined: list[tuple[float, float]] = []
+        for right, left in sorted(row):
+            if joined and right <= joined[-1][1] + JOINED_M:
+                joined[-1] = joined[-1][0], max(joined[-1][1], left)
+            else:
+                joined.append((right, left))
+        near = [piece for piece in joined if piece[0] < BESIDE_M and piece[1] > -BESIDE_M]
+        distances = [(max(right, -left, 0.0), left - right) for right, left in near]
+        across.append(near[distances.index(min(distances))] if near else (np.nan, np.nan))
+    low, high = np.array(across).reshape(-1, 2).T
     width = high - low
     narrow = ~(width >= NARROW * np.nanmax(width, initial=0.0))
     room = np.where(narrow, np.nan, np.minimum(SIDE_M, 0.25 * width))
     return np.vstack([stations, low + room, high - room])  # (4)
-
-
-def _nearest(pieces: list[tuple[float, float]]) -> tuple[float, float]:
-    """Of pieces across, those that touch joined, the one around 0 or nearest to it; NaN where none is near."""
-    joined: list[tuple[float, float]] = []
-    for low, high in sorted(pieces):
-        if joined and low <= joined[-1][1] + JOINED_M:
-            joined[-1] = joined[-1][0], max(joined[-1][1], high)
-        else:
-            joined.append((low, high))
-    near = [piece for piece in joined if piece[0] < BESIDE_M and piece[1] > -BESIDE_M]
-    return min(near, key=lambda piece: (max(piece[0], -piece[1], 0.0), piece[1] - piece[0]), default=(np.nan, np.nan))

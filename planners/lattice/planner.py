@@ -394,9 +394,20 @@ def artefacts(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
             gap = abs(beside - l) - half_l - half
             reason = f"stands in the middle of the lane: passed with {gap:.2f} m at the end offset {l1:.1f} m"
             passed[scene.frame.agents.ids[i]] = Decision(scene.frame.agents.ids[i], kind, "path", reason)
-    decided = tuple(passed.values())
+    decided, boxes = tuple(passed.values()), []
+    lane, s = scene.reference, ego.s + motion[0, ::EVERY]
+    line = np.column_stack([s, chosen.at[6, ::EVERY]])[np.r_[True, np.diff(s) > 1e-3]]
+    grid = ego.s + np.arange(0.0, max(float(motion[0, -1]), 10.0), 4.0)
+    edges = [np.interp(grid, lane.line.s, edge) for edge in (lane.road_right + half, lane.road_left - half)]
+    for j, i in enumerate(chosen.futures.agent):
+        s_mid, l, half_s, half_l = chosen.futures.frenet[:, j, 0]  # noqa: E741
+        if scene.standing[i] and abs(l) < 10.0:
+            name = scene.frame.agents.ids[i]
+            outline = np.array([(s_mid + a * half_s, l + b * half_l) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+            boxes.append(GraphObstacle(name, outline, passed[name].kind if name in passed else DecisionKind.IGNORE))
+    sl_graph = SlGraph(None, Corridor(grid, *edges), np.empty((0, 2)), line, tuple(boxes))
     costs = CostTerms("lattice", tuple(zip(COST_PARTS, chosen.pairs.costs[:, chosen.pair].tolist(), strict=True)))
-    return (_sl_graph(chosen, decided), *_graph_along(chosen, config), *decided, costs)
+    return (sl_graph, *_graph_along(chosen, config), *decided, costs)
 
 
 def _graph_along(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
@@ -416,22 +427,3 @@ def _graph_along(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
     decisions = decide_speed(blocks, scene, np.interp(blocks.t, t, driven))
     graph = StGraph(None, None, np.empty((0, 2)), np.column_stack([t, driven]), outlines(blocks, decisions))
     return (graph, *({decision.agent: decision for decision in decisions}.values()))
-
-
-def _sl_graph(chosen: Chosen, passed: tuple[Decision, ...]) -> SlGraph:
-    """The chosen offsets over the stations, the road's edges, and who stands near."""
-    scene, motion, frenet = chosen.scene, chosen.motion, chosen.futures.frenet
-    lane, s = scene.reference, chosen.ego.s + motion[0, ::EVERY]
-    line = np.column_stack([s, chosen.at[6, ::EVERY]])[np.r_[True, np.diff(s) > 1e-3]]
-    grid = chosen.ego.s + np.arange(0.0, max(float(motion[0, -1]), 10.0), 4.0)
-    side = 0.5 * scene.vehicle.width
-    edges = [np.interp(grid, lane.line.s, edge) for edge in (lane.road_right + side, lane.road_left - side)]
-    kinds = {decision.agent: decision.kind for decision in passed}
-    boxes = []
-    for j, i in enumerate(chosen.futures.agent):
-        s_mid, l, half_s, half_l = frenet[:, j, 0]  # noqa: E741
-        if scene.standing[i] and abs(l) < 10.0:
-            name = scene.frame.agents.ids[i]
-            outline = np.array([(s_mid + a * half_s, l + b * half_l) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-            boxes.append(GraphObstacle(name, outline, kinds.get(name, DecisionKind.IGNORE)))
-    return SlGraph(None, Corridor(grid, *edges), np.empty((0, 2)), line, tuple(boxes))

@@ -77,7 +77,21 @@ def checked(plan: Plan, frame: Frame) -> Plan:
             fault = f"it asks for an acceleration of {off.hardest:.0f} m/s2"
     if not fault:
         return plan
-    instead, start = _replacement(frame)
+    start = PlanStart.PREVIOUS_PLAN
+    if frame.previous is not None and frame.previous.trajectory.t[-1] >= frame.t + REST_S:
+        old = frame.previous.trajectory
+        instead = old.resampled(np.r_[frame.t, old.t[old.t > frame.t + 1e-9]])
+    else:  # the ego's arc, braked to a standstill, for 3 s
+        start, ego, after = PlanStart.EGO, frame.ego, 0.1 * np.arange(31)
+        speed = np.maximum(abs(ego.v) - BRAKE_MPS2 * after, 0.0) * np.sign(ego.v)
+        slowing = np.minimum(after, abs(ego.v) / BRAKE_MPS2)
+        way = np.sign(ego.v) * (abs(ego.v) * slowing - 0.5 * BRAKE_MPS2 * slowing**2)
+        half_turn = 0.5 * ego.kappa * way
+        chord = way * np.sinc(half_turn / np.pi)
+        x, y = ego.x + chord * np.cos(ego.yaw + half_turn), ego.y + chord * np.sin(ego.yaw + half_turn)
+        a = np.where(np.abs(speed) > 0.0, -BRAKE_MPS2 * np.sign(ego.v), 0.0)
+        yaw, kappa = ego.yaw + 2.0 * half_turn, np.full(len(after), ego.kappa)
+        instead = Trajectory(ego.t + after, x, y, yaw, speed, a, kappa)
     return replace(plan, trajectory=instead, status=PlanStatus.REFUSED, reason=fault, start=start)
 
 
@@ -183,24 +197,3 @@ def of_positions(plan: Trajectory) -> Trajectory:
     bend = np.divide(turn, length, out=np.zeros(len(turn)), where=moved[1:] & moved[:-1])
     kappa = np.r_[bend[:1], bend, bend[-1:]] if len(bend) else np.zeros(len(plan))
     return Trajectory(plan.t, plan.x, plan.y, yaw, v, np.gradient(v, plan.t), kappa)
-
-
-def _replacement(frame: Frame) -> tuple[Trajectory, PlanStart]:
-    """What is driven in place of a plan that was refused, and where it starts.
-
-    What is left of the plan being driven, where that is `REST_S` or more; else the ego's arc, braked with `BRAKE_MPS2`
-    to a standstill, for 3 s.
-    """
-    if frame.previous is not None and frame.previous.trajectory.t[-1] >= frame.t + REST_S:
-        old = frame.previous.trajectory
-        return old.resampled(np.r_[frame.t, old.t[old.t > frame.t + 1e-9]]), PlanStart.PREVIOUS_PLAN
-    ego, after = frame.ego, 0.1 * np.arange(31)
-    speed = np.maximum(abs(ego.v) - BRAKE_MPS2 * after, 0.0) * np.sign(ego.v)
-    slowing = np.minimum(after, abs(ego.v) / BRAKE_MPS2)
-    way = np.sign(ego.v) * (abs(ego.v) * slowing - 0.5 * BRAKE_MPS2 * slowing**2)
-    half_turn = 0.5 * ego.kappa * way
-    chord = way * np.sinc(half_turn / np.pi)
-    x, y = ego.x + chord * np.cos(ego.yaw + half_turn), ego.y + chord * np.sin(ego.yaw + half_turn)
-    a = np.where(np.abs(speed) > 0.0, -BRAKE_MPS2 * np.sign(ego.v), 0.0)
-    yaw, kappa = ego.yaw + 2.0 * half_turn, np.full(len(after), ego.kappa)
-    return Trajectory(ego.t + after, x, y, yaw, speed, a, kappa), PlanStart.EGO

@@ -115,8 +115,9 @@ SHARES: dict[tuple[Place, bool], tuple[float, float, float]] = {
 
 def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """The hypotheses of the pedestrians among `agents`, and of no other agents (module docstring)."""
-    ahead = t - t[0]
+    ahead, still = t - t[0], np.zeros(len(t))
     agent, probability, way = [], [], []
+    walks: tuple[tuple[FloatArray, FloatArray], ...]  # of each hypothesis: the distance walked, whether it has turned
     for i, kind in enumerate(agents.kinds):
         if kind is not AgentKind.PEDESTRIAN:
             continue
@@ -126,8 +127,19 @@ def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
         if speed >= WALKING_MPS:
             toward = vx / speed, vy / speed
         road = road_ahead(lanes.arrays, float(agents.x[i]), float(agents.y[i]), *toward, max(speed * LOOK_S, 0.0))
-        shares, walked = _hypotheses(speed, road, ahead, slowing=bool(agents.accel[i] < SLOWING_MPS2))
-        for share, (distance, turned) in zip(shares, walked, strict=True):
+        if speed < WALKING_MPS:
+            started = START_MPS * np.maximum(ahead - REACTION_S, 0.0)
+            place = Place.STANDING_ON_ROAD if road == 0.0 else Place.STANDING
+            walks = (started, still), (still, still), (-started, (started > 0.0).astype(float))
+        else:
+            place = Place.CROSSING if road == 0.0 else Place.COMING if np.isfinite(road) else Place.AWAY
+            stop = 0.5 * speed**2 / BRAKE_MPS2
+            halted = walked(ahead, speed, max(stop, road - KERB_M) if place is Place.COMING else stop)
+            back = max(speed, START_MPS) * np.maximum(ahead - speed / BRAKE_MPS2 - PAUSE_S, 0.0)
+            there_and_back = walked(ahead, speed, stop) - back, (back > 0.0).astype(float)
+            walks = (speed * ahead, still), (halted, still), there_and_back
+        shares = SHARES[place, bool(agents.accel[i] < SLOWING_MPS2)]
+        for share, (distance, turned) in zip(shares, walks, strict=True):
             if share > 0.0:
                 agent.append(i)
                 probability.append(share)
@@ -135,29 +147,6 @@ def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
                 way.append((agents.x[i] + distance * toward[0], agents.y[i] + distance * toward[1], yaw))
     x, y, yaw = np.array(way).reshape(-1, 3, len(t)).transpose(1, 0, 2)
     return Predictions(t, np.array(agent, np.int64), np.array(probability), x, y, yaw, "pedestrian")
-
-
-def _hypotheses(
-    speed: float, road: float, ahead: FloatArray, *, slowing: bool
-) -> tuple[tuple[float, float, float], tuple[tuple[FloatArray, FloatArray], ...]]:
-    """The shares of a pedestrian's hypotheses, and of each the distance walked and whether it has turned `(k,)`.
-
-    `road` is how far the first lane is in the direction of the walk, m.
-    """
-    still = np.zeros(len(ahead))
-    if speed < WALKING_MPS:
-        started = START_MPS * np.maximum(ahead - REACTION_S, 0.0)
-        place = Place.STANDING_ON_ROAD if road == 0.0 else Place.STANDING
-        return SHARES[place, slowing], ((started, still), (still, still), (-started, (started > 0.0).astype(float)))
-    place = Place.CROSSING if road == 0.0 else Place.COMING if np.isfinite(road) else Place.AWAY
-    stop = 0.5 * speed**2 / BRAKE_MPS2
-    halted = walked(ahead, speed, max(stop, road - KERB_M) if place is Place.COMING else stop)
-    back = max(speed, START_MPS) * np.maximum(ahead - speed / BRAKE_MPS2 - PAUSE_S, 0.0)
-    return SHARES[place, slowing], (
-        (speed * ahead, still),
-        (halted, still),
-        (walked(ahead, speed, stop) - back, (back > 0.0).astype(float)),
-    )
 
 
 def walked(ahead: FloatArray, speed: float, distance: float) -> FloatArray:

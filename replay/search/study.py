@@ -34,7 +34,17 @@ class Study:
 
     def __init__(self, out: Path, head: Mapping[str, Any], *, resume: bool) -> None:
         self._path, self._head, self._rows = out / FILE, dict(head), list[dict[str, Any]]()
-        earlier = _read(self._path) if self._path.is_file() else None
+        earlier: list[dict[str, Any]] | None = None
+        if self._path.is_file():
+            again = "remove the file to start over"
+            try:
+                earlier = [json.loads(line) for line in self._path.read_text(encoding="utf-8").splitlines()]
+            except (OSError, ValueError) as error:
+                raise ConfigError(f"{self._path}: cannot be read as a study: {error}; {again}") from None
+            if not (
+                earlier and all(isinstance(row, dict) for row in earlier) and all("key" in row for row in earlier[1:])
+            ):
+                raise ConfigError(f"{self._path}: contains no study; {again}")
         entries = [entry for entry in out.iterdir() if entry.name != LOCK]
         if entries and (earlier is None or earlier[0].get("study") != head["study"]):
             raise ConfigError(f"{out}: holds no study of `replan {head['study']}`; give --out a new or empty folder")
@@ -68,18 +78,3 @@ class Study:
     def _write(self) -> None:
         lines = [json.dumps(row, ensure_ascii=False, allow_nan=False) for row in (self._head, *self._rows)]
         write_text(self._path, "\n".join(lines) + "\n")
-
-
-def _read(path: Path) -> list[dict[str, Any]]:
-    """Head and rows.
-
-    Raises:
-        ConfigError: It is no such file.
-    """
-    try:
-        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read as a study: {error}; remove the file to start over") from None
-    if not rows or not all(isinstance(row, dict) for row in rows) or not all("key" in row for row in rows[1:]):
-        raise ConfigError(f"{path}: contains no study; remove the file to start over")
-    return rows

@@ -154,7 +154,7 @@ def _readers(noun: Any, kind: Any) -> tuple[Row, ...]:
 
 
 def _columns(noun: type, kind: Any, x: str, y: str) -> Convert:
-    """What makes points of two columns of a message."""
+    """The function that makes points from two columns of a message."""
     serialised = {each.name: each.encode_name for each in msgspec.structs.fields(kind)}
     what = "".join(f" {letter.lower()}" if letter.isupper() else letter for letter in noun.__name__).strip()
 

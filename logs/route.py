@@ -178,7 +178,7 @@ def _turn(lane: Lane, ego: EgoState) -> float:
 
 
 ASKEW_RAD = 0.25 * pi
-"""Who drives along a lane is askew to it by less than this."""
+"""A car that drives along a lane is askew to it by less than this."""
 ASIDE_M = 0.5
 """A stop line is crossed up to this far beside its ends."""
 BEHIND_M = 40.0

@@ -186,7 +186,7 @@ def on_path(scenario: Scenario, s: float) -> tuple[float, float, float]:
 
 
 def ego_start(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
-    """(4): so far along the path."""
+    """The scenario with the start of the ego moved along its path (4)."""
     start = scenario.ego.state(0)
     if value < 0.0:
         x, y, yaw, kappa = start.x + value * cos(start.yaw), start.y + value * sin(start.yaw), start.yaw, 0.0
@@ -197,7 +197,7 @@ def ego_start(scenario: Scenario, agents: Sequence[str], value: float) -> Scenar
 
 
 def ego_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
-    """(4): a factor of the speed."""
+    """The scenario with the speed of the ego's start times a factor (4)."""
     start = start_of(scenario.ego)
     return replace(scenario, ego=replace(start, v=value * start.v, a=np.zeros(1)))
 
@@ -272,13 +272,13 @@ def _samples(tracks: Tracks, i: int) -> FloatArray:
 
 
 def in_time(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
-    """(1)."""
+    """The scenario with the agents shifted in time (1)."""
     tracks = scenario.tracks
     return replace(scenario, tracks=replace(tracks, t=tracks.t + value * _theirs(tracks, agents)))  # (1)
 
 
 def in_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
-    """(2)."""
+    """The scenario with the agents faster or slower (2)."""
     tracks, mine = scenario.tracks, _theirs(scenario.tracks, agents)
     speed = np.hypot(tracks.motion.vx, tracks.motion.vy)
     times, which = np.unique(tracks.t[mine], return_inverse=True)
@@ -302,7 +302,7 @@ def in_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenari
 
 
 def sideways(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
-    """(3)."""
+    """The scenario with the agents shifted to the side (3)."""
     tracks, ego, mine = scenario.tracks, scenario.ego, _theirs(scenario.tracks, agents)
     nearest = []  # how near each agent comes to the ego, m, and their course there, rad: the box's where they stand
     for i in places(tracks, agents):

@@ -1,4 +1,4 @@
-"""Two runs compared: result folders, or a baseline in a file, with where their drives part.
+"""Compares two runs, as result folders or baseline files, and finds the first differences of their drives.
 
 A baseline is one Parquet file: the rows of metrics.parquet (without the metrics' sources), and in its metadata what
 they were made with, as JSON. It holds what judging and comparing need and no traces; equal results give equal bytes.
@@ -152,7 +152,7 @@ def compare_runs(
         planners: One: only this planner of both. Two: the first of the baseline with the second of the candidate.
         gates: A file of gates and rules; None: the packaged ones.
         more: Rules beside those of the file.
-        partings: In at most this many drives, the worst first, the first difference is looked for.
+        partings: The first difference is searched in at most this many drives, the worst first.
 
     Raises:
         ConfigError: A planner is not in its run, or the gates cannot be read.
@@ -229,7 +229,7 @@ def _with_first_differences(
 
 
 def view_command(run: Run, log: str, planner: str, mode: str) -> str:
-    """The command that shows a drive; "" of a baseline's file. Of planners "a -> b" it is the drive of b."""
+    """The command that shows a drive; "" for a baseline file. For planners "a -> b" it shows the drive of b."""
     if isinstance(run, Side):
         return ""
     drive = run.drive(log, planner.split(" -> ")[-1], mode)

@@ -1,4 +1,4 @@
-"""Arriving when, as fast and where the goal says, where it names a time or a speed or lies beside the lane's middle.
+"""Arrival at a goal that names a time or a speed, or that lies beside the middle of the lane.
 
 With the goal region from s_0 to s_1 along the lane, the ego at station s at time t, the goal's times [t_0, t_1] and
 speeds up to v_1:
@@ -92,7 +92,7 @@ class GoalWindow:
 
     @property
     def slow_zone(self) -> tuple[float, float, float] | None:
-        """(1): from which station to which the rear axle keeps to the goal's speed, m, and that, m/s; None: nowhere."""
+        """(1): stations, m, between which the rear axle keeps the goal's speed, and that speed, m/s; None: nowhere."""
         if self._goal is None or self._goal.v is None or not np.isfinite(self._region).all():
             return None
         fastest = max(self._goal.v[1], 0.0)

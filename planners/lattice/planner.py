@@ -1,4 +1,4 @@
-"""The planner's one screen: start, scene, pairs, the first of them in order of cost that passes; or the fallback.
+"""The planner: start, scene, pairs, the first feasible pair in order of cost; or the fallback.
 
 Before it, which polynomials are tried; after it, what a recording shows of a plan: both graphs, decisions, costs.
 """
@@ -73,11 +73,11 @@ from planners.rules import Rulebook, RuleMemory
 SHORT = 4.0
 """Weight of each metre short of a stop that the rules require: the ego should visibly have stopped there."""
 STOP_S = 1.0
-"""The ego brakes for a stop that the rules demand so long, s ..."""
+"""The ego brakes for a stop that the rules demand this long, s ..."""
 STOP_M = 2.0
-"""... and so far, m, before gentle braking would have to begin."""
+"""... and this far, m, before gentle braking would have to begin."""
 NEAR_M = 30.0
-"""Who stays farther than this from what the ego can reach is not in the scene."""
+"""Agents that stay farther than this from the ego's reach are not in the scene."""
 EVERY = 4
 """Samples of the plan per point of the S-L graph."""
 Row = tuple[float, float, float, float, float, float, float]
@@ -311,7 +311,7 @@ class Lattice:
     """Chooses among pairs of polynomials; its memory is the last station and what the rules remember.
 
     Where no pair can be driven, the ladder of `planners.frenet.fallback` answers: the rest of the previous plan, else a
-    comfortable stop, else a hard one. Who follows behind is not looked at while the ego keeps its track.
+    comfortable stop, else a hard one. Agents behind are ignored while the ego keeps its track.
     """
 
     def __init__(self, context: PlannerContext, config: LatticeConfig | None = None) -> None:
@@ -411,7 +411,7 @@ def artefacts(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
 
 
 def _graph_along(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
-    """The S-T graph along the planned path, and who is followed, let go first or driven ahead of."""
+    """The S-T graph along the planned path, and the decisions to follow, yield to or overtake agents."""
     scene, at, futures = chosen.scene, chosen.at, chosen.futures
     way, d = path_through(at[0], at[1], at[2], at[5]), np.arange(1.0, 30.0)
     sigma, yaw = np.r_[way.sigma, way.sigma[-1] + d], way.yaw[-1]  # straight on, so that the one it stops for is seen

@@ -67,7 +67,7 @@ SHORT_M = 0.8
 AIM_M = 0.5
 """It comes to rest this far before that, m."""
 OVER_M = 1.0
-"""Who stops for a line and has come over it by less than this still waits, m."""
+"""An ego that stops for a line and is over it by less than this still waits, m."""
 CLEAR_S = 1.5
 """c of (4) before a vehicle, s; its sources are in the module docstring."""
 WALK_CLEAR_S = 2.0
@@ -77,9 +77,9 @@ AFTER_S = 0.5
 FOLLOW_S = 1.0
 """How long after a vehicle has come into the lane that it then shares with the ego, which follows it (4), s."""
 KEPT_S = 0.5
-"""A gap once taken is kept with so much less of (4), s."""
+"""A gap once taken is kept if (4) holds with this much less, s."""
 YIELD_MPS2 = 2.0
-"""Deceleration that the ego may ask of who comes from behind, m/s2: comfortable (b of IDM)."""
+"""Deceleration that the ego may demand of an agent from behind, m/s2: comfortable (b of IDM)."""
 GO_MPS2 = 1.5
 """Acceleration with which the ego is assumed to go, m/s2 ..."""
 GO_MPS3 = 2.0
@@ -99,7 +99,7 @@ class RulesConfig:
     """Settings of the rules.
 
     Attributes:
-        patience_s: Who stands at a crosswalk and does not begin to walk is waited for so long, from a standstill.
+        patience_s: How long a standing ego waits for a pedestrian who stands at a crosswalk and does not begin to walk.
     """
 
     patience_s: float = 3.0

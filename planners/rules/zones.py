@@ -1,4 +1,4 @@
-"""What the rules of the road hold along one reference: its stop lines, the zones where others go first, and when.
+"""The rules of the road along one reference: its stop lines, the zones where others go first, and when.
 
 A zone is the stretch of the reference line on which the ego's body would be in the way of those who go first:
 
@@ -44,7 +44,7 @@ from planners.frenet.scene import STANDING_MPS, UNLIKELY
 SIDE_M = 0.3
 """Room beside the ego's body that (1) and (2) count, m."""
 HALF_CAR_M = 1.0
-"""Half the width of those who go first in (2), m."""
+"""Half the width of agents that go first in (2), m."""
 STEP_M = 0.5
 """Spacing of the stations that are tried, m."""
 ROOM_M = 1.0
@@ -52,19 +52,19 @@ ROOM_M = 1.0
 LINE_BEFORE_M = 15.0
 """A stop line nearer than this before a zone is where one waits for it, m."""
 FEED_M = 100.0
-"""Who is nearer than this to a priority lane, on lanes that lead to it, may claim it, m."""
+"""An agent nearer than this to a priority lane, on lanes that lead to it, may claim it, m."""
 ASIDE_M = 1.0
 """A stop line counts where the reference line runs within this of it, m."""
 MERGED_M = 1.5
 """Two lanes whose ends are nearer than this merge, m."""
 EDGE_M = 1.5
-"""Who stands within this of a crosswalk may want to cross, m."""
+"""A pedestrian who stands within this of a crosswalk may want to cross, m."""
 TOWARDS_MPS = 0.3
-"""Who comes nearer to it faster than this walks towards it; who is slower stands, m/s."""
+"""A pedestrian who approaches it faster than this walks towards it; a slower one stands, m/s."""
 KEPT_M = 0.3
 """Room beside the ego's half of a crosswalk that pedestrians have, m."""
 START_MPS = 1.2
-"""With which who stands sets off, m/s: as RiLSA 2010 counts pedestrians' clearing times."""
+"""Speed with which a standing pedestrian sets off, m/s: as RiLSA 2010 counts pedestrians' clearing times."""
 ASKEW_RAD = 1.0
 """A vehicle drives along a lane where its heading differs less than this, rad."""
 

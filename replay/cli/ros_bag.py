@@ -5,7 +5,7 @@
     /planning/goal                   geometry_msgs/msg/PoseStamped: the ego where its log comes into the goal
     /clock                           rosgraph_msgs/msg/Clock: the drive is no recorded one
 
-Velocities that a detector does not give are 0, scores that it does not give, too. Lanes are not in a bag.
+Velocities and scores that a detector does not give are 0. Lanes are not in a bag.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ Row = tuple[str, str, int, dict[str, Any]]
 
 
 def write_bag(path: Path, scenario: Scenario) -> None:
-    """Write the folder of a bag; what stands there is not overwritten.
+    """Write the folder of a bag; an existing folder is not overwritten.
 
     Raises:
         ConfigError: The scenario has no raw detections, or the folder exists.

@@ -70,9 +70,9 @@ class MpcConfig:
     """Horizon and weights of (1).
 
     Attributes:
-        steps: Of the horizon.
-        step_s: Of the prediction.
-        period_s: Between two solves.
+        steps: Number of steps of the horizon.
+        step_s: Length of a step of the prediction.
+        period_s: Time between two solves.
         station_weight: 1/m2.
         speed_weight: (s/m)2.
         lateral_weight: 1/m2.
@@ -254,7 +254,7 @@ class Mpc:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Where it fell back, one sentence."""
+        """How often the fallback was used and why, in one sentence."""
         if not self._falls:
             return ()
         how_often = f"{self._falls} of {self._solves} solves (first {self._first_fall})"

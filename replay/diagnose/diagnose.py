@@ -52,7 +52,7 @@ class Question:
 
     Attributes:
         results: The run.
-        planner: Whose failing drives.
+        planner: The planner whose failing drives are diagnosed.
         logs: Names of logs; empty: all.
         changes: What is changed.
     """
@@ -64,7 +64,7 @@ class Question:
 
     @property
     def run(self) -> RunConfig:
-        """What is driven without a change."""
+        """The run without a change."""
         return driven(self.results.run, self.planner)
 
     def failing(self) -> tuple[str, ...]:
@@ -75,7 +75,7 @@ class Question:
         return tuple(sorted(names & set(self.logs) if self.logs else names))
 
     def head(self) -> dict[str, Any]:
-        """What makes two diagnoses the same."""
+        """The inputs that identify a diagnosis."""
         stamp = stamp_of(self.run)
         logs = self.results.logs[self.results.logs["log"].isin(self.failing())]
         return {

@@ -49,7 +49,7 @@ class GroundTruth:
         self._around = NearbyTracks()
 
     def see(self, world: World) -> tuple[Agents, None]:
-        """The agents, and that nothing is hidden."""
+        """The agents; nothing is hidden."""
         t = world.ego.t
         return self._around.of(world.tracks, t, t).perceived(t), None
 
@@ -86,7 +86,7 @@ class Recorded:
         self._owners, self._around, self._around_log = Owners(), NearbyTracks(), NearbyTracks()
 
     def see(self, world: World) -> tuple[Agents, None]:
-        """The agents, and that no ground is known to be hidden."""
+        """The agents; no ground is known to be hidden."""
         t = world.ego.t
         known = self._tracked.at(t)
         log = self._around_log.of(self._log, t, t).perceived(t)

@@ -1,4 +1,4 @@
-"""Plans checked at the door, one way for every planner that is no oracle: is it a drive from here, is it what it says?
+"""Checks the plans of all planners but oracles: does a plan begin at the ego, is it drivable and consistent?
 
 With p_i, v_i, yaw_i, kappa_i, a_i the samples of a plan, d_i = |p_(i+1) - p_i|, dt_i = t_(i+1) - t_i, h_i the direction
 of p_(i+1) - p_i (turned round in reverse), and a bar for the mean of a column over a step:
@@ -119,7 +119,7 @@ def _distance_between(one: EgoState, two: EgoState) -> float:
 
 
 class Off(NamedTuple):
-    """The greatest of each left side of the module docstring over a plan; 0 where no step is judged.
+    """The greatest left side of each condition in the module docstring over a plan; 0 if no step is judged.
 
     Attributes:
         speed: Of (2), m/s.

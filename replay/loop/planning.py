@@ -1,7 +1,7 @@
-"""A planner of one scenario: it is built, called, timed, its plans are checked; and whether it is deterministic.
+"""Builds, calls and times the planner of one scenario, checks its plans, and tests if it is deterministic.
 
 The start of a drive is driven twice, each time by a planner that is built anew. The worlds are the same, so the plans
-must be, bit for bit: what differs comes out of the planner (a random number, a clock, the order of a set, threads that
+must be, bit for bit: a difference comes from the planner (a random number, a clock, the order of a set, threads that
 race). It is a note of the drive and a mark in the reports: figures of a planner that is not deterministic are those of
 one try.
 """
@@ -106,7 +106,7 @@ class Planning:
 
     @property
     def timings(self) -> tuple[StageTime, ...]:
-        """Of all plans so far."""
+        """The timings of all plans so far."""
         return self._watch.times
 
     def plan(self, frame: Frame) -> Plan:

@@ -1,4 +1,4 @@
-"""Reference drives: what other drivers make of a log, measured as every drive is.
+"""Reference drives: how other drivers drive a log, measured as every other drive.
 
     "driver"     the ego as logged, among the others as logged; there where the log holds a drive
     "careful"    the careful driver of UN R157 (`metrics.reference_drivers`) from the log's first state along the lane
@@ -104,7 +104,7 @@ def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, lis
 
 
 def late_follower(tables: Sequence[pd.DataFrame], scenario: Scenario, loop: LoopConfig) -> list[pd.DataFrame]:
-    """The rows of the follower where they are lacking and a planner in the tables of a log misses the goal."""
+    """The rows of the follower, if they are missing and a planner in the tables of a log misses the goal."""
     goal, missed = f"{GOAL.name}.{FINAL.name}", False
     for table in tables:
         for k in [k for k, name in enumerate(table["metric"].tolist()) if name == goal]:

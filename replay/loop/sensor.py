@@ -11,7 +11,7 @@ and it reaches the planner `latency_s` later, carried on with the measured veloc
 more is carried on from its last measurement for `coast_s`, as a tracker would. The first measurement is known at once:
 the sensor ran before the log began.
 
-Every draw is a pure function of scenario, seed, agent and time: who else is there changes nothing, nor does the order.
+Every draw is a pure function of scenario, seed, agent and time: other agents and their order change nothing.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ POINTS = 9
 VISIBLE = 0.25
 """Share of an agent's points that must be seen."""
 WIDEST_RAD = radians(88.0)
-"""A shadow's half angle is not wider than this: who is so near hides half of the world."""
+"""A shadow's half angle is not wider than this: an agent that near hides half of the surroundings."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -50,7 +50,7 @@ class Measurement:
 
 
 class Sensor:
-    """Sees for one drive; its memory are the measurements that are still on their way, or coasted.
+    """The sensor of one drive; it remembers measurements that are delayed or coasted.
 
     Args:
         scenario: Its name seeds the draws; the ego's size places the sensor.

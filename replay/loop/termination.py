@@ -25,7 +25,7 @@ from replay.vehicle.base import state_at
 from replay.world import AgentBoxes, EgoBox, agent_boxes, box_center, ego_box, touched
 
 CRACK_M = 0.5
-"""Lanes that meet may leave a crack: off the road is who is farther than this from every drivable lane."""
+"""Lanes that meet may leave a gap: a car farther than this from every drivable lane is off the road."""
 
 
 class Outlines(NamedTuple):
@@ -96,7 +96,7 @@ class Ended(NamedTuple):
 class Termination:
     """Judges the rows of one drive's trace, in order.
 
-    What the recorded ego stood in (`metrics.boxes`) is not touched.
+    Boxes that the recorded ego stood in (`metrics.boxes`) do not count.
 
     Args:
         scenario: What is driven.

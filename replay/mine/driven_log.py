@@ -1,4 +1,4 @@
-"""What is looked for in a log, and the log laid out for that: on a grid, road users in the frame of the ego's path.
+"""Event kinds, and a log prepared for finding them: on a time grid, in the frame of the ego's path.
 
 An `EventKind` finds `Event`s in a `DrivenLog`: one function (log) -> events, and one row of `replay.mine.kinds`. One
 of your own is an `EventKind` in a module, named as "module:NAME" (`replan mine --kind module:NAME`) or by an entry
@@ -32,7 +32,7 @@ from metrics.metric import Unavailable, rate_of_change
 
 NEAR_M = 80.0
 SEARCH_M, FOLLOW_M = 120.0, 15.0
-"""A foot is looked for so far from the ego's station at first, and from the foot before it after that."""
+"""A foot is searched within this distance of the ego's station first, then of the foot before it."""
 SHORT_M = 2.0
 """An ego that goes a shorter way stands: its path is straight along its heading."""
 FELT_S = 0.5
@@ -190,7 +190,7 @@ class DrivenLog:
     def lead(self) -> tuple[IntArray, FloatArray]:
         """Per step the place in `neighbours` of whoever is nearest ahead in the band (-1), and the gap, m (NaN).
 
-        Who comes towards the ego is no lead.
+        A road user that comes towards the ego is not a lead.
         """
         who, gap = np.full(len(self.t), -1, np.int64), np.full(len(self.t), np.inf)
         for place, one in enumerate(self.neighbours):
@@ -223,7 +223,7 @@ def runs(marked: BoolArray, k: IntArray | None = None, least: int = 1, hole: int
         marked: `(m,)`.
         k: `(m,)` the steps of the places: a run ends where a step is missing. None: none is.
         least: How many places a run has.
-        hole: So many places on end that are not marked do not end a run.
+        hole: Up to this many consecutive unmarked places do not end a run.
     """
     flags = np.array(marked, np.bool_)
     broken = np.zeros(len(flags), np.bool_) if k is None else np.r_[False, np.diff(k) > 1]

@@ -1,6 +1,6 @@
-"""`replan mine`: each log once, without a planner, and what happened in it as tables.
+"""`replan mine`: finds what happened in logs, without a planner, and writes it as tables.
 
-A log that cannot be read costs itself: its line of logs.parquet says why. Where the log holds no drive, or lacks what a
+A log that cannot be read is left out: its row of logs.parquet says why. Where the log holds no drive, or lacks what a
 kind needs (lanes, crosswalks, lights), the kind is not looked for, and logs.parquet names it: nothing found is not the
 same as not looked for. The tables do not depend on the number of workers.
 """
@@ -53,7 +53,7 @@ WEATHERS = ("weather", "time_of_day", "environment")
 
 @dataclass(frozen=True, eq=False)
 class MinedLog:
-    """What came of one log.
+    """The result of one log.
 
     Attributes:
         name: Of the log; its source's label where it could not be read.
@@ -159,7 +159,7 @@ def write(mined: Mined, run: RunConfig, kinds: Sequence[str], planners: Sequence
 
 
 def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners: tuple[str, ...]) -> MinedLog:
-    """One log; what is wrong with it is in what it returns."""
+    """Mine one log; errors are part of the result."""
     try:
         with source.fetched() as near:
             scenario = near.read()
@@ -179,7 +179,7 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
             events = [] if isinstance(found, Unavailable) else list(found)
             for event in events:
                 if not (isinstance(event, Event) and isfinite(event.begin) and event.begin <= event.end < np.inf):
-                    raise ValueError(f"{event!r} is no Event with a begin not after its end")
+                    raise ValueError(f"{event!r} is not an Event that begins before it ends")
         except Exception as error:
             whose = "raised by code that the run names" if of_users(error) else "a bug in replan"
             failures.append(f"{scenario.name}: event kind '{kind.name}': {whose}: {raised(error, of=kind.find)}")

@@ -57,7 +57,7 @@ WRITERS: Mapping[str, Callable[[pd.DataFrame, Path], object]] = {
 
 
 def views(folder: Path) -> Mapping[str, Callable[[], pd.DataFrame]]:
-    """What reads each view of a result folder.
+    """The function that reads each view of a result folder.
 
     Raises:
         ConfigError: It is neither the result of a run nor of `replan mine`.
@@ -142,7 +142,7 @@ def moments(folder: Path, where: str, table: str = "events", before: float = 5.0
     Args:
         folder: Of a run, or of `replan mine`.
         where: The condition, in SQL, over the columns of `table`.
-        table: The view that is asked.
+        table: The view that is queried.
         before: What is added before each row's begin, s.
         after: What is added after its end, s.
 

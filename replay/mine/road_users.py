@@ -1,6 +1,6 @@
 """Events with another road user, as it moves in the frame of the ego's path (`DrivenLog`).
 
-Who follows, overtakes or cuts in moves along the path: its heading is within 45 degrees of it.
+A road user that follows, overtakes or cuts in moves along the path: its heading is within 45 degrees of it.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from replay.mine.driven_log import DrivenLog, Event, EventKind, Neighbour, runs,
 ALONG = float(np.cos(np.pi / 4.0))
 MOVES_MPS, WALKS_MPS = 1.0, 0.3
 HOLE_S = 0.5
-"""What stops for no longer than this and goes on is one event."""
+"""An event that is interrupted for no longer than this is one event."""
 AROUND_S = 1.0
-"""Who cuts in was out of the band for so long before and stays in it for so long; cut-outs the other way round."""
+"""How long a cut-in is out of the band before and stays in it afterwards; for cut-outs the other way round."""
 HEADWAY_S, HEADWAY_M = 3.0, 10.0
 """How near ahead of a moving ego a cut-in or cut-out is an event: in time, or in way at low speed."""
 BRAKES_MPS2, BRAKES_S = 3.0, 0.3

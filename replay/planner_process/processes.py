@@ -74,7 +74,7 @@ class Process:
         self.channel.close()
 
     def ending(self) -> str:
-        """How it ended, in words; it is ended where it has only closed its output."""
+        """How the process ended, in words. A process that has only closed its output is killed first."""
         status = self._forks.status(self._key, GRACE_S)
         self.channel.read_printed()
         if status is None:

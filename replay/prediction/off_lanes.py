@@ -39,7 +39,7 @@ MAX_LATERAL_MPS2 = 5.0
 MAX_KAPPA = 0.2
 """Nor does a vehicle turn tighter than this, 1/m."""
 ON_FOOT = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
-"""Who turns on the spot or not at all, by their codes: their yaw rate says nothing of where they go."""
+"""Kinds, by their codes, that turn on the spot or not at all: their yaw rate does not predict where they go."""
 
 WALKING_MPS = 0.3
 SLOWING_MPS2 = -0.4

@@ -40,7 +40,7 @@ class Engine(Protocol):
     def evaluate(
         self, sources: Sequence[LogSource], run: RunConfig, out: Path, stamp: Stamp
     ) -> Iterator[tuple[int, LogResult | WorkerLost]]:
-        """What came of each source, by index, as it ends; its folder is in `out` by then."""
+        """Yield the result of each source, by index, as it ends; its folder is in `out` by then."""
         ...
 
 
@@ -82,13 +82,13 @@ def teams_of(count: int, batch: int) -> list[range]:
 
 @dataclass(frozen=True)
 class Job:
-    """`evaluate_log` of everything but the logs; a planner's module is loaded once where it is called.
+    """`evaluate_log` with all arguments but the log; a planner's module is loaded once where it is called.
 
     Attributes:
         run: What is driven.
         out: The result folder.
         stamp: See `evaluate_log`.
-        name: Which run it is, of all that there ever are.
+        name: A name that no other run has.
     """
 
     run: RunConfig
@@ -106,7 +106,7 @@ class Job:
 def longest_first(
     items: Sequence[T], drive: Callable[[Sequence[T]], Iterator[tuple[int, R]]], expected_s: Callable[[T], float]
 ) -> Iterator[tuple[int, R]]:
-    """What `drive` yields of the items, which it gets by expected cost, under the indices that they have here."""
+    """Pass the items to `drive` by expected cost, and yield its results under the indices that they have here."""
     order = sorted(range(len(items)), key=lambda index: -expected_s(items[index]))
     for place, ended in drive([items[index] for index in order]):
         yield order[place], ended

@@ -104,7 +104,7 @@ def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Sta
 
 
 def identity_of(source: LogSource) -> str:
-    """Its identity; the label where it cannot be read (the evaluation will say why)."""
+    """The identity of a source; its label if it cannot be read (the evaluation will say why)."""
     try:
         return source.identity()
     except LogError:
@@ -112,7 +112,7 @@ def identity_of(source: LogSource) -> str:
 
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any], besides: str = "") -> str:
-    """In which keys but `besides` two configurations differ, in words; "": in none."""
+    """The keys, except `besides`, in which two configurations differ, in words; "" if there are none."""
     was, now = dict(flat(before)), dict(flat(now))
     changed = [key for key in dict.fromkeys([*was, *now]) if was.get(key) != now.get(key) and key != besides]
     text = ", ".join(f"{key} was {_describe(was, key)}, is {_describe(now, key)}" for key in changed[:3])

@@ -101,7 +101,7 @@ class Question:
 
     @cached_property
     def driven(self) -> RunConfig:
-        """What is driven of each case."""
+        """The run of each case."""
         planners = self.run.planners if self.against == CAREFUL else (*self.run.planners, self.against)
         return replace(
             self.run, planners=planners, mode="closed", log=LogSettings(), deadline_s=0.0, ensemble=0, repeat_s=0.0,
@@ -109,7 +109,7 @@ class Question:
         )  # fmt: skip
 
     def head(self) -> dict[str, Any]:
-        """What makes two falsifications the same, but for the budget and the resolution."""
+        """The inputs that identify a falsification, except the budget and the resolution."""
         stamp = stamp_of(self.driven)
         return {
             "study": KIND, "replan": stamp.replan, "code": stamp.code[:12], "log": self.subject.name,
@@ -120,7 +120,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What came of one drive.
+    """The result of one drive.
 
     Attributes:
         outcome: One of those above; "fail" is a point that counts.
@@ -146,7 +146,7 @@ class Case:
 
 
 def judged(results: Results, log: str, gates: Sequence[Gate], planner: str, against: str) -> Case:
-    """The case of a log in a run of the planner, and of the one that it is held against ("careful": no other)."""
+    """The case of a log in a run of the planner and of the one that it is compared with ("careful": none)."""
     failures = results.failures[results.failures["log"] == log]
     drives = results.drives[(results.drives["log"] == log) & (results.drives["planner"] == planner)]
     if len(failures) or drives.empty:
@@ -225,7 +225,7 @@ class Falsified:
         return 0 if self.found.point is None else 1
 
     def lines(self) -> list[str]:
-        """What is said of it, a sentence each."""
+        """The result in sentences."""
         asked, found = self.question, self.found
         counts = Counter(self.table["outcome"])
         drives = ", ".join(f"{n} {WORDS.get(name, name)}" for name, n in counts.most_common())
@@ -284,7 +284,7 @@ def falsify(
         PlannerError: The planner cannot be loaded.
     """
     if len(question.run.planners) != 1:
-        raise ConfigError(f"a falsification is of one planner, got {', '.join(question.run.planners)}")
+        raise ConfigError(f"a falsification needs exactly one planner, got {', '.join(question.run.planners)}")
     if question.against == question.planner:
         raise ConfigError(f"--against {question.against}: is the planner itself")
     cma_class(question.budget)

@@ -46,7 +46,7 @@ Point = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """What came of a point: its score, less is better, and whether it counts as a failure."""
+    """The result of a point: its score (lower is better), and whether it counts as a failure."""
 
     score: float
     counts: bool
@@ -75,7 +75,7 @@ class Mildest:
 
 
 class _Trials:
-    """What has been evaluated, and what may still be."""
+    """The evaluated points, and the remaining budget."""
 
     def __init__(self, box: FloatArray, evaluate: Evaluate, budget: int) -> None:
         self.box, self.left = box, budget

@@ -56,7 +56,7 @@ class Plan:
         return replace(self.run, mode=mode, recording=False, internals="none", deadline_s=0.0, ensemble=0)
 
     def head(self, logs: Mapping[str, str]) -> dict[str, Any]:
-        """What makes two tunings the same but for the number of trials; `logs` are the identities by name."""
+        """The inputs that identify a tuning, except the number of trials; `logs` are the identities by name."""
         stamp = stamp_of(self.driven)
         return {
             "study": KIND, "replan": stamp.replan, "code": stamp.code[:12], "seed": self.seed, "share": self.share,

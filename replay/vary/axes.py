@@ -45,7 +45,7 @@ class Question:
     Attributes:
         axes: One or two; the first is along the rows of the picture.
         fixed: Value by name, the same in all cells.
-        agents: Ids of those who are varied; empty: who is inserted.
+        agents: Ids of the varied agents; empty: the inserted one.
         resolution: How near edges are found, in the first axis' unit.
     """
 
@@ -125,6 +125,6 @@ def variations() -> Iterator[str]:
 
 
 def variation_table() -> list[dict[str, Any]]:
-    """What `variations` says, as data."""
+    """The content of `variations`, as data."""
     keys = ("name", "summary", "low", "high", "neutral")
     return [{key: getattr(one, key) for key in keys} for one in VARIATIONS.values()]

@@ -175,7 +175,7 @@ def vary(
         ConfigError: A wrong setting, an unknown agent, a folder with foreign files, or in use.
     """
     if len(run.planners) != 1:
-        raise ConfigError(f"a surface is of one planner, got {', '.join(run.planners)}")
+        raise ConfigError(f"a surface needs exactly one planner, got {', '.join(run.planners)}")
     run = replace(run, mode="closed", deadline_s=0.0, log=LogSettings(), ensemble=0)
     there = {*scenario.tracks.ids, *(VARIATIONS[name].inserts for name in question.values(next(question.cells)))}
     missing = [agent for agent in question.agents if agent not in there]

@@ -196,7 +196,7 @@ class KinematicBicycle:
         return self.state
 
     def set_state(self, state: EgoState, actuation: FloatArray) -> None:
-        """It is somewhere else, its actuators at `actuation` `(3,)`."""
+        """Place the vehicle elsewhere, with its actuators at `actuation` `(3,)`."""
         self.state, does = state, actuation.tolist()
         self.inner = State(state.x, state.y, state.yaw, state.v, *does)
 
@@ -244,7 +244,7 @@ class Perfect:
         return Command(there.steer, *steady_pedals(self.powertrain, there.a, there.v))
 
     def step(self, command: Command, dt: float) -> EgoState:
-        """Be on the plan `dt` s later; the command moves nothing.
+        """Move to the plan's state `dt` s later; the command has no effect.
 
         Raises:
             RuntimeError: It has no plan yet.

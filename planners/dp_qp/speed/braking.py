@@ -1,4 +1,4 @@
-"""How hard to brake: a ladder, and the first rung that holds is driven.
+"""How hard to brake: a ladder of limits, of which the first that keeps the bounds is driven.
 
 (1) Comfortable limits, smoothed by the QP; they give up their reserve, then half of the gap.
 (2) Hard limits, the mildest with which braking keeps the bounds.
@@ -43,7 +43,7 @@ RESTING_MPS = 0.5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SolvedSpeed:
-    """What was found: rows s, v, a `(3, knots)`, or None; why it is not comfortable, or why there is none.
+    """The speed found: rows s, v, a `(3, knots)`, or None; why it is not comfortable, or why there is none.
 
     Whether nothing could avoid a contact, whether it brakes as hard as it can, and the QPs that were tried, with
     answers.

@@ -297,14 +297,14 @@ cast("Any", caching)._CacheLocator.ensure_cache_path = lambda self: _check_folde
 cast("Any", caching).CacheImpl._locator_classes.append(_ShippedLocator)
 
 
-def cold() -> bool:
+def is_cache_empty() -> bool:
     """Whether the disk holds no machine code for this processor, for any imported kernel."""
     return bool(_STORED) and not any(
         each._cache._cache_file.holds(each.targetctx.codegen().magic_tuple()) for each in _STORED
     )
 
 
-def compiled_here() -> int:
+def compiled_count() -> int:
     """How many kernels this process compiled, one that was compiled for two kinds of arguments as two."""
     return sum(sum(compiled.stats.cache_misses.values()) for compiled in _STORED)
 

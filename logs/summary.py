@@ -158,14 +158,14 @@ def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
         contents.profile or (reader.summary if reader is not None else ""),
         sum(file.stat().st_size for file in files if file.is_file()),
         contents.topics,
-        None if scenario is None else _scenario(scenario),
+        None if scenario is None else _summarise_scenario(scenario),
         () if scenario is None else evaluations(scenario, has_vehicle=has_vehicle),
         error,
         scenario,
     )
 
 
-def _scenario(scenario: Scenario) -> ScenarioSummary:
+def _summarise_scenario(scenario: Scenario) -> ScenarioSummary:
     ego, tracks, road = scenario.ego, scenario.tracks, scenario.road
     lanes, span = road.lanes.values(), float(ego.t[-1] - ego.t[0])
     kinds = Counter(kind.value for kind, static in zip(tracks.kinds, tracks.static, strict=True) if not static)
@@ -185,15 +185,15 @@ def _scenario(scenario: Scenario) -> ScenarioSummary:
         ego_rate=(len(ego) - 1) / span if span > 0.0 else float("nan"),
         ego_speed=(float(ego.v.min()), float(ego.v.max())), agents=dict(kinds.most_common()),
         obstacles=int(tracks.static.sum()), road=found, lights=len(scenario.lights),
-        goal=None if scenario.goal is None else _goal(scenario.goal),
+        goal=None if scenario.goal is None else _describe_goal(scenario.goal),
         controls=0 if scenario.controls is None else len(scenario.controls), metadata=scenario.metadata,
         notes=scenario.notes,
     )  # fmt: skip
 
 
-def _goal(goal: Goal) -> str:
+def _describe_goal(goal: Goal) -> str:
     if goal.alternatives:
-        return "; or ".join(map(_goal, goal.alternatives))
+        return "; or ".join(map(_describe_goal, goal.alternatives))
     parts = [f"in {len(goal.regions)} region(s)" if goal.regions else "at any place"]
     for word, interval, unit in (("time", goal.t, "s"), ("speed", goal.v, "m/s"), ("heading", goal.yaw, "rad")):
         if interval is not None:

@@ -113,7 +113,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-Broken = Callable[[Metric, str, BaseException], None]  # a metric that raised, why in words, and the error
+OnError = Callable[[Metric, str, BaseException], None]  # a metric that raised, why in words, and the error
 
 
 def evaluate(
@@ -121,7 +121,7 @@ def evaluate(
     scenario: Scenario,
     *,
     metrics: Mapping[str, Metric] = METRICS,
-    broken: Broken | None = None,
+    broken: OnError | None = None,
     found: Callable[[str, Series], None] = lambda name, series: None,
 ) -> pd.DataFrame:
     """One row per metric and reduction of the trace's mode, columns `COLUMNS`; the same input gives the same bits.
@@ -144,7 +144,7 @@ def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = 
 
 
 def evaluate_with_series(
-    trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS, broken: Broken | None = None
+    trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS, broken: OnError | None = None
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """`evaluate` and `series`, each metric measured once."""
     steps_of: dict[str, Series] = {}
@@ -171,7 +171,7 @@ def rows_of(
     scenario: Scenario,
     *,
     metrics: Mapping[str, Metric] = METRICS,
-    broken: Broken | None = None,
+    broken: OnError | None = None,
     found: Callable[[str, Series], None] = lambda name, series: None,
 ) -> list[tuple[object, ...]]:
     """The rows of `evaluate`. All metrics ignore phantom agents."""
@@ -210,7 +210,7 @@ def rows_of(
     return rows
 
 
-def _report_error(metric: Metric, function: Callable[..., object], error: BaseException, broken: Broken | None) -> str:
+def _report_error(metric: Metric, function: Callable[..., object], error: BaseException, broken: OnError | None) -> str:
     """Call `broken` and return the reason of an error in a metric's function; without `broken`, raise it again."""
     if broken is None:
         raise error

@@ -23,7 +23,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.kernel import FloatArray
-from logs.maps.projections import UTM_SCALE, Projection, on_earth, projection_named
+from logs.maps.projections import UTM_SCALE, Projection, check_on_earth, parse_projection
 
 LARGEST_BYTES = 1 << 30
 """A larger file is refused: the maps of whole cities have some 100 MB."""
@@ -193,14 +193,14 @@ def placed_points(osm: Osm, path: Path, settings: Mapping[str, str]) -> tuple[li
         )
     (lat, lon), info = places[0], path.with_name(PROJECTOR_INFO)
     if settings.get("map_origin"):
-        projection, why = projection_named(settings["map_origin"]), "as [log] map_origin says"
+        projection, why = parse_projection(settings["map_origin"]), "as [log] map_origin says"
     elif info.is_file():
         projection, why = _projector_info(info), f"as {info.name} says"
     elif abs(lat) < NEAR_NULL_DEG and abs(lon) < NEAR_NULL_DEG:
         projection, why = Projection("tmerc", (0.0, 0.0)), "assumed"
     else:
         projection, why = Projection("mgrs"), "assumed: the map does not say"
-    xy = projection(np.array([on_earth(*place) for place in places]))
+    xy = projection(np.array([check_on_earth(*place) for place in places]))
     if not (np.abs(xy) < LARGEST_M).all():
         raise LogError(f"points have no place under {projection}", topic="[log] map_origin", remedy="name its origin")
     return nodes, f"{projection} ({why})", xy
@@ -216,11 +216,11 @@ def _projector_info(path: Path) -> Projection:
     values = {key.strip(): value.strip(" '\"\t") for key, _, value in pairs}
     kind = values.get("projector_type", "")
     if kind == "MGRS":
-        return projection_named(values.get("mgrs_grid", "") or "mgrs")
+        return parse_projection(values.get("mgrs_grid", "") or "mgrs")
     if kind not in _AUTOWARE:
         remedy = f"known are MGRS, {', '.join(_AUTOWARE)}; or set [log] map_origin"
         what = f"projector_type is {kind!r}, and the points have no local_x and local_y"
         raise LogError(what, file=path, remedy=remedy)
-    place = on_earth(*(real(values.get(key, ""), key) for key in ("latitude", "longitude")))
+    place = check_on_earth(*(real(values.get(key, ""), key) for key in ("latitude", "longitude")))
     scale = real(values.get("scale_factor", str(UTM_SCALE)), "scale_factor")
     return Projection(_AUTOWARE[kind], place, scale=scale)

@@ -139,7 +139,7 @@ _PLACE = re.compile(r"(?:(utm|tmerc|enu)\s+)?(-?\d+(?:\.\d*)?)\s*,\s*(-?\d+(?:\.
 _SQUARE = re.compile(r"(\d{1,2})([C-HJ-NP-X])([A-HJ-NP-Z])([A-HJ-NP-V])")
 
 
-def projection_named(text: str) -> Projection:
+def parse_projection(text: str) -> Projection:
     """The projection that a text names (`FORMS`).
 
     Raises:
@@ -150,13 +150,13 @@ def projection_named(text: str) -> Projection:
     if text in ("utm", "mgrs"):
         return Projection(text)
     if place is not None:
-        return Projection(place[1] or "utm", on_earth(float(place[2]), float(place[3])))
+        return Projection(place[1] or "utm", check_on_earth(float(place[2]), float(place[3])))
     if square is not None and 1 <= int(square[1]) <= 60 and square[3] in _COLUMNS[(int(square[1]) - 1) % 3]:
         return Projection("mgrs", square=square[0])
     raise LogError(f"no map origin: {text!r}", topic="[log] map_origin", remedy=f"give {FORMS}")
 
 
-def on_earth(lat: float, lon: float) -> tuple[float, float]:
+def check_on_earth(lat: float, lon: float) -> tuple[float, float]:
     """The latitude and longitude, degrees; LogError where they are out of range."""
     if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
         raise LogError(f"no place on earth: latitude {lat}, longitude {lon}", remedy="give degrees")

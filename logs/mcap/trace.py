@@ -31,12 +31,12 @@ from logs.mcap.reader import marked_tracks, sampled, scenario_of, seconds
 from logs.mcap.writer import (
     COLUMNS,
     Entry,
+    agent_table,
     column,
     log_times,
     samples,
     scenario_entries,
     scenario_records,
-    table_of,
     write_log,
 )
 from logs.memory import light
@@ -111,7 +111,7 @@ def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> I
             yield time, "/predictions", message
     if trace.perceived is not None:
         if not _who(trace.perceived).items() <= _who(trace.agents).items():
-            yield start_ns, "/perceived/table", table_of(trace.perceived)
+            yield start_ns, "/perceived/table", agent_table(trace.perceived)
         shown = trace.perceived
         at_ns = np.array(log_times(shown.t, start_ns, "/perceived"), dtype=np.int64)
         track = np.repeat(np.arange(len(shown)), np.diff(shown.offsets))

@@ -135,9 +135,9 @@ def scenario_records(scenario: Scenario, *, version: int = native.WITHOUT_BLOCKS
         "tags": encode(scenario.tags).decode(),
         "notes": encode(scenario.notes).decode(),
         "start_ns": str(scenario.start_ns),
-        "duration_s": repr(finite(scenario.duration, "duration")),
-        "origin_x_m": repr(finite(scenario.origin[0], "origin")),
-        "origin_y_m": repr(finite(scenario.origin[1], "origin")),
+        "duration_s": repr(check_finite(scenario.duration, "duration")),
+        "origin_x_m": repr(check_finite(scenario.origin[0], "origin")),
+        "origin_y_m": repr(check_finite(scenario.origin[1], "origin")),
     }
     if scenario.traffic is not None:
         record["traffic_s"] = encode(scenario.traffic).decode()
@@ -155,10 +155,10 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
             for name in ("t", "v", "yaw"):
                 _finite_all(getattr(one, name) or (), f"goal {name}")
             for region in one.regions:
-                check(region[:, 0], "/goal", "x")
-                check(region[:, 1], "/goal", "y")
+                check_not_infinite(region[:, 0], "/goal", "x")
+                check_not_infinite(region[:, 1], "/goal", "y")
         yield start, "/goal", message_of(native.Goal, scenario.goal)
-    finite(scenario.road.default_speed_limit, "default speed limit")
+    check_finite(scenario.road.default_speed_limit, "default speed limit")
     for lane in scenario.road.lanes.values():
         if np.isinf(lane.speed_limit):
             raise LogError(f"lane {lane.id}: the speed limit is infinite", topic="/road", remedy="use NaN for no limit")
@@ -205,7 +205,7 @@ def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
     return [int(time) for time in times]
 
 
-def check(values: FloatArray, topic: str, name: str) -> None:
+def check_not_infinite(values: FloatArray, topic: str, name: str) -> None:
     """Check that no value is infinite; NaN means missing.
 
     Raises:
@@ -218,12 +218,12 @@ def check(values: FloatArray, topic: str, name: str) -> None:
 
 def column(values: FloatArray, topic: str, name: str) -> list[float]:
     """The values as a list; LogError as `check`."""
-    check(values, topic, name)
+    check_not_infinite(values, topic, name)
     out: list[float] = values.tolist()
     return out
 
 
-def finite(value: float, name: str) -> float:
+def check_finite(value: float, name: str) -> float:
     """Return the number if it is finite.
 
     Raises:
@@ -236,7 +236,7 @@ def finite(value: float, name: str) -> float:
 
 def _finite_all(value: float | tuple[float, ...], name: str) -> float | tuple[float, ...]:
     """The number or numbers; LogError as `finite`."""
-    return tuple(finite(item, name) for item in value) if isinstance(value, tuple) else finite(value, name)
+    return tuple(check_finite(item, name) for item in value) if isinstance(value, tuple) else check_finite(value, name)
 
 
 def samples(
@@ -249,7 +249,7 @@ def samples(
     """
     times, names = log_times(table.t, start_ns, topic), kind.__struct_fields__
     for name in names:
-        check(getattr(table, name), topic, name)
+        check_not_infinite(getattr(table, name), topic, name)
     late = np.flatnonzero(np.diff(np.array(times, np.int64)) <= 0)
     if len(late):
         raise LogError("two samples on one nanosecond, or out of order", topic=topic, time_ns=times[late[0] + 1])
@@ -269,13 +269,13 @@ def _tracks(
     if not len(tracks):
         return
     table, still, moving = topics
-    yield start_ns, table, table_of(tracks)
+    yield start_ns, table, agent_table(tracks)
     track = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
     times = np.array(log_times(tracks.t, start_ns, moving), dtype=np.int64)
     if ((np.diff(times) <= 0) & (np.diff(track) == 0)).any():
         raise LogError("an agent has two samples on one nanosecond", topic=moving)
     for name in ("vx", "vy"):
-        check(getattr(tracks, name), moving, name)
+        check_not_infinite(getattr(tracks, name), moving, name)
     for topic, chosen in ((still, tracks.static[track]), (moving, ~tracks.static[track])):
         where = np.flatnonzero(chosen)
         order = where[np.lexsort((track[where], times[where]))]
@@ -293,7 +293,7 @@ def _tracks(
 def _detections(found: Detections, start_ns: int) -> Iterator[Entry]:
     """One message per frame."""
     for name in ("length", "width", "vx", "vy", "score"):
-        check(getattr(found, name), "/detections", name)
+        check_not_infinite(getattr(found, name), "/detections", name)
     times = log_times(found.frames, start_ns, "/detections")
     if (np.diff(np.array(times, np.int64)) <= 0).any():
         raise LogError("two frames of detections on one nanosecond", topic="/detections")
@@ -305,7 +305,7 @@ def _detections(found: Detections, start_ns: int) -> Iterator[Entry]:
         yield time, "/detections", native.DetectionColumns(list(found.ids[part]), list(kinds[part]), *columns)
 
 
-def table_of(tracks: Tracks) -> native.AgentTable:
+def agent_table(tracks: Tracks) -> native.AgentTable:
     """The table of ids, kinds and sizes of tracks."""
     sizes = tracks.length.tolist(), tracks.width.tolist()
     return native.AgentTable(list(tracks.ids), list(tracks.kinds), *sizes, tracks.static.tolist())

@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 
 from logs.kernel import FloatArray, IntArray, frozen, kernel
 from logs.repair.boxes import DENSITY, VEHICLE, Boxes
-from logs.repair.kalman import ACROSS, ALONG, COS, SIN, WIDTH, X, Y, absorb_one, carry_all
+from logs.repair.kalman import ACROSS, ALONG, COS, SIN, WIDTH, X, Y, predict_all, update_one
 
 FIRST_ALONG, FIRST_ACROSS = frozen([10.0, 2.5, 3.0]), frozen([1.5, 2.5, 3.0])
 """Standard deviations of the speed at the first detection along and across the box, m/s: 29 % of the vehicle tracks
@@ -59,7 +59,7 @@ class Association:
             rows = slice(int(ends[k]), int(ends[k + 1]))
             most = np.where(self.tracks["hits"] > YOUNG, AGE_S, YOUNG_AGE_S)
             tracks = self.tracks[(t - self.tracks["last"] <= most + 1e-9) | (self.tracks["missed"] < 1)]
-            carry_all(tracks["state"], t - self.time, DENSITY[tracks["group"]])
+            predict_all(tracks["state"], t - self.time, DENSITY[tracks["group"]])
             # each of the detections may begin a track
             found, group, variance = np.zeros(rows.stop - rows.start, _TRACK), boxes.group[rows], boxes.noise[rows] ** 2
             state = found["state"]
@@ -78,7 +78,7 @@ class Association:
             old, new = old[good], new[good]
             tracks["missed"] += 1
             for j, i in zip(old, new, strict=True):
-                absorb_one(tracks["state"][j], place[i, X], place[i, Y], variance[i])
+                update_one(tracks["state"][j], place[i, X], place[i, Y], variance[i])
             tracks["size"][old] = SIZE_MEMORY * tracks["size"][old] + (1.0 - SIZE_MEMORY) * found["size"][new]
             tracks["missed"][old], tracks["last"][old] = 0, t
             tracks["hits"][old] += 1

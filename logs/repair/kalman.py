@@ -24,7 +24,7 @@ X, Y, VX, VY, COS, SIN, ALONG, ACROSS, WIDTH = 0, 1, 2, 3, 4, 5, 6, 9, 12
 
 
 @inner_kernel
-def _carry(cov: FloatArray, d: float, q: float) -> None:
+def _predict(cov: FloatArray, d: float, q: float) -> None:
     """(1), in place."""
     cov[0] += d * (2.0 * cov[1] + d * cov[2]) + q * d**3 / 3.0
     cov[1] += d * cov[2] + 0.5 * q * d * d
@@ -32,7 +32,7 @@ def _carry(cov: FloatArray, d: float, q: float) -> None:
 
 
 @inner_kernel
-def _absorb(cov: FloatArray, r: float) -> tuple[float, float]:
+def _update(cov: FloatArray, r: float) -> tuple[float, float]:
     """(2): the gains; the covariance in place."""
     s = cov[0] + r
     kp, kv = cov[0] / s, cov[1] / s
@@ -43,23 +43,23 @@ def _absorb(cov: FloatArray, r: float) -> tuple[float, float]:
 
 
 @kernel
-def carry_all(states: FloatArray, d: float, q: FloatArray) -> None:
+def predict_all(states: FloatArray, d: float, q: FloatArray) -> None:
     """(1) of each state `(n, WIDTH)`, in place; q `(n,)`."""
     for i in range(len(states)):
         states[i, X] += d * states[i, VX]
         states[i, Y] += d * states[i, VY]
-        _carry(states[i, ALONG : ALONG + 3], d, q[i])
-        _carry(states[i, ACROSS : ACROSS + 3], d, q[i])
+        _predict(states[i, ALONG : ALONG + 3], d, q[i])
+        _predict(states[i, ACROSS : ACROSS + 3], d, q[i])
 
 
 @kernel
-def absorb_one(state: FloatArray, x: float, y: float, r: float) -> None:
+def update_one(state: FloatArray, x: float, y: float, r: float) -> None:
     """(2) of one state `(WIDTH,)`, in place, with a detection at x, y of variance r."""
     c, s = state[COS], state[SIN]
     ex, ey = x - state[X], y - state[Y]
     along, across = c * ex + s * ey, c * ey - s * ex
-    pa, va = _absorb(state[ALONG : ALONG + 3], r)
-    pc, vc = _absorb(state[ACROSS : ACROSS + 3], r)
+    pa, va = _update(state[ALONG : ALONG + 3], r)
+    pc, vc = _update(state[ACROSS : ACROSS + 3], r)
     state[X] += c * pa * along - s * pc * across
     state[Y] += s * pa * along + c * pc * across
     state[VX] += c * va * along - s * vc * across
@@ -80,16 +80,16 @@ def smoothed(t: FloatArray, z: FloatArray, r: FloatArray, q: float, stands: Bool
         if i > 0:
             d = t[i] - t[i - 1]
             state[:2] += d * state[2:]
-            _carry(cov, d, q)
+            _predict(cov, d, q)
         before[i], carried[i] = state, cov
         if np.isfinite(z[i, 0]):
-            kp, kv = _absorb(cov, r[i])
+            kp, kv = _update(cov, r[i])
             for axis in range(2):
                 e = z[i, axis] - state[axis]
                 state[axis] += kp * e
                 state[2 + axis] += kv * e
         if stands[i]:
-            kv, kp = _absorb(cov[::-1], STAND_MPS * STAND_MPS)  # (3)
+            kv, kp = _update(cov[::-1], STAND_MPS * STAND_MPS)  # (3)
             state[:2] -= kp * state[2:]
             state[2:] -= kv * state[2:]
         after[i], covs[i] = state, cov

@@ -29,7 +29,7 @@ from logs.trace import Artefact, Candidates, CostTerms, LaneOption
 from planners.dp_qp.config import DpQpConfig, LaneConfig
 from planners.dp_qp.lane import FORGET_S, LaneMemory, LanePlan, LanePlanner, PassWay
 from planners.dp_qp.path.bounds import CorridorConfig
-from planners.dp_qp.path.passing import along_lane, free_stations, obstacles_to_pass, pass_targets
+from planners.dp_qp.path.passing import find_slow_agents, free_stations, obstacles_to_pass, pass_targets
 from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import Scene
 from planners.rules.rulebook import YIELD_MPS2
@@ -147,7 +147,7 @@ def passing(
         memory = PassMemory()
     if not memory.passed and keep.time_lost + keep.braking < hysteresis:
         return keep, (), memory
-    who, ids = along_lane(scene, memory.passed), scene.frame.agents.ids
+    who, ids = find_slow_agents(scene, memory.passed), scene.frame.agents.ids
     if not who and not memory.passed:
         return keep, (), PassMemory(t, given_up=memory.given_up, lane=memory.lane)
     past, names, after = _plan_past(keep, planner, memory, who, config.path.corridor, passes_left=passes_left)

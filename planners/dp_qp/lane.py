@@ -21,7 +21,7 @@ from logs.trace import Artefact, CostTerms, SolverReport
 from planners.dp_qp.config import DpQpConfig
 from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
 from planners.dp_qp.path.bounds import InTheWay
-from planners.dp_qp.path.passing import PassTarget, along_lane, free_stations, pass_targets
+from planners.dp_qp.path.passing import PassTarget, find_slow_agents, free_stations, pass_targets
 from planners.dp_qp.path.stage import ChosenPath, PathMemory, PathStage
 from planners.dp_qp.speed.caps import SpeedTask
 from planners.dp_qp.speed.stage import ChosenSpeed, SpeedMemory, SpeedStage
@@ -158,7 +158,7 @@ class LanePlanner:
             demanded, rules = self._rules.stops(scene, memory.rules, frozenset(standing))
             stops = on_path(demanded, path.path, self._vehicle)
             skip = behind(scene, keeps_track=path.shift < TRACK_M and past is None)
-            who, beside = [] if past else along_lane(scene), past.targets if past else ()
+            who, beside = [] if past else find_slow_agents(scene), past.targets if past else ()
             if who:  # they are beside an ego that drives at the limit, which comes there soonest; else followed
                 expected = free_stations(scene.frame.predictions.t, scene.s, start.v, scene.limit)
                 beside = pass_targets(scene, who, expected)

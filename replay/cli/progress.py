@@ -16,7 +16,7 @@ from time import monotonic, perf_counter
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from logs.kernel import cold
+from logs.kernel import is_cache_empty
 from logs.names import counted
 from replay.draw.report.console import SafeConsole
 from replay.results.log_result import LogResult
@@ -130,7 +130,7 @@ def progress(
             for reason in selection.dropped:
                 say(f"left out: {reason}")
             say(f"{counted(len(selection.sources), 'log')} -> {out}")
-            if cold():
+            if is_cache_empty():
                 say("compiling kernels (once, about a minute); replan warmup does it beforehand")
 
         def on_log(result: LogResult) -> None:

@@ -46,8 +46,8 @@ from replay.vehicle.kinematic_bicycle import KinematicBicycle, Kinematics
 from replay.vehicle.plan_path import PlanPath, Tracker
 from replay.vehicle.single_track import SingleTrack, named_car
 
-ANY_NUMBER = 1 << 30
-NEVER = 1 << 62
+UNLIMITED_STEPS = 1 << 30
+NO_STEP = 1 << 62
 EGO = slice(0, len(TRAJECTORY_COLUMNS))
 
 
@@ -77,7 +77,7 @@ class Latency:
 
     def changes(self, step: int) -> int:
         """The first step after `step` at which another plan may take effect; NEVER if none is pending."""
-        return next((due for due, _ in self._coming if due > step), NEVER)
+        return next((due for due, _ in self._coming if due > step), NO_STEP)
 
     def at(self, step: int) -> Plan:
         """The plan to drive at `step`, after the first was made; steps do not decrease."""
@@ -162,7 +162,7 @@ class PlanPeriod:
     def __init__(self, controller: Controller, vehicle: Vehicle, period: float) -> None:
         self._controller, self._vehicle, self._period, self._tracker = controller, vehicle, period, Tracker()
         self._run = RUNS.get((type(controller), type(vehicle)))
-        self.most_steps = ANY_NUMBER if self._run else 1
+        self.most_steps = UNLIMITED_STEPS if self._run else 1
 
     def run(self, plan: Plan, rows: FloatArray, first: int, count: int) -> None:
         """Drive `count` control steps along the plan, from row `first`, which holds motion and actuation."""

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from logs.errors import ConfigError, LogError, PlannerError, ReplanError, of_users, raised
-from logs.kernel import cold
+from logs.kernel import is_cache_empty
 from logs.names import counted
 from logs.road import RoadSource
 from metrics import health
@@ -29,7 +29,7 @@ from replay.mine.driven_log import DrivenLog, Event, EventKind
 from replay.mine.ego_and_road import crosses_others, in_roundabout, stays
 from replay.mine.kinds import EVENT_KIND, KINDS, PLAN_KINDS, plan_events
 from replay.results.schema import names_of
-from replay.results.tables import claim, joined, next_free, write_json, write_parquet, write_text
+from replay.results.tables import clear_folder, joined, next_free, write_json, write_parquet, write_text
 from replay.results.version import replan_version
 from replay.run.engine import longest_first
 from replay.run.output import held, write_origin
@@ -114,7 +114,7 @@ def mine(
     if workers == 0:
         ended: Iterator[tuple[int, MinedLog | WorkerLost]] = ((i, job(one)) for i, one in enumerate(sources))
     else:
-        drive = partial(run_all, job, workers=min(workers, len(sources)), one_first=cold())
+        drive = partial(run_all, job, workers=min(workers, len(sources)), one_first=is_cache_empty())
         ended = longest_first(sources, drive, lambda source: source.expected_s)
     found: dict[int, MinedLog] = {}
     for index, one in ended:
@@ -143,7 +143,7 @@ def write(mined: Mined, run: RunConfig, kinds: Sequence[str], planners: Sequence
     """
     out = next_free() if out is None else out
     with held(out):
-        claim(out)
+        clear_folder(out)
         write_text(out / "run.toml", dump_run(run))
         write_origin(out)
         write_parquet(out / EVENTS, mined.events)

@@ -160,7 +160,7 @@ def next_free(parent: Path = Path("results")) -> Path:
     raise AssertionError
 
 
-def claim(out: Path) -> None:
+def clear_folder(out: Path) -> None:
     """Empty a folder that is held (`replay.run.output`); ConfigError as `check_ours`."""
     check_ours(out)
     for entry in out.iterdir():

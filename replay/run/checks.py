@@ -58,7 +58,7 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
     tables: dict[str, Any] = {SETTINGS[key]: _resolve_choice(key, run) for key in KINDS}
     run = replace(run, **tables)
     _check_plant(run)
-    _check_others(run)
+    _check_simulation_extensions(run)
     if run.foxglove:
         import replay.draw.foxglove  # noqa: F401  # raises ConfigError now if its package is not installed
     named = {*PLANNERS, *ORACLES, *PLANNER.entries(), *run.planners}
@@ -131,7 +131,7 @@ def _check_plant(run: RunConfig) -> None:
         controller_of(built, vehicle, loop.controller, loop.control_period_ns / 1e9, loop.settings)
 
 
-def _check_others(run: RunConfig) -> None:
+def _check_simulation_extensions(run: RunConfig) -> None:
     """Refuse the user's traffic, perception or prediction that refuses its settings, by a log that is built in.
 
     What it raises there by its defaults, too, may be that log's fault: it is heard of from the user's own.

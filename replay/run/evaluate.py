@@ -13,7 +13,7 @@ from logs.readers import LogSettings
 from replay.config import RunConfig, dump_run
 from replay.results.load import Results
 from replay.results.log_result import Failure, LogResult
-from replay.results.tables import claim, clear_partial, next_free, write_text
+from replay.results.tables import clear_folder, clear_partial, next_free, write_text
 from replay.run.checks import checked
 from replay.run.engine import Engine, Local, teams_of
 from replay.run.judging import gates_of, judge_and_write
@@ -84,7 +84,7 @@ def evaluate_logs(
                 if Path(os.path.realpath(path)).is_relative_to(out.resolve()):
                     remedy = "which is cleared; give --out another folder"
                     raise ConfigError(f"{path}: lies in the result folder {out}, {remedy}")
-            claim(out)
+            clear_folder(out)
         try:
             write_text(out / "run.toml", dump_run(run))
             write_origin(out)

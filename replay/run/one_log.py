@@ -74,7 +74,7 @@ class _Progress:
             line = f"{self.log}: {whose}: {raised(error)}; traceback in summary.json"
             self.failures.append(Failure(self.log, line, *place, traceback=traceback.format_exc()))
 
-    def broken(self, planner: str, mode: Mode) -> metrics.Broken:
+    def broken(self, planner: str, mode: Mode) -> metrics.OnError:
         """What is noted of a metric of this drive that raises: it costs itself only."""
 
         def noted(metric: Metric, reason: str, error: BaseException) -> None:
@@ -199,7 +199,7 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
         progress.tables += late_follower(progress.tables, scenario, run.drive_loop)
 
 
-class _Place(NamedTuple):
+class _DriveSpec(NamedTuple):
     """A drive of a log, or of a member of its ensemble: the planner, the loop, and which of the drives it is."""
 
     planner: str
@@ -207,14 +207,14 @@ class _Place(NamedTuple):
     key: DriveKey
 
 
-def _places(run: RunConfig, member: int = 0) -> Iterator[_Place]:
+def _places(run: RunConfig, member: int = 0) -> Iterator[_DriveSpec]:
     for i, planner in enumerate(run.planners):
         for j, mode in enumerate(run.modes):
-            yield _Place(planner, mode, DriveKey(member, i, j))
+            yield _DriveSpec(planner, mode, DriveKey(member, i, j))
 
 
 def _drive_one(
-    scenario: Scenario, place: _Place, run: RunConfig, file: Path, progress: _Progress, steps: StepsFile
+    scenario: Scenario, place: _DriveSpec, run: RunConfig, file: Path, progress: _Progress, steps: StepsFile
 ) -> Trace:
     """Drive, measure and write one planner in one loop: the trace as `file`.mcap, its recording as `file`.rrd."""
     drive = _probe_determinism(_drive_log(scenario, place, run, keep=run.keep_internals), scenario, place, run)
@@ -224,9 +224,9 @@ def _drive_one(
         found[name] = steps.put(name, series)
 
     broken = progress.broken(place.planner, place.mode)
-    _tidy(drive.trace)
+    _free_memory(drive.trace)
     table = metrics.evaluate(drive.trace, scenario, metrics=all_metrics(run), broken=broken, found=put)
-    _tidy(drive.trace)
+    _free_memory(drive.trace)
     steps.add(drive.trace.planner, place.mode.value, tuple(found.values()))
     progress.tables.append(table)
     timings = {
@@ -244,7 +244,7 @@ def _drive_one(
 
             beside = trace_channels(drive.trace, scenario)
         write_trace(Path(f"{file}.mcap"), drive.trace, scenario, internals=run.internals, beside=beside)
-        _tidy(drive.trace)
+        _free_memory(drive.trace)
         if run.recording:
             from replay.draw.recording import write_recording
 
@@ -252,13 +252,13 @@ def _drive_one(
     return drive.trace
 
 
-def _tidy(trace: Trace) -> None:
+def _free_memory(trace: Trace) -> None:
     """Give memory back after a stage of a long drive."""
     if isinstance(trace.frames, FrameStore):
         trim_memory()
 
 
-def _drive_log(scenario: Scenario, place: _Place, run: RunConfig, *, keep: bool, until_s: float = inf) -> Drive:
+def _drive_log(scenario: Scenario, place: _DriveSpec, run: RunConfig, *, keep: bool, until_s: float = inf) -> Drive:
     table = run.planner.get(place.planner, {})
     keywords = table if is_apart(place.planner, run.loop.apart) else planner_keywords(place.planner, table)
     return LOOPS[place.mode](
@@ -272,7 +272,7 @@ def _drive_log(scenario: Scenario, place: _Place, run: RunConfig, *, keep: bool,
     )
 
 
-def _probe_determinism(drive: Drive, scenario: Scenario, place: _Place, run: RunConfig) -> Drive:
+def _probe_determinism(drive: Drive, scenario: Scenario, place: _DriveSpec, run: RunConfig) -> Drive:
     """The drive, marked where its planner is the user's own and is not deterministic (`RunConfig.repeat_s`)."""
     planner, until_s = drive.trace.planner, float(scenario.ego.t[0]) + run.repeat_s
     if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:

@@ -32,7 +32,7 @@ from replay.planner_process.planner_config import planner_factory
 from replay.results.load import Results
 from replay.results.log_result import Failure, LogResult, Stamp, load_result
 from replay.results.schema import SCHEMA_VERSION
-from replay.results.tables import PARTIAL, SHARD_CARD, claim, write_json, write_text
+from replay.results.tables import PARTIAL, SHARD_CARD, clear_folder, write_json, write_text
 from replay.run.judging import gates_of, judge_and_write
 from replay.run.output import begun_in, held, write_origin
 from replay.run.resume import changes, identity_of, stamp_of
@@ -155,7 +155,7 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
     with gates_in(found[0].folder) as path:
         gates = gates_of(run, path)
     with held(out):
-        claim(out)
+        clear_folder(out)
         write_text(out / "run.toml", text)
         write_origin(out, begun_in(found[0].folder, (result.source for result in found[0].results)))
         placed: dict[int, LogResult] = {}

@@ -10,7 +10,7 @@ from time import perf_counter
 from typing import Any
 
 from logs.errors import OutputError
-from logs.kernel import cache_folder, compiled_here
+from logs.kernel import cache_folder, compiled_count
 from planners import PLANNERS
 from replay.config import RunConfig
 from replay.results.log_result import Failure, LogResult
@@ -83,4 +83,4 @@ def warm_up(*runs: RunConfig) -> Warmed:
         for stopped in filter(None, (result.stopped for result in results)):
             raise OutputError(stopped)
         failures += [failure for result in results for failure in result.failures]
-    return Warmed(perf_counter() - begin, compiled_here(), cache_folder(), tuple(failures))
+    return Warmed(perf_counter() - begin, compiled_count(), cache_folder(), tuple(failures))

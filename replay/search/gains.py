@@ -90,7 +90,7 @@ def objectives(names: Sequence[str], metrics: Mapping[str, Metric]) -> tuple[Obj
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class RunScores:
     """The values of a run that the search compares.
 
     Attributes:
@@ -102,7 +102,7 @@ class Measured:
     failed: int
 
 
-def measured(results: Results, logs: Sequence[str], asked: Sequence[Objective]) -> Measured:
+def run_scores(results: Results, logs: Sequence[str], asked: Sequence[Objective]) -> RunScores:
     """A run on these logs, in this order."""
     table = results.metrics
     table = table[(table["planner"] == results.run.planners[0]) & table["available"].astype(bool)]
@@ -110,7 +110,7 @@ def measured(results: Results, logs: Sequence[str], asked: Sequence[Objective]) 
     known = dict(zip(keys, table["value"], strict=True))
     values = [[float(known.get((log, one.metric, one.mode), nan)) for log in logs] for one in asked]
     broken = int((results.verdicts["outcome"] == Outcome.FAIL.value).sum())
-    return Measured(np.array(values, dtype=float).reshape(len(asked), len(logs)), broken + len(results.failures))
+    return RunScores(np.array(values, dtype=float).reshape(len(asked), len(logs)), broken + len(results.failures))
 
 
 def scales(default: FloatArray) -> FloatArray:
@@ -128,7 +128,7 @@ def gains(values: FloatArray, default: FloatArray, scale: FloatArray, asked: Seq
 
 
 @dataclass(frozen=True, slots=True)
-class Better:
+class MeanGain:
     """(6): mean, interval and number of logs, and what they say."""
 
     mean: float
@@ -148,11 +148,11 @@ class Better:
         return f"mean gain {self.mean:+.4f}, 95 % interval {interval}, over {self.logs} held-out logs: {word}"
 
 
-def better(gain: FloatArray) -> Better:
+def mean_gain(gain: FloatArray) -> MeanGain:
     """(6) of the gains `(j, n)` on the held-out logs."""
     total = gain.sum(axis=0)
     low, high = intervals(total[None, :])
-    return Better(float(total.mean()), float(low[0]), float(high[0]), len(total))
+    return MeanGain(float(total.mean()), float(low[0]), float(high[0]), len(total))
 
 
 def is_dominated(one: FloatArray, others: FloatArray) -> bool:

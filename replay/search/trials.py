@@ -18,7 +18,7 @@ from typing import Any
 from logs.errors import ConfigError
 from replay.config import RunConfig, RunMode, dump_run
 from replay.run.resume import stamp_of
-from replay.search.gains import Measured, Objective, gains, scales
+from replay.search.gains import Objective, RunScores, gains, scales
 from replay.search.space import Setting, Value
 
 KIND = "tune"
@@ -80,7 +80,7 @@ def optuna_module() -> Any:
 class Trials:
     """optuna's study: what to try next, and what came of it."""
 
-    def __init__(self, plan: Plan, default: Measured) -> None:
+    def __init__(self, plan: Plan, default: RunScores) -> None:
         self._plan, self._default, self._scale = plan, default, scales(default.values)
         self._optuna = optuna_module()
         with _quiet():
@@ -123,7 +123,7 @@ class Trials:
             self._trial.set_user_attr("violation", float(row["failed"] - self._default.failed))
             self._study.tell(self._trial, [row[f"gain {one.metric}"] for one in self._plan.objectives])
 
-    def row(self, values: Values, found: Measured | str) -> dict[str, Any]:
+    def row(self, values: Values, found: RunScores | str) -> dict[str, Any]:
         """The row of a trial: of what was measured, or of settings that are refused together, and why."""
         row: dict[str, Any] = {one.key: values[one.path] for one in self._plan.settings}
         names = [f"gain {one.metric}" for one in self._plan.objectives]

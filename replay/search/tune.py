@@ -45,13 +45,13 @@ from replay.run.sources import Selection
 from replay.search.figures import pareto_figure
 from replay.search.gains import (
     LEAST_LOGS,
-    Better,
-    Measured,
-    better,
+    MeanGain,
+    RunScores,
     gains,
     held_out,
     is_dominated,
-    measured,
+    mean_gain,
+    run_scores,
     scales,
     stratum,
 )  # fmt: skip
@@ -105,7 +105,7 @@ class Tuned:
     table: pd.DataFrame
     chosen: Mapping[str, Any]
     values: Values
-    better: Better | None
+    better: MeanGain | None
     comparison: Comparison | None
 
     @property
@@ -238,7 +238,7 @@ class _Driver:
             logs, run, place, engine=self.engine, resume=self.resume and (place / "run.toml").is_file()
         )
 
-    def passing(self, logs: Sequence[Path | str], run: RunConfig, asked: Callable[[Results], Measured]) -> Measured:
+    def passing(self, logs: Sequence[Path | str], run: RunConfig, asked: Callable[[Results], RunScores]) -> RunScores:
         """What is asked of a run whose files do not stay."""
         scratch = self.out / f"{PARTIAL}trial"
         shutil.rmtree(scratch, ignore_errors=True)
@@ -254,16 +254,16 @@ class _Driver:
 def _run_search(plan: Plan, logs: Logs, study: Study, driver: _Driver, say: Callable[[str], None]) -> Tuned:
     say(f"{counted(len(logs.training), 'training log')}, {len(logs.held)} held out; first the defaults")
     names, where = logs.training, logs.at(logs.training)
-    default = measured(driver.kept(where, plan.driven, "training"), names, plan.objectives)
+    default = run_scores(driver.kept(where, plan.driven, "training"), names, plan.objectives)
     search = Trials(plan, default)
 
-    def drive(values: Values) -> Measured | str:
+    def drive(values: Values) -> RunScores | str:
         try:
             run = with_values(plan.driven, values)
             checked(run)
         except ConfigError as error:
             return str(error)
-        return driver.passing(where, run, lambda results: measured(results, names, plan.objectives))
+        return driver.passing(where, run, lambda results: run_scores(results, names, plan.objectives))
 
     rows: list[dict[str, Any]] = []
     for trial in range(plan.trials):
@@ -311,13 +311,13 @@ def _judge_held_out(
     where = logs.at(logs.held_out)
     default = driver.kept(where, plan.driven, "held_out/default")
     tuned = driver.kept(where, with_values(plan.driven, values), "held_out/chosen")
-    before, now = (measured(one, logs.held_out, plan.objectives) for one in (default, tuned))
+    before, now = (run_scores(one, logs.held_out, plan.objectives) for one in (default, tuned))
     gain = gains(now.values, before.values, scale, plan.objectives)
     comparison = compare_runs(default, tuned, gates=plan.run.gates_path, partings=0)
-    return Tuned(driver.out, plan, logs, table, chosen, values, better(gain), comparison)
+    return Tuned(driver.out, plan, logs, table, chosen, values, mean_gain(gain), comparison)
 
 
-def _write(result: Tuned, default: Measured) -> None:
+def _write(result: Tuned, default: RunScores) -> None:
     out, plan, table = result.out, result.plan, result.table
     write_parquet(out / "trials.parquet", table)
     write_file(out / "trials.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))

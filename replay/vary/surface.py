@@ -100,7 +100,7 @@ def brackets(outcomes: Mapping[Cell, str]) -> tuple[Bracket, ...]:
     return tuple(found)
 
 
-def bisected(
+def bisect_brackets(
     found: Sequence[Bracket], evaluate: Callable[[Sequence[Cell]], Sequence[str]], resolution: float
 ) -> tuple[Bracket, ...]:
     """The brackets halved until they are no wider than `resolution`; `evaluate` gives the outcomes of cells."""
@@ -204,7 +204,7 @@ def vary(
         edges: tuple[Bracket, ...] = ()
         if not VARIATIONS[question.axes[0].name].is_choice:
             found = brackets({row["cell"]: row["outcome"] for row in rounds.rows})
-            edges = bisected(found, rounds.between, question.resolution)
+            edges = bisect_brackets(found, rounds.between, question.resolution)
         table = pd.DataFrame([{**row, "cell": None} for row in rounds.rows]).drop(columns="cell")
         result = VaryResult(out, question, table, edges)
         _write(result, scenario, run.planners[0])
@@ -240,7 +240,7 @@ class _Rounds:
         made: dict[Cell, Path | str] = {}
         for cell in cells:  # the file of a varied log, or why there is none
             values = self.question.values(cell)
-            path = self.out / "logs" / _file(values)
+            path = self.out / "logs" / _file_name(values)
             try:
                 write_scenario(path, varied(self.scenario, self.question.agents, values))
                 made[cell] = path
@@ -251,20 +251,20 @@ class _Rounds:
         names = {} if found is None else dict(zip(found.logs["source"], found.logs["log"], strict=True))
         for cell, made_as in made.items():
             if isinstance(made_as, str):
-                outcome = _broken(made_as)
+                outcome = _error_row(made_as)
             else:
                 assert found is not None
                 outcome = _judge_cell(found, names[str(made_as)])
-            log = _file(self.question.values(cell))
+            log = _file_name(self.question.values(cell))
             self.rows.append({"cell": cell, **self.question.values(cell), "part": part, **outcome, "log": log})
         return [row["outcome"] for row in self.rows[-len(cells) :]]
 
 
-def _file(values: Mapping[str, float]) -> str:
+def _file_name(values: Mapping[str, float]) -> str:
     return f"{safe_name(','.join(f'{name}={value:.10g}' for name, value in values.items()))}.mcap"
 
 
-def _broken(why: str) -> dict[str, Any]:
+def _error_row(why: str) -> dict[str, Any]:
     return {
         "outcome": ERROR, "gates": "", "why": why, "end": "", "contact": "", "contact_s": nan,
         "least_gap_m": nan, "least_gap_s": nan, "careful": "", "careful_margin_m": nan,
@@ -280,7 +280,7 @@ def _judge_cell(results: Results, log: str) -> dict[str, Any]:
         if len(failures):
             first = failures.iloc[0]
             why = f"{first.message} [{first.planner}, {first.mode} loop]" if first.planner else str(first.message)
-        return _broken(why)
+        return _error_row(why)
     verdicts = results.verdicts[results.verdicts["log"] == log]
     outcome = worst(map(Outcome, verdicts["outcome"]))
     table = results.metrics

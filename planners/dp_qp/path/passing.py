@@ -100,7 +100,7 @@ class PassTarget:
     places: FloatArray
 
 
-def along_lane(scene: Scene, passed: frozenset[str] = frozenset()) -> list[int]:
+def find_slow_agents(scene: Scene, passed: frozenset[str] = frozenset()) -> list[int]:
     """The agents ahead or beside who walk or ride along the road in the ego's direction.
 
     Those that the ego is passing (`passed`) may become faster by `SLACK`, or turn further aside, and still are among
@@ -260,7 +260,7 @@ def may_block(scene: Scene, obstacles: Sequence[Occupancy]) -> bool:
     return min(widest_gaps(scene.reference, obstacles), default=np.inf) < scene.vehicle.width + NEARLY_M
 
 
-def blocking(
+def find_blocking(
     obstacles: tuple[Occupancy, ...], space: PathBounds, vehicle: VehicleParameters, config: CorridorConfig
 ) -> tuple[Occupancy, ...]:
     """The obstacles that leave the ego no room on either side of the road, without those in a queue."""

@@ -36,7 +36,7 @@ from planners.dp_qp.path.corridor import (
     road_ahead,
 )
 from planners.dp_qp.path.dp import PathDpConfig, SlGrid, solve_path_dp
-from planners.dp_qp.path.passing import blocking, may_block, passed_by_oncoming_lane, waiting_place
+from planners.dp_qp.path.passing import find_blocking, may_block, passed_by_oncoming_lane, waiting_place
 from planners.dp_qp.path.qp import PathQp, PathQpConfig
 from planners.frenet.path import Path, drivable_path
 from planners.frenet.scene import Occupancy, Scene
@@ -263,7 +263,7 @@ class PathStage:
         near = scene.s + np.arange(0.0, length, 2.0) + np.zeros((1, 1))
         space = bounds.lane_bounds(scene.reference, near, way, scene.start.v, car, config)
         stay = []  # who will not drive on soon: no vehicles, and those that stood long with nothing to wait for
-        for box in blocking(obstacles, space, car, config):
+        for box in find_blocking(obstacles, space, car, config):
             queues = any(box.s_from < place < box.s_to + JUNCTION_M for place in scene.reference.waits)
             has_stood = scene.frame.t - since[box.agent] >= config.patience_s
             is_object = agents.kinds[agents.ids.index(box.agent)] is AgentKind.OBJECT

@@ -12,7 +12,7 @@ from logs.kernel import FloatArray
 from replay.draw.model import Panel
 from replay.draw.recording.graphs import HEIGHT, MARGIN_BOTTOM, MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, WIDTH, Axes
 from replay.draw.recording.plots import plot, time_axis
-from replay.draw.recording.tape import FRAME, REMOVED, ROOM, SIM_TIME
+from replay.draw.recording.tape import FRAME, REMOVED, SIM_TIME, SPACER
 
 PAGES = {"why": "Why", "numbers": "Solvers and costs", "recent": "Events until now", "summary": "Summary"}
 GRAPHS = {"st": "S-T graph: DP yellow, QP blue, actual occupancy pink", "sl": "S-L graph: DP yellow, QP blue"}
@@ -188,5 +188,5 @@ def state_view(name: str, lanes: Sequence[str], under: str = "") -> rrb.StateTim
 
 def lanes_beside_numbers(lanes: rrb.Container | rrb.View, under: str = "") -> rrb.Container:
     """Rows of states with an empty view on their left, so that their time axis is aligned with that of the curves."""
-    room = rrb.TextDocumentView(origin=f"{under}/{ROOM}", name=" ", titlebar=False)
+    room = rrb.TextDocumentView(origin=f"{under}/{SPACER}", name=" ", titlebar=False)
     return rrb.Horizontal(room, lanes, column_shares=[NUMBERS, 1.0 - NUMBERS])

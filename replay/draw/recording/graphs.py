@@ -254,7 +254,7 @@ class _Sheet:
             if begins[k + 1] > begins[k]:
                 words = plain(f"{self.tape.short(obstacle.of.agent)}: {obstacle.of.decision.value}")
                 offset = np.array([self.offsets[i], 0.0])
-                at = beside(filled[begins[k] : begins[k + 1]] - offset, len(words), self.axes) + offset
+                at = label_position(filled[begins[k] : begins[k + 1]] - offset, len(words), self.axes) + offset
                 rows[i].append((at, words, colours.of_words(colours.DECISIONS[obstacle.of.decision])))
         ignored = colours.DECISIONS[DecisionKind.IGNORE]
         kept = [
@@ -262,7 +262,9 @@ class _Sheet:
             for row in rows
         ]
         placed = [
-            spread(np.array([at for at, _, _ in row]).reshape(-1, 2), [len(words) for _, words, _ in row], self.axes)
+            spread_labels(
+                np.array([at for at, _, _ in row]).reshape(-1, 2), [len(words) for _, words, _ in row], self.axes
+            )
             for row in kept
         ]
         points, counts = joined(placed, 2)
@@ -309,7 +311,7 @@ def _label_style(colour: int | None) -> rr.Points2D:
     )
 
 
-def beside(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
+def label_position(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
     """The position of a label that does not cover its obstacle: above its left end, otherwise below it.
 
     Args:
@@ -327,7 +329,7 @@ def beside(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
     return np.array([x, over if over <= axes.y[1] else under])
 
 
-def spread(points: FloatArray, lengths: Sequence[int], axes: Axes) -> FloatArray:
+def spread_labels(points: FloatArray, lengths: Sequence[int], axes: Axes) -> FloatArray:
     """Label positions `(n, 2)` moved up, then down from the top, until no two labels cover each other.
 
     Args:

@@ -19,7 +19,7 @@ from logs.road import Road, RoadSource
 from logs.trace import Decision, DecisionKind, PlannedFrame, Trace
 from replay.draw.model import Panel
 from replay.draw.recording import colours
-from replay.draw.recording.tape import ROOM, Instants, Tape, plain
+from replay.draw.recording.tape import SPACER, Instants, Tape, plain
 from replay.explain.causes import KEEP
 from replay.explain.explanation import (
     BOTH,
@@ -160,7 +160,7 @@ def state_lanes(trace: Trace, road: Road) -> list[Lane]:
 def draw_lanes(tape: Tape, lanes: Sequence[Lane], frames: FloatArray) -> None:
     """Coloured rows of states; a state too short for its label gets a space behind it, and is drawn without one."""
     end = max((lane.t[-1] for lane in lanes), default=0.0)
-    tape.static(ROOM, rr.TextDocument(" "))
+    tape.static(SPACER, rr.TextDocument(" "))
     for lane in lanes:
         lasts = np.diff([*lane.t, end]) / max(end - lane.t[0], 1e-9)
         states = [

@@ -108,7 +108,7 @@ def application_name(words: str) -> str:
 
 SIM_TIME = "sim_time"
 FRAME = "frame"
-ROOM = "room"
+SPACER = "room"
 """Entity of an empty text view that reserves layout space."""
 REMOVED = "world/removed"
 """Entity of the tracks that a repair of the log removed."""

@@ -16,7 +16,7 @@ from logs import Colour, LogError, Road, Scenario, TrafficLight
 from logs.maps import MapFile, lanelet2, read_map
 from logs.maps.lanelet2_file import placed_points, read_osm
 from logs.maps.lanelet2_lanes import Bound, crossable, oriented, paired, speed_in, strips_of
-from logs.maps.projections import Projection, projection_named, utm
+from logs.maps.projections import Projection, parse_projection, utm
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log
 from replay.run.sources import LogSource
@@ -230,16 +230,16 @@ def test_projections_agree_with_lanelet2(
     origin: str, place: tuple[float, float], expected: tuple[float, float]
 ) -> None:
     """Expected: lanelet2's UtmProjector and LocalCartesianProjector (GeographicLib)."""
-    assert projection_named(origin)(np.array([place]))[0] == pytest.approx(expected, abs=1e-7)
+    assert parse_projection(origin)(np.array([place]))[0] == pytest.approx(expected, abs=1e-7)
 
 
 def test_mgrs_squares() -> None:
     """38SMB 4484 is the middle of Baghdad, 18SUJ 23394 07395 the White House (published examples)."""
     white_house = np.array([[38.8977, -77.0365]])
-    assert projection_named("18SUJ")(white_house)[0] == pytest.approx([23394, 7395], abs=20.0)
-    assert projection_named("mgrs")(white_house)[0] == pytest.approx(projection_named("18SUJ")(white_house)[0])
+    assert parse_projection("18SUJ")(white_house)[0] == pytest.approx([23394, 7395], abs=20.0)
+    assert parse_projection("mgrs")(white_house)[0] == pytest.approx(parse_projection("18SUJ")(white_house)[0])
     two = np.array([[38.8977, -77.0365], [39.8977, -77.0365]])
-    assert projection_named("18SUJ")(two)[1, 1] > 1e5  # beyond the square the coordinates go on
+    assert parse_projection("18SUJ")(two)[1, 1] > 1e5  # beyond the square the coordinates go on
 
 
 @given(st.floats(-80.0, 80.0), st.floats(-2.9, 2.9), st.integers(1, 60))
@@ -258,7 +258,7 @@ def test_utm_is_conformal_and_of_its_scale(lat: float, off: float, zone: int) ->
 @pytest.mark.parametrize("text", ["", "here", "1", "91, 0", "0, 400", "utm 5", "61SUE", "54SAE", "54IUE", "1, 2, 3"])
 def test_origins_that_are_none(text: str) -> None:
     with pytest.raises(LogError):
-        projection_named(text)
+        parse_projection(text)
 
 
 def test_where_points_are(crossing: Path, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from planners.dp_qp.path.passing import (
     ASIDE_M,
     NEAR_M,
     SPARE_S,
-    along_lane,
+    find_slow_agents,
     free_stations,
     obstacles_to_pass,
     pass_targets,
@@ -64,7 +64,7 @@ def goer(x: float, y: float, vx: float, vy: float = 0.0, kind: AgentKind = Agent
     ids=["stands", "fast", "crosses", "oncoming", "car", "motorcycle", "beside the road", "behind"],
 )
 def test_who_is_not_meant(who: Other) -> None:
-    assert along_lane(scene(COURSE, EGO, [who])) == []
+    assert find_slow_agents(scene(COURSE, EGO, [who])) == []
 
 
 @given(st.floats(3.0, 50.0), st.floats(0.6, 6.5), st.floats(2.5, 14.0), st.floats(-1.2, 1.2), st.floats(-0.1, 0.1))
@@ -75,7 +75,7 @@ def test_the_box_holds_them_as_long_as_the_ego_is_beside_them(
     now = scene(COURSE, EGO, [goer(x, y, u, aside * u)])
     t = now.frame.predictions.t
     stations = free_stations(t, AT, u + more, u + more)
-    found = pass_targets(now, along_lane(now), stations)
+    found = pass_targets(now, find_slow_agents(now), stations)
     rear, front = (x + u * t + sign * 0.5 * LENGTH for sign in (-1.0, 1.0))
     ego = stations - AT + EGO.x
     beside = (ego + CAR.axle_to_front > rear) & (ego - CAR.rear_overhang < front)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from logs import ConfigError
 from metrics import METRICS
 from metrics.judge.aggregate import LogLabels
-from replay.search.gains import LEAST_LOGS, Objective, better, gains, held_out, is_dominated, objectives, scales
+from replay.search.gains import LEAST_LOGS, Objective, gains, held_out, is_dominated, mean_gain, objectives, scales
 
 NAMES = st.dictionaries(st.text("abcdefgh", min_size=1, max_size=6), st.sampled_from(["a", "b", "c", ""]), max_size=40)
 TWO = (Objective("up", "closed", 1.0), Objective("down", "closed", -1.0))
@@ -31,15 +31,15 @@ def test_a_gain_is_the_better_way_in_parts_of_the_defaults() -> None:
 @given(st.integers(0, 10_000), st.floats(0.5, 3.0))
 def test_a_gain_on_every_log_is_better_and_its_mirror_is_not(seed: int, gain: float) -> None:
     drawn = gain * np.random.default_rng(seed).uniform(0.5, 1.5, (1, 8))
-    assert better(drawn).holds and not better(-drawn).holds
-    assert not better(drawn[:, : LEAST_LOGS - 1]).holds
+    assert mean_gain(drawn).holds and not mean_gain(-drawn).holds
+    assert not mean_gain(drawn[:, : LEAST_LOGS - 1]).holds
 
 
 def test_noise_is_not_better_but_by_chance() -> None:
     rng = np.random.default_rng(3)
-    held = [better(rng.normal(0.0, 1.0, (2, 20))).holds for _ in range(200)]
+    held = [mean_gain(rng.normal(0.0, 1.0, (2, 20))).holds for _ in range(200)]
     assert sum(held) <= 12  # 2.5 % of 200 are 5; more than 12 come once in a thousand times
-    assert not better(np.zeros((2, 20))).holds
+    assert not mean_gain(np.zeros((2, 20))).holds
 
 
 def test_what_no_other_beats() -> None:

@@ -18,7 +18,7 @@ from handmade import drive, lanes_along, scenario, square, straight
 from logs import Goal
 from logs.mcap import write_scenario
 from replay.config import RunConfig, load_run
-from replay.search.gains import Measured, Objective
+from replay.search.gains import Objective, RunScores
 from replay.search.space import Setting
 from replay.search.study import FILE
 from replay.search.trials import Plan, Trials, Values
@@ -34,12 +34,12 @@ def tried(
 ) -> list[dict[str, object]]:
     """The rows of trials of a function of the settings, without a drive."""
     settings = (Setting(SPEED, 8.0, 2.0, 12.0), Setting(IDLE, 0.5, 0.1, 10.0, log=True))
-    default = Measured(np.full((1, 3), values({SPEED: 8.0, IDLE: 0.5})), failed({SPEED: 8.0, IDLE: 0.5}))
+    default = RunScores(np.full((1, 3), values({SPEED: 8.0, IDLE: 0.5})), failed({SPEED: 8.0, IDLE: 0.5}))
     trials = Trials(Plan(RunConfig(planners=("idm",)), settings, ONE, seed=seed), default)
     rows = []
     for _ in range(count):
         asked = trials.ask()
-        rows.append(trials.row(asked, Measured(np.full((1, 3), values(asked)), failed(asked))))
+        rows.append(trials.row(asked, RunScores(np.full((1, 3), values(asked)), failed(asked))))
         trials.tell(rows[-1])
     return rows
 

@@ -23,7 +23,7 @@ from replay.config import RunConfig
 from replay.run import evaluate_logs
 from replay.vary import VaryResult, encounters, prepared, question, vary
 from replay.vary.encounters import conflicting_agent, lines, opened, question_about
-from replay.vary.surface import Bracket, bisected, brackets
+from replay.vary.surface import Bracket, bisect_brackets, brackets
 
 RUN = RunConfig(planners=("constant_speed",), recording=False, internals="none")
 GATES = """
@@ -137,7 +137,7 @@ def test_halving_brackets_the_edge(edge: float, resolution: float, passes_above:
         return ["pass" if (cell[0] >= edge) == passes_above else "fail" for cell in cells]
 
     cells = [(x, row) for row in (1.0, 2.0) for x in (-5.0, -1.0, 0.0, 5.0)]
-    found = bisected(brackets(dict(zip(cells, evaluate(cells), strict=True))), evaluate, resolution)
+    found = bisect_brackets(brackets(dict(zip(cells, evaluate(cells), strict=True))), evaluate, resolution)
     assert [one.row for one in found] == [(1.0,), (2.0,)]
     for one in found:
         assert one.low <= edge <= one.high and one.high - one.low <= resolution * (1.0 + 1e-9)
@@ -146,7 +146,7 @@ def test_halving_brackets_the_edge(edge: float, resolution: float, passes_above:
 
 def test_an_error_ends_halving_and_is_no_end_of_a_bracket() -> None:
     assert brackets({(0.0,): "pass", (1.0,): "error", (2.0,): "fail"}) == ()
-    (one,) = bisected([Bracket((), 0.0, 1.0, "pass", "fail")], lambda cells: ["error"], 0.1)
+    (one,) = bisect_brackets([Bracket((), 0.0, 1.0, "pass", "fail")], lambda cells: ["error"], 0.1)
     assert (one.low, one.high, one.is_open) == (0.0, 1.0, False)
 
 

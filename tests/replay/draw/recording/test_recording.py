@@ -37,7 +37,7 @@ from logs.repair import detections_of
 from metrics import series
 from replay.draw.model import NEAR_M, NEAREST, in_full, multiples, nice_step
 from replay.draw.recording import colours, scene_times, write_log_recording, write_recording
-from replay.draw.recording.graphs import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, spread
+from replay.draw.recording.graphs import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, spread_labels
 from replay.draw.recording.pages import why
 from replay.draw.recording.pictures import Picture, arranged, click_theme, take_pictures
 from replay.draw.recording.plots import MOST_NUMBERS, with_two_numbers
@@ -135,7 +135,7 @@ def test_ticks_are_few_round_and_inside(span: float, most: int) -> None:
 def test_labels_never_cover_each_other(places: list[tuple[float, float]]) -> None:
     axes = Axes("graph", (0.0, 8.0), (0.0, 100.0), "t", "s", scrolls=False)
     lengths = [10] * len(places)
-    placed = spread(np.array(places).reshape(-1, 2), lengths, axes)
+    placed = spread_labels(np.array(places).reshape(-1, 2), lengths, axes)
     kx, ky = axes.scale
     for i in range(len(placed)):
         for j in range(i):

@@ -14,11 +14,22 @@ options.py     options of several commands, shell completion, old spellings
 app.py         what the commands share
 """
 
-from replay.cli import evaluate, search, report, logs, compare, drives, mine, about  # isort: skip  # the order of the help
-from replay.cli.app import app, bug
+from replay.cli import about, compare, drives, evaluate, logs, mine, report, search
+from replay.cli.app import app, bug, group_commands
 from replay.interruption import end_at_once
 
 __all__ = ["about", "app", "compare", "drives", "evaluate", "logs", "main", "mine", "report", "search"]
+
+PANELS = {
+    "Drive and judge": ("evaluate", "vary", "paper", "calibrate"),
+    "Look, explain, compare": ("view", "plot", "explain", "frame", "report", "compare", "baseline"),
+    "Find failures and improve": ("diagnose", "falsify", "tune"),
+    "Find moments in logs": ("mine", "query", "cut", "coverage", "suite"),
+    "Logs": ("inspect", "synth", "convert", "repair", "salvage", "export"),
+    "Names, kernels, shards": ("list", "metrics", "warmup", "merge"),
+}
+"""The groups of `replan --help` with their commands, in order."""
+group_commands(PANELS)
 
 COLLECTED_EVERY = 10_000
 """New objects between two garbage collections: with Python's 700, they took a twelfth of a first verdict."""

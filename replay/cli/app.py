@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -19,6 +19,8 @@ from logs.errors import ConfigError, ReplanError, raised
 from replay.interruption import EXIT_CODE, as_exception
 
 if TYPE_CHECKING:
+    from typer.models import CommandInfo, TyperInfo
+
     from replay.draw.report.console import SafeConsole
 
 app = typer.Typer(
@@ -30,6 +32,22 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def group_commands(panels: Mapping[str, Sequence[str]]) -> None:
+    """Show the commands in the help in these groups and this order; KeyError where one has no group."""
+    places = {name: panel for panel, names in panels.items() for name in names}
+    order = {name: place for place, name in enumerate(places)}
+    for command in app.registered_commands:
+        command.rich_help_panel = places[_name_of(command)]
+    for group in app.registered_groups:
+        group.rich_help_panel = places[_name_of(group)]
+    app.registered_commands.sort(key=lambda command: order[_name_of(command)])
+
+
+def _name_of(command: CommandInfo | TyperInfo) -> str:
+    return command.name or command.callback.__name__  # type: ignore[union-attr]
+
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a full disk."""

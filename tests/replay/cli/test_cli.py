@@ -15,6 +15,7 @@ from rich.console import Console
 
 from logs.errors import ConfigError
 from logs.mcap import read_scenario
+from replay.cli import PANELS
 from replay.cli.options import EVALUATE, replaced
 from replay.config import RunConfig, load_run
 from replay.draw.report.overview import overview
@@ -436,3 +437,11 @@ def test_a_long_report_shows_trouble_first(compared: Results, monkeypatch: pytes
     drives = text.partition("Planners")[0]
     assert "collision" in drives
     assert "yes" not in drives
+
+
+def test_the_help_shows_the_commands_in_groups_and_evaluate_first() -> None:
+    text = replan("--help").output
+    places = [text.index(f" {panel} ") for panel in PANELS]
+    assert places == sorted(places)
+    commands = re.findall(r"^│ (\w+) ", text, re.MULTILINE)
+    assert commands == [name for names in PANELS.values() for name in names] and commands[0] == "evaluate"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -11,6 +12,9 @@ from hypothesis import is_hypothesis_test, settings
 
 sys.dont_write_bytecode = False  # the tests start some hundred processes, each of which imports the packages
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a background job: its children would ignore Ctrl-C, too
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile("replan", deadline=None, derandomize=True)  # kernels compile when first called
 settings.load_profile("replan")

@@ -4,17 +4,17 @@ Frames: world W (unsuffixed), `_ego` (x forward, y left), `_frenet` (s along, l 
 rear axle, an agent's the centre of its box. SI units inside; units stand in names only at the edges (files, options,
 tables). Time: integer nanoseconds in logs and loops, seconds since the scenario's start inside numerics.
 
-    Scenario      a log: ego, tracks of the others, road, goal
-    EgoState      the ego at one instant           Trajectory    states over time
-    Agents        the others at one instant        Tracks        the others over time
-    Frame         what a planner may know          Predictions   the others' assumed futures
-    Plan          what a planner answers           Command       steering and pedals
+    Scenario      a log: ego, tracks of the road users, road, goal
+    EgoState      the ego at one instant           Trajectory    ego states over time
+    Agents        road users at one instant        Tracks        road users over time
+    Frame         the input of a planner           Predictions   predicted futures of the agents
+    Plan          the output of a planner          Command       steering and pedals
     Trace         one drive of one planner
-    Road, Lane, Goal, ReferenceLine                where
-    StopLine, Crosswalk, TrafficLight, Colour      where to stop, and for what
-    VehicleParameters                              with what
+    Road, Lane, Goal, ReferenceLine                the road and the goal on it
+    StopLine, Crosswalk, TrafficLight, Colour      traffic rules
+    VehicleParameters                              the ego's vehicle
 
-Each is imported when it is first used: the command line, which needs the errors only, does not wait for numba.
+Each name is imported on first use, so that the command line, which needs only the errors, starts without numba.
 """
 
 from importlib import import_module

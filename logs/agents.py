@@ -1,4 +1,4 @@
-"""Road users at one instant, raw detections, and what a repair changed when it made tracks of them."""
+"""Road users at one instant, raw detections, and the changes of a repair that makes tracks from detections."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _UNCODED = frozen(np.empty(0), np.int64)
 
 
 class AgentKind(Enum):
-    """What a road user is."""
+    """The kind of a road user."""
 
     CAR = "car"
     TRUCK = "truck"
@@ -44,17 +44,17 @@ USUAL_SIZE_M = {
     AgentKind.MOTORCYCLE: (2.2, 0.8), AgentKind.BICYCLE: (1.8, 0.7), AgentKind.PEDESTRIAN: (0.5, 0.5),
     AgentKind.OBJECT: (1.0, 1.0),
 }  # fmt: skip
-"""Length and width where a log has none, m."""
+"""Length and width of agents whose log states none, m."""
 _CODE = {kind: code for code, kind in enumerate(AgentKind)}
 
 
 def codes_of(kinds: tuple[AgentKind, ...]) -> IntArray:
-    """The codes of the kinds, `(n,)`: their positions in `AgentKind`. `among` takes them as an index."""
+    """Return the codes of the kinds, `(n,)`: their positions in `AgentKind`. They index the result of `among`."""
     return frozen([_CODE[kind] for kind in kinds], np.int64)
 
 
 def among(*kinds: AgentKind) -> BoolArray:
-    """Which codes are one of the kinds: `among(AgentKind.CAR)[agents.codes]` are the cars."""
+    """Return a mask over all codes that marks the kinds: `among(AgentKind.CAR)[agents.codes]` marks the cars."""
     return frozen([kind in kinds for kind in AgentKind], np.bool_)
 
 
@@ -63,17 +63,18 @@ class Agents:
     """Road users at one instant: `(n,)` each, world frame, box centres, m, rad, m/s.
 
     Attributes:
-        ids: Names.
-        kinds: What they are.
-        length: Of the box; `width` likewise.
-        x: Of the box's centre; `y` likewise; `yaw` of the box, counter-clockwise from x.
-        vx: Velocity in the world, not in the box; `vy` likewise.
-        yaw_rate: rad/s; 0 if unknown, and 0 for pedestrians, who turn on the spot. `accel` likewise: rate of
-            the speed, m/s2. Left out: all 0.
-        age: s since the agent was first seen, at most `OLDEST_S`; NaN where that is not known: of those who never
-            move, and of those who were there when the scenario began. Default: all NaN, like the next two columns.
-        unseen: s since the agent's last sample, 0 at a sample; NaN of those who never move.
-        velocity_sigma: Standard deviation of vx and of vy, m/s; NaN where perception does not state it.
+        ids: Names of the agents.
+        kinds: Kinds of the agents.
+        length: Length of the box; `width` likewise.
+        x: Centre of the box; `y` likewise; `yaw` is the heading of the box, counter-clockwise from x.
+        vx: Velocity along the world's x axis; `vy` likewise.
+        yaw_rate: rad/s; 0 if unknown, and for pedestrians, who turn on the spot. Default: all 0.
+        accel: Rate of the speed, m/s2; 0 if unknown. Default: all 0.
+        age: s since the agent was first seen, at most `OLDEST_S`; NaN where unknown: for agents that never move, and
+            in the first `OLDEST_S` for agents that were present when the scenario began. Default: all NaN, like the
+            next two columns.
+        unseen: s since the agent's last sample, 0 at a sample; NaN for agents that never move.
+        velocity_sigma: Standard deviation of vx and of vy, m/s; NaN if perception does not state it.
         codes: `kinds` as numbers; default: `codes_of(kinds)`.
     """
 
@@ -105,7 +106,7 @@ class Agents:
 
     @classmethod
     def of_rows(cls, ids: tuple[str, ...], kinds: tuple[AgentKind, ...], rows: FloatArray, codes: IntArray) -> Agents:
-        """The agents whose columns `NUMBERS` are these rows `(12, n)`, copied once."""
+        """Make agents whose columns `NUMBERS` are the rows `(12, n)`, which are copied once."""
         made = object.__new__(cls)
         for name, value in zip(_COLUMNS, (ids, kinds, *frozen(rows), codes), strict=True):
             object.__setattr__(made, name, value)
@@ -128,9 +129,9 @@ class Agents:
 
 _COLUMNS = tuple(each.name for each in fields(Agents))
 NUMBERS = _COLUMNS[2:-1]
-"""The columns of floats, in their order."""
+"""Names of the float columns, in order."""
 OPTIONAL = ("age", "unseen", "velocity_sigma")
-"""The columns that are NaN where unknown; the others are 0."""
+"""The optional columns whose default is NaN; `yaw_rate` and `accel` default to 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,17 +139,17 @@ class Detections:
     """Boxes of all frames, flat, in order of time: `(m,)` each, world frame, m, rad, m/s. Equal times are one frame.
 
     Attributes:
-        t: Seconds since the scenario's start, never falling.
-        frames: `(k,)` times of all frames, strictly rising, those without boxes too: `t` holds only such times.
-        ids: The names that the log gives, which need not be identities; "" where it gives none.
-        codes: What they are (`codes_of`).
+        t: s since the scenario's start, not decreasing; each is one of `frames`.
+        frames: `(k,)` times of all frames, frames without boxes included, strictly increasing.
+        ids: The log's names, which need not identify one object over time; "" where the log has none.
+        codes: Kinds as numbers (`codes_of`).
         x: Box centre; `y` likewise; `yaw` of the box.
-        length: NaN where it is not known; `width` likewise.
+        length: Length of the box, NaN where unknown; `width` likewise.
         vx: Velocity in the world, NaN where the log has none; `vy` likewise.
-        score: The detector's confidence, 0 to 1; NaN where it is not known.
+        score: The detector's confidence, 0 to 1; NaN where unknown.
 
     Raises:
-        ValueError: Shapes disagree, times fall, or a pose is not finite.
+        ValueError: Shapes disagree, times decrease, a box belongs to no frame, or a pose is not finite.
     """
 
     t: FloatArray
@@ -183,12 +184,12 @@ class Detections:
         return len(self.ids)
 
     def taken(self, keep: BoolArray) -> Detections:
-        """Those that `keep` `(m,)` marks, among the same frames."""
+        """Return the detections that `keep` `(m,)` marks, with the same frames."""
         columns = {name: getattr(self, name)[keep] for name in _BOXES}
         return replace(self, ids=tuple(np.array(self.ids, object)[keep]), **columns)
 
     def between(self, first: float, last: float) -> Detections:
-        """Those of the frames from `first` to `last`, s."""
+        """Return the detections and frames from `first` to `last`, s."""
         frames = self.frames[(self.frames >= first) & (self.frames <= last)]
         return replace(self.taken((self.t >= first) & (self.t <= last)), frames=frames)
 
@@ -205,7 +206,7 @@ class Detections:
 
     @property
     def kinds(self) -> tuple[AgentKind, ...]:
-        """What they are."""
+        """The kinds of the boxes."""
         every = tuple(AgentKind)
         return tuple(every[code] for code in self.codes)
 
@@ -215,16 +216,16 @@ _BOXES = tuple(each.name for each in fields(Detections) if each.name not in ("id
 
 @dataclass(frozen=True)
 class Change:
-    """One thing that a repair did.
+    """One change that a repair made.
 
     Attributes:
-        what: "joined" (detections became a track), "removed" (a track, or boxes that overlap one), "extended" (beyond
-            sight), "relabelled" (its kind), "turned" (reversed fronts) or "shrunk" (its box).
-        agent: Id in the repaired tracks, or among `Repair.removed`.
-        begin: First time that it concerns, s; `end` the last one.
-        samples: How many detections it concerns; of "extended": how many samples it added.
-        why: One sentence with numbers.
-        sources: Ids that the log gave to these detections, each once; empty where it gives none.
+        what: "joined" (detections became a track), "removed" (a track, or boxes that overlap a track), "extended" (a
+            track beyond its detections), "relabelled" (its kind), "turned" (reversed fronts) or "shrunk" (its box).
+        agent: Id in the repaired tracks or in `Repair.removed`.
+        begin: First time of the change, s; `end` is the last.
+        samples: Number of changed detections; for "extended": number of added samples.
+        why: The reason, one sentence with numbers.
+        sources: Ids of these detections in the log, each once; empty if the log has none.
     """
 
     what: str
@@ -238,18 +239,18 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class Repair:
-    """What a repair read, removed, added and changed.
+    """The input of a repair, and what it removed, added and changed.
 
     Attributes:
-        detections: As read.
-        removed: Tracks that were taken away, under ids that no repaired track has; for drawing.
-        extended: Per sample of the repaired tracks `(m,)`: before the first or after the last detection of its track.
-            Gaps between two detections are filled and not marked.
-        changes: In order of the repaired tracks, then of the removed ones.
+        detections: The detections as read.
+        removed: Removed tracks, under ids that no repaired track has; for drawing.
+        extended: Whether a sample of the repaired tracks `(m,)` lies before the first or after the last detection of
+            its track. Samples that fill a gap between two detections are not marked.
+        changes: Changes in the order of the repaired tracks, then of the removed ones.
         tracks: The repaired tracks. A scenario has the same object unless traffic or a variation replaced it.
 
     Raises:
-        ValueError: `extended` is not of these tracks.
+        ValueError: `extended` has not one entry per sample of the tracks.
     """
 
     detections: Detections
@@ -261,7 +262,7 @@ class Repair:
     def __post_init__(self) -> None:
         object.__setattr__(self, "extended", frozen(self.extended, np.bool_))
         if self.extended.shape != self.tracks.t.shape:
-            raise ValueError("repair: one mark of what is extended for each sample of the tracks")
+            raise ValueError("repair: `extended` needs one entry for each sample of the tracks")
 
     def summary(self) -> tuple[str, ...]:
         """A sentence for each kind of change, with counts."""

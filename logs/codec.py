@@ -1,18 +1,19 @@
-"""One codec of the nouns: between a dataclass and the message that stands for it in a file or on a wire.
+"""Converts between the data classes (nouns) and their messages in files or on the wire.
 
-A message is a `msgspec.Struct` whose fields have the names of the noun's. Both types say how a field is stored:
+A message is a `msgspec.Struct` whose fields have the same names as those of the noun. The types of both fields define
+how a field is stored:
 
     noun                                     message
     FloatArray, IntArray                     list of numbers, or bytes: little-endian float64, row by row
     Points `(n, 2)`                          list of pairs, or bytes; or two lists: x and y, left -> left_x and left_y
     float                                    number; null where it is NaN
     tuple of pairs (name, value)             object
-    Enum                                     its value; in a field that is text, its name in lower case
+    Enum                                     its value; in a text field, its name in lower case
     noun; tuple or mapping by id of nouns    message; list of messages
 
-What a message has no field for keeps its default in the noun. Numbers are the same to the bit on both sides, and arrays
-that are read from bytes lie over them without a copy. Nouns that need none of this (only numbers, text, enums, and
-arrays as bytes) are sent as they are: `array_as_bytes` and `array_of` are the hooks of msgspec for their arrays.
+A field of the noun that the message lacks keeps its default. Numbers are the same to the bit on both sides, and arrays
+that are read from bytes share their memory. Nouns that need no conversion (only numbers, text, enums, and arrays as
+bytes) are sent as they are: `array_as_bytes` and `array_of` are the hooks of msgspec for their arrays.
 """
 
 from __future__ import annotations
@@ -36,20 +37,20 @@ Row = tuple[str, str, Convert | None]
 
 WIRE = np.dtype("<f8")
 Column = bytes | list[float]
-"""A column of a message in which both forms are read."""
+"""A column of a message, read in either form."""
 ABSENT = {"cost": np.inf, "lower": -np.inf, "upper": np.inf}
-"""What null stands for in the arrays of a graph: a node that is not reached, a bound that is free; elsewhere NaN."""
+"""Meaning of null in the arrays of a graph, by field: a node that is not reached, a free bound; elsewhere NaN."""
 _AXES: dict[str, Convert] = {"x": lambda points: points[:, 0].tolist(), "y": lambda points: points[:, 1].tolist()}
 
 
 def packed(values: FloatArray) -> Any:
-    """An array as bytes, row by row; without a copy where it is stored like that."""
+    """Return an array as bytes, row by row; without a copy if its memory has this layout."""
     array: Any = np.ascontiguousarray(values, WIRE)
     return memoryview(array).cast("B") if array.size else b""
 
 
 def unpacked(column: Column) -> FloatArray:
-    """The numbers of a column `(n,)`; ValueError where the bytes are not whole numbers."""
+    """Return the numbers of a column `(n,)`; ValueError if the bytes are not a multiple of 8."""
     return np.frombuffer(column, WIRE) if isinstance(column, bytes) else np.array(column, np.float64)
 
 
@@ -66,13 +67,13 @@ def array_as_bytes(value: object) -> object:
 
 
 def array_of(kind: Any, value: Any) -> Any:
-    """The `dec_hook` of messages that hold nouns: the array `kind`, `FloatArray` or `Points`, of bytes."""
+    """The `dec_hook` of messages that hold nouns: make an array of type `FloatArray` or `Points` from bytes."""
     column = unpacked(value)
     return column.reshape(-1, 2) if kind == Points else column
 
 
 def message_of(kind: Callable[..., M], noun: Any, **given: Any) -> M:
-    """The message of a noun; `given` fields replace those of the noun."""
+    """Make the message of a noun; `given` fields replace those of the noun."""
     values = given
     for name, source, convert in _writers(kind, noun.__class__):
         if name not in given:
@@ -82,10 +83,10 @@ def message_of(kind: Callable[..., M], noun: Any, **given: Any) -> M:
 
 
 def noun_of(kind: Callable[..., N], message: Any, **given: Any) -> N:
-    """The noun of a message; `given` fields replace those of the message.
+    """Make the noun of a message; `given` fields replace those of the message.
 
     Raises:
-        ValueError: Columns do not fit each other, or the noun refuses them.
+        ValueError: Columns differ in length, or the noun rejects the values.
         KeyError: A text names no member of an Enum.
     """
     values = given
@@ -98,7 +99,7 @@ def noun_of(kind: Callable[..., N], message: Any, **given: Any) -> N:
 
 @cache
 def _writers(kind: Any, noun: Any) -> tuple[Row, ...]:
-    """For each field of a message: its name, the noun's field, and what converts that."""
+    """Return for each field of a message its name, the noun's field, and the function that converts its value."""
     own, found = get_type_hints(noun), list[Row]()
     outline = next((name for name, hint in own.items() if hint == Points), "")
     for name, hint in get_type_hints(kind).items():
@@ -111,7 +112,7 @@ def _writers(kind: Any, noun: Any) -> tuple[Row, ...]:
 
 
 def _written(hint: Any, own: Any = None) -> Convert | None:
-    """What makes the value of a message's field of a noun's, whose type is `own`; None: it is taken as it is."""
+    """Return the function that converts a noun's value, of type `own`, for a message; None: no conversion."""
     if (some := _without_none(hint)) is not hint:
         return _or_none(_written(some, own))
     origin, args = get_origin(hint), get_args(hint)
@@ -142,7 +143,7 @@ def _written(hint: Any, own: Any = None) -> Convert | None:
 
 @cache
 def _readers(noun: Any, kind: Any) -> tuple[Row, ...]:
-    """For each field of a noun that a message has: its name, the message's field ("": several), what converts that."""
+    """Return for each noun field in a message its name, the message's field ("": several), and the converter."""
     hints, names, found = get_type_hints(noun), kind.__struct_fields__, list[Row]()
     for name in (each.name for each in fields(noun)):
         if name in names:
@@ -154,7 +155,7 @@ def _readers(noun: Any, kind: Any) -> tuple[Row, ...]:
 
 
 def _columns(noun: type, kind: Any, x: str, y: str) -> Convert:
-    """The function that makes points from two columns of a message."""
+    """Return a function that makes points from two columns of a message."""
     serialised = {each.name: each.encode_name for each in msgspec.structs.fields(kind)}
     what = "".join(f" {letter.lower()}" if letter.isupper() else letter for letter in noun.__name__).strip()
 
@@ -168,7 +169,7 @@ def _columns(noun: type, kind: Any, x: str, y: str) -> Convert:
 
 
 def _read(hint: Any, absent: float | None = None) -> Convert | None:
-    """What makes the value of a noun's field of a message's; None: it is taken as it is."""
+    """Return the function that converts a message's value for a noun; None: no conversion."""
     if (some := _without_none(hint)) is not hint:
         return _or_none(_read(some, absent))
     origin, args = get_origin(hint), get_args(hint)
@@ -197,7 +198,7 @@ def _read(hint: Any, absent: float | None = None) -> Convert | None:
 
 
 def _noun(kind: Any, value: Any) -> Any:
-    """The noun of a message, or the noun that is there already."""
+    """Return the noun of a message; a value that is no message is returned unchanged."""
     return noun_of(kind, value) if isinstance(value, msgspec.Struct) else value
 
 
@@ -208,7 +209,7 @@ def _points(value: Any) -> FloatArray:
 
 
 def _without_none(hint: Any) -> Any:
-    """The type of an optional field; of any other, its type."""
+    """Return the type of an optional field without None; any other type unchanged."""
     some = [each for each in get_args(hint) if each is not NoneType]
     return some[0] if get_origin(hint) in (Union, UnionType) and len(some) == 1 else hint
 

@@ -1,6 +1,6 @@
 """The errors of replan and their exit codes: one base class, few subclasses.
 
-    ReplanError                 one line that names the thing, the place and the remedy
+    ReplanError                 one line that names the problem, the place and the remedy
      |- LogError                a log cannot be read or evaluated            exit code 3
      |- PlannerError            a planner cannot be loaded, or raised        exit code 3
      |- OutputError             a file cannot be written: a full disk        exit code 3
@@ -30,9 +30,9 @@ class LogError(ReplanError):
     """A log cannot be used.
 
     Args:
-        what: What is wrong, in a few words ("yaw is NaN").
+        what: The problem, in a few words ("yaw is NaN").
         file: The log.
-        topic: The channel or the part of the file where it was found.
+        topic: The channel or the part of the file that has the problem.
         time_ns: Log time of the offending message, nanoseconds.
         remedy: What the user can do.
     """
@@ -59,12 +59,12 @@ class LogError(ReplanError):
         return " ".join((f"{line}; {self.remedy}" if self.remedy else line).split())
 
     def at(self, file: str | Path) -> LogError:
-        """The same error with its file named; the reader of a message does not know the file."""
+        """Return a copy of the error that names the file: the code that decodes a message does not know the file."""
         return LogError(self.what, file=file, topic=self.topic, time_ns=self.time_ns, remedy=self.remedy)
 
 
 class PlannerError(ReplanError):
-    """A planner cannot be loaded, or broke its contract (raised, or returned something that is no plan)."""
+    """A planner cannot be loaded, or broke its contract: it raised, or returned an object that is not a plan."""
 
 
 class ConfigError(ReplanError):
@@ -72,12 +72,12 @@ class ConfigError(ReplanError):
 
 
 class OutputError(ReplanError):
-    """A file cannot be written: the disk is full, or the place is not writable."""
+    """A file cannot be written: the disk is full, or the folder is not writable."""
 
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn an OSError of the body into an OutputError that names the file."""
+    """Turn an OSError in the `with` block into an OutputError that names the file."""
     try:
         yield
     except OSError as error:
@@ -92,7 +92,7 @@ LONGEST_MESSAGE = 400
 
 
 def of_users(error: BaseException) -> bool:
-    """Whether an exception passed through code that is neither replan's nor a library's."""
+    """Return whether the traceback of an exception contains code that belongs neither to replan nor to a library."""
     return any(_is_users(place.filename) for place in extract_tb(error.__traceback__))
 
 
@@ -101,7 +101,7 @@ def _is_users(file: str) -> bool:
 
 
 def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str:
-    """An exception in one line, with the innermost place in the user's code, if the traceback contains any.
+    """Describe an exception in one line, with the innermost line of the user's code if the traceback contains any.
 
     Args:
         error: The exception.
@@ -109,7 +109,7 @@ def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str
     """
     try:
         words = " ".join(str(error)[: 10 * LONGEST_MESSAGE].split())
-    except Exception:  # their exception's own text
+    except Exception:  # the user's exception class may raise in its `__str__`
         words = "(its message cannot be read)"
     words = re.sub(r"\b0x[0-9a-f]{6,}\b", "0x...", words)[:LONGEST_MESSAGE]  # addresses differ from run to run
     places = [(place.filename, place.lineno) for place in extract_tb(error.__traceback__)]
@@ -123,7 +123,7 @@ def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], within: str = "") -> ConfigError:
-    """The error for a name that is not in a table, `within` being the table's ("loop."): names the nearest, or all."""
+    """Return the error for an unknown name, with the nearest or all known names; `within`: prefix ("loop.")."""
     names = sorted(known)
     near = get_close_matches(name, names, n=1, cutoff=0.6)
     hint = f"did you mean '{within}{near[0]}'?" if near else f"known are: {', '.join(names) or 'none'}"

@@ -1,9 +1,9 @@
-"""One loader for what users add by name: planners, metrics, vehicles, controllers, readers ... (docs/extend.md).
+"""Loads planners, metrics, vehicles, controllers, readers ... by name, those of users included (docs/extend.md).
 
-A thing of a kind is named as
+An extension of a kind is named as
 
-    NAME           of the kind's own table, or of an entry point of the group `replan.KINDS` ("replan.controllers")
-    module:NAME    of a module in the Python path, which is searched for in the working directory last
+    NAME           a built-in one, or an entry point of the group `replan.KINDS` ("replan.controllers")
+    module:NAME    an attribute of a module in the Python path; the working directory is searched last
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ T = TypeVar("T")
 
 
 def a_callable(thing: object) -> str:
-    """Why a thing cannot serve as a factory or function; "": it can."""
+    """Return why an object cannot be used as a factory or function; "" if it can."""
     return "" if callable(thing) else f"is a {type(thing).__name__}, which cannot be called"
 
 
 def an_instance(cls: type, called: str) -> Callable[[object], str]:
-    """A check that a value is an instance of a class, which users import as `called`."""
+    """Return a check that a value is an instance of a class; `called` is the name under which users import it."""
     return lambda thing: "" if isinstance(thing, cls) else f"is a {type(thing).__name__}, not a {called}"
 
 
 @dataclass(frozen=True, eq=False)
 class Kind(Generic[T]):
-    """A kind of things that are found by name.
+    """A kind of extension that is found by name.
 
     Attributes:
-        name: In messages ("controller").
-        plural: As `replan list` and the entry points' group have it ("controllers").
-        builtin: The things that come with replan.
-        wrong: What is wrong with what was found, in words that follow its name; "": nothing.
-        error: What is raised where a module cannot be imported, or has no such thing.
-        form: How one of the user's own is named.
-        besides: Names that stand for no thing in a table.
+        name: Its name in messages ("controller").
+        plural: Its name in `replan list` and in the group of entry points ("controllers").
+        builtin: The extensions that come with replan, by name.
+        wrong: Function that describes the fault of a loaded object, in words that follow its name; "": no fault.
+        error: Exception to raise if a module cannot be imported or lacks the name.
+        form: How users name an extension of their own.
+        besides: Further valid names, which are in no table.
     """
 
     name: str
@@ -58,19 +58,19 @@ class Kind(Generic[T]):
 
     @property
     def group(self) -> str:
-        """Of entry points."""
+        """The group of entry points."""
         return f"replan.{self.plural}"
 
     def find(self, spec: str, *, also: Iterable[str] = ()) -> T:
-        """What the user named.
+        """Return the extension that the user named.
 
         Args:
-            spec: A name of ours or of an entry point, or "module:NAME".
-            also: Further names that the caller knows, for the error message about an unknown name.
+            spec: A built-in name, the name of an entry point, or "module:NAME".
+            also: Further names that the caller accepts, for the error message about an unknown name.
 
         Raises:
-            ConfigError: Nothing has this name, or two things have it.
-            error: The module cannot be imported, or what it has of that name is no such thing.
+            ConfigError: The name is unknown, or two extensions have it.
+            error: The module cannot be imported, or its attribute of that name is not of this kind.
         """
         if spec in self.builtin:
             return self.builtin[spec]
@@ -86,7 +86,7 @@ class Kind(Generic[T]):
             thing: Any = reduce(getattr, name.split("."), loaded)
         except (AttributeError, ImportError) as error:  # ImportError: `replan.own.missing`
             there, public = [], getattr(loaded, "__all__", None)
-            for key, offered in vars(loaded).items():  # without `__all__`: its own, or imported under a name of its own
+            for key, offered in vars(loaded).items():  # without `__all__`: its own names, or imports under another name
                 imported = getattr(offered, "__module__", loaded.__name__) != loaded.__name__
                 own = not key.startswith("_") and not (imported and getattr(offered, "__name__", "") == key)
                 if (own if public is None else key in public) and not self.wrong(offered):
@@ -100,7 +100,7 @@ class Kind(Generic[T]):
         return thing
 
     def place(self, spec: str, *, also: Iterable[str] = ()) -> tuple[str, str]:
-        """Module and attribute of a thing that is not built in; ConfigError where `spec` names nothing."""
+        """Return module and attribute of an extension that is not built in; ConfigError if `spec` is unknown."""
         if ":" not in spec:
             entries = self.entries()
             if spec not in entries:
@@ -112,7 +112,7 @@ class Kind(Generic[T]):
         return module, name
 
     def entries(self) -> dict[str, EntryPoint]:
-        """The entry points, by name; ConfigError where two have one name."""
+        """Return the entry points by name; ConfigError if two extensions have the same name."""
         found: dict[str, EntryPoint] = {}
         for entry in _installed_entry_points(self.group, tuple(sys.path)):
             if entry.name in self.builtin or entry.name in found:
@@ -123,15 +123,15 @@ class Kind(Generic[T]):
         return found
 
     def installed(self) -> dict[str, T]:
-        """What the entry points stand for, by name; errors as `find`."""
+        """Return the objects of the entry points, by name; errors as in `find`."""
         return {name: self.find(name) for name in self.entries()}
 
     def names(self) -> tuple[str, ...]:
-        """All names: ours, then those of entry points."""
+        """Return all names: the built-in ones, then those of entry points."""
         return (*self.builtin, *self.entries())
 
     def file(self, spec: str) -> Path | None:
-        """The file of the module that has it; None: it is ours, or has no file."""
+        """Return the file of the module that defines it; None if it is built in or has no file."""
         if spec in self.builtin:
             return None
         _search_here()
@@ -142,7 +142,7 @@ class Kind(Generic[T]):
         return Path(found.origin) if found is not None and found.origin and Path(found.origin).is_file() else None
 
     def _clash(self, error: BaseException) -> str:
-        """The hint where a package of replan was found in place of the user's; "": it was not."""
+        """Return a hint if Python found replan's package instead of the user's package of the same name; else ""."""
         of = error.name if isinstance(error, ImportError) else getattr(getattr(error, "obj", None), "__name__", "")
         package = str(of).partition(".")[0]
         program = " (or run the planner as a program of its own: exec:COMMAND)" if self.error is PlannerError else ""
@@ -151,12 +151,12 @@ class Kind(Generic[T]):
 
 @cache
 def _installed_entry_points(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """The entry points of a group, by name; `path` is Python's, with which they change."""
+    """Return the entry points of a group, sorted by name; `path` (`sys.path`) is the key of the cache."""
     return tuple(sorted(entry_points(group=group), key=lambda each: (each.name, each.value)))
 
 
 def _search_here() -> None:
-    """Search the working directory, last."""
+    """Add the working directory to the end of the Python path."""
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)

@@ -1,9 +1,9 @@
-"""Files that users name: checked before they are opened, and at URLs: listed, fetched, written.
+"""Checks files that users name before they are opened; lists, fetches and writes files at URLs.
 
-Pipes never end, and nested tables can exhaust the stack: both are refused.
+Named pipes, which may never end, and deeply nested tables, which can exhaust the stack, are refused.
 
-A URL (`s3://`, `gs://`, and all others that fsspec knows) may take the place of a path, also as a `Path`, which loses a
-slash ("s3:/bucket/key"); `file://` is a local path. Credentials come from the environment as fsspec documents
+A URL (`s3://`, `gs://`, and all others that fsspec supports) may replace a path. It may also be a `Path`, which drops a
+slash ("s3:/bucket/key"). `file://` is a local path. Credentials come from the environment as fsspec documents
 (AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL ...); they are never options, and never stored in a file of a run.
 """
 
@@ -24,12 +24,12 @@ from typing import Any
 from logs.errors import ConfigError, LogError, OutputError, ReplanError
 
 LARGEST_TOML_BYTES = 1 << 20
-"""Limit of a configuration or file of gates: the largest in use have some 10 KiB."""
+"""Largest size of a configuration or gates file: the largest files in use have some 10 KiB."""
 DEEPEST_TOML = 16
-"""Limit of nested tables and lists: no key that replan reads is deeper than 5."""
+"""Deepest nesting of tables and lists: no key that replan reads is deeper than 5."""
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
 _LONG_KEY = re.compile(rf"(?<![\w-])(?:{_PART}\.[ \t]*+){{{DEEPEST_TOML}}}")
-"""A dotted key of more parts: `tomllib` takes seconds for 20,000 of them, with the square of their number."""
+"""Matches a dotted key with more parts: `tomllib` takes quadratic time, seconds for 20,000 parts."""
 SPECIAL = (
     (stat.S_ISFIFO, "a named pipe"),
     (stat.S_ISSOCK, "a socket"),
@@ -37,13 +37,13 @@ SPECIAL = (
     (stat.S_ISBLK, "a device"),
 )
 WRITE_A_FILE = "write its content to a file and name that"
-_URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.IGNORECASE | re.DOTALL)  # a drive of Windows has one letter
+_URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.IGNORECASE | re.DOTALL)  # not a Windows drive: one letter
 _VERSIONS = ("ETag", "etag", "md5Hash", "LastModified", "last_modified", "mtime", "created")
 """Keys under which file systems state a version of the content, the most reliable first."""
 
 
 def special_kind(path: Path) -> str:
-    """What a path is if it is neither a file nor a folder ("a named pipe"); "" for those and where nothing is."""
+    """Return the kind of a path if it is no file or folder ("a named pipe"); "" otherwise, or if nothing exists."""
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):
@@ -52,7 +52,7 @@ def special_kind(path: Path) -> str:
 
 
 def check_regular(*paths: Path) -> None:
-    """Refuse pipes, sockets and devices, which may block or never end, and broken links: LogError with the kind."""
+    """Raise LogError for pipes, sockets and devices, which may block or never end, and for broken links."""
     for path in paths:
         kind = special_kind(path)
         if kind:
@@ -60,7 +60,7 @@ def check_regular(*paths: Path) -> None:
 
 
 def check_named(path: Path) -> None:
-    """`check_regular` for a file that an option names: ConfigError."""
+    """Check a file that an option names, as `check_regular` does, but raise ConfigError."""
     kind = special_kind(path)
     if kind:
         raise ConfigError(f"{path}: is {kind}, not a file; {WRITE_A_FILE}")
@@ -108,10 +108,10 @@ class RemoteFile:
     """A file at a URL.
 
     Attributes:
-        url: Where.
-        name: Under the URL that was listed, "/" between folders.
-        size: Bytes.
-        version: Changes with the content; "": not known.
+        url: Its URL.
+        name: Its path below the listed URL, with "/" between folders.
+        size: Size in bytes.
+        version: Text that changes with the content; "": unknown.
     """
 
     url: str
@@ -121,19 +121,19 @@ class RemoteFile:
 
 
 def url_of(place: Path | str) -> str:
-    """The URL of a place; "" where it is a local path."""
+    """Return the URL of a path or URL; "" if it is a local path."""
     found = _URL.fullmatch(str(place).replace("\\", "/"))
     return f"{found[1].lower()}://{found[2]}".rstrip("/") if found and found[1].lower() != "file" else ""
 
 
 def local_path(place: Path | str) -> Path:
-    """A local path, also of `file:///...`."""
+    """Return the local path of a path or of `file:///...`."""
     found = _URL.fullmatch(str(place))
     return Path(f"/{found[2]}") if found and found[1].lower() == "file" else Path(place)
 
 
 def listed(url: str) -> tuple[RemoteFile, ...]:
-    """The file at a URL, or all files under it, sorted; empty where nothing exists.
+    """Return the file at a URL, or all files under it, sorted; empty if nothing exists.
 
     Raises:
         ConfigError: The URL cannot be listed.
@@ -154,7 +154,7 @@ def listed(url: str) -> tuple[RemoteFile, ...]:
 
 
 def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
-    """The first bytes of files, fetched together; ConfigError where one cannot be."""
+    """Return the first `size` bytes of each file, fetched together; ConfigError if a file cannot be fetched."""
     if not files:
         return []
     with _errors_as(files[0].url, ConfigError):
@@ -180,8 +180,8 @@ def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
     """
     need, free = sum(file.size for file in files), shutil.disk_usage(folder).free
     if need > free:
-        what = f"{need / 1e6:.0f} MB are to be fetched, {free / 1e6:.0f} MB are free in {folder.parent}"
-        raise LogError(what, file=files[0].url, remedy="set TMPDIR to a folder with room")
+        what = f"{need / 1e6:.0f} MB have to be fetched, {free / 1e6:.0f} MB are free in {folder.parent}"
+        raise LogError(what, file=files[0].url, remedy="set TMPDIR to a folder with enough free space")
     for file in files:
         target = folder / file.name
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -193,7 +193,7 @@ def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
 
 
 def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
-    """A function that returns the bytes of a file from one offset up to another; it raises LogError where it fails."""
+    """Return a function that fetches the bytes of a file between two offsets; it raises LogError if it fails."""
 
     def fetched(begin: int, end: int) -> bytes:
         with _errors_as(file.url, LogError):
@@ -205,14 +205,14 @@ def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
 
 
 def put(content: Path, url: str) -> None:
-    """Copy a local file to a URL; OutputError where it cannot be written."""
+    """Copy a local file to a URL; OutputError if it cannot be written."""
     with _errors_as(url, OutputError):
         system, path = _system(url)
         system.put_file(str(content), path)
 
 
 def put_new(content: bytes, url: str) -> bool:
-    """Write bytes to a URL unless a file exists there; returns whether it wrote. ConfigError: it cannot write there."""
+    """Write bytes to a URL unless a file exists; return whether it wrote. ConfigError if the write fails."""
     with _errors_as(url, ConfigError):
         system, path = _system(url)
         try:
@@ -223,7 +223,7 @@ def put_new(content: bytes, url: str) -> bool:
 
 
 def content(url: str) -> bytes:
-    """The content of the file at a URL; ConfigError where it cannot be read."""
+    """Return the content of the file at a URL; ConfigError if it cannot be read."""
     with _errors_as(url, ConfigError):
         system, path = _system(url)
         found: bytes = system.cat_file(path)
@@ -231,7 +231,7 @@ def content(url: str) -> bytes:
 
 
 def remove(urls: Sequence[str]) -> None:
-    """Remove files; OutputError where one cannot be removed."""
+    """Remove files; OutputError if one cannot be removed."""
     for url in urls:
         with _errors_as(url, OutputError):
             system, path = _system(url)
@@ -243,15 +243,15 @@ class Near:
 
     Args:
         place: Path or URL.
-        but: Endings of files of a folder that are not copied (".rrd").
+        but: Suffixes of files that are not copied from a folder (".rrd").
 
     Attributes:
         path: The local path.
         place: Path or URL, for messages.
 
     Raises:
-        ConfigError: Nothing exists at the URL.
-        LogError: It cannot be fetched.
+        ConfigError: Nothing exists at the URL, or it cannot be listed.
+        LogError: A file cannot be fetched.
     """
 
     def __init__(self, place: Path | str, but: tuple[str, ...] = ()) -> None:
@@ -262,7 +262,7 @@ class Near:
             return
         files = listed(url)
         if not files:
-            raise ConfigError(f"{url}: nothing is there")
+            raise ConfigError(f"{url}: no file exists at this URL")
         scratch = tempfile.mkdtemp(prefix="replan-")
         self._remove = weakref.finalize(self, shutil.rmtree, scratch, ignore_errors=True)
         self.path = Path(scratch, Path(url).name)
@@ -300,7 +300,7 @@ def _system(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def _errors_as(url: str, kind: type[ReplanError]) -> Iterator[None]:
-    """Turn any error of a file system's library into one line of kind `kind`."""
+    """Turn any error of a file-system library into a one-line error of class `kind`."""
     try:
         yield
     except (ReplanError, FileExistsError):
@@ -308,7 +308,7 @@ def _errors_as(url: str, kind: type[ReplanError]) -> Iterator[None]:
     except FileNotFoundError:
         raise kind(f"{url}: not there; look at bucket and key") from None
     except Exception as error:
-        if isinstance(error, PermissionError) or "Credentials" in type(error).__name__:  # botocore's are no such error
+        if isinstance(error, PermissionError) or "Credentials" in type(error).__name__:  # those of botocore
             hint = "set what fsspec documents for it in the environment (S3: AWS_ACCESS_KEY_ID, AWS_PROFILE)"
             raise kind(f"{url}: no permission: {error}; {hint}") from None
         what = " ".join(str(error).split())[:200]

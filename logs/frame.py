@@ -1,6 +1,6 @@
-"""What a planner may know: one Frame at a time, and a context that does not change.
+"""The inputs of a planner: one Frame at a time, and a context that does not change.
 
-A Frame holds present and past, and the predictions that replay put there; it has no way to the log's future.
+A Frame holds the present, the past, and the predictions that replay makes; it gives no access to the log's future.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Predictions:
-    """Futures of the agents as they may be assumed, all on one time grid.
+    """Predicted futures of the agents, all on one time grid.
 
     Attributes:
         t: `(k,)` s since the scenario's start; the first is the frame's time.
-        agent: `(n,)` index into `Frame.agents`; several hypotheses may share an agent.
+        agent: `(n,)` index into `Frame.agents`; an agent may have several hypotheses.
         probability: `(n,)`; sums to 1 over an agent's hypotheses.
         x: `(n, k)` box centre, world, m; `y` likewise; `yaw` rad.
-        method: Name of the predictor; "oracle" marks one that knows the log.
+        method: Name of the predictor; "oracle": the futures are taken from the log.
     """
 
     t: FloatArray
@@ -59,12 +59,12 @@ class Visibility:
     """The ground that the sensor can see; `hides` tests points from which a pedestrian may step out.
 
     Attributes:
-        x: Sensor, world, m; `y` likewise.
+        x: Position of the sensor, world, m; `y` likewise.
         yaw: Middle of its field of view, rad.
-        range: m.
-        field_of_view: rad; 2 pi and more is all round.
-        shadows: Hidden ground behind one agent each: quadrilaterals `(n, 4, 2)`, world, m, counter-clockwise from the
-            near right corner, seen from the sensor; they reach beyond the range.
+        range: Range of the sensor, m.
+        field_of_view: rad; with 2 pi or more the sensor sees all round.
+        shadows: Areas that agents hide, one behind each agent: quadrilaterals `(n, 4, 2)`, world, m, counter-clockwise
+            from the near right corner (as seen from the sensor); they reach beyond the range.
     """
 
     x: float
@@ -78,14 +78,14 @@ class Visibility:
         object.__setattr__(self, "shadows", frozen(np.reshape(self.shadows, (-1, 4, 2))))
 
     def hides(self, points: FloatArray) -> BoolArray:
-        """Which of the points `(k, 2)`, world, m, lie out of range, out of the field of view, or in a shadow."""
+        """Return which points `(k, 2)`, world, m, lie out of range, out of the field of view, or in a shadow."""
         sensor = np.array([self.x, self.y, self.yaw, self.range, self.field_of_view])
         return _hidden(np.asarray(points, dtype=np.float64), sensor, self.shadows)
 
 
 @kernel
 def _hidden(points: FloatArray, sensor: FloatArray, shadows: FloatArray) -> BoolArray:
-    """Which points the sensor (x, y, yaw, range, field of view) does not see."""
+    """Return which points the sensor (x, y, yaw, range, field of view) does not see."""
     out = np.zeros(len(points), np.bool_)
     for i in range(len(points)):
         dx, dy = points[i, 0] - sensor[0], points[i, 1] - sensor[1]
@@ -102,12 +102,12 @@ class Frame:
     Attributes:
         t: s since the scenario's start.
         ego: State at the rear axle.
-        agents: As perceived: no sample later than `t` went into them.
-        predictions: Their assumed futures.
-        previous: The plan being driven now; None in open loop and at the start. A planner that gets None must not use
-            anything it remembers (solver warm starts included).
-        visibility: What the sensor can see; None: everything (perception by ground truth).
-        lights: What each traffic light of the road shows now, by its id.
+        agents: The agents as perceived, without any sample later than `t`.
+        predictions: Predicted futures of the agents.
+        previous: The plan that is being driven; None in open loop and at the start. A planner that gets None must not
+            use state from earlier frames (solver warm starts included).
+        visibility: The ground that the sensor can see; None: everything (perception by ground truth).
+        lights: Current colour of each traffic light of the road, by its id.
     """
 
     t: float
@@ -120,25 +120,25 @@ class Frame:
 
 
 PLAN_HORIZON_S = 3.0
-"""How far plans have to reach, s: nuPlan's and NAVSIM's shortest horizons are 3 and 4 s."""
+"""Shortest horizon of a complete plan, s: nuPlan's and NAVSIM's shortest horizons are 3 and 4 s."""
 
 
 def _no_clock(stage: str) -> None:
-    """Stage times are not measured."""
+    """Ignore the end of a stage: stage times are not measured."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlannerContext:
-    """What a planner is built with; one planner serves one scenario.
+    """The fixed inputs with which a planner is created; each scenario gets its own planner.
 
     Attributes:
-        road: The lanes; always at least one.
-        goal: Where to go; None where it is unknown: then straight on.
+        road: The road; it has at least one lane.
+        goal: The goal of the drive; None if it is unknown: the planner then drives straight on.
         vehicle: The ego's parameters.
         period: Time between two frames, s.
         start: The ego's state at the first frame.
-        lap: Call `lap("stage")` when a stage of the plan has ended: replay measures the time.
-        horizon: How far a plan has to reach, s; a shorter one is driven and judged, but counts as incomplete.
+        lap: Function to call as `lap("stage")` at the end of a stage of planning: replay measures the time.
+        horizon: Shortest horizon of a complete plan, s; a shorter plan is driven and evaluated, but is incomplete.
     """
 
     road: Road

@@ -1,11 +1,11 @@
-"""The decorators of compiled kernels, and where their machine code is kept.
+"""The decorators of compiled kernels, and the cache of their machine code.
 
 A kernel is a pure module-level function of scalars and arrays. `kernel` compiles it with numba: cached on disk, IEEE
 arithmetic (no fastmath), division by zero gives inf or nan as in NumPy. `NUMBA_DISABLE_JIT=1` runs the same source as
 plain Python.
 
 Machine code is kept in `NUMBA_CACHE_DIR`, else in `__pycache__` beside the sources, else in the user's cache folder. A
-wheel may bring some in `__pycache__` (`./dev wheel`). It is valid for one start line of the kernel, one version of
+wheel may ship it in `__pycache__` (`./dev wheel`). It is valid for one start line of the kernel, one version of
 Python and numba, one processor (`PORTABLE`), and one hash (`stamp`) of everything that it depends on: the kernel's
 code, the kernels that it calls, and module constants. Numba compares only the kernel's own file, although it compiles
 called kernels and module constants into the code; when those change, numba would run stale machine code.
@@ -43,7 +43,7 @@ _WORD = re.compile(r"[A-Za-z_]\w*")
 
 @cache
 def stamp(kernel: Any) -> str:
-    """SHA-256 of all that the machine code of a kernel (a dispatcher of numba's) depends on, hexadecimal."""
+    """Return the SHA-256, in hexadecimal, of all inputs of the machine code of a kernel (a numba dispatcher)."""
     digest = sha256(repr(sorted(kernel.targetoptions.items())).encode())
     for part in _parts_of_kernel(kernel.py_func, {kernel}):
         digest.update(f"{part}\n".encode())
@@ -52,7 +52,7 @@ def stamp(kernel: Any) -> str:
 
 def _parts_of_kernel(function: FunctionType, seen: set[Any]) -> Iterator[str]:
     """Yield a function's code and the values of its globals; kernels in `seen` are skipped, new ones added."""
-    # machine code is found by this name
+    # numba finds machine code by this name
     yield f"{function.__module__}.{function.__qualname__} {_as_text(function.__defaults__)}"
     yield from (_as_text(each) for each in _hinted_classes(function.__annotations__, function.__globals__))
     for code in _codes(function.__code__):
@@ -69,7 +69,7 @@ def _parts_of_kernel(function: FunctionType, seen: set[Any]) -> Iterator[str]:
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:
-    """A code object, and those in it (comprehensions)."""
+    """Yield a code object and the code objects in it (comprehensions)."""
     yield code
     for each in code.co_consts:
         if isinstance(each, CodeType):
@@ -77,7 +77,7 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 
 def _hinted_classes(hints: dict[str, Any], names: dict[str, Any]) -> Iterator[type]:
-    """The classes that annotations name: a kernel's machine code depends on the layout of their fields."""
+    """Yield the classes in annotations: a kernel's machine code depends on the layout of their fields."""
     for hint in hints.values():
         text = getattr(hint, "__forward_arg__", hint)
         found = [names.get(word) for word in _WORD.findall(text)] if isinstance(text, str) else [text]
@@ -85,14 +85,14 @@ def _hinted_classes(hints: dict[str, Any], names: dict[str, Any]) -> Iterator[ty
 
 
 def _as_text(value: Any) -> str:
-    """Text that changes when the value changes and is the same in every process."""
+    """Return a text that changes with the value and is the same in every process."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, frozenset):
         return f"frozenset {sorted(map(_as_text, value))}"
     if isinstance(value, tuple):
         return f"{getattr(value, '_fields', '')}({', '.join(map(_as_text, value))})"
-    if isinstance(value, Enum):  # also of whole numbers
+    if isinstance(value, Enum):  # before int: IntEnum members are both
         return f"{type(value).__qualname__}.{value.name} {value.value!r}"
     if isinstance(value, type):
         held, columns = "", getattr(value, "_fields", None)
@@ -111,10 +111,10 @@ def _as_text(value: Any) -> str:
 class KernelIndex(IndexDataCacheFile):
     """Numba's index of a kernel's machine code on disk, valid while `stamp` is unchanged.
 
-    A file of machine code is named by a hash of its stamp and argument types. Numba numbers the files instead: two
-    processes that compile a kernel for different arguments at once may overwrite each other's file.
+    A file of machine code is named by a hash of its stamp and argument types. Numba numbers the files instead, so that
+    two processes that compile a kernel for different arguments at once may overwrite each other's file.
 
-    Code that is missing in the folder may be beside the source, where a wheel installed it.
+    If the folder lacks the code, it is searched beside the source, where a wheel may have installed it.
     """
 
     def __init__(self, kernel: Any, folder: str | None = None) -> None:
@@ -134,7 +134,7 @@ class KernelIndex(IndexDataCacheFile):
         return self._beside.load(key) if found is None and self._beside else found
 
     def holds(self, processor: Any) -> bool:
-        """Whether there is machine code for a processor (numba's `magic_tuple`)."""
+        """Return whether machine code for a processor (numba's `magic_tuple`) is stored."""
         kept = self._load_index()
         return any(key[1] == processor for key in kept) or (self._beside is not None and self._beside.holds(processor))
 
@@ -173,17 +173,17 @@ Points = np.ndarray[tuple[int, int], np.dtype[np.floating[Any]]]
 """Points `(n, 2)`: x and y in each row."""
 
 TIE = 1e-6
-"""Lengths (m), times (s), angles, ratios and costs that differ by less are equal where something is decided.
+"""Decisions treat lengths (m), times (s), angles, ratios and costs that differ by less as equal.
 
-Far above rounding and far below any measurement. Round figures are common in maps and scenarios, so decisions
-must not have their edges on them: each comparison is shifted by this, in the direction that its code shows.
+It is far above rounding and far below any measurement. Round figures are common in maps and scenarios, so thresholds
+must not lie exactly on them: each comparison is shifted by this, in the direction that its code shows.
 """
 
 PORTABLE = "x86-64-v3"
-"""The processor that kernels are compiled for where the machine has it and the user chose none (`NUMBA_CPU_NAME`).
+"""The target processor of kernels if the machine supports it and the user chose none (`NUMBA_CPU_NAME`).
 
-Intel since Haswell (2013), AMD since Excavator (2015). Machine code for it can be shipped and gives the same results on
-all of them.
+Intel since Haswell (2013) and AMD since Excavator (2015) support it. Machine code for it can be shipped and gives the
+same results on all of them.
 """
 PORTABLE_HAS = frozenset({"+avx2", "+bmi", "+bmi2", "+f16c", "+fma", "+lzcnt", "+movbe", "+xsave"})
 """Its features beyond x86-64-v2, by LLVM's names (x86-64 psABI 1.0, table 3.1)."""
@@ -192,7 +192,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _STORED: list[Any] = []
-"""Numba's dispatchers of all kernels that are imported and have a place on disk."""
+"""Numba's dispatchers of all imported kernels that have a cache on disk."""
 
 
 _CONFIG = cast("Any", numba.config)
@@ -213,7 +213,7 @@ class _ShippedLocator(caching.InTreeCacheLocator):
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile `function` when it is first called; types as in its annotations."""
+    """Compile `function` on its first call, for the types of the arguments."""
     return _compile_kernel(function)
 
 
@@ -230,17 +230,17 @@ def _compile_kernel(function: Callable[P, R], **unlisted: Any) -> Callable[P, R]
     options: Any = {"error_model": "numpy", **unlisted}
     try:
         compiled = njit(cache=True, **options)(function)
-    except RuntimeError:  # no folder for it that can be written
+    except RuntimeError:  # no folder is writable
         warn_not_kept()
         return cast("Callable[P, R]", njit(**options)(function))
-    store = getattr(compiled, "_cache", None)  # not there with NUMBA_DISABLE_JIT
+    store = getattr(compiled, "_cache", None)  # missing with NUMBA_DISABLE_JIT
     if store is not None:
         store._cache_file, save = KernelIndex(compiled), store.save_overload
 
         def save_if_possible(*arguments: Any) -> None:
             try:
                 save(*arguments)
-            except OSError:  # a full disk costs another compilation, and not the drive
+            except OSError:  # a full disk must not end the drive: the next process compiles again
                 warn_not_kept()
 
         store.save_overload = save_if_possible
@@ -250,7 +250,7 @@ def _compile_kernel(function: Callable[P, R], **unlisted: Any) -> Callable[P, R]
 
 @cache
 def warn_not_kept() -> None:
-    """Say once, and not in workers, that kernels are compiled anew in each process."""
+    """Warn once, and not in workers, that each process compiles the kernels again."""
     if multiprocessing.parent_process() is None:
         sys.stderr.write(
             "note: compiled kernels cannot be kept (no folder for them can be written, or the disk is full): each"
@@ -259,7 +259,7 @@ def warn_not_kept() -> None:
 
 
 class _NoCollection(event.Listener):
-    """No garbage is collected while a kernel is compiled: looking for it took 8 to 18 % of the time."""
+    """Disables garbage collection while a kernel is compiled: it took 8 to 18 % of the time."""
 
     def __init__(self) -> None:
         self.depth, self.enabled = 0, False
@@ -281,7 +281,7 @@ cast("Any", event).register("numba:compile", _NoCollection())
 
 @cache
 def _check_folder(folder: str) -> None:
-    """Make sure of a folder for machine code; OSError if it is of no use.
+    """Create the folder for machine code; OSError if it is not usable.
 
     It must be writable. A `NUMBA_CACHE_DIR` that holds kernels need only be readable (a read-only container image).
     """
@@ -293,7 +293,7 @@ def _check_folder(folder: str) -> None:
 
 
 cast("Any", caching)._CacheLocator.ensure_cache_path = lambda self: _check_folder(self.get_cache_path())
-"""Like numba's check, but once per folder and not once per kernel."""
+"""Numba's check, but once per folder instead of once per kernel."""
 cast("Any", caching).CacheImpl._locator_classes.append(_ShippedLocator)
 
 
@@ -305,18 +305,18 @@ def is_cache_empty() -> bool:
 
 
 def compiled_count() -> int:
-    """How many kernels this process compiled, one that was compiled for two kinds of arguments as two."""
+    """Return the number of compilations in this process: one per kernel and argument types."""
     return sum(sum(compiled.stats.cache_misses.values()) for compiled in _STORED)
 
 
 def cache_folder() -> Path | None:
-    """The folder with all machine code of the kernels that are imported; None: it is not kept."""
+    """Return the folder with the machine code of all imported kernels; None if it is not stored."""
     return Path(os.path.commonpath([compiled.stats.cache_path for compiled in _STORED])) if _STORED else None
 
 
 @inner_kernel
 def interpolated(x: float, xp: FloatArray, fp: FloatArray) -> float:
-    """`np.interp` of one number, to the bit: `fp` `(n,)` over increasing `xp`, the ends held outside."""
+    """Return `np.interp` of one number, to the bit: `fp` `(n,)` over increasing `xp`, constant outside."""
     last = len(xp) - 1
     if x >= xp[last]:
         return fp[last]
@@ -327,9 +327,9 @@ def interpolated(x: float, xp: FloatArray, fp: FloatArray) -> float:
 
 
 def frozen(values: object, dtype: Any = np.float64) -> NDArray[Any]:
-    """A contiguous array of `values` over an immutable buffer (bytes): a private copy unless it is one already.
+    """Return a contiguous array of `values` over an immutable buffer (bytes): a copy unless it is such an array.
 
-    `flags.writeable` of such an array cannot be set again, so that what is handed to a planner stays as it is.
+    `flags.writeable` of such an array cannot be set again, so that a planner cannot change its inputs.
     """
     array: NDArray[Any] = np.ascontiguousarray(values, dtype=dtype)
     owner: object = array

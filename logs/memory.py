@@ -1,16 +1,17 @@
-"""Memory of a long drive: its frames, the road users around an instant, and the return of free memory.
+"""Limits the memory of a long drive: stores frames in a file, cuts tracks to a time span, returns free memory.
 
-Frames. A plan's trajectory, graphs and costs and the predictions are most of a frame (46 kB of 47 among thirty road
+Frames. A plan's trajectory, graphs and costs, and the predictions, take most of its memory (46 of 47 kB with thirty
 users). The first `WHOLE` frames are kept in memory; of later frames these parts go into an unnamed file and are read
 back at each access, equal to the bit. Everything else that metrics read stays in memory (`light`).
 
-Road users. For every instant in its span a part of the tracks gives the same results as the whole (`Tracks.perceived`,
-places of boxes), to the bit, so that a step of a long log does not go over all tracks. It holds the samples within the
-span, one after it, and those of `BACK_S` before it, at least `OWN` of each track. `BACK_S` is longer than the time for
-which a sample counts (`logs.observed.MAX_GAP_S`) plus the time over which trends are taken (`logs.scenario.TREND_S`).
+Road users. For every instant in its span, a part of the tracks gives the same results as the whole (`Tracks.perceived`,
+positions of boxes), to the bit, so that a step of a long log does not process all tracks. A part holds the samples
+within the span, one after it, and those of `BACK_S` before it, at least `OWN` of each track. `BACK_S` is longer than
+the time for which a sample is valid (`logs.observed.MAX_GAP_S`) plus the time over which trends are computed
+(`logs.scenario.TREND_S`).
 
-Free memory. After a stage of a run the C library keeps fragmented free memory, and Arrow keeps a pool. For a drive of
-an hour that is 100 to 200 MB, on top of which the next stage allocates its own.
+Free memory. After a stage of a run, the C library keeps fragmented free memory, and Arrow keeps a pool. For a drive of
+an hour both take 100 to 200 MB, in addition to the memory of the next stage.
 """
 
 from __future__ import annotations
@@ -38,20 +39,20 @@ from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import Candidates, CostTerms, Graph, PlannedFrame
 
 WHOLE = 600
-"""A minute at 10 Hz: 28 MB among thirty road users."""
+"""Number of frames that stay whole in memory: a minute at 10 Hz, 28 MB with thirty road users."""
 _LARGE = (Graph, CostTerms, Candidates)
 """Artefacts that no metric reads."""
 COLUMN = {name: row for row, name in enumerate(TRAJECTORY_COLUMNS)}
 BACK_S = 15.0
 OWN = INTERVALS + 3
 SPAN_S = 10.0
-"""Shortest span of a part."""
+"""Shortest time span of a part, s."""
 FEW_SAMPLES = 20_000
-"""Thirty road users for a minute at 10 Hz."""
+"""Tracks with at most this many samples are not cut: thirty road users for a minute at 10 Hz have 18,000."""
 
 
 def _closed(file: IO[bytes]) -> None:
-    with suppress(OSError):  # of a full disk, on which nothing of it is wanted any more
+    with suppress(OSError):  # the disk is full, and the content is no longer needed
         file.close()
 
 
@@ -59,7 +60,7 @@ class Scratch:
     """An unnamed temporary file, removed together with this object."""
 
     def __init__(self) -> None:
-        self._file: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  it goes with this
+        self._file: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  `close` removes it
         self.close = weakref.finalize(self, _closed, self._file)
         self._end, self._reads = 0, False
 
@@ -69,12 +70,12 @@ class Scratch:
         if self._reads:
             self._file.seek(begin)
         self._file.write(data)
-        self._file.flush()  # a full disk is found here, and not where they are read
+        self._file.flush()  # a full disk raises here, not when the data are read
         self._end, self._reads = begin + len(data), False
         return begin
 
     def get(self, begin: int, size: int) -> bytes:
-        """A number of bytes from a place in the file."""
+        """Return `size` bytes from the offset `begin`."""
         self._file.seek(begin)
         self._reads = True
         return self._file.read(size)
@@ -90,7 +91,7 @@ class SpilledTrajectory(Trajectory):
 
     @classmethod
     def put(cls, path: Trajectory, file: Scratch) -> SpilledTrajectory:
-        """A trajectory, from now on in the file."""
+        """Write a trajectory to the file and return the one that reads from it."""
         data = np.stack([getattr(path, name) for name in TRAJECTORY_COLUMNS]).tobytes()
         made = object.__new__(cls)
         for name, value in (("_file", file), ("_begin", file.put(data)), ("_size", len(data))):
@@ -99,7 +100,7 @@ class SpilledTrajectory(Trajectory):
 
     @property
     def loaded(self) -> Trajectory:
-        """The same in memory."""
+        """The same trajectory in memory."""
         made = object.__new__(Trajectory)
         for name, row in zip(TRAJECTORY_COLUMNS, self._rows(), strict=True):
             object.__setattr__(made, name, row)
@@ -115,12 +116,12 @@ class SpilledTrajectory(Trajectory):
 
 
 def loaded(path: Trajectory) -> Trajectory:
-    """The trajectory in memory, for use of several of its columns."""
+    """Return the trajectory in memory, for code that reads several columns."""
     return path.loaded if isinstance(path, SpilledTrajectory) else path
 
 
 class FrameStore(Sequence[PlannedFrame]):
-    """The frames so far, in order of time.
+    """The frames of a drive, in order of time.
 
     Args:
         whole: Number of frames that are kept in memory.
@@ -156,7 +157,7 @@ class FrameStore(Sequence[PlannedFrame]):
 
     @property
     def light(self) -> tuple[PlannedFrame, ...]:
-        """The frames as they are in memory: later ones without graphs, costs, predictions ... (`WHOLE`)."""
+        """The frames as they are in memory: after the first `whole`, without graphs, costs and predictions."""
         return tuple(self._frames)
 
     def __len__(self) -> int:
@@ -185,19 +186,19 @@ class FrameStore(Sequence[PlannedFrame]):
 
 
 def light(frames: Sequence[PlannedFrame]) -> tuple[PlannedFrame, ...]:
-    """The frames as they are in memory (`FrameStore.light`)."""
+    """Return the frames as they are in memory (`FrameStore.light`)."""
     return frames.light if isinstance(frames, FrameStore) else tuple(frames)
 
 
 class Spans:
-    """Finds the tracks that are present in a span, by their first and last samples."""
+    """Finds the tracks that are present in a time span."""
 
     def __init__(self, tracks: Tracks) -> None:
         self._tracks = tracks
         self._first, self._last = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
 
     def within(self, first: float, last: float) -> tuple[IntArray, IntArray, IntArray]:
-        """The tracks `(k,)` in the part from `first` to `last`, s, and their sample ranges: from, to (exclusive)."""
+        """Return the tracks `(k,)` present from `first` to `last`, s, and begin and end of their samples."""
         tracks = self._tracks
         there = (self._first <= last + 1e-6) & (self._last >= first - BACK_S)
         who = np.flatnonzero(there | tracks.static)
@@ -212,7 +213,7 @@ class Spans:
 
 
 class NearbyTracks:
-    """Returns parts of tracks, and keeps the last one for as long as it covers the span.
+    """Returns parts of tracks, and reuses the last part while it covers the requested span.
 
     Args:
         few: Tracks with no more samples than this are returned whole.
@@ -225,7 +226,7 @@ class NearbyTracks:
         self._from, self._until = np.inf, -np.inf
 
     def of(self, tracks: Tracks, first: float, last: float) -> Tracks:
-        """The tracks, or a part of them that is exact for the times from `first` to `last`, s."""
+        """Return the tracks, or a part of them that gives exact results from `first` to `last`, s."""
         if len(tracks.t) <= self._few:
             return tracks
         if tracks is not self._whole:
@@ -258,12 +259,12 @@ class Part(Tracks):
 
     @cached_property
     def patience(self) -> FloatArray:
-        """As the tracks have it."""
+        """The patience of the samples in the whole tracks."""
         return frozen(self.source.patience[self.at])
 
     @cached_property
     def motion(self) -> Motion:
-        """As the tracks have it."""
+        """The motion of the samples in the whole tracks."""
         moved = self.source.motion
         return Motion(*(column[self.at] for column in (moved.vx, moved.vy, moved.ax, moved.ay)))
 
@@ -273,18 +274,18 @@ class Recent(Tracks):
     """The recent part of tracks.
 
     Attributes:
-        all_of_them: Builds the whole tracks.
+        all_of_them: Function that builds the whole tracks.
     """
 
     all_of_them: Callable[[], Tracks] = field(kw_only=True)
 
     @property
     def whole(self) -> Tracks:
-        """The tracks since the begin."""
+        """The tracks from the beginning of the drive."""
         return self.all_of_them()
 
     def only(self, ids: Collection[str]) -> Tracks:
-        """As `Tracks.only`, of the whole, too."""
+        """Return the tracks of these road users, as `Tracks.only`; `whole` is reduced as well."""
         columns = (getattr(super(Recent, self).only(ids), each.name) for each in fields(Tracks))
         return Recent(*columns, all_of_them=lambda: self.whole.only(ids))
 
@@ -292,14 +293,14 @@ class Recent(Tracks):
 def heads(
     tracks: Tracks, who: IntArray
 ) -> tuple[tuple[str, ...], tuple[AgentKind, ...], FloatArray, FloatArray, BoolArray]:
-    """Ids, kinds, lengths, widths of the tracks `who` `(k,)`, and which never move."""
+    """Return ids, kinds, lengths and widths of the tracks `who` `(k,)`, and which of them never move."""
     ids, kinds = tuple(tracks.ids[i] for i in who), tuple(tracks.kinds[i] for i in who)
     return ids, kinds, tracks.length[who], tracks.width[who], tracks.static[who]
 
 
 def trim_memory() -> None:
     """Return free memory to the system, where the system can take it (glibc)."""
-    import pyarrow as pa  # here: reading a trace starts without Arrow
+    import pyarrow as pa  # imported late: reading a trace does not need Arrow
 
     pa.default_memory_pool().release_unused()
     with suppress(AttributeError, OSError, TypeError):  # another C library

@@ -1,4 +1,4 @@
-"""Velocity and acceleration of every track, estimated for metrics. Ground truth, not for planners.
+"""Estimates velocity and acceleration of every track for metrics. It uses later samples: not for planners.
 
 Per axis of the world, with the state (p, v, a) of position m, velocity m/s and acceleration m/s2, white jerk (Li and
 Jilkov, Survey of Maneuvering Target Tracking I, IEEE Trans. AES 39, 2003):
@@ -6,19 +6,20 @@ Jilkov, Survey of Maneuvering Target Tracking I, IEEE Trans. AES 39, 2003):
 (2) Q = q [d^5/20 d^4/8 d^3/6; d^4/8 d^3/3 d^2/2; d^3/6 d^2/2 d],  q the jerk's spectral density, m2/s5
 (3) a sample measures v where the log has a velocity, else p, with the variance R, the same on both axes
 
-(4) sqrt(R) is the track's own: of four samples in a row, the combination that no uniform acceleration changes, with
-    weights of unit length, is noise; squared and summed over both axes its median is 2 ln 2 R. Four samples that are
-    all the same say nothing; `*_FLOOR` and, where there is nothing to go by, `*_UNKNOWN` are stated below
-(5) q is not known either: most drive calmly, some abruptly. Each of `CALM` q_kind is tried, q_kind of `JERK`, and the
-    estimates are averaged with the models' likelihoods as weights, so that no choice is on a knife edge
+(4) R is estimated per track: of four samples in a row, the combination that uniform acceleration does not change, with
+    weights of unit length, is noise; squared and summed over both axes, its median is 2 ln 2 R. Four equal samples are
+    ignored. sqrt(R) is at least `*_FLOOR`, and `*_UNKNOWN` for tracks with too few samples
+(5) q is unknown, too: most drivers drive calmly, some abruptly. The models q = c q_kind are tried, c of `CALM` and
+    q_kind of `JERK`, and their estimates are averaged with their likelihoods as weights, so that nothing is decided by
+    a narrow margin
 (6) forward: a Kalman filter; backward: lambda of Bryson and Frazier (1963; Bierman 1977), which inverts no matrix:
     lambda^_{k-1} = F' lambda~_k,  lambda~_k = (I - K H)' lambda^_k - H' nu / S,  x_k = x-_k - P-_k lambda~_k
 
-A track without noise is followed exactly, and nothing is differenced. With 5 cm of noise, at 5 to 100 Hz, the speed of
-who drives on is off by 0.1 m/s at most; of who brakes with 8 m/s2 by 0.5 m/s, in the second around each change and at
-the track's ends; a pedestrian's stop within 0.4 s is spread over 0.9 s (tests/logs/test_motion.py). Smoothers in
-libraries (SciPy's smoothing splines) know no measured velocities, and take a millisecond for each track and axis.
-Both sides of a gap (`logs.observed`) are estimated apart.
+A track without noise is followed exactly, without differences. With 5 cm of noise, at 5 to 100 Hz, the speed error of a
+car at constant speed is at most 0.1 m/s; of a car that brakes with 8 m/s2, 0.5 m/s in the second around each change and
+at the track's ends. A pedestrian's stop within 0.4 s is spread over 0.9 s (tests/logs/test_motion.py). Smoothers in
+libraries (SciPy's smoothing splines) do not use measured velocities, and take a millisecond for each track and axis.
+Both sides of a gap (`logs.observed`) are estimated separately.
 """
 
 from __future__ import annotations
@@ -41,22 +42,22 @@ JERK = {
     AgentKind.PEDESTRIAN: 16.0,
     AgentKind.OBJECT: 1.0,
 }
-"""q m2/s5 of who moves abruptly: the square of the change of acceleration, m/s2, that 1 s brings.
+"""q of abrupt motion by kind, m2/s5: the square of the change of acceleration within 1 s, m/s2.
 
-Cars and motorcycles brake with 8 m/s2 at most, lorries and buses with 5; a pedestrian comes from 1.6 m/s to a stand,
-and a rider from a roll to 4 m/s2, in 0.4 s; objects that move at all are pushed or blown."""
+Cars and motorcycles brake with 8 m/s2 at most, lorries and buses with 5. Within 0.4 s, a pedestrian stops from 1.6 m/s,
+and a rider reaches 4 m/s2. Objects that move are pushed or blown."""
 CALM = np.array([1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5])
-"""From abrupt to as good as unaccelerated: a car's acceleration changes by 8 to 0.025 m/s2 in 1 s."""
+"""Factors of q from abrupt to almost no change: a car's acceleration changes by 8 to 0.025 m/s2 in 1 s."""
 ACCEL_MPS2 = 3.0
 """Standard deviation of the acceleration before the first sample."""
 POSITION_FLOOR_M, VELOCITY_FLOOR_MPS = 1e-4, 1e-3
-"""Noise of what carries none: far below what a log resolves, far above rounding."""
+"""Least noise: far below the resolution of logs, far above rounding."""
 POSITION_UNKNOWN_M, VELOCITY_UNKNOWN_MPS = 0.05, 0.2
-"""Noise of tracks with too few samples to tell: that of a good tracker."""
+"""Noise of tracks with too few samples for an estimate: that of a good tracker."""
 _DIFFUSE = np.array([1e6, 1e3])
-"""Variances of the first position (relative to the first sample), m2, and velocity, m2/s2: nothing is known."""
+"""Variances of the first position (relative to the first sample), m2, and velocity, m2/s2: both are unknown."""
 _NEGLIGIBLE = 1e-9
-"""Models with less weight are not smoothed."""
+"""Models with less weight are left out of the average."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +81,9 @@ def estimated(
     kinds: tuple[AgentKind, ...], moves: BoolArray, parts: IntArray, owner: IntArray,
     columns: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
 ) -> Motion:  # fmt: skip
-    """The motion of tracks without gaps: part i owns the samples `parts[i] : parts[i + 1]` of the agent `owner[i]`.
+    """Estimate the motion of parts without gaps: part i has the samples `parts[i] : parts[i + 1]` of agent `owner[i]`.
 
-    `kinds` and `moves` `(n,)` are per agent: who never moves has the velocity 0. `owner` `(p,)` increases. `columns`
+    `kinds` and `moves` `(n,)` are per agent: those that never move have velocity 0. `owner` `(p,)` increases. `columns`
     are t, x, y, vx, vy `(m,)`, NaN where the log has no velocity.
     """
     jerk = np.array([JERK[kind] for kind in kinds]) * moves
@@ -105,7 +106,7 @@ def _smooth_all(
         end, q = parts[j], jerk[owner[i]]
         if q > 0.0:
             logged = np.isfinite(vx[begin:end]) & np.isfinite(vy[begin:end])
-            # the columns of what is measured, relative to the first sample so that a world's offset costs no digits
+            # the measured columns; positions relative to the first sample, so that the world's offset costs no digits
             zx = np.where(logged, vx[begin:end], x[begin:end] - x[begin])
             zy = np.where(logged, vy[begin:end], y[begin:end] - y[begin])
             floors = POSITION_FLOOR_M, VELOCITY_FLOOR_MPS
@@ -123,7 +124,7 @@ def _smooth_all(
 
 @kernel
 def _noise(t: FloatArray, zx: FloatArray, zy: FloatArray, mine: BoolArray, floor: float, unknown: float) -> float:
-    """Standard deviation of the noise (4) of the samples that are `mine`."""
+    """Return the standard deviation of the noise (4) of the samples that `mine` marks."""
     found = np.empty(max(len(t) - 3, 0))
     count = 0
     for k in range(len(found)):
@@ -175,9 +176,9 @@ def _forward(
     t: FloatArray, zx: FloatArray, zy: FloatArray, logged: BoolArray, noise: FloatArray, q: float,
     means: FloatArray, covs: FloatArray, gains: FloatArray, off: FloatArray, spread: FloatArray,
 ) -> float:  # fmt: skip
-    """The filter (1) to (3), and the logarithm of its likelihood.
+    """Run the filter (1) to (3) and return the logarithm of its likelihood.
 
-    Fills per sample what is predicted: `means` (p, v, a of x, then of y), `covs` (pp, pv, pa, vv, va, aa: the same for
+    Fills the predictions per sample: `means` (p, v, a of x, then of y), `covs` (pp, pv, pa, vv, va, aa: the same for
     both axes); `gains` K, `off` the innovations and `spread` their variance S.
     """
     px, py, ax, ay = zx[0], zy[0], 0.0, 0.0
@@ -210,7 +211,7 @@ def _forward(
         kp, kv, ka = hp / s, hv / s, ha / s
         px, vx, ax = px + kp * ex, vx + kv * ex, ax + ka * ex
         py, vy, ay = py + kp * ey, vy + kv * ey, ay + ka * ey
-        if logged[k]:  # the measured row without a difference of what is nearly the same
+        if logged[k]:  # the measured row, computed without cancellation
             pp, pa, aa = pp - kp * hp, pa - kp * ha, aa - ka * ha
             pv, vv, va = pv * r / s, vv * r / s, va * r / s
         else:

@@ -1,33 +1,33 @@
-"""When the other road users of a log were observed, and how long a track is present after a sample.
+"""Spans in which the other road users of a log were observed, and how long a track is present after a sample.
 
-Spans of observation are in s since the scenario's start. After the last span a world without traffic is driven, in
-which no contact is possible: a verdict on safety needs to know that. A log states its spans where it can
+Spans of observation are in s since the scenario's start. After the last span, the ego drives in a world without
+traffic, in which no contact is possible: verdicts on safety depend on this. A log states its spans where it can
 (`Scenario.traffic`):
 
 - a stream of detections was observed at the times of its messages, empty ones included (`of_stream`);
 - a synthesised log holds its whole world from begin to end;
 - a CommonRoad file holds all its obstacles from the first step on, so that only the end is inferred; without a moving
-  obstacle it describes a world without traffic.
+  obstacle, it describes a world without traffic.
 
-Where a log states nothing, the spans are inferred from its tracks (`inferred`). The begin is the first sample of a
+If a log states no spans, the spans are inferred from its tracks (`inferred`). The begin is the first sample of a
 moving road user. The end is
 
-(1) the earliest time T at which at least `TOGETHER` moving road users have their last sample, more than half of those
-    who are there at T, where none begins later: cars leave a scene one by one, a recording ends for most at once;
+(1) the earliest time T at which at least `TOGETHER` moving road users, and more than half of those present, have their
+    last sample, and after which no track begins: cars leave a scene one by one, but a recording ends for most at once;
 (2) else the last sample of any moving road user.
 
-By (1) a straggler that outlives nine who vanish together does not stand for the traffic. Its price: where most of the
-last few leave the view at the very same sample, the recording seems to end then. Standing obstacles are there at all
-times, so their samples say nothing about the end; a log with no other road user than these is observed throughout.
+By (1), one track that lasts longer than nine which end together does not extend the recording. The drawback: if most of
+the last few road users leave the view at the same sample, the recording seems to end at that time. Static obstacles are
+present at all times, so their samples do not show the end; a log with only static obstacles is observed throughout.
 
-Presence is one rule for what planners are shown and for what judges count. An agent is shown until its last sample is
-older than its patience:
+One rule of presence holds for planners and for metrics. An agent is present until its last sample is older than its
+patience:
 
 (3) patience_k = 2 median(t_k - t_{k-1}, t_{k-1} - t_{k-2}, ... up to `INTERVALS`), within [MAX_AGE_S, MAX_GAP_S], s
 
-Of a track's first sample the intervals are those of the whole log up to then (its distinct sample times). At the log's
-very first time there are none, and the patience is `MAX_GAP_S`. No later sample enters. Two samples further apart than
-the first one's patience are a gap: between them the agent is not in the scene, for planners and judges alike.
+For a track's first sample, the intervals are those between the distinct sample times of the whole log up to it. At the
+log's first time there is no interval, and the patience is `MAX_GAP_S`. Later samples are not used. Two samples further
+apart than the patience of the first are a gap: between them the agent is absent, for planners and metrics.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, IntArray
 
 MAX_AGE_S = 0.5
-"""An agent that is sampled often is no longer assumed to be there when it was not seen for longer than this."""
+"""A frequently sampled agent is absent once it was not seen for longer than this, s."""
 MAX_GAP_S = 1.5
-"""Nor is any agent after this: half as much again as the interval of logs at 1 Hz, the rarest that hold driving."""
+"""Any agent is absent after this, s: 1.5 times the interval of logs at 1 Hz, the lowest rate of driving logs."""
 MISSED = 2.0
-"""Ages up to this many intervals: one sample may be missing, or all may come at 0.6 to 1 s as they like."""
+"""Patience in intervals: one sample may be missing, or the intervals may vary between 0.6 and 1 s."""
 INTERVALS = 9
-"""Intervals whose median is a track's own: odd, and few, as the rate may change."""
+"""Number of intervals whose median is a track's interval: odd, and small because the rate may change."""
 
 
 def patience(offsets: IntArray, static: BoolArray, t: FloatArray) -> FloatArray:
-    """(3) `(m,)`, s; `MAX_AGE_S` wherever the next sample comes within that anyway."""
+    """Return the patience (3) of each sample `(m,)`, s; `MAX_AGE_S` if the next sample follows within that time."""
     out = np.full(len(t), MAX_AGE_S)
     apart = np.diff(t, append=np.inf)
     apart[offsets[1:] - 1] = np.inf
@@ -63,7 +63,7 @@ def patience(offsets: IntArray, static: BoolArray, t: FloatArray) -> FloatArray:
 
 
 def _after(t: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
-    """(3) of the samples `last` `(k,)` of tracks that begin at `first`; `MAX_GAP_S` where there is no interval."""
+    """Return (3) for the samples `last` `(k,)` of tracks that begin at `first`; `MAX_GAP_S` without an interval."""
     count = np.minimum(last - first, INTERVALS)
     back = np.arange(INTERVALS)
     end = last[:, None] - np.where(back < count[:, None], back, 0)
@@ -74,16 +74,16 @@ def _after(t: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
 
 
 Spans = tuple[tuple[float, float], ...]
-"""Disjoint times from which to which something was observed, in order."""
+"""Disjoint spans of observation (begin, end), s, in order."""
 TOGETHER = 3
-"""Two people who leave the view side by side are no end of a recording."""
+"""Least number of tracks whose common end is the end of a recording: two people may leave side by side."""
 ENOUGH = 0.8
-"""Share of a log's time below which its traffic is too little for a verdict on safety."""
+"""Least share of a log's time with observed traffic for a verdict on safety."""
 _ROUNDING_S = 1e-6
 
 
 def of_stream(t: FloatArray) -> Spans:
-    """The spans of a stream with messages at the times `t` `(n,)`: it breaks where a message is overdue.
+    """Return the spans of a stream with messages at the times `t` `(n,)`: a span ends where a message is overdue.
 
     A message is overdue after twice the usual interval (median), within the bounds of `logs.observed`.
     """
@@ -97,7 +97,7 @@ def of_stream(t: FloatArray) -> Spans:
 
 
 def inferred(offsets: IntArray, static: BoolArray, t: FloatArray) -> Spans:
-    """The span of ragged tracks (`logs.scenario.Tracks`) by (1) and (2); empty where none of them moves."""
+    """Return the span of ragged tracks (`logs.scenario.Tracks`) by (1) and (2); empty if no track moves."""
     moving = np.flatnonzero(~static)
     if not len(moving):
         return ()
@@ -114,18 +114,18 @@ def inferred(offsets: IntArray, static: BoolArray, t: FloatArray) -> Spans:
 
 
 def clipped(spans: Spans, begin: float, end: float) -> Spans:
-    """The parts of the spans between two times, with `begin` as the new zero."""
+    """Return the parts of the spans between two times, relative to `begin`."""
     parts = ((max(first, begin) - begin, min(last, end) - begin) for first, last in spans)
     return tuple(part for part in parts if part[0] <= part[1])
 
 
 def observed_until(spans: Spans, t: float) -> float:
-    """The end of the span that holds the time `t`; `t` itself where none does."""
+    """Return the end of the span that contains the time `t`; `t` itself if no span does."""
     return next((last for first, last in spans if first <= t + _ROUNDING_S and t <= last), t)
 
 
 def within(spans: Spans, t: FloatArray) -> BoolArray:
-    """Which of the times `t` `(n,)` lie in a span."""
+    """Return which of the times `t` `(n,)` lie in a span."""
     found = np.zeros(len(t), np.bool_)
     for first, last in spans:
         found |= (t >= first - _ROUNDING_S) & (t <= last + _ROUNDING_S)
@@ -133,7 +133,7 @@ def within(spans: Spans, t: FloatArray) -> BoolArray:
 
 
 def described(spans: Spans) -> str:
-    """The spans in words: "until 0.1 s", "from 2.0 s to 5.0 s and from 7.0 s to 9.0 s"."""
+    """Describe the spans in words: "until 0.1 s", "from 2.0 s to 5.0 s and from 7.0 s to 9.0 s"."""
     if not spans:
         return "at no time"
     if len(spans) == 1 and spans[0][0] <= _ROUNDING_S:

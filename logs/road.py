@@ -27,7 +27,7 @@ from logs.rules import Crosswalk, StopLine
 
 
 class RoadSource(Enum):
-    """Where the road came from."""
+    """The source of a road."""
 
     LANES = "lanes of the log"
     DRIVEN_PATH = "the log has no lanes: one lane along the driven path"
@@ -35,21 +35,21 @@ class RoadSource(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Lane:
-    """One lane: a strip between two boundaries, driven from first to last point.
+    """One lane: a strip between two boundaries; traffic drives from the first point to the last.
 
     Attributes:
         id: Unique in its road.
         left: Left boundary `(n, 2)`, world, m.
         right: Right boundary `(n, 2)`; point i faces point i of `left`.
-        successors: Lanes that go on from its end.
+        successors: Lanes that begin at its end.
         left_neighbour: Lane beside it in the same direction, or None; `right_neighbour` likewise.
-        left_opposite: Whether the strip to the left is driven in the opposite direction; `right_opposite` likewise
-            (where traffic drives on the left).
+        left_opposite: Whether traffic in the strip to the left drives in the opposite direction; `right_opposite`
+            likewise (for traffic that drives on the left).
         speed_limit: m/s; NaN where the log has none.
         drivable: Whether a car may drive there (a sidewalk is a lane that is not drivable).
         left_crossable: Whether the left marking may be crossed; `right_crossable` likewise.
-        kind: The log's own word ("urban", "crosswalk", ...).
-        yields_to: Lanes whose traffic goes first where this one meets them (right of way by sign or by side).
+        kind: The log's word for the lane type ("urban", "crosswalk", ...).
+        yields_to: Lanes whose traffic has the right of way over this one (by sign or by side).
     """
 
     id: int
@@ -82,7 +82,7 @@ class Lane:
 
     @cached_property
     def polygon(self) -> FloatArray:
-        """Outline `(2n, 2)`: left boundary there, right boundary back."""
+        """Outline `(2n, 2)`: the left boundary forwards, then the right boundary backwards."""
         return frozen(np.vstack([self.left, self.right[::-1]]))
 
     @cached_property
@@ -106,20 +106,21 @@ def inside(x: float, y: float, polygon: FloatArray) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Road:
-    """Lanes by id, and what is known of them.
+    """Lanes by id, stop lines, crosswalks, and speed limits.
 
     Attributes:
-        lanes: Lane by id; a lane that another names (successor, neighbour, right of way, the lanes that a stop line
-            counts towards) and that is not in it was outside the log's map.
-        source: Where they came from.
-        drives_on_right: Side of the road on which traffic drives; the passing side is the other.
-        default_speed_limit: Used where a lane has none, m/s.
-        stop_lines: Where lights and signs make a car stop.
-        crosswalks: Where pedestrians go first.
-        assumed_limits: Lanes whose own speed limit is assumed: the log has none there.
+        lanes: Lane by id. Lanes and stop lines may name lanes (successors, neighbours, right of way, `towards`) that
+            are not in it: those lie outside the log's map.
+        source: Source of the lanes.
+        drives_on_right: Whether traffic drives on the right, and so passes on the left.
+        default_speed_limit: Speed limit of lanes that have none, m/s.
+        stop_lines: Lines at which lights and signs make a car stop.
+        crosswalks: Areas in which pedestrians have the right of way.
+        assumed_limits: Lanes whose speed limit is assumed, because the log states none.
 
     Raises:
-        ValueError: A stop line lies across a lane that is not there, or two have one id; crosswalks likewise.
+        ValueError: A stop line lies across a lane that is not in the road, or two stop lines or two crosswalks have the
+            same id.
     """
 
     lanes: Mapping[int, Lane]
@@ -146,7 +147,7 @@ class Road:
         return lanes, frozen(np.array(bounds).reshape(-1, 4))
 
     def lanes_at(self, x: float, y: float) -> tuple[Lane, ...]:
-        """The lanes that contain a point, in the order of the road."""
+        """Return the lanes that contain a point, in the order of `lanes`."""
         lanes, box = self._boxes
         near = (box[:, 0] <= x) & (x <= box[:, 2]) & (box[:, 1] <= y) & (y <= box[:, 3])
         return tuple(lanes[i] for i in np.flatnonzero(near) if inside(x, y, lanes[i].polygon))
@@ -156,12 +157,12 @@ class Road:
         return any(lane.drivable for lane in self.lanes_at(x, y))
 
     def limit(self, lane_id: int) -> float:
-        """Speed limit of a lane, m/s: its own, else the road's default."""
+        """Return the speed limit of a lane, m/s: its own, else the road's default."""
         own = self.lanes[lane_id].speed_limit
         return own if np.isfinite(own) else self.default_speed_limit
 
     def stated_limit(self, lane_id: int) -> float:
-        """Speed limit of a lane that the log itself gives, m/s; NaN where it gives none."""
+        """Return the speed limit that the log states for a lane, m/s; NaN if it states none."""
         given = self.source is RoadSource.LANES and lane_id not in self.assumed_limits
         return self.lanes[lane_id].speed_limit if given else float("nan")
 
@@ -178,7 +179,7 @@ class Road:
         heading = (points[-1] - points[-2]) / np.hypot(*(points[-1] - points[-2]))
         points = np.vstack([points, points[-1] + np.arange(2.0, beyond, 2.0)[:, None] * heading])
         tangent = np.gradient(points, axis=0)
-        turning = np.hypot(*tangent.T) < 1e-6  # the path goes back on itself: the way in counts
+        turning = np.hypot(*tangent.T) < 1e-6  # the path reverses here: use the direction of the incoming piece
         tangent[1:][turning[1:]] = np.diff(points, axis=0)[turning[1:]]
         normal = np.column_stack([-tangent[:, 1], tangent[:, 0]]) / np.hypot(*tangent.T)[:, None]
         lane = Lane(0, points + 0.5 * width * normal, points - 0.5 * width * normal, speed_limit=speed_limit)
@@ -187,15 +188,15 @@ class Road:
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """Where, when and how the ego should arrive; what is None is free.
+    """Where, when and how the ego should arrive; None: no condition.
 
     Attributes:
         regions: Polygons `(k, 2)`; the ego's box centre must be in one of them. Empty: any place.
         t: Time interval, s since the scenario's start.
         v: Speed interval, m/s.
         yaw: Heading interval, rad; from `yaw[0]` counter-clockwise to `yaw[1]`.
-        alternatives: Goals with bounds of their own, any one of which counts. The other fields are then derived, so
-            that they allow whatever one of them allows: all regions, and intervals from the least to the greatest.
+        alternatives: Goals with bounds of their own; the ego has to reach one of them. The other fields are then
+            derived from them: all their regions, and intervals from the least to the greatest bound.
     """
 
     regions: tuple[Points, ...] = ()
@@ -217,7 +218,7 @@ class Goal:
 
     @classmethod
     def any_of(cls, goals: Sequence[Goal]) -> Goal:
-        """The goal that is reached where one of the goals is; those with equal intervals share their regions."""
+        """Return a goal that is reached if one of the goals is; goals with equal intervals are merged into one."""
         merged: dict[object, Goal] = {}
         for goal in (each for given in goals for each in given.alternatives or (given,)):
             before = merged.get(bounds := (goal.t, goal.v, goal.yaw), goal)
@@ -226,11 +227,11 @@ class Goal:
         return next(iter(merged.values())) if len(merged) == 1 else cls(alternatives=tuple(merged.values()))
 
     def changed(self, change: Callable[[Goal], Goal]) -> Goal:
-        """The goal with each of its alternatives changed, or itself where it has none."""
+        """Return the goal with `change` applied to each alternative, or to itself if it has none."""
         return replace(self, alternatives=tuple(map(change, self.alternatives))) if self.alternatives else change(self)
 
     def holds_place(self, x: float, y: float) -> bool:
-        """Whether the point lies in the region; True where there is no region."""
+        """Return whether the point lies in one of the regions; True if there is no region."""
         return not self.regions or any(inside(x, y, region) for region in self.regions)
 
     def reached(self, t: float, x: float, y: float, yaw: float, v: float) -> bool:
@@ -249,15 +250,15 @@ class Goal:
 
 
 def nearest(points: FloatArray, x: float, y: float) -> int:
-    """Index of the point `(n, 2)` nearest to (x, y); of those equally near, the first."""
+    """Return the index of the point `(n, 2)` nearest to (x, y); of equally near points, the first."""
     away = np.hypot(points[:, 0] - x, points[:, 1] - y)
     return int(np.argmax(away <= away.min() + TIE))
 
 
 def thinned(points: FloatArray, spacing: float) -> FloatArray:
-    """The polyline `(n, 2)` without the points nearer than `spacing` m to the last kept one; keeps first and last.
+    """Drop points of the polyline `(n, 2)` nearer than `spacing` m to the last kept one; keep the first and last point.
 
-    Only consecutive points are compared, so closed loops survive. A line shorter than `spacing` leaves one point.
+    Only consecutive points are compared, so closed loops remain. A line shorter than `spacing` becomes one point.
     """
     kept = _far_apart(np.ascontiguousarray(points, np.float64), spacing).tolist()
     rest = hypot(*(points[-1] - points[kept[-1]]))
@@ -269,7 +270,7 @@ def thinned(points: FloatArray, spacing: float) -> FloatArray:
 
 
 def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Both lines at the union of their relative arc lengths, so that no corner is lost and point faces point."""
+    """Resample both lines at the union of their relative arc lengths: corners remain, and point i faces point i."""
     ways = [np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))] for line in (left, right)]
     parts = [way / way[-1] for way in ways]
     both = np.union1d(np.round(parts[0], 9), np.round(parts[1], 9))
@@ -282,7 +283,7 @@ def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]
 
 @kernel
 def _far_apart(points: FloatArray, spacing: float) -> IntArray:
-    """The first of the points `(n, 2)`, and each that is no nearer than `spacing` to the one before of these."""
+    """Return the indices of the first point `(n, 2)`, and of each at least `spacing` from the last chosen one."""
     kept, count = np.zeros(len(points), np.int64), 1
     for i in range(1, len(points)):
         last = kept[count - 1]
@@ -299,7 +300,7 @@ def line_point(knots: FloatArray, coef: FloatArray, s: float) -> tuple[float, fl
     Args:
         knots: Stations `(n,)`, uniformly spaced.
         coef: `(n-1, 8)`: cubic coefficients of x then y, highest power first.
-        s: Station; outside the line it goes on straight.
+        s: Station; outside the stations, the line continues straight.
     """
     h = knots[1] - knots[0]
     last = len(knots) - 1
@@ -347,8 +348,8 @@ def line_project(
 ) -> tuple[float, float]:
     """Frenet coordinates (1) of a point: `(s, l)`, with the foot within `window` m of `s_guess`.
 
-    A coarse search over the knots of the window, then Newton on (p - r) . r' = 0, kept in the bracket of the best
-    knot. Equal distances go to the smaller s. Exact to 1e-9 m where the frame is regular.
+    A coarse search finds the nearest knot of the window; Newton's method then solves (p - r) . r' = 0 between the knots
+    beside it. Of equally near knots, the one with the smaller s is taken. Exact to 1e-9 m where the frame is regular.
     """
     h = knots[1] - knots[0]
     last = len(knots) - 1
@@ -418,8 +419,8 @@ class ReferenceLine:
     def through(cls, points: FloatArray, spacing: float = 1.0) -> ReferenceLine:
         """The spline through a polyline `(n, 2)`, resampled to equal arc length of about `spacing` m.
 
-        Chord length first, then twice the length of the spline before: |r'| is 1 to about 1e-5 on arcs, to 1e-3 where
-        the points wander, to some 1e-2 at a sharp kink.
+        The parameter is the chord length first, and twice more the arc length of the spline before: |r'| is 1 within
+        about 1e-5 on arcs, 1e-3 on noisy points, and some 1e-2 at a sharp kink.
 
         Raises:
             ValueError: Fewer than two distinct points, or a point that is not finite.
@@ -430,7 +431,7 @@ class ReferenceLine:
         points = points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]]
         if len(points) < 2:
             raise ValueError("a reference line needs two distinct points")
-        from scipy.interpolate import CubicSpline  # here: it takes as long to load as all else of `logs`
+        from scipy.interpolate import CubicSpline  # imported late: SciPy takes as long to load as all of `logs`
 
         for _ in range(3):
             chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
@@ -455,11 +456,11 @@ class ReferenceLine:
         return frozen(line_frames(self.s, self.coef)[:2].T)
 
     def frame(self, s: float) -> tuple[float, float, float, float]:
-        """x, y, yaw, kappa at station `s`; beyond the ends the line goes on straight."""
+        """Return x, y, yaw, kappa at station `s`; beyond its ends, the line continues straight."""
         return line_frame(self.s, self.coef, float(s))
 
     def project(self, x: float, y: float, near: float | None = None, window: float = 30.0) -> tuple[float, float]:
-        """Frenet coordinates (s, l) of a point, its foot within `window` m of `near` (None: the whole line)."""
+        """Return Frenet coordinates (s, l) of a point; the foot lies within `window` m of `near` (None: anywhere)."""
         if near is None:
             return line_project(self.s, self.coef, float(x), float(y), 0.5 * self.length, self.length)
         return line_project(self.s, self.coef, float(x), float(y), float(near), float(window))

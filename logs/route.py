@@ -1,16 +1,16 @@
-"""Route: the cheapest sequence of lanes from the ego to the goal; and whether a drive is on a lane.
+"""Route: the cheapest sequence of lanes from the ego to the goal; and a rule for whether a car is on a lane.
 
 Dynamic programming over the lane graph (paper, section II-F: "DP for global planning"), in Dijkstra's order, from the
 goal backwards:
 
-(1) cost(lane) = 0 where the lane holds the goal, else  min over steps: price(step) + cost(lane after it)
+(1) cost(lane) = 0 if the lane contains the goal, else  min over steps: price(step) + cost(lane after it)
 
 A step goes to a successor (its price is the length of the lane driven) or to a same-direction neighbour
-(`LANE_CHANGE_M`). Of equal costs (within `TIE`) the one with fewer lane changes counts, then the lower id. The route
-follows the cost to go from the cheapest lane under the ego; of equal ones from the best aligned.
+(`LANE_CHANGE_M`). If costs are equal (within `TIE`), fewer lane changes decide, then the lower id. The route starts
+at the lane under the ego with the least cost to go; if costs are equal, at the best aligned one.
 
-`on_lane` is the one rule for where a drive is, shared by metrics and traffic: a point with a heading is on a lane, and
-drives along it, where it lies in the lane's outline and its heading is within
+`on_lane` is the rule that metrics and traffic share: a point with a heading is on a lane, and drives along it, if it
+lies in the lane's outline and its heading is within
 `ASKEW_RAD` of the piece of the centre line whose middle is nearest.
 """
 
@@ -28,17 +28,17 @@ from logs.shapes import point_segment
 from logs.states import EgoState, wrap
 
 LANE_CHANGE_M = 50.0
-"""What a lane change costs, in metres of detour."""
+"""Cost of a lane change, in metres of detour."""
 
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Lanes in driving order; two neighbours in a row mean a lane change there.
+    """Lanes in driving order; between two neighbours, the route changes lanes.
 
     Attributes:
-        lanes: At least one.
-        reaches_goal: Whether the last lane holds the goal.
-        cost: (1), m.
+        lanes: Ids of at least one lane.
+        reaches_goal: Whether the last lane contains the goal.
+        cost: Cost (1), m.
     """
 
     lanes: tuple[int, ...]
@@ -47,9 +47,9 @@ class Route:
 
 
 def start_lanes(road: Road, ego: EgoState) -> tuple[int, ...]:
-    """The drivable lanes under the ego, the best aligned first; else the lane whose centre line is nearest.
+    """Return the drivable lanes under the ego, the best aligned first; else one lane that is near and aligned.
 
-    An ego where one lane ends and the next begins is on the next.
+    An ego at the point where one lane ends and the next begins is on the next.
     """
     x, y = ego.x + TIE * cos(ego.yaw), ego.y + TIE * sin(ego.yaw)
     under = [lane for lane in road.lanes_at(x, y) if lane.drivable]
@@ -67,7 +67,7 @@ def start_lanes(road: Road, ego: EgoState) -> tuple[int, ...]:
 
 
 def find_route(road: Road, ego: EgoState, goal: Goal | None) -> Route:
-    """The route to the goal (1); where there is none or no way to it, the lane under the ego."""
+    """Return the route to the goal (1); without a goal, or a way to it, only the lane under the ego."""
     starts, to_go = start_lanes(road, ego), costs_to_go(road, goal)
     leading = [lane for lane in starts if lane in to_go]
     if not leading:
@@ -80,12 +80,12 @@ def find_route(road: Road, ego: EgoState, goal: Goal | None) -> Route:
 
 @dataclass(frozen=True, slots=True)
 class CostToGo:
-    """What is left from a lane's start to the goal.
+    """The cost from a lane's start to the goal.
 
     Attributes:
-        cost: (1), m.
-        changes: How many lane changes are in it.
-        next: The lane after it; None where it holds the goal.
+        cost: Cost (1), m.
+        changes: Number of lane changes on the way.
+        next: The next lane of the way; None if the lane contains the goal.
     """
 
     cost: float
@@ -94,7 +94,7 @@ class CostToGo:
 
 
 def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
-    """The cost to go of every lane from which the goal can be reached: (1); {} without a goal."""
+    """Return the cost to go (1) of every lane from which the goal can be reached; {} without a goal."""
     into: dict[int, list[tuple[int, float]]] = {}
     for lane in road.lanes.values():
         onward = [(i, lane.length) for i in lane.successors]
@@ -118,10 +118,10 @@ def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
 
 
 def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
-    """The lanes whose centre line runs through a goal region; for a region that none meets, those under its middle."""
+    """Return the lanes whose centre line meets a goal region; if no line meets a region, the lanes at its middle."""
     found: set[int] = set()
     for region in goal.regions if goal is not None else ():
-        through = []  # lanes with a point of the centre line, at most 1 m from the next, in the region, not on its edge
+        through = []  # lanes whose centre line, sampled every 1 m, has a point inside the region, not on its edge
         for lane in road.lanes.values():
             near = (lane.polygon.max(axis=0) >= region.min(axis=0)) & (lane.polygon.min(axis=0) <= region.max(axis=0))
             if lane.drivable and near.all():
@@ -136,9 +136,9 @@ def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
 
 @kernel
 def _any_within(x: FloatArray, y: FloatArray, polygon: FloatArray) -> bool:
-    """Whether one of the points `(n,)` lies in a polygon `(k, 2)`, farther than `TIE` from its edge.
+    """Return whether one of the points `(n,)` lies in a polygon `(k, 2)`, farther than `TIE` from its edge.
 
-    Lanes that end at a goal share that edge.
+    The edge is excluded because lanes that end at a goal region touch its edge.
     """
     for i in range(len(x)):
         apart = inside(x[i], y[i], polygon)
@@ -151,7 +151,7 @@ def _any_within(x: FloatArray, y: FloatArray, polygon: FloatArray) -> bool:
 
 
 def straight_on(road: Road, lane_id: int) -> int | None:
-    """The successor that turns least, or None where the map ends."""
+    """Return the successor that turns least, or None if the lane has no drivable successor in the map."""
     lane = road.lanes[lane_id]
     onward = [road.lanes[i] for i in lane.successors if i in road.lanes and road.lanes[i].drivable]
     if not onward:
@@ -161,12 +161,12 @@ def straight_on(road: Road, lane_id: int) -> int | None:
 
 
 def _level(value: float) -> float:
-    """The value in whole `TIE`s: what rounding tells apart is equal, and then the order decides."""
+    """Round the value to a multiple of `TIE`, so that values that differ only by rounding are equal."""
     return TIE * round(value / TIE)
 
 
 def _heading(lane: Lane, i: int) -> float:
-    """Direction of the piece of the centre line that begins at point `i`, rad."""
+    """Return the direction of the piece of the centre line that begins at point `i`, rad."""
     start, end = lane.center[i], lane.center[i + 1]
     return atan2(end[1] - start[1], end[0] - start[0])
 
@@ -178,15 +178,15 @@ def _turn(lane: Lane, ego: EgoState) -> float:
 
 
 ASKEW_RAD = 0.25 * pi
-"""A car that drives along a lane is askew to it by less than this."""
+"""Largest angle between a lane and the heading of a car that drives along it, rad."""
 ASIDE_M = 0.5
-"""A stop line is crossed up to this far beside its ends."""
+"""A path that passes a stop line this far beside its ends still crosses it, m."""
 BEHIND_M = 40.0
-"""Length of the way behind a stop line by which it is decided whether the line counts for that way."""
+"""Length of the way after a stop line that decides whether the line applies to that way, m."""
 
 
 def on_lane(lane: Lane, x: FloatArray, y: FloatArray, yaw: FloatArray) -> BoolArray:
-    """Which points `(k,)` with a heading are on a lane and drive along it (module docstring)."""
+    """Return which points `(k,)` with a heading are on a lane and drive along it (module docstring)."""
     return _on_lane(lane.center, lane.polygon, *(np.ascontiguousarray(column, np.float64) for column in (x, y, yaw)))
 
 

@@ -1,7 +1,7 @@
-"""Traffic rules as the map and the lights say them: where a car must stop, and for what.
+"""Traffic rules of the map and the lights: where a car must stop, and why.
 
-The road holds what stands still (stop lines, crosswalks, which lanes give way to which); the scenario holds the lights,
-whose colours change; a frame shows the colours of its instant and nothing of what they will be.
+The road holds the static rules (stop lines, crosswalks, which lanes give way to which). The scenario holds the traffic
+lights, whose colours change. A frame shows the current colours, and no later ones.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from logs.kernel import FloatArray, Points, frozen
 
 
 class Colour(Enum):
-    """What a traffic light shows."""
+    """The colours that a traffic light shows."""
 
     RED = "red"
     RED_YELLOW = "red and yellow"
@@ -34,8 +34,9 @@ class TrafficLight:
 
     Attributes:
         id: Unique in its scenario.
-        t: `(n,)` s since the scenario's start, increasing: from `t[i]` on it shows `colours[i]`; not known before.
-        colours: `n`.
+        t: `(n,)` s since the scenario's start, increasing: from `t[i]` on the light shows `colours[i]`;
+            before `t[0]` it is unknown.
+        colours: `n` colours.
     """
 
     id: int
@@ -50,22 +51,22 @@ class TrafficLight:
             raise ValueError(f"traffic light {self.id}: a time is not finite")
 
     def at(self, t: float) -> Colour:
-        """The colour shown at `t`; OFF before the first."""
+        """Return the colour shown at `t`; OFF before the first time."""
         i = int(np.searchsorted(self.t, t + 1e-9, side="right")) - 1
         return self.colours[i] if i >= 0 else Colour.OFF
 
 
 @dataclass(frozen=True, eq=False)
 class StopLine:
-    """A line across a lane before which a car stops where a light or a sign demands it.
+    """A line across a lane; a car stops before it if a light or a sign demands it.
 
     Attributes:
         id: Unique in its road.
         lane: The lane that it lies across.
         points: Its ends `(2, 2)`, world, m.
         light: The light that it obeys; None: a sign.
-        must_stop: Whether the sign is a stop sign; without light and sign it is only where one waits when giving way.
-        towards: Lanes after `lane` for which it counts; empty: all.
+        must_stop: Whether the sign is a stop sign; without light and stop sign, cars wait at the line only to give way.
+        towards: Lanes after `lane` to which the line applies; empty: all.
     """
 
     id: int
@@ -83,7 +84,7 @@ class StopLine:
 
 @dataclass(frozen=True, eq=False)
 class Crosswalk:
-    """Ground on which pedestrians go first.
+    """An area in which pedestrians have the right of way.
 
     Attributes:
         id: Unique in its road.

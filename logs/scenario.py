@@ -1,4 +1,4 @@
-"""A log as it was driven: the ego, the other road users as ragged tracks, the road, the goal."""
+"""A log: the ego's drive, the other road users as ragged tracks, the road, and the goal."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from logs.states import MOST_RAD, Controls, OnboardPlan, Trajectory
 from logs.vehicle import VehicleParameters
 
 TREND_S = 1.0
-"""Yaw rate and acceleration are backward differences over at most this; one sample back where samples are rarer."""
+"""Longest span of the backward differences for yaw rate and acceleration, s; rarer samples use one step back."""
 BEGIN_S = 0.1
-"""Who has a sample by then was there when the scenario began: an interval of the common logs at 10 Hz, s."""
+"""A road user with a sample by this time was present at the scenario's start: one interval at 10 Hz, s."""
 FINDING = "reference_"
-"""Metadata entries that begin so are what the replay found out about a scenario: never read from a log."""
+"""Prefix of metadata entries that the replay adds to a scenario; they are never read from a log."""
 EGO_POSE, CENTRE = "ego_pose", "box centre"
-"""Metadata entry, and its value where the log has poses of the ego's box centre, not of its rear axle."""
+"""Metadata entry, and its value if the log has poses of the ego's box centre instead of its rear axle."""
 __all__ = ["CENTRE", "EGO_POSE", "FINDING", "AgentKind", "Agents", "Scenario", "Tracks"]
 _TURNING = among(*(kind for kind in AgentKind if kind is not AgentKind.PEDESTRIAN))
 _NOT_ASKED = frozen(np.empty(0))
@@ -35,7 +35,7 @@ _NOT_ASKED = frozen(np.empty(0))
 
 @kernel
 def _last_samples(offsets: IntArray, t: FloatArray, time: float) -> IntArray:
-    """Per track, the index of its last sample not later than `time`; -1 where there is none."""
+    """Return per track the index of its last sample not later than `time`; -1 if there is none."""
     out = np.empty(len(offsets) - 1, np.int64)
     for i in range(len(out)):
         k = np.searchsorted(t[offsets[i] : offsets[i + 1]], time + 1e-9, side="right")
@@ -60,7 +60,7 @@ def _trend(
     first: int, last: int, t: FloatArray, yaw: FloatArray, x: FloatArray, y: FloatArray, vx: FloatArray,
     vy: FloatArray, speed: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Yaw rate and acceleration over the last `TREND_S` before sample `last`; 0: not known.
+    """Return yaw rate and acceleration over the last `TREND_S` before sample `last`; 0 if unknown.
 
     The earlier speed is the logged one, else a backward difference.
     """
@@ -84,9 +84,9 @@ def _perceived_rows(
     offsets: IntArray, static: BoolArray, turns: BoolArray, size: tuple[FloatArray, FloatArray], t: FloatArray,
     x: FloatArray, y: FloatArray, yaw: FloatArray, vx: FloatArray, vy: FloatArray, patience: FloatArray, time: float,
 ) -> tuple[IntArray, FloatArray, bool]:  # fmt: skip
-    """`Tracks.perceived`: who is seen `(k,)`, rows as in `Agents.of_rows`, whether `patience` is lacking.
+    """Compute `Tracks.perceived`: tracks seen `(k,)`, rows as in `Agents.of_rows`, whether `patience` is needed.
 
-    `patience` `(m,)` may be empty: then it is lacking where an agent's last sample is so old that it decides.
+    `patience` `(m,)` may be empty: it is needed only if an agent's last sample is older than `MAX_AGE_S`.
     """
     seen, out = np.empty(len(static), np.int64), np.empty((12, len(static)))
     count, lacking = 0, False
@@ -125,7 +125,7 @@ def _perceived_rows(
 
 
 def _continuous(yaw: FloatArray, offsets: IntArray) -> FloatArray:
-    """The headings without jumps of 2 pi within a track; its first, and any beyond `MOST_RAD`, stay."""
+    """Remove jumps of 2 pi within each track; its first heading, and headings beyond `MOST_RAD`, stay."""
     wild = np.abs(yaw) > MOST_RAD
     if wild.any():
         return np.where(wild, yaw, _continuous(np.where(wild, 0.0, yaw), offsets))
@@ -143,10 +143,10 @@ class Tracks:
 
     Attributes:
         ids: `n` unique names.
-        kinds: `n`.
-        length: `(n,)` m; `width` likewise.
+        kinds: `n` kinds.
+        length: `(n,)` length of the box, m; `width` likewise.
         static: `(n,)` bool: an obstacle that never moves, present at all times (one sample is enough).
-        offsets: `(n + 1,)` int.
+        offsets: `(n + 1,)` first sample of each track, and the number of samples.
         t: `(m,)` s since the scenario's start, increasing strictly within a track.
         x: `(m,)` box centre, world, m; `y` likewise; `yaw` rad, continuous within a track (unwrapped here).
         vx: `(m,)` velocity, world, m/s; `vy` likewise; NaN where the log has none.
@@ -205,7 +205,7 @@ class Tracks:
 
     @property
     def whole(self) -> Tracks:
-        """The tracks of which these are a part (`logs.memory.Recent`): here these tracks themselves."""
+        """The whole tracks, if these are a part of them (`logs.memory.Recent`); here the tracks themselves."""
         return self
 
     def samples(self, index: int) -> slice:
@@ -213,7 +213,7 @@ class Tracks:
         return slice(int(self.offsets[index]), int(self.offsets[index + 1]))
 
     def taken(self, keep: BoolArray) -> Tracks:
-        """The tracks with only the samples `keep` `(m,)`; tracks without a sample are left out. By name: `only`."""
+        """Return the tracks with only the samples `keep` `(m,)`; tracks without a sample are left out."""
         owner = np.repeat(np.arange(len(self)), np.diff(self.offsets))
         sizes = np.bincount(owner[keep], minlength=len(self))
         left = np.flatnonzero(sizes)
@@ -223,7 +223,7 @@ class Tracks:
         return Tracks(ids, kinds, self.length[left], self.width[left], self.static[left], offsets, *columns)
 
     def only(self, ids: Collection[str]) -> Tracks:
-        """The tracks of these road users, whole."""
+        """Return the tracks of these road users, with all their samples."""
         kept = np.array([name in ids for name in self.ids], np.bool_)
         return self.taken(np.repeat(kept, np.diff(self.offsets)))
 
@@ -233,19 +233,19 @@ class Tracks:
 
     @cached_property
     def patience(self) -> FloatArray:
-        """How long each sample stands for its agent `(m,)`, s (`logs.observed`)."""
+        """Time for which each sample is valid `(m,)`, s (`logs.observed`)."""
         return frozen(patience(self.offsets, self.static, self.t))
 
     @cached_property
     def gap_after(self) -> BoolArray:
-        """Whether nothing is known between a sample and the next one of its track `(m,)`; False for the last."""
+        """Whether a gap lies between a sample and the next one of its track `(m,)`; False for the last."""
         found = np.diff(self.t, append=np.inf) > self.patience + 1e-9
         found[self.offsets[1:] - 1] = False
         return frozen(found, np.bool_)
 
     @cached_property
     def motion(self) -> Motion:
-        """Velocity and acceleration at each sample as estimated from the whole track: for judges, never planners."""
+        """Velocity and acceleration at each sample, estimated from the whole track: for metrics, never for planners."""
         parts = np.union1d(self.offsets, np.flatnonzero(self.gap_after) + 1)
         owner = np.searchsorted(self.offsets, parts[:-1], side="right") - 1
         return estimated(self.kinds, ~self.static, parts, owner, (self.t, self.x, self.y, self.vx, self.vy))
@@ -257,21 +257,21 @@ class Tracks:
 
     @cached_property
     def _turns(self) -> BoolArray:
-        """Whose yaw rate counts `(n,)`."""
+        """Whether a track has a yaw rate `(n,)`: it moves and is not a pedestrian."""
         return frozen(_TURNING[self.codes] & ~self.static, np.bool_)
 
     @cached_property
     def _names(self) -> NDArray[np.object_]:
-        """Ids and kinds as rows `(2, n)`, so that some can be taken at once."""
+        """Ids and kinds as rows `(2, n)`, so that one index selects both."""
         names = np.empty((2, len(self)), object)
         names[0], names[1] = self.ids, self.kinds
         return names
 
     def perceived(self, time: float) -> Agents:
-        """The agents as known at `time`: never from a sample later than it.
+        """Return the agents as known at `time`, without any later sample.
 
-        The last sample not older than its `patience` is carried on with its velocity: the logged one, or, where the
-        log has none, the backward difference to the sample before (0 for a first sample).
+        An agent's last sample, if it is not older than its `patience`, is extrapolated with its velocity: the logged
+        one, else the backward difference to the sample before (0 for a first sample).
         """
         columns = self.t, self.x, self.y, self.yaw, self.vx, self.vy
         fixed = self.offsets, self.static, self._turns, (self.length, self.width)
@@ -284,9 +284,9 @@ class Tracks:
         return Agents.of_rows(tuple(ids), tuple(kinds), rows, frozen(self.codes[seen], np.int64))
 
     def truth(self, time: float) -> Agents:
-        """The agents as they were at `time`, interpolated: for metrics and drawing, never for a planner.
+        """Return the true agents at `time`, interpolated: for metrics and drawing, never for a planner.
 
-        Velocity and acceleration are those of `motion`, in which later samples are.
+        Velocity and acceleration are those of `motion`, which uses later samples.
         """
         seen, before = self._present_at(time)
         last = self.offsets[1:] - 1
@@ -305,18 +305,18 @@ class Tracks:
         )  # fmt: skip
 
     def ids_at(self, time: float) -> tuple[str, ...]:
-        """Of `truth(time)`, the names alone."""
+        """Return the ids of the agents in `truth(time)`."""
         return tuple(self.ids[i] for i in self._present_at(time)[0])
 
     def _present_at(self, time: float) -> tuple[IntArray, IntArray]:
-        """Who is in the scene at `time` `(k,)`, and the last sample until then of each track `(n,)`; -1: none."""
+        """Return the tracks present at `time` `(k,)`, and each track's last sample until then `(n,)`; -1: none."""
         before = _last_samples(self.offsets, self.t, time)
         last = self.offsets[1:] - 1
         gone = self.gap_after[before] & (time > self.t[before] + 1e-9)
         return np.flatnonzero(self.static | ((before >= 0) & (self.t[last] >= time - 1e-9) & ~gone)), before
 
     def velocity(self, seen: IntArray, at: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Vectors vx and vy `(k,)` of the tracks `seen` at their samples `at`: logged, else backward differences."""
+        """Return vx and vy `(k,)` of the tracks `seen` at their samples `at`: logged, else backward differences."""
         before = np.maximum(at - 1, self.offsets[seen])
         span = self.t[at] - self.t[before]
         found = []
@@ -332,28 +332,28 @@ class Scenario:
 
     Attributes:
         name: Short and unique within a run ("paper/free_road").
-        ego: The driven states; one sample where only the start is known.
+        ego: The driven states; one state if only the start is known.
         tracks: The other road users.
-        road: Always there; `road.source` says whether the log had lanes.
-        duration: Seconds that the log lasts from t = 0; not less than the ego's last sample.
-        goal: None where the log names none.
+        road: The road; `road.source` tells whether the log has lanes.
+        duration: Duration of the log from t = 0, s; not less than the time of the ego's last state.
+        goal: The goal; None if the log has none.
         vehicle: The ego's parameters.
         controls: Logged steering and pedals, or None.
-        tags: Words by which gates and reports group ("pedestrian", "recorded").
-        source: Where the log comes from; `licence` under which terms.
-        origin: World offset `(x, y)` that was subtracted by the reader, m.
+        tags: Words by which gates and reports group scenarios ("pedestrian", "recorded").
+        source: Origin of the log; `licence` is its licence.
+        origin: World offset `(x, y)` that the reader subtracted, m.
         start_ns: Log time of t = 0, nanoseconds.
         metadata: Other data of the log (generator, parameters, seed), and findings of the reader (`FINDING`).
-        notes: What was assumed in reading, one sentence each: shown to the user.
-        lights: The traffic lights that the road's stop lines name, in order of their ids (ordered here). One that a
-            stop line names and that is not among them was not observed.
-        onboard: The plans that the log's own planner made, in order of when they were known.
-        traffic: When the other road users were observed, as the log states it; None: it does not (`traffic_spans`).
-        detections: Boxes that are not yet tracks, which `logs.readers` makes of them; None: the tracks are complete.
-        repair: How the tracks were made of detections; None: they are the log's own.
+        notes: Assumptions of the reader, one sentence each, which are shown to the user.
+        lights: The traffic lights that the road's stop lines name, sorted by id. A light that a stop line names and
+            that is not among them was not observed.
+        onboard: Plans of the on-board planner, in order of the times at which they became known.
+        traffic: Spans in which the other road users were observed, if the log states them (`traffic_spans`).
+        detections: Raw boxes, of which `logs.readers` makes tracks; None: the tracks are complete.
+        repair: The repair that made the tracks from detections; None: the tracks are the log's own.
 
     Raises:
-        ValueError: The scenario is shorter than its ego log, two lights have one id, or a span of traffic is none.
+        ValueError: The scenario is shorter than its ego log, two lights have one id, or a traffic span is invalid.
     """
 
     name: str
@@ -389,7 +389,7 @@ class Scenario:
             raise ValueError(what)
 
     def in_vehicle(self, vehicle: VehicleParameters) -> Scenario:
-        """The scenario with another ego vehicle: the rear axle stays, or the box centre if the log's poses are such."""
+        """Replace the ego vehicle; the rear axle keeps its place, or the box centre if the log has poses of it."""
         ahead = self.vehicle.axle_to_center - vehicle.axle_to_center
         if self.metadata.get(EGO_POSE) != CENTRE or ahead == 0.0:
             return replace(self, vehicle=vehicle)
@@ -399,15 +399,15 @@ class Scenario:
 
     @cached_property
     def short_names(self) -> ShortNames:
-        """What sentences and pictures call its road users."""
+        """The short names of its road users, for sentences and pictures."""
         return ShortNames(self.tracks.ids)
 
     @cached_property
     def traffic_spans(self) -> Spans:
-        """When the other road users were observed: as stated, else inferred from the tracks (`logs.observed`).
+        """Spans in which the others were observed: as stated, else inferred from the tracks (`logs.observed`).
 
-        A recorded log without any road user, or with traffic that ends before t = 0 or begins after the log's end,
-        was observed at no time; a synthesised one without moving road users throughout.
+        They are empty for a recorded log without road users, or if all traffic ends before t = 0 or begins after the
+        log's end. A log with only static road users, or a synthetic one without any, is observed throughout.
         """
         if self.traffic is not None:
             return self.traffic
@@ -418,20 +418,20 @@ class Scenario:
 
     @property
     def family(self) -> str:
-        """The group in reports: the family of the catalogue, or the group that the format names; "": none."""
+        """The group in reports: the family of the catalogue, or the group that the format defines; "": none."""
         return self.metadata.get("family", "")
 
     @property
     def dataset(self) -> str:
-        """The source, without the part that names this log alone."""
+        """The data set, or else the generator or the source."""
         return self.metadata.get("dataset") or self.metadata.get("generator") or self.source
 
     @property
     def is_recorded(self) -> bool:
-        """Whether a person drove its ego in the world, so that the drive shows what may be expected of a planner.
+        """Whether a person drove the ego in the real world, so that a planner can be compared with the drive.
 
-        The tags "recorded" and "synthetic" say so; then whoever names its generator, and CommonRoad's files of unknown
-        source, are not; any other log is if it holds a drive, more than one state of the ego.
+        The tags "recorded" and "synthetic" decide. Without them, a log that names a generator, or a CommonRoad file, is
+        not recorded; any other log is recorded if it has more than one ego state.
         """
         if "recorded" in self.tags or "synthetic" in self.tags:
             return "synthetic" not in self.tags

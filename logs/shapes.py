@@ -8,8 +8,8 @@ Corners go counter-clockwise from the front left:
         2 ----------- 3
             length
 
-(1) Separating axes (Gottschalk et al., OBBTree, 1996): two boxes are apart iff their projections on one of the
-    four face normals are apart.
+(1) Separating axes (Gottschalk et al., OBBTree, 1996): two boxes are disjoint iff their projections on one of
+    the four face normals are disjoint.
 (2) Time to contact at constant velocities: on each axis the projections touch during [t_in, t_out]; the boxes
     touch from max t_in if that is before min t_out (continuous, so thin boxes cannot slip through).
 """
@@ -38,7 +38,7 @@ def corners(x: float, y: float, yaw: float, length: float, width: float) -> Floa
 
 @inner_kernel
 def _axis_reach(ax: float, ay: float, c: float, s: float, length: float, width: float) -> float:
-    """Half of the extent along the unit axis (ax, ay) of a box whose heading has the cosine c and the sine s."""
+    """Half of a box's extent along the unit axis (ax, ay); c and s are cosine and sine of the box's heading."""
     return 0.5 * (length * abs(ax * c + ay * s) + width * abs(ay * c - ax * s))
 
 
@@ -123,7 +123,7 @@ def clearance(
     x1: float, y1: float, yaw1: float, length1: float, width1: float,
     x2: float, y2: float, yaw2: float, length2: float, width2: float,
 ) -> float:  # fmt: skip
-    """Smallest distance between two boxes, m; where they overlap, minus the shortest shift that parts them (1)."""
+    """Smallest distance between two boxes, m; where they overlap, minus the shortest shift that separates them (1)."""
     depth = inf
     for i in range(4):
         ax, ay, reach = _axis(i, yaw1, length1, width1, yaw2, length2, width2)

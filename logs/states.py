@@ -1,4 +1,4 @@
-"""Ego state, trajectories and actuation: the nouns of motion.
+"""Data classes of motion: ego state, trajectories and actuation.
 
 World frame W, SI units, time in seconds since the scenario's start. The ego's reference point is its rear axle.
 
@@ -21,7 +21,7 @@ from logs.kernel import FloatArray, frozen, kernel
 
 @kernel
 def wrap(angle: float) -> float:
-    """The angle in [-pi, pi): the one wrap of the code base."""
+    """Wrap an angle to [-pi, pi); all code uses this function."""
     return angle - 2.0 * pi * floor((angle + pi) / (2.0 * pi))
 
 
@@ -60,12 +60,12 @@ class EgoState:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a controller asks of the vehicle.
+    """The command of a controller to the vehicle.
 
     Attributes:
         steer: Front wheel angle, rad.
         throttle: Pedal, 0 to 1.
-        brake: Pedal, 0 to 1; never together with the throttle.
+        brake: Pedal, 0 to 1; brake and throttle are never both positive.
     """
 
     steer: float
@@ -101,7 +101,7 @@ class Trajectory:
 
     @classmethod
     def of_rows(cls, rows: FloatArray) -> Trajectory:
-        """The trajectory whose columns are these rows `(7, n)`, n >= 1.
+        """Make a trajectory whose columns are the rows `(7, n)`, n >= 1.
 
         Raises:
             ValueError: A value is not finite, or time does not increase.
@@ -111,7 +111,7 @@ class Trajectory:
         return made
 
     def _keep(self, rows: FloatArray) -> None:
-        """Check rows `(7, n)` and hold a copy."""
+        """Check the rows `(7, n)` and store a copy of them."""
         turns, not_finite, still = _looked_through(rows)
         if not_finite >= 0:
             name, index = TRAJECTORY_COLUMNS[not_finite // rows.shape[1]], not_finite % rows.shape[1]
@@ -135,9 +135,9 @@ class Trajectory:
         return EgoState(*[column.item(index) for column in self._columns()])
 
     def at(self, t: float) -> EgoState:
-        """The state at time `t`, linearly interpolated; the ends hold outside the span.
+        """Return the state at time `t`, linearly interpolated; outside the span, the first or last state.
 
-        For plans and ground truth only: between two samples of a log it knows the later one.
+        Only for plans and ground truth: between two samples, the result depends on the later one.
         """
         i = int(self.t.searchsorted(t, side="right")) - 1
         if i < 0 or i >= len(self.t) - 1:
@@ -150,11 +150,11 @@ class Trajectory:
         return self.t, self.x, self.y, self.yaw, self.v, self.a, self.kappa
 
     def resampled(self, t: FloatArray) -> Trajectory:
-        """Linear interpolation at the times `t` `(m,)`, increasing, within the span."""
+        """Interpolate linearly at the times `t` `(m,)`, which increase and lie within the span."""
         return Trajectory(t, *(np.interp(t, self.t, getattr(self, name)) for name in TRAJECTORY_COLUMNS[1:]))
 
     def between(self, t_from: float, t_to: float) -> Trajectory:
-        """The samples with `t_from <= t <= t_to`; at least one must be there."""
+        """Return the samples with `t_from <= t <= t_to`; ValueError if there is no such sample."""
         keep = (self.t >= t_from) & (self.t <= t_to)
         return Trajectory(*(getattr(self, name)[keep] for name in TRAJECTORY_COLUMNS))
 
@@ -163,14 +163,15 @@ TRAJECTORY_COLUMNS = tuple(field.name for field in fields(Trajectory))
 YAW_ROW = TRAJECTORY_COLUMNS.index("yaw")
 
 MOST_RAD = 1e9
-"""A double beyond it holds an angle to no better than 1e-7 rad: no heading."""
+"""Greatest heading, rad: beyond it a double resolves an angle no finer than 1e-7 rad."""
 
 
 @kernel
 def _looked_through(rows: FloatArray) -> tuple[bool, int, int]:
-    """Whether the yaw jumps; the first value that is not finite (flat index) and the first time not below the next.
+    """Return whether the yaw jumps, and the flat indices of the first value that is not finite and of the first bad t.
 
-    -1 where there is none; `rows` are the columns `(7, n)`.
+    A time t is bad if it is not below the next. An index is -1 if there is no such value; `rows` are the columns
+    `(7, n)`. The search stops at the first fault.
     """
     turns, count = False, rows.shape[1]
     for i in range(rows.shape[0]):
@@ -186,7 +187,7 @@ def _looked_through(rows: FloatArray) -> tuple[bool, int, int]:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Controls:
-    """Actuation over time, `(n,)` each: steer rad, throttle and brake 0 to 1; NaN where not known."""
+    """Actuation over time, `(n,)` each: steer rad, throttle and brake 0 to 1; NaN where unknown."""
 
     t: FloatArray
     steer: FloatArray
@@ -206,11 +207,11 @@ class Controls:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OnboardPlan:
-    """A plan that the log's own planner made while it was driven.
+    """A plan that the on-board planner made during the recording.
 
     Attributes:
-        known: From when on it was known, s since the scenario's start.
-        trajectory: What was planned, in the scenario's time and world.
+        known: Time from which the plan was available, s since the scenario's start.
+        trajectory: The planned trajectory, in the scenario's time and world.
     """
 
     known: float

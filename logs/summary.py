@@ -1,6 +1,6 @@
-"""What a log holds, when it was recorded, and which evaluations it allows.
+"""Summarises a log: its content, the times of its traffic, and the evaluations that it allows.
 
-Works partly on damaged and foreign files: the topics up to the damage, and the error that reading the log would give.
+For damaged or unknown files, the summary has the topics up to the damage and the error of reading the log.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Whether an evaluation is possible, and the data that it uses or lacks."""
+    """One evaluation: whether it is possible, and the data that it uses or lacks."""
 
     name: str
     possible: bool
@@ -34,11 +34,11 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class RoadSummary:
-    """The road: lanes, their length in km, those without speed limit, where they came from, and its rules.
+    """Summary of the road: its source, its lanes, their length in km, lanes without speed limit, and traffic rules.
 
     Attributes:
-        stop_lines: All of them; `with_light` and `must_stop` of them obey a light and a stop sign.
-        giving_way: Lanes that yield to others.
+        stop_lines: Number of stop lines; `with_light` of them obey a light, `must_stop` of them a stop sign.
+        giving_way: Number of lanes that yield to others.
     """
 
     source: str
@@ -56,13 +56,13 @@ class RoadSummary:
 
 @dataclass(frozen=True)
 class ScenarioSummary:
-    """What the log says as a scenario.
+    """Summary of the scenario in a log.
 
     Attributes:
-        traffic: When the others were observed, s.
-        agents: Number of moving others by kind; `obstacles` is the number of those that never move.
-        ego_rate: Samples per second, NaN for one sample.
-        goal: In words, or None.
+        traffic: Spans in which the other road users were observed, s.
+        agents: Number of moving road users by kind; `obstacles` is the number of static ones.
+        ego_rate: Ego states per second, NaN for one state.
+        goal: The goal in words, or None.
     """
 
     name: str
@@ -85,7 +85,7 @@ class ScenarioSummary:
     notes: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """The scenario as text, one line each."""
+        """Return the scenario as lines of text."""
         road, agents = self.road, ", ".join(counted(count, kind) for kind, count in self.agents.items())
         ego = f"{counted(self.ego_samples, 'state')} from {self.ego_span[0]:.2f} to {self.ego_span[1]:.2f} s"
         if self.ego_samples > 1:
@@ -110,7 +110,7 @@ class ScenarioSummary:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """What a log holds; `read` is the log. Where it cannot be evaluated, `scenario` is None and `error` says why."""
+    """Summary of a log; `read` is the scenario. If it cannot be read, `scenario` is None and `error` is the reason."""
 
     path: Path
     profile: str
@@ -122,7 +122,7 @@ class LogSummary:
     read: Scenario | None = None
 
     def lines(self) -> list[str]:
-        """The summary as text, one line each."""
+        """Return the summary as lines of text."""
         out = [f"{self.path.name}: {self.profile}, {self.size_bytes / 1024:.0f} KiB"]
         for topic in self.topics:
             line = f"  {topic.topic}: {topic.messages} x {topic.schema or 'no schema'} ({topic.encoding})"
@@ -138,7 +138,7 @@ class LogSummary:
 
 
 def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
-    """What a log of any format holds; damage and unknown formats are in `error`, never raised."""
+    """Summarise a log of any format; damage and unknown formats are reported in `error`, never raised."""
     reader, scenario, error = reader_of(path, settings), None, None
     contents, files = Contents("not a log that replan reads"), tuple[Path, ...]((path,))
     try:
@@ -202,7 +202,7 @@ def _describe_goal(goal: Goal) -> str:
 
 
 def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, ...]:
-    """Which evaluations the scenario allows; `has_vehicle`: whether the log itself describes the vehicle."""
+    """Return all evaluations with whether the scenario allows them; `has_vehicle`: the log describes the vehicle."""
     ego, tracks, road = scenario.ego, scenario.tracks, scenario.road
     lanes = road.source is RoadSource.LANES
     unlimited = sum(not np.isfinite(lane.speed_limit) for lane in road.lanes.values())

@@ -1,6 +1,6 @@
-"""What happened: plans with their reasons and internals, and the trace of a drive.
+"""Plans with their reasons and internals, and the trace of a drive.
 
-`Plan.internals` are generic artefacts: any planner may fill them; recording and metrics know no planner by name.
+`Plan.internals` are generic artefacts: any planner may fill them; recording and metrics depend on no planner's name.
 Graph coordinates: S-L graphs have (s, l) of the reference line, S-T graphs (t since the frame, s along the planned
 path from the ego), m and s.
 """
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from logs.frame import Frame, Predictions, Visibility
 
 KEPT_STEP_S = 0.5
-"""Predictions are kept in a trace at this step, and so are plans without internals."""
+"""Time step of the predictions in a trace, and of trajectories in a trace file without internals, s."""
 
 
 class PlanStatus(Enum):
-    """How a plan came about; the value is the sentence that the user reads."""
+    """The origin of a plan; the value is the sentence shown to the user."""
 
     PLANNED = "planned"
     CORRECTED = "planned; columns that contradicted its positions were computed anew from them"
@@ -37,19 +37,19 @@ class PlanStatus(Enum):
 
     @property
     def is_fallback(self) -> bool:
-        """Whether the planner could not plan."""
+        """Whether the plan is a fallback, because the planner failed or its plan was refused."""
         return self not in (PlanStatus.PLANNED, PlanStatus.CORRECTED)
 
 
 class PlanStart(Enum):
-    """Where a plan begins."""
+    """The state at which a plan begins."""
 
     EGO = "at the ego"
     PREVIOUS_PLAN = "on the previous plan"
 
 
 class DecisionKind(Enum):
-    """What is to be done about an agent."""
+    """The manoeuvre with respect to an agent."""
 
     IGNORE = "ignore"
     NUDGE_LEFT = "nudge left"
@@ -62,13 +62,13 @@ class DecisionKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What was decided in a stage ("path", "speed") about an agent, a stop ("stop line 3") or hidden ground; why.
+    """A stage's decision about an agent, a stop ("stop line 3") or a hidden area, with its reason.
 
     Attributes:
-        agent: Its name in `Agents.ids`, or that of the stop.
-        kind: What is to be done.
+        agent: Name of the agent in `Agents.ids`, or of the stop.
+        kind: The decision.
         stage: "path" or "speed".
-        reason: In one sentence or less.
+        reason: The reason, at most one sentence.
     """
 
     agent: str
@@ -79,7 +79,7 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class CostTerms:
-    """The cost of what a stage chose, by term (weighted, so that they add up)."""
+    """The cost of a stage's solution by term; the terms are weighted, so that their sum is the total cost."""
 
     stage: str
     terms: tuple[tuple[str, float], ...]
@@ -87,12 +87,12 @@ class CostTerms:
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """What a stage chose from, and why it took none of the others.
+    """The number of candidates of a stage, and why it rejected candidates.
 
     Attributes:
         stage: Name of the stage.
-        considered: How many candidates there were.
-        rejected: Reason and number; each candidate is counted once, under the first reason that was found.
+        considered: Number of candidates.
+        rejected: Reasons, each with a number of candidates; a candidate is counted once, under the first reason found.
     """
 
     stage: str
@@ -102,12 +102,12 @@ class Candidates:
 
 @dataclass(frozen=True, slots=True)
 class LaneOption:
-    """A lane that a plan was made for and compared with others.
+    """A lane for which a plan was made and compared with plans for other lanes.
 
     Attributes:
         name: "keep", "left" or "right".
-        terms: What it costs, by term, s.
-        against: Why it was not taken ("car 7 is beside"); empty: it was.
+        terms: Its cost by term, s.
+        against: Why it was not chosen ("car 7 is beside"); empty: it was chosen.
     """
 
     name: str
@@ -122,7 +122,7 @@ class LaneOption:
 
 @dataclass(frozen=True, slots=True)
 class SolverReport:
-    """One call of a solver; residuals are the solver's own, infinity norm."""
+    """The result of one solver call; the residuals are those that the solver reports, in the infinity norm."""
 
     stage: str
     solved: bool
@@ -134,9 +134,9 @@ class SolverReport:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GridCost:
-    """A DP grid: `cost[i, j]` is the least cost to come to node `(first[i], second[j])`; inf = not reached.
+    """A DP grid: `cost[i, j]` is the least cost to reach node `(first[i], second[j])`; inf: not reached.
 
-    `chosen[i]` is the second index of the solution in column i, -1 where the solution does not reach.
+    `chosen[i]` is the index j of the solution at `first[i]`, -1 if the solution ends before it.
     """
 
     first: FloatArray
@@ -152,7 +152,7 @@ class GridCost:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Corridor:
-    """Bounds `(n,)` of a solution over `first`; infinite where free."""
+    """Bounds `(n,)` of a solution over `first`; infinite where there is no bound."""
 
     first: FloatArray
     lower: FloatArray
@@ -165,7 +165,7 @@ class Corridor:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GraphObstacle:
-    """An agent in a graph: its outline `(k, 2)` in graph coordinates and what was decided about it."""
+    """An agent in a graph: its outline `(k, 2)` in graph coordinates and the decision about it."""
 
     agent: str
     outline: Points
@@ -177,7 +177,7 @@ class GraphObstacle:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Graph:
-    """A plane in which a stage searched: DP solution `(m, 2)`, QP solution `(n, 2)`, corridor, obstacles."""
+    """The plane of a stage's search: cost grid, corridor, DP solution `(m, 2)`, QP solution `(n, 2)`, obstacles."""
 
     grid: GridCost | None
     corridor: Corridor | None
@@ -192,14 +192,14 @@ class Graph:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SlGraph(Graph):
-    """Station (m) and lateral offset (m) of the reference line: where the path was chosen."""
+    """The plane in which the path was chosen: station (m) and lateral offset (m) of the reference line."""
 
     plane: ClassVar[str] = "sl"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StGraph(Graph):
-    """Time (s from the frame) and station along the path (m from the ego): where the speed was chosen."""
+    """The plane in which the speed was chosen: time (s from the frame) and station on the path (m from the ego)."""
 
     plane: ClassVar[str] = "st"
 
@@ -208,11 +208,11 @@ Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | LaneOption | 
 
 
 class Internals(Sequence[Artefact]):
-    """Artefacts that are built when they are first looked at.
+    """Artefacts that are built on first access.
 
     Args:
-        reports: Of the solvers: there in any case.
-        build: Makes all artefacts, the reports among them.
+        reports: Reports of the solvers, which are always available.
+        build: Function that builds all artefacts, the reports included.
     """
 
     def __init__(self, reports: tuple[SolverReport, ...], build: Callable[[], tuple[Artefact, ...]]) -> None:
@@ -240,14 +240,14 @@ class Internals(Sequence[Artefact]):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Plan:
-    """What a planner answers to a frame.
+    """The output of a planner for a frame.
 
     Attributes:
-        trajectory: From the frame's time on, at the rear axle.
+        trajectory: States of the rear axle from the frame's time on.
         status: Whether it was planned or is a fallback.
-        reason: Why, in one sentence; empty for a plan without trouble.
-        start: Where it begins.
-        internals: What the planner wants to be seen; `Internals` where that is built only for who looks at it.
+        reason: Reason of the status, in one sentence; empty for a plan without trouble.
+        start: The state at which it begins.
+        internals: Artefacts that the planner exposes; `Internals` if they are built only on access.
     """
 
     trajectory: Trajectory
@@ -257,7 +257,7 @@ class Plan:
     internals: Sequence[Artefact] = ()
 
     def recorded(self, *, keep: bool) -> Plan:
-        """The plan as a trace keeps it: with its internals built, or with no more of them than is there anyway."""
+        """Return the plan as a trace keeps it: with all internals if `keep`, else only with those already built."""
         if isinstance(self.internals, tuple):
             return self
         kept = tuple(self.internals) if keep or not isinstance(self.internals, Internals) else self.internals.reports
@@ -269,7 +269,7 @@ class PlanSummary:
     """The result of a plan without its trajectory and search data: time, status, reason, decisions.
 
     Attributes:
-        t: Time of its frame, s.
+        t: Time of the frame, s.
         status: The status of the plan.
         reason: The reason of the plan.
         internals: Its decisions and compared lanes, among others.
@@ -282,14 +282,14 @@ class PlanSummary:
 
 
 class Mode(Enum):
-    """Open loop: the ego is the log's. Closed loop: the ego is driven."""
+    """Open loop: the ego follows the log. Closed loop: the ego follows the planner."""
 
     OPEN = "open"
     CLOSED = "closed"
 
 
 class EndReason(Enum):
-    """Why a drive ended; the value is the sentence that the user reads."""
+    """The reason for which a drive ended; the value is the sentence shown to the user."""
 
     END_OF_LOG = "end of the log"
     GOAL = "goal reached"
@@ -301,12 +301,12 @@ class EndReason(Enum):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TrackingErrors:
-    """How far the ego was off its plan, `(n,)` each.
+    """Deviation of the ego from its plan, `(n,)` each.
 
     Attributes:
-        t: s.
-        lateral: Ego to the plan's path, positive left of it, m.
-        heading: rad, principal value.
+        t: s since the scenario's start.
+        lateral: Distance of the ego from the plan's path, positive to the left, m.
+        heading: Heading error, rad, principal value.
         speed: Ego minus plan at this time, m/s.
         station: Ego minus plan at this time, along the path, m.
     """
@@ -320,14 +320,14 @@ class TrackingErrors:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlannedFrame:
-    """One frame of a trace: when, what was planned, and what was assumed of the others.
+    """One frame of a trace: its time, the plan, and the predictions of the agents.
 
     Attributes:
         t: s since the scenario's start.
-        plan: The planner's answer.
-        agents: Ids of the agents in the frame, in its order.
-        predictions: Their futures as the planner was shown them, at `KEPT_STEP_S`; None: not kept.
-        visibility: What the sensor saw of the ground; None: everything.
+        plan: The planner's output.
+        agents: Ids of the agents in the frame, in the same order.
+        predictions: Predictions that the planner got, at the step `KEPT_STEP_S`; None: not kept.
+        visibility: The ground that the sensor saw; None: everything.
     """
 
     t: float
@@ -343,15 +343,15 @@ class PlannedFrame:
 
     @classmethod
     def of(cls, frame: Frame, plan: Plan) -> PlannedFrame:
-        """The plan for a frame, as it is kept (`Plan.recorded`), with what a trace keeps of the frame."""
+        """Make the record of a frame from the plan as kept (`Plan.recorded`) and the frame's kept part."""
         some, kept = frame.predictions, kept_samples(frame.predictions.t)
-        x, y, yaw = frozen(np.array([some.x[:, kept], some.y[:, kept], some.yaw[:, kept]]))  # once: they are not copied
+        x, y, yaw = frozen(np.array([some.x[:, kept], some.y[:, kept], some.yaw[:, kept]]))  # frozen once for all
         thinned = type(some)(some.t[kept], some.agent, some.probability, x, y, yaw, some.method)
         return cls(frame.t, plan, frame.agents.ids, thinned, frame.visibility)
 
 
 def kept_samples(t: FloatArray, step: float = KEPT_STEP_S) -> slice | IntArray:
-    """Which of the samples `(n,)` are kept: each that is `step` (s) after the one before, and the last."""
+    """Return the samples `(n,)` to keep: one every `step` s, and the last."""
     stride = max(1, round(step / float(t[1] - t[0]))) if len(t) > 1 else 1
     if (len(t) - 1) % stride == 0:
         return slice(None, None, stride)
@@ -360,24 +360,24 @@ def kept_samples(t: FloatArray, step: float = KEPT_STEP_S) -> slice | IntArray:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One drive of one planner over one scenario. No wall-clock time is in it.
+    """One drive of one planner over one scenario. It contains no wall-clock times.
 
     Attributes:
-        scenario: Its name.
-        planner: As the user named it.
+        scenario: Name of the scenario.
+        planner: Name of the planner as the user wrote it.
         mode: Open or closed loop.
         oracle: Whether the planner knew the log's future.
-        ego: As driven: at the control rate in closed loop, on the frame grid in open loop.
-        agents: As they moved.
-        frames: The plans, in order of time; a tuple, of a long drive a `logs.memory.FrameStore`.
-        commands: What the controller asked for, on `ego.t`; None in open loop.
-        actuation: What the actuators did, on `ego.t`; None in open loop.
-        tracking: On `ego.t`; None in open loop.
-        end: Why it ended.
-        detail: With what, where ("car 12").
-        notes: What the user must know to read the results, one sentence each.
-        perceived: The agents as the planner was shown them, a sample per frame in which it was; None: as they are
-            known without a sensor (`agents.perceived`).
+        ego: The driven states: at the control rate in closed loop, at the frames in open loop.
+        agents: The true motion of the agents.
+        frames: The plans, in order of time; a tuple, or a `logs.memory.FrameStore` for a long drive.
+        commands: Commands of the controller at `ego.t`; None in open loop.
+        actuation: States of the actuators at `ego.t`; None in open loop.
+        tracking: Tracking errors at `ego.t`; None in open loop.
+        end: Reason for the end of the drive.
+        detail: The agent or place that caused the end ("car 12").
+        notes: Facts needed to read the results, one sentence each.
+        perceived: The agents as the planner perceived them, one sample per frame in which it did; None: without a
+            sensor (`agents.perceived`).
     """
 
     scenario: str

@@ -1,13 +1,13 @@
-"""A scenario in another world that should not matter: turned, shifted, reflected, its clock set, 1e-9 on everything.
+"""Changes a scenario in ways that should not change results: turned, shifted, mirrored, other clock, noise of 1e-9.
 
-(1) p' = R(dyaw) p + d       of every point of the log; velocities p_dot' = R(dyaw) p_dot, headings yaw' = yaw + dyaw
+(1) p' = R(dyaw) p + d       for every point of the log; velocities p_dot' = R(dyaw) p_dot, headings yaw' = yaw + dyaw
 (2) (x, y)' = (x, -y)        yaw' = -yaw, kappa' = -kappa, steer' = -steer; left and right change places
 
 (3) p(u) = (1 + 2 u)(1 - u)^2 p_k + u (1 - u)^2 d v_k + u^2 (3 - 2 u) p_(k+1) - u^2 (1 - u) d v_(k+1),  0 <= u <= 1
     between two samples of a track, d s apart, with the velocities v of `Tracks.motion`: the log at another rate
 
-Points are what the log's own file would show, so `Scenario.origin` turns and flips with them but is not shifted by d.
-Laws of planners and metrics are tested with these, and `studies.invariance` drives under them.
+The points include the log's own coordinates, so `Scenario.origin` is turned and mirrored, but not shifted by d. Tests
+of planners and metrics use these changes, and `studies.invariance` drives the changed scenarios.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def shifted_clock(scenario: Scenario, ns: int) -> Scenario:
 def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
     """The scenario as if it had been recorded at `rate_hz`: ego and moving tracks at multiples of 1 / `rate_hz` s.
 
-    Positions between two samples follow (3), all else is linear. The ego keeps its first and last state. A track
+    Positions between two samples follow (3); all else is linear. The ego keeps its first and last state. A track
     begins with its first multiple and ends with its last, and keeps its gaps; one that holds no multiple keeps its
     first sample.
     """
@@ -78,7 +78,7 @@ def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
     for i in range(len(tracks)):
         mine = tracks.samples(i)
         old, t = tracks.t[mine], tracks.t[mine]
-        if not tracks.static[i]:  # a static one stays as it was
+        if not tracks.static[i]:  # static tracks are not resampled
             t = _multiples(old, rate_hz)
             k = np.searchsorted(old, t + 1e-9, side="right") - 1
             kept = t[~(tracks.gap_after[mine][k] & (t > old[k] + 1e-9))]
@@ -113,11 +113,11 @@ def _multiples(t: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def jittered(scenario: Scenario, size: float, seed: int = 0) -> Scenario:
-    """The scenario with independent errors, uniform in +-`size`, on everything that was measured.
+    """Add independent errors, uniform in +-`size`, to all measured values.
 
     On each coordinate (m) of ego, others, lanes, stop lines, crosswalks and goal, and on speeds (m/s), accelerations
-    (m/s2), headings (rad) and curvatures (1/m). For sizes like 1e-9, which no decision should depend on; lanes that
-    share a boundary no longer share it exactly.
+    (m/s2), headings (rad) and curvatures (1/m). No decision should depend on sizes like 1e-9. Lanes that share a
+    boundary no longer share it exactly.
     """
     rng = np.random.default_rng(seed)
 
@@ -138,11 +138,11 @@ def jittered(scenario: Scenario, size: float, seed: int = 0) -> Scenario:
 
 
 def mirrored(scenario: Scenario) -> Scenario:
-    """The scenario reflected at the x axis (2), driving side included; twice is the scenario itself.
+    """The scenario reflected at the x axis (2), driving side included; mirroring twice gives the original.
 
-    Left and right change places everywhere: yaw, curvature and steering change their signs, boundaries, neighbours and
-    markings swap, so do the ends of stop lines, and the words "nudge left" and "nudge right" in the expected decisions.
-    Sizes, times, speeds, right of way, lights, and the name except for its ending stay.
+    Left and right change places everywhere: yaw, curvature and steering change their signs; boundaries, neighbours,
+    markings, the ends of stop lines, and the words "nudge left" and "nudge right" in the expected decisions swap.
+    Sizes, times, speeds, right of way, lights, and the name except for its suffix do not change.
     """
     goal, controls, name, road = scenario.goal, scenario.controls, scenario.name, scenario.road
 
@@ -185,31 +185,31 @@ def mirrored(scenario: Scenario) -> Scenario:
 
 
 def moved_trajectory(ego: Trajectory, dx: float, dy: float, dyaw: float) -> Trajectory:
-    """A trajectory under (1)."""
+    """Return the trajectory moved by (1)."""
     x, y = (np.column_stack([ego.x, ego.y]) @ _turn(dyaw) + np.array([dx, dy])).T
     return replace(ego, x=x, y=y, yaw=ego.yaw + dyaw)
 
 
 def mirrored_trajectory(ego: Trajectory) -> Trajectory:
-    """A trajectory under (2)."""
+    """Return the trajectory mirrored by (2)."""
     return replace(ego, y=-ego.y, yaw=-ego.yaw, kappa=-ego.kappa)
 
 
 def _turn(angle: float) -> FloatArray:
-    """R(angle) `(2, 2)`, to be multiplied from the right."""
+    """Return the matrix `(2, 2)` of R(angle), for row vectors: `points @ matrix`."""
     c, s = cos(angle), sin(angle)
     return np.array([[c, s], [-s, c]])
 
 
 def _with_points(scenario: Scenario, points: _Points) -> Scenario:
-    """The scenario with all its points `(k, 2)` elsewhere, and nothing else changed."""
+    """Apply `points` to all points `(k, 2)` of the scenario, and change nothing else."""
     goal = scenario.goal
 
     def elsewhere(one: Placed) -> Placed:
         x, y = points(np.column_stack([one.x, one.y])).T
         return replace(one, x=x, y=y)
 
-    boxes = _with_boxes(scenario, elsewhere)  # before the ego: the order in which `jittered` draws
+    boxes = _with_boxes(scenario, elsewhere)  # before the ego: the order of the random numbers in `jittered`
     return replace(
         scenario,
         ego=elsewhere(scenario.ego),
@@ -221,7 +221,7 @@ def _with_points(scenario: Scenario, points: _Points) -> Scenario:
 
 
 def _with_boxes(scenario: Scenario, changed: Callable[[Any], Any]) -> dict[str, Any]:
-    """What a scenario has of boxes, changed: its tracks, its detections, and what its tracks were repaired from."""
+    """Apply `changed` to all boxes of a scenario: tracks, detections and repair; return them as fields."""
     tracks, found, made = changed(scenario.tracks), scenario.detections, scenario.repair
     if made is not None:
         own = tracks if made.tracks is scenario.tracks else changed(made.tracks)
@@ -236,7 +236,7 @@ def _with_trajectories(
 
 
 def placed_road(road: Road, points: _Points) -> Road:
-    """The road with all its points `(k, 2)` elsewhere, and nothing else changed."""
+    """Apply `points` to all points `(k, 2)` of the road, and change nothing else."""
     return replace(
         road,
         lanes={i: replace(lane, left=points(lane.left), right=points(lane.right)) for i, lane in road.lanes.items()},

@@ -1,23 +1,23 @@
-"""What may be varied in a log: road users in time, speed and place, who is there, where and how fast the ego starts.
+"""Varies a log: time, speed, place and presence of road users, place and speed of the ego's start.
 
-Each `Variation` is a pure function (scenario, agents, value) -> scenario; its neutral value gives the scenario itself.
-`varied` applies several, in the order of the table, and signs the result.
+Each `Variation` is a pure function (scenario, agents, value) -> scenario; its neutral value changes nothing. `varied`
+applies several variations in the order of the table, and records them in name, tags, metadata and notes.
 
 (1) time     t' = t + dt
-(2) speed    dt' = dt / k while the agents walk or drive, dt' = dt while they stand; v' = k v. All who are varied share
-             this clock, which begins with the first sample of any of them, so that a road user who was tracked in
-             pieces stays in one piece. Positions stay on the recorded path: where samples would come more rarely than
-             they were recorded, the way between two is divided.
-(3) side     p' = p + d n       n: left of the course where they come nearest to the ego, one for all who are varied
-(4) ego      pose and curvature at way s of the driven path, straight back before its begin; the speed of the start,
-             k times; no acceleration
+(2) speed    dt' = dt / k while the agents walk or drive, dt' = dt while they stand; v' = k v. All varied agents share
+             this clock, which begins with the first sample of any of them, so that the pieces of a road user who was
+             tracked in pieces still fit. Positions stay on the recorded path; samples are added if they would be rarer
+             than in the recording.
+(3) side     p' = p + d n       n: left of the course at the point nearest to the ego, one for all varied agents
+(4) ego      pose and curvature at station s of the driven path, straight on before its begin; the start's speed
+             times k; no acceleration
 
-A drive that was recorded among others than there are now is no drive in this world: of the ego's log only the start is
-left, and the tag "recorded" gives way to "varied". No metric measures a planner by the recorded driver then, and no
-broken bound is excused by that driver; the careful driver (`metrics.reference_drivers`) takes both places.
+The recorded drive does not fit the varied traffic: only the start of the ego's log is kept, and the tag "varied"
+replaces "recorded". Metrics then neither compare a planner with the recorded driver nor excuse a broken bound by that
+driver; they use the careful driver (`metrics.reference_drivers`) for both.
 
-Who was in the recording from its begin, or up to its end, goes straight on at their first (last) velocity where the
-varied track would leave that time uncovered; who came or went within the recording still does.
+Agents who were present at the begin (end) of the recording are extended straight at their first (last) velocity if the
+varied track would not cover that time. Agents who appeared or left during the recording still do.
 """
 
 from __future__ import annotations
@@ -40,30 +40,30 @@ from logs.shapes import overlap
 from logs.states import Trajectory
 
 VARIED = "varied"
-"""Tag of a varied log, and begin of its metadata entries: `varied.of`, `varied.agents` (JSON), `varied.NAME`."""
+"""Tag of a varied log, and prefix of its metadata entries: `varied.of`, `varied.agents` (JSON), `varied.NAME`."""
 LONGEST_S = 30.0
 LATERAL_MPS2 = 4.89
-"""An ego that would begin in a curve with more has no sensible state (nuPlan's comfort bound)."""
+"""Greatest lateral acceleration of the ego's start, m/s2 (nuPlan's comfort bound)."""
 STANDING_MPS = 0.2
-"""Slower is standing for sure: above what the noise of tracks leaves in smoothed speeds."""
+"""Slower agents stand: above the noise that remains in smoothed speeds, m/s."""
 GOING_MPS = 0.5
-"""Faster is going for sure. Between them: faster than half of one's greatest speed, as smoothing spreads a start."""
+"""Faster agents move, m/s. Between both, those faster than half of their top speed, as smoothing spreads a start."""
 COURSE_S = 1.0
-"""The course at a time is that of the way from so long before to so long after it."""
+"""The course at a time is the direction from the place this long before it to the place this long after it, s."""
 COURSE_M = 0.3
-"""A shorter way has no course: the heading of the box is taken."""
+"""A shorter way has no course, m: the heading of the box is used."""
 BEFORE_S = 2.0
-"""So much of a varied log's tracks is kept before its begin and after its end: more than `logs.observed.MAX_GAP_S`."""
+"""Varied tracks are kept this long before the log's begin and after its end, s (more than `MAX_GAP_S`)."""
 RATE_S = 0.1
 WALKER, STANDER = "inserted pedestrian", "inserted car"
 WALK_MPS = 1.4
-"""Of an adult at a crossing (Fitzpatrick et al., TCRP Report 112, 2006: mean 1.45 m/s)."""
+"""Speed of an adult at a crossing (Fitzpatrick et al., TCRP Report 112, 2006: mean 1.45 m/s)."""
 KERB_M = 6.0
-"""How far beside the ego's path the inserted pedestrian begins and ends to walk: a lane and a half."""
+"""Distance from the ego's path at which the inserted pedestrian starts and stops, m: a lane and a half."""
 LEAST_MPS = 3.0
-"""An ego that stands at the start is taken to arrive at this speed."""
+"""Least speed of the ego for the time at which it meets the pedestrian, m/s."""
 AROUND_S = 60.0
-"""The walker stands at the kerbs so long before and after the log: more than time and speed can take away."""
+"""The pedestrian's track extends this long beyond the log, s: more than time and speed can remove."""
 COPY = "copy of "
 _COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")
 Change = Callable[[Scenario, Sequence[str], float], Scenario]
@@ -71,17 +71,17 @@ Change = Callable[[Scenario, Sequence[str], float], Scenario]
 
 @dataclass(frozen=True)
 class Variation:
-    """One thing that may be varied.
+    """One way of varying a scenario.
 
     Attributes:
-        name: As in `--vary NAME=...`.
-        unit: Of its value; "1": a factor or a choice.
-        low: Least value; `high` the greatest.
+        name: Its name in `--vary NAME=...`.
+        unit: Unit of its value; "1": a factor or a choice.
+        low: Least value; `high` is the greatest.
         neutral: The value that changes nothing; NaN: every value changes something.
-        summary: What a value means, in one line.
-        change: (scenario, ids of the agents, value) -> scenario; raises LogError where there is no such scenario.
-        of: What it changes: "agent", "ego", or the id of the agent that it inserts.
-        is_choice: Whether there is nothing between two values.
+        summary: Meaning of a value, in one line.
+        change: (scenario, ids of the agents, value) -> scenario; raises LogError if there is no such scenario.
+        of: The varied object: "agent", "ego", or the id of the agent that it inserts.
+        is_choice: Whether only the two bounds are distinct values.
     """
 
     name: str
@@ -95,17 +95,17 @@ class Variation:
     is_choice: bool = False
 
     def __call__(self, scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
-        """The varied scenario, not signed; the scenario itself where the value is neutral.
+        """Return the varied scenario, with its old name and tags; the scenario itself if the value is neutral.
 
         Raises:
-            ConfigError: The value is out of range, or an agent is not there.
+            ConfigError: The value is out of range, or an agent is unknown.
             LogError: There is no such scenario.
         """
         self.check(value)
         return scenario if value == self.neutral else self.change(scenario, agents, value)
 
     def check(self, value: float) -> None:
-        """ConfigError where the value is out of range."""
+        """Raise ConfigError if the value is out of range."""
         if not self.low <= value <= self.high:
             raise ConfigError(f"{self.name} is {value:g}, it must be from {self.low:g} to {self.shown(self.high)}")
 
@@ -120,11 +120,11 @@ class Variation:
 
 
 def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float]) -> Scenario:
-    """The scenario with several variations, in the order of the table, signed and with the ego's start only.
+    """Apply several variations in the order of the table, record them, and keep only the ego's start.
 
     Args:
-        scenario: As it was recorded or synthesised.
-        agents: Ids of those who are varied together; empty: who is tracks.
+        scenario: The recorded or synthetic scenario.
+        agents: Ids of the agents that are varied together; empty: the agents that the variations insert.
         values: Value by name of `VARIATIONS`.
 
     Raises:
@@ -147,8 +147,8 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
     about = f" of {', '.join(agents)}" if agents else ""
     notes = (
         f"Varied from {scenario.name}: {changes}{about}.",
-        "Of the ego's log only the start is kept: it was driven in another world and is no reference in this one.",
-        "A varied track goes straight on where its recording was cut by the begin or the end of the log.",
+        "Only the start of the ego's log is kept: the drive was recorded in other traffic, so it is no reference here.",
+        "A varied track continues straight before the begin and after the end of its recording.",
     )
     entries = {f"{VARIED}.{name}": repr(float(value)) for name, value in ordered.items()}
     kept = {key: text for key, text in scenario.metadata.items() if key != "expected_decisions"}
@@ -166,12 +166,12 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
 
 
 def start_of(ego: Trajectory) -> Trajectory:
-    """Its first state alone."""
+    """Return the trajectory with only its first state."""
     return ego.between(float(ego.t[0]), float(ego.t[0]))
 
 
 def driven_line(scenario: Scenario) -> ReferenceLine:
-    """The ego's driven path from its first state on; straight ahead where less than 2 m were driven."""
+    """Return the ego's driven path from its first state on; straight ahead if the ego drove less than 2 m."""
     ego, start = scenario.ego, scenario.ego.state(0)
     path = thinned(np.column_stack([ego.x, ego.y]), 1.0)
     if len(path) < 3:
@@ -180,7 +180,7 @@ def driven_line(scenario: Scenario) -> ReferenceLine:
 
 
 def on_path(scenario: Scenario, s: float) -> tuple[float, float, float]:
-    """Point and heading `s` m along the ego's driven path."""
+    """Return the point and heading `s` m along the ego's driven path."""
     x, y, yaw, _ = driven_line(scenario).frame(s)
     return x, y, yaw
 
@@ -203,7 +203,7 @@ def ego_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenar
 
 
 def check_start(was: Scenario, now: Scenario) -> None:
-    """LogError where the ego of `now` starts in an impossible state, or inside an agent that `was` did not touch."""
+    """Raise LogError if the ego of `now` starts in an impossible state, or in an agent that `was` does not touch."""
     start, before, road = now.ego.state(0), was.ego.state(0), now.road
     if road.is_drivable(before.x, before.y) and not road.is_drivable(start.x, start.y):
         raise LogError("the ego would start off the road", remedy="keep ego_start on it")
@@ -216,7 +216,7 @@ def check_start(was: Scenario, now: Scenario) -> None:
 
 
 def _touched_agents(scenario: Scenario) -> list[str]:
-    """Ids of those whose boxes the ego's touches at the start."""
+    """Return the ids of the agents whose boxes the ego's box touches at the start."""
     start, car = scenario.ego.state(0), scenario.vehicle
     x, y = start.x + car.axle_to_center * cos(start.yaw), start.y + car.axle_to_center * sin(start.yaw)
     others = scenario.tracks.truth(start.t)
@@ -226,7 +226,7 @@ def _touched_agents(scenario: Scenario) -> list[str]:
 
 
 def places(tracks: Tracks, agents: Sequence[str]) -> list[int]:
-    """Places of agents among the tracks; ConfigError where one is not there, or none is named."""
+    """Return the indices of agents among the tracks; ConfigError if an agent is unknown, or no agent is named."""
     missing = [agent for agent in agents if agent not in tracks.ids]
     if missing or not agents:
         what = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
@@ -235,7 +235,7 @@ def places(tracks: Tracks, agents: Sequence[str]) -> list[int]:
 
 
 def _theirs(tracks: Tracks, agents: Sequence[str]) -> BoolArray:
-    """Which samples `(m,)` are theirs."""
+    """Return which samples `(m,)` belong to the agents."""
     mine = np.zeros(len(tracks.t), np.bool_)
     for i in places(tracks, agents):
         mine[tracks.samples(i)] = True
@@ -243,7 +243,7 @@ def _theirs(tracks: Tracks, agents: Sequence[str]) -> BoolArray:
 
 
 def _with_samples(tracks: Tracks, samples: Mapping[int, FloatArray]) -> Tracks:
-    """The tracks with other samples `(k, 6)` of some, columns t, x, y, yaw, vx, vy."""
+    """Replace the samples of some tracks by `(k, 6)`: columns t, x, y, yaw, vx, vy."""
     rows = np.column_stack([getattr(tracks, name) for name in _COLUMNS])
     parts = [samples.get(i, rows[tracks.samples(i)]) for i in range(len(tracks))]
     columns = dict(zip(_COLUMNS, np.vstack([np.empty((0, len(_COLUMNS))), *parts]).T, strict=True))
@@ -253,7 +253,7 @@ def _with_samples(tracks: Tracks, samples: Mapping[int, FloatArray]) -> Tracks:
 def with_agent(
     scenario: Scenario, name: str, kind: AgentKind, size: tuple[float, float], samples: FloatArray, *, static: bool
 ) -> Scenario:
-    """The scenario with one more road user; LogError where there is one of that id."""
+    """Add a road user to the scenario; LogError if the id is in use."""
     tracks = scenario.tracks
     if name in tracks.ids:
         raise LogError(f"there is a {name} already")
@@ -267,7 +267,7 @@ def with_agent(
 
 
 def _samples(tracks: Tracks, i: int) -> FloatArray:
-    """Samples `(k, 6)` of one."""
+    """Return the samples `(k, 6)` of track i."""
     return np.column_stack([getattr(tracks, name)[tracks.samples(i)] for name in _COLUMNS])
 
 
@@ -304,7 +304,7 @@ def in_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenari
 def sideways(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
     """The scenario with the agents shifted to the side (3)."""
     tracks, ego, mine = scenario.tracks, scenario.ego, _theirs(scenario.tracks, agents)
-    nearest = []  # how near each agent comes to the ego, m, and their course there, rad: the box's where they stand
+    nearest = []  # per agent: least distance from the ego, m, and course there (heading if it stands), rad
     for i in places(tracks, agents):
         rows = _samples(tracks, i)
         to_x = rows[:, 1] - np.interp(rows[:, 0], ego.t, ego.x)
@@ -320,12 +320,12 @@ def sideways(scenario: Scenario, agents: Sequence[str], value: float) -> Scenari
 
 
 def removed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
-    """Without the agents, whatever the value."""
+    """Return the scenario without the agents; the value is ignored."""
     return replace(scenario, tracks=scenario.tracks.taken(~_theirs(scenario.tracks, agents)))
 
 
 def copied(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
-    """With a second one of each agent, `value` s later."""
+    """Return the scenario with a copy of each agent, `value` s later."""
     tracks = scenario.tracks
     for i in places(tracks, agents):
         rows = _samples(tracks, i)
@@ -337,7 +337,7 @@ def copied(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
 
 
 def pedestrian(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
-    """With an adult who crosses `value` m ahead."""
+    """Return the scenario with an adult who crosses the ego's path `value` m ahead."""
     x, y, yaw = on_path(scenario, value)
     start, car = scenario.ego.state(0), scenario.vehicle
     meet = start.t + max(value - car.axle_to_front, 0.0) / max(start.v, LEAST_MPS)
@@ -350,7 +350,7 @@ def pedestrian(scenario: Scenario, agents: Sequence[str], value: float) -> Scena
 
 
 def standing_car(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
-    """With a car that stands `value` m ahead."""
+    """Return the scenario with a car that stands `value` m ahead."""
     kind = AgentKind.CAR
     size = USUAL_SIZE_M[kind]
     x, y, yaw = on_path(scenario, value + 0.5 * size[0])
@@ -358,10 +358,10 @@ def standing_car(scenario: Scenario, agents: Sequence[str], value: float) -> Sce
 
 
 def continued(was: Scenario, now: Scenario) -> Tracks:
-    """The tracks of `now`; those shifted in time since `was` are extended where the begin or end of the log cut them.
+    """Return the tracks of `now`; tracks shifted in time since `was` are extended if the log's begin or end cut them.
 
-    `was` holds the inserted road users, too; a copy is compared with its original. Samples far outside of the log are
-    cut.
+    `was` holds the inserted road users, too; a copy is compared with its original. Samples far outside the log are
+    removed.
     """
     tracks, end, changed = now.tracks, now.duration, {}
     known = {name: i for i, name in enumerate(was.tracks.ids)}
@@ -385,7 +385,7 @@ def continued(was: Scenario, now: Scenario) -> Tracks:
 
 
 def _straight(row: FloatArray, vx: float, vy: float, t: FloatArray) -> FloatArray:
-    """Samples at `t` `(k,)` of an agent that goes straight through a sample (6,) at a constant velocity, or stands."""
+    """Return samples at `t` `(k,)` of an agent that passes a sample (6,) at constant velocity, or stands."""
     vx, vy = (vx, vy) if hypot(vx, vy) >= STANDING_MPS else (0.0, 0.0)
     one, late = np.ones(len(t)), t - row[0]
     return np.column_stack([t, row[1] + vx * late, row[2] + vy * late, row[3] * one, vx * one, vy * one])
@@ -394,20 +394,20 @@ def _straight(row: FloatArray, vx: float, vy: float, t: FloatArray) -> FloatArra
 _TABLE = (
     Variation(
         "pedestrian", "m", 1.0, 500.0, nan,
-        "an adult crosses the ego's path so far ahead of its start, from the right, and is in its middle when the "
-        "front of an ego that keeps its speed is there", pedestrian, of=WALKER,
+        "an adult crosses the ego's path from the right at this distance from its start, and is in its middle when "
+        "the front of an ego at constant speed arrives", pedestrian, of=WALKER,
     ),
     Variation(
-        "standing_car", "m", 1.0, 500.0, nan, "a car stands on the ego's path, its rear so far ahead of the ego's rear "
-        "axle at the start", standing_car, of=STANDER,
+        "standing_car", "m", 1.0, 500.0, nan, "a car stands on the ego's path, its rear at this distance ahead of the "
+        "ego's rear axle at the start", standing_car, of=STANDER,
     ),
-    Variation("copy", "s", -LONGEST_S, LONGEST_S, nan, "each agent is followed by a copy so much later", copied),
-    Variation("side", "m", -50.0, 50.0, 0.0, "the agents are so far to the left of their course", sideways),
+    Variation("copy", "s", -LONGEST_S, LONGEST_S, nan, "each agent is followed by a copy, later by this time", copied),
+    Variation("side", "m", -50.0, 50.0, 0.0, "the agents are shifted left of their course by this", sideways),
     Variation("speed", "1", 0.2, 5.0, 1.0, "factor of the agents' speed along their path", in_speed),
-    Variation("time", "s", -LONGEST_S, LONGEST_S, 0.0, "the agents come so much later", in_time),
-    Variation("remove", "1", 0.0, 1.0, 0.0, "1: the agents are not there", removed, is_choice=True),
-    Variation("ego_start", "m", -200.0, 200.0, 0.0, "the ego starts so far along its path", ego_start, of="ego"),
+    Variation("time", "s", -LONGEST_S, LONGEST_S, 0.0, "the agents come later by this time", in_time),
+    Variation("remove", "1", 0.0, 1.0, 0.0, "1: the agents are removed", removed, is_choice=True),
+    Variation("ego_start", "m", -200.0, 200.0, 0.0, "the ego starts this far along its path", ego_start, of="ego"),
     Variation("ego_speed", "1", 0.0, 3.0, 1.0, "factor of the ego's speed at the start", ego_speed, of="ego"),
 )  # fmt: skip
 VARIATIONS: Mapping[str, Variation] = MappingProxyType({each.name: each for each in _TABLE})
-"""By name, in the order in which they are applied."""
+"""The variations by name, in the order in which they are applied."""

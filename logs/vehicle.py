@@ -1,6 +1,6 @@
 """Vehicle parameters: numbers only, shared by planner, controller, vehicle model and metrics.
 
-Sets of known vehicles, with the sources of their numbers, are files in `logs/vehicles`: `vehicle_parameters(name)`.
+The parameters of known vehicles, with their sources, are files in `logs/vehicles` (`vehicle_parameters(name)`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 from logs.errors import unknown_name
 
 VEHICLE_ASSUMED = "The log does not describe the ego's vehicle: a mid-size car is assumed"
-"""Begins the note of a log without one; a converted log keeps it."""
+"""First words of the note on a log that does not describe a vehicle; a converted log keeps the note."""
 
 
 @dataclass(frozen=True)
@@ -22,44 +22,46 @@ class VehicleParameters:
     """Dimensions, masses, tyres, drive and limits of one vehicle.
 
     Defaults: dimensions and masses of the BMW 320i as identified in commonroad-vehicle-models (vehicle 2); cornering
-    stiffness (steering and suspension give way in it), actuator lags and pedal maxima are round figures of a passenger
-    car.
+    stiffness (with the compliance of steering and suspension), actuator lags and pedal maxima are round figures of a
+    passenger car.
 
     Attributes:
         length: Bumper to bumper, m.
         width: m, without mirrors.
         wheelbase: m.
         rear_overhang: Rear axle to rear bumper, m.
-        mass: kg.
-        yaw_inertia: kg m2.
+        mass: Mass, kg.
+        yaw_inertia: Moment of inertia about the vertical axis, kg m2.
         cog_to_front: Centre of gravity to front axle, m.
         cornering_front: Cornering stiffness of the front axle at its static load, N/rad, positive.
-        cornering_rear: The same of the rear axle.
+        cornering_rear: Cornering stiffness of the rear axle likewise.
         max_steer: Front wheel angle, rad.
         max_steer_rate: rad/s.
         steer_lag: Time constant of the steering, s.
-        max_accel: At full throttle from standstill, m/s2.
-        max_power: At the wheels, W per kg of mass: full throttle gives min(max_accel, max_power / v), where no motor
-            is described.
-        max_decel: At full brake, m/s2, positive.
-        throttle_lag: Time constant, s.
-        brake_lag: Time constant, s.
+        max_accel: Acceleration at full throttle from standstill, m/s2.
+        max_power: Power at the wheels, W per kg of mass: without a described motor, full throttle gives
+            min(max_accel, max_power / v).
+        max_decel: Deceleration at full brake, m/s2, positive.
+        throttle_lag: Time constant of the throttle, s.
+        brake_lag: Time constant of the brake, s.
         drag: Aerodynamic deceleration per v squared, 1/m.
         rolling: Rolling deceleration, m/s2.
         cog_height: Centre of gravity above the ground, m.
-        tyre_friction: Peak of tyre force over load; as it is, on a dry road.
+        tyre_friction: Peak of tyre force over load, on a dry road.
         tyre_shape: C of the magic formula of the lateral force.
         tyre_curvature: E of the magic formula.
         tyre_load_sensitivity: Relative loss of friction and stiffness per load, per relative rise of load over static.
         brake_delay: Dead time from the brake pedal to the first deceleration, s.
         drive_front_share: Share of the drive at the front axle, 0 to 1.
         wheel_radius: Rolling radius, m.
-        gears: Motor speed over wheel speed (gear times axle ratio), lowest gear first; a motor without gears has one.
-        motor_speed: Where the motor is described, rad/s, increasing; the first is idle. Empty: no motor is described.
-        motor_torque: At full throttle at those speeds, N m.
+        gears: Motor speed over wheel speed (gear times axle ratio), lowest gear first; a motor without a gearbox has
+            one ratio.
+        motor_speed: Speeds at which the motor is described, rad/s, increasing; the first is idle. Empty: no motor is
+            described.
+        motor_torque: Torque at full throttle at those speeds, N m.
         motor_overrun: Drag (or recuperation) at closed throttle at those speeds, N m, positive.
-        drive_efficiency: From motor to wheels, 0 to 1.
-        shift_time: How long a shift of gears takes, s.
+        drive_efficiency: Efficiency from motor to wheels, 0 to 1.
+        shift_time: Duration of a gear shift, s.
     """
 
     length: float = 4.508
@@ -131,7 +133,7 @@ class VehicleParameters:
         return tan(self.max_steer) / self.wheelbase
 
     def loaded(self, mass: float) -> VehicleParameters:
-        """The same vehicle with another mass, kg: motor, brakes and drag give the same forces."""
+        """Return the vehicle with another mass, kg; the forces of motor, brakes and drag stay the same."""
         ratio = self.mass / mass
         scaled = {name: ratio * getattr(self, name) for name in ("max_accel", "max_power", "max_decel", "drag")}
         return replace(self, mass=mass, **scaled)
@@ -144,7 +146,7 @@ def vehicle_names() -> tuple[str, ...]:
 
 
 def vehicle_parameters(name: str) -> VehicleParameters:
-    """The parameters of a known vehicle; every number is in its file, none is a default.
+    """Return the parameters of a known vehicle, read from its file.
 
     Raises:
         ConfigError: No vehicle has this name.

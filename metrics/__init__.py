@@ -1,7 +1,7 @@
-"""Measures a drive with metrics: (Trace, Scenario) -> table.
+"""Measure a drive with metrics: (Trace, Scenario) -> table.
 
-`evaluate` gives the table, `series` the same numbers step by step. To add a metric, define it in one file with the
-types of `metrics/metric.py` and list it in GROUPS. A metric of your own stays outside:
+`evaluate` returns the table, `series` the same numbers step by step. To add a built-in metric, define it in one file
+with the types of `metrics/metric.py` and list it in GROUPS. Load a metric from your own package by its name:
 `load_metric("my_package.mine:METRIC")`.
 """
 
@@ -102,7 +102,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         score.NUPLAN_CLOSED_SCORE, score.NUPLAN_OPEN_SCORE, score.PDMS_SCORE, score.EPDMS_SCORE, score.CARLA_SCORE,
     ),
 })  # fmt: skip
-"""The metrics by what they are about, in the order of the table."""
+"""The metrics by topic, in the order of the table."""
 
 METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for group in GROUPS.values() for metric in group})
 """The metrics by name, in the order of the table."""
@@ -113,7 +113,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-OnError = Callable[[Metric, str, BaseException], None]  # a metric that raised, why in words, and the error
+OnError = Callable[[Metric, str, BaseException], None]  # the metric that raised, the reason as text, and the error
 
 
 def evaluate(
@@ -124,19 +124,19 @@ def evaluate(
     broken: OnError | None = None,
     found: Callable[[str, Series], None] = lambda name, series: None,
 ) -> pd.DataFrame:
-    """One row per metric and reduction of the trace's mode, columns `COLUMNS`; the same input gives the same bits.
+    """Return one row per metric and reduction of the trace's mode, with `COLUMNS`; equal input gives equal bits.
 
     `metric` is "gap.min" or, with a part, "ade.3s.mean". Where `available` is False, `value` is NaN and `reason` says
-    why; else `reason` names what the value is about ("car 12: from behind"), with short names (`logs.names`), and
-    `about` is only the name of that road user or object, with the whole id ("car 12"); both may be empty. `time_s` is
-    when the value occurred, NaN where it belongs to no instant. If a metric raises, `broken` is called and the metric
+    why. Otherwise `reason` names the subject of the value ("car 12: from behind"), with short names (`logs.names`), and
+    `about` holds only the kind and full id of that road user or object ("car 12"); both may be empty. `time_s` is the
+    time of the value, NaN where it belongs to no instant. If a metric raises, `broken` is called and the metric
     is unavailable; without `broken` the error is raised. `found` is called with each series and its name.
     """
     return as_table(rows_of(trace, scenario, metrics=metrics, broken=broken, found=found))
 
 
 def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:
-    """The steps behind the table, long form: `t_s`, `metric` ("gap", "ade.3s"), `value` (NaN: this step has none).
+    """Return the steps behind the table in long form: `t_s`, `metric` ("gap", "ade.3s"), `value` (NaN: no value).
 
     Sorted by metric, then by time.
     """
@@ -146,7 +146,7 @@ def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = 
 def evaluate_with_series(
     trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS, broken: OnError | None = None
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """`evaluate` and `series`, each metric measured once."""
+    """Return the tables of `evaluate` and `series`; each metric is measured once."""
     steps_of: dict[str, Series] = {}
     table = evaluate(trace, scenario, metrics=metrics, broken=broken, found=steps_of.__setitem__)
     found = sorted(steps_of.items(), key=lambda item: item[0])
@@ -161,7 +161,7 @@ def evaluate_with_series(
 
 
 def as_table(rows: Sequence[tuple[object, ...]]) -> pd.DataFrame:
-    """The rows of `rows_of` as a table. One call for several drives is cheaper than joining their tables."""
+    """Convert the rows of `rows_of` to a table. One call for several drives is cheaper than joining their tables."""
     columns = {name: [row[k] for row in rows] for k, name in enumerate(COLUMNS)}
     return pd.DataFrame({**columns, **{name: np.array(columns[name], np.float64) for name in ("value", "time_s")}})
 
@@ -174,7 +174,7 @@ def rows_of(
     broken: OnError | None = None,
     found: Callable[[str, Series], None] = lambda name, series: None,
 ) -> list[tuple[object, ...]]:
-    """The rows of `evaluate`. All metrics ignore phantom agents."""
+    """Return the rows of `evaluate`. All metrics ignore phantom agents."""
     ours = all(
         METRICS.get(name) is metric for name, metric in metrics.items()
     )  # no built-in metric reads graphs or predictions
@@ -220,7 +220,7 @@ def _report_error(metric: Metric, function: Callable[..., object], error: BaseEx
 
 
 def _reduce(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, float]:
-    """The columns value, available, reason (with whole ids) and time_s.
+    """Return the columns value, available, reason (with full ids) and time_s.
 
     Raises:
         Exception: The error of the reduction; a ValueError if it returns a step that does not exist.
@@ -244,7 +244,7 @@ METRIC: Kind[Metric] = Kind("metric", "metrics", METRICS, an_instance(Metric, "m
 
 
 def load_metric(spec: str) -> Metric:
-    """A metric by name ("gap"), or from outside ("module:NAME", a `Metric` object); ConfigError as `Kind.find`."""
+    """Return a built-in metric ("gap") or one of the user ("module:NAME", a `Metric`); ConfigError as `Kind.find`."""
     return METRIC.find(spec)
 
 

@@ -1,15 +1,15 @@
 """The boxes of the ego and of the other road users on a time grid, as they moved: ground truth for all metrics.
 
-The others are as `Tracks.truth` at each time of the grid, in one kernel: logged positions, estimated velocities and
-accelerations (`logs.motion`), and no agent is there in a gap of its track. Arrays over (agent, time) grow with the
-square of a long drive, so metrics walk in pieces of time with those who are there (`pieces`), or over one agent after
-another (`each`).
+One kernel computes the others as `Tracks.truth` does at each time of the grid: logged positions, estimated velocities
+and accelerations (`logs.motion`). An agent is absent during a gap of its track. The size of arrays over (agent, time)
+grows with the square of the length of a drive. Metrics therefore process pieces of time with the agents present in each
+(`pieces`), or one agent after another (`each`).
 
-Phantoms are boxes in which the logged ego stands, which therefore cannot have been there. A box that reaches `DEEP_M`
-into the ego's while the ego was recorded at that place is no evidence of a contact. It is left out from the last sample
-of its track that is `AROUND_S` before the overlap to the first that is as long after it; a static one for good. Only
-recorded logs are excused. `without_phantoms` gives tracks that have gaps there (`logs.observed`), for metrics as well
-as for the contact that ends a drive.
+Phantoms are boxes that overlap the recorded ego: they cannot have been real. A box that reaches `DEEP_M` into the box
+of the recorded ego is no evidence of a contact. It is removed from the last sample of its track at least `AROUND_S`
+before the overlap to the first sample at least `AROUND_S` after it; a static box is removed from the whole log. Only
+recorded logs have phantoms. `without_phantoms` returns tracks with gaps at these times (`logs.observed`), for metrics
+and for the contact that ends a drive.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from logs.states import Trajectory
 from logs.trace import Trace
 from metrics.metric import last, once
 
-GRID_S = 0.1  # How often metrics look at a drive that do not look at each of its steps
-MOST_CELLS = 1_000_000  # Agents by times that are in memory at once: 49 bytes each
-PIECE_STEPS = 4096  # Of a piece of a longer drive, where no more than `MOST_CELLS` come of it
+GRID_S = 0.1  # Time step of metrics that do not use every step of the drive, s
+MOST_CELLS = 1_000_000  # Most (agent, time) pairs in memory at once: 49 bytes each
+PIECE_STEPS = 4096  # Steps of a piece of a longer drive, unless that exceeds `MOST_CELLS`
 BEHIND = cos(150.0 / 180.0 * np.pi)
-STANDING_MPS = 0.05  # nuPlan devkit e9241677: a road user that is not faster stands
-NO_TTC_MPS = 0.005  # Likewise: an ego that is not faster has no time to collision
-AROUND_S = 1.0  # Before and after a phantom: more than `logs.observed.MAX_GAP_S`, so it is a gap of any track
-FINE_S = 0.05  # Grid on which phantoms are looked for
-DEEP_M = 0.3  # So deep on every side a phantom is inside of the ego's box: what only grazes it was near, not on it
+STANDING_MPS = 0.05  # nuPlan devkit e9241677: a road user at this speed or below stands
+NO_TTC_MPS = 0.005  # Likewise: an ego at this speed or below has no time to collision
+AROUND_S = 1.0  # Margin before and after a phantom: above `logs.observed.MAX_GAP_S`, so that every track gets a gap
+FINE_S = 0.05  # Time step of the search for phantoms, s
+DEEP_M = 0.3  # Depth that a phantom reaches into the ego's box on each side; a box that only grazes it is no phantom
 
 
 class Others(NamedTuple):
     """Road users over a grid of k times.
 
     Attributes:
-        there: `(n, k)` whether the agent is in the scene.
-        pose: `(5, n, k)`: x, y (box centre, m), yaw (rad), vx, vy (m/s); NaN where not there.
-        accel: `(n, k)` rate of the speed, m/s2; NaN where not there.
+        there: `(n, k)` whether the agent is present.
+        pose: `(5, n, k)`: x, y (box centre, m), yaw (rad), vx, vy (m/s); NaN while absent.
+        accel: `(n, k)` rate of the speed, m/s2; NaN while absent.
         size: `(n, 2)` length and width, m.
     """
 
@@ -57,24 +57,24 @@ class Others(NamedTuple):
 
 @once
 def grid_of(trace: Trace) -> Trajectory:
-    """The ego's drive every `GRID_S` from its start, and at its last step."""
+    """Resample the ego's drive every `GRID_S` from its start, and at its last step."""
     first, last = float(trace.ego.t[0]), float(trace.ego.t[-1])
     steps = first + GRID_S * np.arange(int((last - first) / GRID_S - 1e-6) + 1)
     return trace.ego.resampled(np.r_[steps, last] if last > steps[-1] else steps)
 
 
 def others_at(tracks: Tracks, t: FloatArray) -> Others:
-    """The agents at the increasing times `t` `(k,)`, interpolated as `Tracks.truth` does."""
+    """Return the agents at the increasing times `t` `(k,)`, interpolated as by `Tracks.truth`."""
     return _others_at(tracks, np.asarray(t, np.float64).tobytes())
 
 
-@last(2)  # most metrics need the steps of the drive, some every 0.1 s
+@last(2)  # most metrics use the steps of the drive, some use the 0.1 s grid
 def _others_at(tracks: Tracks, times: bytes) -> Others:
     return some_at(tracks, np.arange(len(tracks)), np.frombuffer(times))
 
 
 def some_at(tracks: Tracks, agents: IntArray, t: FloatArray) -> Others:
-    """`others_at` of the tracks `agents` `(n,)` alone."""
+    """Return `others_at` for the tracks `agents` `(n,)` only."""
     lengths, moved = np.diff(tracks.offsets)[agents], tracks.motion
     offsets = np.r_[0, np.cumsum(lengths)]
     at = np.repeat(tracks.offsets[agents] - offsets[:-1], lengths) + np.arange(offsets[-1])
@@ -84,7 +84,7 @@ def some_at(tracks: Tracks, agents: IntArray, t: FloatArray) -> Others:
 
 
 def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, Others]]:
-    """Pieces of the increasing times `t` `(k,)`: steps, the tracks that are there in their order, `some_at` of both."""
+    """Yield pieces of the increasing times `t` `(k,)`: their steps, the tracks present in order, `some_at` of both."""
     if len(tracks) * len(t) <= MOST_CELLS:
         yield slice(0, len(t)), np.arange(len(tracks)), others_at(tracks, t)
         return
@@ -100,7 +100,7 @@ def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, Oth
 
 
 def each(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, Others, int]]:
-    """All tracks in their order, each with some at the increasing times `t` `(k,)` and its row among them."""
+    """Yield all tracks in order: index, the boxes of a batch of tracks at the increasing times `t` `(k,)`, its row."""
     count = max(MOST_CELLS // len(t), 1)
     for begin in range(0, len(tracks), count):
         agents = np.arange(begin, min(begin + count, len(tracks)))
@@ -109,9 +109,9 @@ def each(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, Others, int]]:
 
 
 def in_spans(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, slice, Others]]:
-    """Each track with a sample among the increasing times `t` `(k,)`: its first to last step, and its boxes there.
+    """Yield each track whose time span contains some of the increasing times `t` `(k,)`: index, those steps, its boxes.
 
-    A static one is there at all of them.
+    A static track is present at all times.
     """
     begins, ends = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
     low, high = np.searchsorted(t, begins - 1e-9), np.searchsorted(t, ends + 1e-9, side="right")
@@ -123,30 +123,30 @@ def in_spans(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, slice, Others
 def nearest(
     tracks: Tracks, t: FloatArray, measure: Callable[[slice, IntArray, Others], tuple[FloatArray, IntArray]]
 ) -> tuple[FloatArray, IntArray]:
-    """The result of a kernel over all `pieces`: values `(..., k)`, and tracks `(k,)`, -1 where it names no row."""
+    """Join the results of a kernel over all `pieces`: values `(..., k)` and tracks `(k,)`, -1 where there is no row."""
     found = [(seen, *measure(steps, seen, others)) for steps, seen, others in pieces(tracks, t)]
     agents = [indices_of(seen, rows) for seen, _, rows in found]
     return np.concatenate([values for _, values, _ in found], axis=-1), np.concatenate(agents)
 
 
 def indices_of(agents: IntArray, rows: IntArray) -> IntArray:
-    """The tracks of rows `(k,)` of a piece, -1 of row -1."""
+    """Return the tracks of the rows `(k,)` of a piece; -1 for row -1."""
     return np.append(agents, -1)[rows]
 
 
 def present_between(tracks: Tracks, first: float, last: float) -> IntArray:
-    """The tracks that have a sample before `last` and one after `first`, s, or are static, in their order."""
+    """Return the tracks whose samples reach into `first` to `last`, s, and the static ones, in order."""
     spans = (tracks.t[tracks.offsets[:-1]] <= last + 1e-9) & (tracks.t[tracks.offsets[1:] - 1] >= first - 1e-9)
     return np.flatnonzero(spans | tracks.static)
 
 
 def name_of(tracks: Tracks, index: int) -> str:
-    """Kind and id of a track: "car 12"."""
+    """Return kind and id of a track: "car 12"."""
     return f"{tracks.kinds[index].value} {tracks.ids[index]}"
 
 
 def labels_of(trace: Trace, agents: IntArray) -> tuple[str, ...]:
-    """The agents' names at each step `(k,)`, "" for -1."""
+    """Return the agents' names at each step `(k,)`; "" for -1."""
     names = (*(name_of(trace.agents, i) for i in range(len(trace.agents))), "")
     return tuple(names[i] for i in agents.tolist())
 
@@ -155,7 +155,7 @@ def labels_of(trace: Trace, agents: IntArray) -> tuple[str, ...]:
 def _on_grid(
     offsets: IntArray, static: BoolArray, t: FloatArray, gap_after: BoolArray, columns: FloatArray, times: FloatArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Which agents are there `(n, k)`, and the interpolated `columns` `(6, m)` as `(6, n, k)`, NaN where not."""
+    """Return which agents are present `(n, k)`, and the `columns` `(6, m)` interpolated to `(6, n, k)`, else NaN."""
     n, k = len(offsets) - 1, len(times)
     there, out = np.zeros((n, k), np.bool_), np.full((len(columns), n, k), np.nan)
     for i in range(n):
@@ -197,7 +197,7 @@ def car_of(scenario: Scenario) -> Car:
 def ego_boxes(ego: Trajectory, scenario: Scenario) -> FloatArray:
     """The ego's box centre and its velocity vector `(5, k)`: x, y, yaw, vx, vy.
 
-    The centre is l = `axle_to_center` ahead of the rear axle, and turns with it: it moves sideways at l kappa v.
+    The centre is l = `axle_to_center` ahead of the rear axle and turns with the body: it moves sideways at l kappa v.
     """
     ahead = scenario.vehicle.axle_to_center
     c, s, aside = np.cos(ego.yaw), np.sin(ego.yaw), ahead * ego.kappa * ego.v
@@ -206,7 +206,7 @@ def ego_boxes(ego: Trajectory, scenario: Scenario) -> FloatArray:
 
 @inner_kernel
 def distance_bound(x: float, y: float, car: Car, others: Others, i: int, k: int) -> float:
-    """A lower bound of the distance between box i at step k and the ego's box with the centre (x, y), m."""
+    """Return a lower bound of the distance between box i at step k and the ego's box with the centre (x, y), m."""
     size, reach = others.size, 0.5 * hypot(car.length, car.width)
     return hypot(others.pose[0, i, k] - x, others.pose[1, i, k] - y) - reach - 0.5 * hypot(size[i, 0], size[i, 1])
 
@@ -239,9 +239,9 @@ def is_behind(x: float, y: float, yaw: float, other_x: float, other_y: float) ->
 
 @dataclass(frozen=True, slots=True)
 class Phantom:
-    """A box that the recorded ego stood in: id of the track, name with its kind, and between which times, s, it is out.
+    """A box that overlaps the recorded ego: id of its track, name with its kind, and the times, s, of its removal.
 
-    Times may be -inf (from the begin) and inf (to the end).
+    The times may be -inf (from the start of the log) and inf (to its end).
     """
 
     agent: str
@@ -252,7 +252,7 @@ class Phantom:
 
 @once
 def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
-    """Those of a recorded log, in order of tracks and time; none in any other."""
+    """Return the phantoms of a recorded log, in order of tracks and time; other logs have none."""
     if not scenario.is_recorded or not len(scenario.tracks):
         return ()
     ego, tracks = scenario.ego, scenario.tracks
@@ -270,7 +270,7 @@ def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
             continue
         sampled = np.empty(0) if tracks.static[i] else tracks.t[tracks.samples(i)]
         seen = t[steps][inside]
-        for run in np.split(seen, np.flatnonzero(np.diff(seen) > 2.0 * AROUND_S) + 1):  # margins that meet are one run
+        for run in np.split(seen, np.flatnonzero(np.diff(seen) > 2.0 * AROUND_S) + 1):  # join runs if margins meet
             before, after = sampled[sampled <= run[0] - AROUND_S], sampled[sampled >= run[-1] + AROUND_S]
             begin, end = (float(before[-1]) if len(before) else -inf), (float(after[0]) if len(after) else inf)
             found.append(Phantom(tracks.ids[i], name_of(tracks, i), begin, end))
@@ -278,7 +278,7 @@ def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
 
 
 def without_phantoms(tracks: Tracks, found: tuple[Phantom, ...]) -> Tracks:
-    """The tracks (known by their ids) less the samples of phantoms; with no phantoms, the same object."""
+    """Return the tracks without the samples of phantoms (matched by id); without phantoms, the same object."""
     if not found:
         return tracks
     owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))

@@ -1,29 +1,29 @@
 """Comfort of the drive: accelerations, jerk, yaw rate; `proposals` has that of plans.
 
-State signals, not filtered (in simulation they are free of noise), with `metric.rate_of_change` over W = 0.1 s:
+Unfiltered state signals (in simulation they are free of noise), with `metric.rate_of_change` over W = 0.1 s:
 
 (1) a_lat = v^2 kappa,  at the rear axle
 (2) lon_jerk_state = (a(t) - a(t - W)) / W,  lat_jerk_state the same of a_lat
-(3) jerk_state = |A(t) - A(t - W)| / W,  A the acceleration vector (a, a_lat) turned into the world
+(3) jerk_state = |A(t) - A(t - W)| / W,  A the acceleration vector (a, a_lat) in the world frame
 (4) yaw_rate = (yaw(t) - yaw(t - W)) / W,  yaw_accel = (yaw(t) - 2 yaw(t - W) + yaw(t - 2 W)) / W^2
 
-Filtered signals, for logs with noise and for the scores of nuPlan (devkit e9241677, state_extractors.py), the drive
+Filtered signals, for logs with noise and for the scores of nuPlan (devkit e9241677, state_extractors.py); the drive is
 sampled every 0.1 s. SG(w, p) is the Savitzky-Golay filter over w samples with polynomials of degree p, SG' and SG'' the
-derivatives of its polynomials (`scipy.signal.savgol_filter`); a window longer than the drive is cut to it.
+derivatives of its polynomials (`scipy.signal.savgol_filter`); a window longer than the drive is shortened to it.
 
 (5) lon_accel = SG(8, 2) of a,  lat_accel = SG(8, 2) of a_lat
 (6) lon_jerk = SG'(15, 2) of SG(8, 2) of a,  jerk = SG'(15, 2) of SG(8, 2) of hypot(a, a_lat)
 (7) yaw_rate = SG'(5, 2) of yaw,  yaw_accel = SG''(5, 3) of yaw
 
-The even window shifts the signal by half a sample; (6) is d|a|/dt and not |da/dt|. Both are nuPlan's. The cascade (6)
-spans 2.2 s: it sees 2.9 of a ramp of 6 m/s3, and 6.3 where the log is cut after it.
+The even window shifts the signal by half a sample, and (6) is d|a|/dt, not |da/dt|; both as in nuPlan. The cascade (6)
+spans 2.2 s: for a ramp of 6 m/s3 it returns 2.9 m/s3, and 6.3 m/s3 if the log is cut after the ramp.
 
 UN R79 (lateral jerk of automated lane changes), the drive sampled every 0.01 s:
 
-(8) B = a_lat through a causal Butterworth low-pass of 4th order at 0.5 Hz, at rest on its first value
+(8) B = a_lat through a causal Butterworth low-pass of 4th order at 0.5 Hz, initialised with its first value
 (9) lat_jerk = mean of dB/dt over 0.5 s = (B(t) - B(t - 0.5 s)) / 0.5 s
 
-A drive is judged by its time out of bounds and the longest stretch of it: neither changes with the drive's length.
+A drive is judged by its time out of bounds and by the longest such stretch: neither depends on the drive's length.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.safety import TTC
 
 WINDOW_S = 0.1
-CAUSE_S, CAUSE_TTC_S = 2.0, 4.0  # Braking is about who had the least TTC in this time before, if below the second
-NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4  # Below 5 samples nuPlan's polynomials are not defined
+CAUSE_S, CAUSE_TTC_S = 2.0, 4.0  # Labels name the road user of the least TTC in the last CAUSE_S, if below CAUSE_TTC_S
+NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4  # With fewer than 5 samples, nuPlan's polynomials are undefined
 R79_STEP_S, R79_MEAN_S, R79_CUT_HZ, R79_ORDER = 0.01, 0.5, 0.5, 4
 R79_BOUNDS = ("m/s3", -5.0, 5.0)
 NUPLAN_BOUNDS = {
@@ -55,43 +55,43 @@ NUPLAN_BOUNDS = {
     "yaw_rate": ("rad/s", -0.95, 0.95),
     "yaw_accel": ("rad/s2", -1.93, 1.93),
 }
-"""Unit, least and greatest value."""
+"""Unit, least and greatest value of each signal."""
 Signal = Callable[[Trajectory], FloatArray]
 
 
 def lat_accel(drive: Trajectory) -> FloatArray:
-    """(1), `(n,)`, m/s2, positive to the left."""
+    """Return (1), `(n,)`, m/s2, positive to the left."""
     return np.asarray(drive.v**2 * drive.kappa)
 
 
 def jerk(drive: Trajectory) -> FloatArray:
-    """(3), `(n,)`, m/s3."""
+    """Return (3), `(n,)`, m/s3."""
     c, s, aside = np.cos(drive.yaw), np.sin(drive.yaw), lat_accel(drive)
     x, y = drive.a * c - aside * s, drive.a * s + aside * c
     return np.hypot(metric.rate_of_change(drive.t, x, WINDOW_S), metric.rate_of_change(drive.t, y, WINDOW_S))
 
 
 def yaw_accel(drive: Trajectory) -> FloatArray:
-    """(4), `(n,)`, rad/s2; NaN in the first two windows."""
+    """Return yaw_accel (4), `(n,)`, rad/s2; NaN in the first two windows."""
     before, start = (np.interp(drive.t - k * WINDOW_S, drive.t, drive.yaw) for k in (1, 2))
     known = drive.t - 2.0 * WINDOW_S >= drive.t[0] - 1e-9
     return np.where(known, (drive.yaw - 2.0 * before + start) / WINDOW_S**2, np.nan)
 
 
 def _savgol(value: FloatArray, window: int, degree: int, order: int = 0, step: float = 1.0) -> FloatArray:
-    """SG, SG' or SG'' (`order` 0, 1, 2) of samples `step` s apart."""
-    from scipy.signal import savgol_filter  # here: its import takes longer than that of all metrics
+    """Return SG, SG' or SG'' (`order` 0, 1, 2) of samples `step` s apart."""
+    from scipy.signal import savgol_filter  # imported here: it takes longer to import than all metrics
 
     return np.asarray(savgol_filter(value, min(window, len(value)), degree, deriv=order, delta=step))
 
 
 def _derivative(value: FloatArray, window: int, degree: int, order: int, drive: Trajectory) -> FloatArray:
-    """SG' or SG'' of a signal of a drive."""
+    """Return SG' or SG'' of a signal of a drive."""
     return _savgol(value, window, degree, order, float(np.mean(np.diff(drive.t))))
 
 
 def r79_jerk(drive: Trajectory) -> FloatArray:
-    """(9) of a drive with steps of `R79_STEP_S`; NaN in the first 0.5 s."""
+    """Return (9) of a drive with steps of `R79_STEP_S`; NaN in the first 0.5 s."""
     from scipy.signal import butter, sosfilt, sosfilt_zi
 
     lateral, sections = lat_accel(drive), butter(R79_ORDER, R79_CUT_HZ, fs=1.0 / R79_STEP_S, output="sos")
@@ -104,7 +104,7 @@ def _driven_signal(signal: Signal, trace: Trace, scenario: Scenario) -> Measured
 
 
 def _with_cause(signal: Signal, bounds: tuple[str, float, float], trace: Trace, scenario: Scenario) -> Measured:
-    """The signal, labelled where it is out of bounds with the road user of the least TTC in the last `CAUSE_S`."""
+    """Measure a signal; label steps out of bounds with the road user of the least TTC in the last `CAUSE_S`."""
     found, ttc = _driven_signal(signal, trace, scenario), TTC.found(trace, scenario)
     if not isinstance(found, Series) or not isinstance(ttc, Series):
         return found
@@ -117,7 +117,7 @@ def _with_cause(signal: Signal, bounds: tuple[str, float, float], trace: Trace, 
 
 
 def _filtered_signal(signal: Signal, step: float, least: float, trace: Trace, scenario: Scenario) -> Measured:
-    """The signal of the drive resampled to `step` s from its start, linear between its samples."""
+    """Measure a signal of the drive, resampled linearly every `step` s from its start."""
     length = float(trace.ego.t[-1] - trace.ego.t[0])
     if length < least - 1e-9:
         return Unavailable(f"the drive is shorter than {least} s")
@@ -126,13 +126,13 @@ def _filtered_signal(signal: Signal, step: float, least: float, trace: Trace, sc
 
 
 def _as_text(bounds: tuple[str, float, float]) -> str:
-    """The bounds as a parameter."""
+    """Write the bounds as a parameter of the metric."""
     unit, low, high = bounds
     return f"bounds {low:g} to {high:g} {unit}" if low != -high else f"bound {high:g} {unit}"
 
 
 def _outside(bounds: tuple[str, float, float], *more: Reduction) -> tuple[Reduction, ...]:
-    """The greatest value, more of the signal, and its time out of bounds."""
+    """Return the reductions of a signal: greatest absolute value, `more`, time and longest stretch out of bounds."""
     _, low, high = bounds
     outside = metric.time_outside(low, high, "time_out_of_bounds"), metric.worst_episode(low, high)
     return metric.MAX_ABS, *more, *outside

@@ -1,30 +1,32 @@
-"""Run against run, as tables: what changed on which log, which gates flipped, and by how much over many logs.
+"""Compares two runs as tables: what changed on which log, which gates flipped, and by how much over many logs.
 
-For a log i that both runs drove, and a metric of one version in both (planner and mode are the same everywhere):
+For a log i that both runs drove, and a metric of the same version in both (always with the same planner and mode):
 
 (1) delta_i = candidate_i - baseline_i;  0 where |delta_i| <= NOISE_ABS + NOISE_REL max(|baseline_i|, |candidate_i|)
-(2) worse_i = delta_i where lower is better, -delta_i where higher is better; none where neither is
-(3) relative_i = worse_i / max(mean over logs and runs of |value|, |bound| of a gate on it). Regressions are ranked by
-    it: the first collision comes before a little less distance, and that before a millimetre off the plan
+(2) worse_i = delta_i where lower is better, -delta_i where higher is better; NaN where neither is better
+(3) relative_i = worse_i / max(mean over logs and runs of |value|, |bound| of a gate on the metric). It ranks
+    regressions: a first collision comes before slightly less distance, and that before an error of a millimetre against
+    the plan
 
 Over a group of n logs with a value in both runs:
 
 (4) delta = 1/n sum_i delta_i
-(5) [low, high] = 2.5th and 97.5th percentile of (4) over RESAMPLES draws of n logs with replacement, a log's two values
-    drawn together (paired percentile bootstrap: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13)
+(5) [low, high] = 2.5th and 97.5th percentile of (4) over RESAMPLES draws of n logs with replacement; the two values of
+    a log are drawn together (paired percentile bootstrap: Efron and Tibshirani, An Introduction to the Bootstrap, 1993,
+    ch. 13)
 (6) significant = 0 is outside of (5), and n >= MIN_SIGNIFICANT
 
-The draws are seeded: equal tables give equal intervals. The percentile method, unlike BCa, has bounds where most
-differences are exactly 0.
+The draws are seeded, so equal tables give equal intervals. Unlike BCa, the percentile method has finite bounds where
+most differences are exactly 0.
 
-Both tables are judged by the same gates and the candidate's reference drives. A flip is marginal, and no rule counts
-it, where the value moved by no more than the noise of (1), or where the baseline's ensemble found the drive fragile.
+The same gates and the candidate's reference drives judge both tables. A flip is marginal if the value changed by no
+more than the noise of (1), or if the baseline's ensemble found the drive fragile. Rules do not count marginal flips.
 
-Rules (`metrics.judge.gates.Rule`) say what a candidate may not do worse than a baseline. Marginal flips and, with
-"worst", fragile drives break no rule; the reason counts them. A rule is INCONCLUSIVE, optional or not, where evidence
-that the baseline had is gone: its metric is of another version, or in the baseline only; gates that passed have no
-value now, in more than LOST_SHARE of the logs; or the change is beyond the limit, `significant` is set, and there are
-fewer logs than any change can be significant on.
+Rules (`metrics.judge.gates.Rule`) limit how much worse than the baseline a candidate may be. Marginal flips and, with
+"worst", fragile drives break no rule; the reason states their number. A rule, optional or not, is INCONCLUSIVE where
+the candidate lacks evidence that the baseline has: the metric has another version, or only the baseline has it; gates
+that passed have no value now in more than LOST_SHARE of the logs; or the change exceeds the limit, `significant` is
+set, and there are too few logs for any change to be significant.
 """
 
 from __future__ import annotations
@@ -44,12 +46,12 @@ from metrics.judge.excuses import REFERENCE
 from metrics.judge.gates import Gates, Outcome, Rule, count_logs, unit_of
 from metrics.judge.verdicts import DRIVE, judge, outcomes
 
-NOISE_ABS, NOISE_REL = 1e-9, 1e-6  # Rounding: sums of another order, a solver's last iterations
-NAMED = 5  # More logs than these are counted and not named
-MIN_PAIRS = 3  # Resampling fewer logs says nothing
-MIN_SIGNIFICANT = 6  # Fewer logs all move one way by chance more often than at 5 % (sign test: 2 / 2^5 = 6 %)
+NOISE_ABS, NOISE_REL = 1e-9, 1e-6  # Rounding: sums in another order, the last iterations of a solver
+NAMED = 5  # Messages name at most this many logs, and the number of the others
+MIN_PAIRS = 3  # Fewer logs cannot be resampled meaningfully
+MIN_SIGNIFICANT = 6  # Fewer logs all change in one direction by chance in more than 5 % (sign test: 2 / 2^5 = 6 %)
 CONFIDENCE, RESAMPLES, SEED = 0.95, 2000, 20260101
-BATCH = 250  # Draws at a time: bounds memory, and is part of what makes the draws the same
+BATCH = 250  # Draws at a time: limits memory; the draws depend on it
 
 SCORE = ["planner", "mode", "metric"]
 KEYS = [*DRIVE, "metric"]
@@ -67,7 +69,7 @@ GROUP_COLUMNS = (
 PARTING_COLUMNS = (*DRIVE, "t_s", "stage", "what")
 BY_LOG = ("worst", "pass_share")  # `over` of the gates that each log passes or fails by itself
 SEVERITY = (Outcome.PASS, Outcome.INCONCLUSIVE, Outcome.FAIL)
-LOST_SHARE = 0.1  # Of a gate's logs that may lose the value that passed it: as `Gate.max_missing`
+LOST_SHARE = 0.1  # Share of the logs that passed a gate and may lose their value: as `Gate.max_missing`
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +78,11 @@ class Side:
 
     Attributes:
         table: Rows of `metrics.evaluate`, reference drives among them.
-        logs: A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash, "" where it is not known).
-        facts: What it was made with, as text: versions, every key of the configuration.
-        failed: Logs that could not be evaluated, and why.
+        logs: A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash; "" if unknown).
+        facts: Versions and all keys of the configuration of the run, as text.
+        failed: Reason by log, for logs that could not be evaluated.
         crashed: Drives (log, planner, mode) in which the planner failed; the table holds their beginning.
-        metrics: "module:NAME" of the metrics of the user's own.
+        metrics: "module:NAME" of the user's metrics.
     """
 
     label: str
@@ -93,7 +95,7 @@ class Side:
 
     @property
     def labels(self) -> dict[str, LogLabels]:
-        """What each log belongs to."""
+        """The labels of each log."""
         rows = self.logs[["log", "family", "dataset", "tags"]].itertuples(index=False, name=None)
         return {log: LogLabels(family, dataset, tuple(tags)) for log, family, dataset, tags in rows}
 
@@ -110,7 +112,7 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class RuleVerdict:
-    """Verdict of a rule of comparison; `reason` is one sentence with what was found."""
+    """Verdict of a rule of comparison; `reason` is one sentence with the values found."""
 
     rule: str
     outcome: Outcome
@@ -122,18 +124,19 @@ class Comparison:
     """Two runs, compared.
 
     Attributes:
-        baseline: Label; `candidate` likewise.
-        differences: Inputs that are not the same, a sentence each.
-        only_in_baseline: Drives, "log, planner, mode loop", and those that failed in the candidate only;
-            `only_in_candidate` likewise.
+        baseline: Label of the baseline; `candidate` likewise.
+        differences: Inputs that differ, one sentence each.
+        only_in_baseline: Drives "log, planner, mode loop" that only the baseline has, or that failed only in the
+            candidate; `only_in_candidate` likewise.
         pairs: `PAIR_COLUMNS`, the worst regression first: metrics that a gate or rule names, by (3), then the others.
-            A value that one of the runs lacks is NaN, and `reason` says why; else what the candidate's value is about.
+            A value that one of the runs lacks is NaN, and `reason` says why; otherwise `reason` is that of the
+            candidate's value.
         flips: `FLIP_COLUMNS`: gates whose outcome on a log changed.
         groups: `GROUP_COLUMNS`: means over the suite, its families, tags and datasets.
-        partings: `PARTING_COLUMNS`: first differences of two drives; empty where traces are not at hand.
-        not_looked_at: Number of drives that differ and whose first difference was not looked for.
-        other_logs: Logs of one name that have another content (SHA-256) in the two runs.
-        not_compared: Metrics that a gate or a rule names, and that the baseline has in another version or alone.
+        partings: `PARTING_COLUMNS`: first differences of two drives; empty without traces.
+        not_looked_at: Number of differing drives whose first difference was not searched.
+        other_logs: Logs whose content (SHA-256) differs between the two runs.
+        not_compared: Metrics of gates or rules that the baseline has in another version, or that only the baseline has.
     """
 
     baseline: str
@@ -160,7 +163,7 @@ class Comparison:
 
     @property
     def by_loop(self) -> tuple[str, ...]:
-        """A sentence for each loop, the closed one first: drives with flips to PASS alone, to FAIL alone, and both."""
+        """One sentence per loop, closed first: numbers of drives with flips only to PASS, only to FAIL, and both."""
         sentences = []
         flips = self.flips[~self.flips["marginal"].astype(bool)]
         for mode in sorted(set(self.pairs["mode"])):
@@ -176,21 +179,21 @@ class Comparison:
         return tuple(sentences)
 
     def regressions(self, most: int, each: int = 2) -> pd.DataFrame:
-        """The worst pairs, at most `each` of one drive: one bad drive does not hide the others."""
+        """Return the worst pairs, at most `each` per drive, so that one bad drive does not hide the others."""
         worse = self.pairs[self.pairs["worse"] > 0.0]
         return worse[worse.groupby(DRIVE).cumcount() < each].head(most)
 
     def improvements(self, most: int, each: int = 2) -> pd.DataFrame:
-        """As `regressions`, the greatest improvement first."""
+        """Return the greatest improvements, otherwise as `regressions`."""
         better = self.pairs[self.pairs["worse"] < 0.0]
         better = better.sort_values(["asked", "relative"], ascending=[False, True], kind="stable")
         return better[better.groupby(DRIVE).cumcount() < each].head(most)
 
 
 def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()) -> Comparison:
-    """Two runs compared by their tables, judged by the same gates; `judge_rules` adds rules.
+    """Compare the tables of two runs, judged by the same gates; `judge_rules` adds the verdicts of rules.
 
-    `also` are metrics that rules name beside the gates: they come before others among the regressions.
+    `also` are the metrics of rules; like those of gates, they come first among the regressions.
     """
     tables = baseline.table, candidate.table
     before, now = (dict(zip(table["metric"], table["version"], strict=True)) for table in tables)
@@ -232,7 +235,7 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
 
 
 def _missing_drives(one: Side, two: Side) -> tuple[str, ...]:
-    """The drives that only the first run has, or that failed in the second only."""
+    """Return the drives that only the first run has, or that failed only in the second."""
     there, failed = set(two.drives), set(two.crashed) - set(one.crashed)
     return tuple(
         f"{drive[0]}, {drive[1]}, {drive[2]} loop{' (failed)' if drive in there else ''}"
@@ -244,7 +247,7 @@ def _missing_drives(one: Side, two: Side) -> tuple[str, ...]:
 def _pairs(
     baseline: pd.DataFrame, candidate: pd.DataFrame, left_out: Collection[str], bounds: Mapping[str, float]
 ) -> pd.DataFrame:
-    """`PAIR_COLUMNS` of the rows of both runs, the metrics `left_out` excepted; `bounds` of gates by metric."""
+    """Return `PAIR_COLUMNS` of the rows of both runs without the metrics `left_out`; `bounds` of gates by metric."""
     both = baseline.merge(candidate, on=KEYS, suffixes=("_b", "_c"))
     both = both[~both["metric"].isin(left_out) & (both["available_b"] | both["available_c"]).astype(bool)]
     before, now = both["value_b"].to_numpy(float), both["value_c"].to_numpy(float)
@@ -269,14 +272,14 @@ def _pairs(
 
 
 def noise(before: np.ndarray, now: np.ndarray) -> BoolArray:
-    """Whether two values `(n,)` differ by rounding only (1); False where one is NaN."""
+    """Return whether two values `(n,)` differ only by rounding (1); False where one is NaN."""
     with np.errstate(invalid="ignore"):
         bound = NOISE_ABS + NOISE_REL * np.maximum(np.abs(before), np.abs(now))
         return np.asarray(np.abs(now - before) <= bound)
 
 
 class _LogOutcome(NamedTuple):
-    """Outcome of a gate on a log; of an optional gate on a log without the value the default."""
+    """Outcome of a gate on a log; the default is that of an optional gate on a log without the value."""
 
     outcome: str = Outcome.NOT_ASKED.value
     value: float = np.nan
@@ -285,11 +288,11 @@ class _LogOutcome(NamedTuple):
 
 
 def _flips(baseline: Side, candidate: Side, gates: Gates, left_out: Collection[str]) -> pd.DataFrame:
-    """`FLIP_COLUMNS` of drives of both runs. A change between a pass and not being asked is no flip."""
+    """Return `FLIP_COLUMNS` of drives of both runs. A change between PASS and NOT ASKED is no flip."""
     rules = Gates(tuple(g for g in gates.gates if g.over in BY_LOG and g.metric not in left_out), gates.source)
     metric = {str(gate): gate.metric for gate in rules.gates}
-    judged = []  # outcomes of both runs by log, planner, mode and gate
-    for side in (baseline, candidate):  # by the candidate's reference drives where it has any
+    judged = []  # by run: outcomes by log, planner, mode and gate
+    for side in (baseline, candidate):  # uses the reference drives of the candidate, if it has any
         mine = candidate.table[(candidate.table["mode"] == REFERENCE) & candidate.table["log"].isin(side.logs["log"])]
         own = side.table[(side.table["mode"] != REFERENCE) | ~side.table["log"].isin(mine["log"])]
         found = outcomes(judge(rules, pd.concat([own, mine], ignore_index=True), side.labels, failed=side.failed))
@@ -311,14 +314,14 @@ def _flips(baseline: Side, candidate: Side, gates: Gates, left_out: Collection[s
 
 
 def _differing_logs(baseline: Side, candidate: Side, column: str) -> list[str]:
-    """Logs of both runs of which a column is known and not the same."""
+    """Return the logs of both runs whose values in a column are known and differ."""
     both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
     one, two = both[f"{column}_b"], both[f"{column}_c"]
     return list(both.loc[(one != "") & (two != "") & (one != two), "log"])
 
 
 def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """`GROUP_COLUMNS` of `PAIR_COLUMNS`, (4) to (6), by score and group of logs: the suite and its larger parts."""
+    """Return `GROUP_COLUMNS` (4) to (6), by `SCORE` and group: the suite, and its parts with more than one log."""
     known, parts = pairs[pairs["delta"].notna()], []
     there = {log: labels[log] for log in labels if log in set(known["log"])}
     for (kind, name), logs in membership(there).items() if there else ():
@@ -342,8 +345,8 @@ def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Dat
 
 
 def intervals(deltas: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bounds (5), `(m,)` each, of m metrics over n logs `(m, n)`; NaN deltas are logs without the value."""
-    from scipy.stats import bootstrap  # here: it takes longer to load than all metrics
+    """Return the bounds (5), `(m,)` each, of m metrics over n logs `(m, n)`; a delta is NaN if the log has no value."""
+    from scipy.stats import bootstrap  # imported here: it takes longer to load than all metrics
 
     there = np.isfinite(deltas)
     low = np.where(there.sum(axis=1) < MIN_PAIRS, np.nan, 0.0)
@@ -360,12 +363,12 @@ def intervals(deltas: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def significant(low: FloatArray, high: FloatArray, logs: IntArray) -> BoolArray:
-    """Whether changes with these intervals, over these numbers of logs, are more than chance (6)."""
+    """Return whether changes with these intervals and numbers of logs are significant (6)."""
     return np.asarray(((low > 0.0) | (high < 0.0)) & (logs >= MIN_SIGNIFICANT))
 
 
 def judge_rules(rules: tuple[Rule, ...], comparison: Comparison, labels: Mapping[str, LogLabels]) -> Comparison:
-    """The comparison of logs with these labels, with the verdicts of the rules; an optional rule may have none."""
+    """Add the verdicts of the rules to a comparison of logs with these labels; an optional rule may have none."""
     verdicts = []
     for rule in rules:
         found = _judge_rule(rule, comparison, labels)
@@ -377,7 +380,7 @@ def judge_rules(rules: tuple[Rule, ...], comparison: Comparison, labels: Mapping
 
 
 def _judge_rule(rule: Rule, comparison: Comparison, labels: Mapping[str, LogLabels]) -> tuple[Outcome, str] | None:
-    """Outcome and reason; None where an optional rule has nothing to judge."""
+    """Return outcome and reason; None if an optional rule has nothing to judge."""
     if rule.max_missing is not None:
         gone, other = comparison.only_in_baseline, comparison.other_logs
         reason = f"missing in the candidate: {len(gone)} of the baseline's drives"
@@ -405,11 +408,11 @@ def _judge_rule(rule: Rule, comparison: Comparison, labels: Mapping[str, LogLabe
         return Outcome.INCONCLUSIVE, f"nothing to judge: {incomparable}"
     else:
         measured = pairs[(pairs["metric"] == rule.metric) & pairs["baseline"].notna()].sort_values("log")
-        if len(measured):  # in the order of the logs, as in the groups: it decides the draws
+        if len(measured):  # sorted by log, as in the groups: the draws depend on the order
             by = measured.groupby(["planner", "mode"], sort=True)
             found = [_judge_change(rule, f"{planner}, {mode} loop", rows) for (planner, mode), rows in by]
             return max(found, key=lambda one: (SEVERITY.index(one[1]), one[0]))[1:]
-        nothing = f"{rule.metric} was measured in both runs on no log that is asked"
+        nothing = f"{rule.metric} has a value in both runs on none of the selected logs"
     return None if rule.optional else (Outcome.INCONCLUSIVE, f"nothing to judge: {nothing}")
 
 
@@ -434,12 +437,12 @@ def _judge_flips(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame, incompara
         logs = pairs.loc[(pairs["planner"] == planner) & (pairs["mode"] == mode), "log"].nunique()
         lost += [f"{gate} ({len(rows)} of {logs})"] if len(rows) > LOST_SHARE * logs else []
     missing = [f"gates not compared, {incomparable}"] if incomparable else []
-    missing += [f"passed before, and without a value now in too many logs: {_first_three(lost, '; ')}"] if lost else []
+    missing += [f"gates that passed before have no value in too many logs: {_first_three(lost, '; ')}"] if lost else []
     return Outcome.INCONCLUSIVE if missing else Outcome.PASS, "; ".join([reason, *missing])
 
 
 def _judge_change(rule: Rule, drives: str, rows: pd.DataFrame) -> tuple[float, Outcome, str]:
-    """By how much one planner and loop is over the limit, its outcome, and what was found."""
+    """Return by how much one planner and loop exceeds the limit, the outcome, and the reason."""
     lost, rows = rows[rows["delta"].isna()], rows[rows["delta"].notna()]
     if rows.empty:
         found = f"{rule.metric} has a value in {count_logs(len(lost))} of the baseline, and in none of the candidate"
@@ -468,7 +471,7 @@ def _judge_change(rule: Rule, drives: str, rows: pd.DataFrame) -> tuple[float, O
         elif not rule.significant or significant(low, high, np.array([len(delta)]))[0]:
             outcome = Outcome.FAIL
         elif len(delta) < MIN_SIGNIFICANT:
-            outcome, reason = Outcome.INCONCLUSIVE, f"{reason}: too few to say whether that is chance"
+            outcome, reason = Outcome.INCONCLUSIVE, f"{reason}: too few logs to decide whether this is chance"
         else:
             outcome, reason = Outcome.PASS, f"{reason}: not significant"
     aside = f"; no value any more in {count_logs(len(lost))}" if len(lost) else ""

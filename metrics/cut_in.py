@@ -1,19 +1,21 @@
-"""Lane entries of the ego before a follower, closed loop: the braking that they force, and who is at fault for a hit.
+"""Lane entries of the ego ahead of a follower, closed loop: the braking that they force, and fault for a hit.
 
-Path of a follower (a vehicle or a rider): a smooth line through its positions, straight on beyond its ends. Its strip
-is what its box sweeps along this line. The ego is out of the strip while it is `OUT_M` or more beside it, and in it
-once its box reaches `IN_M` into it, ahead of the follower's front and within `NEAR_M`. A change from out to in is an
-entry if both head the same way (within 45 degrees) and the ego is the one that crosses over:
+The path of a follower (a vehicle or a rider) is a smooth line through its positions, straight beyond its ends. The
+strip is the area that its box sweeps along this line. The ego is outside while it is `OUT_M` or more beside the strip.
+It is inside once its box reaches `IN_M` into the strip, ahead of the follower's front and within `NEAR_M`. A change
+from outside to inside is an entry if both head in the same direction (within 45 degrees) and the ego is the one that
+crosses over:
 
-(1) angle(ego, ref) > angle(path at the ego, ref); ref: of the lanes under the ego the best aligned one, for each of the
-    two; where the log has no lanes, the direction of the follower at that time
+(1) angle(ego, ref) > angle(path at the ego, ref); ref: the best aligned of the lanes under the ego, for each of
+    the two angles; without lanes in the log, the direction of the follower at that time
 
-An ego that is ahead all along, that keeps its lane, or behind which another changes lanes has therefore not entered.
+So there is no entry if the ego is ahead from the start, if it keeps its lane, or if another road user changes lanes
+behind it.
 With the follower's speed u at the entry and the distance g(t) from its front at the entry to the ego's rear at t:
 
 (2) forced = the least b >= 0 such that a follower that drives on for `REACT_S` and then brakes with b until it stands
-    does not pass g(t) within `HORIZON_S`; where the drive ends before, the ego goes on at its speed, or brakes on. A
-    follower that does not drive as it did in the log reacts: then forced is at least its deceleration after the entry
+    does not pass g(t) within `HORIZON_S`; where the drive ends earlier, the ego keeps its speed, or keeps braking. If
+    the follower deviates from the log, it reacts: then forced is at least its deceleration after the entry
 (3) a hit from behind is the ego's fault where the entry before it has forced > `BRAKE_MPS2`
 
 For an ego at constant speed, (3) is the bound of UN R157, 5.2.5.2: TTC <= v_rel / (2 * 6 m/s2) + 0.35 s.
@@ -41,7 +43,7 @@ NEAR_M = 60.0
 OUT_M, IN_M = 0.3, 0.1
 SAME_WAY = cos(0.25 * pi)
 REACT_S, BRAKE_MPS2, HORIZON_S = 0.35, 6.0, 5.0
-LOOK_BACK_S = 15.0  # This much of a drive is looked at before a hit: from 50 m/s, (3) gives a follower 9 s
+LOOK_BACK_S = 15.0  # Time before a hit that is searched for an entry: from 50 m/s, (3) gives a follower 9 s
 MOST_MPS2 = 9.81  # Forced braking is computed up to this
 AS_LOGGED_M = 0.5
 ALONGSIDE_M = 10.0  # A road user whose centre is farther ahead of the ego's centre does not follow the ego, m
@@ -49,7 +51,7 @@ ALONGSIDE_M = 10.0  # A road user whose centre is farther ahead of the ego's cen
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """From t to `until`, s, the ego is in the path of a follower (index of its track); forced: (2), m/s2."""
+    """A stay of the ego in the path of a follower (index of its track) from `t` to `until`, s; `forced`: (2), m/s2."""
 
     t: float
     until: float
@@ -58,7 +60,7 @@ class Entry:
 
 
 def forces_hit(drive: Trajectory, agents: Tracks, agent: int, scenario: Scenario) -> bool:
-    """(3) of an agent that touches the ego from behind at the last state of a drive."""
+    """Return (3) for an agent that touches the ego from behind at the last state of a drive."""
     t = float(drive.t[-1])
     recent = drive.between(t - LOOK_BACK_S, t)
     found = entries(recent, agents.only({agents.ids[agent]}), scenario) if len(recent) > 1 else []
@@ -66,7 +68,7 @@ def forces_hit(drive: Trajectory, agents: Tracks, agent: int, scenario: Scenario
 
 
 def entries(drive: Trajectory, agents: Tracks, scenario: Scenario) -> list[Entry]:
-    """The entries of a drive of two states or more, by follower, in order of time."""
+    """Return the entries of a drive of two or more states, by follower, in order of time."""
     first, last = float(drive.t[0]), float(drive.t[-1])
     ego = drive.resampled(np.append(np.arange(first, last - 1e-6, GRID_S), last))
     boxes, car = ego_boxes(ego, scenario), scenario.vehicle
@@ -86,7 +88,7 @@ def entries(drive: Trajectory, agents: Tracks, scenario: Scenario) -> list[Entry
 def _entries(
     ego: Trajectory, boxes: FloatArray, outline: FloatArray, others: Others, row: int, agent: int, scenario: Scenario
 ) -> list[Entry]:
-    """The entries before one follower."""
+    """Return the entries ahead of one follower."""
     there, pose, (length, width) = np.flatnonzero(others.there[row]), others.pose[:, row], others.size[row]
     points = thinned(pose[:2, there].T, SPACING_M)
     if len(points) < 2:
@@ -96,7 +98,7 @@ def _entries(
     s, l = np.stack([_on_path(path, *xy) for xy in outline[:, :, there]], axis=1)  # noqa: E741
     deep = 0.5 * width - np.maximum(l.min(axis=0), -l.max(axis=0))
     ahead = (s.max(axis=0) > front) & (s.min(axis=0) < np.minimum(front + NEAR_M, path.length + BEYOND_M))
-    rear = np.where(np.abs(l) <= 0.5 * width, s, inf)  # of the part in the strip; of the box if none is
+    rear = np.where(np.abs(l) <= 0.5 * width, s, inf)  # of the part inside the strip; else of the box
     next_s, next_l = np.roll(s, 1, axis=0), np.roll(l, 1, axis=0)
     for edge in (-0.5 * width, 0.5 * width):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -120,14 +122,14 @@ def _entries(
 
 
 def _on_path(path: ReferenceLine, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Stations and offsets `(2, k)` of points along a path."""
+    """Return stations and offsets `(2, k)` of points along a path."""
     near, _ = path.project(float(x[0]), float(y[0]))
     x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
     return line_project_many(path.s, path.coef, x, y, near, NEAR_M).T
 
 
 def _stays_in_strip(deep: FloatArray, ahead: BoolArray) -> Iterator[tuple[int, int]]:
-    """First and last step of each stay in the strip that begins with a change from out to in."""
+    """Yield the first and last step of each stay in the strip that begins with a change from outside to inside."""
     out, since = False, -1
     for k in range(len(deep)):
         if since >= 0 and deep[k] <= -OUT_M:
@@ -141,13 +143,13 @@ def _stays_in_strip(deep: FloatArray, ahead: BoolArray) -> Iterator[tuple[int, i
 
 
 def _direction(path: ReferenceLine, s: float) -> float:
-    """Direction of a path at a station over `CHORD_M` to both sides, rad."""
+    """Return the direction of a path at a station, rad: of the chord from `CHORD_M` before to `CHORD_M` after it."""
     (x0, y0), (x1, y1) = (path.frame(at)[:2] for at in (s - CHORD_M, s + CHORD_M))
     return atan2(y1 - y0, x1 - x0)
 
 
 def _crosses_over(road: Road, box: FloatArray, path: float, follower: float) -> bool:
-    """(1) at the ego's box (x, y, yaw), for the directions of the path there and of the follower."""
+    """Evaluate (1) for the ego's box (x, y, yaw) and the directions of the path at the ego and of the follower."""
     x, y, yaw = box.tolist()
     if cos(yaw - path) < SAME_WAY:
         return False
@@ -162,7 +164,7 @@ def _crosses_over(road: Road, box: FloatArray, path: float, follower: float) -> 
 
 
 def _needed_deceleration(t: FloatArray, g: FloatArray, u: float) -> float:
-    """(2) for the ego's rear at g `(k,)` m at the times t `(k,)` s after the entry."""
+    """Return (2), m/s2, for the ego's rear at the distances g `(k,)`, m, at the times t `(k,)`, s, after the entry."""
     t, g = t[t <= HORIZON_S], g[t <= HORIZON_S]
     braked, room = t - REACT_S, g - u * REACT_S
     late = (braked > 0.0) & (u * braked > room)
@@ -181,7 +183,7 @@ def _forced_braking(trace: Trace, scenario: Scenario) -> Measured:
     for entry in entries(trace.ego, trace.agents, scenario):
         after = np.arange(entry.t, min(entry.until, entry.t + HORIZON_S) + 1e-9, GRID_S)
         now, name = some_at(trace.agents, np.array([entry.agent]), after), trace.agents.ids[entry.agent]
-        reacts = now.there[0]  # where a follower does not drive as in the log
+        reacts = now.there[0]  # while the follower deviates from the log
         if name in logged.ids:
             then = some_at(logged, np.array([logged.ids.index(name)]), after)
             reacts = reacts & (np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0])) > AS_LOGGED_M)

@@ -1,7 +1,7 @@
-"""Control: what the drive cost in pedals, steering, solver iterations and fallbacks, and how well it kept to the plan.
+"""Control effort: pedals, steering, solver iterations and fallbacks of a drive, and its tracking errors.
 
-Pedals are judged as commanded (the actuators' lags let one pedal rise while the other falls). Tracking errors are
-`Trace.tracking`: how well controller and vehicle kept to the plan.
+Pedals are measured as commanded (actuator lags let one pedal rise while the other falls). Tracking errors are
+`Trace.tracking`: deviations of the vehicle from the plan.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from metrics.comfort import WINDOW_S
 from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
 from metrics.plans import NO_PLANS, frame_times
 
-PRESSED = 1e-6  # A pedal command above this is pressed
+PRESSED = 1e-6  # A pedal is pressed if its command exceeds this
 _BOTH = (Mode.OPEN, Mode.CLOSED)
 
 
@@ -32,7 +32,7 @@ def _both_pressed(commands: Controls) -> FloatArray:
 
 
 def _switches(commands: Controls) -> FloatArray:
-    """1 at each step that presses the other pedal than the one pressed last; coasting between does not count."""
+    """Mark with 1 each step that presses another pedal than the one pressed last, also after coasting."""
     pedal = np.where(commands.brake > PRESSED, -1, np.where(commands.throttle > PRESSED, 1, 0))
     pressed = np.flatnonzero(pedal)
     switches = np.zeros(len(commands))

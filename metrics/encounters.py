@@ -1,15 +1,15 @@
-"""How near the ego and the others come: extrapolated, and as they really passed. Closed loop, every 0.1 s.
+"""How near the ego and the others come: extrapolated, and as they actually passed. Closed loop, every 0.1 s.
 
-(1) TTC at constant acceleration: each box goes on along its velocity vector with v(t) = max(v + a t, 0), heading held,
-    until two of them touch, within `HORIZON_S`. Every `PIECE_S` the positions are exact, between them straight and
-    uniform: exact to a PIECE_S^2 / 8, 6 mm at 5 m/s2. To the same agents as `ttc`.
-(2) DCE = min over 0 <= t <= HORIZON_S of the distance of the boxes at constant velocity vectors, 0 where they come to
-    touch;  TTCE = the t at which it is taken, the first of equals
-(3) PET = |t_j - t_i|, the least over the ego's boxes i and an agent's boxes j that overlap: the time between one
-    leaving a spot and the other taking it. "ego_first": t_j >= t_i, "ego_second": t_j < t_i; "crossing" takes both, but
-    only pedestrians, and boxes whose headings differ by 30 degrees or more: who follows does not hide who crosses.
+(1) TTC at constant acceleration: each box moves along its velocity vector with v(t) = max(v + a t, 0) and constant
+    heading, until the boxes touch, within `HORIZON_S`. Positions are exact every `PIECE_S`, and linear in between:
+    accurate to a PIECE_S^2 / 8, 6 mm at 5 m/s2. Measured to the same agents as `ttc`.
+(2) DCE = min over 0 <= t <= HORIZON_S of the distance of the boxes at constant velocity vectors, 0 if they touch; TTCE
+    = the time of this minimum, the first of equals
+(3) PET = |t_j - t_i|, the least over the ego's boxes i and an agent's boxes j that overlap: the time from one leaving a
+    place to the other taking it. "ego_first": t_j >= t_i, "ego_second": t_j < t_i; "crossing" uses both, but only
+    pedestrians, and boxes whose headings differ by at least 30 degrees: following road users do not hide crossing ones.
 
-Later steps change PET, and nothing else here. An agent that stands throughout (an obstacle) has no PET.
+Only PET depends on later steps. Static agents (obstacles) have no PET.
 
 Sources: criticality metrics catalogue (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023); Eggert, Proc. IEEE ITSC
 2014, for (2); Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978) for (3).
@@ -50,11 +50,11 @@ from metrics.safety import CATALOGUE
 HORIZON_S = 10.0
 PIECE_S = 0.1
 CROSSING_RAD = pi / 6.0
-SERIOUS_S = 1.0  # PET below it is serious (criticality metrics catalogue)
+SERIOUS_S = 1.0  # A smaller PET is serious (criticality metrics catalogue), s
 
 
 class Body(NamedTuple):
-    """A box that moves: centre, m, heading, length, width, m, velocity, m/s, and the rate of its speed, m/s2."""
+    """A moving box: centre, m, heading, rad, length, width, m, velocity, m/s, and the rate of its speed, m/s2."""
 
     x: float
     y: float
@@ -68,7 +68,7 @@ class Body(NamedTuple):
 
 @inner_kernel
 def _distance_travelled(v: float, a: float, t: float) -> float:
-    """Distance after t without reversing: the motion stops where v + a t = 0."""
+    """Return the distance after t without reversing: the motion stops when v + a t = 0."""
     if a < 0.0 and v + a * t < 0.0:
         return -0.5 * v * v / a
     return v * t + 0.5 * a * t * t
@@ -76,7 +76,7 @@ def _distance_travelled(v: float, a: float, t: float) -> float:
 
 @kernel
 def time_to_contact_accelerated(one: Body, two: Body, horizon: float) -> float:
-    """(1), s; inf without a touch within the horizon. A standing box with a > 0 sets off along its heading."""
+    """Return (1), s; inf without a touch within the horizon. A standing box with a > 0 starts along its heading."""
     x1, y1, yaw1, length1, width1, vx1, vy1, a1 = one
     x2, y2, yaw2, length2, width2, vx2, vy2, a2 = two
     v1, v2 = hypot(vx1, vy1), hypot(vx2, vy2)
@@ -101,7 +101,7 @@ def time_to_contact_accelerated(one: Body, two: Body, horizon: float) -> float:
 
 @kernel
 def closest_encounter(one: Body, two: Body, horizon: float) -> tuple[float, float]:
-    """(2): DCE, m, and TTCE, s. Boxes that do not touch are nearest at an end of the time or corner to corner."""
+    """Return DCE, m, and TTCE, s (2). Without a touch, the minimum is at 0, at the horizon, or corner to corner."""
     x1, y1, yaw1, length1, width1, vx1, vy1, _ = one
     x2, y2, yaw2, length2, width2, vx2, vy2, _ = two
     vx, vy = vx2 - vx1, vy2 - vy1
@@ -125,7 +125,7 @@ def closest_encounter(one: Body, two: Body, horizon: float) -> tuple[float, floa
 
 @inner_kernel
 def _body(others: Others, i: int, k: int, accel: float) -> Body:
-    """Box i at step k."""
+    """Return box i at step k."""
     pose, size = others.pose[:, i, k], others.size[i]
     return Body(pose[0], pose[1], pose[2], size[0], size[1], pose[3], pose[4], accel)
 
@@ -134,7 +134,7 @@ def _body(others: Others, i: int, k: int, accel: float) -> Body:
 def _least_with_acceleration(
     ego: FloatArray, ego_accel: FloatArray, car: Car, others: Others
 ) -> tuple[FloatArray, IntArray]:
-    """Per step the least (1) (NaN: none) and the agent's index (-1)."""
+    """Return for each step the least (1) (NaN: none) and the agent's index (-1)."""
     pose, size, steps = others.pose, others.size, others.there.shape[1]
     least, agent = np.full(steps, np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
@@ -160,7 +160,7 @@ def _least_with_acceleration(
 
 @kernel
 def _closest(ego: FloatArray, car: Car, others: Others) -> tuple[FloatArray, IntArray]:
-    """Per step the least DCE and its TTCE (NaN: no other is there) `(2, k)`, and the agent's index (-1)."""
+    """Return for each step the least DCE and its TTCE `(2, k)` (NaN: no other agent), and the agent's index (-1)."""
     pose, size, steps = others.pose, others.size, others.there.shape[1]
     found, agent, reach = np.full((2, steps), np.nan), np.full(steps, -1, np.int64), 0.5 * hypot(car.length, car.width)
     for k in range(steps):
@@ -186,11 +186,10 @@ def _closest(ego: FloatArray, car: Car, others: Others) -> tuple[FloatArray, Int
 def encroachment(
     ego: FloatArray, mine: IntArray, other: FloatArray, theirs: IntArray, sizes: FloatArray, angle: float
 ) -> IntArray:
-    """(3) in steps, of the ego's steps `mine` and an agent's `theirs`, both increasing `(4, steps of the ego)`.
+    """Return (3) in steps `(4, steps of the ego)`, for increasing steps `mine` of the ego and `theirs` of an agent.
 
-    `sizes` are length and width of both boxes `(2, 2)`.
-    Least j - i >= 0 and least i - j > 0 over the boxes that overlap and whose headings differ by at least `angle`, -1
-    where there are none; then the numbers of such pairs.
+    The rows are the least j - i >= 0 and the least i - j > 0 over the boxes that overlap and whose headings differ by
+    at least `angle` (-1: none), then the numbers of such pairs. `sizes` are length and width of both boxes `(2, 2)`.
     """
     out = np.zeros((4, ego.shape[1]), np.int64)
     out[:2] = -1
@@ -222,7 +221,7 @@ def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
 
 @once
 def _encounters(trace: Trace, scenario: Scenario) -> tuple[FloatArray, IntArray]:
-    """`_closest` of all road users present, and the nearest one's index."""
+    """Return `_closest` over all road users present, and the index of the nearest one."""
     boxes, car = ego_boxes(grid_of(trace), scenario), car_of(scenario)
     return nearest(trace.agents, grid_of(trace).t, lambda k, seen, others: _closest(boxes[:, k], car, others))
 
@@ -255,7 +254,7 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 
 
 def may_meet(boxes: FloatArray, car: Car, others: Others, i: int) -> tuple[IntArray, IntArray]:
-    """The steps of the ego and of the agent in row i that lie in the bounding box of the other's drive."""
+    """Return the steps of the ego, and of the agent in row i, that lie in the bounding box of the other's drive."""
     ego, other = boxes[:2].T, others.pose[:2, i].T
     if not others.there[i].any():
         return np.empty(0, np.int64), np.empty(0, np.int64)
@@ -271,7 +270,7 @@ PET_PARTS = {
     "ego_second": "the ego took no place that another had left",
     "crossing": "no other crossed the ego's way",
 }
-"""The parts of PET, and why each may have no value."""
+"""The parts of PET, and the reason if a part has no value."""
 _GRID = f"every {GRID_S:g} s"
 TTC_ACCELERATED = Metric(
     "ttc_accelerated", "s", "higher", (Mode.CLOSED,), _ttc_accelerated, (MIN, time_below(1.5, "time_below_1500ms")),

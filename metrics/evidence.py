@@ -1,24 +1,26 @@
-"""Evidence of a drive: how much was driven, did the replay end it, did the planner plan, is it robust.
+"""Evidence of a drive: how much was driven, whether the replay ended it, whether plans were refused, robustness.
 
-EVIDENCE measures where a drive had what verdicts about it rest on, a series of 0 and 1 over its steps for each kind:
+EVIDENCE measures at which steps a drive has the evidence that verdicts need, as one series of 0 and 1 for each kind:
 
     traffic   the other road users were observed (`Scenario.traffic_spans`)
-    lights    the colour of the light is known, on lanes that lead to a stop line with one
-    limit     the lane under the ego's centre has a speed limit of the log's own, not an assumed one
+    lights    the colour of the traffic light is known, on lanes that lead to a stop line with a light
+    limit     the log states a speed limit (not assumed) for the lane under the ego's centre
     lane      a lane of the log's map lies under the ego's centre
 
-(1) share = sum of held time of the steps with evidence / held time of all steps that need it     (`metric.durations`)
-(2) way_share = the same with the way driven in place of the time; (1) where the ego does not move
+(1) share = duration of the steps with evidence / duration of all steps that need evidence     (`metric.durations`)
+(2) way_share = the same with the distance driven in place of the duration; (1) if the ego does not move
 
-The others react to the log's ego. With the ego's place p(t), the logged q(t), speed v(t) and heading h(t):
+In the log, the others reacted to the logged ego. With the ego's position p(t), and the logged position q(t), speed v(t)
+and heading h(t):
 
 (3) d(t) = |p - q|, along(t) = (p - q) . h, across(t) = (p - q) x h
-(4) the drive has parted where |along| > max(v AWAY_S, `LENGTH_M`) or |across| > `WIDTH_M`, or where a road user is
-    farther than `OFF_M` from where the log has it, or is there in one of them only
+(4) the drive departs from the log if |along| > max(v AWAY_S, `LENGTH_M`) or |across| > `WIDTH_M`, or if a road user is
+    farther than `OFF_M` from its logged position, or is present in only one of the two
 
-The replay is weak from the first such moment to the end of the drive. `AWAY_S`: a second of way is about the least gap
-that drivers should keep, so that farther away the ego may be at another road user's place; at low speed a car's length,
-across it a lane's width. `OFF_M` is less than any of them, and more than resampled tracks differ by.
+The replay is weak evidence from the first such step to the end of the drive. `AWAY_S`: one second of driving is about
+the least gap that drivers should keep; farther away, the ego may be where another road user was. At low speed the bound
+is the length of a car, and sideways the width of a lane. `OFF_M` is smaller than these bounds, and larger than the
+differences between resampled tracks.
 """
 
 from __future__ import annotations
@@ -50,14 +52,14 @@ def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured] | Unav
         return Unavailable("the log holds one ego state only: there is no drive to plan along")
     start, end = float(scenario.ego.t[0]), trace.ego.t[-1:]
     last = scenario.duration if trace.mode is Mode.CLOSED else float(scenario.ego.t[-1])
-    if trace.mode is Mode.CLOSED and trace.end is EndReason.END_OF_LOG and trace.detail:  # it ended with the evidence
+    if trace.mode is Mode.CLOSED and trace.end is EndReason.END_OF_LOG and trace.detail:  # `end_with_evidence` ended it
         last = float(trace.ego.t[-1])
     return {"log_s": Series(end, np.array([last - start])), "driven_s": Series(end, end - start)}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Evidence(Series):
-    """1 with evidence, 0 without, NaN where none is needed; `way` is how far each step stands for, m."""
+    """1 with evidence, 0 without, NaN where no evidence is needed; `way` is the distance of each step, m."""
 
     way: FloatArray = field(default_factory=partial(np.empty, 0))
 
@@ -78,7 +80,7 @@ def _evidence(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 
 
 def _series_of(trace: Trace, known: BoolArray, why: str, needed: BoolArray | None = None) -> Evidence:
-    """The series of a kind of evidence; `why` is what is missing in steps that need it and have none."""
+    """Return the series of one kind of evidence; `why` is the label of steps that need evidence and have none."""
     ego = trace.ego
     needed = np.ones(len(known), np.bool_) if needed is None else needed
     value = np.where(needed, known.astype(np.float64), np.nan)
@@ -87,7 +89,7 @@ def _series_of(trace: Trace, known: BoolArray, why: str, needed: BoolArray | Non
 
 
 def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
-    """Known of a light is what it shows; "off" for a while means that it was not observed, always: switched off."""
+    """Measure where lights are known; "off" for part of the log means not observed, "off" throughout: switched off."""
     lights = {light.id: light for light in scenario.lights}
     lines = [line for line in scenario.road.stop_lines if line.light is not None]
     if not lines:
@@ -108,7 +110,7 @@ def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> M
 
 
 def _share(series: Series, *, of_way: bool = False) -> tuple[float, int]:
-    """(1), (2); its step is the first without evidence."""
+    """Return (1) or (2), and the first step without evidence."""
     known = series.known
     weight = series.way if of_way and isinstance(series, Evidence) else metric.durations(series.t)
     weight = weight if weight[known].sum() > 0.0 else metric.durations(series.t)
@@ -146,7 +148,7 @@ def _agent_interval(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _distances(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """d, along and across of (3) `(k,)`, NaN after the log's ego; along and across over their bounds of (4)."""
+    """Return d of (3), and along and across divided by their bounds (4), `(k,)` each; NaN after the logged ego ends."""
     drive, log = trace.ego, scenario.ego
     x, y, yaw, v = (np.interp(drive.t, log.t, column) for column in (log.x, log.y, log.yaw, log.v))
     dx, dy, c, s = drive.x - x, drive.y - y, np.cos(yaw), np.sin(yaw)
@@ -156,7 +158,7 @@ def _distances(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray
 
 
 def _displaced_agents(trace: Trace, scenario: Scenario) -> Iterator[tuple[str, BoolArray]]:
-    """Of each agent of the log that is not where the log has it (4): its name, and when `(k,)`."""
+    """Yield the name of each agent that departs from its logged position (4), and at which steps `(k,)`."""
     log, agents, t = scenario.tracks, trace.agents, trace.ego.t
     index = {name: i for i, name in enumerate(agents.ids)}
     for i, there, row in each(log, t) if agents is not log else ():

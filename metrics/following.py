@@ -1,36 +1,37 @@
-"""The path ahead of the ego, the lead in it, distance and time to the lead, and what it would take to avoid it.
+"""The path ahead of the ego, the lead in it, gap and time to the lead, and the effort required to avoid it.
 
-The one definition of the lead for all metrics, closed loop. Path: from the rear axle on along the circle of the ego's
-curvature at that step; s in m along it, l in m to its left, for at most `LOOK_M` and a quarter of a turn. It needs no
-lane, and nothing that comes later in the drive. With a point at (x, y) ahead and to the left of the rear axle:
+All metrics use this definition of the lead, in closed loop. The path leads from the rear axle along the circle of the
+ego's curvature at that step, for at most `LOOK_M` and a quarter of a turn; s in m along it, l in m to its left. It
+needs neither lanes nor later steps of the drive. For a point at (x, y) ahead and to the left of the rear axle:
 
 (1) s = atan2(kappa x, 1 - kappa y) / kappa,  x where kappa = 0
     l = (2 y - kappa (x^2 + y^2)) / (1 + hypot(1 - kappa y, kappa x))
 
-Band: |l| <= half of the ego's width, what its box sweeps. Lead: of all agents whose box reaches into the band, the one
-whose part in it begins nearest ahead of the middle of the ego's box. Who comes towards the ego with more than
-`COMING_MPS` is no lead (TTC and RSS see them); who crosses is one while in the band. An ego in reverse has no lead.
-Edges of boxes are looked at in `PIECES` pieces each, exact to 0.1 m for a truck on the tightest curve.
+Band: |l| <= half of the ego's width, the area that its box sweeps. Lead: of all agents whose boxes reach into the band,
+the one whose part in it begins nearest ahead of the middle of the ego's box. Agents that approach the ego at more than
+`COMING_MPS` are no leads (TTC and RSS cover them); crossing agents are leads while in the band. An ego in reverse has
+no lead. Each edge of a box is divided into `PIECES` pieces: exact to 0.1 m for a truck on the tightest curve.
 
-With the lead: gap (m) from bumper to bumper along the path, v the ego's speed, u the lead's along the path, b_o >= 0
-its deceleration.
+With gap (m) from bumper to bumper along the path, the ego's speed v, the lead's speed u along the path, and its
+deceleration b_o >= 0:
 
-(2) THW = gap / v: when the ego's front is where the lead's rear is now, at constant speed; an ego that stands has none
+(2) THW = gap / v: time until the ego's front is where the lead's rear is now, at constant speed; none while it stands
 (3) DRAC = (v - u)^2 / (2 gap) where v > u, else 0: the lead holds its speed
-(4) a_req, the least constant deceleration that does not touch a lead that goes on braking with b_o until it stands:
+(4) a_req, the least constant deceleration that avoids a lead that keeps braking with b_o until it stands:
     b_o + (v - u)^2 / (2 gap)  where v > u and the speeds meet first, i.e. 2 gap / (v - u) <= u / b_o;  else
     v^2 / (2 (gap + u^2 / (2 b_o)))  where the lead comes to rest first;  0 where v <= u and b_o = 0
-(5) BTN = a_req / (the ego's greatest deceleration);  above 1 braking alone does not suffice
+(5) BTN = a_req / (the ego's greatest deceleration);  above 1, braking alone does not suffice
 (6) a_lat,req = 2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 with T = gap / (v - u), h half of the ego's width
-    and the lead from l_low to l_high moving sideways with w: the least constant lateral acceleration that passes it;
-    0 where it is out of the band by then, or the gap opens
+    and the lead from l_low to l_high moving sideways with w: the least constant lateral acceleration that passes it; 0
+    if the lead has left the band by then, or if the gap opens
 (7) STN = a_lat,req / 8.0 m/s2
-(8) following gap: required = max(v t_front(v), 2 m), t_front by `R157_S`, linear between, the last beyond the table;
-    measured while the lead is a vehicle that heads along the path (within 45 degrees) and drives on, or both stand
+(8) following gap: required = max(v t_front(v), 2 m), t_front from `R157_S`, interpolated linearly, constant beyond the
+    table; measured while the lead is a vehicle that heads along the path (within 45 degrees) and drives, or while both
+    stand
 
-At a contact (gap 0) only (2) and the gap have a value: what is required then is without bound.
-Sources: commonroad-crime 0.4.5 and the criticality metrics catalogue (Westhofen et al. 2023) for (2) to (7), where (4)
-adds that a lead does not brake into reverse; UN R157, 5.2.3.3 for (8), whose table ends at 60 km/h.
+At a contact (gap 0) only (2) and the gap have values: the required accelerations are unbounded.
+Sources: commonroad-crime 0.4.5 and the criticality metrics catalogue (Westhofen et al. 2023) for (2) to (7); (4) adds
+that a braking lead does not reverse; UN R157, 5.2.3.3 for (8), whose table ends at 60 km/h.
 """
 
 from __future__ import annotations
@@ -53,9 +54,9 @@ from metrics.safety import CATALOGUE
 LOOK_M = 150.0
 COMING_MPS = 0.5
 PIECES = 4
-SHORT_THW_S = 0.9  # Below it Germany fines (criticality metrics catalogue: DE 0.9 s)
-EMERGENCY_MPS2 = 5.0  # UN R157: a greater demand is an emergency manoeuvre
-STEER_MPS2 = 8.0  # Lateral acceleration that is available: commonroad-crime's a_lat,max
+SHORT_THW_S = 0.9  # Germany fines shorter headways (criticality metrics catalogue: DE 0.9 s)
+EMERGENCY_MPS2 = 5.0  # UN R157: a manoeuvre that requires more is an emergency manoeuvre
+STEER_MPS2 = 8.0  # Available lateral acceleration: a_lat,max of commonroad-crime
 R157_MPS = np.array([7.2, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0]) / 3.6
 R157_S = np.array([1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6])
 R157_LEAST_M = 2.0
@@ -65,7 +66,7 @@ _ALONE = f"no other road user in the ego's path within {LOOK_M:g} m"
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Ahead:
-    """The ego and its lead over k steps; NaN where there is no lead.
+    """The ego and its lead over k steps; NaN without a lead.
 
     Attributes:
         t: s since the scenario's start.
@@ -73,7 +74,7 @@ class Ahead:
         agent: Index of the lead's track, -1: none.
         gap: Along the path from the ego's front bumper to the lead's nearest part in the band, m; 0 where they touch.
         u: The lead's speed along the path, m/s; `w` across it, positive to the left.
-        decel: The lead's deceleration along the path, m/s2, 0 where it does not brake.
+        decel: The lead's deceleration along the path, m/s2; 0 if it does not brake.
         low: The lead's rightmost l, m; `high` its leftmost.
         facing: Cosine of the angle between the lead's heading and the path.
     """
@@ -93,7 +94,7 @@ class Ahead:
 
 @once
 def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
-    """The lead at each step of `grid_of(trace)`."""
+    """Return the lead at each step of `grid_of(trace)`."""
     ego, car = grid_of(trace), car_of(scenario)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
     rows, agent = nearest(trace.agents, ego.t, lambda k, seen, others: _leads(states[:, k], car, others))
@@ -102,7 +103,7 @@ def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
 
 @inner_kernel
 def arc_point(kappa: float, x: float, y: float) -> tuple[float, float]:
-    """(1): s and l of a point in the frame of the rear axle."""
+    """Return s and l (1) of a point in the frame of the rear axle."""
     side, up = 1.0 - kappa * y, kappa * x
     s = atan2(up, side) / kappa if kappa != 0.0 else x
     return s, (2.0 * y - kappa * (x * x + y * y)) / (1.0 + hypot(side, up))
@@ -110,7 +111,7 @@ def arc_point(kappa: float, x: float, y: float) -> tuple[float, float]:
 
 @inner_kernel
 def _least_s_within(s0: float, l0: float, s1: float, l1: float, half: float) -> float:
-    """The least s of a straight piece within |l| <= half; inf where no part of it is."""
+    """Return the least s of the part of a segment within |l| <= half; inf if no part is."""
     if max(l0, l1) < -half or min(l0, l1) > half:
         return np.inf
     least = np.inf
@@ -130,7 +131,7 @@ def _least_s_within(s0: float, l0: float, s1: float, l1: float, half: float) -> 
 def extent(
     x: float, y: float, yaw: float, kappa: float, half: float, outline: FloatArray
 ) -> tuple[float, float, float, float, float]:
-    """Of a box with corners `outline` `(4, 2)`: least s in the band (inf: none), then s and l from, to (1)."""
+    """Return for a box with corners `outline` `(4, 2)`: least s in the band (inf: none), ranges of s and l (1)."""
     c, s = cos(yaw), sin(yaw)
     near, s_low, s_high, l_low, l_high = np.inf, np.inf, -np.inf, np.inf, -np.inf
     before = np.zeros(2)
@@ -149,14 +150,14 @@ def extent(
 
 @inner_kernel
 def within_look(x: float, y: float, yaw: float, kappa: float, other_x: float, other_y: float, reach: float) -> bool:
-    """Whether a box of half diagonal `reach` may lie along the path: near enough, and not round the circle."""
+    """Return whether a box of half diagonal `reach` may lie along the path: near, and not past the circle's centre."""
     dx, dy = other_x - x, other_y - y
     return hypot(dx, dy) <= LOOK_M + reach and kappa * (dy * cos(yaw) - dx * sin(yaw)) < 1.0
 
 
 @kernel
 def _leads(ego: FloatArray, car: Car, others: Others) -> tuple[FloatArray, IntArray]:
-    """The rows gap to facing of `Ahead` `(7, k)` and agent `(k,)`; `ego` has x, y, yaw, v, kappa of the rear axle."""
+    """Return rows gap to facing of `Ahead` `(7, k)` and agent `(k,)`; `ego`: x, y, yaw, v, kappa of the rear axle."""
     pose, size, steps = others.pose, others.size, others.there.shape[1]
     half, front = 0.5 * car.width, car.axle + 0.5 * car.length
     rows, agent = np.full((7, steps), np.nan), np.full(steps, -1, np.int64)
@@ -189,7 +190,7 @@ def _leads(ego: FloatArray, car: Car, others: Others) -> tuple[FloatArray, IntAr
 
 
 def required_decel(gap: FloatArray, v: FloatArray, u: FloatArray, decel: FloatArray) -> FloatArray:
-    """(4) `(n,)`, m/s2, positive; NaN where the gap is 0 or not known."""
+    """Return (4) `(n,)`, m/s2, positive; NaN where the gap is 0 or unknown."""
     u = np.maximum(u, 0.0)
     closing = np.maximum(v - u, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -200,8 +201,8 @@ def required_decel(gap: FloatArray, v: FloatArray, u: FloatArray, decel: FloatAr
 
 
 def required_lateral(ahead: Ahead, half: float) -> FloatArray:
-    """(6) `(n,)`, m/s2; NaN where the gap is 0 or not known."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # hardly closing: never, 0
+    """Return (6) `(n,)`, m/s2; NaN where the gap is 0 or unknown."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # tiny closing speed: infinite time, 0
         time = ahead.gap / np.maximum(ahead.v - ahead.u, 0.0)
         left, right = ahead.high + ahead.w * time + half, half - ahead.low - ahead.w * time
         needed = 2.0 * np.maximum(np.minimum(left, right), 0.0) / time**2
@@ -209,7 +210,7 @@ def required_lateral(ahead: Ahead, half: float) -> FloatArray:
 
 
 def required_gap(v: FloatArray) -> FloatArray:
-    """(8) `(n,)`, m."""
+    """Return the required gap (8) `(n,)`, m."""
     return np.maximum(v * np.interp(v, R157_MPS, R157_S), R157_LEAST_M)
 
 

@@ -1,6 +1,6 @@
-"""What is wrong with a log, before anything is driven: what, who, when, how much, and its effect on which metric.
+"""Checks a log before it is driven: kind of each fault, road user, time, size, and its effect on metrics.
 
-A log with findings is evaluated as any other; only a phantom changes what is counted (`metrics.boxes`).
+A log with findings is evaluated like any other; only phantoms change the metrics (`metrics.boxes`).
 
 The ego, between samples k and k + 1, dt apart, d apart, with the speeds v and v':
 
@@ -14,24 +14,24 @@ The ego, between samples k and k + 1, dt apart, d apart, with the speeds v and v
 The other road users, between samples of a track:
 
 (6) flickering    a gap of the track (`logs.observed`)
-(7) id switch     a track ends before the log does, and within `SWITCH_S` another of its kind begins within `SWITCH_M`
-                  of where the first would be by then, which was not there before
+(7) id switch     a track ends before the log does, and within `SWITCH_S` a new track of its kind begins within
+    `SWITCH_M` of where the first would be by then
 (8) teleport      d - u dt - `JUMP_M` > 0,  u = `FASTEST_MPS`, or, with logged speeds, max(|v|, |v'|) + b dt / 2
 (9) speed         (3) off 1 by more than `SPEED_OFF`, over a way of `WAY_M` at least
-(10) heading flip a step of the yaw of more than `FLIP_RAD` within `FLIP_S`, of those who are longer than wide
+(10) heading flip a step of the yaw of more than `FLIP_RAD` within `FLIP_S`, for vehicles that are longer than wide
 (11) twin boxes   two centres within `TWIN_M` for `TWIN_S` or longer
 (12) size         vehicles beyond `LARGEST_M`, people wider than `PERSON_M`
-(13) units        (9) by the same factor for most of those who move
-(17) not recorded a stretch of the log of more than `logs.observed.MAX_AGE_S` in which no traffic was observed
+(13) units        (9) by the same factor for most moving road users
+(17) not recorded more than `logs.observed.MAX_AGE_S` of the log without observed traffic
 (18) across       a vehicle goes a step of more than `ACROSS_M` more than `ACROSS_RAD` off the axis of its box
 (19) short tracks more than `SHORT_SHARE` of the tracks of vehicles have fewer than `SHORT` samples
 
 The map and the lights:
 
 (14) off the map  more than `OFF_SHARE` of the ego's states lie on no drivable lane
-(15) lane graph   a lane follows itself, or begins more than `APART_M` from the end of one that it follows; lanes that
-                  end in lanes that are not in the map are its edge, unless they are most of it
-(16) lights       a light that no stop line names; on a road without stop lines all of them are one finding
+(15) lane graph   a lane follows itself, or begins more than `APART_M` from the end of one that it follows; lanes whose
+    successors are all missing in the map are its edge, unless they are more than `EDGE` of all lanes
+(16) lights       a light that no stop line names; on a road without stop lines, all lights are one finding
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import wrapped
 from metrics.boxes import name_of, phantoms, pieces
 
-EGO_GAP_S = 0.5  # As long as an agent that is sampled often may be unseen (`logs.observed`), s
-RARE = 5.0  # Intervals
-EGO_JUMP_M = 0.5  # A car's localisation is off by less from one sample to the next, m
-BRAKING_MPS2 = 12.0  # More than tyres give, m/s2
+EGO_GAP_S = 0.5  # As long as a frequently sampled agent may be unobserved (`logs.observed`), s
+RARE = 5.0  # In medians of the sampling interval
+EGO_JUMP_M = 0.5  # Errors of a car's localisation change by less between two samples, m
+BRAKING_MPS2 = 12.0  # More than tyres can provide, m/s2
 EGO_SPEED_OFF, EGO_WAY_M = 0.1, 10.0  # Wheel speeds are within a few per cent; over a shorter way noise hides a factor
 FACTORS = {
     3.6: "the speeds look like km/h",
@@ -67,34 +67,34 @@ FACTORS = {
     0.01: "the positions look like cm",
     0.001: "the positions look like mm",
 }
-"""Way by speed over way by positions, where one of them has another unit."""
-NEAR = 0.04  # How near to a factor, as a share
-STEP_M, TURNED_RAD = 0.3, 0.5  # A direction can be seen over this way, m; more than the slip of a driven car
+"""Distance by speed over distance by positions, if one of them has a wrong unit."""
+NEAR = 0.04  # Tolerance of a factor, as a share
+STEP_M, TURNED_RAD = 0.3, 0.5  # Least distance that has a direction, m; more than a car slips, rad
 EGO_FLIP_RAD = 1.0  # No car turns by more between two samples, rad
 
 SWITCH_S, SWITCH_M = 0.6, 2.0  # A tracker that loses an agent finds it again within this time, s, and this distance, m
 FASTEST_MPS = 70.0  # No road user is faster, m/s
-JUMP_M = 1.5  # Boxes of real perception move by this between two samples where it sees another part of the same car, m
-SPEED_OFF, WAY_M = 0.25, 20.0  # Estimated speeds are at most this far off over a track of this way, m, as a share
-FLIP_RAD, FLIP_S = 2.0, 1.0  # A box that is turned the other way round turns by about pi, rad
-TWIN_M, TWIN_S, GRID_S = 0.4, 0.5, 0.25  # Two centres cannot be so near for so long; looked at every `GRID_S`
-LARGEST_M, PERSON_M = (30.0, 4.5), 2.5  # Longest and widest on public roads; wider than any person
-MOST = 0.6  # Share of the moving tracks that must be off by one factor
-ACROSS_M, ACROSS_RAD = 2.5, 0.61  # No wheels slip so: two boxes of two cars
-SHORT, SHORT_SHARE = 3, 0.1  # Road users who pass are seen longer; some come into sight as a log ends
+JUMP_M = 1.5  # Perceived boxes move by this between two samples when another part of the car is visible, m
+SPEED_OFF, WAY_M = 0.25, 20.0  # Largest error of estimated speeds, as a share, over a track of at least this length, m
+FLIP_RAD, FLIP_S = 2.0, 1.0  # A reversed box turns by about pi, rad
+TWIN_M, TWIN_S, GRID_S = 0.4, 0.5, 0.25  # Two centres cannot be so near for so long; tested every `GRID_S`
+LARGEST_M, PERSON_M = (30.0, 4.5), 2.5  # Longest and widest vehicle on public roads; wider than any person
+MOST = 0.6  # Share of the moving tracks that must have the same factor
+ACROSS_M, ACROSS_RAD = 2.5, 0.61  # No wheels slip so much: the boxes belong to two cars
+SHORT, SHORT_SHARE = 3, 0.1  # Passing road users are visible longer; some appear just before a log ends
 SMALL = (AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
 LONG = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
 
-OFF_SHARE = 0.1  # A turn cut, a car park: a tenth of a drive may be off the lanes
+OFF_SHARE = 0.1  # A tenth of a drive may be off the lanes: cut corners, car parks
 APART_M = 3.0  # Less than a lane's width, m
-EDGE = 0.5  # If more than this share of the lanes ends in lanes that are not there, it is not the map's edge but a hole
+EDGE = 0.5  # If more than this share of the lanes ends in missing lanes, the map is incomplete, not only cut
 SAMPLES = 200
 SHOWN = 5  # Findings of one kind that a report lists
 COLUMNS = ("log", "kind", "topic", "who", "t_from_s", "t_to_s", "value", "unit", "text", "effect")
 
 
 class Kind(Enum):
-    """What can be wrong, and its `effect` on which metric."""
+    """The kinds of faults, and the `effect` of each on metrics."""
 
     effect: str
 
@@ -103,7 +103,7 @@ class Kind(Enum):
     EGO_JUMP = (
         "ego jump", "open loop starts from states that were not driven; accuracy and comfort of the log are wrong there"
     )  # fmt: skip
-    EGO_SPEED = "ego speed", "speed errors, comfort and the start of every plan rest on a speed that the positions deny"
+    EGO_SPEED = "ego speed", "speed errors, comfort and starts of plans use a speed that contradicts the positions"
     EGO_HEADING = "ego heading", "lateral errors, and every plan that starts there, rest on a wrong heading"
     AGENT_GAP = "flickering", "they are not in the scene in between, neither for planners nor for metrics"
     ID_SWITCH = (
@@ -111,12 +111,12 @@ class Kind(Enum):
         "one road user counts as two, who appear and vanish; following and encounters are cut in two",
     )
     TELEPORT = "teleport", "time to collision, predictions and contacts are wrong around the jump"
-    AGENT_SPEED = "agent speed", "predictions, times to collision and RSS rest on a speed that the positions deny"
+    AGENT_SPEED = "agent speed", "predictions, times to collision and RSS use a speed that contradicts the positions"
     HEADING_FLIP = "heading flip", "their box turns on the spot: contacts and predictions are wrong for a moment"
     ACROSS = "motion across the axis", "predictions cross the ego's way where no road user went"
-    SHORT = "short tracks", "who is seen for a moment has no motion that can be known; much of it may be false"
-    TWIN = "twin boxes", "one road user counts twice in gaps and in the number of road users"
-    SIZE = "size", "contacts and gaps with them are those of a box that is hardly theirs"
+    SHORT = "short tracks", "the motion of briefly visible road users is unknown; many may be false detections"
+    TWIN = "twin boxes", "one road user is counted twice in gaps and in the number of road users"
+    SIZE = "size", "contacts and gaps with them use a box that is probably wrong"
     UNITS = "units", "all that has metres or seconds in it is off by that factor"
     OFF_MAP = "off the map", "lanes, limits, off road and rules do not fit what was driven"
     LANE_GRAPH = "lane graph", "routes may end early or go in a circle"
@@ -132,12 +132,12 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong, from `t_from` to `t_to`, s since the scenario's start.
+    """One fault of a log, from `t_from` to `t_to`, s since the scenario's start.
 
     Attributes:
-        topic: Part of the scenario where it is: "ego", "agents", "road", "lights".
+        topic: The part of the scenario: "ego", "agents", "road", "lights".
         who: The agent, lane or light, or "".
-        unit: Of the value: "m", "s", "rad", "x" (a factor), "1" (a count or a share).
+        unit: Unit of the value: "m", "s", "rad", "x" (a factor), "1" (a count or a share).
     """
 
     kind: Kind
@@ -155,13 +155,13 @@ class Finding:
 
 
 def findings(scenario: Scenario) -> tuple[Finding, ...]:
-    """All that is wrong, in the order of `CHECKS`."""
+    """Return all faults, in the order of `CHECKS`."""
     short = scenario.short_names
     return tuple(replace(found, text=short(found.text)) for check in CHECKS for found in check(scenario))
 
 
 def sentences(found: Iterable[Finding]) -> tuple[str, ...]:
-    """One sentence for each kind: the first of it, how many more there are, and their effect."""
+    """Return one sentence for each kind: its first finding, the number of further ones, and the effect."""
     out = []
     for kind, (first, *more) in _by_kind(found).items():
         others = f" ({len(more)} more of this kind)" if more else ""
@@ -171,9 +171,9 @@ def sentences(found: Iterable[Finding]) -> tuple[str, ...]:
 
 
 def report(scenario: Scenario, raw: Scenario | None = None) -> list[str]:
-    """All findings in words, for `replan inspect`: the first `SHOWN` of each kind, and the kind's effect.
+    """Return the findings as text for `replan inspect`: the first `SHOWN` of each kind, and the kind's effect.
 
-    `raw` is the same log without the repair of its tracks, which is compared.
+    `raw` is the same log without the repair of its tracks, for comparison.
     """
     found = findings(scenario)
     out = [f"health: {len(found) or 'nothing'} {'findings' if found else 'found'} by {len(CHECKS)} checks"]
@@ -192,7 +192,7 @@ def report(scenario: Scenario, raw: Scenario | None = None) -> list[str]:
 
 
 def table(log: str, found: Iterable[Finding]) -> pd.DataFrame:
-    """The findings as rows of `COLUMNS`."""
+    """Return the findings as a table with `COLUMNS`."""
     rows = [
         (log, one.kind.value, one.topic, one.who, one.t_from, one.t_to, one.value, one.unit, one.text, one.kind.effect)
         for one in found
@@ -201,7 +201,7 @@ def table(log: str, found: Iterable[Finding]) -> pd.DataFrame:
 
 
 def _by_kind(found: Iterable[Finding]) -> dict[Kind, list[Finding]]:
-    """The findings of each kind, kinds in the order of their first."""
+    """Group findings by kind, in the order of the first finding of each kind."""
     kinds: dict[Kind, list[Finding]] = {}
     for finding in found:
         kinds.setdefault(finding.kind, []).append(finding)
@@ -209,7 +209,7 @@ def _by_kind(found: Iterable[Finding]) -> dict[Kind, list[Finding]]:
 
 
 def ghosts(scenario: Scenario) -> Iterator[Finding]:
-    """Boxes in which the recorded ego stood."""
+    """Find phantoms: boxes that overlap the recorded ego."""
     for phantom in phantoms(scenario):
         begin = phantom.t_from if isfinite(phantom.t_from) else 0.0
         end = phantom.t_to if isfinite(phantom.t_to) else scenario.duration
@@ -225,7 +225,7 @@ def ego_gaps(scenario: Scenario) -> Iterator[Finding]:
 
 
 def ego_jumps(scenario: Scenario) -> Iterator[Finding]:
-    """Jumps of the ego (2)."""
+    """Find jumps of the ego (2)."""
     ego = scenario.ego
     dt, d = np.diff(ego.t), np.hypot(np.diff(ego.x), np.diff(ego.y))
     fastest = np.maximum(np.abs(ego.v[:-1]), np.abs(ego.v[1:]))
@@ -235,7 +235,7 @@ def ego_jumps(scenario: Scenario) -> Iterator[Finding]:
 
 
 def ego_speed(scenario: Scenario) -> Iterator[Finding]:
-    """Speeds of the ego that do not fit its positions, also by a factor (3), (4)."""
+    """Find speeds of the ego that do not match its positions, or match by a factor of units (3), (4)."""
     ego = scenario.ego
     positions, speeds = _ways(ego.t, ego.x, ego.y, np.abs(ego.v))
     way, by_speed = float(positions.sum()), float(speeds.sum())
@@ -249,7 +249,7 @@ def ego_speed(scenario: Scenario) -> Iterator[Finding]:
 
 
 def ego_heading(scenario: Scenario) -> Iterator[Finding]:
-    """Headings of the ego that do not fit its motion (5)."""
+    """Find headings of the ego that do not match its motion (5)."""
     ego = scenario.ego
     dx, dy = np.diff(ego.x), np.diff(ego.y)
     moved = np.hypot(dx, dy) >= STEP_M
@@ -266,23 +266,23 @@ def ego_heading(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _ways(t: FloatArray, x: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Way between samples `(n - 1,)` by positions, and by the speeds `v` `(n,)` >= 0, m."""
+    """Return the distances between samples `(n - 1,)` by positions, and by the speeds `v` `(n,)` >= 0, m."""
     return np.hypot(np.diff(x), np.diff(y)), 0.5 * np.diff(t) * (v[1:] + v[:-1])
 
 
 def _of_track(tracks: Tracks, i: int, kind: Kind, a: float, b: float, value: float, unit: str, text: str) -> Finding:
-    """A finding about a track from a to b, s; its text goes on after the agent's name."""
+    """Make a finding about a track from a to b, s; its text begins with the agent's name."""
     return Finding(kind, "agents", tracks.ids[i], a, b, value, unit, f"{name_of(tracks, i)} {text}")
 
 
 def _moving(tracks: Tracks) -> Iterator[tuple[int, slice, FloatArray]]:
-    """Index, samples and their times of each track that is not static."""
+    """Yield index, samples and their times of each track that is not static."""
     found = ((i, tracks.samples(i)) for i in np.flatnonzero(~tracks.static).tolist())
     return ((i, mine, tracks.t[mine]) for i, mine in found)
 
 
 def flickering(scenario: Scenario) -> Iterator[Finding]:
-    """(6), one for each track that has gaps."""
+    """Find tracks with gaps (6), one finding for each."""
     tracks = scenario.tracks
     for i, mine, t in _moving(tracks):
         if len(holes := np.flatnonzero(tracks.gap_after[mine])):
@@ -292,7 +292,7 @@ def flickering(scenario: Scenario) -> Iterator[Finding]:
 
 
 def id_switches(scenario: Scenario) -> Iterator[Finding]:
-    """Tracks that switch their id (7)."""
+    """Find tracks that change their id (7)."""
     tracks = scenario.tracks
     first, last = tracks.offsets[:-1], tracks.offsets[1:] - 1
     begins, ends = tracks.t[first], tracks.t[last]
@@ -301,7 +301,7 @@ def id_switches(scenario: Scenario) -> Iterator[Finding]:
     starts, until = begins[later], ends[ending] + SWITCH_S
     parts = np.searchsorted(starts, ends[ending], side="right"), np.searchsorted(starts, until, side="right")
     for i, u, w, low, high in zip(ending, *tracks.velocity(ending, last[ending]), *parts, strict=True):
-        others, k = np.sort(later[low:high]), last[i]  # those that begin within `SWITCH_S`
+        others, k = np.sort(later[low:high]), last[i]  # tracks that begin within `SWITCH_S`
         wait, at = begins[others] - ends[i], first[others]
         away = np.hypot(tracks.x[at] - tracks.x[k] - wait * u, tracks.y[at] - tracks.y[k] - wait * w)
         same = (away < SWITCH_M) & (tracks.codes[others] == tracks.codes[i])
@@ -312,7 +312,7 @@ def id_switches(scenario: Scenario) -> Iterator[Finding]:
 
 
 def teleports(scenario: Scenario) -> Iterator[Finding]:
-    """(8), the largest of each track."""
+    """Find jumps of road users (8), the largest of each track."""
     tracks = scenario.tracks
     for i, mine, t in _moving(tracks):
         v = np.hypot(tracks.vx[mine], tracks.vy[mine])
@@ -327,7 +327,7 @@ def teleports(scenario: Scenario) -> Iterator[Finding]:
 
 
 def speeds(scenario: Scenario) -> Iterator[Finding]:
-    """Speeds of road users that do not fit their positions, also by a factor (9), (13)."""
+    """Find speeds of road users that do not match their positions, or match by a factor of units (9), (13)."""
     tracks, found, ratios = scenario.tracks, [], []
     for i, mine, t in _moving(tracks):
         v = np.hypot(tracks.vx[mine], tracks.vy[mine])
@@ -351,7 +351,7 @@ def speeds(scenario: Scenario) -> Iterator[Finding]:
 
 
 def heading_flips(scenario: Scenario) -> Iterator[Finding]:
-    """(10), the first of each track."""
+    """Find reversed headings (10), the first of each track."""
     tracks = scenario.tracks
     for i, mine, t in _moving(tracks):
         turn = np.abs(wrapped(np.diff(tracks.yaw[mine])))
@@ -363,14 +363,14 @@ def heading_flips(scenario: Scenario) -> Iterator[Finding]:
 
 
 def across(scenario: Scenario) -> Iterator[Finding]:
-    """(18), the first of each track; the axis is the middle of both boxes', as a chord is of a bend's ends."""
+    """Find motion across a box's axis (18), the first of each track; the axis is the mean heading of both boxes."""
     tracks = scenario.tracks
     for i, mine, t in _moving(tracks):
         if tracks.kinds[i] not in LONG:
             continue
         yaw = tracks.yaw[mine]
         dx, dy = np.diff(tracks.x[mine]), np.diff(tracks.y[mine])
-        turn = wrapped(2.0 * (np.arctan2(dy, dx) - yaw[:-1] - 0.5 * np.diff(yaw)))  # twice: it may go backward
+        turn = wrapped(2.0 * (np.arctan2(dy, dx) - yaw[:-1] - 0.5 * np.diff(yaw)))  # doubled: backward motion is fine
         far = (np.hypot(dx, dy) > ACROSS_M) & (np.abs(turn) > 2.0 * ACROSS_RAD) & ~tracks.gap_after[mine][:-1]
         if far.any():
             k, count = int(np.argmax(far)), int(far.sum())
@@ -381,7 +381,7 @@ def across(scenario: Scenario) -> Iterator[Finding]:
 
 
 def short_tracks(scenario: Scenario) -> Iterator[Finding]:
-    """Too many short tracks (19)."""
+    """Find too many short tracks (19)."""
     tracks = scenario.tracks
     vehicles = among(*LONG)[tracks.codes] & ~tracks.static
     short = int((np.diff(tracks.offsets)[vehicles] < SHORT).sum())
@@ -391,7 +391,7 @@ def short_tracks(scenario: Scenario) -> Iterator[Finding]:
 
 
 def twins(scenario: Scenario) -> Iterator[Finding]:
-    """Boxes that show one road user twice (11)."""
+    """Find boxes that show one road user twice (11)."""
     tracks = scenario.tracks
     t = np.arange(0.0, scenario.duration + 1e-9, GRID_S)
     met: dict[tuple[int, int], list[int]] = defaultdict(list)
@@ -410,7 +410,7 @@ def twins(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _near_pairs(places: FloatArray) -> Iterator[tuple[int, int]]:
-    """Pairs of places `(2, n)`, sorted by x, that are within `TWIN_M`."""
+    """Yield pairs of positions `(2, n)`, sorted by x, that are within `TWIN_M`."""
     x, y = places
     for i in range(len(x)):
         for j in range(i + 1, len(x)):
@@ -421,7 +421,7 @@ def _near_pairs(places: FloatArray) -> Iterator[tuple[int, int]]:
 
 
 def unrecorded(scenario: Scenario) -> Iterator[Finding]:
-    """Times at which no traffic was observed (17)."""
+    """Find times without observed traffic (17)."""
     spans = clipped(scenario.traffic_spans, 0.0, scenario.duration)
     edges = [0.0, *(edge for span in spans for edge in span), scenario.duration]
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
@@ -431,7 +431,7 @@ def unrecorded(scenario: Scenario) -> Iterator[Finding]:
 
 
 def sizes(scenario: Scenario) -> Iterator[Finding]:
-    """Implausible sizes (12)."""
+    """Find implausible sizes (12)."""
     tracks = scenario.tracks
     for i, kind in enumerate(tracks.kinds):
         length, width = float(tracks.length[i]), float(tracks.width[i])
@@ -442,7 +442,7 @@ def sizes(scenario: Scenario) -> Iterator[Finding]:
 
 
 def off_map(scenario: Scenario) -> Iterator[Finding]:
-    """The ego's states off the map (14)."""
+    """Find states of the ego off the map (14)."""
     road, ego = scenario.road, scenario.ego
     if road.source is not RoadSource.LANES:
         return
@@ -458,7 +458,7 @@ def off_map(scenario: Scenario) -> Iterator[Finding]:
 
 
 def lane_graph(scenario: Scenario) -> Iterator[Finding]:
-    """Faults of the lane graph (15)."""
+    """Find faults of the lane graph (15)."""
     lanes, end = scenario.road.lanes, scenario.duration
     if scenario.road.source is not RoadSource.LANES:
         return
@@ -479,7 +479,7 @@ def lane_graph(scenario: Scenario) -> Iterator[Finding]:
 
 
 def lights(scenario: Scenario) -> Iterator[Finding]:
-    """Lights without a stop line (16)."""
+    """Find lights without a stop line (16)."""
     named, end = {line.light for line in scenario.road.stop_lines}, scenario.duration
     if scenario.lights and not named:
         begin = min(float(light.t[0]) for light in scenario.lights)

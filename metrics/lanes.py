@@ -1,7 +1,7 @@
-"""A road's lanes as flat arrays, and what metrics need of them: how far off, which speed limit, which direction.
+"""A road's lanes as flat arrays, for the queries of metrics: distance off the lanes, speed limit, direction.
 
-The end of the map is not the end of the road: a lane that leads on to no lane of the map goes on straight for 10 m
-(two cars' lengths), and so does, backwards, one that no lane leads to.
+The end of the map is not the end of the road: a lane without a successor in the map is extended straight by 10 m (two
+cars' lengths), and a lane without a predecessor is extended backwards likewise.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from logs.shapes import point_segment
 from metrics.metric import once
 
 BEYOND_M = 10.0
-SURE_M = 1e-6  # Boxes are passed over where they are farther than this: rounding must not decide
-FEW = 16  # Least number of edges in a box
-CROSSING = cos(30.0 / 180.0 * pi)  # Lanes cross where their directions differ by more, either way round
+SURE_M = 1e-6  # Tolerance of the test that skips boxes, m: rounding must not change results
+FEW = 16  # Least number of edges per box (except the last of a polyline)
+CROSSING = cos(30.0 / 180.0 * pi)  # Lanes cross where their directions differ by more than this, in either sense
 
 
 class Boxes(NamedTuple):
-    """Boxes round stretches of polylines: a query looks only at the edges in boxes that are near.
+    """Bounding boxes of stretches of polylines: a query looks only at the edges in near boxes.
 
     Attributes:
         first: `(n + 1,)`: polyline i owns the boxes `first[i] : first[i + 1]`.
@@ -59,7 +59,7 @@ class LaneArrays(NamedTuple):
 
 
 def points_inside(polygon: FloatArray, x: FloatArray, y: FloatArray) -> BoolArray:
-    """Which points `(n,)` lie in a polygon `(k, 2)`; its bounding box rules most of them out."""
+    """Return which points `(n,)` lie in a polygon `(k, 2)`; its bounding box excludes most points early."""
     (x_lo, y_lo), (x_hi, y_hi) = polygon.min(axis=0), polygon.max(axis=0)
     found = (x >= x_lo) & (x <= x_hi) & (y >= y_lo) & (y <= y_hi)
     found[found] = [inside(*point, polygon) for point in zip(x[found].tolist(), y[found].tolist(), strict=True)]
@@ -67,13 +67,13 @@ def points_inside(polygon: FloatArray, x: FloatArray, y: FloatArray) -> BoolArra
 
 
 def mapped_lanes(road: Road) -> LaneArrays | None:
-    """The lanes of the log's own map that a car may drive on; None where it has none."""
+    """Return the lanes of the log's own map that a car may drive on; None if it has none."""
     return None if road.source is RoadSource.DRIVEN_PATH else drivable_lanes(road)
 
 
 @once
 def stated_lanes(road: Road) -> LaneArrays | None:
-    """`mapped_lanes`, with the speed limits that the log states."""
+    """Return `mapped_lanes` with only the speed limits that the log states."""
     if (lanes := mapped_lanes(road)) is None:
         return None
     stated = [road.stated_limit(lane.id) for lane in road.lanes.values() if lane.drivable]
@@ -82,13 +82,13 @@ def stated_lanes(road: Road) -> LaneArrays | None:
 
 @once
 def drivable_lanes(road: Road) -> LaneArrays | None:
-    """The lanes that a car may drive on; None where there is none."""
+    """Return the lanes that a car may drive on; None if there are none."""
     lanes = [lane for lane in road.lanes.values() if lane.drivable]
     if not lanes:
         return None
     entered = {after for lane in road.lanes.values() for after in lane.successors}
     outlines = []
-    for lane in lanes:  # the polygon, lengthened where the map ends or begins
+    for lane in lanes:  # the polygon, extended where the map ends or begins
         forth, back = lane.center[-1:] - lane.center[-2:-1], lane.center[:1] - lane.center[1:2]
         ends, begins = road.lanes.keys().isdisjoint(lane.successors), lane.id not in entered
         for longer, way in ((ends, forth), (begins, back)):
@@ -108,7 +108,7 @@ def drivable_lanes(road: Road) -> LaneArrays | None:
 
 
 def _boxes(polylines: Sequence[FloatArray]) -> Boxes:
-    """Boxes of the edges of polylines, each `(n, 4)` (begin and end): sqrt(n) edges in a box, at least `FEW`."""
+    """Return boxes of the edges of polylines, each `(n, 4)` (start and end): sqrt(n) edges per box, at least `FEW`."""
     first, box, rows = [0], [], []
     for edges in polylines:
         step = max(FEW, ceil(sqrt(len(edges))))
@@ -121,9 +121,9 @@ def _boxes(polylines: Sequence[FloatArray]) -> Boxes:
 
 
 def keeps_lane(road: Road, x: float, y: float, corners: FloatArray) -> bool:
-    """Whether a box with centre (x, y) is in one lane, and not where lanes cross or fork.
+    """Return whether a box with centre (x, y) is in one lane, and not where lanes cross or fork.
 
-    The lane's successors and predecessors count as its continuation: a car over a seam along the road keeps its lane.
+    Successors and predecessors continue the lane: a car between one lane and the next along the road keeps its lane.
     """
     under = [lane for lane in road.lanes_at(x, y) if lane.drivable]
     if len(under) != 1:
@@ -134,10 +134,11 @@ def keeps_lane(road: Road, x: float, y: float, corners: FloatArray) -> bool:
 
 
 class Under(NamedTuple):
-    """What lies under points of a drive, `(k,)` each; NaN where no lane does, and where lanes cross.
+    """The lanes under points of a drive, `(k,)` each; NaN without a lane; at crossings `along` and `left` are NaN.
 
     Attributes:
-        along: Cosine of the angle between heading and lane; of several lanes the one best aligned. -1: against it.
+        along: Cosine of the angle between heading and lane; of several lanes, the best aligned one. -1: against the
+            lane.
         left: Distance from the nearest centre line of a lane there, m, positive to the left of the lane.
         half: Half of that lane's width there, m.
     """
@@ -149,14 +150,14 @@ class Under(NamedTuple):
 
 @kernel
 def _gap(box: FloatArray, g: int, x: float, y: float) -> float:
-    """Distance of a point from box g (least x, y, greatest x, y), 0 inside of it."""
+    """Return the distance of a point from box g (least x, y, greatest x, y), 0 inside it."""
     dx, dy = max(box[g, 0] - x, 0.0, x - box[g, 2]), max(box[g, 1] - y, 0.0, y - box[g, 3])
     return sqrt(dx * dx + dy * dy)
 
 
 @kernel
 def _on_lane(lanes: LaneArrays, i: int, x: float, y: float) -> bool:
-    """Whether a point lies in lane i: `logs.road.inside`, of the edges that a line from it could cross."""
+    """Return whether a point lies in lane i: `logs.road.inside` with only the edges that a ray from it could cross."""
     polygon, boxes = lanes.points[lanes.offsets[i] : lanes.offsets[i + 1]], lanes.outline
     found = False
     for g in range(boxes.first[i], boxes.first[i + 1]):
@@ -171,10 +172,10 @@ def _on_lane(lanes: LaneArrays, i: int, x: float, y: float) -> bool:
 
 @inner_kernel
 def _on_center(lanes: LaneArrays, i: int, x: float, y: float) -> tuple[float, float, float, float]:
-    """Unit direction of lane i's centre line nearest to (x, y), distance left of it and half of its width there, m."""
+    """Return lane i's unit direction nearest to (x, y), the distance to its left, and half of its width there, m."""
     center = lanes.center[lanes.offsets[i] // 2 : lanes.offsets[i + 1] // 2]
     best, cx, cy, left, half, boxes = inf, 0.0, 0.0, 0.0, 0.0, lanes.middle
-    bound = inf  # the line is no farther than the farthest corner of any of its boxes
+    bound = inf  # upper bound: the farthest corner of each box
     for g in range(boxes.first[i], boxes.first[i + 1]):
         box = boxes.box[g]
         bound = min(bound, hypot(max(x - box[0], box[2] - x), max(y - box[1], box[3] - y)))
@@ -217,7 +218,7 @@ def under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> U
 
 @inner_kernel
 def _edge_distance(lanes: LaneArrays, i: int, x: float, y: float, best: float) -> float:
-    """Distance of a point from lane i's outline, m; where that is not less than `best`, anything not less."""
+    """Return the distance of a point from lane i's outline, m, or `best` if that is smaller."""
     polygon, boxes = lanes.points[lanes.offsets[i] : lanes.offsets[i + 1]], lanes.outline
     for g in range(boxes.first[i], boxes.first[i + 1]):
         if _gap(boxes.box, g, x, y) > best + SURE_M:
@@ -230,9 +231,9 @@ def _edge_distance(lanes: LaneArrays, i: int, x: float, y: float, best: float) -
 
 @kernel
 def off_lanes(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Distance `(k,)` of points `(k,)` to the nearest drivable lane, 0 on one, m. Exact.
+    """Return the exact distance `(k,)` of points `(k,)` to the nearest drivable lane, m; 0 on a lane.
 
-    Lanes whose bounding box is not nearer than the best so far are skipped; the last nearest one is tried first.
+    Lanes whose bounding box is not nearer than the best distance are skipped; the previous nearest lane is tried first.
     """
     n, out, recent = len(lanes.box), np.empty(len(x)), 0
     for k in range(len(x)):
@@ -252,7 +253,7 @@ def off_lanes(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
 
 @kernel
 def limits_at(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
-    """The log's speed limit `(k,)` at points, m/s: the largest where lanes overlap; NaN where no lane has one."""
+    """Return the log's speed limit `(k,)` at points, m/s: the largest of overlapping lanes; NaN if no lane has one."""
     out = np.full(len(x), nan)
     for k in range(len(x)):
         for i in range(len(lanes.box)):

@@ -1,15 +1,16 @@
 """The vocabulary of metrics: a Metric measures a trace step by step and reduces the steps to named values.
 
-A metric is one function `(trace, scenario) -> Series | Unavailable`, or a mapping from part to such ("1s", "3s" of the
-displacement error), and one line in `metrics.METRICS`. All of it:
+A metric is one function `(trace, scenario) -> Series | Unavailable` and one entry in `metrics.GROUPS`. The function may
+also return a mapping from parts to these types ("1s", "3s" of the displacement error). A complete example:
 
     def _speed(trace: Trace, scenario: Scenario) -> Measured:
         return Series(trace.ego.t, trace.ego.v)
 
     SPEED = Metric("speed", "m/s", "none", (Mode.CLOSED,), _speed, (MEAN, MAX), "Speed of the rear axle.")
 
-It becomes the rows `speed.mean` and `speed.max` of the table, and the series `speed` of the plots. What cannot be
-measured is Unavailable with its reason; a single step that has no value is NaN. No sentinel, no infinity.
+It becomes the rows `speed.mean` and `speed.max` of the table, and the series `speed` of the plots. A metric that cannot
+be measured returns Unavailable with the reason; a single step without a value is NaN. Sentinel values and infinities
+are not allowed.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ from logs.trace import Mode, Trace
 K = TypeVar("K")
 P = ParamSpec("P")
 R = TypeVar("R")
-Direction = Literal["lower", "higher", "none"]  # Which way is better
+Direction = Literal["lower", "higher", "none"]  # The direction that is better
 
 
 def last(count: int) -> Callable[[Callable[Concatenate[K, P], R]], Callable[Concatenate[K, P], R]]:
-    """Call a function once for the same arguments; the newest `count` results of each first argument are kept.
+    """Cache the results of a function: the newest `count` results for each first argument.
 
-    The first argument (a trace, a scenario, a road) owns the results and is held weakly: they are kept while it is
-    there. The other arguments are compared by value. A result must not refer to the first argument.
+    The first argument (a trace, a scenario, a road) owns the results and is held weakly: its results live as long as it
+    does. The other arguments are compared by value. A result must not refer to the first argument.
     """
 
     def decorate(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
@@ -58,7 +59,7 @@ def last(count: int) -> Callable[[Callable[Concatenate[K, P], R]], Callable[Conc
 
 
 def once(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
-    """Call a function once for the same arguments, for what several metrics need of one drive: `last(64)`."""
+    """Cache a function that several metrics call for one drive, so that it runs once per arguments: `last(64)`."""
     return last(64)(function)
 
 
@@ -69,9 +70,9 @@ class Series:
     Attributes:
         t: `(n,)` s since the scenario's start, increasing, n >= 1.
         value: `(n,)`; NaN where the step has none.
-        labels: `n` texts that name the road user or thing of a step's value ("car 12"), or empty.
-        missing: Why steps have no value: the reason given where no step has one.
-        known: Which steps have a value `(n,)`; it follows from `value`.
+        labels: `n` texts that name the road user or object that a step's value is about ("car 12"), or empty.
+        missing: Why steps have no value; the reason of the row if no step has one.
+        known: `(n,)` whether each step has a value; derived from `value`.
 
     Raises:
         ValueError: Columns differ in length or are empty, a time is not finite, or a value is infinite.
@@ -98,7 +99,7 @@ class Series:
 
 
 def counted(t: FloatArray, events: Iterable[tuple[int, str]]) -> Series:
-    """How many of the events (step and label) are at each of the times `t` `(n,)`; labels of one step are joined."""
+    """Count the events (step and label) at each of the times `t` `(n,)`; labels of one step are joined."""
     counts, labels = np.zeros(len(t)), [""] * len(t)
     for step, label in events:
         counts[step] += 1.0
@@ -108,7 +109,7 @@ def counted(t: FloatArray, events: Iterable[tuple[int, str]]) -> Series:
 
 @dataclass(frozen=True, slots=True)
 class Unavailable:
-    """Why a metric cannot be measured on this drive, one sentence."""
+    """The reason why a metric cannot be measured on this drive, one sentence."""
 
     reason: str
 
@@ -119,15 +120,15 @@ Measure = Callable[[Trace, Scenario], Measured | Mapping[str, Measured]]
 
 @dataclass(frozen=True, slots=True)
 class Reduction:
-    """One number out of a series that has at least one value.
+    """Reduces a series that has at least one value to one number.
 
     Attributes:
         name: Second word of the row's name.
-        reduce: Gives the value and the step at which it occurred, -1 where it belongs to no step.
-        unit: None: the metric's.
-        direction: None: the metric's.
-        empty: The value where no step has one (a count of nothing is 0); None: then it is unavailable.
-        bounds: The steps below the first or above the second are those that count; None: it counts otherwise.
+        reduce: Returns the value and its step, -1 if the value belongs to no step.
+        unit: None: as the metric.
+        direction: None: as the metric.
+        empty: The value of a series without values (0 for a count); None: the reduction is unavailable then.
+        bounds: The reduction sums over the steps below the first or above the second bound; None: it has no bounds.
     """
 
     name: str
@@ -140,25 +141,25 @@ class Reduction:
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """What is measured, in which unit, and which way is better.
+    """One metric: how it is measured, its unit, and which direction is better.
 
     Attributes:
         name: One word; first word of the row's name.
-        unit: SI; "1" for a ratio, "count" for a number of things.
-        direction: Which way is better.
-        modes: Where it is defined.
-        measure: The function.
-        reductions: What the table shows of it.
-        meaning: One sentence: what exactly, parameters included.
-        source: Where the definition comes from; empty: here.
-        version: Counts up when the numbers change meaning.
+        unit: SI; "1" for a ratio, "count" for a number of events.
+        direction: The direction that is better.
+        modes: The loops in which it is defined.
+        measure: The function that measures it.
+        reductions: The numbers that the table shows, one row each.
+        meaning: One sentence that defines it, with its parameters.
+        source: Source of the definition; empty: replan.
+        version: Increases when the meaning of the numbers changes.
         parts: The keys that `measure` may return; ("*",): any; empty: it returns one series.
-        formula: What is computed, in plain text ("sqrt(x^2 + y^2)"); empty: `meaning` says all.
+        formula: The formula as plain text ("sqrt(x^2 + y^2)"); empty: `meaning` is complete.
         parameters: Its constants with their units, as "bound 0.95 s".
-        needs: What must be there for it to be available; empty: it always is.
+        needs: What a log or drive must contain for the metric to be available; empty: it always is.
 
     Raises:
-        ValueError: A field is not what it should be.
+        ValueError: A field has a wrong type or value.
     """
 
     name: str
@@ -191,11 +192,11 @@ class Metric:
             raise ValueError(f"metric {self.name!r}: {broken}")
 
     def found(self, trace: Trace, scenario: Scenario) -> Measured | Mapping[str, Measured]:
-        """The result of `measure`, kept for the scores that use it again; of a long drive the newest results only."""
+        """Return the cached result of `measure` for reuse by scores; a long drive caches only the newest results."""
         return (_remember_all if len(trace.ego) <= LONG_STEPS else _remember_newest)(trace, scenario, self.measure)
 
     def measured(self, trace: Trace, scenario: Scenario) -> dict[str, Measured]:
-        """Its series by full name ("gap", "ade.3s"); one that is unavailable keeps the names of its parts.
+        """Return its series by full name ("gap", "ade.3s"); an unavailable metric has the names of its parts too.
 
         Raises:
             TypeError: `measure` returned something else.
@@ -209,7 +210,7 @@ class Metric:
         return self.unavailable(found) if isinstance(found, Unavailable) else {self.name: found}
 
     def unavailable(self, found: Unavailable) -> dict[str, Measured]:
-        """All its series, unavailable for one reason."""
+        """Return all its series as unavailable, with one reason."""
         parts = () if self.parts == ("*",) else self.parts
         return {f"{self.name}.{part}": found for part in parts} or {self.name: found}
 
@@ -219,24 +220,24 @@ def _measure(trace: Trace, scenario: Scenario, measure: Measure) -> Measured | M
 
 
 _remember_all, _remember_newest = last(1024)(_measure), last(8)(_measure)
-LONG_STEPS = 60_000  # Of a longer drive (1 MB a series) only the newest series are kept
-LEAST_S = 4.0  # Of `share_beyond`: the horizon over which plans are judged
+LONG_STEPS = 60_000  # Drives with more steps (1 MB per series) keep only the newest series
+LEAST_S = 4.0  # For `share_beyond`: the horizon over which plans are judged
 
 
 def _extreme(series: Series, score: FloatArray, value: FloatArray) -> tuple[float, int]:
-    """The value at the step with the highest score; the earliest of equals."""
+    """Return the value at the step with the highest score (the earliest of equals), and that step."""
     step = int(np.argmax(np.where(series.known, score, -np.inf)))
     return float(value[step]), step
 
 
 def first_of(flags: BoolArray) -> int:
-    """The first step that is marked, -1 where none is."""
+    """Return the first marked step; -1 if no step is marked."""
     return int(np.argmax(flags)) if flags.any() else -1
 
 
 def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
     def reduce(series: Series) -> tuple[float, int]:
-        """`np.percentile` to the bit, at a tenth of its time."""
+        """Equal `np.percentile` bit for bit, in a tenth of its time."""
         value = np.sort(np.abs(series.value[series.known]))
         at = (len(value) - 1) * (q / 100.0)
         low, share = float(value[int(at)]), at - int(at)
@@ -247,12 +248,12 @@ def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
 
 
 def durations(t: FloatArray) -> FloatArray:
-    """How long each step `(n,)` stands for, s: half of the time to each of its neighbours; they add up to the drive."""
+    """Return the duration of each step `(n,)`, s: half of the time to each neighbour; they sum to the drive's."""
     return split_to_neighbours(np.diff(t))
 
 
 def split_to_neighbours(between: FloatArray) -> FloatArray:
-    """Values between the steps `(n - 1,)` as values of the steps `(n,)`: half to each neighbour."""
+    """Split values between the steps `(n - 1,)` into values of the steps `(n,)`: half goes to each neighbour."""
     out = np.zeros(len(between) + 1)
     out[:-1] += 0.5 * between
     out[1:] += 0.5 * between
@@ -260,7 +261,7 @@ def split_to_neighbours(between: FloatArray) -> FloatArray:
 
 
 def longest(series: Series, flags: BoolArray) -> tuple[float, int]:
-    """Seconds of the longest unbroken stretch of marked steps, and its first step; the earliest of equals."""
+    """Return the longest unbroken stretch of marked steps: duration, s, and first step; the earliest of equals."""
     if not flags.any():
         return 0.0, -1
     edge = np.diff(np.r_[False, flags, False].astype(np.int64))
@@ -284,16 +285,16 @@ COUNT = Reduction(
     lambda series: (float(np.sum(series.value[series.known])), first_of((series.value != 0.0) & series.known)),
     unit="count", empty=0.0,
 )  # fmt: skip
-"""Sum over the steps; its time is the first step that counts."""
+"""Sum over the steps; its time is that of the first step that is not 0."""
 RATE = Reduction(
     "rate", lambda series: (float(np.mean(series.value[series.known])), first_of(series.value > 0.0)),
     unit="1", empty=0.0,
 )  # fmt: skip
 """Mean over the steps of a 0/1 series; its time is the first 1."""
 HAVING = Reduction("rate", lambda series: (float(np.mean(series.known)), first_of(series.known)), "1", "lower", 0.0)
-"""Share of the steps that have a value; its time is the first of them."""
+"""Share of the steps that have a value; its time is that of the first such step."""
 SHARE = Reduction("share", lambda series: (float(np.mean(series.known)), -1), "1", "higher", 0.0)
-"""Share of the steps that have a value, where each ought to have one: below 1 the mean is over a part only."""
+"""Share of the steps that have a value, where every step should have one; below 1, the mean is over a part only."""
 
 
 def _marked_time(
@@ -302,7 +303,7 @@ def _marked_time(
     whole: Callable[[Series, FloatArray], float] | None = None,
     bounds: tuple[float, float] | None = None,
 ) -> Reduction:
-    """Seconds of the marked steps, or their share of the `whole` of what all steps stand for; its time is the first."""
+    """Duration of the marked steps, s, or their share of the duration `whole`; its time is the first marked step."""
 
     def reduce(series: Series) -> tuple[float, int]:
         flags, weight = mark(series), durations(series.t)
@@ -338,14 +339,14 @@ def worst_episode(low: float, high: float) -> Reduction:
 
 
 def share_while(condition: Callable[[FloatArray], BoolArray], name: str) -> Reduction:
-    """Share of the drive's time in which a condition holds; 0 where no step has a value."""
+    """Share of the drive's time during which a condition holds; 0 if no step has a value."""
     return _marked_time(
         name, lambda series: condition(series.value) & series.known, lambda series, weight: float(weight.sum())
     )
 
 
 def share_beyond(bound: float, name: str) -> Reduction:
-    """Share of the time of the known steps, `LEAST_S` at least, in which the value is above `bound`; else 0."""
+    """Share of the time of the steps with a value (at least `LEAST_S`) during which the value is above `bound`."""
     return _marked_time(
         name,
         lambda series: series.value > bound,
@@ -354,17 +355,17 @@ def share_beyond(bound: float, name: str) -> Reduction:
 
 
 def rate_of_change(t: FloatArray, value: FloatArray, window: float) -> FloatArray:
-    """Rate of change `(n,)` of a sampled value, per s: the declared differentiator of all metrics.
+    """Return the rate of change `(n,)` of a sampled value, per s; all metrics differentiate with this function.
 
     (1) rate(t) = (value(t) - value(t - window)) / window, linear between the samples; NaN in the first `window` s
 
-    Causal: later samples and the place where a log is cut do not change it.
+    The rate is causal: later samples, and where a log is cut, do not change it.
     """
     before = np.interp(t - window, t, value)
     return np.where(t - window >= t[0] - 1e-9, (value - before) / window, np.nan)
 
 
-# what there is to read about metrics, for `replan metrics` and docs/metrics.md ---------------------------------------
+# descriptions of metrics, for `replan metrics` and docs/metrics.md ---------------------------------------
 
 Groups = Mapping[str, Sequence[Metric]]
 _BETTER = {"lower": "lower is better", "higher": "higher is better", "none": "neither is better"}
@@ -381,20 +382,20 @@ REDUCTIONS = {
 
 
 def list_metrics(groups: Groups) -> str:
-    """All metrics by group: name, unit, direction and meaning, one line each."""
+    """List all metrics by group: name, unit, direction and meaning, one line each."""
     lines = {group: [f"    {m.name} [{m.unit}, {m.direction}] {m.meaning}" for m in of] for group, of in groups.items()}
     return "\n\n".join("\n".join([group, *of]) for group, of in lines.items())
 
 
 def metric_page(metric: Metric) -> str:
-    """All about one metric."""
+    """Describe one metric as text."""
     entries = _entries(metric)
     lines = [f"    {name + ':':{max(map(len, entries)) + 2}}{text}" for name, text in entries.items()]
     return "\n".join([metric.name, f"    {metric.meaning}", "", *lines])
 
 
 def metric_facts(metric: Metric) -> dict[str, object]:
-    """All about one metric, as a table's row: what the page says, parts and reductions as lists."""
+    """Describe one metric as a row of a table: the content of `metric_page`, with parts and reductions as lists."""
     return {
         "name": metric.name, "meaning": metric.meaning, "unit": metric.unit, "direction": metric.direction,
         "modes": [mode.value for mode in metric.modes], "parts": list(metric.parts),
@@ -405,7 +406,7 @@ def metric_facts(metric: Metric) -> dict[str, object]:
 
 
 def metrics_markdown(groups: Groups) -> str:
-    """The page docs/metrics.md, of all metrics."""
+    """Write the page docs/metrics.md about all metrics."""
     lines = [
         "# Metrics", "",
         "Generated by `replan metrics --markdown`. A row of the table is `metric.reduction`, or `metric.part.reduction`"
@@ -422,7 +423,7 @@ def metrics_markdown(groups: Groups) -> str:
 
 
 def _entries(metric: Metric) -> dict[str, str]:
-    """The entries of a page, in order; empty ones are left out."""
+    """Return the entries of a page, in order, without empty ones."""
     reductions = []
     for reduction in metric.reductions:
         own = [reduction.unit or metric.unit, reduction.direction or metric.direction]

@@ -1,35 +1,37 @@
-"""Braking, standing and steering that nothing calls for, and braking that is missing; closed loop, every 0.1 s.
+"""Braking, standing and steering without a reason, and missing braking; closed loop, every 0.1 s.
 
-Along the route (`progress`), with the ego's speed v, what calls for it to be slower or to stand is looked for as far
-ahead of its front as
+Reasons for the ego to slow down or to stand are searched along the route (`progress`), ahead of its front, up to the
+distance (v: its speed)
 
-(1) look = 10 m + 1.5 s v + max(v - u, 0)^2 / (2 EASE_MPS2)      u: speed of what is ahead, along the route
+(1) look = 10 m + 1.5 s v + max(v - u, 0)^2 / (2 EASE_MPS2)      u: speed of the road user ahead, along the route
 
-so any reason that a careful driver could have counts:
+The reasons are those that a careful driver could have:
 
-    road users   ahead or beside, whose box is, or at its velocity comes within `COMING_S`, within 1 m of the strip that
-                 the ego sweeps here or on the route (pedestrians and riders: 2 m), and who do not drive away; those
-                 that the planner was shown count as well as those that were there, phantoms included
-    rules        a stop line with a sign, or a light that is not green; a crosswalk with a pedestrian within 10 m of it;
+    road users   ahead or beside, whose box is within 1 m (pedestrians and riders: 2 m) of the strip that the ego sweeps
+                 here or on the route, or comes so near within `COMING_S` at its velocity, and who do not drive away:
+                 those that were present, phantoms included, and those that the planner perceived
+    rules        a stop line with a sign, or a light that is not green; a crosswalk with a pedestrian or rider
+                 within 10 m of it;
                  a lane that yields; the goal; the end of the route
-    caps         where v is above the limit, above what makes 2 m/s2 to the side in a curve, or above what a recorded
-                 driver drove there
+    caps         v exceeds the limit, the speed with 2 m/s2 of lateral acceleration in a curve, or the speed of the
+                 recorded driver at that place
 
-A reason other than a cap lasts `AFTER_S` longer. An ego more than `ASIDE_M` beside the route is not judged.
+Reasons other than caps last `AFTER_S` longer. An ego more than `ASIDE_M` beside the route is not judged.
 
-(2) needless_braking(t) = the highest speed since the last reason, less v(t)
-(3) needless_standing(t) = 1 where v < 0.5 m/s and no reason is within 10 m, a stop line within `LINE_M`, of its front
-(4) needless_steering: each change of the offset from the route by 0.5 m to 2 m between two turning points in whose
-    first half no road user and no curve is near
+(2) needless_braking(t) = highest speed since the last reason - v(t)
+(3) needless_standing(t) = 1 where v < 0.5 m/s and no reason is within 10 m of its front, and no stop line within
+    `LINE_M`
+(4) needless_steering: each change of the offset from the route by 0.5 m to 2 m between two turning points, if no road
+    user and no curve is near in its first half
 
-False braking is hard and without a cause; less of it costs more missed braking, so both count:
+False braking is hard braking without a cause. A planner that avoids it may miss braking instead, so both are measured:
 
 (5) A hard episode: steps every `GRID_S` with a < -`HARD_MPS2`, less than `APART_S` apart.
-(6) It had a cause if, within `CAUSE_S` of its begin, the box of any road user came within `CAUSE_M` of the strip
-    that the ego sweeps from where it then was on: along its drive, straight on where that ends, as far as it would
-    have come with its speed.
-(7) missed(t) = max((v - u)^2 / (2 gap) - b, 0) for the lead in the path ahead (`following`) with gap, u, v > u, of an
-    ego that brakes with b: what a steady approach behind the lead requires beyond what is done.
+(6) It had a cause if, within `CAUSE_S` of its begin, the box of any road user came within `CAUSE_M` of the strip that
+    the ego sweeps from there: along its drive, straight beyond its end, for the distance that it would cover at its
+    speed.
+(7) missed(t) = max((v - u)^2 / (2 gap) - b, 0) for the lead in the path ahead (`following`) with gap and u, v > u, and
+    the ego's deceleration b: the deceleration of a steady approach that the ego does not apply.
 """
 
 from __future__ import annotations
@@ -63,19 +65,19 @@ SLACK_MPS, STANDS_MPS = 0.3, 0.5
 SWING_M, CHANGE_M = 0.5, 2.0
 HARD_MPS2, APART_S, CAUSE_S, CAUSE_M = 3.5, 0.5, 5.0, 0.3
 SPACING_M = 0.5
-"""Between two boxes of the ego whose union stands for the strip."""
+"""Distance between the boxes of the ego whose union approximates the strip."""
 TOUCHING_M = 0.5
-"""Gaps are not taken as less than this: what is nearer is a contact's business."""
+"""Least gap in (7): nearer road users are contacts."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Reasons:
-    """At k times t, s: the ego's speed v, m/s, its offset l from the route, m, and what calls for what.
+    """The ego's speed v, m/s, its offset l from the route, m, and its reasons, at k times t, s.
 
     Attributes:
-        slow: Whether something calls for it to be slower.
-        stand: To stand.
-        steer: To leave its offset.
+        slow: Whether it has a reason to be slower.
+        stand: Whether it has a reason to stand.
+        steer: Whether it has a reason to change its offset.
     """
 
     t: FloatArray
@@ -88,7 +90,7 @@ class Reasons:
 
 @once
 def reasons(trace: Trace, scenario: Scenario) -> Reasons:
-    """The reasons that an ego has at each step."""
+    """Find the reasons of the ego at each step."""
     ego, line = grid_of(trace), route_of(scenario).line
     s, l = line_project_many(line.s, line.coef, ego.x, ego.y, 0.0, WINDOW_M).T  # noqa: E741
     front = s + scenario.vehicle.axle_to_front
@@ -103,7 +105,7 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
         for brakes, stands, beside in _agents_as_reasons(tracks, ego.t, s, l, ego.v, line, scenario):
             slow, stand, steer = slow | brakes, stand | stands, steer | beside
     goal, early = scenario.goal, np.zeros(len(s), np.bool_)
-    if goal is not None and goal.t is not None:  # at its speed it would be there before the goal's time
+    if goal is not None and goal.t is not None:  # at its speed it would arrive before the goal's time
         early = s + np.maximum(ego.v, STANDS_MPS) * (goal.t[0] - ego.t) > route_of(scenario).length
     flags = np.stack([slow | early, stand | early, steer])
     since = np.maximum.accumulate(np.where(flags, ego.t, -np.inf), axis=1)
@@ -126,7 +128,7 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
 
 
 def _look_ahead(v: FloatArray, u: FloatArray | float) -> FloatArray:
-    """(1), at most `FARTHEST_M`."""
+    """Return (1), at most `FARTHEST_M`."""
     return np.minimum(NEAR_M + HEADWAY_S * v + np.maximum(v - u, 0.0) ** 2 / (2.0 * EASE_MPS2), FARTHEST_M)
 
 
@@ -134,7 +136,7 @@ def _agents_as_reasons(
     tracks: Tracks, t: FloatArray, s: FloatArray, l: FloatArray, v: FloatArray, line: ReferenceLine,  # noqa: E741
     scenario: Scenario,
 ) -> Iterator[tuple[BoolArray, BoolArray, BoolArray]]:  # fmt: skip
-    """Per road user the steps at which it is a reason to brake, to stand, and to steer."""
+    """Yield for each road user the steps at which it is a reason to brake, to stand, and to steer."""
     car, place = scenario.vehicle, np.stack([np.interp(s, line.s, column) for column in line.xy.T])
     for i, others, row in each(tracks, t):
         x, y, yaw, vx, vy = np.nan_to_num(others.pose[:, row])
@@ -169,7 +171,7 @@ def _agents_as_reasons(
 def _places_to_stop(
     trace: Trace, scenario: Scenario, t: FloatArray, line: ReferenceLine
 ) -> Iterator[tuple[float, float, BoolArray, float]]:
-    """First and last station of what rules stop an ego for, when they do `(k,)`, and how near it may stand, m."""
+    """Yield places where rules stop the ego: first and last station, when `(k,)`, and how near it may stand, m."""
     always, route, goal = np.ones(len(t), np.bool_), route_of(scenario), scenario.goal
     lights = {light.id: light for light in scenario.lights}
     for mark in scenario.road.stop_lines:
@@ -179,7 +181,7 @@ def _places_to_stop(
             shut = always if light is None else np.array([light.at(now) is not Colour.GREEN for now in t])
             yield at, at + ACROSS_M, shut, LINE_M
     zones = []
-    for walk in scenario.road.crosswalks:  # while a pedestrian or rider is within `NEAR_M` of the box round it
+    for walk in scenario.road.crosswalks:  # active while a pedestrian or rider is within `NEAR_M` of its bounding box
         low, high = walk.polygon.min(axis=0) - NEAR_M, walk.polygon.max(axis=0) + NEAR_M
         walked = np.zeros(len(t), np.bool_)
         for i, others, row in each(trace.agents, t):
@@ -222,7 +224,7 @@ def _steering(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def turning_points(value: FloatArray, least: float) -> list[int]:
-    """The steps at which a value turns back by at least `least`, with the ends of the first and last such change."""
+    """Return the steps at which a value turns back by at least `least`, and the ends of the first and last change."""
     turns: list[int] = []
     rising, low, high = 0, 0, 0
     for k in range(len(value)):
@@ -265,7 +267,7 @@ def hard_episodes(ego: Trajectory) -> list[int]:
 
 @kernel
 def _any_touches(way: FloatArray, car: Car, others: Others) -> bool:
-    """Whether any of the boxes `(n, k)` overlaps the ego's anywhere on the way of its rear axle: x, y, yaw `(3, m)`."""
+    """Return whether any of the boxes `(n, k)` overlaps the ego at any pose of its rear axle: x, y, yaw `(3, m)`."""
     for j in range(way.shape[1]):
         x, y, yaw = way[0, j] + car.axle * cos(way[2, j]), way[1, j] + car.axle * sin(way[2, j]), way[2, j]
         for i in range(others.there.shape[0]):

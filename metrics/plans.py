@@ -1,35 +1,36 @@
-"""Plans: how far they reach, how much successive ones differ, and how far they are from what the log's driver did.
+"""Plans: their horizon, the differences of successive plans, and their distance from the log's drive.
 
-For successive frames i-1 and i, at the times t_i, t_i + 0.1 s, ..., t_i + 4 s, as far as both plans reach:
+For successive frames i-1 and i, at the times t_i, t_i + 0.1 s, ..., t_i + 4 s, for as long as both plans last:
 
 (1) plan_change(t_i) = mean |p_i - p_(i-1)|
 (2) plan_change_lateral(t_i) = max |component of p_i - p_(i-1) across the heading of plan i-1|
 
-where one of the two plans is longer than 5 m (`plans.SHORT_M`): the plans of a standing ego cannot differ.
+if at least one of the two plans is longer than 5 m (`plans.SHORT_M`); the plans of a standing ego hardly differ.
 
-For the frame i and the frame j that is 0.5 s before it, at t_i, t_i + 0.1 s, ... as far as both reach, at most 4 s:
+For the frame i and the frame j 0.5 s before it, at t_i, t_i + 0.1 s, ... for as long as both plans last, at most 4 s:
 
 (3) extended_comfort(t_i) = max over q of rms(q_i - q_j) / bound(q),  q = |A|, d|A|/dt, yaw rate, yaw acceleration
 
 with A = (a, v^2 kappa) of the plans and backward differences over 0.1 s; 1 and below is comfortable (NAVSIM's EC).
 
-(4) plan_horizon(t_i) = last time of plan i - t_i,  plan_complete(t_i) = 1 where that is 3 s at least, else 0, at the
-    frames after which the log's drive lasts so long: an oracle knows no more
+(4) plan_horizon(t_i) = last time of plan i - t_i,  plan_complete(t_i) = 1 if that is at least 3 s, else 0, at the
+    frames after which the log's drive lasts 3 s, since an oracle cannot plan beyond its end
 
-In open loop plans start at the log's states, so that a plan which the log did not follow shows as a change too.
+In open loop, plans start at the log's states, so a plan that the log did not follow also shows as a change.
 
 Accuracy, open loop: at each frame of time t_i, plan and log are compared at t_i + 0.1 s, t_i + 0.2 s, ..., up to a
 horizon h:
 
-(5) e_k = p_plan(t_i + 0.1 k) - p_log(t_i + 0.1 k),  k = 1 .. 10 h        k = 0, where both are the same, is left out
+(5) e_k = p_plan(t_i + 0.1 k) - p_log(t_i + 0.1 k),  k = 1 .. 10 h        k = 0 is left out: both are equal
 (6) ADE = mean_k |e_k|,  FDE = |e_10h|
 (7) AHE, FHE: the same of |wrap(yaw_plan - yaw_log)|
 (8) along, cross: components of e_10h along and left of the log's heading there
 (9) miss = 1 where max_k |e_k| > bound(h), else 0
 
 Positions are those of the rear axle (nuPlan compares centres). Frames after which the log does not last to the horizon
-are left out; one whose plan does not reach it has no value, and `share` is the share of those that have. Where the log
-has no lanes, the planner is given the driven path as its road: (7) and the error across in (8) are not available.
+are left out. A frame whose plan does not reach the horizon has no value; `share` is the share of frames with a value.
+If the log has no lanes, the planner receives the driven path as its road; then (7) and the error across in (8) are
+unavailable.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ from logs.trace import Mode, Trace
 from metrics import metric
 from metrics.metric import Measured, Metric, Series, Unavailable, last, once
 
-STEP_S = 0.1  # Plans are compared at multiples of this after their frame's time
-SHORT_M = 5.0  # Shorter plans (in their first 4 s) are those of a standing ego (NAVSIM)
-PIECE = 1000  # Plans laid out at a time: all those of an hour are 80 MB
+STEP_S = 0.1  # Plans are compared at multiples of this after their frame, s
+SHORT_M = 5.0  # A plan that is shorter in its first 4 s is that of a standing ego (NAVSIM), m
+PIECE = 1000  # Plans that are joined at a time: all plans of an hour take 80 MB
 NO_PLANS = Unavailable("the drive has no plans")
 APART_S, COMPARED_S = 0.5, 4.0
 EC_BOUNDS = (("acceleration", 0.7), ("jerk", 0.5), ("yaw rate", 0.1), ("yaw acceleration", 0.1))  # (3), SI
@@ -61,20 +62,20 @@ _STANDS = f"successive plans never overlap, or are never longer than {SHORT_M:g}
 
 
 def frame_times(trace: Trace) -> FloatArray:
-    """Times `(f,)` of the frames, s."""
+    """Return the times `(f,)` of the frames, s."""
     return np.array([frame.t for frame in trace.frames])
 
 
 def times_after(trace: Trace, first: int, last: int) -> FloatArray:
-    """Times `(f, k)` at multiples `first` to `last` of `STEP_S` after each frame, s; whole nanoseconds, as in logs."""
+    """Return times `(f, k)` at multiples `first` to `last` of `STEP_S` after each frame, s, in whole nanoseconds."""
     times = frame_times(trace)[:, None] + STEP_S * np.arange(first, last + 1)
     return np.asarray(np.rint(times * 1e9) / 1e9)
 
 
 def plan_columns(trace: Trace, times: FloatArray, names: tuple[str, ...], which: IntArray | None = None) -> FloatArray:
-    """Columns `(c, f, k)` of the plans of the frames `which` `(f,)` (all) at the times `(f, k)`.
+    """Return columns `(c, f, k)` of the plans of the frames `which` `(f,)` (None: all) at the times `(f, k)`.
 
-    Linear between the plan's samples; NaN where it does not reach.
+    Values are linear between the plan's samples, NaN outside the plan.
     """
     which = np.arange(len(trace.frames)) if which is None else which
     wanted = np.array([TRAJECTORY_COLUMNS.index(name) for name in names])
@@ -89,13 +90,13 @@ def plan_columns(trace: Trace, times: FloatArray, names: tuple[str, ...], which:
 
 
 def plan_way(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Distance along each row of positions `(f, k)` from its first, m; NaN from its first NaN on."""
+    """Return the distance along each row of positions `(f, k)` from its first, m; NaN from its first NaN on."""
     return np.concatenate([0.0 * x[:, :1], np.cumsum(np.hypot(np.diff(x), np.diff(y)), axis=1)], axis=1)
 
 
-@last(1)  # of a drive of up to `PIECE` frames all are kept
+@last(1)  # for a drive of up to `PIECE` frames, this caches all
 def _plan_rows(trace: Trace, begin: int) -> tuple[IntArray, FloatArray]:
-    """`PIECE` plans from a frame on: `(f + 1,)` where each begins, and their `TRAJECTORY_COLUMNS` `(7, m)`."""
+    """Return the offsets `(f + 1,)` and `TRAJECTORY_COLUMNS` `(7, m)` of `PIECE` plans, beginning at a frame."""
     plans = [loaded(frame.plan.trajectory) for frame in light(trace.frames)[begin : begin + PIECE]]
     rows = np.stack([np.concatenate([getattr(plan, name) for plan in plans]) for name in TRAJECTORY_COLUMNS])
     return np.cumsum([0, *map(len, plans)]), rows
@@ -105,7 +106,7 @@ def _plan_rows(trace: Trace, begin: int) -> tuple[IntArray, FloatArray]:
 def _interpolate(
     offsets: IntArray, rows: FloatArray, wanted: IntArray, which: IntArray, times: FloatArray
 ) -> FloatArray:
-    """`plan_columns` of the plans `which` `(f,)`: the rows `wanted`, each as `numpy.interp` has it."""
+    """Return `plan_columns` of the plans `which` `(f,)`: the rows `wanted`, each as by `numpy.interp`."""
     out = np.full((len(wanted), *times.shape), np.nan)
     for f in range(len(times)):
         first, end = offsets[which[f]], offsets[which[f] + 1]
@@ -131,7 +132,7 @@ def _plan_change(trace: Trace, scenario: Scenario, *, which: int) -> Measured:
 
 @once
 def _differences(trace: Trace) -> tuple[FloatArray, FloatArray]:
-    """(1) and (2) `(f - 1,)`; NaN where the plans do not overlap, or both are of a standing ego."""
+    """Return (1) and (2) `(f - 1,)`; NaN where the plans do not overlap, or both are of a standing ego."""
     times = times_after(trace, 0, round(COMPARED_S / STEP_S))[1:]
     all_ = np.arange(len(trace.frames))
     now, before = (plan_columns(trace, times, ("x", "y", "yaw"), some) for some in (all_[1:], all_[:-1]))
@@ -145,7 +146,7 @@ def _differences(trace: Trace) -> tuple[FloatArray, FloatArray]:
 
 
 def _endpoint_errors(trace: Trace, scenario: Scenario) -> Measured:
-    """(3), at the frames with another 0.5 s before them."""
+    """Measure (3) at the frames that have another frame 0.5 s before them."""
     t = frame_times(trace)
     earlier = np.searchsorted(t, t - APART_S - 1e-6)
     later = np.flatnonzero((t >= APART_S + t[:1] - 1e-6) & (np.abs(t[earlier] - (t - APART_S)) < 1e-6))
@@ -163,7 +164,7 @@ def _endpoint_errors(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _comfort_quantities(trace: Trace, which: IntArray, times: FloatArray) -> FloatArray:
-    """The four quantities of (3) `(4, f, k)`; NaN where a plan does not reach, or did not begin yet."""
+    """Return the four quantities of (3) `(4, f, k)`; NaN beyond a plan's end and before its start."""
     back = np.concatenate([times[:, :1] - 2.0 * STEP_S, times[:, :1] - STEP_S, times], axis=1)
     yaw, v, a, kappa = plan_columns(trace, back, ("yaw", "v", "a", "kappa"), which)
     size = np.hypot(a, v**2 * kappa)
@@ -225,13 +226,13 @@ PLAN_COMPLETE = Metric(
 
 HORIZONS_S = (1, 3, 5, 8)
 MISS_M = MappingProxyType({1: 2.0, 2: 4.0, 3: 6.0, 5: 8.0, 8: 16.0})  # (9), m by s; nuPlan's from 3 s on
-Pick = Callable[[FloatArray], FloatArray]  # Value per frame of errors `(f, k)` up to a horizon
-_ACROSS = (1, 3)  # Which of `_errors` are made across the path: the cross error and that of the heading
+Pick = Callable[[FloatArray], FloatArray]  # Returns the value of each frame from its errors `(f, k)` up to a horizon
+_ACROSS = (1, 3)  # Indices in `_errors` of the errors across the path: lateral and heading
 
 
 @once
 def _errors(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Errors along and cross (m), |e| (m), |heading error| (rad): each `(f, 10 h)` for the longest horizon."""
+    """Return errors along and across (m), |e| (m), |heading error| (rad), each `(f, 10 h)` for the longest horizon."""
     log = scenario.ego
     times = times_after(trace, 1, round(max(HORIZONS_S) / STEP_S))
     x, y, yaw = plan_columns(trace, times, ("x", "y", "yaw"))

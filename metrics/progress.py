@@ -1,32 +1,33 @@
-"""Closed loop: did the ego get on along its route, how fast, and did it arrive?
+"""Closed loop: how far and how fast the ego drives along its route, and whether it arrives.
 
-The route, and how far a drive came on it:
+The route, and the gain of a drive along it:
 
 (a) route = the path of the log's driver, then the lanes from its end towards the goal, else straight on; a smooth line.
-    A log of one state has no path: its route begins with the lanes.
-(b) station(t) = foot of the rear axle on the route, sought within 30 m of the foot before
-(c) gain(t) = sum over the steps of station_k - station_(k-1); one above reach + 0.1 m counts as reach,
+    A log with one state has no path: its route begins with the lanes.
+(b) station(t) = foot of the rear axle on the route, searched within 30 m of the previous foot
+(c) gain(t) = sum over the steps of station_k - station_(k-1); a difference above reach + 0.1 m is cut to reach,
     reach = 2 max(|v_k|, |v_(k-1)|) dt
 
-Circles and ways back gain nothing, a car that is set forward no more than it could have driven. The factor 2 is for the
-inside of bends (station' = v / (1 - kappa l), kappa l up to 0.5), the 0.1 m for noise of recorded positions.
+Circles and driving back gain nothing. A position that jumps forward gains no more than the ego could have driven. The
+factor 2 allows for the inside of bends (station' = v / (1 - kappa l), kappa l up to 0.5), the 0.1 m for noise in
+recorded positions.
 
-With the gain of a drive along the route, the whole log taken as the yardstick however short the drive was:
+With the gain of a drive along the route; the yardstick is the whole log, even if the drive was shorter:
 
 (1) route_progress(t) = gain(t) / gain of the log's driver at the log's end
     where the log has no drive: over the gain of the route follower (metadata `FOLLOWER_M`);
-    unavailable where that yardstick is below 2 m: then nothing says how far a planner should get
+    unavailable if that yardstick is below 2 m: then it is unknown how far a planner should drive
 (2) progress = min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c;  c = 2 m      (nuPlan)
 (3) completion = gain / length of the route, in 0 .. 1                                                   (CARLA)
-    all three: 1 at least where the drive ended in the goal's region, unless more than 2 m of it were cut
+    all three: at least 1 if the drive ended in the goal's region, unless more than 2 m of its gain were cut
 (4) distance(t) = length of the path of the rear axle driven since the start
 (5) speed_excess(t) = max(v - max(limit, held(t)), 0),  speed_ratio(t) = v / limit - 1
-    held(t) = v_0 - EASE_MPS2 max(t - t_0 - SETTLE_S, 0) where the drive begins above the limit, else 0: an ego that
-    brings its initial excess down comfortably is not charged with it
+    held(t) = v_0 - EASE_MPS2 max(t - t_0 - SETTLE_S, 0) if the drive begins above the limit, else 0: an initial excess
+    that the ego reduces comfortably is not counted
     assumed_limit_excess(t) = max(v - 1.1 max(assumed limit, the fastest second of the log's driver), 0)
-    where the log has no limit: an assumed one may be too low by a step of signs, and by what the driver knew
+    where the log has no limit: the assumed limit may be one step of signs too low, and the driver may have known it
 (6) speed_limit_compliance = max(0, 1 - integral of (5) dt / (2.23 m/s T)),  T the time on lanes with a limit  (nuPlan)
-(7) no vehicle reaches a goal that is farther than it comes in the time at 9.81 m/s2 up to 70 m/s
+(7) a goal is unreachable if it is farther than a vehicle drives in the time, accelerating at 9.81 m/s2 up to 70 m/s
 """
 
 from __future__ import annotations
@@ -51,16 +52,16 @@ from metrics.metric import Measured, Metric, Reduction, Series, Unavailable, las
 
 SPACING_M, WINDOW_M = 1.0, 30.0
 STRETCH, SLACK_M = 2.0, 0.1
-JOIN_M, CHANGE_M = 10.0, 20.0  # The line goes over within the first to a lane, within the second to one beside
-BEYOND_M = 200.0  # So far the lanes are followed behind the path or the goal; the line goes on straight after them
-SHORTEST_M = 10.0  # A shorter drive is none that a route could be read from
+JOIN_M, CHANGE_M = 10.0, 20.0  # Length of the transition to a lane, and to a neighbouring lane
+BEYOND_M = 200.0  # The line follows lanes for this distance beyond the path or goal, then goes straight
+SHORTEST_M = 10.0  # A shorter drive defines no route
 
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """The line (a) of a scenario from the first state on.
+    """The line (a) of a scenario, from its first state.
 
-    `length`, m, is to where the line enters the goal, else to the end of the log's drive; NaN where there is neither.
+    `length`, m, ends where the line enters the goal, else at the end of the log's drive; NaN if there is neither.
     """
 
     line: ReferenceLine
@@ -69,7 +70,7 @@ class Route:
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """How far a drive came (c) at its steps `(n,)`, negative where it went back, and what was not counted, m."""
+    """Gain (c) of a drive at its steps `(n,)`, negative if it drove back, and `cut`, the distance not counted; m."""
 
     metres: FloatArray
     cut: float
@@ -80,11 +81,11 @@ def route_of(scenario: Scenario) -> Route:
     return _route(scenario.road, scenario.ego, scenario.goal, scenario.vehicle.axle_to_center)
 
 
-@last(2)  # a scenario is made anew with each entry of its metadata, of the same road
+@last(2)  # changes of metadata make new scenarios with the same road
 def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float) -> Route:
     path, end = thinned(np.column_stack([log.x, log.y]), SPACING_M), log.state(len(log) - 1)
     onward = np.array([[end.x + JOIN_M * cos(end.yaw), end.y + JOIN_M * sin(end.yaw)]])  # straight on
-    if road.lanes:  # along the centre lines of the route, from `JOIN_M` after the log's end on
+    if road.lanes:  # along the centre lines of the route, beginning `JOIN_M` after the log's end
         lanes, beyond = list(find_route(road, end, goal).lanes), 0.0
         while beyond < BEYOND_M and (after := straight_on(road, lanes[-1])) is not None:
             beyond += max(road.lanes[after].length, SPACING_M)
@@ -111,7 +112,7 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
 
 @last(2)  # the log's drive and the one that is judged
 def gain_along(route: Route, drive: Trajectory) -> Gain:
-    """How far a drive came on a route (c)."""
+    """Return the gain (c) of a drive along a route."""
     station = line_project_many(route.line.s, route.line.coef, drive.x, drive.y, 0.0, WINDOW_M)[:, 0]  # (b)
     step = np.diff(station)
     reach = STRETCH * np.maximum(np.abs(drive.v[1:]), np.abs(drive.v[:-1])) * np.diff(drive.t)
@@ -122,8 +123,8 @@ def gain_along(route: Route, drive: Trajectory) -> Gain:
 FLOOR_M = 2.0
 EXCESS_MPS = 2.23  # 5 mph
 OVER_MPS, OVER_RATIO = 1.0, 0.1
-FOLLOWER_M = "reference_follower.gain_m"  # Metadata: how far the route follower comes, m
-REACH_MPS2, REACH_MPS = 9.81, 70.0  # No road vehicle does more (adhesion of 1 g)
+FOLLOWER_M = "reference_follower.gain_m"  # Key of the metadata: gain of the route follower, m
+REACH_MPS2, REACH_MPS = 9.81, 70.0  # No road vehicle exceeds these (adhesion of 1 g)
 EASE_MPS2, SETTLE_S = 1.0, 1.0  # Comfortable deceleration, and a driver's reaction time
 _ALONE = Unavailable("the log holds one ego state only: there is no drive to compare with")
 
@@ -135,7 +136,7 @@ def _distance(trace: Trace, scenario: Scenario) -> Measured:
 def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
     route = route_of(scenario)
     if len(scenario.ego) > 1:
-        in_time = trace.end is EndReason.GOAL and _is_time_only(scenario.goal)  # the log's driver had no longer either
+        in_time = trace.end is EndReason.GOAL and _is_time_only(scenario.goal)  # compare over the same time
         until = trace.ego.t[-1] if in_time else scenario.ego.t[-1]
         yardstick, who = (
             float(np.interp(until, scenario.ego.t, gain_along(route, scenario.ego).metres)),
@@ -173,14 +174,14 @@ def _completion(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _full_at_goal(trace: Trace, scenario: Scenario, gain: Gain, share: FloatArray) -> FloatArray:
-    """The share `(n,)`, at least 1 at a drive's end in the goal's region, unless more than 2 m of the gain were cut."""
+    """Raise the last share `(n,)` to 1 if the drive ended in the goal's region and at most 2 m of its gain were cut."""
     if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M and not _is_time_only(scenario.goal):
         share[-1] = max(share[-1], 1.0)
     return share
 
 
 def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False, all_of_it: bool = False) -> Measured:
-    """(5); with `all_of_it`, the initial excess is charged too."""
+    """Measure (5); with `all_of_it`, including the initial excess."""
     lanes = stated_lanes(scenario.road)
     if lanes is None or not np.isfinite(lanes.limit).any():
         return Unavailable("the log has no speed limits")

@@ -1,8 +1,8 @@
-"""Each plan judged over its whole horizon, as NAVSIM judges a proposal: for 4 s among the others as they moved.
+"""Judges each plan over its horizon, as NAVSIM judges a proposal: for 4 s, among the others as they moved.
 
-The plan of the frame at t_i is laid out at t_i + 0, 0.1, ..., 4 s (t_ik), as far as the plan reaches and there is
-evidence: until the drive ends in closed loop, until the log ends in open loop. The others do not react to the plan, and
-a plan changes rightly where a road user does something unexpected. Gates therefore bound shares of the drive's time.
+The plan of the frame at t_i is sampled at t_i + 0, 0.1, ..., 4 s (t_ik), as far as it reaches and evidence exists: in
+closed loop until the drive ends, in open loop until the log ends. The others do not react to the plan, and a plan may
+have to change when a road user does something unexpected. Gates therefore bound shares of the drive's time.
 
 (1) plan_collision = least t_ik - t_i with a contact at fault: first touch of each agent, fault in the order of `safety`
 (2) plan_off_road = max over k of off_k - off_0, off_k the greatest distance of the four corners to the drivable lanes
@@ -10,14 +10,14 @@ a plan changes rightly where a road user does something unexpected. Gates theref
 (4) plan_comfort = max over k and q of q / bound(q), the six signals of `comfort.NUPLAN_BOUNDS`, differenced over 0.1 s
 (5) plan_progress = s / max(s, d); 1 where max(s, d) <= 5 m.  s is the planned distance and d the distance that was then
     driven (in open loop: by the log's driver), until the last k that both have
-(6) plan_kept = max over k of |p_ik - p(t_ik)|, closed loop: distance from where the ego then was;
-    plan_kept_lateral: of its component across the ego's heading. Of frames with max(s, d) > 5 m that the drive outlasts
-    by 3 s, which the shortest complete plan reaches
+(6) plan_kept = max over k of |p_ik - p(t_ik)|, closed loop: distance from the ego's later positions; plan_kept_lateral:
+    of its component across the ego's heading. Measured at frames with max(s, d) > 5 m after which the drive lasts 3 s,
+    the length of the shortest complete plan
 (7) plan_score = contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14
     contact is 0 with (1), 1/2 for an object; drivable: (2) <= 0.3 m; ttc: (3) > 0.95 s; comfort: (4) <= 1;
     extended_comfort: that of `plans` <= 1. A part without a value is left out with its weight.
 
-(7) is the EPDMS of NAVSIM 0a380a90 without direction, lights and lane keeping, which the drive itself is judged by.
+(7) is the EPDMS of NAVSIM 0a380a90 without direction, lights and lane keeping: other metrics judge the drive by these.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ from metrics.safety import contact_kind
 
 HORIZON_S, TTC_HORIZON_S = 4.0, 3.0
 STEPS = round(HORIZON_S / STEP_S)
-PIECE = 500  # Plans that are laid out at a time: 1 MB a column
+PIECE = 500  # Plans that are sampled at a time: 1 MB per column
 _COLUMNS = ("x", "y", "yaw", "v", "a", "kappa")
 _NOT_DRIVEN = f"no plan of more than {SHORT_M:g} m is followed by {PLAN_HORIZON_S:g} s of driving"
 _NO_CONTACT = f"no plan has a contact at fault within {HORIZON_S:g} s"
@@ -67,7 +67,7 @@ Rows = Mapping[str, NDArray[Any]]
 
 @once
 def _measure_plans(trace: Trace, scenario: Scenario) -> Rows:
-    """What (1) to (6) need, `(f,)` each; NaN where a frame has none, -1 for no agent."""
+    """Return the values for (1) to (6), `(f,)` each; NaN where a frame has none, -1 for no agent."""
     drive = trace.ego if trace.mode is Mode.CLOSED or len(scenario.ego) < 2 else scenario.ego
     found, all_times, lanes = [], times_after(trace, 0, STEPS), safety.known_lanes(scenario)
     for which in np.split(np.arange(len(all_times)), range(PIECE, len(all_times), PIECE)):
@@ -99,7 +99,7 @@ def _measure_plans(trace: Trace, scenario: Scenario) -> Rows:
 
 
 def _comfort_signals(plan: FloatArray) -> Rows:
-    """Largest size of the planned accelerations and jerk, and (4) with the index of its signal; `(f,)` each."""
+    """Return the largest absolute planned accelerations and jerk, and (4) with the index of its signal, `(f,)` each."""
     _, _, yaw, v, a, kappa = plan
     aside, c, s = v**2 * kappa, np.cos(yaw), np.sin(yaw)
     jerk = np.hypot(np.diff(a * c - aside * s), np.diff(a * s + aside * c))
@@ -116,7 +116,7 @@ def _comfort_signals(plan: FloatArray) -> Rows:
 
 
 def _contacts_and_ttc(times: FloatArray, plan: FloatArray, agents: Tracks, scenario: Scenario) -> Rows:
-    """(1) and (3) with the agents that they are about."""
+    """Return (1) and (3), each with its agent."""
     grid_ns, column = np.unique(np.rint(times * 1e9).astype(np.int64), return_inverse=True)
     seen = present_between(agents, grid_ns[0] / 1e9, grid_ns[-1] / 1e9)
     others, car = some_at(agents, seen, grid_ns / 1e9), car_of(scenario)
@@ -138,7 +138,7 @@ def _contacts_and_ttc(times: FloatArray, plan: FloatArray, agents: Tracks, scena
 def _meet_agents(
     plan: FloatArray, column: IntArray, car: Car, others: Others, objects: BoolArray
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-    """Per plan the first contact at fault (row 0) and the first one with the side (row 1): step and agent `(2, f)`.
+    """Return per plan the first contact at fault (row 0) and the first with the side (row 1): step, agent `(2, f)`.
 
     And the least time to contact below `TTC_HORIZON_S` and its agent; -1 and NaN where there is none. `column` `(f, k)`
     is the step of the others at the plans' steps.
@@ -181,7 +181,7 @@ def _series(
     name: str, trace: Trace, scenario: Scenario, *, about: str = "", missing: str = "no plan has a second state",
     followed: bool = True,
 ) -> Measured:  # fmt: skip
-    """A row of `_measure_plans`; `followed`: it needs what happened after the frames."""
+    """Return a row of `_measure_plans` as a series; `followed`: it needs the drive after the frames."""
     if followed and trace.mode is Mode.OPEN and len(scenario.ego) < 2:
         return Unavailable("the log holds one ego state only: there is no drive to plan along")
     if not trace.frames:
@@ -204,7 +204,7 @@ def _comfort(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _score(trace: Trace, scenario: Scenario) -> Measured:
-    """(7)."""
+    """Measure the score (7)."""
     if isinstance(lacking := _series("ttc", trace, scenario), Unavailable):
         return lacking
     found, t = _measure_plans(trace, scenario), times_after(trace, 0, 0)[:, 0]

@@ -1,32 +1,35 @@
-"""Reference drivers: would a careful driver, braking on the ego's line, have avoided what happens in a log?
+"""Reference drivers: would a careful driver, braking on the ego's line, have avoided the collisions in a log?
 
-A driver is a point mass with the ego's box on a reference line, among the tracks as logged. It holds its speed, eases
-down for curves (lateral 3 m/s2, at 1.5 m/s2), brakes as its model says, never accelerates and never steers; an offset
-from the line at the start is undone over `RETURN_S`. u is another's speed along the line (oncoming: 0), w its speed
-towards the band, v the driver's, gap the free length between the boxes, and the band what the ego's box sweeps.
+A driver is a point mass with the ego's box on a reference line, among the tracks as logged. It keeps its speed, slows
+down for curves (3 m/s2 lateral, at 1.5 m/s2), brakes by its model, never accelerates and never steers; an initial
+offset from the line decays over `RETURN_S`. u is another's speed along the line (oncoming: 0), w its speed towards the
+band, v the driver's speed, gap the free distance between the boxes along the line, and the band is the area that the
+ego's box sweeps.
 
     "cc"    the competent and careful driver of UN R157, Annex 4, Appendix 3
     "fsm"   the fuzzy safety model: Mattas et al., Accid. Anal. Prev. 148 (2020) 105794; UN R157.01, Annex 3
 
-Whoever is ahead is a hazard to "cc" while it
-(1) cuts in: w > 0.05 m/s, and it is nearer to the band by more than 0.375 m than at its farthest, by its smoothed
-    motion: nearer' = max(nearer + w dt, 0), which noise of the positions does not move;
-(2) crosses: a pedestrian, a rider, or who moves more across the line than along it, is on its way into the band and
-    will be in it while the ego passes, both at constant velocity (ours: R157 knows no crossing);
+A road user ahead is a hazard to "cc" while it
+(1) cuts in: w > 0.05 m/s, and it is more than 0.375 m nearer to the band than at its farthest, by its smoothed motion:
+    nearer' = max(nearer + w dt, 0), which is insensitive to noise of the positions;
+(2) crosses: a pedestrian, a rider, or a road user that moves more across the line than along it, moves towards the band
+    and will be in it while the ego passes, both at constant velocity (an addition of replan: R157 has no crossing
+    traffic);
 (3) is in the band and slower than the driver by more than 0.5 m/s; or (4) is in it and brakes with 5 m/s2 or more.
-"cc" evaluates a hazard for 0.4 s and reacts for 0.75 s, in which it lets go of the pedal (0.4 m/s2). Then it brakes
-with 0.774 g, at 12.65 m/s3, as soon as gap / (v - u) < 2.0 s, in (4) as soon as gap / v < 2.0 s, and until no
-agent is a hazard and none in the band is nearer than 2 m + 2 s v.
+"cc" evaluates a hazard for 0.4 s and reacts for 0.75 s, releasing the pedal (0.4 m/s2). Then it brakes
+with 0.774 g, at 12.65 m/s3, as soon as gap / (v - u) < 2.0 s, in (4) as soon as gap / v < 2.0 s. It brakes until no
+agent is a hazard and no agent in the band is nearer than 2 m + 2 s v.
 
-In the JRC's code (JRC-FSM 01b05c29) nothing begins before the other is in the ego's width and the time to collision
-below 2.0 s; only then do the 0.75 s run. Here both times run from when the wandering zone is left: the regulation does
-not say when evaluation ends. So "cc" brakes in time in 41 to 57 of the 520 cut-ins of JRC's grid in which that code
-crashes.
+In the JRC's code (JRC-FSM 01b05c29) the 0.75 s begin only when the other is within the ego's width and the time to
+collision is below 2.0 s. Here both times begin when the other leaves the wandering zone, because the regulation does
+not define when evaluation ends. Therefore "cc" brakes in time in 41 to 57 of the 520 cut-ins of JRC's grid in which
+that code crashes.
 
-"fsm" brakes for everybody in the band, and for who is ahead and on its way into it with (5) lateral gap / w <
-(gap + both lengths) / (v - u) + 0.1 s, and, if it crosses, not out again before the ego is there (ours); with a
-reaction of 0.75 s at first, at 12.65 m/s3. A log reacts to its own ego only: who runs into the driver from behind or
-while it stands is not counted, and is left out from then on; so is who appears where the driver is.
+"fsm" brakes for every road user in the band, and for those ahead that move towards the band with (5) lateral gap / w <
+(gap + both lengths) / (v - u) + 0.1 s, and, if it crosses, not out of the band before the ego arrives (an addition of
+replan). It first reacts for 0.75 s, then brakes at 12.65 m/s3. A log reacts only to its own ego: a road user that hits
+the driver from behind or while it stands is not counted and is ignored from then on, as is one that appears at the
+driver's place.
 
 With a the driver's acceleration, "fsm" brakes with
 (7) deceleration = 4 + 2 CFS m/s2 where CFS > 0, else 4 PFS
@@ -36,20 +39,21 @@ With a the driver's acceleration, "fsm" brakes with
 linear between safe and unsafe.
 
 The margin of a verdict is the least distance between the driver's box and the agent's over the whole drive:
-(6) avoidable: the least gap that is left to the agent that a driver who does not brake would touch, m, > 0
-    unavoidable: minus the depth of the touch (the shortest shift that parts the boxes), the drive going on through it
-    not applicable: the least gap that a driver who does not brake leaves to any agent
-A verdict is marginal where its margin, or that of the drive without braking, is within `MARGINAL_M`, or where a driver
-who judges `JUDGED_S` earlier or later comes to another one: crossing paths, (2) and (5), and the time of reaction.
+(6) avoidable: the least gap to the agent that a driver without braking would touch, m, > 0
+    unavoidable: minus the depth of the touch (the shortest shift that separates the boxes); the drive continues through
+    it
+    not applicable: the least gap of a driver without braking to any agent
+A verdict is marginal where its margin, or that of the drive without braking, is within `MARGINAL_M`, or if a driver
+that judges `JUDGED_S` earlier or later has another outcome; this shifts (2), (5) and the reaction time.
 
-The verdicts reach the metrics as metadata of the scenario. Replay (`replay.loop.reference_drives`) writes them: it
-knows the line; the same keys of a log are dropped when it is read. Three rows per driver: `reference_cc.applies` is
-1 where an ego that did not brake would meet an agent, else 0; where it applies, `reference_cc.avoids` is 1 or 0, and
-`reference_cc.margin` says by how many metres (negative: by how many not). The entries, of "cc" as of "fsm":
+The verdicts reach the metrics as metadata of the scenario. `replay.loop.reference_drives` writes them, because it knows
+the line; these keys are dropped when a log is read. Each driver has three rows: `reference_cc.applies` is 1 if an ego
+that does not brake would touch an agent, else 0; if it is 1, `reference_cc.avoids` is 1 or 0, and `reference_cc.margin`
+is the margin in metres (negative: not avoided). The entries of "cc" (those of "fsm" are alike):
 
     reference_cc            "avoidable", "unavoidable" or "not applicable"
     reference_cc.reason     a sentence, with the margin and whether it is marginal
-    reference_cc.agent      id of the agent that the driver touches, else of the one that it avoids; where it applies
+    reference_cc.agent      id of the agent that the driver touches, else of the one that it avoids; if it applies
     reference_cc.margin     m, as a number
     reference_cc.marginal   "yes" or "no"
 """
@@ -73,10 +77,10 @@ from logs.trace import Mode, Trace
 from metrics.boxes import STANDING_MPS, Car, Others, car_of, is_behind, name_of, others_at, present_between, touches
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 
-STEP_S = 0.02  # So fine that a step more or less of braking is within what noise does anyway
-MARGINAL_M = 0.5  # What 5 cm of noise do to a margin at 10 Hz (benchmarks/verdicts.py)
+STEP_S = 0.02  # So short that one more step of braking changes less than noise does, s
+MARGINAL_M = 0.5  # Effect of 5 cm of position noise on a margin at 10 Hz (benchmarks/verdicts.py), m
 JUDGED_S = 0.15  # A fifth of both drivers' reaction time
-LONGEST_S = 60.0  # Only so much of a log is driven
+LONGEST_S = 60.0  # Longest drive, s
 RETURN_S = 3.0
 CURVE_MPS2, EASE_MPS2 = 3.0, 1.5
 
@@ -87,10 +91,10 @@ CC_WANDER_M, CC_TOWARDS_MPS, CC_LEAD_MPS2, CC_CLOSING_MPS = 0.375, 0.05, 5.0, 0.
 FSM_REACT_S, FSM_COMFORT_MPS2, FSM_HARDEST_MPS2, FSM_LEAD_MPS2 = 0.75, 4.0, 6.0, 7.0
 FSM_MARGIN_M, FSM_SAFE_M = 2.0, 2.0
 FSM_AHEAD_S = 0.1
-NEAR_M, ASIDE_M = 150.0, 20.0  # A driver does not look farther ahead, or farther aside
+NEAR_M, ASIDE_M = 150.0, 20.0  # A driver does not look farther ahead or sideways
 
 PASSIVE, CC, FSM = 0, 1, 2
-ANY = -1  # As the agent that a drive's least distance is about
+ANY = -1  # Value of `about`: the least distance to any agent
 
 
 class Avoidability(Enum):
@@ -103,15 +107,15 @@ class Avoidability(Enum):
 
 @dataclass(frozen=True, slots=True)
 class DriverVerdict:
-    """What a reference driver ("cc" or "fsm") makes of a scenario, and why.
+    """The verdict of a reference driver ("cc" or "fsm") on a scenario, and its reason.
 
     Attributes:
         brakes: When it begins to brake with more than 1 m/s2, s since the scenario's start; NaN: never.
         meets: When it touches an agent, s; NaN: never.
-        speed: At the touch, else at the end, m/s.
+        speed: Speed at the touch, else at the end, m/s.
         agent: Id of the agent that the driver touches, else of the one that it would touch without braking; "": none.
-        margin: (6), m; NaN where there is no agent.
-        marginal: Whether little would make it another verdict (module docstring).
+        margin: (6), m; NaN without an agent.
+        marginal: Whether a small change would change the verdict (module docstring).
     """
 
     driver: str
@@ -126,7 +130,7 @@ class DriverVerdict:
 
 
 class Line(NamedTuple):
-    """A reference line as kernels take it, and the speed that eases into its curves at each knot, m/s."""
+    """A reference line for kernels, and the speed at each knot that is slow enough for the curves ahead, m/s."""
 
     knots: FloatArray
     coef: FloatArray
@@ -135,7 +139,7 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Course:
-    """What is driven: a line from a start (s, l, v), at the times t `(k,)`, among the tracks that are there then."""
+    """The input of a drive: a line, a start (s, l, v), the times t `(k,)`, and the tracks present during them."""
 
     line: Line
     start: FloatArray
@@ -147,7 +151,7 @@ class Course:
 
     @staticmethod
     def of(scenario: Scenario, line: ReferenceLine, start: EgoState) -> Course:
-        """The course of an ego that starts at a state, `LONGEST_S` at most."""
+        """Return the course of an ego that starts at a state, at most `LONGEST_S` long."""
         t, tracks = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S), scenario.tracks
         there = present_between(tracks, t[0], t[-1])
         if len(there) < len(tracks):
@@ -158,13 +162,13 @@ class Course:
         return Course(eased, ego, car_of(scenario), t, tracks, others_at(tracks, t), vulnerable)
 
     def drive(self, driver: int, about: int = ANY, late: float = 0.0) -> Driven:
-        """A drive to the first touch; `about`: the agent to which `least` is; the driver judges `late` s later."""
+        """Drive to the first touch; `least` is the distance to the agent `about`; the driver judges `late` s later."""
         rows, *found = _drive(driver, self.line, self.start, self.car, self.others, self.vulnerable, about, late)
         return Driven(*rows, *found)
 
 
 def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
-    """How "cc" drives from the log's first state along `line`, a row every `STEP_S`, until its first touch."""
+    """Drive "cc" from the log's first state along `line` until its first touch, with a row every `STEP_S`."""
     return Course.of(scenario, line, scenario.ego.state(0)).drive(CC)
 
 
@@ -199,20 +203,20 @@ def _verdict(
 
 
 careful_driver = partial(_verdict, "cc", CC)
-"""The verdict of "cc" in a scenario along a line, for an ego that starts at a state (None: the log's first)."""
+"""Returns the verdict of "cc" on a scenario along a line, for an ego that starts at a state (None: the log's first)."""
 fuzzy_driver = partial(_verdict, "fsm", FSM)
-"""The verdict of "fsm", as `careful_driver`."""
+"""Returns the verdict of "fsm"; arguments as `careful_driver`."""
 DRIVERS = {"cc": careful_driver, "fsm": fuzzy_driver}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Driven:
-    """How a driver drove: stations, speeds and accelerations `(k,)` up to its end.
+    """The drive of a reference driver: stations, speeds and accelerations `(k,)` up to its end.
 
     Attributes:
-        meets: Step of its first touch, -1: none; `agent` the other, -1: none.
-        touched: Step in which an agent that is not counted touched it, -1: none.
-        least: Least distance to the agent `about`, m (6); minus the depth where it touches one.
+        meets: Step of its first touch, -1: none; `agent` is the agent touched, -1: none.
+        touched: First step at which an agent that is not counted touches it, -1: none.
+        least: Least distance to the agent `about`, m (6); after a touch, minus its depth.
     """
 
     s: FloatArray
@@ -226,7 +230,7 @@ class Driven:
 
 @kernel
 def curve_speeds(s: FloatArray, kappa: FloatArray) -> FloatArray:
-    """The speed `(n,)` that eases into each curve, m/s."""
+    """Return the speed `(n,)` from which the driver can slow down for each curve ahead, m/s."""
     out = np.empty(len(s))
     for i in range(len(s) - 1, -1, -1):
         out[i] = (CURVE_MPS2 / max(abs(kappa[i]), 1e-9)) ** 0.5
@@ -268,9 +272,9 @@ def _observe(
 
 @inner_kernel
 def _comes_in(seen: FloatArray, v: float, car: Car, slack: float, late: float) -> bool:
-    """Whether an agent beside the band will be in it before the ego is past and, if it crosses, not out too early.
+    """Return whether an agent beside the band enters it before the ego is past and, if it crosses, leaves late enough.
 
-    `slack` s are given to the one, and `late` s less to both.
+    `slack` s are added to the first time; `late` s are subtracted from the first and from the time of leaving.
     """
     gap, u, aside, towards = seen[0], seen[1], seen[2], seen[3]
     if towards <= 0.0 or v <= u or gap < 0.0:
@@ -286,7 +290,7 @@ def _cc_acceleration(
     seen: FloatArray, accel: FloatArray, car: Car, v: float, clock: FloatArray, nearer: FloatArray, late: float,
     braking: bool,
 ) -> float:  # fmt: skip
-    """The acceleration that "cc" wants; updates `clock` (how long each agent is a hazard) and `nearer` (1)."""
+    """Return the acceleration of "cc"; update `clock` (how long each agent has been a hazard) and `nearer` (1)."""
     wish, held = 0.0, False
     for i in range(len(seen)):
         nearer[i] = max(nearer[i] + STEP_S * seen[i, 3], 0.0) if np.isfinite(seen[i, 0]) else 0.0
@@ -315,7 +319,7 @@ def _cc_acceleration(
 
 @inner_kernel
 def fsm_fuzzy(gap: float, safe: float, unsafe: float) -> float:
-    """0 from `safe` on, 1 up to `unsafe`, linear between; a step where both are the same."""
+    """Return 0 from `safe` on, 1 up to `unsafe`, linear between; a step if both are equal."""
     if gap >= safe:
         return 0.0
     if gap <= unsafe or safe - unsafe < 1e-9:
@@ -325,7 +329,7 @@ def fsm_fuzzy(gap: float, safe: float, unsafe: float) -> float:
 
 @kernel
 def fsm_proactive(gap: float, v: float, u: float) -> float:
-    """PFS (8)."""
+    """Return PFS (8)."""
     reach = v * FSM_REACT_S - u * u / (2.0 * FSM_LEAD_MPS2)
     safe = reach + v * v / (2.0 * FSM_COMFORT_MPS2) + FSM_SAFE_M
     return fsm_fuzzy(gap - FSM_MARGIN_M, safe, reach + v * v / (2.0 * FSM_HARDEST_MPS2))
@@ -333,7 +337,7 @@ def fsm_proactive(gap: float, v: float, u: float) -> float:
 
 @kernel
 def fsm_critical(gap: float, v: float, u: float, a: float) -> float:
-    """CFS (9)."""
+    """Return CFS (9)."""
     if v <= u:
         return 0.0
     a = max(a, -FSM_COMFORT_MPS2)
@@ -347,7 +351,7 @@ def fsm_critical(gap: float, v: float, u: float, a: float) -> float:
 
 @inner_kernel
 def _fsm_acceleration(seen: FloatArray, car: Car, v: float, a: float, late: float) -> float:
-    """Acceleration that "fsm" wishes, without its reaction time."""
+    """Return the acceleration of "fsm" without its reaction time."""
     hardest = 0.0
     for i in range(len(seen)):
         gap, u = seen[i, 0], seen[i, 1]
@@ -362,7 +366,7 @@ def _fsm_acceleration(seen: FloatArray, car: Car, v: float, a: float, late: floa
 
 @inner_kernel
 def _first_touch(rear: tuple[float, float, float, float], k: int, car: Car, others: Others, left_out: BoolArray) -> int:
-    """The first agent that the ego with the rear axle x, y, yaw, v touches at step k, -1; some are left out then."""
+    """Return the first counted agent that touches the ego (rear axle x, y, yaw, v) at step k, -1; update `left_out`."""
     x, y, yaw, v = rear
     cx, cy = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
     for i in range(len(left_out)):
@@ -380,7 +384,7 @@ def _first_touch(rear: tuple[float, float, float, float], k: int, car: Car, othe
 def _least_clearance(
     least: float, x: float, y: float, yaw: float, car: Car, pose: FloatArray, size: FloatArray
 ) -> float:
-    """The lesser of `least` (NaN: none yet) and the distance of the box with rear axle (x, y) from an agent's (6)."""
+    """Return the lesser of `least` (NaN: none yet) and the distance (6) of the ego (rear axle x, y) to an agent."""
     cx, cy = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
     if hypot(pose[0] - cx, pose[1] - cy) - reach >= least:
@@ -393,9 +397,9 @@ def _least_clearance(
 def _drive(
     driver: int, line: Line, start: FloatArray, car: Car, others: Others, vulnerable: BoolArray, about: int, late: float
 ) -> tuple[FloatArray, int, int, int, float]:
-    """Rows s, v, a from `start` (s, l, v) to the first touch or the end, and the last four of `Driven`.
+    """Return rows s, v, a from `start` (s, l, v) to the first touch or the end, and the last four fields of `Driven`.
 
-    After the first touch the drive goes on through who is touched, until both are apart, to know how deep it is.
+    After the first touch the drive continues through the agent until both are apart, to measure the depth.
     """
     knots, coef, there, pose = line.knots, line.coef, others.there, others.pose
     n, steps = there.shape
@@ -450,7 +454,7 @@ MARGIN = Reduction("margin", lambda series: (float(series.value[0]), -1), "m", "
 
 
 def metadata_of(verdict: DriverVerdict) -> dict[str, str]:
-    """The metadata entries of a verdict."""
+    """Return the metadata entries of a verdict."""
     key = f"{FINDING}{verdict.driver}"
     entries = {key: verdict.outcome.value, f"{key}.reason": verdict.reason}
     if verdict.agent:

@@ -1,23 +1,25 @@
-"""Responsibility-sensitive safety (RSS), closed loop: how far from a dangerous situation, and was the response proper?
+"""Responsibility-sensitive safety (RSS), closed loop: the margin to a dangerous situation, and the proper response.
 
-Along and across the path ahead of the ego (`following`: the arc of its curvature now; no lanes), every 0.1 s, of every
-agent within `LOOK_M` that is not wholly behind the ego: those keep their own distance. v is the ego's speed, u the
-other's along the path, w across it towards the ego's side, d_lon and d_lat the gaps of the boxes (negative where they
-overlap), and stopping(v) = v RHO + A_MAX RHO^2 / 2 + (v + RHO A_MAX)^2 / (2 B_MIN).
+Measured along and across the path ahead of the ego (`following`: the arc of its present curvature; no lanes), every 0.1
+s, for every agent within `LOOK_M` that is not wholly behind the ego (agents behind must keep their own distance). v is
+the ego's speed, u the other's along the path, w the other's across it towards the ego's side, d_lon and d_lat are the
+gaps of the boxes (negative where they overlap), and stopping(v) = v RHO + A_MAX RHO^2 / 2 + (v + RHO A_MAX)^2 / (2
+B_MIN).
 
-(1) d_lon,min = max(stopping(v) - u^2 / (2 B_MAX), 0) where both go the same way;  stopping(v) + stopping(|u|) where
-    the other comes (u < -0.05 m/s)
+(1) d_lon,min = max(stopping(v) - u^2 / (2 B_MAX), 0) if both drive in the same direction; stopping(v) + stopping(|u|)
+    if the other approaches (u < -0.05 m/s)
 (2) d_lat,min = MU + max(aside(0) + aside(w), 0),  aside(c) = (c + c') RHO / 2 + c' |c'| / (2 B_LAT),
-    c' = c + RHO A_LAT: the ego keeps to its path (c = 0); signed, so that who moves away is not charged; 0 for the
-    other where it stands or is an object: it has no speed to swerve with (ours)
-(3) dangerous: d_lon < d_lon,min and d_lat < d_lat,min;  margin = the greater of both differences, m, negative there
+    c' = c + RHO A_LAT: the ego keeps to its path (c = 0); signed, so that moving away reduces it; aside(w) is 0 if the
+    other stands or is an object, which cannot swerve (an addition of replan)
+(3) dangerous: d_lon < d_lon,min and d_lat < d_lat,min;  margin = the greater of both differences, m; negative:
+    dangerous
 (4) proper response, from RHO after the danger to this agent began until it ends or the ego stands: if d_lat became
-    unsafe last, the ego's speed across the path that it was on when the danger began, towards the other, is at most
-    what it was at RHO, less B_LAT times the time since, or 0; else its braking is at least B_MIN. Before RHO, and in
-    both cases, it accelerates with A_MAX at most.
+    unsafe last, the ego's speed towards the other, across the path that it was on when the danger began, is at most its
+    value at RHO less B_LAT times the time since then, or 0; otherwise the ego brakes with at least B_MIN. At all times,
+    also before RHO, it accelerates with at most A_MAX.
 
-An ego that stands has given its response: no margin. Parameters: the set of JRC-FSM (commit 01b05c29). RSS leaves them
-to its user; with these a car that follows at 15 m/s is in danger within 18.1 m, 1.2 s.
+A standing ego has given its response and has no margin. The parameters are those of JRC-FSM (commit 01b05c29), since
+RSS leaves them to its user. With these, a car that follows at 15 m/s is in danger within 18.1 m, 1.2 s.
 Source: Shalev-Shwartz, Shammah, Shashua, arXiv 1708.06374, definitions 1 to 10.
 """
 
@@ -39,7 +41,7 @@ RHO_S = 0.75
 A_MAX_MPS2, B_MIN_MPS2, B_MAX_MPS2 = 3.0, 6.0, 6.0
 A_LAT_MPS2, B_LAT_MPS2 = 1.0, 1.0
 MU_M = 0.3
-_EPS = 1e-6  # Of rounding, in a comparison of accelerations and times
+_EPS = 1e-6  # Rounding tolerance when accelerations and times are compared
 
 
 @kernel
@@ -50,7 +52,7 @@ def _stopping(v: float) -> float:
 
 @kernel
 def longitudinal_distance(v: float, u: float) -> float:
-    """(1), m."""
+    """Return the minimum longitudinal distance (1), m."""
     if u < -STANDING_MPS:
         return _stopping(v) + _stopping(-u)
     return max(_stopping(v) - u * u / (2.0 * B_MAX_MPS2), 0.0)
@@ -64,13 +66,13 @@ def _lateral_way(c: float) -> float:
 
 @kernel
 def lateral_distance(w: float, swerves: bool) -> float:
-    """(2), m; `w` m/s towards the ego's path."""
+    """Return the minimum lateral distance (2), m; `w` m/s towards the ego's path."""
     return MU_M + max(_lateral_way(0.0) + (_lateral_way(w) if swerves else 0.0), 0.0)
 
 
 @kernel
 def _margins(ego: FloatArray, car: Car, others: Others, i: int, movable: bool) -> FloatArray:
-    """Of agent i: d_lon - d_lon,min, d_lat - d_lat,min, and its side (1 left, -1 right), `(3, k)`; NaN: not asked."""
+    """Return d_lon - d_lon,min, d_lat - d_lat,min, side (1 left, -1 right) of agent i, `(3, k)`; NaN: not judged."""
     there, pose, size = others.there[i], others.pose[:, i], others.size[i]
     steps, half = len(there), 0.5 * car.width
     front, rear = car.axle + 0.5 * car.length, car.axle - 0.5 * car.length
@@ -96,7 +98,7 @@ def _margins(ego: FloatArray, car: Car, others: Others, i: int, movable: bool) -
 
 @kernel
 def _improper_response(t: FloatArray, ego: FloatArray, accel: FloatArray, margins: FloatArray) -> BoolArray:
-    """(4): at which steps `(k,)` the response to one agent is not proper."""
+    """Return at which steps `(k,)` the response to one agent is not proper (4)."""
     out = np.zeros(len(t), np.bool_)
     start, lateral, allowed = -1, False, np.nan
     for k in range(len(t)):
@@ -123,7 +125,7 @@ def _improper_response(t: FloatArray, ego: FloatArray, accel: FloatArray, margin
 
 @once
 def _rss(trace: Trace, scenario: Scenario) -> tuple[Series, Series]:
-    """The least margin (NaN: no agent is asked), and 1 where any response is improper."""
+    """Return the least margin (NaN: no agent is judged), and 1 where any response is improper."""
     ego, car = grid_of(trace), car_of(scenario)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
     margin, improper = np.full(len(ego.t), np.nan), np.zeros(len(ego.t))

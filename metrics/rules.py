@@ -1,51 +1,54 @@
-"""Traffic rules, closed loop: red lights, stop signs, crosswalks, right of way, the right side of the road.
+"""Traffic rules, closed loop: red lights, stop signs, crosswalks, right of way, driving on the correct side.
 
-Crossing: the middle of the ego's front bumper comes over a stop line in the direction of its lane, not further than
-`ASIDE_M` beside its ends. A line counts for the way that the ego takes behind it: that of the lane's successors on
-which the drive lies longest must be one of those that the line counts for. A drive that begins beyond a line, or ends
-before it, says nothing of it.
+Crossing: the middle of the ego's front bumper passes a stop line in the direction of its lane, at most `ASIDE_M` beside
+its ends. The line must apply to the route that the ego takes behind it: the successor of the lane on which the drive
+lies longest must be one of those to which the line applies. A drive that begins beyond a line or ends before it does
+not cross it.
 
     RED_LIGHT      crossings while the line's light shows red, or red and yellow
     STOP_SIGN      crossings of a stop sign's line without a speed below 0.1 m/s in the last 5 m before it
-    CROSSWALK      times that the ego drives on a crosswalk, with a pedestrian at the same time on the ego's half of it:
-                   inside of its outline and within `HALF_LANE_M` of the way that the ego's middle takes over it
+    CROSSWALK      pedestrians on the ego's half of a crosswalk while the ego drives on it, for each passage: inside its
+                   outline, and within `HALF_LANE_M` of the path of the ego's centre; a passage that is under way when
+                   the drive begins is left out
 
-Who is on the crosswalk is taken as it really moved: replayed pedestrians do not wait for an ego that does not.
+The pedestrians are those of the drive: replayed pedestrians do not wait for an ego that does not wait.
 
-Right of way, closed loop: how much time the ego leaves to those who go first.
+Right of way, closed loop: how much time the ego leaves to road users with priority.
 
-By lanes: where the ego drives on a lane that yields (`Lane.yields_to`) and another on one that goes first, and the ego
-is the first of the two at the places that both boxes take:
+By lanes: the ego drives on a lane that yields (`Lane.yields_to`), another road user on a lane with priority, and the
+ego is the first of the two at the places that both boxes occupy:
 
-(1) priority_gap = least t_j - t_i >= 0 over the ego's boxes i and the other's boxes j that overlap: the time from the
-    ego's leaving a spot to the other's taking it (post-encroachment time)
+(1) priority_gap = least t_j - t_i >= 0 over the ego's boxes i and the other's boxes j that overlap: the time from when
+    the ego leaves a place until the other reaches it (post-encroachment time)
 
-Both drives are looked at every `GRID_S`, from `AROUND_S` before the lane is entered to as long after it is left.
+Both drives are sampled every `GRID_S`, from `AROUND_S` before the lane is entered until `AROUND_S` after it is left.
 
-Without lanes: a box j of another that moves (`MOVES_MPS` or faster) on a place that the ego left less than `WITHIN_S`
-before, with
+Without lanes: another road user that moves (at least `MOVES_MPS`) has a box j at a place that the ego left at most
+`WITHIN_S` earlier:
 
-(2) yielding = t_j - t_i - FINE_S,  t_i < t_j the last time at which the ego's box overlapped box j: it is left between
-    t_i and the next time of the grid, and taken between the time before t_j and t_j, so the error is FINE_S at most
+(2) yielding = t_j - t_i - FINE_S,  t_i < t_j the last time at which the ego's box overlapped box j. The ego leaves the
+    place between t_i and the next time of the grid, and the other reaches it between the time before t_j and t_j, so
+    the error is at most FINE_S
 
-in two parts. "recorded": of pedestrians and of traffic across (`encounters.CROSSING_RAD`), as logged (one that gives
-way to the ego would hide what was taken from it), the boxes j which the recorded driver took only after t_j.
-"pedestrian": of pedestrians as they moved in the drive, whatever the recorded driver did. Order is decided box by box:
-a track may change its id. Others are on the ego's way for at least `SEEN_S` in all: less is a flicker of the detection.
-What has no kind (`AgentKind.OBJECT`) has no right of way.
+in two parts. "recorded" uses pedestrians and crossing traffic (`encounters.CROSSING_RAD`) as logged, because a road
+user that gives way to the ego would hide the violation; its boxes j are those that the recorded driver reached only
+after t_j. "pedestrian" uses pedestrians as they moved in the drive, independent of the recorded driver. The order is
+decided for each box, because a track may change its id. The others must be in the ego's way for at least `SEEN_S` in
+total; less is a flickering detection. Objects without a kind (`AgentKind.OBJECT`) have no right of way.
 
-In replayed traffic the others do not brake for the ego, so that a gap shows what it took. Below 1 s a gap is serious,
+In replayed traffic the others do not brake for the ego, so the gap is what the ego left. Below 1 s a gap is serious,
 below 1.5 s critical (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023, from the literature).
 
-Side of the road, closed loop: against a lane's direction, and off its middle. A point's lanes are those under the ego's
-box centre (`lanes.under`); where lanes cross, and beside the road, none is judged. With the angle between the velocity
-vector and the best aligned lane there:
+Side of the road, closed loop: driving against the direction of a lane, and off its centre line. The lanes are those
+under the centre of the ego's box (`lanes.under`); where lanes cross, and beside the road, nothing is judged. With the
+angle between the velocity vector and the best aligned lane there:
 
 (3) wrong_way(t) = max(-v cos(angle), 0)                        speed against the lane, m/s
 (4) worst_1s = max over t of the integral of (3) over (t - 1 s, t]
 (5) lane_keeping(t) = distance from the nearest centre line, positive left of it, m
-(6) lane_line(t) = |(5)| + half of the ego's width - half of the lane's width there: how far its box is over the line,
-    m; measured while no road user and no curve calls for leaving the middle (`needless`), every 0.1 s
+(6) lane_line(t) = |(5)| + half of the ego's width - half of the lane's width there: distance of its box beyond the
+    lane's line, m; measured every 0.1 s while no road user and no curve is a reason to leave the centre line
+    (`needless`)
 
 nuPlan and NAVSIM judge (4): below 2 m is compliant, below 6 m half. Lanes that lie over each other and lead both ways
 (a single-track road) may be driven either way.
@@ -90,12 +93,12 @@ HALF_LANE_M = 1.75
 AROUND_S = 1.0
 SERIOUS_S, CRITICAL_S = 1.0, 1.5
 FINE_S = 0.05  # Grid of (2)
-WITHIN_S = 3.0  # A road user that comes later is not an encounter: twice the critical gap
+WITHIN_S = 3.0  # A road user that arrives later has no encounter with the ego: twice the critical gap, s
 MOVES_MPS = 0.5
 SEEN_S = 0.3
 WRONG_WAY_S = 1.0
 COMPLIANT_M, HALF_M = 2.0, 6.0
-AGAINST_MPS = 0.1  # Slower than this is no driving against a lane: the speed at which a stop is made
+AGAINST_MPS = 0.1  # Slower motion is not driving against a lane: equal to the speed of a stop
 KEEPING_M, KEEPING_S, OVER_M = 0.5, 2.0, 0.3
 NO_LANES = Unavailable("the log has no lanes")
 _NEVER = "the ego is never on a lane, or only where lanes cross"
@@ -134,7 +137,7 @@ def _stop_sign(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _ahead(line: StopLine, ego: Trajectory, scenario: Scenario) -> tuple[FloatArray, FloatArray]:
-    """How far the front's middle is beyond a line and beside its middle `(n,)` each, m."""
+    """Return how far the middle of the front is beyond a line and beside the line's middle, `(n,)` each, m."""
     reach = scenario.vehicle.axle_to_front
     x, y = ego.x + reach * np.cos(ego.yaw), ego.y + reach * np.sin(ego.yaw)
     across = line.points[1] - line.points[0]
@@ -147,7 +150,7 @@ def _ahead(line: StopLine, ego: Trajectory, scenario: Scenario) -> tuple[FloatAr
 
 
 def _crossings(line: StopLine, trace: Trace, scenario: Scenario) -> Iterator[int]:
-    """The steps at which the ego has just come over a line that counts for its way; a drive that ends there took it."""
+    """Yield the steps at which the ego has crossed a line that applies to its route, or behind which the drive ends."""
     road, ego = scenario.road, trace.ego
     ways = [road.lanes[i] for i in road.lanes[line.lane].successors if i in road.lanes]
     ahead, beside = _ahead(line, ego, scenario)
@@ -177,16 +180,16 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
         over = _over(ego, car_of(scenario), crosswalk.polygon)
         change = np.flatnonzero(np.diff(np.r_[False, over, False].astype(int))).tolist()
         for first, end in zip(change[::2], change[1::2], strict=True):
-            if first == 0:  # a passage that is under way at the start
+            if first == 0:  # under way when the drive begins
                 continue
             way = np.ascontiguousarray(ego[:2, first:end])
-            dx, dy = way[:, -1] - way[:, 0]  # straight: the way over a crosswalk is short
+            dx, dy = way[:, -1] - way[:, 0]  # as a straight line: the path over a crosswalk is short
             length = hypot(dx, dy)
             seen = np.intersect1d(walkers, present_between(trace.agents, t[first], t[end - 1]))
             others = some_at(trace.agents, seen, t[first:end])
             for row, i in enumerate(seen.tolist()):
                 who, on = others.pose[:2, row], np.zeros(end - first, np.bool_)
-                for k in np.flatnonzero(np.isfinite(who[0])):  # on the crosswalk and near the ego's way over it
+                for k in np.flatnonzero(np.isfinite(who[0])):  # on the crosswalk and near the ego's path
                     x, y = float(who[0, k]), float(who[1, k])
                     ahead, aside = x - way[0, 0], y - way[1, 0]
                     beside = hypot(ahead, aside) if length < 1e-6 else abs(ahead * dy - aside * dx) / length
@@ -199,7 +202,7 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
 
 @kernel
 def _over(ego: FloatArray, car: Car, polygon: FloatArray) -> BoolArray:
-    """The steps at which a box (rows x, y, yaw) lies over a polygon, by a raster of 9 by 5 points of the box."""
+    """Return the steps at which a box (rows x, y, yaw) overlaps a polygon, tested at 9 by 5 points of the box."""
     out = np.zeros(ego.shape[1], np.bool_)
     for k in range(ego.shape[1]):
         c, s = np.cos(ego[2, k]), np.sin(ego[2, k])
@@ -240,7 +243,7 @@ def _priority_gap(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _steps_around(on: BoolArray) -> BoolArray:
-    """The steps `(k,)` that are marked, and `AROUND_S` before and after them."""
+    """Mark the steps `(k,)` from `AROUND_S` before the first marked one to `AROUND_S` after the last."""
     at = np.flatnonzero(on)
     found, reach = np.zeros(len(on), np.bool_), round(AROUND_S / GRID_S)
     if len(at):
@@ -250,11 +253,11 @@ def _steps_around(on: BoolArray) -> BoolArray:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Meetings:
-    """The boxes of one other (index of its track) on places that a drive takes, at m increasing steps of a grid.
+    """The boxes of one road user (index of its track) at places that a drive occupies, at m increasing grid steps.
 
     Attributes:
-        left: `(m,)` s since the drive last left the place of the box, NaN where it was not there before.
-        taken: `(m,)` s until the drive takes it, 0 in a contact; NaN where it does not.
+        left: `(m,)` s since the drive last left the place of the box; NaN if it was not there before.
+        taken: `(m,)` s until the drive reaches the place, 0 in a contact; NaN if it never does.
     """
 
     agent: int
@@ -264,7 +267,7 @@ class _Meetings:
 
 
 def _meetings(drive: Trajectory, tracks: Tracks, scenario: Scenario, t: FloatArray) -> Iterator[_Meetings]:
-    """Of each pedestrian, and each other that has a kind and moves across the drive, on the times `t` `(k,)`."""
+    """Yield the meetings with pedestrians, and with other kinds (not objects) that cross the drive, at `t` `(k,)`."""
     first, end = np.searchsorted(t, [drive.t[0] - 1e-9, drive.t[-1] + 1e-9])
     boxes = ego_boxes(drive.resampled(np.clip(t[first:end], drive.t[0], drive.t[-1])), scenario)
     car = car_of(scenario)
@@ -289,7 +292,7 @@ def _yielding(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     recorded: Measured = Unavailable("the log has no recorded driver")
     if scenario.is_recorded and len(scenario.ego) > 1:
         tracks = without_phantoms(scenario.tracks, phantoms(scenario))
-        let = {}  # by agent: the steps at which the recorded driver let it go first, and by how much
+        let = {}  # by agent: steps at which the recorded driver let it pass first, and the text with the time
         for one in _meetings(scenario.ego, tracks, scenario, t):
             second = (one.taken > 0.0) & np.isnan(one.left)
             if second.any():
@@ -308,7 +311,7 @@ def _yielding(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 
 
 def _gaps(t: FloatArray, met: Sequence[tuple[_Meetings, IntArray, str]], tracks: Tracks) -> Series:
-    """The least (2) over the boxes at the steps that are asked, at the time at which the ego left their place."""
+    """Return the least (2) over the boxes at the given steps, at the time at which the ego left their place."""
     gap, labels = np.full(len(t), np.nan), [""] * len(t)
     within = [(one, (one.left <= WITHIN_S + 1e-9) & np.isin(one.step, steps), why) for one, steps, why in met]
     seen = t[np.unique(np.concatenate([np.empty(0, np.int64), *(one.step[at] for one, at, _ in within)]))]
@@ -322,7 +325,7 @@ def _gaps(t: FloatArray, met: Sequence[tuple[_Meetings, IntArray, str]], tracks:
 
 
 def _fewer(bound: float, name: str) -> Reduction:
-    """Number of the gaps below `bound`."""
+    """Return a reduction that counts the gaps below `bound`."""
 
     def reduce(series: Series) -> tuple[float, int]:
         failed = series.known & (series.value < bound - 1e-9)
@@ -341,7 +344,7 @@ def _under(trace: Trace, scenario: Scenario) -> Under | None:
 def _wrong_way(trace: Trace, scenario: Scenario) -> Measured:
     if (found := _under(trace, scenario)) is None:
         return NO_LANES
-    against = np.maximum(-trace.ego.v * found.along, 0.0)  # (3); the reference point moves along the heading
+    against = np.maximum(-trace.ego.v * found.along, 0.0)  # (3); the reference point moves along the ego's heading
     return Series(trace.ego.t, against, missing=_NEVER)
 
 
@@ -360,12 +363,12 @@ def _lane_line(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _metres(series: Series) -> FloatArray:
-    """Metres driven against the lanes in each step `(n,)`."""
+    """Return the metres driven against the lanes in each step `(n,)`."""
     return np.where(series.known, series.value, 0.0) * metric.durations(series.t)
 
 
 def worst_metres(series: Series) -> tuple[float, int]:
-    """(4) and the step at which the window ends."""
+    """Return (4) and the step at which its window ends."""
     total = np.r_[0.0, np.cumsum(_metres(series))]
     start = np.searchsorted(series.t, series.t - WRONG_WAY_S + 1e-9)
     within = total[1:] - total[start]

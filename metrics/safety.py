@@ -1,40 +1,40 @@
 """Collisions, gaps, time to collision, and leaving the road.
 
-Closed loop: the ego's box along its drive against the others' boxes as they moved. `proposals` judges plans by the same
-rules, in both loops.
+Closed loop: compares the ego's box along its drive with the others' boxes as they moved. `proposals` judges plans by
+the same rules, in both loops.
 
-Collision: two boxes touch or overlap; each agent counts once. Kinds, the first that holds, in nuPlan's order (the
-first one is ours):
+Collision: two boxes touch or overlap; each agent counts once. The kind is the first that applies, in nuPlan's order
+(FROM_START and CUT_IN are additions of replan):
 
     FROM_START      they touch when the drive begins or the other first appears              not at fault
     STOPPED_EGO     the ego stands (<= 0.05 m/s)                                             not at fault
-    STOPPED_TRACK   the other stands, or is an object, and did not come from behind          at fault
+    STOPPED_TRACK   the other stands or is an object, and did not come from behind           at fault
     CUT_IN          as ACTIVE_REAR, within reach of the lane entry of the ego before it (`cut_in`)        at fault
     ACTIVE_REAR     the other's centre is behind: more than 150 degrees off the heading, seen from the rear axle
                                                                                              not at fault
     ACTIVE_FRONT    the ego's front bumper touches                                           at fault
     LATERAL         any other                          at fault unless the ego keeps its lane (`lanes.keeps_lane`)
 
-It came from behind where its centre is behind, as below, and the boxes would not touch had it stayed where it was one
-step before: objects without a kind may be vehicles that follow, and one that hardly moves is not driven into by an ego
-that goes away from it.
+The other came from behind if its centre is behind, as in ACTIVE_REAR, and the boxes would not touch if it had stayed
+where it was one step before. Objects without a kind may be following vehicles, and an ego that moves away from a slow
+road user does not drive into it.
 
 Time to collision: both boxes go on with their velocity vectors and headings (`shapes.time_to_contact`), up to 10 s;
-agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, with anyone. Each
-step, the last too, holds for w_k (`metric.durations`):
+agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, also with agents
+behind. Each step, including the last, has a duration w_k (`metric.durations`):
 
 (1) TET = sum of w_k [TTC_k < tau],  time exposed, s;  TIT = sum of w_k (tau - TTC_k) [TTC_k <= tau],  time integrated,
-    s2: the published variant; the other one integrates 1 / TTC - 1 / tau and is infinite at a contact
+    s2: the published variant; another variant integrates 1 / TTC - 1 / tau and is infinite at a contact
 
 Severity, at the first touch of each road user, with the velocity vectors v, the ego's mass m_e and that of the other's
-class m_o (`MASS_KG`; an object is immovable; nuPlan takes 2000 kg for both), but FROM_START:
+class m_o (`MASS_KG`; an object is immovable; nuPlan assumes 2000 kg for both). Not measured for FROM_START:
 
 (2) impact speed = |v_e - v_o|, m/s
 (3) delta-v of the ego = m_o / (m_o + m_e) |v_e - v_o|: the change of its velocity if both stick together
 
-Off the road: the greatest distance of the ego's outline to the drivable lanes, at points at most `OUTLINE_M` apart, its
-corners among them: a kerb's corner that reaches into the side of a turning car is seen, and what is within the box has
-come through its outline.
+Off the road: the greatest distance of the ego's outline to the drivable lanes, at points at most `OUTLINE_M` apart,
+including its corners. This also detects the corner of a kerb that reaches into the side of a turning car; anything
+inside the box has crossed its outline.
 """
 
 from __future__ import annotations
@@ -83,9 +83,9 @@ TTC_HORIZON_S, CLOSE_S = 10.0, 0.95  # Horizon of the time to collision, and nuP
 TAU_S = 1.5  # Critical TTC (criticality metrics catalogue, Westhofen et al. 2023)
 CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Methods Eng. 30 (2023)"
 OFF_ROAD_M = 0.3
-OUTLINE_M = 0.25  # Between two points the outline is at most half of this further off than they are, m
-PASSING_MPS, PASSING_M = (3.0, 5.0), (0.5, 1.0)  # Room to those who are passed, by the ego's speed, linear between
-LEAVING_MPS = 0.5  # An agent that leaves to the side this fast has crossed, and is not passed
+OUTLINE_M = 0.25  # Between two points the outline is at most half of this farther off than at them
+PASSING_MPS, PASSING_M = (3.0, 5.0), (0.5, 1.0)  # Required distance when passing, by the ego's speed, linear between
+LEAVING_MPS = 0.5  # An agent that moves away sideways this fast has crossed and is not being passed
 
 
 PERSON_KG = 75.0  # A driver: Regulation (EU) No 1230/2012
@@ -93,8 +93,8 @@ MASS_KG: Mapping[AgentKind, float] = MappingProxyType({
     AgentKind.CAR: 1500.0,  # EN 1317-1, test vehicle of TB 32
     AgentKind.TRUCK: 10_000.0,  # EN 1317-1, rigid heavy goods vehicle of TB 42
     AgentKind.BUS: 13_000.0,  # EN 1317-1, bus of TB 51
-    AgentKind.MOTORCYCLE: PERSON_KG + 200.0,  # a middle-weight machine, round
-    AgentKind.BICYCLE: PERSON_KG + 15.0,  # a city bicycle, round
+    AgentKind.MOTORCYCLE: PERSON_KG + 200.0,  # a middle-weight motorcycle, rounded
+    AgentKind.BICYCLE: PERSON_KG + 15.0,  # a city bicycle, rounded
     AgentKind.PEDESTRIAN: PERSON_KG,
     AgentKind.OBJECT: np.inf,
 })  # fmt: skip
@@ -102,7 +102,7 @@ PARTS = ("impact_speed", "delta_v")
 
 
 class ContactKind(Enum):
-    """How a collision came about (module docstring)."""
+    """The kind of a collision (module docstring)."""
 
     FROM_START = "appeared where the ego was"
     STOPPED_EGO = "the ego stood"
@@ -128,14 +128,14 @@ class Contact:
 
 @once
 def contacts(trace: Trace, scenario: Scenario) -> tuple[Contact, ...]:
-    """The collisions of a drive in order of time."""
+    """Return the collisions of a drive in order of time."""
     return classify(trace.ego, trace.agents, scenario)
 
 
 def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Contact, ...]:
-    """The collisions of a drive, or of a piece of it, among the agents as they moved, in order of time.
+    """Return the collisions of a drive, or of a part of it, with the agents as they moved, in order of time.
 
-    Touches at the first state are FROM_START; a piece begins at the drive's start, or where no agent is touched.
+    Touches at the first state are FROM_START; a part must begin at the drive's start, or where no agent is touched.
     """
     ego, car = ego_boxes(drive, scenario), car_of(scenario)
     first: dict[int, int] = {}
@@ -165,7 +165,7 @@ def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Con
 def contact_kind(
     rear: FloatArray, car: Car, before: FloatArray, pose: FloatArray, size: FloatArray, is_object: bool
 ) -> int:
-    """Index in `KINDS` of a contact with `pose` `(5,)` and `size` `(2,)`, which did not touch the ego `before` `(5,)`.
+    """Return the index in `KINDS` of a contact with `pose` `(5,)` and `size` `(2,)`; no touch yet at `before` `(5,)`.
 
     `rear` are x, y, yaw and v of the ego's rear axle.
     """
@@ -187,7 +187,7 @@ def contact_kind(
 
 @kernel
 def _first_contacts(ego: FloatArray, car: Car, others: Others) -> IntArray:
-    """Per agent the first step at which the boxes touch, -1 where they never do."""
+    """Return for each agent the first step at which the boxes touch; -1 if they never do."""
     out = np.full(len(others.size), -1, np.int64)
     for i in range(len(out)):
         for k in range(others.there.shape[1]):
@@ -204,9 +204,9 @@ def _first_contacts(ego: FloatArray, car: Car, others: Others) -> IntArray:
 def _gaps(
     ego: FloatArray, car: Car, others: Others, there: BoolArray, wanted: BoolArray, recent: int
 ) -> tuple[FloatArray, IntArray]:
-    """Per step the least distance to a wanted agent that is `there` (NaN: none) and its index (-1).
+    """Return for each step the least distance to a wanted agent that is `there` (NaN: none) and its index (-1).
 
-    `recent` was the nearest before, and is looked at first.
+    `recent` is the previous nearest agent, which is tried first.
     """
     pose, size, steps = others.pose, others.size, there.shape[1]
     gap, nearest = np.full(steps, np.nan), np.full(steps, -1, np.int64)
@@ -229,7 +229,7 @@ def _gaps(
 def _contact_times(
     ego: FloatArray, car: Car, others: Others, wanted: BoolArray, horizon: float
 ) -> tuple[FloatArray, IntArray]:
-    """Per step the least time to contact of a wanted agent below the horizon (NaN: none) and its index (-1)."""
+    """Return for each step the least time to contact of a wanted agent within the horizon (NaN), and its index (-1)."""
     pose, steps = others.pose, others.there.shape[1]
     least, nearest = np.full(steps, np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
@@ -256,25 +256,25 @@ def _collision(trace: Trace, scenario: Scenario, *, fault_only: bool) -> Measure
 
 
 def label(contact: Contact, trace: Trace) -> str:
-    """The road user, the kind and the fault: "car 12: from behind, not at fault"."""
+    """Return road user, kind and fault as text: "car 12: from behind, not at fault"."""
     fault = "at fault" if contact.at_fault else "not at fault"
     return f"{name_of(trace.agents, contact.agent)}: {contact.kind.value}, {fault}"
 
 
 def _counted_agents(trace: Trace, vulnerable_only: bool) -> BoolArray:
-    """Which agents count `(n,)`: all, or pedestrians and riders."""
+    """Return which agents are considered `(n,)`: all, or pedestrians and riders."""
     return np.array([kind.is_vulnerable or not vulnerable_only for kind in trace.agents.kinds], np.bool_)
 
 
 def impact_speed(contact: Contact, trace: Trace, scenario: Scenario) -> float:
-    """Length of the difference of the velocity vectors at the first touch, m/s."""
+    """Return the length of the difference of the velocity vectors at the first touch, m/s."""
     other = some_at(trace.agents, np.array([contact.agent]), trace.ego.t[contact.step : contact.step + 1])
     mine, theirs = ego_boxes(trace.ego, scenario)[3:, contact.step], other.pose[3:, 0, 0]
     return float(np.hypot(*(theirs - mine)))
 
 
 def delta_v(speed: float, mass: float, other_mass: float) -> float:
-    """(3), m/s."""
+    """Return the delta-v of the ego (3), m/s."""
     return speed if np.isinf(other_mass) else speed * other_mass / (other_mass + mass)
 
 
@@ -292,7 +292,7 @@ def _severity(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 
 @kernel
 def _approachable(ego: FloatArray, car: Car, others: Others, leaving: float) -> BoolArray:
-    """Which agents a moving ego drives by or towards `(n, k)`: not behind, nor going `leaving` m/s away to the side."""
+    """Return which agents a moving ego passes or approaches `(n, k)`: not behind, nor moving aside at `leaving` m/s."""
     there, pose = others.there, others.pose
     out = there.copy()
     for k in range(there.shape[1]):
@@ -350,13 +350,13 @@ def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured
 
 
 def _integral(series: Series) -> tuple[float, int]:
-    """TIT (1)."""
+    """Return TIT (1), s2, and the first step that contributes."""
     flags = series.known & (series.value <= TAU_S)
     return float(np.sum((metric.durations(series.t) * (TAU_S - series.value))[flags])), metric.first_of(flags)
 
 
 def known_lanes(scenario: Scenario) -> LaneArrays | Unavailable:
-    """The lanes that a car may drive on, where the log says where they are."""
+    """Return the lanes that a car may drive on, if the log has lanes."""
     if scenario.road.source is RoadSource.DRIVEN_PATH:
         return Unavailable("the log has no lanes: the road's edge is not known")
     return drivable_lanes(scenario.road) or Unavailable("the log has no lane on which a car may drive")
@@ -371,9 +371,9 @@ def _off_road(trace: Trace, scenario: Scenario) -> Measured:
 def box_off_lanes(
     lanes: LaneArrays, box: FloatArray, vehicle: VehicleParameters, step: float = OUTLINE_M
 ) -> FloatArray:
-    """Greatest distance `(k,)` of the outline of a box (centre and yaw, `(3 or more, k)`) to the drivable lanes, m.
+    """Return the greatest distance `(k,)` of a box's outline (centre, yaw: `(3 or more, k)`) to the drivable lanes, m.
 
-    `step` is that between two points of the outline, m; inf: the corners alone.
+    `step` is the greatest distance between two points of the outline, m; inf: only the corners.
     """
     ends = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * [vehicle.length, vehicle.width]
     sides = [np.linspace(a, b, max(ceil(np.hypot(*(b - a)) / step), 1), False) for a, b in pairwise(ends)]
@@ -385,7 +385,7 @@ def box_off_lanes(
 def _farthest_off(
     lanes: LaneArrays, x: FloatArray, y: FloatArray, c: FloatArray, s: FloatArray, outline: FloatArray
 ) -> FloatArray:
-    """The greatest `off_lanes` of the points (ahead, left) of an outline at poses with the cosine c and the sine s."""
+    """Return the greatest `off_lanes` of an outline's points (ahead, left) at poses with cosine c and sine s of yaw."""
     worst = np.zeros(len(x))
     for i in range(len(outline)):
         ahead, left = outline[i, 0], outline[i, 1]

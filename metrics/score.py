@@ -1,10 +1,10 @@
-"""The scores of nuPlan, NAVSIM and CARLA, out of the metrics here.
+"""The scores of nuPlan, NAVSIM and CARLA, computed from the metrics of replan.
 
 (1) score = product of the multipliers x (sum of weight x part) / (sum of weights)
 
-Every part is in 0 .. 1 and is shown beside its score. A part that cannot be measured is left out with its weight, and
-the score's row names it ("without: red lights"); a multiplier makes the score unavailable, except where there was
-nothing to break (no lights, no stop signs).
+Every part is in 0 .. 1, and the table shows it beside its score. A weighted part that cannot be measured is left out
+with its weight, and the row of the score names it ("without: red lights"). A multiplier that cannot be measured makes
+the score unavailable, unless it is optional (no traffic lights, no stop signs).
 
 nuPlan, closed loop (devkit e9241677):
 (2) collisions x drivable x direction x making_progress x (5 progress + 5 ttc + 4 speed_limit + 2 comfort) / 16
@@ -13,23 +13,23 @@ nuPlan, open loop, over the horizons 3, 5 and 8 s that the log allows:
 NAVSIM, 0a380a90:
 (4) PDMS = collisions x drivable x (5 progress + 5 ttc + 2 comfort) / 12
 (5) EPDMS = collisions x drivable x direction x red_lights x (5 ttc + 5 progress + 2 comfort + 2 lane_keeping
-    + 2 extended_comfort) / 16;  a part in which the log's driver has 0 is 1
+    + 2 extended_comfort) / 16;  a part is 1 if the log's driver has 0 in it
 CARLA leaderboard 2.x, in 0 .. 1:
 (6) completion x penalties x red_lights x stop_signs x inside_lanes
 
     collisions        product over {pedestrians and riders, vehicles, objects} of max(0, 1 - n / (1, 1, 2)), n at fault
     drivable          1 unless the ego's outline is 0.3 m off the lanes (the sources look at its corners)
     direction         1, 0.5, 0: less than 2 m, 6 m driven against a lane within 1 s
-    making_progress   1 where progress is 0.2 at least
+    making_progress   1 where progress is at least 0.2
     ttc               1 where it is always above 0.95 s and no collision is at fault
     speed_limit       `speed_excess.compliance`, the excess at the start included
     comfort           1 where all six signals that nuPlan filters are always within their bounds
     lane_keeping      1 where no episode beyond 0.5 m lasts 2 s
     extended_comfort  share of the pairs of plans 0.5 s apart within all four bounds
-    miss              1 where at most 0.3 of the plans miss at each horizon; one that does not reach it misses
+    miss              1 where at most 0.3 of the plans miss at each horizon; a plan that does not reach it misses
     ade, fde; ahe, fhe   1 where the mean over frames and horizons is at most 8 m; 0.8 rad
-    penalties         0.5 per pedestrian that was touched, 0.6 per vehicle, 0.65 per object, whoever was at fault
-    red_lights, stop_signs   0.7 and 0.8 per crossing in CARLA; in (5) 1 without any and else 0
+    penalties         0.5 per pedestrian touched, 0.6 per vehicle, 0.65 per object, regardless of fault
+    red_lights, stop_signs   0.7 and 0.8 per crossing in CARLA; in (5) 1 without crossings, else 0
     inside_lanes      share of the distance that was driven neither off the lanes nor against them
 """
 
@@ -58,13 +58,13 @@ Part = Callable[[Trace, Scenario], Value]
 
 @dataclass(frozen=True, slots=True)
 class Formula:
-    """How parts make a score (1).
+    """How a score is computed from its parts (1).
 
     Attributes:
         multipliers: Names in `PARTS`.
         weights: Weight by name in `PARTS`; empty: the score is the product.
-        optional: Multipliers that count 1 where they cannot be measured.
-        excused: Whether a part in which the log's driver has 0 counts 1.
+        optional: Multipliers that are left out where they cannot be measured.
+        excused: Whether a part is 1 if the log's driver has 0 in it.
     """
 
     multipliers: tuple[str, ...]
@@ -86,7 +86,7 @@ def _series(metric: Metric, trace: Trace, scenario: Scenario) -> Series | Unavai
 
 
 def _part_of(metric: Metric, judge: Callable[[Series], float]) -> Part:
-    """A part that is a function of one metric's steps."""
+    """Return a part that is computed from the series of one metric."""
 
     def part(trace: Trace, scenario: Scenario) -> Value:
         found = _series(metric, trace, scenario)
@@ -146,7 +146,7 @@ def _inside_lanes(trace: Trace, scenario: Scenario) -> Value:
 
 
 def _open_loop(metric: Metric, judge: Callable[[list[Series]], bool]) -> Part:
-    """A part that is a function of a metric's series at nuPlan's horizons, as far as the log lasts."""
+    """Return a part that is computed from a metric's series at the horizons of nuPlan that the log covers."""
 
     def part(trace: Trace, scenario: Scenario) -> Value:
         found = metric.found(trace, scenario)
@@ -212,7 +212,7 @@ CARLA = Formula(
 
 
 def combined(formula: Formula, parts: Mapping[str, Value]) -> tuple[Value, str]:
-    """(1), and the label that names what was left out."""
+    """Return (1), and the label that names the parts left out."""
     for name in formula.multipliers:
         if isinstance(value := parts[name], Unavailable) and name not in formula.optional:
             return Unavailable(f"{name.replace('_', ' ')}: {value.reason}"), ""

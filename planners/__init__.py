@@ -1,9 +1,9 @@
-"""What to drive: Frame -> Plan.
+"""Planners: Frame -> Plan.
 
-    PLANNERS        the planners by name; adding one is one file and one line here
-    load_planner    "name" | "module:Class" -> what builds the planner: factory(context, **config) -> Planner
+    PLANNERS        the planners by name; a new one needs one file and one line here
+    load_planner    "name" | "module:Class" -> the planner's factory: factory(context, **config) -> Planner
 
-To write your own, read `logs/frame.py` (what a planner is given) and `planners/constant_speed.py` (the template).
+To write your own, read `logs/frame.py` (the input of a planner) and `planners/constant_speed.py` (the template).
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ PLANNERS: dict[str, PlannerFactory] = {
 
 
 def _wrong(thing: object) -> str:
-    """What is wrong with a planner's factory."""
+    """Describe why an object cannot build planners; empty if it can."""
     fits = callable(thing) and (not isinstance(thing, type) or callable(getattr(thing, "plan", None)))
-    return "" if fits else "is no planner: it needs a method plan(frame) -> Plan"
+    return "" if fits else "is not a planner: it needs a method plan(frame) -> Plan"
 
 
 PLANNER: Kind[PlannerFactory] = Kind("planner", "planners", PLANNERS, _wrong, PlannerError, "module:Class")
-"""Those of ours, and of users."""
+"""Finds planners by name: the built-in ones and those of users."""
 
 
 def load_planner(spec: str, *, also: Iterable[str] = ()) -> PlannerFactory:
-    """The factory of the planner that the user named.
+    """Load the factory of a planner.
 
     Args:
-        spec: A name in PLANNERS or of an entry point, or "module:Class".
+        spec: A name in PLANNERS, the name of an entry point, or "module:Class".
         also: Further names that the caller knows, for the error message about an unknown name.
 
     Raises:
@@ -60,5 +60,5 @@ def load_planner(spec: str, *, also: Iterable[str] = ()) -> PlannerFactory:
     return PLANNER.find(spec, also=also)
 
 
-if not TYPE_CHECKING:  # a type checker would take any name for one of ours
+if not TYPE_CHECKING:  # a type checker would accept any name as a member of this package
     __getattr__ = replan.own.missing("planners")

@@ -1,8 +1,8 @@
 """The interface of a planner: one method.
 
-A planner is built as `Class(context, **config)`, once per scenario, and then asked for a plan at each frame. Its
-memory (solver warm starts, hysteresis) lives in the object; there is no reset. `frame.previous is None` means fresh
-memory: nothing remembered may change the plan.
+The replay builds a planner as `Class(context, **config)`, once per scenario, and calls `plan` at each frame. The
+planner's memory (solver warm starts, hysteresis) lives in the object; there is no reset. Where `frame.previous` is
+None, memory of earlier frames must not change the plan.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ class Planner(Protocol):
     """Plans from a frame.
 
     A planner that cannot plan returns its fallback with the status and the reason; it neither returns None nor
-    raises. It leaves the frame untouched and is deterministic.
+    raises. It does not change the frame and is deterministic.
     """
 
     def plan(self, frame: Frame) -> Plan:
-        """A plan from `frame.t` on, at least one sample, in the world frame, at the rear axle."""
+        """Return a plan from `frame.t` on: at least one sample, of the rear axle, in the world frame."""
         ...

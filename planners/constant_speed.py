@@ -16,26 +16,26 @@ from logs.trace import Plan
 
 
 class ConstantSpeed:
-    """Goes on along a circular arc; it ignores all road users.
+    """Continues along a circular arc and ignores all road users.
 
     Args:
-        context: What does not change: `context.road`, `context.goal`, `context.vehicle`, `context.period`.
+        context: The constant inputs: `context.road`, `context.goal`, `context.vehicle`, `context.period`.
         horizon_s: How far the plan reaches, s. Every keyword after the context is a key of `[planner.NAME]` in a
             run's configuration; give it a default and its unit.
         step_s: Time between two samples of the plan, s.
     """
 
     def __init__(self, context: PlannerContext, *, horizon_s: float = 8.0, step_s: float = 0.1) -> None:
-        # A planner is built once per scenario. Memory (warm starts, hysteresis) belongs into the object, set here.
+        # A planner is built once per scenario. Memory (warm starts, hysteresis) belongs in the object; set it here.
         self.lap = context.lap
         self.ahead = step_s * np.arange(round(horizon_s / step_s) + 1)
 
     def plan(self, frame: Frame) -> Plan:
-        """A plan from `frame.t` on.
+        """Return a plan from `frame.t` on.
 
-        `frame.agents` are the others now, `frame.predictions` their assumed futures, `frame.previous` the plan being
-        driven: in the open loop and at the first frame there is none, and then no memory may change the plan.
-        A planner that fails returns what it falls back to, with a PlanStatus and a reason; it does not raise.
+        `frame.agents` are the road users now, `frame.predictions` their assumed futures, `frame.previous` the plan
+        that the ego is driving. It is None in the open loop and at the first frame; then memory must not change the
+        plan. A planner that fails returns its fallback, with a PlanStatus and a reason; it does not raise.
         """
         trajectory = arc(frame.ego, frame.t + self.ahead)
         self.lap("arc")  # optional: the time since the last lap appears under this name in the timings
@@ -43,7 +43,7 @@ class ConstantSpeed:
 
 
 def arc(ego: EgoState, t: FloatArray) -> Trajectory:
-    """The ego carried on at constant speed and curvature to the times `t` `(n,)`, s; exact, also for a straight line.
+    """Extrapolate the ego at constant speed and curvature to the times `t` `(n,)`, s; exact, also on a straight line.
 
     The chord of an arc of length s that turns by 2 h is s sin(h) / h, in the direction yaw + h.
     """

@@ -5,7 +5,7 @@ Path: the reference line of the route; from an offset the ego returns to it on t
 
 (1) dv/dt = a (1 - (v / v0)^4) - a (s* / gap)^2             v <= v0
 (2) s*    = s0 + max(0, v T + v (v - v_lead) / (2 sqrt(a b)))
-(3) dv/dt = max(-b, v dv0/ds - (v - v0) / tau) - a (s* / gap)^2    v > v0, where (1) would brake much too hard; ours
+(3) dv/dt = max(-b, v dv0/ds - (v - v0) / tau) - a (s* / gap)^2    v > v0 (not in IDM: (1) would brake much too hard)
 
 v0 is the limit of the lane, and of the curve: v0^2 |kappa| <= `curve_accel_mps2`. In equilibrium behind a leader
 
@@ -13,7 +13,7 @@ v0 is the limit of the lane, and of the curve: v0^2 |kappa| <= `curve_accel_mps2
 
 The leader at a time of the roll-out is the nearest agent ahead whose predicted footprint is on the path then or within
 `ahead_s`; it may be a crossing one, whose speed along the path is small. The ego does not pass an agent in its path; it
-stops behind it. Where the traffic rules demand a stop, a leader stands there (`planners.rules`).
+stops behind it. A stop that the traffic rules demand is a standing leader (`planners.rules`).
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ from planners.rules import Rulebook, RuleMemory
 KNOT_M = 2.0
 """Spacing of the knots of the path, m."""
 TOUCHING_M = 0.1
-"""A gap is not less than this in (1), m."""
+"""Least gap in (1) and (3), m."""
 SLOWEST_MPS = 0.5
-"""v0 is not less than this in (1) and (3), m/s."""
+"""Least v0 in (1) and (3), m/s."""
 TRACK_LIMIT_S = 0.5
 """tau of (3), s."""
 EXACT = StGraphConfig(early_s=0.0, late_s=0.0)
-"""Predictions are taken at their word: the time gap is what IDM has for what is uncertain."""
+"""No time margins around predictions: IDM's time gap covers their uncertainty."""
 
 
 @dataclass(frozen=True)
@@ -60,14 +60,14 @@ class IdmConfig:
     Attributes:
         accel_mps2: Greatest acceleration (a).
         decel_mps2: Comfortable deceleration (b), positive.
-        time_gap_s: To the leader (T).
-        standstill_gap_m: To the leader where both stand (s0).
-        hardest_mps2: No deceleration is harder, positive.
-        jerk_mps3: Bound of the change of acceleration, which IDM itself lacks.
+        time_gap_s: Time gap to the leader (T).
+        standstill_gap_m: Gap to the leader where both stand (s0).
+        hardest_mps2: Bound of the deceleration, positive.
+        jerk_mps3: Bound of the jerk; IDM itself has none.
         curve_accel_mps2: Lateral acceleration in curves.
         ease_mps2: Deceleration towards a lower limit or a curve.
-        ahead_s: Who is predicted on the path within this time counts as a leader now.
-        return_s: Time in which an offset from the reference line is undone.
+        ahead_s: An agent that is predicted on the path within this time is a leader now.
+        return_s: Time in which the ego returns from an offset to the reference line.
     """
 
     accel_mps2: float = 1.4
@@ -87,7 +87,7 @@ class IdmConfig:
 
 
 class Idm:
-    """Follows the middle of the route; its memory is the last station and what the rules remember."""
+    """Follows the middle of the route; its memory is the last station and the memory of the rules."""
 
     def __init__(self, context: PlannerContext, config: IdmConfig | None = None) -> None:
         self._config = config or IdmConfig()
@@ -101,14 +101,14 @@ class Idm:
         self._memory = RuleMemory()
 
     def plan(self, frame: Frame) -> Plan:
-        """The roll-out of (1) along the path; a stop where the ego is outside of the reference line's frame."""
+        """Return the roll-out of (1) to (3) along the path; a stop where the ego is outside the line's frame."""
         scene, start_kind = self._tracker.scene(frame)
         start, car, agents = scene.start, self._vehicle, frame.agents
         if frame.previous is None:
             self._memory = RuleMemory()
         if scene.trouble:
             return fall_back(frame, start, start_kind, None, scene.trouble, (), car)
-        reach = HORIZON_STEPS * STEP_S * (scene.v + 4.0) + 20.0  # as far as the horizon can
+        reach = HORIZON_STEPS * STEP_S * (scene.v + 4.0) + 20.0  # longer than any roll-out
         d, (l0, dl0, ddl0) = KNOT_M * np.arange(int(reach / KNOT_M) + 2), scene.frenet
         span = max(15.0, self._config.return_s * scene.v)
         back = np.polynomial.Polynomial([l0, dl0, 0.5 * ddl0, *quintic(l0, dl0, ddl0, 0.0, span)])
@@ -116,7 +116,7 @@ class Idm:
         path = make_path(scene.reference.line, scene.s, KNOT_M, offsets)
         self._lap("path")
         x, y = agents.x - start.x, agents.y - start.y
-        aside = x * cos(start.yaw) + y * sin(start.yaw) < car.wheelbase  # not ahead of the front axle: not followed
+        aside = x * cos(start.yaw) + y * sin(start.yaw) < car.wheelbase  # behind the front axle: not followed
         skip = behind(scene, keeps_track=True) | (aside & (np.hypot(x, y) < car.length + 0.5 * agents.length))
         blocks = st_boundaries(scene, path, skip, frozenset(), EXACT)
         demanded, self._memory = self._rules.stops(scene, self._memory)
@@ -150,7 +150,7 @@ class Idm:
     def _profile(
         self, path: Path, blocks: StBoundaries, stops: tuple[Occupancy, ...], start: EgoState
     ) -> tuple[FloatArray, IntArray]:
-        """Rows s, v, a `(3, HORIZON_KNOTS)`; per knot the row of `blocks` that led, -1: none; beyond them: a stop."""
+        """Rows s, v, a `(3, HORIZON_KNOTS)`; the leader per knot: a row of `blocks`, after them a stop; -1: none."""
         c, line = self._config, self._tracker.reference.line
         limit = np.interp(path.s, line.s, self._tracker.reference.limit)
         v0 = limit_profile(path.sigma, path.kappa, limit, c.curve_accel_mps2, c.ease_mps2)
@@ -180,7 +180,7 @@ def _rolled_out(
     sigma: FloatArray, limit: FloatArray, t: FloatArray, lower: FloatArray, upper: FloatArray, speed: FloatArray,
     ahead: int, start: FloatArray, driver: FloatArray,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
-    """The driver (a, b, T, s0, hardest, jerk) from `start` (v, a) along a path with limits; see `Idm._profile`."""
+    """Simulate the driver (a, b, T, s0, hardest, jerk) from `start` (v, a); returns what `Idm._profile` returns."""
     out, led = np.zeros((3, HORIZON_KNOTS)), np.full(HORIZON_KNOTS, -1)
     s, v, a, here, k = 0.0, start[0], start[1], 0, 0
     for n in range(HORIZON_KNOTS):
@@ -189,7 +189,7 @@ def _rolled_out(
             here += 1
         while k < len(t) - 1 and t[k + 1] <= n * STEP_S + 1e-9:
             k += 1
-        gap = inf  # to the nearest block ahead, 0 in one; not one that begins later behind the ego
+        gap = inf  # to the nearest block ahead, 0 inside one; blocks that begin later behind the ego are skipped
         for i in range(len(lower)):
             for j in range(k, min(k + ahead + 1, lower.shape[1])):
                 if not np.isfinite(lower[i, j]) or upper[i, j] <= s or (j > k and lower[i, j] <= s):

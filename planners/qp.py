@@ -3,11 +3,11 @@
     minimise 1/2 x' P x + q' x    subject to    l <= A x <= u,  the first rows equalities
 
 A workspace is set up once with its matrices and belongs to one owner; each solve gets new vectors, and where A varies
-`refill` gives new numbers in the places of the old ones. OSQP (Stellato et
+`refill` replaces its stored entries. OSQP (Stellato et
 al., 2020), an ADMM method, solves most problems in a few warm-started iterations, but a tight corridor can cost it
-thousands. What it has not solved within `max_iterations` is handed to PIQP (Schwan et al., 2023), an interior-point
-method that needs about ten for any of ours; the report then says so. A solver may call a problem solved that only its
-own tolerance flatters, so the bounds are checked again here.
+thousands. PIQP (Schwan et al., 2023), an interior-point method that needs about ten iterations for the planners'
+problems, solves those that OSQP has not solved within `max_iterations`; the report then names it. A solver may report a
+solution that violates bounds by its own tolerance, so this module checks the bounds again.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from logs.trace import SolverReport
 SOLVED = 1
 """OSQP's status of a solved problem."""
 RHO = 0.1
-"""Its first step size (rho): its own default."""
+"""OSQP's first step size (rho), which is its default."""
 WORDS = {
     piqp.PIQP_SOLVED: "solved",
     piqp.PIQP_MAX_ITER_REACHED: "iterations spent",
     piqp.PIQP_PRIMAL_INFEASIBLE: "infeasible",
     piqp.PIQP_DUAL_INFEASIBLE: "unbounded",
 }
-"""What PIQP's statuses mean."""
+"""PIQP's statuses in words."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class QPConfig:
 
     Attributes:
         eps: Absolute and relative tolerance of OSQP.
-        max_iterations: Of OSQP, before PIQP is asked; 0: PIQP is asked at once.
+        max_iterations: Iterations of OSQP before PIQP solves the problem; 0: PIQP solves it at once.
         check_every: Iterations between two tests for convergence.
-        tolerance: Largest violation of a bound that still counts as solved, in the units of the row.
+        tolerance: Largest violation of a bound in a solution, in the units of the row.
     """
 
     eps: float = 1e-4
@@ -58,7 +58,7 @@ class QPConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class QPResult:
-    """A solution `x` `(n,)` (to be used only where `report.solved`) and how the solver got there."""
+    """A solution `x` `(n,)` (to be used only where `report.solved`) and the solver's report."""
 
     x: FloatArray
     report: SolverReport
@@ -71,7 +71,7 @@ class QuadraticProgram:
         stage: Name in the solver reports.
         P: `(n, n)` symmetric positive semidefinite.
         A: `(m, n)`.
-        equalities: The number of first rows with equal bounds.
+        equalities: Number of rows with equal bounds, which come first.
         scale: `(n,)` typical size of each variable; the solvers work on x / scale, and on rows of size 1.
         config: Settings.
     """
@@ -109,9 +109,9 @@ class QuadraticProgram:
         self._refilling: tuple[FloatArray, IntArray] | None = None
 
     def refill(self, values: FloatArray) -> None:
-        """New numbers for the stored entries of A `(nnz,)`, in the order of its columns (`A.data`, sorted indices).
+        """Replace the stored entries of A `(nnz,)`, in the order of its columns (`A.data`, sorted indices).
 
-        Rows stay scaled as at the set-up.
+        The scale of the rows stays that of the set-up.
 
         Raises:
             ValueError: The number of entries differs, or one is not finite.
@@ -130,10 +130,10 @@ class QuadraticProgram:
         self._rows.data[:] = self._A.data[order]
         if self._fast is not None:
             self._fast.update(Ax=self._A.data)
-        self._sure = None  # its updates of A lose accuracy from one to the next
+        self._sure = None  # each of its updates of A loses accuracy
 
     def solve(self, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool) -> QPResult:
-        """Solve with new vectors; `fresh` forgets the last solution, so that the result depends on nothing before."""
+        """Solve with new vectors; `fresh` forgets the last solution, so that the result does not depend on it."""
         if not (lower <= upper).all():
             row = int(np.argmin(lower <= upper))
             return self._unsolved_result(
@@ -163,7 +163,7 @@ class QuadraticProgram:
         self, q: FloatArray, lower: FloatArray, upper: FloatArray, spent: int, *, fresh: bool
     ) -> QPResult:
         k = self._equalities
-        if fresh or self._sure is None:  # an update rounds the matrices once more: the last bits are others
+        if fresh or self._sure is None:  # an update rounds the matrices once more: the last bits differ
             self._sure = piqp.SparseSolver()
             equal, between = self._rows[:k].tocsc(), self._rows[k:].tocsc()
             self._sure.setup(self._P, q, equal, lower[:k], between, lower[k:], upper[k:])
@@ -182,7 +182,7 @@ class QuadraticProgram:
         return self._check_answer(np.array(found.x), report, lower, upper)
 
     def _check_answer(self, z: FloatArray, report: SolverReport, lower: FloatArray, upper: FloatArray) -> QPResult:
-        """The answer to a scaled problem, not solved where a bound is violated by more than the tolerance."""
+        """Scale an answer back; it is not solved where it violates a bound by more than the tolerance."""
         if report.solved:
             value = self._rows @ z
             excess = np.maximum(lower - value, value - upper) / self._row_scale

@@ -1,8 +1,8 @@
-"""Drive it: world, loops, vehicle, controllers, traffic; and what is made of a drive."""
+"""Drives logs: world, loops, vehicle, controllers, traffic; results, reports and analyses of drives."""
 
 from typing import TYPE_CHECKING
 
 import replan.own
 
-if not TYPE_CHECKING:  # a type checker would take any name for one of ours
+if not TYPE_CHECKING:  # with `__getattr__` visible, a type checker would accept any name
     __getattr__ = replan.own.missing("replay")

@@ -1,4 +1,4 @@
-"""What `import replan` does in one call: drive and judge (`evaluate`), and compare two runs (`compare`)."""
+"""The functions of `import replan`: drive and judge (`evaluate`), and compare two runs (`compare`)."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def compare(
     planners: Sequence[str] = (),
     gates: Path | str | None = None,
 ) -> Comparison:
-    """Two runs compared per log and metric, as `replan compare`.
+    """Compare two runs per log and metric, as `replan compare`.
 
     Args:
         baseline: Results, their folder, or a file of `replan baseline`.
@@ -96,8 +96,8 @@ def compare(
         gates: A TOML file of thresholds and rules of comparison; None: the packaged ones.
 
     Raises:
-        ConfigError: There are no such results, or no such planner in them.
-        LogError: They are damaged.
+        ConfigError: The results do not exist, or do not contain the planner.
+        LogError: The results are damaged.
     """
     from replay.compare import compare_runs, read_run
 
@@ -106,10 +106,10 @@ def compare(
 
 
 def named(planner: str | type) -> str:
-    """The name by which a worker finds a planner; for a class, "module:Class".
+    """Return the name by which a worker finds a planner; for a class, "module:Class".
 
     Raises:
-        ConfigError: The class is of a script or a notebook, which a worker cannot import.
+        ConfigError: The class is defined in a script or a notebook, which a worker cannot import.
     """
     if isinstance(planner, str):
         return planner
@@ -121,7 +121,7 @@ def named(planner: str | type) -> str:
 
 
 def _over(config: Any, given: dict[str, Any]) -> Any:
-    """A configuration with keys replaced; ConfigError where there is no such key."""
+    """Return a configuration with keys replaced; ConfigError if a key does not exist."""
     try:
         return replace(config, **given)
     except TypeError as error:

@@ -1,7 +1,8 @@
 """Compares two runs, as result folders or baseline files, and finds the first differences of their drives.
 
-A baseline is one Parquet file: the rows of metrics.parquet (without the metrics' sources), and in its metadata what
-they were made with, as JSON. It holds what judging and comparing need and no traces; equal results give equal bytes.
+A baseline is one Parquet file: the rows of metrics.parquet (without the metrics' sources), and in its metadata the
+settings and versions of the run, as JSON. It holds all that judging and comparing need, but no traces; equal results
+give equal bytes.
 """
 
 from __future__ import annotations
@@ -33,16 +34,16 @@ from replay.results.tables import LOG_CARD, write_file
 from replay.settings import flat
 
 MOST_PARTINGS = 20
-"""In more drives it is not looked for where they part: the worst first."""
+"""The first difference is searched in at most this many drives, the worst first."""
 BASELINE = b"replan_baseline"
 """Key of the metadata of a baseline's file."""
 NOT_INPUTS = (
     "recording", "foxglove", "internals", "gates", "planners", "mode", "metrics", "charts", "deadline_s", "ensemble",
     "repeat_s",
 )  # fmt: skip
-"""Keys of a run that change no drive, or whose change shows in what was driven."""
+"""Keys of a run that change no drive, or whose changes are visible in the set of drives."""
 UNKNOWN = "not known"
-"""Stage where a trace cannot be read."""
+"""Stage of the first difference if a trace cannot be read."""
 
 
 Run = Results | Side
@@ -50,10 +51,10 @@ Run = Results | Side
 
 
 def read_run(path: Path | str) -> Run:
-    """The run in a result folder, or in a file that `write_baseline` wrote; either may be a URL.
+    """Read a run from a result folder, or from a file of `write_baseline`; either may be a URL.
 
     Raises:
-        ConfigError: There is none, or of another version.
+        ConfigError: It does not exist, or has another version.
         LogError: It is damaged.
     """
     near = Near(path, RECORDINGS)
@@ -81,15 +82,15 @@ def read_run(path: Path | str) -> Run:
 
 
 def side_of(run: Run) -> Side:
-    """The tables of a run, as `metrics.compare` takes them; LogError where they are damaged."""
+    """Return the tables of a run for `metrics.compare`; LogError if they are damaged."""
     if isinstance(run, Side):
         return run
     try:
         table = run.logs
         text = table[["log", "sha256", "family", "dataset"]].astype(object)
-        logs = text.where(text.notna(), "")  # what an older version did not write is empty
+        logs = text.where(text.notna(), "")  # columns that older versions do not write are empty
         logs["tags"] = [list(tags) if isinstance(tags, list) else [] for tags in table["tags"]]
-        vehicles = []  # of each log, the hash of the vehicle in a trace of its drives; "" without a trace
+        vehicles = []  # for each log, the hash of the vehicle in a trace of its drives; "" without a trace
         for log in run.summary["logs"]:
             named = (run.path / file for drive in log.get("drives", ()) for file in drive["files"])
             trace = next((file for file in named if file.suffix == ".mcap" and file.is_file()), None)
@@ -117,7 +118,7 @@ def side_of(run: Run) -> Side:
 
 
 def write_baseline(run: Run, path: Path) -> None:
-    """Write a run as one file: the same results give the same bytes."""
+    """Write a run as one file; equal results give equal bytes."""
     side = side_of(run)
     head = {
         "schema_version": SCHEMA_VERSION,
@@ -169,7 +170,7 @@ def compare_runs(
         name = pair[0] if pair[0] == pair[1] else " -> ".join(pair)
         one, two = _select_planner(one, pair[0], name), _select_planner(two, pair[1], name)
         common = {pair[0]} & {pair[1]}
-    settings = tuple(f"planner.{planner}." for planner in common)  # those of planners of one side alone are left out
+    settings = tuple(f"planner.{planner}." for planner in common)  # without settings of planners of only one side
     one, two = (
         replace(side, facts={key: value for key, value in side.facts.items()
                              if not key.startswith("planner.") or key.startswith(settings)})
@@ -184,12 +185,12 @@ def compare_runs(
 
 
 def _driven_planners(side: Side) -> tuple[str, ...]:
-    """The planners that were driven."""
+    """Return the planners that were driven."""
     return tuple(dict.fromkeys(side.driven["planner"]))
 
 
 def _select_planner(side: Side, planner: str, name: str) -> Side:
-    """The rows of one planner, under a name that both sides share, and judged whether it is an oracle or not."""
+    """Return the rows of one planner under a name that both sides share; if it is renamed, it is not an oracle."""
     if planner not in _driven_planners(side):
         raise unknown_name("planner (in the run)", planner, _driven_planners(side))
     table = side.table
@@ -203,7 +204,7 @@ def _select_planner(side: Side, planner: str, name: str) -> Side:
 def _with_first_differences(
     comparison: Comparison, both: tuple[Results, Results], pair: tuple[str, str] | None, most: int
 ) -> Comparison:
-    """The comparison with first differences: of drives with flips first, then of the worst regressions."""
+    """Add first differences to the comparison: of drives with flips first, then of the worst regressions."""
     order = pd.concat([comparison.flips[DRIVE], comparison.pairs[DRIVE]]).drop_duplicates()
     rows: list[tuple[Any, ...]] = []
     looked = 0
@@ -221,7 +222,7 @@ def _with_first_differences(
             rows.append((log, planner, mode, nan, UNKNOWN, f"a trace cannot be read: {error}"))
             continue
         found, parted = first_difference(one, two), planners_part(one, two) if names[0] != names[1] else None
-        if found is not None:  # of two planners also where what they drive parts
+        if found is not None:  # for two planners, at the time at which their drives differ
             at, what = (parted.t, f"{parted.what}; first difference: {found.what}") if parted else (found.t, found.what)
             rows.append((log, planner, mode, at, found.stage, what))
     table = pd.DataFrame(rows, columns=list(PARTING_COLUMNS)).astype({"t_s": float})
@@ -229,7 +230,7 @@ def _with_first_differences(
 
 
 def view_command(run: Run, log: str, planner: str, mode: str) -> str:
-    """The command that shows a drive; "" for a baseline file. For planners "a -> b" it shows the drive of b."""
+    """Return the command that shows a drive; "" for a baseline file. For planners "a -> b", it shows the drive of b."""
     if isinstance(run, Side):
         return ""
     drive = run.drive(log, planner.split(" -> ")[-1], mode)

@@ -1,27 +1,27 @@
-"""What a run does: `RunConfig`, from a TOML file and back.
+"""The configuration of a run: `RunConfig`, read from and written to TOML.
 
     planners = ["dp_qp"]             # names, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT"
     mode = "both"                    # "open", "closed" or "both"
     gates = "default"                # or a file of thresholds
     internals = "summary"            # how much of a planner's internals the traces hold: "none", "summary", "full"
     recording = true                 # write .rrd files
-    foxglove = false                 # channels that Foxglove draws, in the logs and traces that are written
-    metrics = []                     # of your own, beside the built-in ones: "module:NAME"
+    foxglove = false                 # write channels for Foxglove into logs and traces
+    metrics = []                     # your own, in addition to the built-in ones: "module:NAME"
     charts = []                      # likewise, in the report
     ensemble = 0                     # perturbed runs per log (replay.run.perturb)
-    repeat_s = 2.0                   # the start of a drive of your own planner is driven twice: is it deterministic?
-    deadline_s = 0.0                 # the longest time of a plan (0.1 at 10 Hz); 0: not asked, as clocks differ
+    repeat_s = 2.0                   # length of the start that is driven twice, to test determinism of planners
+    deadline_s = 0.0                 # the longest time of a plan (0.1 at 10 Hz); 0: not judged, as clocks differ
 
-    [log]                            # logs.readers.LogSettings: what logs do not say, or where they say it
+    [log]                            # logs.readers.LogSettings: information that logs lack, or where they store it
     [loop]                           # LoopConfig
     [loop.apart]                     # PlannerProcessConfig: planners of your own in their process, and its limits
-    [planner.dp_qp]                  # keywords of the planner; likewise, of what [loop] names:
+    [planner.dp_qp]                  # keywords of the planner; likewise for the names in [loop]:
     [controller.mpc]                 # also [traffic.NAME], [prediction.NAME], [perception.NAME]
-    [vehicle_model.single_track]     # of the vehicle model; [loop.plant] is what the controller does not know
-    [vehicle]                        # VehicleParameters: takes the place of what the logs say
-    set = "vw_vanagon"               # all of a known vehicle's, a file of `logs/vehicles`; other keys are put over it
+    [vehicle_model.single_track]     # keywords of the vehicle model; the controller does not know [loop.plant]
+    [vehicle]                        # VehicleParameters: replaces the values of the logs
+    set = "vw_vanagon"               # all values of a known vehicle (a file of `logs/vehicles`); other keys override it
 
-Every key may be left out. An error in a file names file, key and remedy; no key is ignored.
+All keys are optional. An error in a file names file, key and remedy; unknown keys are errors.
 """
 
 from __future__ import annotations
@@ -50,16 +50,16 @@ Internals = Literal["none", "summary", "full"]
 HEADER = "# The resolved configuration of a run, written by `replan evaluate`; give it to --config to run that again.\n"
 
 MOST_TOGETHER = 64
-"""Logs in lock step: their answers, 1 MB each where the inside of plans is kept, have to fit into a message."""
+"""Most logs in lock step: their answers, 1 MB each with internals of plans, must fit into one message."""
 
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """What a sensor can do; the defaults are round figures of a car's lidar and camera set.
+    """The abilities of a sensor; the defaults are round values for the lidars and cameras of a car.
 
     Attributes:
-        range_m: Nothing farther is seen.
-        field_of_view_deg: About the ego's heading; 360 is all round.
+        range_m: Agents farther away are not seen.
+        field_of_view_deg: Centred on the ego's heading; 360 covers all directions.
         occlusion: Whether road users hide others behind them.
         position_noise_m: Standard deviation along and across the agent's heading; drawn for each measurement.
         yaw_noise_deg: Standard deviation.
@@ -99,19 +99,19 @@ class SensorConfig:
 
 @dataclass(frozen=True)
 class PlannerProcessConfig:
-    """How planners that are not built in are kept apart (docs/planners_apart.md).
+    """How planners that are not built in are isolated (docs/planners_apart.md).
 
     Attributes:
         trust: Planners named "module:Class" run in the process that holds the log: faster, and without limits.
-        plan_timeout_s: Longest time of a plan.
-        start_timeout_s: Longest time to build the planner, and of its first plan (kernels, models).
-        log_timeout_s: Longest time of all plans of a drive; 0: no limit.
-        memory_gb: Data of the planner's process; 0: no limit.
+        plan_timeout_s: Longest time for a plan.
+        start_timeout_s: Longest time to build the planner, and for its first plan (kernels, models).
+        log_timeout_s: Longest time for all plans of a drive; 0: no limit.
+        memory_gb: Largest memory of the planner's process; 0: no limit.
         environment: Variables that it receives besides `replay.planner_process.processes.ENVIRONMENT`.
         batch: Number of logs in lock step, whose frames are planned together (`plan_batch`); 0: each log by itself.
 
     Raises:
-        ConfigError: A limit is negative, a plan has no time, or there are too many logs together.
+        ConfigError: A limit is negative, a timeout is 0, or `batch` is too large.
     """
 
     trust: bool = False
@@ -141,19 +141,19 @@ class LoopConfig:
         plan_period_s: Time between two frames.
         control_period_s: Time between two commands; the plan period is a multiple of it.
         vehicle: Name in `replay.vehicle.VEHICLES`, or "module:Class", as for all names here (docs/extend.md).
-        plant: What the vehicle model has that planner and controller do not know of: VehicleParameters by name, and
-            keywords of the model (`replay.vehicle.build_vehicle`).
+        plant: Properties of the vehicle model that are hidden from planner and controller: VehicleParameters by name,
+            and keywords of the model (`replay.vehicle.build_vehicle`).
         controller: Name in `replay.control.CONTROLLERS`; the vehicle "perfect" needs none.
         traffic: Name in `replay.traffic.TRAFFIC`.
         plan_delay_s: Time from a frame until its plan is driven (the computing time), in whole control periods.
         perception: Name in `replay.loop.perception.PERCEPTIONS`.
-        sensor: What the sensor can do, where the perception is "sensor".
+        sensor: Abilities of the sensor, for the perception "sensor".
         prediction: Name in `replay.prediction.PREDICTORS`, or "oracle": the log's own future, with traffic "time".
         prediction_horizon_s: How far the others are predicted.
         prediction_step_s: Time between two samples of a prediction.
-        end_with_evidence: A closed drive ends where the recording of the log's traffic does (`Scenario.traffic_spans`).
-        apart: How planners that are not built in are kept apart.
-        settings: Keywords of the parts named here, by key; not in the file: `RunConfig.drive_loop` fills them in.
+        end_with_evidence: A closed drive ends when the recording of the log's traffic ends (`Scenario.traffic_spans`).
+        apart: How planners that are not built in are isolated.
+        settings: Keywords of the named parts, by key; not a key of the file: `RunConfig.drive_loop` fills it in.
 
     Raises:
         ConfigError: A period is not positive, or the periods do not fit.
@@ -218,7 +218,7 @@ DEFAULT_LOOP = LoopConfig()
 
 @dataclass(frozen=True)
 class RunConfig:
-    """One run: which planners, in which loops, judged by what.
+    """One run: its planners, loops, gates and settings.
 
     Attributes:
         planners: Names as `replay.loop.planning.Planning` takes them; one column of the results each.
@@ -230,9 +230,9 @@ class RunConfig:
         metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
         charts: "module:NAME" of charts from outside, drawn in the report beside the built-in ones.
         ensemble: How many times each log is driven again under a perturbation (`replay.run.perturb`).
-        repeat_s: Length of the start of a drive that is driven twice if the planner does not come with replan
-            (`replay.loop.planning`), s; 0: nothing.
-        deadline_s: At most 1 % of a drive's plans may take longer, s; 0: not asked.
+        repeat_s: Length of the start of a drive that is driven twice if the planner is not built in
+            (`replay.loop.planning`), s; 0: no test.
+        deadline_s: At most 1 % of a drive's plans may take longer, s; 0: not judged.
         log: How logs are read.
         loop: Periods and limits of the loops.
         planner: Keywords of each planner, by the name given in `planners`.
@@ -278,7 +278,7 @@ class RunConfig:
 
     @property
     def drive_loop(self) -> LoopConfig:
-        """`loop` with the settings of the parts that it names, in the form that the loops take."""
+        """`loop` with the settings of the parts that it names, as the loops expect it."""
         chosen = {key: getattr(self, table).get(getattr(self.loop, key), {}) for key, table in SETTINGS.items()}
         return replace(self.loop, settings={key: dict(table) for key, table in chosen.items() if table})
 
@@ -303,7 +303,7 @@ class RunConfig:
         return None if self.gates == "default" else Path(self.gates)
 
     def driven(self, vehicle: VehicleParameters) -> VehicleParameters:
-        """The vehicle of a log with this run's replacements.
+        """Return the vehicle of a log with this run's replacements.
 
         Raises:
             ConfigError: The result is not a valid vehicle.
@@ -317,11 +317,11 @@ class RunConfig:
 
 
 def load_run(path: Path | None, changes: Mapping[str, Any] | None = None) -> RunConfig:
-    """The configuration in a TOML file, with changes.
+    """Load the configuration in a TOML file, with changes.
 
     Args:
-        path: The file; None: the defaults. Its `gates`, where they are a relative path, are relative to the file.
-        changes: A table like that of the file, which is put over it key by key.
+        path: The file; None: the defaults. A relative path of `gates` is relative to the file.
+        changes: A table like that of the file, which overrides it key by key.
 
     Raises:
         ConfigError: The file is absent or not TOML, a key is unknown, a value has the wrong type or range.
@@ -338,12 +338,12 @@ def load_run(path: Path | None, changes: Mapping[str, Any] | None = None) -> Run
 
 
 def dump_run(run: RunConfig) -> str:
-    """The configuration as TOML, every default spelled out; `load_run` reads it back to an equal one."""
+    """Write the configuration as TOML with all defaults; `load_run` reads it back to an equal one."""
     return HEADER + tomli_w.dumps(_as_toml_value(run))
 
 
 def _as_toml_value(value: Any) -> Any:
-    """Values as TOML has them: dataclasses as tables of their keys, enums by value, no None."""
+    """Convert values for TOML: dataclasses to tables of their keys, enums to values, without None."""
     if is_dataclass(value) and not isinstance(value, type):
         keys = (item.name for item in fields(value) if item.metadata.get("key", True))
         value = {key: getattr(value, key) for key in keys}

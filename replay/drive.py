@@ -8,11 +8,11 @@ from time import perf_counter
 from logs.trace import Trace
 
 TRUSTED = "the planner was trusted: it ran in the process that holds the log"
-"""The note of a drive whose planner was not kept apart and does not come with replan."""
+"""Note of a drive whose planner is not built in and ran in the process that holds the log."""
 BATCHED = "batched: the planner's process was shared with other logs, up to {} in all"
-"""The note of a drive whose frames were planned together with those of other logs."""
+"""Note of a drive whose frames were planned together with those of other logs."""
 NOT_DETERMINISTIC = "not deterministic: "
-"""How the note begins on a drive whose start, driven twice, is not the same."""
+"""Beginning of the note of a drive whose start differs when it is driven twice."""
 
 
 @dataclass(frozen=True, order=True)
@@ -23,7 +23,7 @@ class DriveKey:
         member: Number in the ensemble; 0: the log itself.
         planner: Index of the planner in the run.
         mode: Index of the loop in the run.
-        again: Whether it is the second drive of a start, which is compared with the first (`replay.loop.planning`).
+        again: Whether it repeats the start of a drive, for comparison with the first (`replay.loop.planning`).
     """
 
     member: int = 0
@@ -37,12 +37,12 @@ FIRST = DriveKey()
 
 @dataclass(frozen=True, slots=True)
 class StageTime:
-    """How long a stage of one plan took; stage "total" is the whole of `plan()`.
+    """The duration of one stage of a plan; the stage "total" is all of `plan()`.
 
     Attributes:
         t: The frame's time, s since the scenario's start.
-        stage: As the planner named it in `lap(stage)`.
-        seconds: Wall time; laps of one name within a frame are added.
+        stage: Name that the planner passed to `lap(stage)`.
+        seconds: Wall-clock time; laps with the same name within a frame are added.
     """
 
     t: float
@@ -52,7 +52,7 @@ class StageTime:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Drive:
-    """A trace and, apart from it, the planning times, which differ when the drive is repeated."""
+    """A trace, and separately the planning times, which differ when the drive is repeated."""
 
     trace: Trace
     timings: tuple[StageTime, ...]
@@ -61,7 +61,7 @@ class Drive:
 class Stopwatch:
     """Measures how long a planner takes, in total and per stage. Its times do not go into the trace.
 
-    It runs from `start` to `stop`; in between, `lap` is given to the planner as `PlannerContext.lap`.
+    It runs from `start` to `stop`; in between, the planner calls `lap` as `PlannerContext.lap`.
     """
 
     def __init__(self) -> None:
@@ -71,13 +71,13 @@ class Stopwatch:
         self._running = False
 
     def start(self) -> None:
-        """Begin to measure one plan."""
+        """Start to measure one plan."""
         self._laps = {}
         self._running = True
         self._begin = self._last = perf_counter()
 
     def lap(self, stage: str) -> None:
-        """End a stage; ignored while no plan is made (while the planner is built)."""
+        """End a stage; ignored outside of planning (while the planner is built)."""
         if not self._running:
             return
         now = perf_counter()
@@ -103,7 +103,7 @@ class Stopwatch:
 
     @property
     def laps(self) -> dict[str, float]:
-        """The stages of the plan made last, s."""
+        """The durations of the stages of the latest plan, s."""
         return self._laps
 
     @property

@@ -1,7 +1,7 @@
-"""SIGINT and SIGTERM on the command line: exit code 130 from its start to the end of the command, then ignored.
+"""SIGINT and SIGTERM on the command line: exit code 130 until the end of the command, then ignored.
 
-Library users keep their own handlers: nothing changes before `end_at_once` is called. A signal that the parent process
-has made this one ignore (`nohup`) stays ignored.
+Users of the library keep their own handlers: nothing changes before `end_at_once` is called. A signal that the process
+ignores from its start (`nohup`) stays ignored.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _raised_s = float("-inf")
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal in a command. CPython 3.11 ends by SIGINT where KeyboardInterrupt itself passed `exec` of a string."""
+    """A signal in a command. CPython 3.11 ends by SIGINT if KeyboardInterrupt itself leaves `exec` of a string."""
 
 
 def end_at_once() -> None:
-    """From now on, a signal ends the process with `EXIT_CODE`: no command has begun, so there is nothing to clear."""
+    """Let signals end the process with `EXIT_CODE`: no command has begun, so there is nothing to clean up."""
     for name in _SIGNALS:
         if signal.getsignal(name) is not signal.SIG_IGN:
             signal.signal(name, _end)
@@ -33,7 +33,7 @@ def end_at_once() -> None:
 
 @contextmanager
 def as_exception() -> Iterator[None]:
-    """In the body, a signal raises `Interrupted`; after it, signals are ignored: the exit code is that of the body.
+    """Raise `Interrupted` for a signal in the body; afterwards, ignore signals: the exit code is that of the body.
 
     Does nothing where `end_at_once` was not called.
     """

@@ -1,8 +1,8 @@
-"""Planners that see the whole Scenario, with its future. They calibrate the metrics; every table marks them.
+"""Planners that see the whole Scenario, including its future. They calibrate the metrics; every table marks them.
 
-"logged"    what was driven, as a plan: no error in open loop; in closed loop the car has to follow the log
-"onboard"   what the log's own planner had planned by then (`Scenario.onboard`), to be judged beside others. It knew
-            nothing of the future, but planned for the car where the log has it: no answer to another drive
+"logged"    the logged drive as a plan: no error in open loop; in closed loop the car has to follow the log
+"onboard"   the plans of the log's own planner up to that time (`Scenario.onboard`), for comparison with others. It did
+            not know the future, but planned for the logged position of the car, and so cannot react to another drive
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from planners.constant_speed import arc
 
 
 class Logged:
-    """The log's future.
+    """Plans the log's future.
 
-    Where the log ends within the horizon, so does the plan. Where nothing of the log lies ahead (a log that holds
-    only the start; a closed loop that outlasts its ego), the last logged state is carried on at its speed and
-    curvature, and the plan's reason says so.
+    If the log ends within the horizon, so does the plan. After the end of the logged ego (a log with only the start, or
+    a closed loop that lasts longer), the last logged state is extrapolated at its speed and curvature, and the plan's
+    reason says so.
 
     Args:
         context: As every planner's.
@@ -51,12 +51,12 @@ class Logged:
 
 
 class Onboard:
-    """The newest plan that the log's own planner had made by the frame's time; older than `oldest_s`: a fallback.
+    """Returns the newest plan that the log's own planner had made by the frame's time; after `oldest_s`, a fallback.
 
     Args:
         context: As every planner's.
-        scenario: The whole log; plans made later than a frame are not looked at in it.
-        oldest_s: How long a plan is followed, s; then the car keeps its speed and curvature.
+        scenario: The whole log; plans made after a frame are not used in it.
+        oldest_s: Greatest age of a plan, s; with an older one, the car keeps its speed and curvature.
 
     Raises:
         PlannerError: The log has no on-board plans.

@@ -26,7 +26,7 @@ SETTINGS: Mapping[str, str] = {
     "prediction": "prediction",
     "perception": "perception",
 }
-"""What [loop] names, and the table that has the settings of each by name ([vehicle] are the car's numbers)."""
+"""Keys of [loop] that name a part, and the table with the settings of the parts ([vehicle] has VehicleParameters)."""
 
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
@@ -34,15 +34,15 @@ Table = Mapping[str, Any]
 
 
 def keywords_of(factory: Callable[..., Any], table: Table, where: str) -> dict[str, Any]:
-    """The keywords that a configuration table stands for.
+    """Convert a configuration table to keywords.
 
     Args:
-        factory: What is built with them.
+        factory: The factory that receives them.
         table: Keys and values as TOML gives them.
         where: Dotted name of the table, for messages.
 
     Raises:
-        ConfigError: A key is unknown, or a value of the wrong type or refused.
+        ConfigError: A key is unknown, or a value has the wrong type or is refused.
     """
     config = _config_class(factory)
     if config is not None:
@@ -54,19 +54,19 @@ def keywords_of(factory: Callable[..., Any], table: Table, where: str) -> dict[s
 
 
 def resolved(factory: Callable[..., Any], table: Table, where: str, what: str, given: int) -> dict[str, Any]:
-    """The table with all defaults, after a check that the factory accepts it.
+    """Return the table with all defaults, after a check that the factory accepts it.
 
-    `keywords_of` makes the same of it.
+    `keywords_of` converts the result to the same keywords as the table.
 
     Args:
-        factory: What is called.
+        factory: The factory.
         table: Its table.
         where: Dotted name of the table.
-        what: The thing, for messages ("planner 'idm'").
-        given: How many positional arguments it receives before the keywords.
+        what: Name of what is built, for messages ("planner 'idm'").
+        given: Number of positional arguments before the keywords.
 
     Raises:
-        ConfigError: As `keywords_of`; or says which keyword is missing or too much.
+        ConfigError: As `keywords_of`; or a keyword is missing or not accepted.
     """
     keywords, config = keywords_of(factory, table, where), _config_class(factory)
     try:
@@ -83,7 +83,7 @@ def resolved(factory: Callable[..., Any], table: Table, where: str, what: str, g
 
 
 def configured(kind: Kind[F], name: str, settings: Mapping[str, Table]) -> F:
-    """The factory of this name with its `LoopConfig.settings`; ConfigError as `Kind.find` and `keywords_of`."""
+    """Return the factory of this name with its `LoopConfig.settings`; ConfigError as `Kind.find` and `keywords_of`."""
     factory, table = kind.find(name), settings.get(kind.name, {})
     made: Any = partial(factory, **keywords_of(factory, table, dotted(SETTINGS[kind.name], name))) if table else factory
     return made
@@ -98,7 +98,7 @@ def check_members(kind: str, name: str, thing: object, protocol: type) -> None:
 
 
 def _config_class(factory: Callable[..., Any]) -> type | None:
-    """The dataclass by which the keyword `config` is annotated, or None."""
+    """Return the dataclass in the annotation of the keyword `config`, or None."""
     while isinstance(factory, partial):
         factory = factory.func
     parameter = inspect.signature(factory).parameters.get("config")
@@ -107,14 +107,14 @@ def _config_class(factory: Callable[..., Any]) -> type | None:
     target = factory.__init__ if isinstance(factory, type) else factory  # type: ignore[misc]
     try:
         hint = get_type_hints(target).get("config")
-    except (NameError, TypeError):  # annotations that exist for a type checker only; a callable object
+    except (NameError, TypeError):  # annotations only for type checkers; a callable object
         return None
     found = [kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and is_dataclass(kind)]
     return found[0] if found else None
 
 
 def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
-    """The dataclass that a table describes, nested tables included.
+    """Convert a table to a dataclass, nested tables included.
 
     Args:
         cls: A dataclass; its own checks (`__post_init__`) are run.
@@ -122,7 +122,7 @@ def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
         where: Dotted name of the table, for messages.
 
     Raises:
-        ConfigError: A key is unknown, a value is of the wrong type or refused by the dataclass.
+        ConfigError: A key is unknown, or a value has the wrong type or is refused by the dataclass.
     """
     _known_tree(cls, table, where)
     try:
@@ -157,13 +157,13 @@ def known_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> No
 
 
 def dotted(where: str, key: str) -> str:
-    """`where.key`, the key quoted where TOML would."""
+    """Return `where.key`, with the key quoted if TOML requires it."""
     name = key if key.replace("_", "").replace("-", "").isalnum() else f'"{key}"'
     return f"{where}.{name}" if where else name
 
 
 def dotted_keys(cls: type, where: str = "") -> Iterator[str]:
-    """All keys of the table that mirrors a dataclass, those of its sub-tables dotted ("loop.plan_period_s")."""
+    """Yield all keys of the table that mirrors a dataclass, dotted for sub-tables ("loop.plan_period_s")."""
     hints = get_type_hints(cls)
     for item in fields(cls):
         if item.metadata.get("key", item.init):
@@ -172,7 +172,7 @@ def dotted_keys(cls: type, where: str = "") -> Iterator[str]:
 
 
 def merged(table: Table, changes: Table) -> dict[str, Any]:
-    """A table with changes put over it key by key, sub-tables included."""
+    """Return a table with changes applied key by key, sub-tables included."""
     result = dict(table)
     for key, value in changes.items():
         old = result.get(key)
@@ -181,7 +181,7 @@ def merged(table: Table, changes: Table) -> dict[str, Any]:
 
 
 def flat(table: Table, where: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted keys and values of a table, sub-tables included."""
+    """Yield dotted keys and values of a table, sub-tables included."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{where}{key}.")
@@ -190,7 +190,7 @@ def flat(table: Table, where: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def set_table(words: Iterable[str]) -> dict[str, Any]:
-    """The table that words "KEY=VALUE" describe: the key is dotted as in TOML, the value is TOML or plain text.
+    """Parse words "KEY=VALUE" to a table: the key is dotted as in TOML, the value is TOML or plain text.
 
     Raises:
         ConfigError: A word is not of this form.

@@ -1,4 +1,4 @@
-"""The world now: the ego, and the tracks of the other road users."""
+"""The state of the world: the ego, and the tracks of the other road users."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def box_center(ego: EgoState, vehicle: VehicleParameters) -> tuple[float, float]
 
 
 def logged_ego(log: Trajectory, vehicle: VehicleParameters, t: float) -> EgoState:
-    """The ego as known at `t`: the log's last sample up to `t`, extrapolated at its speed and curvature.
+    """Return the ego as known at `t`: the log's last sample up to `t`, extrapolated at its speed and curvature.
 
-    Later samples do not go in. Steering and yaw rate follow from the curvature, as a kinematic bicycle has them.
+    Later samples are not used. Steering and yaw rate follow from the curvature, as for a kinematic bicycle.
     """
     index = max(int(np.searchsorted(log.t, t + 1e-6, side="right")) - 1, 0)
     state = log.state(index)
@@ -60,10 +60,10 @@ def ego_box(vehicle: VehicleParameters) -> EgoBox:
 
 
 class AgentBoxes(NamedTuple):
-    """`Tracks` for kernels, ragged likewise, and the times at which agents are absent.
+    """`Tracks` for kernels, with the same ragged layout, and the times at which agents are absent.
 
     Attributes:
-        offsets: Of `Tracks`, as all but the last.
+        offsets: As in `Tracks`, like all attributes but the last.
         static: Likewise.
         t: Likewise.
         gap_after: Likewise.
@@ -88,7 +88,7 @@ class AgentBoxes(NamedTuple):
 
 
 def agent_boxes(tracks: Tracks, left_out: tuple[Phantom, ...] = ()) -> AgentBoxes:
-    """The tracks, without the phantoms `left_out`."""
+    """Return the boxes of the tracks; the phantoms `left_out` are absent."""
     place = {agent: i for i, agent in enumerate(tracks.ids)} if left_out else {}
     absent = [(place[one.agent], one.t_from, one.t_to) for one in left_out if one.agent in place]
     return AgentBoxes(
@@ -98,9 +98,9 @@ def agent_boxes(tracks: Tracks, left_out: tuple[Phantom, ...] = ()) -> AgentBoxe
 
 
 def contact(world: World, vehicle: VehicleParameters, left_out: tuple[Phantom, ...] = ()) -> int:
-    """Index of the first agent whose box touches the ego's, as they truly are; -1: none.
+    """Return the index of the first agent whose true box touches the ego's; -1: none.
 
-    The phantoms `left_out` do not count while they are phantoms.
+    The phantoms `left_out` are ignored during their times.
     """
     ego = world.ego
     row = np.array([[ego.t, ego.x, ego.y, ego.yaw]])
@@ -109,9 +109,9 @@ def contact(world: World, vehicle: VehicleParameters, left_out: tuple[Phantom, .
 
 @kernel
 def touched(rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBoxes) -> tuple[int, int]:
-    """The first row (t, x, y, yaw) from `first` to before `end` at which the ego touches an agent, and the agent.
+    """Return the first row (t, x, y, yaw) from `first` to before `end` with a touch of an agent, and its index.
 
-    Row `end` and agent -1 where it touches none; of several at one row, the first.
+    Returns row `end` and agent -1 if there is no touch; of several agents at one row, the first.
     """
     own, who = hypot(car.length, car.width), -1
     ahead, at = rows[first:end], abs(car.ahead) + ROUNDING_M
@@ -134,7 +134,7 @@ def touched(rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBo
 
 @inner_kernel
 def _comes_near(rows: FloatArray, agents: AgentBoxes, i: int, reach: float) -> bool:
-    """Whether the samples of agent i around the rows' times come within `reach` m of the rows, in x and in y."""
+    """Return whether agent i comes within `reach` m of the rows, in x and in y, around the rows' times."""
     t, first, end = agents.t, agents.offsets[i], agents.offsets[i + 1]
     k, last = first, first
     if not agents.static[i]:
@@ -149,7 +149,7 @@ def _comes_near(rows: FloatArray, agents: AgentBoxes, i: int, reach: float) -> b
 
 @inner_kernel
 def agent_at(agents: AgentBoxes, i: int, now: float) -> tuple[bool, float, float, float]:
-    """Whether agent i is in the scene at `now`, s, and x, y, yaw of its box, as `Tracks.truth` has it."""
+    """Return whether agent i is present at `now`, s, and x, y, yaw of its box, as `Tracks.truth` does."""
     t, first, end = agents.t, agents.offsets[i], agents.offsets[i + 1]
     k, u = first, 0.0
     if not agents.static[i]:

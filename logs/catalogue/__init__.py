@@ -1,17 +1,18 @@
 """Synthesised scenario families: deterministic, with their parameters in the metadata; and suites of their cells.
 
-There is one order of all cells; a suite is a prefix of it, so that a smaller suite is part of a larger one. Of a family
-with n cells the k-th, from 0, comes at
+There is one order of all cells; a suite is a prefix of it, so that a smaller suite is part of a larger one. The k-th
+cell, from 0, of a family with n cells has the position
 
 (1) k / sqrt(n)
 
-so that first every family gives a cell, the groups taking turns, and then about as many as the root of how many it has
-(power allocation; Bankier, The American Statistician 42, 1988): a large grid is seen, and does not hide the small ones.
+so that at first each family gives one cell, with the groups in turn, and then about as many as the root of its size
+(power allocation; Bankier, The American Statistician 42, 1988): a large grid is represented, and does not hide small
+ones.
 
-Within a family the cells spread: the next is that one which is farthest from all before it, by the places of its values
-in their lists, each list 1 long (a maximin design; Johnson, Moore, Ylvisaker, J. Stat. Plan. Inference 26, 1990). The
-corners of a grid come early. Draws are by the SHA-256 of seed, family and cell: they do not change when a family is
-added elsewhere.
+Within a family the cells spread: the next is the one farthest from all before it, by the indices of its values in their
+lists, each scaled to length 1 (a maximin design; Johnson, Moore, Ylvisaker, J. Stat. Plan. Inference 26, 1990). The
+corners of a grid come early. Draws use the SHA-256 of seed, family and cell, so that they do not change when another
+family is added.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -33,14 +34,14 @@ CATALOGUE: dict[str, Family] = {
     family.name: family
     for family in (*paper.FAMILIES, *everyday.FAMILIES, *everyday.RULES, *pedestrians.FAMILIES, raw.CROSSING)
 }
-"""The families that the built-in suite has, by name, in the order in which they are listed."""
+"""The families of the built-in suites by name, in the order of lists."""
 FAMILIES: dict[str, Family] = CATALOGUE | {
     family.name: family
     for family in (*euro_ncap.FAMILIES, *unece_r157.FAMILIES, *iso3888.FAMILIES, *faults.FAMILIES, *raw.FAMILIES)
 }
-"""Those and the ones with published grids."""
+"""All built-in families: those of `CATALOGUE` and those with published grids."""
 FAMILY: Kind[Family] = Kind("family", "families", FAMILIES, an_instance(Family, "replan.Family"))
-"""Finds those, and users' own."""
+"""Finds families by name: the built-in ones and those of users."""
 
 
 SEED = 1
@@ -48,7 +49,7 @@ SEED = 1
 
 @dataclass(frozen=True)
 class Suite:
-    """How many cells, for what."""
+    """A suite: its number of cells and its purpose."""
 
     size: int
     summary: str
@@ -62,7 +63,7 @@ SUITES: Mapping[str, Suite] = {
 
 
 def families() -> dict[str, Family]:
-    """Ours, and those of other distributions; ConfigError where an entry point has another name than its family."""
+    """The built-in families and those of other distributions; ConfigError if an entry point has another name."""
     found = FAMILY.installed()
     for name, family in found.items():
         if family.name != name:
@@ -71,12 +72,12 @@ def families() -> dict[str, Family]:
 
 
 def scenario(name: str) -> Scenario:
-    """The scenario of a name as scenarios have it: "family" or "family@parameter=number,parameter=number".
+    """Build the scenario with a name: "family" or "family@parameter=number,parameter=number".
 
-    The family may be "module:NAME", of users' own.
+    The family may be a user's, "module:NAME".
 
     Raises:
-        ConfigError: No family has that name, or it refuses the parameters.
+        ConfigError: No family has this name, or it refuses the parameters.
     """
     family, _, words = name.partition("@")
     return FAMILY.find(family).scenario(**numbers(words.split(",") if words else (), name))
@@ -86,7 +87,7 @@ def numbers(words: Iterable[str], where: str) -> dict[str, float]:
     """Parameters from "key=value" words.
 
     Raises:
-        ConfigError: A word has no `=`, or its value is no number.
+        ConfigError: A word has no `=`, or its value is not a number.
     """
     out = {}
     for word in words:
@@ -100,12 +101,12 @@ def numbers(words: Iterable[str], where: str) -> dict[str, float]:
 
 
 def suite(name: str, seed: int = SEED) -> tuple[str, ...]:
-    """Names of scenarios (`scenario`): of a suite, or of all cells of a family or a group.
+    """Names of scenarios (`scenario`): those of a suite, or of all cells of a family or a group.
 
-    A suite has families of ours only; one of the user's own is "module:NAME".
+    A suite has built-in families only; a user's family is "module:NAME".
 
     Raises:
-        ConfigError: Nothing has this name.
+        ConfigError: No suite, family or group has this name.
     """
     if name in SUITES:
         return tuple(islice(ordered(seed), SUITES[name].size))
@@ -140,7 +141,7 @@ def ordered(seed: int = SEED) -> Iterator[str]:
 
 
 def spread(family: Family, seed: int = SEED) -> Iterator[str]:
-    """The cells of a family, each farthest from those before it; of several the first by draw."""
+    """The cells of a family, each farthest from those before it; draws decide ties."""
     by_name = {family.named(cell): cell for cell in family.cells()}
     cells = sorted(by_name, key=lambda name: _draw(seed, name))
     places = np.empty((len(cells), len(family.grid)))

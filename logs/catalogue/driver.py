@@ -1,6 +1,6 @@
-"""The careful driver who drives the ego logs of the catalogue: simple, smooth, and no planner of ours.
+"""The careful driver of the ego logs of the catalogue: simple, smooth, and none of the planners.
 
-Speed: at each step the least of its wishes, with bounded acceleration and jerk, so that log and poses are consistent:
+Its acceleration is the least of these at each step, with bounded acceleration and jerk, so that log and poses agree:
 
 (1) cruise    a = 0.8 (v_cruise - v)
 (2) follow    a = 0.15 (gap - thw v) + 0.7 (v_lead - v)          gap bumper to bumper
@@ -32,7 +32,7 @@ _EASE = 0.7 * MAX_JERK
 
 @dataclass(frozen=True, slots=True)
 class Ahead:
-    """What the driver reacts to: `gap` m from the front bumper to it, its `speed`, whether to `stop` for it."""
+    """The object that the driver reacts to: `gap` from the front bumper, m, its `speed`, whether to `stop` for it."""
 
     gap: float
     speed: float = 0.0
@@ -40,7 +40,7 @@ class Ahead:
 
 
 Reaction = Callable[[float, float], Ahead | None]
-"""What a driver reacts to at time t, s, with the rear axle at station s, m; None: nothing."""
+"""Returns the object that a driver reacts to at time t, s, with the rear axle at station s, m; None without one."""
 
 
 def waiting(line: float, short: float, begin: float, end: float, front: float) -> Reaction:
@@ -69,12 +69,12 @@ def drive(
     """The ego log, sampled at 10 Hz.
 
     Args:
-        path: Of the rear axle.
+        path: Path of the rear axle.
         start: Station of the rear axle at t = 0, m.
-        speed: At t = 0, m/s.
-        cruise: Wanted speed, m/s; or by the station of the rear axle.
-        duration: s; a multiple of 0.1.
-        ahead: What the driver reacts to.
+        speed: Speed at t = 0, m/s.
+        cruise: Wanted speed, m/s; or a function of the rear axle's station.
+        duration: Duration, s; a multiple of 0.1.
+        ahead: Returns the object that the driver reacts to.
         thw: Wanted time headway, s.
 
     Raises:

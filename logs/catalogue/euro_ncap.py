@@ -1,12 +1,12 @@
 """Euro NCAP's tests of pedestrians, cyclists and cars, with the grids of 2023 and of 2026.
 
 Numbers as in the OpenSCENARIO files that Vector publishes (vectorgrp/OSC-NCAP-scenarios ee7aa111): AEB/LSS VRU 4.5.1
-and AEB C2C 4.3.1 (2023), CA-FC 1.1 (2026); the protocols themselves were not read. What is not theirs: the car is the
-catalogue's (1.61 m wide), which the overlap refers to; of 2026 the overlaps of the standard range; a run-up without a
-length of its own grows with the square of the speed; CBNAO hides the cyclist behind one parked car, whose front is 1 m
-before the cyclist's line and whose side is 3.55 m from the ego's path; CCFtap and CMFtap turn at the catalogue's
-junction, both crossing paths at the same time. Not here: reversing (CPRA), pedestrians at turns (CPTA) and the head-on
-lane change (CCFhol).
+and AEB C2C 4.3.1 (2023), CA-FC 1.1 (2026); the protocols themselves were not consulted. Differences: the car is the
+catalogue's (1.61 m wide), and overlaps refer to its width; of 2026 only the overlaps of the standard range; a run-up
+without a stated length grows with the square of the speed; CBNAO hides the cyclist behind one parked car, whose front
+is 1 m before the cyclist's line and whose side is 3.55 m from the ego's path; CCFtap and CMFtap turn at the catalogue's
+junction, where both would cross at the same time. Left out: reversing (CPRA), pedestrians at turns (CPTA) and the
+head-on lane change (CCFhol).
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ SOURCES = {
     "2026": "Euro NCAP CA-FC 1.1, per vectorgrp/OSC-NCAP-scenarios ee7aa111",
 }
 STEPS = {"2023": 5, "2026": 10}
-"""Of the ego's speed, km/h."""
+"""Steps of the ego's speed, km/h."""
 
 
 def _target_ahead(p: Mapping[str, float], target: Target) -> Scenario:
-    """A target that goes along the lane ahead, met after `TTC_S`."""
+    """A target that moves along the lane ahead; the ego would meet it after `TTC_S`."""
     v, u, car = p["ego_kmh"] * KMH, p["target_kmh"] * KMH, VehicleParameters()
     if not v > u:
         raise ValueError(f"the ego's {p['ego_kmh']:g} km/h do not reach a target with {p['target_kmh']:g} km/h")
@@ -91,9 +91,9 @@ def _head_on(p: Mapping[str, float], target: Target) -> Scenario:
 
 
 def _at_junction(p: Mapping[str, float], target: Target, *, turn: float) -> Scenario:
-    """A target whose way crosses the ego's at a junction, both without braking there at the same time.
+    """A target that crosses the ego's path at a junction; without braking both would be there at the same time.
 
-    Turning left: it comes towards the ego; straight on: on the main road, from the right or (`from_left` 1) the left.
+    If the ego turns left, the target comes towards it; else it is on the main road, from right or left (`from_left`).
     """
     v, u, car, t = p["ego_kmh"] * KMH, p["target_kmh"] * KMH, VehicleParameters(), grid(p["duration_s"])
     reach = max(u, v) * (p["duration_s"] + SPARE_S) + BEYOND_M
@@ -197,7 +197,7 @@ def _ahead(p: Mapping[str, float]) -> Scenario:
 
 
 def _braking(p: Mapping[str, float]) -> Scenario:
-    """CCRb: the target is as fast as the ego, `gap_m` ahead, or `headway_s` where that is given."""
+    """CCRb: the target is as fast as the ego, `gap_m` ahead, or `headway_s` if that parameter is set."""
     gap = p["headway_s"] * p["ego_kmh"] * KMH if p["headway_s"] > 0.0 else p["gap_m"]
     return lead({**p, "target_kmh": p["ego_kmh"], "gap_m": gap}, CAR_TARGET, 0.0)
 

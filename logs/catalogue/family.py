@@ -1,11 +1,11 @@
 """A scenario family: named parameters with units, and a deterministic builder.
 
-The scenario's metadata hold the generator's version, all parameters, and under `expected_decisions` what a planner may
-decide, as JSON: agent id, or "stop line ID" -> kinds (`DecisionKind` values), one of which it should decide about that
-agent or line at some time of the drive. Those that are not named need no decision.
+The scenario's metadata have the generator's version, all parameters, and `expected_decisions` as JSON: agent id or
+"stop line ID" -> kinds (`DecisionKind` values). A planner should make one of these decisions about it at some time of
+the drive. Agents and lines that are not listed need no decision.
 
-The logged driver of a scenario has no collision. Where a published grid holds cells in which that is impossible,
-the log ends with the last state `before_contact`, and the metadata say who would have been met, and when.
+The logged driver of a scenario has no collision. Where that is impossible in a cell of a published grid, the log ends
+with the last state `before_contact`, and the metadata have the agent and the time of the contact.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ class Family:
         name: "group/name".
         summary: One line for lists.
         parameters: Defaults by name, units in the names.
-        tags: Words by which gates and reports group.
-        build: All parameters -> Scenario; raises ValueError where they make no sense.
-        grid: Values by parameter, as published: their product is the family's cells; empty: one cell, the defaults.
-        source: Where the numbers come from.
+        tags: Words by which gates and reports group scenarios.
+        build: All parameters -> Scenario; raises ValueError for parameters without a valid scenario.
+        grid: Published values by parameter, whose product gives the family's cells; empty: one cell, the defaults.
+        source: Source of the numbers.
         holds: All parameters -> whether the grid contains this cell of the product (the ego is faster than its target).
     """
 
@@ -61,7 +61,7 @@ class Family:
                 yield cell
 
     def named(self, changed: Mapping[str, float]) -> str:
-        """The name of a variant, from which `logs.catalogue.scenario` builds it: every number in full."""
+        """The name of a variant, from which `logs.catalogue.scenario` builds it, with every number in full."""
         words = []
         for name, value in sorted(changed.items()):
             short = f"{value:g}"
@@ -73,7 +73,7 @@ class Family:
         """The scenario with these parameters changed; a variant's name lists them.
 
         Raises:
-            ConfigError: A parameter is unknown or not finite, or leaves no careful drive.
+            ConfigError: A parameter is unknown or not finite, or no careful drive exists with it.
         """
         unknown = sorted(set(overrides) - set(self.parameters))
         if unknown:
@@ -117,7 +117,7 @@ def family(
     grid: Mapping[str, tuple[float, ...]] | None = None, source: str = "",
     holds: Callable[[Mapping[str, float]], bool] = lambda p: True,
 ) -> Callable[[Build], Family]:  # fmt: skip
-    """Make a `Family` of the function below, which builds its scenarios."""
+    """Decorator that makes a `Family` of a function that builds its scenarios."""
 
     def made(build: Build) -> Family:
         return Family(name, summary, parameters, tags, build, grid or {}, source, holds)
@@ -139,7 +139,7 @@ def touches(scenario: Scenario) -> str | None:
 
 
 def before_contact(scenario: Scenario) -> Scenario:
-    """The scenario with an ego log that ends before the first contact, which the metadata name; as it is without one.
+    """The scenario with an ego log that ends before the first contact, which the metadata name; else unchanged.
 
     Raises:
         ValueError: The ego touches an agent at the start.

@@ -1,10 +1,10 @@
-"""Logs with faults: of perception (who is there), of the ego's start, and of the lanes.
+"""Logs with faults: of perception (the tracks of road users), of the ego's start, and of the lanes.
 
-No public suite has them; the values are ours. Perception's faults are in the tracks of a scene of the catalogue: 0 the
-crossing pedestrian, 1 a lead, 2 a cut-in. In the closed loop the log is the world, so that a track with a gap is what
-the planner perceives, and what the others are judged by is interpolated (`logs.observed`); a delayed track is another
-world there, and wrong against the ego in the open loop only. Those of ego and lanes are in the free road; the log then
-holds the first ego state only, since nothing was driven there.
+No public suite has them; the values are replan's own. Faults of perception are in the tracks of a catalogue scene:
+0 the crossing pedestrian, 1 a lead, 2 a cut-in. In the closed loop the log is the world: the planner perceives a track
+with its gap, and the evaluation interpolates it (`logs.observed`); a delayed track is another world there, and is wrong
+relative to the ego in the open loop only. Faults of ego and lanes are in the free road; the log then has the first ego
+state only, since no drive on that road exists.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from logs.scenario import Scenario, Tracks
 SCENES = (paper.crossing_pedestrian, everyday.follow, everyday.cut_in)
 SOURCE = "ours"
 GOAL_SECTIONS = 6
-"""Number of last cross-sections (10 m) that are the goal, of a lane that does not end where the scene does."""
+"""Number of last cross-sections (10 m) in the goal if the fault changes where the lane ends."""
 SEEDS = (1.0, 2.0, 3.0)
 Lines = tuple[FloatArray, FloatArray]
 
@@ -53,7 +53,7 @@ def _perception(
 
 
 def _keep_samples(tracks: Tracks, keep: BoolArray) -> Tracks:
-    """The tracks with some of their samples; ValueError where a track has none left."""
+    """The tracks with some of their samples; ValueError if a track has none left."""
     left = tracks.taken(keep)
     if len(left) < len(tracks):
         raise ValueError("nothing is left of a track")
@@ -165,14 +165,14 @@ def noisy_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
 
 @_lanes("lane_coarse", "lane boundaries have few points", {"spacing_m": 10.0}, {"spacing_m": (4.0, 6.0, 10.0, 20.0)})
 def coarse_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
-    """A cross-section per step in metres (they are 2 m apart), and the last."""
+    """Keep one cross-section per step in metres (they are 2 m apart), and the last."""
     keep = np.unique(np.r_[0 : len(lines[0]) : round(p["spacing_m"] / 2.0), len(lines[0]) - 1])
     return lines[0][keep], lines[1][keep]
 
 
 @_lanes("lane_doubled", "points of the lane boundaries are there twice", {"every": 5.0}, {"every": (1.0, 2.0, 5.0)})
 def doubled_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
-    """Each n-th cross-section is there twice."""
+    """Repeat each n-th cross-section."""
     count = 1 + (np.arange(len(lines[0])) % int(p["every"]) == 0)
     return np.repeat(lines[0], count, axis=0), np.repeat(lines[1], count, axis=0)
 

@@ -6,11 +6,11 @@ Lengths and widths in m, with b the vehicle's width; x = 0 at the first cones, t
     3888-2   entry 12, 1.1 b + 0.25  gap 13.5  offset lane 11, b + 1.0, 1.0 clear      gap 12.5  exit 12, at least 3.0
 
 The 3.5 m are from middle to middle, with `edge_based` from the entry's middle to the offset lane's right edge; the
-1.0 m from the entry lane's left edge to the offset lane's right edge; the exit's middle is the entry's. (Other readings
-are around; these are stated. The standard itself was not read: Project Chrono's demonstration and another one were.)
+1.0 m from the entry lane's left edge to the offset lane's right edge; the exit's middle is the entry's. (Other
+interpretations exist. The sources are Project Chrono's demonstration and another one, not the standard itself.)
 
-As a scenario the sections are one lane, which goes straight from one to the next and is wider there; there are no other
-road users. The ego must stay in the lane; it may slow down, as the logged driver does.
+In the scenario the sections are one lane, which runs straight from one to the next and is wider between them; it has no
+other road users. The ego must stay in the lane; it may slow down, as the logged driver does.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def obstacle_avoidance(width: float) -> tuple[Section, ...]:
 
 
 def cones(sections: tuple[Section, ...]) -> FloatArray:
-    """Places `(n, 2)`, m: along both edges of each section."""
+    """Positions of the cones `(n, 2)`, m, along both edges of each section."""
     rows: list[FloatArray] = []
     for section in sections:
         x = np.linspace(section.begin, section.end, round((section.end - section.begin) / CONE_SPACING_M) + 1)
@@ -77,12 +77,12 @@ def cones(sections: tuple[Section, ...]) -> FloatArray:
 
 
 WIDER_M = 1.5
-"""Of the lane on each side in the middle of a gap, where the standard has no bound."""
+"""Extra width of the lane on each side in the middle of a gap, where the standard has no bound, m."""
 TAPER_M, LANE_STEP_M = 15.0, 1.0
 LONGER = 3.0
-"""Road behind the track: for a drive that does not slow down."""
+"""Factor of the road's length behind the track, for a drive that does not slow down."""
 APPROACH_M, BRAKE_MPS2, LATERAL_MPS2 = 40.0, 1.2, 2.0
-"""Of the logged driver: way before the track, how they slow down on it, and the room they like to the side."""
+"""The logged driver: way before the track, m, deceleration towards it and lateral acceleration on it, m/s2."""
 
 
 def _track(p: Mapping[str, float], sections: Callable[..., tuple[Section, ...]]) -> Scenario:
@@ -103,7 +103,7 @@ def _track(p: Mapping[str, float], sections: Callable[..., tuple[Section, ...]])
     driven = drive(path, start=0.0, speed=v, cruise=cruise, duration=tenths(last / slow + SPARE_S))
     driven = driven.between(0.0, float(driven.t[np.argmax(driven.x > last + 2.0 * TAPER_M)]))
     duration = float(driven.t[-1])
-    begin, end = -approach - car.length, path.length - approach  # of the lane through the sections
+    begin, end = -approach - car.length, path.length - approach  # stations of the lane through the sections
     knots = [(begin, HALF_LANE, -HALF_LANE), (there[0].begin - TAPER_M, HALF_LANE, -HALF_LANE)]
     for i, section in enumerate(there):
         edges = section.offset + 0.5 * section.width, section.offset - 0.5 * section.width

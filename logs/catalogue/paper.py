@@ -72,7 +72,7 @@ def static_obstacles(p: Mapping[str, float]) -> Scenario:
     )
     to_left = max(0.0, bypass(from_right, p["clearance_m"], width))
     to_right = min(0.0, bypass(from_left, -p["clearance_m"], width))
-    run, flat = 0.6 * spacing, 0.2 * spacing  # the way of each shift, and beside each car
+    run, flat = 0.6 * spacing, 0.2 * spacing  # length of each shift, and of the straight beside each car
     past = [
         (station - flat - run, station - flat, left)
         for station, left in zip(at, (to_left, to_right, to_left), strict=True)

@@ -1,15 +1,15 @@
-"""Pedestrians who do more than cross: turn back, hesitate, run out, jaywalk, come in groups, along, from both sides.
+"""Pedestrians who turn back, hesitate, run out, jaywalk, cross in groups, walk along the lane, come from both sides.
 
 One straight lane with sidewalks along x. A walk is a sum of legs, each at its own speed with ramps of 0.4 s
 (`scene.walked`); where one leg begins as the other slows down, the speed changes without a stop. `distance_m` is from
 the front bumper of an ego that kept its speed to the walker's line, at the time when they set off towards the lane.
 
-The logged driver knows nothing beforehand: `reaction_s` after the walker has set off they brake towards
-`stop_distance_m` before the walker, and drive on when the last walker has left the lane.
+The logged driver does not anticipate: `reaction_s` after the walker has set off they brake towards `stop_distance_m`
+before the walker, and drive on when the last walker has left the lane.
 
 Metadata: `pedestrian_sets_off_s`, when the first sets off onto the lane (for the last time), and
 `pedestrian_off_lane_s`, when the last has left it. Sources: Euro NCAP CPNCO and CPLA for running out and walking along;
-the others are ours.
+replan's own for the others.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ from logs.vehicle import VehicleParameters
 RAMP_S = 0.4
 CHILD = (0.711, 0.298)
 SLOWING_MPS2, SLOW_BEFORE_M = 1.2, 8.0
-"""How the driver slows down towards the parked cars, and how far before them to be slow (the speed lags behind)."""
+"""Deceleration towards the parked cars, m/s2; distance before them at which to be slow, m (the speed lags behind)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A part of a walk: from when (s), how far (m, signed), how fast (m/s)."""
+    """A part of a walk: its begin (s), distance (m, signed) and speed (m/s)."""
 
     begin: float
     distance: float
@@ -62,20 +62,20 @@ class Leg:
 
     @property
     def slows(self) -> float:
-        """When it begins to slow down, s: a leg that begins then goes on without a stop."""
+        """Time at which it begins to slow down, s; a leg that begins at this time continues without a stop."""
         return self.begin + abs(self.distance) / self.speed
 
     @property
     def end(self) -> float:
-        """When it stands, s."""
+        """Time at which it comes to a stand, s."""
         return self.slows + RAMP_S
 
 
 def strolled(t: FloatArray, legs: Sequence[Leg]) -> FloatArray:
-    """How far a walk of legs has come at times `(n,)`, m.
+    """Distance of a walk of legs at times `(n,)`, m.
 
     Raises:
-        ValueError: A leg is too short to come to its speed.
+        ValueError: A leg is too short to reach its speed.
     """
     whole = np.zeros(len(t))
     for leg in legs:
@@ -87,7 +87,7 @@ def walker(
     name: str, t: FloatArray, at: tuple[float, float], legs: Sequence[Leg],
     *, towards: float = 0.5 * pi, size: tuple[float, float] = ADULT,
 ) -> Agent:  # fmt: skip
-    """A pedestrian who walks legs from a point in one direction (rad), back where their distance is negative."""
+    """A pedestrian who walks legs from a point in one direction (rad), backwards for legs of negative distance."""
     way = strolled(t, legs)
     x, y = at[0] + way * cos(towards), at[1] + way * sin(towards)
     return moving(name, AgentKind.PEDESTRIAN, size, t, x, y, yaw=towards)
@@ -115,7 +115,7 @@ def _station(p: Mapping[str, float], sets_off: float) -> float:
 
 
 def _kerbs(p: Mapping[str, float]) -> tuple[float, float]:
-    """Where a walk over the lane begins on the right, and ends on the left: y, m."""
+    """The y, m, at which a walk over the lane begins on the right and ends on the left."""
     return -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
 
 

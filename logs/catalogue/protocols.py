@@ -1,13 +1,13 @@
-"""What the published tests have in common: a target that is met after `TTC_S` by an ego that keeps its speed.
+"""The common part of the published tests: an ego that keeps its speed meets a target after `TTC_S`.
 
-Speeds are in km/h, as the protocols have them. The ego comes with a constant speed on a straight road along x, at
-t = 0 the impact is `TTC_S` away. The logged driver brakes as the others of the catalogue, with at most 3 m/s2 and
-2 m/s3, `reaction_s` after the danger shows; where that is not enough the log ends (`family.before_contact`).
+Speeds are in km/h, as in the protocols. The ego drives at constant speed on a straight road along x; at t = 0 the
+impact is `TTC_S` away. The logged driver brakes as in other families, with at most 3 m/s2 and 2 m/s3, `reaction_s`
+after the danger is visible; where that is not enough the log ends before the contact (`family.before_contact`).
 
 The target crosses along y with a ramp of its run-up, so that with the ego's front at its side its middle is at
 
 (1) y_impact = -b / 2 + b overlap / 100              b the ego's width; overlap from the near, right side, %
-(2) t_off    = TTC_S - (r / 2 + d / u)               set off for the way d at speed u; run-up 2 s_run / u = r
+(2) t_off    = TTC_S - (r / 2 + d / u)               start for the way d at speed u; run-up 2 s_run / u = r
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ KMH = 1.0 / 3.6
 TTC_S = 6.0
 GOAL_M = 40.0
 STOP_M, BEYOND_LINE_M, REST_M = 2.0, 20.0, 2.5
-"""Where the logged driver stops before the target, where the goal begins behind it, how far it goes off the lane."""
+"""Distance at which the driver stops before the target; of the goal's begin behind it; of its walk off the lane, m."""
 RAMP_S = 0.4
-"""In which a target that has no run-up comes to its speed."""
+"""Time in which a target without a run-up reaches its speed, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +83,15 @@ def tested(
     """The scenario of an ego with `ego_kmh` that starts at station `start`.
 
     Args:
-        p: `ego_kmh` and `duration_s` of them.
-        path: Of the rear axle.
-        road: Around it.
-        agents: All others.
+        p: Parameters, of which `ego_kmh` and `duration_s` are used.
+        path: Path of the rear axle.
+        road: The road.
+        agents: The other road users.
         expected: Accepted decisions by agent.
-        ahead: What the logged driver reacts to.
-        beyond: Station at which the goal begins; None: nothing leads past the target, the goal is the path's end, which
-            is so far that a drive lasts as long as the log does.
-        start: Of the rear axle, m.
+        ahead: Returns the object that the logged driver reacts to.
+        beyond: Station at which the goal begins; None: the target cannot be passed, and the goal is the path's end,
+            which is so far that a drive lasts as long as the log.
+        start: Station of the rear axle at the start, m.
     """
     v, duration = p["ego_kmh"] * KMH, p["duration_s"]
     driven = drive(path, start=start, speed=v, cruise=v, duration=duration, ahead=ahead)
@@ -105,7 +105,7 @@ def straight(p: Mapping[str, float]) -> Path:
 
 
 def impact(overlap_percent: float) -> float:
-    """(1), m."""
+    """The offset y_impact (1), m."""
     return VehicleParameters().width * (overlap_percent / 100.0 - 0.5)
 
 
@@ -119,9 +119,9 @@ def crossing(p: Mapping[str, float], target: Target, *, far: bool = False, hidde
     """A target that crosses from the near side (right), or the far side.
 
     Args:
-        p: As `CROSSING`; `start_m` is how far from the ego's path the target stands at first.
-        target: Who crosses.
-        far: From the left, over an opposite lane.
+        p: Parameters as in `CROSSING`; `start_m` is the target's first distance from the ego's path.
+        target: The target that crosses.
+        far: Whether it comes from the left, over an opposite lane.
         hidden: "cpnco": behind two parked cars; "cbnao": behind a car whose side is `hidden_m` from the ego's path.
 
     Raises:
@@ -157,7 +157,7 @@ FOLLOWS = (DecisionKind.FOLLOW, *WAITS)
 
 
 def lead_speed(t: FloatArray, begin: float, u: float, rate: float, to: float) -> FloatArray:
-    """Speed `(n,)` of who changes from u to `to` with |rate| from `begin` on; rate 0: keeps u. m/s."""
+    """Speed `(n,)` of a target that changes from u to `to` with |rate| from `begin` on, m/s; with rate 0 it keeps u."""
     if rate == 0.0:
         return np.full(len(t), u)
     changed: FloatArray = np.clip((t - begin) * abs(rate), 0.0, abs(u - to))
@@ -165,25 +165,25 @@ def lead_speed(t: FloatArray, begin: float, u: float, rate: float, to: float) ->
 
 
 def travelled(t: FloatArray, speed: FloatArray) -> FloatArray:
-    """Way `(n,)` at a speed `(n,)`, m."""
+    """Distance `(n,)` travelled at a speed `(n,)`, m."""
     return np.r_[0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(t))]
 
 
 def beside(overlap_percent: float) -> float:
-    """How far to the left a target ahead is of which |overlap| of the ego's width is met, m; to the right: negative."""
+    """Lateral offset of a target ahead that overlaps |overlap| of the ego's width, m; negative to the right."""
     return copysign(1.0 - abs(overlap_percent) / 100.0, overlap_percent) * VehicleParameters().width
 
 
 def lead(p: Mapping[str, float], target: Target, y: float) -> Scenario:
-    """A target that is ahead in the lane: stopped, slower, or braking; met after `TTC_S`, or `gap_m` away if positive.
+    """A target ahead in the lane: stopped, slower, or braking; the impact is after `TTC_S`, or it is `gap_m` ahead.
 
     Args:
-        p: As `LEAD`.
-        target: Who is ahead.
-        y: Where, to the left of the lane's middle, m.
+        p: Parameters as in `LEAD`; `gap_m` is used if it is positive.
+        target: The target ahead.
+        y: Its offset to the left of the lane's middle, m.
 
     Raises:
-        ValueError: It would not be met.
+        ValueError: The ego would not meet it.
     """
     v, u, car = p["ego_kmh"] * KMH, p["target_kmh"] * KMH, VehicleParameters()
     gap = p["gap_m"] if p["gap_m"] > 0.0 else (v - u) * TTC_S

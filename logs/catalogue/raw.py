@@ -1,9 +1,9 @@
-"""Drives whose road users are seen by a detector: what a team's own bag holds, with the truth known.
+"""Drives whose road users a detector sees: the data of a team's own bag, with known truth.
 
-A scene with its bystanders is driven by the careful driver, and seen from the ego by `logs.catalogue.detector`. The
-log holds the detections alone: tracks are made of them where a log is read (`logs.readers.admission`). `TRUE` has the
-scenes with the road users that there are, by which a repair can be judged. The goal begins `EARLY_M` before the log's
-end, which is the detector's: who drives more slowly still reaches it.
+The careful driver drives through a scene with bystanders, and `logs.catalogue.detector` models the detections from the
+ego. The log has the detections alone: the reader makes tracks of them (`logs.readers.admission`). `TRUE` has the scenes
+with the true road users, for the evaluation of a repair. The goal begins `EARLY_M` before the end of the drive, so that
+a slower ego still reaches it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from logs.vehicle import VehicleParameters
 
 EARLY_M = 80.0
 ROW_M = 3.4
-"""Middle of a row of parked cars, from that of the lane, m."""
+"""Distance of the middle of a row of parked cars from the middle of the lane, m."""
 TRUCK = (8.0, 2.4)
 Parameters = Mapping[str, float]
 
@@ -56,7 +56,7 @@ def _true_scene(
 
 
 def _goal(path: Path, driven: Trajectory) -> Goal:
-    """The lane from before the end of the drive on."""
+    """A goal that begins on the lane before the end of the drive."""
     end = float(driven.x[-1])
     return Goal((stretch(path, end - EARLY_M, end + EARLY_M, right=-HALF_LANE, left=HALF_LANE),))
 
@@ -193,4 +193,4 @@ TRUE: Mapping[str, Callable[[Parameters], Scenario]] = {
     "raw/rider": _rider,
     "raw/clusters": _clusters,
 }
-"""The scenes as they are, by the name of their family."""
+"""The true scenes by the name of their family."""

@@ -33,7 +33,7 @@ from logs.rules import StopLine
 STEP_M = 0.05
 LANE_WIDTH_M = 3.5
 HALF_BOX_M = 9.0
-"""From the middle of the junction to where its lanes begin."""
+"""Distance from the middle of the junction to the begin of its lanes, m."""
 CLOTHOID_M = 3.5
 WIDENING_M = 2.0
 SPACING_M = 5.0
@@ -67,7 +67,7 @@ class Path:
         return x, y, yaw, kappa
 
     def part(self, begin: float, end: float) -> Path:
-        """The path between two of its stations; its own begin at 0."""
+        """The path between two of its stations; the new stations begin at 0."""
         s = np.linspace(begin, end, max(2, round((end - begin) / STEP_M) + 1))
         return Path(s - begin, *self.at(s))
 
@@ -173,7 +173,7 @@ class Junction:
     """The roads, the ego's path of the rear axle, and where on it the junction begins and ends (stations, m).
 
     Attributes:
-        center: Of the junction `(x, y)`, m.
+        center: Centre of the junction `(x, y)`, m.
         radius: Least radius of the path, m; inf if it goes straight on.
     """
 
@@ -192,18 +192,18 @@ def junction(begin: float, beyond: float, main: float, *, turn: float, speed_lim
         begin: Length of the ego's lane to the stop line, m.
         beyond: Length of the side road behind the junction, and of the ego's path there, m.
         main: Length of the main road to each side, m.
-        turn: Of the ego: 1 left, 0 straight on, -1 right.
-        speed_limit: Everywhere, m/s.
+        turn: Turn of the ego: 1 left, 0 straight on, -1 right.
+        speed_limit: Speed limit of all lanes, m/s.
 
     Raises:
-        ValueError: No such turn.
+        ValueError: `turn` is none of these.
     """
     if turn not in (-1, 0, 1):
         raise ValueError(f"turn is {turn:g}: 1 is left, 0 straight on, -1 right")
     x, y = begin + HALF_BOX_M, _HALF
     reach, kappa = HALF_BOX_M + turn * _HALF, 0.0
     bend: tuple[tuple[float, float, float], ...] = ((2.0 * HALF_BOX_M, 0.0, 0.0),)
-    if turn:  # a quarter turn that ends `reach` m ahead and as much to the side
+    if turn:  # a quarter turn that ends `reach` m ahead and `reach` m to the side
         low, high = 1.0 / reach, 2.0 / reach
         for _ in range(50):
             kappa = 0.5 * (low + high)
@@ -231,7 +231,7 @@ def junction(begin: float, beyond: float, main: float, *, turn: float, speed_lim
         if i == own and turn:
             turning = path.part(begin, end)
             s = np.linspace(0.0, turning.length, max(2, round(turning.length) + 1))
-            half = _HALF + 0.5 * WIDENING_M * np.sin(pi * s / turning.length)  # wider in its middle: a front swings out
+            half = _HALF + 0.5 * WIDENING_M * np.sin(pi * s / turning.length)  # wider in its middle, for the front
             lanes.append(Lane(
                 i, turning.beside(s, half), turning.beside(s, -half), (i % 10,), left_crossable=False,
                 right_crossable=False, speed_limit=speed_limit, kind="urban", yields_to=first,

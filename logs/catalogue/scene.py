@@ -1,4 +1,4 @@
-"""What the families share: the other road users, their walks and sample times, and the scenario of a driven scene."""
+"""Common parts of the families: road users, their walks and sample times, and the scenario of a driven scene."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ SMALL_CAR, LARGE_CAR = (4.316, 1.79), (4.418, 1.82)
 """Length and width of the cars of CPNCO, m."""
 START_M = 10.0
 SPARE_S = 10.0
-"""A planner may take this much longer than the logged driver."""
+"""Time that a planner may take longer than the logged driver, s."""
 BEYOND_M = 150.0
 HALF_LANE = 0.5 * LANE_WIDTH_M
 SIDEWALK_M = 4.0
 WAITS = (DecisionKind.YIELD, DecisionKind.STOP)
 BESIDE_M, APART_M = 1.0, 1.0
-"""CPNCO: from the ego's side to theirs; from the small car's front to the child's line, and from car to car."""
+"""CPNCO: from the ego's side to the cars'; from the small car's front to the child's line, and between the cars, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,8 @@ def moving(
 ) -> Agent:
     """A road user at positions `(n,)` at times `(n,)`, uniformly spaced.
 
-    Velocities are backward differences: nothing of a later position is in a sample. The heading is that of the
-    velocity; `yaw` where and as long as it stands from the begin.
+    Velocities are backward differences: a sample does not depend on later positions. The heading is that of the
+    velocity; it is `yaw` while the road user stands at the begin.
     """
     vx, vy = (np.r_[way[0], way] for way in (np.diff(x) / np.diff(t), np.diff(y) / np.diff(t)))
     heading, last = np.empty(len(t)), yaw
@@ -75,7 +75,7 @@ def moving(
 
 
 def tracks(agents: Sequence[Agent]) -> Tracks:
-    """All of them as Tracks."""
+    """The road users as Tracks."""
     if not agents:
         return Tracks.empty()
     ids, kinds = tuple(agent.id for agent in agents), tuple(agent.kind for agent in agents)
@@ -86,7 +86,7 @@ def tracks(agents: Sequence[Agent]) -> Tracks:
 
 
 def grid(duration: float) -> FloatArray:
-    """Sample times of the others `(n,)`, to the end of the scenario, s."""
+    """Sample times of the road users `(n,)`, to the end of the scenario, s."""
     return np.round(np.arange(0.0, duration + SPARE_S + 0.5 * SAMPLE_S, SAMPLE_S), 9)
 
 
@@ -133,14 +133,14 @@ def finished(
     """The scenario of a drive, without a name.
 
     Args:
-        path: On which the goal lies.
-        driven: By the logged driver.
-        agents: All others.
-        road: Of the scene.
-        duration: Of the drive, s; a planner has `SPARE_S` more.
+        path: Path on which the goal lies.
+        driven: States of the logged driver.
+        agents: The other road users.
+        road: Road of the scene.
+        duration: Duration of the drive, s; a planner has `SPARE_S` more.
         begin: Station at which the goal begins, m; None: 10 m before the x at which the drive ends.
         edges: Right and left edge of the goal, m to the left of the path.
-        metadata: The accepted decisions, and what else is known.
+        metadata: The accepted decisions, and further entries.
     """
     first = float(driven.x[-1]) - 10.0 if begin is None else begin
     goal = Goal((stretch(path, first, first + 40.0, right=edges[0], left=edges[1]),))

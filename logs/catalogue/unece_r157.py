@@ -1,9 +1,9 @@
 """The scenarios of UN R157 (automated lane keeping), with their grids.
 
 Numbers as in the OpenSCENARIO files of ASAM/openMSL (sl-3-1-osc-alks-scenarios b49dc1dd). The ego drives 5 to 60 km/h
-in a lane 3.5 m wide. What is not theirs: targets that stand are met after 6 s as those of Euro NCAP are (from the 500 m
-of 4.2_1 a drive at 5 km/h would last six minutes); who cuts in or out begins after 2 s, its lateral speed comes and
-goes in 0.4 s, and an acceleration lasts until the ego's speed at the begin, or standstill; a lead that cuts out is
+in a lane 3.5 m wide. Differences: the ego would meet standing targets after 6 s, as in Euro NCAP's tests (from the 500
+m of 4.2_1 a drive at 5 km/h would last six minutes); a cut-in or cut-out begins after 2 s, its lateral speed ramps up
+and down in 0.4 s, and an acceleration lasts until the ego's speed at the begin, or standstill; a lead that cuts out is
 2.0 s ahead. 4.4_2, the unavoidable cut-in, is a cell of 4.4_1: 10 m, 3 m/s.
 """
 
@@ -128,7 +128,7 @@ def _braking(p: Mapping[str, float]) -> Scenario:
 
 
 def _forward(p: Mapping[str, float]) -> bool:
-    """Whether who cuts in drives forward."""
+    """Whether the vehicle that cuts in drives forward."""
     return p["ego_kmh"] + p["relative_kmh"] > 0.0
 
 

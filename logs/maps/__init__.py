@@ -1,13 +1,13 @@
-"""Maps that take the place of a log's own (`--map`, `[log] map`): one table of readers, tried in order.
+"""Reads maps that replace a log's own road (`--map`, `[log] map`), with a table of readers tried in order.
 
-Adding a format is one file with a `MapReader` and one line in `BUILTIN`.
+A new format needs one file with a `MapReader` and one line in `BUILTIN`.
 
 Modules:
-    base.py             the reader of a map format, what it reads, and the scenario on it, if it fits the drive
+    base.py             the classes of map readers and maps; puts a scenario on a map that fits the drive
     projections.py      latitude and longitude to plane coordinates
     lanelet2_file.py    Lanelet2 files: their XML as records, the coordinates of their points
     lanelet2_lanes.py   the lanes of Lanelet2 maps
-    lanelet2.py         their regulatory elements, and the road that they make
+    lanelet2.py         the regulatory elements and the road of Lanelet2 maps
     opendrive.py        OpenDRIVE maps, by pyxodr
 """
 
@@ -28,7 +28,7 @@ __all__ = ["BUILTIN", "MapFile", "MapReader", "map_files", "map_reader_of", "rea
 
 
 def read_123d(path: Path, settings: Mapping[str, str]) -> MapFile:
-    """All of a 123D map, of one log or of a place; LogError where the file is none."""
+    """Read a whole 123D map, of one log or of a place; LogError if the file is not a map."""
     from logs.readers.arrow123d_map import road_of_map
 
     notes: list[str] = []
@@ -36,11 +36,11 @@ def read_123d(path: Path, settings: Mapping[str, str]) -> MapFile:
 
 
 BUILTIN = (lanelet2.READER, opendrive.READER, MapReader("123D", "*.arrow", ".arrow", read_123d, begin=b"ARROW1"))
-"""In the order in which they are tried."""
+"""The map readers in the order in which they are tried."""
 
 
 def map_reader_of(path: Path) -> MapReader:
-    """The reader that claims a map; LogError where none does."""
+    """Return the reader that claims a map; LogError if there is none."""
     check_regular(path)
     if not path.is_file():
         raise LogError("no such map", file=path)
@@ -52,15 +52,15 @@ def map_reader_of(path: Path) -> MapReader:
 
 
 def map_files(path: Path) -> tuple[Path, ...]:
-    """The files that a map is read from, in a fixed order; LogError where no reader claims it."""
+    """Return the files of a map, in a fixed order; LogError if no reader recognises it."""
     return map_reader_of(path).files(path)
 
 
 def read_map(path: Path, settings: LogSettings | None = None) -> MapFile:
-    """The map in a file of any format, in its own coordinates.
+    """Read the map in a file of any format, in its own coordinates.
 
     Raises:
-        LogError: It is no map, or damaged; nothing else is raised for any bytes.
+        LogError: The file is not a map, or is damaged; no other exception is raised for any bytes.
     """
     reader = map_reader_of(path)
     settings = settings or LogSettings()
@@ -72,12 +72,12 @@ def read_map(path: Path, settings: LogSettings | None = None) -> MapFile:
 def _read(
     reader: MapReader, path: Path, stamps: tuple[tuple[Path, int, int], ...], settings: tuple[tuple[str, str], ...]
 ) -> MapFile:
-    """The map, read once for all logs and windows on it as long as its files and the settings are the same."""
+    """Read the map once for all logs and windows, as long as its files and the settings do not change."""
     return reader.read(path, dict(settings))
 
 
 def with_map(scenario: Scenario, settings: LogSettings) -> Scenario:
-    """The scenario on the map of the settings; itself where they name none.
+    """Put the scenario on the map of the settings; return it unchanged if they name no map.
 
     Raises:
         LogError: The map cannot be read, or does not fit the drive.

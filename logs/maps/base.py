@@ -1,8 +1,9 @@
-"""The reader of a map format, what it reads, and the scenario on that map, refused where the drive is not on it.
+"""The classes of map readers and maps; puts a scenario on a map, and refuses maps that do not fit the drive.
 
-The ego's path at every `STEP_M` (1), so that a car that stands weighs no more than one that drives: a point is on the
-map where it lies on a lane on which cars may drive, and along where it drives along such a lane (`logs.route.on_lane`).
-The map is refused where less than `LEAST_SHARE` of the path is on it, or less than that share of those points along.
+(1) The ego's path is sampled every `STEP_M`, so that a standing car has no more weight than a moving one. A point is on
+    the map if it lies on a drivable lane, and along it if the ego drives along such a lane (`logs.route.on_lane`).
+
+The map is refused if less than `LEAST_SHARE` of the points are on it, or less than that share of those are along it.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ class MapFile:
     """A map in its own world coordinates.
 
     Attributes:
-        road: Its lanes, m; lanes without a speed limit have NaN, the road's default is not used.
-        frame: How its coordinates came about, in words.
+        road: Its road, m; lanes without a speed limit have NaN, and the road's default is not used.
+        frame: Origin of its coordinates, in words.
         notes: What was assumed or left out in reading, one sentence each.
-        aliases: Other numbers under which logs may know a light of the road's stop lines, by its id.
-        side_known: Whether the map says on which side traffic drives.
+        aliases: Other ids of the lights of its stop lines that logs may use, by the light's id.
+        side_known: Whether the map shows on which side traffic drives.
     """
 
     road: Road
@@ -48,16 +49,16 @@ class MapFile:
 
 @dataclass(frozen=True)
 class MapReader:
-    """One format of maps.
+    """The reader of one map format.
 
     Attributes:
-        name: In messages and notes ("Lanelet2").
+        name: Its name in messages and notes ("Lanelet2").
         looks_for: Its files, in words ("*.osm").
-        suffix: The end of their names.
-        read: The map in a file, given what `settings` say; raises LogError, and nothing else, on any bytes.
-        begin: Their first bytes, where those must be looked at.
-        beside: Names of files in the same folder that belong to a map, where they are there.
-        settings: The keys of `LogSettings` that it reads; they hold texts.
+        suffix: Suffix of its files.
+        read: Reads the map in a file with the settings; raises only LogError on any bytes.
+        begin: First bytes of its files; empty: the suffix suffices.
+        beside: Names of optional files in the same folder that belong to a map.
+        settings: The keys of `LogSettings` that it reads; their values are texts.
     """
 
     name: str
@@ -69,7 +70,7 @@ class MapReader:
     settings: tuple[str, ...] = ()
 
     def claims(self, path: Path) -> bool:
-        """Whether a path is a map of this format; cheap, raises nothing on any bytes."""
+        """Return whether a path is a map of this format; fast, and raises nothing on any bytes."""
         try:
             if path.suffix.lower() != self.suffix or not self.begin:
                 return path.suffix.lower() == self.suffix
@@ -79,14 +80,14 @@ class MapReader:
             return False
 
     def files(self, path: Path) -> tuple[Path, ...]:
-        """The files that a map is read from: what its identity is hashed from."""
+        """Return the files of a map; the map's identity is their hash."""
         return path, *(other for name in self.beside if (other := path.with_name(name)).is_file())
 
 
 def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenario:
-    """The scenario with the map's road for its own.
+    """Replace the scenario's road by that of the map.
 
-    Lights that no stop line of the map names are left out; notes that the log has no lanes too.
+    Lights that no stop line of the map names are left out, and so are notes that the log has no lanes.
 
     Raises:
         LogError: The map does not fit the drive.
@@ -96,7 +97,7 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
     drivable = [lane for lane in road.lanes.values() if lane.drivable]
     on = _check_fit(found, path, drivable, scenario.ego)
     shown, called = {light.id for light in scenario.lights}, {}
-    for light, others in found.aliases.items():  # stop lines call their lights as the log does
+    for light, others in found.aliases.items():  # stop lines get the log's ids of their lights
         known = [name for name in others if name in shown]
         called[light] = known[0] if light not in shown and len(known) == 1 else light
     lines = tuple(
@@ -135,7 +136,7 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
 
 
 def _check_fit(found: MapFile, path: Path, lanes: list[Lane], ego: Trajectory) -> BoolArray:
-    """Which points of the path (1) lie on the lanes; a map that is elsewhere or the wrong way round is refused."""
+    """Return which points of the path (1) lie on lanes; LogError if the map lies elsewhere or points the other way."""
     driven = np.r_[0.0, np.cumsum(np.hypot(np.diff(ego.x), np.diff(ego.y)))]
     at = np.unique(np.searchsorted(driven, np.arange(0.0, driven[-1] + 1e-9, STEP_M)))
     x, y, yaw = ego.x[at], ego.y[at], ego.yaw[at]
@@ -146,7 +147,7 @@ def _check_fit(found: MapFile, path: Path, lanes: list[Lane], ego: Trajectory) -
         on[k] = bool(there)
         along[k] = any(on_lane(lane, x[k : k + 1], y[k : k + 1], yaw[k : k + 1])[0] for lane in there)
     if on.mean() < LEAST_SHARE:
-        from scipy.spatial import cKDTree  # here: it takes long to load
+        from scipy.spatial import cKDTree  # imported late: slow to load
 
         tree = cKDTree(np.vstack([lane.polygon for lane in lanes]))
         away = np.asarray(tree.query(np.column_stack([x, y]))[0])

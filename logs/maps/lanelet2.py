@@ -1,16 +1,16 @@
-"""Lanelet2 maps: the road that lanelets (`lanelet2_lanes`) and regulatory elements make.
+"""Reads Lanelet2 maps: makes a road from lanelets (`lanelet2_lanes`) and regulatory elements.
 
 Source of stop lines, crosswalks and right of way: Lanelet2, "RegulatoryElementTagging.md"; autoware_lanelet2_extension,
 "extra_regulatory_elements.md".
 
-A stop line (role ref_line; without one: at the lanelet's end) lies across the lanelet that names the element. Where it
-is at that lanelet's begin, as Autoware's maps have it in junctions, it lies across the lanelets before and counts for
-the way into this one. An element that no lanelet names belongs to the lanelets of whose second half its line crosses
-the middle. The light of a stop line has the id of the regulatory element, as in Autoware's messages; other numbers by
-which it may be known (its ways, `traffic_light_id`) are its aliases.
+A stop line (role ref_line; without one: at the lanelet's end) lies across the lanelet that names the element. If it is
+at that lanelet's begin, as in junctions of Autoware's maps, it lies across the preceding lanelets and applies to the
+way into this one. An element that no lanelet names belongs to the lanelets whose centre line its line crosses in the
+second half. The light of a stop line has the id of the regulatory element, as in Autoware's messages; other ids that
+logs may use (its ways, `traffic_light_id`) are its aliases.
 
-A lanelet that yields waits for the lanelets with right of way that it meets; where the element names the lanelets
-before the junction, those that follow on them count.
+A lanelet that yields waits for the lanelets with right of way that it meets; if the element names lanelets before the
+junction, the rule applies to their successors.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from logs.road import Lane, Road
 from logs.rules import Crosswalk, StopLine
 
 AT_BEGIN_M = 1.5
-"""A stop line nearer to a lane's begin lies across the lanes before."""
+"""A stop line nearer to a lane's begin lies across the preceding lanes, m."""
 SPACING_M = 0.5
 ASIDE_M = 1.0
-"""Lines are longer by this to each side, and lanes at their ends, to find crossings where no lanelet names a line."""
+"""For lines that no lanelet names, lines (on each side) and lanes (at the end) are extended by this, m."""
 _STOP = ("stop", "stop_sign", "de206", "206", "usR1-1", "R1-1")
 _YIELD = ("yield", "give_way", "de205", "205", "usR1-2", "R1-2")
 _READ = ("traffic_light", "traffic_sign", "right_of_way", "all_way_stop", "speed_limit", "crosswalk", "road_marking")
@@ -47,7 +47,7 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
     """Read a map.
 
     Raises:
-        LogError: It is no such map, has no lane, or its points have no place.
+        LogError: The file is not a Lanelet2 map, has no drivable lane, or its points have no coordinates.
     """
     osm, notes = read_osm(path), list[str]()
     try:
@@ -58,7 +58,7 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
         if not any(lane.drivable for lane in lanes.values()):
             raise LogError("no lanelet on which a car may drive", remedy="give a map of lanelets with subtype road")
         rules = rules_of(osm, strips, lanes, rows, xy, notes)
-        # one drives on the right where more lanes have the opposite direction on their left
+        # traffic drives on the right if more lanes have the opposite direction on their left
         votes = [lane.left_opposite for lane in lanes.values() if lane.left_opposite != lane.right_opposite]
         road = Road(
             {i: replace(lane, yields_to=rules.yields.get(i, ())) for i, lane in lanes.items()},
@@ -85,7 +85,7 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
 
 
 def _height(node: Element) -> float:
-    """A point's height, m; 0 where it has none."""
+    """Return a point's height, m; 0 if it has none."""
     try:
         height = float(node.tags.get("ele", "0"))
     except ValueError:
@@ -95,7 +95,7 @@ def _height(node: Element) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """What the regulatory elements say; `yields` by lane."""
+    """The rules of the regulatory elements; `yields` has the lanes with right of way by the yielding lane."""
 
     stop_lines: tuple[StopLine, ...]
     crosswalks: tuple[Crosswalk, ...]
@@ -105,7 +105,7 @@ class Rules:
 
 @dataclass(frozen=True, eq=False)
 class _Map:
-    """What the elements are placed on; `by_rule`: the lanes that name an element."""
+    """The map on which the elements are placed; `by_rule`: the lanes that name an element."""
 
     osm: Osm
     rows: Mapping[int, int]
@@ -115,16 +115,16 @@ class _Map:
     by_rule: Mapping[int, Sequence[int]]
 
     def line(self, way: int) -> FloatArray | None:
-        """The points `(n, 2)` of a way; None where it has less than two."""
+        """Return the points `(n, 2)` of a way; None if it has fewer than two."""
         points = way_points(self.osm.ways[way], self.rows) if way in self.osm.ways else ()
         return self.xy[list(points)] if len(points) > 1 else None
 
     def tag(self, way: int, key: str) -> str:
-        """A way's tag, "" where it has none or is not there."""
+        """Return a way's tag, "" if the tag or the way is missing."""
         return self.osm.ways[way].tags.get(key, "") if way in self.osm.ways else ""
 
     def lanelets(self, element: Element, *roles: str) -> list[int]:
-        """The lanes of an element's lanelet members."""
+        """Return the lanes of an element's lanelet members."""
         return [ref for ref in element.named(*roles, kind="relation") if ref in self.lanes]
 
 
@@ -132,7 +132,7 @@ def rules_of(
     osm: Osm, strips: Sequence[Strip], lanes: Mapping[int, Lane], rows: Mapping[int, int], xy: FloatArray,
     notes: list[str],
 ) -> Rules:  # fmt: skip
-    """The rules; `rows` and `xy`: the map's points by node."""
+    """Make the rules of a map; `rows` are the rows of `xy` by node, `xy` the map's points."""
     before, by_rule = predecessors(lanes), defaultdict[int, list[int]](list)
     for strip in strips:
         for rule in strip.rules:
@@ -177,7 +177,7 @@ def rules_of(
         tags = (held.tag(ref, "traffic_light_id")[:18] for ref in ways)
         aliases[element.id] = tuple(dict.fromkeys([*ways, *(int(text) for text in tags if text.isdecimal())]))
     outlines = {lane.id: lane.polygon for lane in lanes.values() if lane.kind == "crosswalk"}
-    for element in by_kind["crosswalk"]:  # the outline of an Autoware crosswalk where the map gives it
+    for element in by_kind["crosswalk"]:  # the drawn outline of an Autoware crosswalk, if there is one
         drawn = [points for ref in element.named("crosswalk_polygon") if (points := held.line(ref)) is not None]
         refers = [lane for lane in held.lanelets(element, "refers") if lane in outlines]
         if len(drawn) == 1 and len(drawn[0]) > 2 and len(refers) == 1:
@@ -188,7 +188,7 @@ def rules_of(
 
 
 def _demands(held: _Map, element: Element) -> Iterator[tuple[Sequence[int], list[int], int | None, bool]]:
-    """What an element makes cars stop for: the lanes that name it, its lines, its light, whether all must stop."""
+    """Yield the demands of an element: the lanes that name it, its stop lines, its light, whether all must stop."""
     subtype, lines = element.tags.get("subtype"), list(element.named("ref_line"))
     owners = held.by_rule.get(element.id, ())
     if subtype == "traffic_light":
@@ -211,13 +211,13 @@ def _demands(held: _Map, element: Element) -> Iterator[tuple[Sequence[int], list
 
 
 def _stop_lines_of(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> Iterator[StopLine]:
-    """The stop lines of an element, without what they demand."""
+    """Yield the stop lines of an element, without light and sign."""
     lines = [line[[0, -1]] for line in map(held.line, ways) if line is not None]
     if not lines:
         for owner in owners:
             yield StopLine(0, owner, np.array([held.lanes[owner].left[-1], held.lanes[owner].right[-1]]))
         return
-    crossed = []  # where no lanelet names the element: drivable lanes of whose second half a line crosses the middle
+    crossed = []  # without owners: drivable lanes whose centre line a line crosses in the second half
     for line, lane in product(lines, () if owners else held.lanes.values()):
         along = (line[1] - line[0]) / max(float(np.hypot(*(line[1] - line[0]))), 1e-9) * ASIDE_M
         ahead = lane.center[-1] - lane.center[max(0, len(lane.center) - 4)]
@@ -236,7 +236,7 @@ def _stop_lines_of(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> It
 
 
 def _nearest(lane: Lane, line: FloatArray) -> tuple[float, float]:
-    """Distance of a line's middle from a lane's centre line, and the station of the point nearest to it, m."""
+    """Return the distance of a line's middle from a lane's centre line, and the station of the nearest point, m."""
     middle, center = line.mean(axis=0), lane.center
     piece = np.diff(center, axis=0)
     square = np.maximum((piece**2).sum(axis=1), 1e-18)
@@ -247,7 +247,7 @@ def _nearest(lane: Lane, line: FloatArray) -> tuple[float, float]:
 
 
 def clipped(lane: Lane, line: FloatArray) -> FloatArray:
-    """The part `(2, 2)` of a line that is within a lane's boundaries, as far as it crosses them."""
+    """Return the part `(2, 2)` of a line between a lane's boundaries; the whole line if it does not cross both."""
     first, last = line
     cuts = [crossings(first, last, bound) for bound in (lane.left, lane.right)]
     if not len(cuts[0]) or not len(cuts[1]) or abs(cuts[0][0] - cuts[1][0]) < 1e-9:
@@ -257,7 +257,7 @@ def clipped(lane: Lane, line: FloatArray) -> FloatArray:
 
 
 def crossings(first: FloatArray, last: FloatArray, line: FloatArray) -> FloatArray:
-    """Where the segment between two points crosses a polyline `(n, 2)`: parts of the segment, 0 to 1."""
+    """Return where the segment between two points crosses a polyline `(n, 2)`, as parts of the segment, 0 to 1."""
     along, piece, gap = last - first, np.diff(line, axis=0), line[:-1] - first
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = along[0] * piece[:, 1] - along[1] * piece[:, 0]
@@ -267,7 +267,7 @@ def crossings(first: FloatArray, last: FloatArray, line: FloatArray) -> FloatArr
 
 
 def meet(one: Lane, other: Lane) -> bool:
-    """Whether cars on the centre lines of two lanes would touch somewhere."""
+    """Return whether cars on the centre lines of two lanes would touch somewhere."""
     from scipy.spatial import cKDTree  # here: it takes long to load
 
     lines = (divided(lane.center, SPACING_M, LONGEST_M / SPACING_M) for lane in (one, other))

@@ -1,14 +1,14 @@
-"""Lanelet2 files (.osm): OpenStreetMap XML as plain records, and where their points are.
+"""Reads Lanelet2 files (.osm): OpenStreetMap XML as plain records, and the coordinates of their points.
 
-The file is read as a stream: no tree is built, so that its depth costs nothing. A document type declaration, which such
+The file is read as a stream: no tree is built, so that its depth is harmless. A document type declaration, which such
 files do not have and in which entities could grow without bound, is refused before anything in it is expanded.
 
 Plane coordinates, the first of these that the map and the settings give:
 
-(1) `[log] map_origin`: latitudes and longitudes projected as it says (`logs.maps.projections`);
-(2) `local_x` and `local_y` on every point, as Autoware's maps have them;
-(3) `map_projector_info.yaml` beside the map, as Autoware has it;
-(4) within `NEAR_NULL_DEG` of latitude 0, longitude 0, as the towns of CARLA are: transverse Mercator about that place;
+(1) `[log] map_origin`: latitudes and longitudes in this projection (`logs.maps.projections`);
+(2) `local_x` and `local_y` of every point, as in Autoware's maps;
+(3) the projection in `map_projector_info.yaml` beside the map, as in Autoware;
+(4) within `NEAR_NULL_DEG` of latitude 0, longitude 0, as in CARLA's towns: transverse Mercator about that place;
 (5) else the MGRS square of the first point, Autoware's default.
 """
 
@@ -26,10 +26,10 @@ from logs.kernel import FloatArray
 from logs.maps.projections import UTM_SCALE, Projection, check_on_earth, parse_projection
 
 LARGEST_BYTES = 1 << 30
-"""A larger file is refused: the maps of whole cities have some 100 MB."""
+"""Largest size of a file, bytes: maps of whole cities have some 100 MB."""
 _CHUNK_BYTES = 1 << 16
 NEW_ID = 10**12
-"""Editors number what is new -1, -2 ...: such ids become this and one, two ... more, as replan's are not negative."""
+"""Editors number new elements -1, -2 ...; such an id i becomes `NEW_ID` - i, as replan's ids are not negative."""
 PROJECTOR_INFO = "map_projector_info.yaml"
 NEAR_NULL_DEG = 0.1
 LARGEST_M = 1e9
@@ -52,9 +52,10 @@ class Element:
 
     Attributes:
         id: Unique among its kind.
-        tags: By key, without blanks around it.
-        place: Latitude and longitude of a node, degrees; None where it has none.
-        nodes: Of a way; `members` of a relation.
+        tags: Values by key, without surrounding blanks.
+        place: Latitude and longitude of a node, degrees, or None.
+        nodes: Node ids of a way.
+        members: Members of a relation.
     """
 
     id: int
@@ -64,13 +65,13 @@ class Element:
     members: list[Member] = field(default_factory=list)
 
     def named(self, *roles: str, kind: str = "way") -> Iterator[int]:
-        """Ids of its members of a kind in one of these roles, in the file's order."""
+        """Yield the ids of members of a kind in one of these roles, in the file's order."""
         return (member.ref for member in self.members if member.kind == kind and member.role in roles)
 
 
 @dataclass
 class Osm:
-    """A whole file, by id; `blanks` counts the keys that had blanks around them."""
+    """The elements of a file by id; `blanks` counts keys with surrounding blanks."""
 
     nodes: dict[int, Element] = field(default_factory=dict)
     ways: dict[int, Element] = field(default_factory=dict)
@@ -79,7 +80,7 @@ class Osm:
 
 
 class _Target:
-    """What the XML parser calls: fills an `Osm`."""
+    """The target of the XML parser, which fills an `Osm`."""
 
     def __init__(self) -> None:
         self.osm = Osm()
@@ -154,7 +155,7 @@ def read_osm(path: Path) -> Osm:
 
 
 def whole(text: str | None, place: str) -> int:
-    """The id in a text; LogError where it is not a whole number of 62 bits."""
+    """Parse an id; LogError if it is not an integer of at most 62 bits."""
     try:
         value = int(text or "")
     except ValueError:
@@ -165,7 +166,7 @@ def whole(text: str | None, place: str) -> int:
 
 
 def real(text: str, place: str) -> float:
-    """The number in a text; LogError where it cannot be parsed or cannot be a coordinate."""
+    """Parse a number; LogError if it is not a number or cannot be a coordinate."""
     try:
         value = float(text)
     except ValueError:
@@ -176,7 +177,7 @@ def real(text: str, place: str) -> float:
 
 
 def placed_points(osm: Osm, path: Path, settings: Mapping[str, str]) -> tuple[list[Element], str, FloatArray]:
-    """The points that boundaries and lines use, how they came about, and where they are `(n, 2)`, m."""
+    """Return the points of all ways, the origin of their coordinates in words, and the coordinates `(n, 2)`, m."""
     used = dict.fromkeys(node for way in osm.ways.values() for node in way.nodes if node in osm.nodes)
     nodes = [osm.nodes[node] for node in used]
     if len(nodes) < 4:
@@ -207,7 +208,7 @@ def placed_points(osm: Osm, path: Path, settings: Mapping[str, str]) -> tuple[li
 
 
 def _projector_info(path: Path) -> Projection:
-    """What Autoware's file says; LogError where that cannot be read."""
+    """Return the projection in Autoware's file; LogError if it cannot be read."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:

@@ -1,20 +1,20 @@
-"""Lanelets -> lanes: boundaries that face each other, successors and neighbours, where cars may drive and cross.
+"""Makes lanes from lanelets: paired boundaries, successors, neighbours, where cars may drive and cross.
 
 Source: Lanelet2, "LaneletAndAreaTagging.md", "LinestringTagging.md" and "GenericTrafficRules.cpp" (Poggenhans et al.,
-ITSC 2018); `speed_limit` in km/h where it has no unit. A lanelet's boundaries are turned
+ITSC 2018); a `speed_limit` without a unit is in km/h. A lanelet's boundaries are reversed if needed
 
-(1) so that the right one begins at the begin of the left one: |l_0 - r_0| + |l_n - r_m| <= |l_0 - r_m| + |l_n - r_0|
-(2) and both so that the left one is on the left: the outline (left there, right back) runs clockwise.
+(1) so that the right one begins beside the begin of the left one: |l_0 - r_0| + |l_n - r_m| <= |l_0 - r_m| + |l_n -
+r_0| (2) and so that the left one is on the left: the outline (left forwards, right backwards) runs clockwise.
 
 (3) Their points are paired in order, with the least sum of squared widths over all pairs (dynamic time warping): pairs
     lie across the lane also in bends, where one boundary is longer.
 
-Lanelet B follows A where both boundaries of A end where those of B begin; it is beside A where they share a boundary
-from end to end. In Lanelet2 that is the same point and the same way; as many maps give each lanelet its own, ends
-nearer than `SAME_M` are taken as one point, and ways between the same ends that keep within `ALIKE_M` as one way.
+Lanelet B is a successor of A if both boundaries of A end where those of B begin; it is a neighbour of A if they share a
+whole boundary. In Lanelet2, shared means the same point and the same way. As many maps have separate points and ways,
+ends nearer than `SAME_M` are one point, and ways between the same ends that differ by less than `ALIKE_M` are one way.
 
-A marking that is painted may be crossed from its dashed side or where `lane_change` says so; a kerb, wall or border may
-not; a virtual boundary and one without a type may, as there is nothing on the road.
+A painted marking may be crossed from its dashed side, or if `lane_change` allows it; a kerb, wall or border may not be
+crossed; a virtual boundary, or one without a type, may be crossed, as the road has no marking there.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from logs.readers.strips import resampled
 from logs.road import Lane
 
 SAME_M = 0.05
-"""Less than the two parts of a double line are apart."""
+"""Ends nearer than this are one point, m: less than the distance of the two parts of a double line."""
 ALIKE_M = 0.2
 LONGEST_PIECE_M, SHORTEST_PIECE_M = 2.0, 0.25
-"""Of boundaries, and of the centre line."""
+"""Longest piece of a boundary, and shortest piece of a centre line, m."""
 LONGEST_M = 20_000.0
-"""A lanelet that reaches farther has a point that is not where it should be."""
+"""Largest extent of a lanelet, m: a larger one has a misplaced point."""
 MOST_HERE = 100
 """The greatest number of lanelets that begin at one place or share a boundary."""
 MOST = 1000
-"""Pieces of a boundary: (3) takes the product of both sides' pieces in time and memory."""
+"""Greatest number of pieces of a boundary: time and memory of (3) grow with the product of both sides' pieces."""
 _DRIVABLE = frozenset({"road", "highway", "play_street", "exit"})
 _OPEN = frozenset({"", "virtual", "stop_line", "pedestrian_marking", "bike_marking", "zebra_marking", "keepout"})
 _CAR = ("vehicle", "car")
@@ -53,7 +53,7 @@ _KPH = 1.0 / 3.6
 _SIGN_274 = re.compile(r".*274(?:\.\d)?-(\d+)")
 
 Points = tuple[int, ...]
-"""A boundary as rows of the map's points, in the direction of the lane."""
+"""A boundary as row numbers of the map's points, in the direction of the lane."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Bound:
     against: bool
 
     def turned(self) -> Bound:
-        """The same the other way round."""
+        """Return the boundary in the opposite direction."""
         return Bound(self.points[::-1], self.tags, not self.against)
 
 
@@ -94,13 +94,13 @@ class Strip:
         return self.drivable and self.tags.get("one_way") in ("no", "false", "0")
 
     def reverse(self, name: int) -> Strip:
-        """The lanelet driven in the other direction."""
+        """Return the lanelet in the opposite direction, with the id `name` and without rules."""
         return Strip(name, self.right.turned(), self.left.turned(), self.tags, ())
 
 
 def joined(xyz: FloatArray, ends: Sequence[int]) -> dict[int, int]:
-    """A number for each of the rows `ends` of points `(n, 3)`: the same for those that are nearer than `SAME_M`."""
-    from scipy.sparse import coo_array  # here: they take long to load
+    """Number the rows `ends` of points `(n, 3)`; points nearer than `SAME_M` get the same number."""
+    from scipy.sparse import coo_array  # imported late: slow to load
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
@@ -116,7 +116,7 @@ def joined(xyz: FloatArray, ends: Sequence[int]) -> dict[int, int]:
 
 
 def strips_of(osm: Osm, rows: Mapping[int, int], xy: FloatArray, notes: list[str]) -> list[Strip]:
-    """The lanelets of a file, in its order; reversed ones of those for both directions after them."""
+    """Return the lanelets in the file's order, followed by reversed copies of those for both directions."""
     strips, broken = [], 0
     lanelets = [each for each in osm.relations.values() if each.tags.get("type") == "lanelet"]
     for lanelet in lanelets:
@@ -140,13 +140,13 @@ def strips_of(osm: Osm, rows: Mapping[int, int], xy: FloatArray, notes: list[str
 
 
 def way_points(way: Element, rows: Mapping[int, int]) -> Points:
-    """The points of a way that are in the file, without repetitions one after the other."""
+    """Return the points of a way that are in the file, without consecutive repetitions."""
     found = [rows[node] for node in way.nodes if node in rows]
     return tuple(row for k, row in enumerate(found) if k == 0 or row != found[k - 1])
 
 
 def oriented(left: Bound, right: Bound, xy: FloatArray) -> tuple[Bound, Bound]:
-    """The boundaries in the direction of the lane, by (1) and (2)."""
+    """Return the boundaries in the direction of the lane, by (1) and (2)."""
     l, r = xy[list(left.points)], xy[list(right.points)]  # noqa: E741
     if hypot(*(l[0] - r[0])) + hypot(*(l[-1] - r[-1])) > hypot(*(l[0] - r[-1])) + hypot(*(l[-1] - r[0])):
         right, r = right.turned(), r[::-1]
@@ -158,9 +158,9 @@ def oriented(left: Bound, right: Bound, xy: FloatArray) -> tuple[Bound, Bound]:
 
 
 def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Boundaries `(n, 2)` and `(m, 2)` with as many points each, point i facing point i, by (3).
+    """Resample boundaries `(n, 2)` and `(m, 2)` by (3), so that point i faces point i.
 
-    Their middles are `SHORTEST_PIECE_M` apart at least; the first and the last points stay.
+    Centre points are at least `SHORTEST_PIECE_M` apart; the first and last points are kept.
     """
     a, b = (divided(line, LONGEST_PIECE_M, MOST) for line in (left, right))
     i, j = _pairs(a, b)
@@ -178,7 +178,7 @@ def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]
 
 @kernel
 def _pairs(a: FloatArray, b: FloatArray) -> tuple[IntArray, IntArray]:
-    """Rows of two polylines that face each other: the cheapest way by (3) from the first pair to the last."""
+    """Return the rows of two polylines that face each other: the cheapest sequence of pairs by (3)."""
     n, m = len(a), len(b)
     cost = np.empty((n, m))
     for i in range(n):
@@ -210,7 +210,7 @@ def _pairs(a: FloatArray, b: FloatArray) -> tuple[IntArray, IntArray]:
 
 
 def divided(line: FloatArray, longest: float, most: float) -> FloatArray:
-    """A polyline with no piece longer than `longest`, m; evenly spaced anew where those are more than `most`."""
+    """Divide a polyline into pieces of at most `longest` m; if there are more than `most`, resample it evenly."""
     s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
     parts = np.maximum(1.0, np.ceil(np.diff(s) / longest))
     if parts.sum() > most:
@@ -222,7 +222,7 @@ def divided(line: FloatArray, longest: float, most: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Beside:
-    """Which lanes begin where, and which have a boundary between two ends on their left and right."""
+    """Tables of the lanes that begin at an end, and that have a boundary between two ends on their left or right."""
 
     xy: FloatArray
     ends: Mapping[int, int]
@@ -246,12 +246,12 @@ class _Beside:
         return found
 
     def after(self, strip: Strip) -> tuple[int, ...]:
-        """The lanes that begin where a lanelet ends."""
+        """Return the lanes that begin at the end of a lanelet."""
         key = self.ends[strip.left.points[-1]], self.ends[strip.right.points[-1]], strip.drivable
         return tuple(i for i in self.begins[key] if i != strip.id)
 
     def neighbour(self, strip: Strip, side: str, *, same: bool) -> int | None:
-        """The lane that has the boundary on a side of a lanelet as its own, driven in the same direction or not."""
+        """Return the lane that shares a lanelet's boundary on a side, in the same or opposite direction."""
         bound = getattr(strip, side).points if same else getattr(strip, side).points[::-1]
         across = side if not same else "left" if side == "right" else "right"
         key = self.ends[bound[0]], self.ends[bound[-1]], strip.drivable
@@ -268,7 +268,7 @@ class _Beside:
 
 
 def lanes_of(osm: Osm, strips: Sequence[Strip], xyz: FloatArray, notes: list[str]) -> dict[int, Lane]:
-    """The lanes by id; `xyz`: the map's points `(n, 3)`."""
+    """Make the lanes by id; `xyz`: the map's points `(n, 3)`."""
     unread: Counter[str] = Counter()
     beside, lanes = _Beside.of(strips, xyz), {}
     for strip in strips:
@@ -277,7 +277,7 @@ def lanes_of(osm: Osm, strips: Sequence[Strip], xyz: FloatArray, notes: list[str
         if len(left) < 2 or max(np.ptp(line, axis=0).max() for line in (left, right)) > LONGEST_M:
             unread[f"lanelets without length or longer than {LONGEST_M / 1000.0:g} km"] += 1
             continue
-        texts: list[str] = []  # of the speed limit signs, else of the lanelet's tag
+        texts: list[str] = []  # texts of the speed limit signs, else of the lanelet's tag
         for sign in (osm.relations[ref] for ref in strip.rules if ref in osm.relations):
             if sign.tags.get("subtype") == "speed_limit":
                 ways = (osm.ways[ref].tags for ref in sign.named("refers") if ref in osm.ways)
@@ -309,7 +309,7 @@ def lanes_of(osm: Osm, strips: Sequence[Strip], xyz: FloatArray, notes: list[str
 
 
 def crossable(bound: Bound, *, near: int) -> bool:
-    """Whether a car on the lane may cross its boundary; `near`: which part of a double marking is the lane's own."""
+    """Return whether a car on the lane may cross its boundary; `near`: index of a double marking's near part."""
     allowed = next((bound.tags[key] for key in _keys("lane_change") if key in bound.tags), None)
     if allowed is not None:
         return allowed in ("yes", "true", "1")
@@ -320,12 +320,12 @@ def crossable(bound: Bound, *, near: int) -> bool:
 
 
 def _keys(key: str) -> tuple[str, ...]:
-    """A key for cars, for vehicles, for all."""
+    """Return the forms of a key for cars, for vehicles, and for all."""
     return f"{key}:vehicle:car", f"{key}:vehicle", key
 
 
 def speed_in(text: str) -> float:
-    """The speed in a text ("50", "30 mph", "8.3 m/s", "de274-60"), m/s; NaN where it holds none above 0."""
+    """Parse a speed ("50", "30 mph", "8.3 m/s", "de274-60"), m/s; NaN if there is no positive speed."""
     sign = _SIGN_274.fullmatch(text)
     found = _SPEED.fullmatch(sign[1] if sign is not None else text.strip().lower())
     if found is None or float(found[1]) <= 0.0 or float(found[1]) >= 1e4:

@@ -1,7 +1,7 @@
 """OpenDRIVE maps (.xodr), their geometry evaluated by pyxodr (extra `opendrive`): lanes, links, markings, limits.
 
-Source: ASAM OpenDRIVE 1.8, chapters 10 and 11. A lane of a lane section is one lane here. Traffic keeps to its side of
-the road: where that is the right one, lanes with negative ids run along the reference line and the others against it.
+Source: ASAM OpenDRIVE 1.8, chapters 10 and 11. Each lane of a lane section becomes one lane. If traffic keeps right,
+lanes with negative ids run along the reference line and the others against it; if it keeps left, the reverse.
 Signals, objects and junction priorities are not read.
 """
 
@@ -22,14 +22,14 @@ from logs.maps.base import MapFile, MapReader
 from logs.road import Lane, Road
 
 RESOLUTION_M = 0.1
-"""Of pyxodr; its lanes end within a few cm of where the next ones begin."""
+"""Step of pyxodr along the reference line, m; its lanes end within a few cm of the begin of the next ones."""
 KEPT = 5
-"""The step between the points that are kept."""
+"""Every fifth point of pyxodr's lines is kept."""
 NARROWEST_M = 0.1
-"""A lane that is nowhere wider has no area: it begins or ends there."""
+"""A lane section's lane that is nowhere wider has no area and is left out, m."""
 LARGEST_BYTES, LONGEST_M = 1 << 28, 1e6
 FARTHEST = 100.0
-"""A polynomial may lead this many times its length away: pyxodr walks along it in steps of `RESOLUTION_M`."""
+"""Largest reach of a polynomial over its length: pyxodr steps along it by `RESOLUTION_M`."""
 _DRIVABLE = {"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "bidirectional"}
 _CROSSABLE = {"none", "broken", "broken broken", "botts dots"}
 _UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
@@ -40,10 +40,10 @@ class _Piece:
     """A lane of a lane section: pyxodr's lane, and the road's and section's XML.
 
     Attributes:
-        place: Its OpenDRIVE id: from the middle outwards, negative on the right of the reference line.
-        on_right: Whether traffic keeps right there.
-        against: Whether it is driven against the reference line.
-        drivable: Whether cars drive there.
+        place: Its OpenDRIVE id: counted outwards, negative on the right of the reference line.
+        on_right: Whether traffic keeps right on this road.
+        against: Whether its traffic drives against the reference line.
+        drivable: Whether cars may drive on it.
     """
 
     number: int
@@ -60,7 +60,7 @@ def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:
     """Read a map.
 
     Raises:
-        LogError: pyxodr is not installed or cannot read it, it is no such map, or it has no lane to drive on.
+        LogError: pyxodr is not installed or cannot read the file, or the file is not OpenDRIVE or has no drivable lane.
     """
     root = _root(path)
     try:
@@ -72,7 +72,7 @@ def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:
             roads = RoadNetwork(str(path), resolution=RESOLUTION_M).get_roads()
             pieces = list(_pieces(roads, root))
             lanes = dict(_lanes(pieces))
-    except Exception as error:  # whatever the library raises on a file that it was not made for
+    except Exception as error:  # the library may raise anything on an unexpected file
         raise LogError(f"pyxodr cannot read it: {type(error).__name__}: {error}", file=path) from error
     if not any(lane.drivable for lane in lanes.values()):
         raise LogError("no lane on which a car may drive", file=path, remedy="give a map with lanes of type driving")
@@ -95,7 +95,7 @@ class _Tree(TreeBuilder):
 
 
 def _root(path: Path) -> Element:
-    """The file's XML, once it is known to be of a bounded size."""
+    """Return the file's XML after checks of its size and geometry."""
     try:
         if path.stat().st_size > LARGEST_BYTES:
             raise LogError(f"larger than {LARGEST_BYTES >> 20} MiB", remedy="cut the map")
@@ -107,7 +107,7 @@ def _root(path: Path) -> Element:
         lengths = [float(part.get("length", "nan")) for part in root.iter("geometry")]
         far = []
         for part, length in zip(root.iter("geometry"), lengths, strict=True):
-            reach = 0.0  # of its polynomials at most, m: the sum of |a|, |b| p, |c| p^2, |d| p^3 at their end
+            reach = 0.0  # upper bound of its polynomials, m: the sum of |a|, |b| p, |c| p^2, |d| p^3 at their end
             for curve in part:
                 if curve.tag in ("poly3", "paramPoly3"):
                     whole = curve.tag == "paramPoly3" and curve.get("pRange", "normalized") == "normalized"
@@ -131,7 +131,7 @@ def _root(path: Path) -> Element:
 
 
 def _pieces(roads: Sequence[Any], root: Element) -> Iterator[_Piece]:
-    """The lanes that have an area, numbered from 1 in the file's order."""
+    """Yield the lanes that have an area, numbered from 1 in the file's order."""
     elements = {element.get("id"): element for element in root.findall("road")}
     number = 0
     for road in roads:
@@ -191,7 +191,7 @@ def _lanes(pieces: Sequence[_Piece]) -> Iterator[tuple[int, Lane]]:
 
 
 def _crossable(piece: _Piece, *, inner: bool) -> bool:
-    """Whether the lane's first marking on a side may be crossed; of a double one the lane's own part counts."""
+    """Return whether the lane's first marking on a side may be crossed; a double marking's near part decides."""
     step = 1 if piece.place > 0 else -1
     name = piece.place - step if inner else piece.place
     lane = next((e for e in piece.section.iter("lane") if e.get("id") == str(name)), None)
@@ -205,7 +205,7 @@ def _crossable(piece: _Piece, *, inner: bool) -> bool:
 
 
 def _limit(piece: _Piece) -> float:
-    """The speed limit at the lane's begin, m/s; NaN where there is none."""
+    """Return the speed limit at the lane's begin, m/s; NaN if there is none."""
     lane = next((e for e in piece.section.iter("lane") if e.get("id") == str(piece.place)), None)
     own = [] if lane is None else lane.findall("speed")
     start = float(piece.section.get("s", "0"))

@@ -1,4 +1,4 @@
-"""Latitude and longitude (WGS 84, degrees) to plane coordinates (m, x east, y north), as makers of maps project them.
+"""Projects latitude and longitude (WGS 84, degrees) to plane coordinates (m, x east, y north), as map makers do.
 
 Transverse Mercator of scale k about a central meridian (Krueger's series to n^4, below 1 um within a UTM zone; Karney,
 J. Geodesy 85, 2011, equations 7 to 12 and 35), phi latitude, lam longitude from the meridian, n third flattening:
@@ -7,10 +7,10 @@ J. Geodesy 85, 2011, equations 7 to 12 and 35), phi latitude, lam longitude from
     tau' = tau sqrt(1 + sigma^2) - sigma sqrt(1 + tau^2)
 (2) xi' = atan2(tau', cos lam),  eta' = asinh(sin lam / sqrt(tau'^2 + cos^2 lam))
 (3) y + i x = k A (zeta + sum_j alpha_j sin(2 j zeta)),  zeta = xi' + i eta',  A = a / (1 + n) (1 + n^2 / 4 + n^4 / 64)
-(4) UTM: k = 0.9996, the zone's middle as meridian, 500 km added to x (and 10,000 km to y in the south)
+(4) UTM: k = 0.9996, meridian in the middle of the zone, 500 km added to x (and 10,000 km to y in the south)
 (5) MGRS: UTM from the south-west corner of a square of 100 km, whose two letters repeat every 18 degrees of longitude
     and every 2,000 km to the north (the letters of WGS 84 grids: DMA TM 8358.1)
-(6) tangent plane: east and north of the place's own Cartesian frame, at the ellipsoid's height
+(6) tangent plane: east and north axes of a Cartesian frame at the place, on the ellipsoid
 
 Names in files: Lanelet2's and Autoware Mini's UTM with origin and Autoware's LocalCartesianUTM are "utm LAT, LON";
 Autoware's MGRS is the square's name; CARLA's towns are "tmerc 0, 0".
@@ -50,7 +50,7 @@ Plane = Callable[[FloatArray], FloatArray]
 
 
 def mercator(points: FloatArray, meridian: float, scale: float) -> FloatArray:
-    """Transverse Mercator (1) to (3) of points `(n, 2)`, degrees: x from the meridian, y from the equator."""
+    """Project points `(n, 2)`, degrees, by transverse Mercator (1) to (3): x from the meridian, y from the equator."""
     phi, lam = np.radians(points[:, 0]), np.radians(points[:, 1] - meridian)
     e, tau = sqrt(_E2), np.tan(phi)
     sigma = np.sinh(e * np.arctanh(e * tau / np.hypot(1.0, tau)))
@@ -61,7 +61,7 @@ def mercator(points: FloatArray, meridian: float, scale: float) -> FloatArray:
 
 
 def utm_zone(lat: float, lon: float) -> int:
-    """The UTM zone of a place, with the exceptions of Norway and Svalbard."""
+    """Return the UTM zone of a place, with the exceptions of Norway and Svalbard."""
     zone = int((lon + 180.0) // 6.0) % 60 + 1
     if 56.0 <= lat < 64.0 and 3.0 <= lon < 12.0:
         return 32
@@ -71,12 +71,12 @@ def utm_zone(lat: float, lon: float) -> int:
 
 
 def utm(points: FloatArray, zone: int, *, north: bool) -> FloatArray:
-    """UTM coordinates (4) of points `(n, 2)` in one zone, m."""
+    """Return UTM coordinates (4) of points `(n, 2)` in one zone, m."""
     return mercator(points, 6.0 * zone - 183.0, UTM_SCALE) + np.array([5e5, 0.0 if north else 1e7])
 
 
 def tangent(points: FloatArray, lat: float, lon: float) -> FloatArray:
-    """East and north (6) of points `(n, 2)` from a place, m."""
+    """Return east and north (6) of points `(n, 2)` relative to a place, m."""
     east, north = np.radians(lon), np.radians(lat)
     offset = _geocentric(points) - _geocentric(np.array([[lat, lon]]))
     rows = [
@@ -95,13 +95,13 @@ def _geocentric(points: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Projection:
-    """How a map's latitudes and longitudes become its plane coordinates.
+    """The projection of a map's latitudes and longitudes to plane coordinates.
 
     Attributes:
-        kind: "utm", "tmerc" or "enu", each minus the coordinates of the origin; "mgrs".
-        origin: Latitude and longitude, degrees; None: "utm" and "mgrs" are not shifted, their zone is the map's.
-        square: Of "mgrs" ("54SUE"); "": the one of the map's first point.
-        scale: Of "tmerc" along its meridian.
+        kind: "utm", "tmerc" or "enu", each relative to the origin; or "mgrs".
+        origin: Latitude and longitude, degrees; None: that of the first point, and "utm" is not shifted.
+        square: Square of "mgrs" ("54SUE"); "": that of the map's first point.
+        scale: Scale of "tmerc" along its meridian.
     """
 
     kind: str
@@ -114,7 +114,7 @@ class Projection:
         return f"{self.kind}{place}{' ' * bool(self.square)}{self.square}"
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        """Plane points `(n, 2)`, m, of latitudes and longitudes `(n, 2)`, degrees."""
+        """Project latitudes and longitudes `(n, 2)`, degrees, to plane points `(n, 2)`, m."""
         first = self.origin if self.origin is not None else (float(points[0, 0]), float(points[0, 1]))
         zero = np.array([first])
         if self.kind == "enu":
@@ -140,7 +140,7 @@ _SQUARE = re.compile(r"(\d{1,2})([C-HJ-NP-X])([A-HJ-NP-Z])([A-HJ-NP-V])")
 
 
 def parse_projection(text: str) -> Projection:
-    """The projection that a text names (`FORMS`).
+    """Parse the name of a projection (`FORMS`).
 
     Raises:
         LogError: The text names no projection.
@@ -157,7 +157,7 @@ def parse_projection(text: str) -> Projection:
 
 
 def check_on_earth(lat: float, lon: float) -> tuple[float, float]:
-    """The latitude and longitude, degrees; LogError where they are out of range."""
+    """Return latitude and longitude, degrees; LogError if they are out of range."""
     if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
         raise LogError(f"no place on earth: latitude {lat}, longitude {lon}", remedy="give degrees")
     return lat, lon

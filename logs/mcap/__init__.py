@@ -1,10 +1,10 @@
 """The only package that reads and writes MCAP: logs in, logs and traces out.
 
 Modules:
-    native.py      the messages of our own log: one definition gives schema, names with units, validation, and a page
-    container.py   an MCAP file as topics of messages, or one sentence that says what is wrong with it
+    native.py      the messages of the native log: one definition gives schema, names with units, validation, and a page
+    container.py   an MCAP file as topics of messages, or one sentence that states what is wrong with it
     reader.py      native messages -> Scenario          osi.py      ASAM OSI ground truth -> Scenario
-    complete.py    what a log leaves out and how it is filled in
+    complete.py    fills in what a log leaves out
     writer.py      Scenario -> native log               trace.py    Trace -> native log and back
     records.py     salvage of damaged files, parts of remote ones
 """

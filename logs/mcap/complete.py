@@ -1,17 +1,17 @@
 """Fills in what a log leaves out; each assumption is a sentence in the scenario's notes.
 
-(1) a_k = (v_k - v_(k-1)) / (t_k - t_(k-1))                     a_0 = 0: a derived value never knows a later sample
+(1) a_k = (v_k - v_(k-1)) / (t_k - t_(k-1))                     a_0 = 0: a derived value never uses a later sample
 (2) kappa_k = (yaw_k - yaw_(k-1)) / d,  d = +-|p_k - p_(k-1)|   negative in reverse; below `MIN_STEP` the value before
 (3) no road: one lane along the driven path, from 10 m behind the start; a path that stays within `MIN_PATH` of its
     start has no direction, so the heading gives it
-(4) no speed limit on lanes: the speed at the start rounded up to 10 km/h, at least `Road.default_speed_limit`. What is
-    driven later does not go in: else the planner would know how fast the log's driver will be
+(4) no speed limit on lanes: the speed at the start rounded up to 10 km/h, at least `Road.default_speed_limit`. Later
+    speeds are not used: otherwise the planner would know how fast the log's driver will be
 (5) no lanes: `MARGIN` x the speed below which `SHARE` of the way was driven, rounded up to `STEP`; at least the speed
-    at the start and `LEAST`; (4) for a log that hardly moves. Where nothing else is known of a road, how it is driven
-    says how fast it may be: limits are set by the 85th percentile. One number for a drive tells little of its course
-(6) no lanes, but others drive beside the driven path: the next lane's middle is one lane's width away. The lane is as
-    wide as the median of their distances, within `WIDTHS_M`, where there are `LEAST_USERS`; else 3.5 m (`Road.along`).
-    Counted are vehicles, and clusters as wide as one, that are at `BESIDE_M` in `LEAST_SAMPLES`, faster than
+    at the start and `LEAST`; (4) for a log that hardly moves. Real limits are set by the 85th percentile of the driven
+    speeds, so the drive is an estimate where nothing else is known. One number for a drive reveals little of its course
+(6) no lanes, but agents drive beside the driven path: the next lane's middle is one lane's width away. The lane's width
+    is the median of their distances, within `WIDTHS_M`, if they are at least `LEAST_USERS`; else 3.5 m (`Road.along`).
+    Used are vehicles, and clusters as wide as one, that are at `BESIDE_M` in `LEAST_SAMPLES` samples, faster than
     `DRIVES_MPS` and within `ALONG_RAD` of the path's direction
 """
 
@@ -32,10 +32,10 @@ MIN_STEP = 0.05
 MIN_PATH = 5.0
 LIMIT_STEP = 10.0 / 3.6
 SHARE, MARGIN, STEP, LEAST = 0.85, 1.1, 5.0 / 3.6, 20.0 / 3.6
-"""Of (5), m/s."""
+"""Constants of (5); `STEP` and `LEAST` in m/s."""
 WIDTHS_M, BESIDE_M, LEAST_USERS, LEAST_SAMPLES = (3.0, 4.0), (2.25, 5.5), 3, 5
 DRIVES_MPS, ALONG_RAD, VEHICLE_M = 2.0, np.radians(20.0), 1.2
-"""Of (6); a vehicle is at least `VEHICLE_M` wide."""
+"""Constants of (6); a vehicle is at least `VEHICLE_M` wide."""
 BEHIND = 10.0
 ASSUMED = "as fast as at the start, at least 50 km/h"
 NO_LANES = "The log has no lanes"
@@ -57,10 +57,10 @@ def derived_curvature(x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArr
 
 
 def completed(columns: dict[str, FloatArray], notes: list[str]) -> Trajectory:
-    """The trajectory of columns t, x, y, yaw, v, a, kappa; NaN in a and kappa is derived, and noted.
+    """The trajectory of columns t, x, y, yaw, v, a, kappa; NaN in a and kappa is derived, with a note.
 
     Raises:
-        ValueError: As `Trajectory`.
+        ValueError: As in `Trajectory`.
     """
     t, x, y, yaw, v = (columns[name] for name in ("t", "x", "y", "yaw", "v"))
     derived = {"a": derived_acceleration(t, v), "kappa": derived_curvature(x, y, yaw, v)}
@@ -118,7 +118,7 @@ def road_along(ego: Trajectory, notes: list[str]) -> Road:
 
 
 def passed_width(road: Road, tracks: Tracks, notes: list[str]) -> Road:
-    """The road (3) with the width (6) of its lane, and its note; the same road where too few drive beside it."""
+    """The road (3) with the width (6) of its lane, and its note; the same road if too few agents drive beside it."""
     from scipy.spatial import cKDTree  # here: reading a log with lanes starts without SciPy
 
     (lane,) = road.lanes.values()

@@ -1,7 +1,7 @@
-"""An MCAP file as topics of messages, or one sentence that says what is wrong with it.
+"""An MCAP file as topics of messages, or one sentence that states what is wrong with it.
 
 The file is read from front to back with every checksum verified (chunk and data section), never through its index: a
-changed byte is found, or lies where nothing is read from. What stands before the damage is kept, for `replan inspect`.
+changed byte is found, or lies where nothing is read. Messages before the damage are kept, for `replan inspect`.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ COPY_AGAIN = "copy or record it again"
 SALVAGE = "copy it again, or keep what is whole with `replan salvage`"
 CONVERT = "`replan convert --formats` lists what replan reads and how a format is added"
 MOST_CHUNK_BYTES = 256 * 2**20
-"""What one chunk may inflate to: writers make chunks of about 1 MiB, of point clouds some ten."""
+"""Greatest inflated size of a chunk: writers make chunks of about 1 MiB, some 10 MiB for point clouds."""
 MOST_BYTES = 4 * 2**30
-"""What all chunks of a file may inflate to: it is held in memory."""
+"""Greatest inflated size of all chunks of a file, which are held in memory."""
 SPLIT = "write smaller chunks, or take a part of the log"
 COMPRESSIONS = ("", "zstd", "lz4")
 LAST_TIME_NS = 2**63 - 1
 
 DAMAGE = (McapError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError, MemoryError)
-"""What the libraries raise on damaged bytes (checksums: ValueError, lz4: RuntimeError)."""
+"""The exceptions that the libraries raise on damaged bytes (checksums: ValueError, lz4: RuntimeError)."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Stream:
         """The messages as Structs.
 
         Raises:
-            LogError: A message is not JSON or does not fit the Struct; the line names the field.
+            LogError: A message is not JSON or does not fit the Struct; the error names the field.
         """
         if self.encoding != "json":
             raise LogError(f"messages are encoded as {self.encoding!r}, expected 'json'", topic=self.topic)
@@ -79,7 +79,7 @@ class Stream:
         return out
 
     def check_order(self, *, strictly: bool) -> None:
-        """Refuse times that go backwards, and equal ones where `strictly`.
+        """Refuse times that go backwards, and equal times if `strictly`.
 
         Raises:
             LogError: With the first time that is out of order.
@@ -98,7 +98,7 @@ MEND = "write the field as its schema in the file says"
 
 @dataclass(frozen=True)
 class Container:
-    """What an MCAP file holds; `error` is what ended the reading, or None."""
+    """The content of an MCAP file; `error` is the damage at which reading ended, or None."""
 
     path: Path
     size: int
@@ -107,10 +107,10 @@ class Container:
     error: LogError | None
 
     def whole(self) -> Container:
-        """This container, if it is undamaged and holds messages.
+        """Return this container if it is undamaged and has messages.
 
         Raises:
-            LogError: The damage.
+            LogError: It is damaged, or has no messages.
         """
         if self.error is not None:
             raise self.error
@@ -124,7 +124,7 @@ class Container:
 
 
 def read_container(path: Path) -> Container:
-    """Everything in the file up to its end or its damage; raises nothing."""
+    """Read the file up to its end or its damage; it raises nothing."""
     streams: dict[str, Stream] = {}
     metadata: dict[str, dict[str, str]] = {}
     schemas: dict[int, Schema] = {}
@@ -138,7 +138,7 @@ def read_container(path: Path) -> Container:
             if isinstance(record, DataEnd):
                 ended = True
             if ended:
-                continue  # what follows repeats schemas and channels
+                continue  # the records after it repeat schemas and channels
             if isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
@@ -170,7 +170,7 @@ def read_container(path: Path) -> Container:
 
 
 def content_of(path: Path) -> bytes:
-    """All bytes of a file; LogError where it cannot be read."""
+    """All bytes of a file; LogError if it cannot be read."""
     check_regular(path)
     try:
         return path.read_bytes()
@@ -204,9 +204,9 @@ def _records(raw: bytes, streams: dict[str, Stream]) -> Iterator[McapRecord]:
 
 
 def opened(chunk: Chunk) -> list[McapRecord]:
-    """The records of a chunk, checked by its checksum; LogError where it is damaged or larger than `MOST_CHUNK_BYTES`.
+    """The records of a chunk, checked by its checksum; LogError if it is damaged or larger than `MOST_CHUNK_BYTES`.
 
-    Not more than the size that the chunk states is inflated.
+    At most the size that the chunk states is inflated.
     """
     time, remedy = chunk.message_start_time, SALVAGE
     if chunk.compression not in COMPRESSIONS:

@@ -1,4 +1,4 @@
-"""ASAM OSI ground truth -> Scenario, decoded with the descriptor that the file itself carries.
+"""ASAM OSI ground truth -> Scenario, decoded with the protobuf descriptor in the file.
 
 The ego is the moving object of `host_vehicle_id`. OSI poses are centres of boxes: the ego's is moved to its rear axle
 by `bbcenter_to_rear`, else by the proportions of the default vehicle. With d from rear axle to centre and w the yaw
@@ -6,13 +6,13 @@ rate, the rear axle's speed and acceleration along the heading h are
 
 (1) v = v_center . h            (2) a = a_center . h + w^2 d            w = kappa v
 
-Static obstacles are the stationary objects that stand in the way: those above or flat on the road are left out. The
-origin is the ego's first position in whole metres.
+Static obstacles are the stationary objects in the way; those above the road or flat on it are left out. The origin is
+the ego's first position in whole metres.
 
-Logical lanes are taken where they have both boundaries, else the classic lanes: from their boundaries, else from their
-centre line. A lane without boundaries reaches half-way to the listed adjacent centre line 2 to 6 m beside it, else
-`HALF_WIDTH`. Lists of adjacent and paired lanes are taken as candidates and held against the geometry: an adjacent lane
-lies beside the middle of this one, a successor begins where this one ends (`MAX_GAP`).
+The road has the logical lanes if they have both boundaries, else the classic lanes: from their boundaries, else from
+their centre line. A lane without boundaries reaches half-way to the listed adjacent centre line 2 to 6 m beside it,
+else `HALF_WIDTH`. Listed adjacent and paired lanes are candidates that the geometry must confirm: an adjacent lane lies
+beside the middle of this one, a successor begins where this one ends (`MAX_GAP`).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ KINDS = {
     "TYPE_WHEELCHAIR": AgentKind.PEDESTRIAN,
 }  # fmt: skip
 MOST_NAMED = 20
-"""Objects that a message lists."""
+"""Greatest number of objects that an error message lists."""
 NOT_IN_THE_WAY = {"TYPE_BRIDGE", "TYPE_OVERHEAD_STRUCTURE", "TYPE_SPEED_BUMP", "TYPE_CURBSTONE"}
 REQUIRED = {
     "timestamp": ("seconds", "nanos"),
@@ -71,7 +71,7 @@ REQUIRED = {
     ),
     "lane_boundary": ("id.value", "boundary_line.position.x", "classification.type"),
 }
-"""The fields that are read; logical lanes may be absent."""
+"""The fields that the reader needs; logical lanes may be absent."""
 HALF_WIDTH = 1.75
 MAX_GAP = 3.0
 BESIDE = (2.0, 6.0)
@@ -81,7 +81,7 @@ CROSSABLE = {"TYPE_UNKNOWN", "TYPE_OTHER", "TYPE_NO_LINE", "TYPE_DASHED_LINE", "
 
 @dataclass
 class _OsiMap:
-    """Messages by id, from all frames; the first of an id counts."""
+    """Messages by id, from all frames; the first message of an id is kept."""
 
     lanes: dict[int, Any] = field(default_factory=dict)
     boundaries: dict[int, Any] = field(default_factory=dict)
@@ -100,7 +100,7 @@ class _OsiMap:
 
 @dataclass
 class _Seen:
-    """All frames, by object: messages as first seen, and rows (frame, x, y, yaw, vx, vy, ax, ay)."""
+    """All frames by object: its first message, and its rows (frame, x, y, yaw, vx, vy, ax, ay)."""
 
     times: list[int] = field(default_factory=list)
     host: int | None = None
@@ -112,10 +112,10 @@ class _Seen:
 
 
 def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
-    """The scenario in the messages of one topic; the ego is `ego_id`, "": the host that the log names.
+    """The scenario in the messages of one topic; the ego is `ego_id`, or the log's host if that is "".
 
     Raises:
-        LogError: A message cannot be decoded, no ego is named, a pose is not finite, time does not increase.
+        LogError: A message cannot be decoded, the ego is missing, a pose is not finite, or time does not increase.
     """
     notes: list[str] = []
     seen = _decode_stream(stream)
@@ -279,7 +279,7 @@ def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) ->
     kappa = derived_curvature(x, y, yaw, v)
     a = rows[:, 6] * cos + rows[:, 7] * sin - (kappa * v) ** 2 * rear[0]
     if not rows[:, 6:8].any():
-        a = np.full(len(t), np.nan)  # a log whose acceleration is always exactly 0 has none
+        a = np.full(len(t), np.nan)  # an acceleration that is always exactly 0 is not recorded
     columns = {"t": t, "x": x, "y": y, "yaw": yaw, "v": v, "a": a, "kappa": np.full(len(t), np.nan)}
     return completed(columns, notes)
 
@@ -327,7 +327,7 @@ def _enum_name(message: Any, name: str) -> str:
 
 
 def _points(messages: Iterable[Any], origin: FloatArray) -> FloatArray:
-    """Points `(n, 2)` without repetitions; the finite ones."""
+    """The finite points `(n, 2)`, without repetitions."""
     points = np.array([(p.x, p.y) for p in messages], dtype=np.float64).reshape(-1, 2) - origin
     points = points[np.isfinite(points).all(axis=1)]
     return points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]] if len(points) else points
@@ -364,7 +364,7 @@ def _classic(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[i
         known = message.classification
         center = _points(known.centerline, origin)
         turned = known.HasField("centerline_is_driving_direction") and not known.centerline_is_driving_direction
-        if len(center) > 1:  # a line whose direction is not given stays as it is
+        if len(center) > 1:  # a line without a stated direction is not reversed
             centers[key] = center[::-1] if turned else center
     lanes, assumed = {}, 0
     for key, center in centers.items():
@@ -407,7 +407,7 @@ def _facts(message: Any) -> dict[str, Any]:
 
 
 def _lane_between_boundaries(key: int, osi: _OsiMap, center: FloatArray, origin: FloatArray) -> Lane | None:
-    """The lane between its boundaries, or None where one is missing."""
+    """The lane between its boundaries, or None if one is missing."""
     known = osi.lanes[key].classification
     lines, crossable = [], []
     for ids in (known.left_lane_boundary_id, known.right_lane_boundary_id):
@@ -445,7 +445,7 @@ def _lane_around_center(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) 
 def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
     """Lateral offset of `other` at the middle of `line`, positive to the left, and whether it runs the same way.
 
-    NaN where the middle has no foot on `other`.
+    NaN if the middle does not project onto `other`.
     """
     steps = np.diff(line, axis=0)
     way = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
@@ -461,7 +461,7 @@ def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
 
 
 def _foot(point: FloatArray, line: FloatArray) -> tuple[int, FloatArray]:
-    """The nearest point of a polyline without repeated points, and its segment."""
+    """Index of the nearest segment of a polyline without repeated points, and the nearest point on it."""
     steps = np.diff(line, axis=0)
     along = np.clip(np.einsum("ij,ij->i", point - line[:-1], steps) / np.einsum("ij,ij->i", steps, steps), 0.0, 1.0)
     feet = line[:-1] + along[:, None] * steps
@@ -470,13 +470,13 @@ def _foot(point: FloatArray, line: FloatArray) -> tuple[int, FloatArray]:
 
 
 def _station(point: FloatArray, line: FloatArray) -> float:
-    """Arc length of the foot of a point, m."""
+    """Arc length of the projection of a point, m."""
     i, foot = _foot(point, line)
     return float(np.hypot(*np.diff(line[: i + 1], axis=0).T).sum() + np.hypot(*(foot - line[i])))
 
 
 def _beside_each_other(lanes: dict[int, Lane], adjacent: dict[int, list[int]]) -> tuple[dict[int, Lane], bool]:
-    """The lanes with their neighbours; one drives on the left where opposite traffic is to the right more often."""
+    """The lanes with their neighbours, and whether traffic drives on the right: opposite lanes are mostly left."""
     out, balance = {}, 0
     for key, lane in lanes.items():
         nearest: dict[bool, tuple[int | None, bool]] = {True: (None, False), False: (None, False)}  # left, right

@@ -1,7 +1,7 @@
-"""Logs in: a native or OSI file becomes a Scenario, or one LogError that names file, topic and time.
+"""Reads a native or OSI file as a Scenario, or raises one LogError that names file, topic and time.
 
 Coordinates of a native log are relative to the origin in its metadata; the reader keeps the origin and subtracts
-nothing. What the log leaves out is filled in as `complete.py` says, and noted.
+nothing. `complete.py` fills in what the log leaves out, with a note.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 T = TypeVar("T")
 
 UNSEEN = "agents have no sample and are left out."
-"""How the note ends on those who are in the table only."""
+"""End of the note on agents that are only in the table."""
 
 
 def read_scenario(path: Path, ego: str = "") -> Scenario:
-    """The scenario in a native or OSI log; `ego` names another object of an OSI log than its host.
+    """Read the scenario in a native or OSI log; `ego` selects an object of an OSI log other than its host.
 
     Raises:
-        LogError: The file is damaged, foreign, or breaks the format; nothing else is raised.
+        LogError: The file is damaged, in another format, or breaks the format; no other error is raised.
     """
     return scenario_of(read_container(Path(path)), ego)
 
@@ -49,11 +49,11 @@ def scenario_of(container: Container, ego: str = "") -> Scenario:
     """The scenario in a container.
 
     Raises:
-        LogError: As `read_scenario`.
+        LogError: As in `read_scenario`.
     """
     container.whole()
     try:
-        with np.errstate(all="ignore"):  # absurd numbers are refused as such, further down
+        with np.errstate(all="ignore"):  # the checks below refuse absurd numbers
             if native.SCENARIO_RECORD in container.metadata:
                 if ego:
                     raise LogError(f"ego {ego} is asked for, but a native log has its ego", remedy="leave ego out")
@@ -94,7 +94,7 @@ def _native(container: Container) -> Scenario:
     lights = _lights(streams.get("/traffic_lights"), start_ns)
     shown = {light.id for light in lights}
     lost = sum(line.light is not None and line.light not in shown for line in road.stop_lines)
-    if lost:  # a line is no less there for that
+    if lost:  # the stop lines are kept all the same
         notes.append(
             f"The log does not show the lights of {lost} of {len(road.stop_lines)} stop lines: not known is off."
         )
@@ -104,7 +104,7 @@ def _native(container: Container) -> Scenario:
     controls, agents = streams.get("/controls", streams.get("/actuation")), streams.get("/agents")
     traffic = _from_record(record, "traffic_s", tuple[tuple[float, float], ...], None)
     if traffic is None and agents and not all(message.id for message in agents.decoded(native.AgentColumns)):
-        traffic = of_stream(seconds(agents.times, start_ns))  # it has empty messages, too
+        traffic = of_stream(seconds(agents.times, start_ns))  # including empty messages
     noted = _from_record(record, "notes", list[str], [])
     free = container.metadata.get(native.FREE_RECORD, {})
     free = {key: text for key, text in free.items() if not key.startswith(FINDING)}
@@ -137,7 +137,7 @@ def _native(container: Container) -> Scenario:
 
 
 def _from_record(record: dict[str, str], key: str, kind: type[T], default: T) -> T:
-    """A value of the metadata record, which are JSON texts where they are not words."""
+    """A value of the metadata record; values that are not words are JSON texts."""
     if key not in record:
         return default
     try:
@@ -148,7 +148,7 @@ def _from_record(record: dict[str, str], key: str, kind: type[T], default: T) ->
 
 
 def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:
-    """The message of a topic that has one or none."""
+    """The message of a topic that has one message or none."""
     if topic not in streams or not len(streams[topic]):
         return None
     if len(streams[topic]) > 1:
@@ -163,7 +163,7 @@ def seconds(times: Sequence[int], start_ns: int) -> FloatArray:
 
 
 def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[str, FloatArray]:
-    """Column t and those of a kind, whether they come one sample a message or in blocks."""
+    """Column t and the columns of a kind, from messages of one sample or from blocks."""
     block = native.BLOCKS[kind]
     if stream.schema != native.schema_name(block):
         stream.check_order(strictly=True)
@@ -254,7 +254,7 @@ def _samples(
 def _detections(
     streams: dict[str, Stream], start_ns: int, tracks: Tracks, extended: BoolArray
 ) -> tuple[Detections | None, Repair | None]:
-    """Detections that are not yet tracks, or how the tracks were made of them; None where the log has neither."""
+    """Detections that are not yet tracks, or the report of the tracks made of them; None if the log has neither."""
     stream, found = streams.get("/detections"), None
     if stream is not None:
         stream.check_order(strictly=True)
@@ -283,7 +283,7 @@ def _detections(
 
 
 def _join_columns(messages: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> dict[str, list[Any]]:
-    """The columns of all messages of a kind, each one after the other."""
+    """The columns of a kind, each joined over all messages."""
     return {
         name: list(chain.from_iterable(getattr(each, name) for each in messages)) for name in kind.__struct_fields__
     }
@@ -311,7 +311,7 @@ def _road(message: native.Road | None, ego: Trajectory, notes: list[str]) -> nou
 
 
 def _lights(stream: Stream | None, start_ns: int) -> tuple[TrafficLight, ...]:
-    """The lights over time; what a light showed before its first message is not known."""
+    """The lights over time; the colour of a light before its first message is unknown."""
     if stream is None:
         return ()
     stream.check_order(strictly=False)
@@ -327,7 +327,7 @@ def _lights(stream: Stream | None, start_ns: int) -> tuple[TrafficLight, ...]:
 
 
 def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
-    """The plans that were made on board, in order of time."""
+    """The plans of the log's own planner, in order of time."""
     if stream is None:
         return ()
     stream.check_order(strictly=True)

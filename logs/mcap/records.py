@@ -1,22 +1,22 @@
-"""MCAP files record by record: what is left of a damaged one (`salvage`), a part of a remote one (`write_part`).
+"""MCAP files record by record: the intact part of a damaged one (`salvage`), a part of a remote one (`write_part`).
 
-Salvage writes every chunk that is whole into a new file, and names what was lost. Where a record is not one (a cut,
-changed bytes), the next chunk is looked for that inflates to its stated size and checksum, with messages of its stated
-times only. Chunks that were written without a checksum (rosbags does so) are kept, and counted. Messages outside of
-chunks have no checksum of their own: they are kept up to the first damage. Schemas and channels come from the chunks
-and, where it is intact, from the summary at the file's end; the profile (by which a ROS 2 bag is known) from the
-header, else from the schemas.
+Salvage writes every intact chunk into a new file, and reports what was lost. At bytes that are not a record (a cut,
+changed bytes), it searches for the next chunk that inflates to its stated size and checksum and has only messages of
+its stated times. It keeps and counts chunks without a checksum (rosbags writes them). Messages outside of chunks have
+no checksum of their own: it keeps them up to the first damage. Schemas and channels come from the chunks and from the
+summary at the file's end if that is intact; the profile (which identifies a ROS 2 bag) from the header, else from the
+schemas.
 
-Of a native MCAP file at a URL, only what a part of it by time needs is fetched. The summary at the file's end says when
-each chunk begins and ends, and which topics are in it. Fetched are, besides the summary and the metadata, the chunks
+From a native MCAP file at a URL, only the data that a part of it by time needs is fetched. The summary at the file's
+end has the begin and end of each chunk, and its topics. Besides summary and metadata, these chunks are fetched: those
 
 (1) that overlap [begin - `HISTORY_S`, end + `HISTORY_S`] of the log, `DETECTED_S` where it has detections,
-(2) of each topic the last before and the first behind that: a message may stand for samples around it (blocks),
-(3) with anything but the samples of `PERIODIC`: road, vehicle and goal, lights that changed long ago,
-(4) the first, in which the log's first ego state is.
+(2) of each topic the last before and the first after that: a message may have samples around it (blocks),
+(3) with any topic but `PERIODIC`: road, vehicle and goal, lights that changed long ago,
+(4) the first, which has the log's first ego state.
 
-They are written as a file of their own, whose scenario, cut (`logs.readers.cut`), is that of the whole file, cut. Its
-table of agents is that of the whole, too: where some have no sample in the part, they are left out of it.
+They are written as a file, whose scenario after the cut (`logs.readers.cut`) equals that of the whole file after the
+cut. Its table of agents is that of the whole file without the agents that have no sample in the part.
 """
 
 from __future__ import annotations
@@ -65,18 +65,18 @@ CRC = slice(HEAD + 24, HEAD + 28)
 ROS2_SCHEMAS = frozenset({"ros2msg", "ros2idl"})
 PERIODIC = ("/ego", "/agents", "/controls", "/actuation", "/detections", "/removed")
 TAIL_BYTES = 16 * 1024
-"""Fetched first, from the end: the summary of a log of some minutes."""
+"""Bytes at the end that are fetched first: they have the summary of a log of some minutes."""
 FOOTER_BYTES = 1 + 8 + 20 + len(MCAP0_MAGIC)
 Ranged = Callable[[int, int], bytes]
-"""The bytes of a file from the first place up to the second."""
+"""Returns the bytes of a file from the first position up to the second."""
 R = TypeVar("R", bound=McapRecord)
 
 
 @dataclass(frozen=True)
 class Lost:
-    """A part that could not be kept: bytes from `at`, messages between two log times (ns; None: the file's begin, end).
+    """A part that was lost: bytes from `at`, messages between two log times (ns; None: the file's begin, end).
 
-    The times are those of the last message before and the first one after it.
+    The times are those of the last message before it and the first one after it.
     """
 
     at: int
@@ -92,9 +92,9 @@ class Lost:
 
 @dataclass
 class Salvage:
-    """What was kept and what was lost; `nameless` messages are whole, but what says their topic is lost.
+    """What was kept and what was lost.
 
-    `unchecked` chunks have no checksum.
+    `nameless` counts intact messages whose channel was lost, `unchecked` chunks without a checksum.
     """
 
     messages: int = 0
@@ -118,7 +118,7 @@ def salvage(source: Path, target: Path) -> Salvage:
     """Write what is intact in `source` to `target`, an MCAP file with the same schemas, channels and metadata.
 
     Raises:
-        LogError: The source cannot be read, is no MCAP file, or holds no intact message; nothing is written then.
+        LogError: The source cannot be read, is not an MCAP file, or has no intact message; then no file is written.
     """
     raw = content_of(source)
     report, copy = Salvage(), _Copy()
@@ -185,7 +185,7 @@ class _Copy:
             self.metadata.append(record)
 
     def write(self, path: Path) -> None:
-        """All of it as an MCAP file; messages whose channel was lost are not among them."""
+        """Write the records as an MCAP file, without messages whose channel was lost."""
         with path.open("wb") as file:
             writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
             encodings = {schema.encoding for schema in self.schemas.values()}
@@ -207,9 +207,9 @@ class _Copy:
 def _records_at(
     raw: bytes, at: int, *, in_step: bool = False, undamaged: bool = False
 ) -> tuple[int, list[McapRecord], bool] | None:
-    """Length of the record at a byte, the records in it, whether it is a chunk; None where there is no intact one.
+    """Length of the record at a byte, the records in it, whether it is a chunk; None if there is no intact record.
 
-    Not `in_step`, behind damage, only a chunk counts; a message outside of chunks only in what is so far `undamaged`.
+    After damage (not `in_step`) only chunks are accepted; messages outside of chunks only while all is `undamaged`.
     """
     if at + HEAD > len(raw):
         return None
@@ -223,7 +223,7 @@ def _records_at(
             found = opened(chunk)
             begin, end = chunk.message_start_time, chunk.message_end_time
             if any(not begin <= record.log_time <= end for record in found if isinstance(record, Message)):
-                return None  # the chunk does not state the times of its messages
+                return None  # the stated times are not those of its messages
             return size, found, True
         if not in_step or (code == Opcode.MESSAGE and not undamaged):
             return None
@@ -243,15 +243,15 @@ _KNOWN: dict[int, Any] = {
 }
 """Records outside of chunks that are kept."""
 _PASSED = frozenset(Opcode) - frozenset(_KNOWN) - {Opcode.CHUNK}
-"""Records that are passed by: indexes, attachments, the summary, the footer."""
+"""Records that are skipped: indexes, attachments, the summary, the footer."""
 
 
 def _next_chunk(raw: bytes, at: int) -> int:
-    """The next byte at which an intact chunk begins; the file's length where there is none."""
+    """The next byte at which an intact chunk begins; the file's length if there is none."""
     names = {name.encode() for name in COMPRESSIONS}
     at = raw.find(bytes([Opcode.CHUNK]), at)
     while 0 <= at <= len(raw) - HEAD - 32:
-        place = at + HEAD + 32  # of the name of its compression: cheap to look at, before the chunk is opened
+        place = at + HEAD + 32  # of its compression's name, which is cheap to check before the chunk is opened
         (size,) = struct.unpack_from("<I", raw, place - 4)
         if size <= 4 and raw[place : place + size] in names and _records_at(raw, at) is not None:
             return at
@@ -260,7 +260,7 @@ def _next_chunk(raw: bytes, at: int) -> int:
 
 
 def _summary(raw: bytes, copy: _Copy) -> None:
-    """Schemas and channels of the summary, where footer and summary are intact."""
+    """Add the schemas and channels of the summary if footer and summary are intact."""
     footer = len(raw) - BEGIN - HEAD - 20
     if footer < BEGIN or raw[footer] != Opcode.FOOTER:
         return
@@ -279,10 +279,10 @@ def _summary(raw: bytes, copy: _Copy) -> None:
 
 
 def write_part(ranged: Ranged, size: int, begin: float, end: float, path: Path) -> bool:
-    """Write what [begin, end] (s after the log's start) needs to `path`; False: the whole file is needed.
+    """Write the chunks that [begin, end] (s after the log's start) needs to `path`; False: the whole file is needed.
 
-    It is where the file is not replan's own, has no index, is damaged, or leaves out what is made up from all of it as
-    it is read (a road along the drive, speeds; the reader notes that).
+    That is so if the file is not a native log, has no index, is damaged, or leaves out data that the reader derives
+    from the whole log (a road along the drive, speeds; the reader notes that).
     """
     try:
         at = max(0, size - TAIL_BYTES)
@@ -340,14 +340,14 @@ def _chosen(summary: Sequence[McapRecord], first_ns: float, last_ns: float) -> l
 
 
 def _pieces(ranged: Ranged, summary: Sequence[McapRecord], chunks: Sequence[ChunkIndex]) -> Iterator[bytes]:
-    """A file without index: head, metadata, schemas and channels, the chunks as they are, its end."""
+    """The pieces of a file without index: head, metadata, schemas and channels, the chunks unchanged, its end."""
     indices = _records_of_kind(summary, MetadataIndex)
     first = min([index.offset for index in indices] + [chunk.chunk_start_offset for chunk in chunks])
     yield ranged(0, first)
     for index in indices:
         yield ranged(index.offset, index.offset + index.length)
     yield _written([*_records_of_kind(summary, Schema), *_records_of_kind(summary, Channel)])
-    runs, behind = list[tuple[int, int]](), -1  # neighbours, with the indices between, are one: a request costs more
+    runs, behind = list[tuple[int, int]](), -1  # neighbours are one request, with the indices between
     for chunk in chunks:
         begin = chunk.chunk_start_offset
         end = begin + chunk.chunk_length

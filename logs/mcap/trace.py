@@ -1,13 +1,13 @@
-"""A trace as a log: what was driven, what was planned, asked and done; readable again by `read_scenario`.
+"""A trace as a log: driven states, plans, commands and actuation; `read_scenario` reads it again.
 
-Ego and agents are those of the trace; road, goal and vehicle those of the scenario. `internals` says how much of the
-plans is kept: "none" (status, and trajectory at `KEPT_STEP_S`), "summary" (the whole trajectory, decisions, cost terms,
+Ego and agents are those of the trace; road, goal and vehicle those of the scenario. `internals` selects the data of
+plans: "none" (status, and trajectory at `KEPT_STEP_S`), "summary" (the whole trajectory, decisions, cost terms,
 candidates, compared lanes, solver reports, graphs without the grids of costs, predictions every `SUMMARY_STEP_S`),
-"full" (and the grids, and all predictions that the trace has). In graphs null stands for "not reached" and "free". What
-a sensor showed of the others is always kept.
+"full" (and the grids, and all predictions that the trace has). In graphs null stands for "not reached" and "free". The
+agents as a sensor showed them are always written.
 
-`read_trace` returns the drive. What the file leaves out is not made up: grids that were not kept are None, and agents
-that were in a frame without being predicted are not listed in it. The yaw of a prediction is not kept: it is NaN.
+`read_trace` returns the drive. It does not make up what the file leaves out: grids that were not written are None, and
+a frame does not list agents without a prediction. The yaw of a prediction is not written: it is NaN.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from logs.states import TRAJECTORY_COLUMNS, Controls
 
 Internals = Literal["none", "summary", "full"]
 SUMMARY_STEP_S = 2.0
-"""Between two samples of a prediction in a summary: enough to see where two runs expected an agent elsewhere."""
+"""Time between two samples of a prediction in a summary, which shows where the predictions of two runs differ, s."""
 
 
 def write_trace(
@@ -55,7 +55,7 @@ def write_trace(
     """Write a trace as a native log, and messages `beside` it on other topics.
 
     Raises:
-        LogError: As `write_scenario`.
+        LogError: As in `write_scenario`.
     """
     try:
         driven = driven_scenario(trace, scenario)
@@ -70,7 +70,7 @@ def write_trace(
 
 
 def driven_scenario(trace: nouns.Trace, scenario: Scenario) -> Scenario:
-    """The scenario as it was driven; it lasts until the ego's last state. What it was repaired from is in the log."""
+    """The scenario as it was driven, until the ego's last state; the data before its repair stays in the log."""
     return replace(
         scenario,
         ego=trace.ego,
@@ -117,7 +117,7 @@ def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> I
         track = np.repeat(np.arange(len(shown)), np.diff(shown.offsets))
         order = np.lexsort((track, at_ns))
         ordered = at_ns[order]
-        for time in times:  # empty where no agent was seen
+        for time in times:  # an empty message where no agent was seen
             at = order[np.searchsorted(ordered, time) : np.searchsorted(ordered, time, side="right")]
             columns = (getattr(shown, name)[at].tolist() for name in COLUMNS)
             yield time, "/perceived", native.AgentColumns([shown.ids[i] for i in track[at]], *columns)
@@ -131,13 +131,13 @@ def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> I
 
 
 def _who(tracks: Tracks) -> dict[str, tuple[object, ...]]:
-    """Kind and size of each."""
+    """Kind and size of each track."""
     columns = zip(tracks.kinds, tracks.length.tolist(), tracks.width.tolist(), strict=True)
     return dict(zip(tracks.ids, columns, strict=True))
 
 
 def plan_message(plan: nouns.Plan, internals: Internals) -> native.Plan:
-    """The message of a plan, with as much of its internals as `internals` says."""
+    """The message of a plan, with the part of its internals that `internals` selects."""
     planned = plan.trajectory
     kept = nouns.kept_samples(planned.t) if internals == "none" else slice(None)
     columns = native.TrajectoryColumns(*(getattr(planned, name)[kept].tolist() for name in TRAJECTORY_COLUMNS))
@@ -153,7 +153,7 @@ _INSIDE: dict[str, tuple[type[msgspec.Struct], tuple[type[nouns.Artefact], ...]]
     "solvers": (native.SolverReport, (nouns.SolverReport,)),
     "graphs": (native.Graph, (nouns.SlGraph, nouns.StGraph)),
 }
-"""Under which name, and as which message, the artefacts of a plan are written, in the order in which they are read."""
+"""Name and message type of each kind of artefact of a plan, in the order in which they are read."""
 _PLACE = {noun: (name, kind) for name, (kind, some) in _INSIDE.items() for noun in some}
 
 
@@ -168,7 +168,7 @@ def inside_of(internals: Iterable[nouns.Artefact], *, full: bool = True) -> dict
 
 
 def artefacts_of(message: msgspec.Struct) -> Iterator[nouns.Artefact]:
-    """The artefacts in the lists of a message, of which it may have some only."""
+    """The artefacts in the lists of a message, which may have only some of the lists."""
     for name, (_, kinds) in _INSIDE.items():
         for each in getattr(message, name, ()):
             kind: Any = kinds[name == "graphs" and each.plane == "st"]
@@ -179,7 +179,7 @@ def read_trace(path: Path) -> tuple[nouns.Trace, Scenario]:
     """The drive in a file that `write_trace` wrote, and the scenario as it was driven (road, goal, vehicle, lights).
 
     Raises:
-        LogError: The file is damaged, is no trace, or breaks the format; nothing else is raised.
+        LogError: The file is damaged, is not a trace, or breaks the format; no other error is raised.
     """
     container = read_container(Path(path))
     scenario = scenario_of(container)
@@ -190,10 +190,10 @@ def read_trace(path: Path) -> tuple[nouns.Trace, Scenario]:
 
 
 def read_moment(path: Path, t: float) -> tuple[nouns.Trace, Scenario, tuple[nouns.PlanSummary, ...]]:
-    """As `read_trace`, with only the plan that was the newest at `t` (s); and what each plan says. Four times faster.
+    """As `read_trace`, with only the newest plan at `t` (s), and a summary of each plan; four times faster.
 
     Raises:
-        LogError: As `read_trace`, but for what is wrong with the other plans.
+        LogError: As in `read_trace`, except for errors in the other plans.
     """
     container = read_container(Path(path))
     scenario = scenario_of(container)

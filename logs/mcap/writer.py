@@ -1,10 +1,9 @@
 """Writes a Scenario as a native MCAP file.
 
-The same scenario gives the same bytes. Messages are encoded one by one and wait in a file for their turn, so that a
-long drive takes no more memory than a short one. Beside the native messages a file may hold protobuf messages on topics
-of their own, for viewers (`replay.draw.foxglove`); no reader of replan looks at them. The file is written under a
-temporary name beside its place and renamed, so that a killed writer leaves no half log; chunks are small, so that it
-loses little.
+The same scenario gives the same bytes. Messages are encoded one by one and wait in a spool file for their turn,
+so that a long drive takes no more memory than a short one. Besides the native messages a file may have protobuf
+messages for viewers on other topics (`replay.draw.foxglove`), which readers ignore. The file is written under a
+temporary name in the same directory and renamed, so that a killed writer leaves no partial log.
 Times become integer nanoseconds: reading returns the identical scenario if its times are whole nanoseconds (and |t| is
 below 26 days). A repair is not written if the tracks changed after it.
 """
@@ -36,7 +35,7 @@ CHUNK_BYTES = 128 * 1024
 SPOOL_BYTES = 16 * 2**20
 """The greatest number of bytes of messages in memory; more wait in a file."""
 BLOCK = 100
-"""Samples of a block: a second of a drive, so that a killed writer loses little."""
+"""Samples of a block: a second of a drive."""
 COLUMNS = ("x", "y", "yaw", "vx", "vy")
 """The columns of samples of other road users."""
 Entry = tuple[int, str, msgspec.Struct | Message]
@@ -72,7 +71,7 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
             encoder = msgspec.json.Encoder(enc_hook=scalar_as_number)
             kinds: dict[str, type[msgspec.Struct | Message]] = {}
             places, end = list[tuple[int, str, int, int]](), 0
-            for time, topic, message in entries:  # encoded, they wait in the spool until all are known
+            for time, topic, message in entries:  # encoded messages wait in the spool until all are known
                 if isinstance(message, Message):
                     data = message.SerializeToString(deterministic=True)
                 else:
@@ -109,7 +108,7 @@ def _schema(kind: type[msgspec.Struct | Message]) -> tuple[str, str, bytes]:
     files: dict[str, Any] = {}
 
     def collect(file: Any) -> None:
-        """A file's descriptor after those of the files that it imports."""
+        """Add a file's descriptor after those of the files that it imports."""
         if file.name not in files:
             for other in file.dependencies:
                 collect(other)
@@ -163,7 +162,7 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
         if np.isinf(lane.speed_limit):
             raise LogError(f"lane {lane.id}: the speed limit is infinite", topic="/road", remedy="use NaN for no limit")
     yield start, "/road", message_of(native.Road, scenario.road)
-    shown: dict[int, tuple[list[int], list[Colour]]] = {}  # a message for each time: the lights that change then
+    shown: dict[int, tuple[list[int], list[Colour]]] = {}  # for each time a message with the lights that change then
     for light in scenario.lights:
         at = log_times(light.t, start, "/traffic_lights")
         if any(time <= before for before, time in pairwise(at)):
@@ -217,7 +216,7 @@ def check_not_infinite(values: FloatArray, topic: str, name: str) -> None:
 
 
 def column(values: FloatArray, topic: str, name: str) -> list[float]:
-    """The values as a list; LogError as `check`."""
+    """The values as a list; LogError as in `check_not_infinite`."""
     check_not_infinite(values, topic, name)
     out: list[float] = values.tolist()
     return out
@@ -235,14 +234,14 @@ def check_finite(value: float, name: str) -> float:
 
 
 def _finite_all(value: float | tuple[float, ...], name: str) -> float | tuple[float, ...]:
-    """The number or numbers; LogError as `finite`."""
+    """The number or numbers; LogError as in `check_finite`."""
     return tuple(check_finite(item, name) for item in value) if isinstance(value, tuple) else check_finite(value, name)
 
 
 def samples(
     table: Any, kind: type[msgspec.Struct], topic: str, start_ns: int, *, blocks: bool = False
 ) -> Iterator[Entry]:
-    """A struct of arrays with the column t and those of `kind`: one message a sample, or a block of `BLOCK` of them.
+    """Messages of a struct of arrays with the column t and those of `kind`: one per sample, or one per `BLOCK`.
 
     Raises:
         LogError: A value is infinite, or two samples fall on one nanosecond.
@@ -291,7 +290,7 @@ def _tracks(
 
 
 def _detections(found: Detections, start_ns: int) -> Iterator[Entry]:
-    """One message per frame."""
+    """The messages of detections, one per frame."""
     for name in ("length", "width", "vx", "vy", "score"):
         check_not_infinite(getattr(found, name), "/detections", name)
     times = log_times(found.frames, start_ns, "/detections")

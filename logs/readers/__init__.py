@@ -1,14 +1,14 @@
-"""Every log in: one table of readers, asked in order; the first that claims a path reads it.
+"""Reads logs of all formats: the first reader in a table that claims a path reads it.
 
-Adding a format is one file with a `Reader` and one line in `BUILTIN`; one of your own is named by
+A new format needs one file with a `Reader` and one line in `BUILTIN`. A reader of your own is named by
 `reader = "my_module:READER"` in a run's [log] table, or by an entry point of the group `replan.readers`:
 
     [project.entry-points."replan.readers"]
     mine = "my_package.reader:READER"
 
 Modules:
-    base.py         what a reader is, and the settings of a run's [log] table
-    admission.py    the checks that every log has to pass; raw detections made into tracks
+    base.py         the class of readers, and the settings of a run's [log] table
+    admission.py    the checks of every log; the repair of raw detections
     cut.py          a part of a scenario by time, and times in whole nanoseconds
     commonroad/     CommonRoad XML
     comma2k19.py    segments of comma2k19
@@ -51,15 +51,15 @@ BUILTIN = (
     argoverse2.READER,
     native.READER,
 )
-"""In the order in which they are asked."""
+"""The built-in readers, in the order in which they are tried."""
 READER: Kind[Reader] = Kind(
     "reader", "readers", {one.name: one for one in BUILTIN}, an_instance(Reader, "replan.Reader")
 )
-"""Finds those, and users' own."""
+"""Finds readers by name: the built-in ones and those of users."""
 FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"
 _SHOWN = 8
 LONGEST_S = 7 * 86400.0
-"""A week: beyond it, times are in another unit (and grids in time would fill the memory)."""
+"""Longest duration of a log, s: times beyond a week have another unit (and time grids would fill the memory)."""
 
 __all__ = [
     "BUILTIN",
@@ -78,10 +78,10 @@ __all__ = [
 
 @cache
 def readers(first: str = "") -> tuple[Reader, ...]:
-    """All readers in the order in which they are asked: `first` (`LogSettings.reader`), of other distributions, ours.
+    """Return all readers in the order in which they are tried: `first`, those of entry points, the built-in ones.
 
     Raises:
-        ConfigError: One cannot be loaded or is no `Reader`, or two have one name.
+        ConfigError: A reader cannot be loaded or is not a `Reader`, or two have the same name.
     """
     found = (*READER.installed().values(), *BUILTIN)
     found = (*([READER.find(first)] if ":" in first else []), *found)
@@ -98,22 +98,22 @@ def readers(first: str = "") -> tuple[Reader, ...]:
 
 
 def reader_called(name: str) -> Reader:
-    """A reader by its name, or "module:NAME"; ConfigError where there is none."""
+    """Return a reader by its name or "module:NAME"; ConfigError if there is none."""
     return readers(name)[0]
 
 
 def reader_of(path: Path, settings: LogSettings | None = None) -> Reader | None:
-    """The reader that claims a file or folder, or None; none claims pipes, sockets and devices."""
+    """Return the reader that claims a file or folder, or None; pipes, sockets and devices have no reader."""
     if special_kind(path):
         return None
     return next((reader for reader in readers(settings.reader if settings else "") if reader.claims(path)), None)
 
 
 def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | None = None) -> Scenario:
-    """The scenario in a log of any format; `reader` None: the one that claims it.
+    """Read the scenario in a log of any format; `reader` None: the one that claims it.
 
     Raises:
-        LogError: The log is damaged, foreign, or lacks what a scenario needs; nothing else is raised for any bytes.
+        LogError: The log is damaged, unknown, or lacks required data; no other exception is raised for any bytes.
     """
     settings = settings or LogSettings()
     check_regular(path)
@@ -154,13 +154,13 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
 
 
 def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
-    """A scenario that no file holds, with tracks made of its detections as `settings.repair` says."""
+    """Make tracks from the detections of a scenario without a file, as `settings.repair` says."""
     made = repaired(scenario, settings.repair)
     return made if made.repair is scenario.repair else named(made)
 
 
 def foreign(path: Path) -> LogError:
-    """The error for a path that no reader claims: what was found, and how to convert it."""
+    """Return the error for a path that no reader claims: what it contains, and how to convert it."""
     if not path.exists():
         return LogError("no such file or folder", file=path)
     if path.is_dir():
@@ -183,7 +183,7 @@ def foreign(path: Path) -> LogError:
 
 
 def logs_in(folder: Path, settings: LogSettings | None = None) -> Iterator[tuple[Path, Reader | None]]:
-    """What lies under a folder, sorted: logs with their readers; files named like logs that none claims, with None.
+    """Yield the logs under a folder, sorted, with their readers; None for files that only have a log's suffix.
 
     A claimed folder is one log and is not searched.
     """
@@ -197,10 +197,10 @@ def logs_in(folder: Path, settings: LogSettings | None = None) -> Iterator[tuple
 
 
 def windows(path: Path, settings: LogSettings, length: float) -> tuple[LogSettings, ...]:
-    """The parts of `length` s of a log between `begin` and `end`; the last is left out if it has less than half.
+    """Split a log between `begin` and `end` into parts of `length` s; a last part shorter than half of it is left out.
 
     Raises:
-        LogError: The log does not say cheaply how long it is.
+        LogError: The log cannot be read.
     """
     reader = reader_of(path, settings)
     if reader is not None:

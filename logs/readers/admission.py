@@ -1,25 +1,25 @@
-"""What happens to every log after it was read, whatever its format: checks, and the repair of raw detections.
+"""Checks every log after reading, whatever its format, and repairs raw detections.
 
-    clocks       times of the agents, lights, controls and plans that nowhere overlap those of the ego are refused
-    magnitudes   `LIMITS`: the ego, the road and the goal beyond them are refused; of the agents, samples with such a
-                 pose are left out, such a velocity is taken as not known, such a size as usual for the kind
-    names        control characters become signs that can be seen, long names are cut
+    clocks       logs are refused if the times of agents, lights, controls or plans do not overlap those of the ego
+    magnitudes   logs are refused if the ego, the road or the goal are beyond `LIMITS`; agents' samples with such a pose
+                 are left out, such a velocity is unknown, and such a size is replaced by the usual size of the kind
+    names        control characters become visible characters, long names are cut
 
-A refusal names the topic, the time and the remedy. What is left out or replaced is a sentence in the scenario's notes.
-The limits lie far beyond what vehicles do: they separate wrong data from rare data. What is only implausible is
-evaluated and is a finding of `metrics.health`.
+An error names the topic, the time and the remedy. The scenario's notes list left out or replaced data. The limits are
+far beyond the motion of vehicles: they separate wrong data from rare data. Data that are only implausible are evaluated
+and reported by `metrics.health`.
 
 Repair. `[log] repair` says whether raw detections become tracks:
 
-    "auto"    where a log holds detections and they are no tracks (`logs.repair.needs_repair`)
-    "on"      always; of a log of tracks their samples are the detections, and who never moves stays as they are
-    "off"     never: the tracks are those that the reader makes
+    "auto"    if a log holds detections that are not tracks (`logs.repair.needs_repair`)
+    "on"      always; in a log of tracks, their samples are the detections, and static road users stay unchanged
+    "off"     never: the reader makes the tracks
 
-Where the road is assumed along the driven path, its lane gets its width from the tracks made (`passed_width`).
+If the road is assumed along the driven path, the repaired tracks decide the width of its lane (`passed_width`).
 
-It is done before a part is cut out, so that a part's tracks are the whole's. A reader that reads a part only reads
-`DETECTED_S` of `cut` more on both sides: then what a repair knows from farther away, the names of tracks and the choice
-of "auto" may be others than for the whole.
+The repair precedes the cut of a part, so that a part has the same tracks as the whole log. A reader that reads only a
+part reads `cut.DETECTED_S` more on both sides: the repair then lacks data from farther away, and the names of tracks
+and the choice of "auto" may differ from those of the whole log.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from logs.scenario import Scenario, Tracks
 
 
 class Limit(NamedTuple):
-    """The largest magnitude of a column that is taken for a measurement, and its unit."""
+    """The largest valid magnitude of a column, and its unit."""
 
     most: float
     unit: str
@@ -54,13 +54,13 @@ WORLD = Limit(1e6, "m")
 SPEED = Limit(150.0, "m/s")
 """540 km/h: more than any road vehicle has reached in traffic or in a race."""
 HEADING = Limit(1e4, "rad")
-"""Unwrapped: 1600 turns."""
+"""Unwrapped heading: 1600 turns."""
 LIMITS: Mapping[str, Mapping[str, Limit]] = MappingProxyType(
     {
         "ego": {
             "x": WORLD, "y": WORLD, "yaw": HEADING, "v": SPEED,
-            "a": Limit(1e4, "m/s2"),  # a spike of a speed that was differenced at 100 Hz stays below
-            "kappa": Limit(1e3, "1/m"),  # likewise of a heading at a crawl
+            "a": Limit(1e4, "m/s2"),  # above the spikes of speeds that are differenced at 100 Hz
+            "kappa": Limit(1e3, "1/m"),  # above the spikes of headings at walking speed
         },
         "agents": {"x": WORLD, "y": WORLD, "yaw": HEADING},
         "controls": {"steer": Limit(1e3, "rad"), "throttle": Limit(1e3, ""), "brake": Limit(1e3, "")},
@@ -70,28 +70,28 @@ LIMITS: Mapping[str, Mapping[str, Limit]] = MappingProxyType(
     }
 )  # fmt: skip
 STEP_M = 100.0
-"""Between two states the ego may be displaced by this, and by `SPEED` over the time: localisation jumps, but not so."""
+"""Largest displacement between two ego states beyond `SPEED` times the time, m: localisation jumps less."""
 GAP_S = 60.0
-"""Between two ego states; what was driven in a longer gap is not in the log."""
+"""Longest gap between two ego states, s; the log lacks the drive within a longer one."""
 SIZES_M = (1e-3, 1e3)
-"""Length and width of an agent."""
+"""Least and greatest length and width of an agent, m."""
 VEHICLE = Limit(1e9, "")
-"""Any parameter of the ego's vehicle; `VEHICLE_M` for its sizes."""
+"""Limit of all parameters of the ego's vehicle; `VEHICLE_M` is that of its sizes."""
 VEHICLE_M = Limit(100.0, "m")
 SHOWN_BEFORE_S = 3600.0
-"""The last change of a light may be this long before the ego's log."""
+"""A light's last change, or an on-board plan, may precede the ego's log by this time, s."""
 OTHER_CLOCK_S = 60.0
-"""A road user all of whose samples are farther than this from the ego's log is on another clock."""
+"""A road user with no sample within this time of the ego's log is on another clock, s."""
 NAMED = 5
-"""Road users that a note names."""
+"""Number of road users that a note names."""
 ONE_CLOCK = 'give both times of one clock (a bag: clock = "log" or "header" in [log]; a table: a column with its unit)'
 
 
 def check_clocks(scenario: Scenario) -> Scenario:
-    """The scenario as its reader made it, whole: with a note on road users who are on another clock than the ego.
+    """Check the clocks of a whole scenario, and note road users who are on another clock than the ego.
 
     Raises:
-        LogError: The times of the agents, lights, controls or plans nowhere overlap those of the ego.
+        LogError: The times of the agents, lights, controls or plans do not overlap those of the ego.
     """
     ego, tracks = scenario.ego, scenario.tracks
     first, last = float(ego.t[0]), float(ego.t[-1]) if len(ego) > 1 else scenario.duration
@@ -130,7 +130,7 @@ def _log_times(scenario: Scenario, begin: float, end: float) -> str:
 
 
 def admitted(scenario: Scenario) -> Scenario:
-    """The scenario within `LIMITS`, with names that can be printed.
+    """Apply `LIMITS` to the scenario, and make its names printable.
 
     Raises:
         LogError: The ego, its vehicle, the goal or a side table of the ego is beyond a limit.
@@ -167,7 +167,7 @@ def admitted(scenario: Scenario) -> Scenario:
 
 
 def _check_columns(scenario: Scenario, topic: str, table: Any) -> None:
-    """Refuse a table of columns over `t` where one is beyond its limit; NaN is not known, and no magnitude."""
+    """Raise LogError if a column of a table over `t` is beyond its limit; NaN (unknown) is accepted."""
     for name, limit in LIMITS[topic].items():
         column = np.asarray(getattr(table, name))
         away = np.abs(column - _zero(scenario, name))
@@ -179,7 +179,7 @@ def _check_columns(scenario: Scenario, topic: str, table: Any) -> None:
 
 
 def _zero(scenario: Scenario, name: str) -> float:
-    """What a column is measured from: positions from the ego's first, within what a projection has."""
+    """Return the zero of a column: for positions the ego's first, unless it is beyond any map projection."""
     start = scenario.ego.state(0)
     at = {"x": start.x, "y": start.y}.get(name, 0.0)
     return at if abs(at) < 1e8 else 0.0
@@ -191,10 +191,10 @@ def _refusal(scenario: Scenario, topic: str, what: str, time: float) -> LogError
 
 
 def check_road(scenario: Scenario) -> Scenario:
-    """The scenario, unchanged.
+    """Check the road and return the scenario unchanged.
 
     Raises:
-        LogError: A lane is farther away than `WORLD`, or its speed limit is beyond `SPEED`.
+        LogError: A lane is farther away than `WORLD`, or a speed limit is beyond `SPEED`.
     """
     road = scenario.road
     for lane in road.lanes.values():
@@ -213,7 +213,7 @@ def _limit_refused(topic: str, value: float) -> LogError:
 
 
 def _check_place(scenario: Scenario, topic: str, points: FloatArray) -> None:
-    """Refuse points `(n, 2)` that are farther from the ego's start than `WORLD`."""
+    """Raise LogError if points `(n, 2)` are farther from the ego's start than `WORLD`."""
     away = np.abs(points - [_zero(scenario, "x"), _zero(scenario, "y")])
     if away.size and not away.max() <= WORLD.most:
         what = f"a point is {away.max():g} m from the ego's start, beyond {WORLD.most:g} m"
@@ -221,10 +221,10 @@ def _check_place(scenario: Scenario, topic: str, points: FloatArray) -> None:
 
 
 def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
-    """The tracks with what is beyond a limit left out or replaced, which is noted.
+    """Leave out or replace samples, velocities and sizes of tracks beyond a limit, with notes.
 
     Raises:
-        LogError: Nothing is left of them.
+        LogError: No sample is left.
     """
     tracks = scenario.tracks
     speed = np.hypot(np.nan_to_num(tracks.vx), np.nan_to_num(tracks.vy))  # NaN: not known
@@ -265,7 +265,7 @@ def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
 
 
 def _detections_within(scenario: Scenario, found: Detections) -> tuple[Detections, tuple[str, ...]]:
-    """Detections within the limits of agents, with names that can be printed, and what was left out, in sentences."""
+    """Return the detections within the limits of agents, with printable names, and notes on those left out."""
     beyond = [~(np.abs(getattr(found, name) - _zero(scenario, name)) <= limit.most)
               for name, limit in LIMITS["agents"].items()]  # fmt: skip
     bad = np.logical_or.reduce(beyond)
@@ -282,16 +282,16 @@ def _detections_within(scenario: Scenario, found: Detections) -> tuple[Detection
 
 
 def _names_of(tracks: Tracks, whose: BoolArray) -> str:
-    """Some road users: how many, and the first of them by name."""
+    """Describe some road users: their number and the first names."""
     names = [visible_name(tracks.ids[i]) for i in np.flatnonzero(whose)]
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return f"{counted(len(names), 'road user')} ({', '.join(names[:NAMED])}{more})"
 
 
 def printable(scenario: Scenario) -> Scenario:
-    """The scenario with names and texts that can be printed in one line; what was changed is noted."""
+    """Make all names and texts printable in one line, with a note on changes."""
     names, taken = [visible_name(name) for name in scenario.tracks.ids], dict[str, int]()
-    distinct = []  # with a number behind those that another one has already
+    distinct = []  # repeated names get a number
     for name in names:
         count = taken[name] = taken.get(name, 0) + 1
         distinct.append(name if count == 1 else f"{name}~{count}")
@@ -324,7 +324,7 @@ def printable(scenario: Scenario) -> Scenario:
 
 
 def reason_to_repair(choice: str, found: Detections | None) -> str | None:
-    """Why detections are made into tracks, in a sentence; None: they are not."""
+    """Return the reason for a repair of the detections, in a sentence; None: they are not repaired."""
     if found is None or choice == "off":
         return None
     if choice == "on":
@@ -335,9 +335,9 @@ def reason_to_repair(choice: str, found: Detections | None) -> str | None:
 
 
 def repaired(scenario: Scenario, choice: str) -> Scenario:
-    """The scenario with tracks made of its detections as `choice` ("auto", "on", "off") says; else the same tracks.
+    """Make tracks from the scenario's detections as `choice` ("auto", "on", "off") says.
 
-    What is not repaired has no `detections` afterwards, what is repaired has them in its `repair`.
+    The result has no `detections`; a repaired scenario has them in its `repair`.
     """
     found = scenario.detections
     if choice == "on" and found is None:
@@ -356,7 +356,7 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
     found, left_out = _detections_within(scenario, framed(found))
     tracks, made = repair(found, scenario.ego, scenario.vehicle)
     if scenario.detections is None and scenario.repair is None:
-        # who never moves stays, under names that are not taken
+        # static road users stay, under unused names
         was, taken = scenario.tracks, {*tracks.ids, *made.removed.ids}
         stay = was.taken(np.repeat(was.static, np.diff(was.offsets)))
         names = ("length", "width", "static", "t", "x", "y", "yaw", "vx", "vy")
@@ -376,7 +376,7 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
 
 
 def named(scenario: Scenario) -> Scenario:
-    """The repaired scenario whose tracks have the names by which a causal tracker knows them (`logs.repair.names`)."""
+    """Give the repaired tracks the names of the causal tracker's tracks (`logs.repair.names`)."""
     made = scenario.repair
     assert made is not None and made.tracks is scenario.tracks
     from logs.repair.names import named_as_tracked

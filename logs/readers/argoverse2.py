@@ -1,20 +1,21 @@
-"""Argoverse 2 as published: sensor logs (folders of feather files), motion-forecasting scenarios (Parquet).
+"""Reads published Argoverse 2 data: sensor logs (feather files) and motion-forecasting scenarios (Parquet).
 
 Sensor logs. city_SE3_egovehicle.feather has the pose of the ego's rear axle, some 170 times a second. The annotations
 have boxes in the ego's frame, 10 times a second, each at the time of one of these poses:
 
 (1) box centre = p + q b q*,  heading of q q_box             p, q the ego's pose at the time of the box
 
-There are no velocities. The ego's are derived from the poses before each state, the agents' by backward differences,
-and the scenario begins at the second frame, so that every state has something before it. The box of the category
+The logs have no velocities. Those of the ego are derived from the poses before each state, those of the agents by
+backward differences, and the scenario begins at the second frame, so that every state has
+earlier poses. The box of the category
 EGO_VEHICLE, which some logs have, is left out.
 
 Motion-forecasting scenarios are 11 s of tracks at 10 Hz, with velocities and without sizes. The ego is the track "AV"
 (`ego` of the settings: another vehicle). Positions are taken as centres of boxes, and sizes are those usual for the
-kind. All 11 s are read: what a forecaster has to predict is past for a replay.
+kind. All 11 s are read, the part to be predicted included, as a replay needs it.
 
 Maps (log_map_archive_*.json) have lane segments with markings, and pedestrian crossings. They have no speed limits,
-stop lines, traffic lights or right of way. Drivable areas have no place in a Road.
+stop lines, traffic lights or right of way. Drivable areas are not read.
 """
 
 from __future__ import annotations
@@ -62,16 +63,16 @@ LICENCE = "CC BY-NC-SA 4.0 and the terms of Argoverse 2"
 EGO_CATEGORY = "EGO_VEHICLE"
 TURN, PLACE, SIZE = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m"), ("length_m", "width_m")
 POSE_APART_NS = 20_000_000
-"""The largest difference in time between a box and the pose by which it is placed."""
+"""Largest time between a box and the ego pose that places it, ns."""
 EGO, RATE_HZ, MOST_STEPS = "AV", 10.0, 1_000_000
 STATE = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
 OBJECT_TYPES = {
     "vehicle": AgentKind.CAR, "bus": AgentKind.BUS, "pedestrian": AgentKind.PEDESTRIAN, "cyclist": AgentKind.BICYCLE,
     "motorcyclist": AgentKind.MOTORCYCLE, "riderless_bicycle": AgentKind.BICYCLE,
 }  # fmt: skip
-"""Others ("static", "background", "construction", "unknown") are objects."""
+"""Kinds by object type; others ("static", "background", "construction", "unknown") are objects."""
 LANE_TYPES = {"VEHICLE": "surface_street", "BIKE": "bike_lane", "BUS": "bus_lane"}
-"""As 123D calls them."""
+"""123D's names of lane types, by Argoverse's."""
 POSES = "city_SE3_egovehicle.feather"
 SCENARIO = "scenario_*.parquet"
 
@@ -80,7 +81,7 @@ SCENARIO = "scenario_*.parquet"
 
 
 def annotations_of(folder: Path) -> Path | None:
-    """The file of the boxes: annotations.feather, else the first of annotations*.feather."""
+    """Return the file of the boxes: annotations.feather, else the first of annotations*.feather."""
     found = sorted(
         folder.glob("annotations*.feather"), key=lambda path: (path.name != "annotations.feather", path.name)
     )
@@ -88,7 +89,7 @@ def annotations_of(folder: Path) -> Path | None:
 
 
 def poses_of(folder: Path) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Times ns `(n,)`, increasing strictly, positions `(n, 3)` m and quaternions (x, y, z, w) `(n, 4)` of the ego."""
+    """Return the ego's times ns `(n,)`, increasing strictly, positions `(n, 3)` m and quaternions (x, y, z, w)."""
     path = folder / POSES
     table = ipc_table(path, ("timestamp_ns", *TURN, *PLACE))
     with reading(path):
@@ -103,7 +104,7 @@ def poses_of(folder: Path) -> tuple[IntArray, FloatArray, FloatArray]:
 
 
 def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
-    """The scenario in the folder of a sensor log (module docstring).
+    """Read the scenario in the folder of a sensor log (module docstring).
 
     Raises:
         LogError: A file is damaged, a pose of the ego is not finite, or the boxes are on another clock than the poses.
@@ -143,7 +144,7 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
 def _boxes(
     folder: Path, times: IntArray, place: FloatArray, turn: FloatArray, notes: list[str]
 ) -> tuple[Boxes, IntArray]:
-    """All boxes in the city's frame (1), s since the first pose, and the times of the frames, ns."""
+    """Return all boxes in the city's frame (1), timed in s since the first pose, and the times of the frames, ns."""
     path = beside(folder, ("annotations.feather",)) or annotations_of(folder)
     if path is None:
         notes.append("The log has no annotations: there are no other road users.")
@@ -181,7 +182,7 @@ def _boxes(
 def _kinds(
     owner: IntArray, label: IntArray, labels: list[str], count: int, kinds: Mapping[str, AgentKind]
 ) -> tuple[AgentKind, ...]:
-    """The kind of each of `count` road users, by the label of its first row."""
+    """Return the kind of each of `count` road users, by the label of its first row."""
     there, first = np.unique(owner, return_index=True)
     word = dict(zip(there.tolist(), (labels[k] for k in label[first]), strict=True))
     return tuple(kinds.get(word.get(i, ""), AgentKind.OBJECT) for i in range(count))
@@ -191,7 +192,7 @@ def _kinds(
 
 
 def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
-    """The scenario in a Parquet file and the map beside it.
+    """Read the scenario in a Parquet file and the map beside it.
 
     Raises:
         LogError: The file is damaged, or has no finite poses of the ego.
@@ -253,21 +254,21 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
 
 
 def scenario_id(table: Path) -> str:
-    """The id of a motion-forecasting scenario, from the name of its file."""
+    """Return the id of a motion-forecasting scenario from its file name."""
     return table.stem.removeprefix("scenario_")
 
 
 def map_beside(folder: Path, name: str = "*") -> Path | None:
-    """The map of a log, in its folder or in the folder `map` there; None: there is none."""
+    """Return the map in a log's folder or in its subfolder `map`; None if there is none."""
     found = sorted((*folder.glob(f"map/log_map_archive_{name}.json"), *folder.glob(f"log_map_archive_{name}.json")))
     return found[0] if found else None
 
 
 def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:
-    """The road in a map relative to `origin` `(2,)`, with an assumed speed limit; without a map along the driven path.
+    """Read the road of a map relative to `origin` `(2,)`, with an assumed speed limit; without a map, the driven path.
 
     Raises:
-        LogError: The file is no such map, or has no lanes.
+        LogError: The file is not such a map, or has no usable lanes.
     """
     if path is None:
         return road_along(ego, notes)
@@ -291,7 +292,7 @@ def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list
         lanes, keeps_right = lanes_of(strips, notes)
         if not lanes:
             raise LogError("the map has no lanes that can be used")
-        for walk in found.get("pedestrian_crossings", {}).values():  # the ground between two edges
+        for walk in found.get("pedestrian_crossings", {}).values():  # the area between two edges
             one, other = (_points(walk[name]) - origin for name in ("edge1", "edge2"))
             if min(len(one), len(other)) < 2 or not (np.abs(np.vstack([one, other])) < LARGEST_M).all():
                 continue
@@ -324,7 +325,7 @@ def _claims(path: Path) -> bool:
 
 
 def _locate_log(path: Path) -> tuple[Path, bool]:
-    """The folder of a sensor log or the table of a motion-forecasting scenario, and whether it is a sensor log."""
+    """Return the folder of a sensor log (True) or the table of a motion-forecasting scenario (False)."""
     if path.name == POSES:
         return path.parent, True
     if (path / POSES).is_file():

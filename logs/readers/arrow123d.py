@@ -1,23 +1,23 @@
-"""123D logs: folders of Arrow files, converted by py123d from nuPlan, Waymo, nuScenes, Argoverse 2 and others.
+"""Reads 123D logs: folders of Arrow files that py123d converts from nuPlan, Waymo, nuScenes, Argoverse 2 and others.
 
-The scenario has ego, boxes, lights over time, and the map of the log or of its place (`arrow123d_map`).
+The scenario has the ego, boxes, lights over time, and the map of the log or of its place (`arrow123d_map`).
 
-Frames are the rows of sync.arrow. What was seen is found by the times of its own table, not by the indices of
-sync.arrow: those are one frame late in logs of 0.2.0 and up to 3 ms late in asynchronous ones. The pose of the log is
-that of the IMU:
+Frames are the rows of sync.arrow. Data of each table are found by the table's own times, not by the indices in
+sync.arrow: those are one frame late in logs of 0.2.0 and up to 3 ms late in asynchronous ones. The poses in the log are
+those of the IMU:
 
 (1) rear axle = p + q r q*,  r the axle in the IMU's frame;   v = v_imu - w r_y,   a = a_imu - w^2 r_x
 
-with w the yaw rate, rad/s, and stored velocities in the body's frame. Where a data set has no velocities, py123d fills
-them in by differences to the frame before and after (0.1.0: by zeros). These are not read, since they know a later
-frame: the ego's are derived from the poses before each state, the agents' by backward differences, and the scenario
-begins at the second frame, so that every state has something before it.
+with w the yaw rate, rad/s, and stored velocities in the body's frame. If a data set has no velocities, py123d fills
+them with differences between the frames before and after (0.1.0: with zeros). These are not read, since they use a
+later frame: the ego's velocities are derived from the poses before each state, the agents' by backward differences, and
+the scenario begins at the second frame, so that every state has earlier poses.
 
-`route_position.arrow` is the ego's own future path, and `custom.*` are the data set's own words: neither is read.
+`route_position.arrow` is the ego's future path, and `custom.*` are fields of single data sets: neither is read.
 
-Labels. The files store a number in the data set's own enumeration, and the dotted path of its class (`KINDS` has the
-classes of py123d 0.1.0 to 0.7.0, by the last part of that path). The class is never imported. The kinds of an
-unknown class follow from the lengths.
+Labels. The files store a number of the data set's enumeration, and the dotted path of its class (`KINDS` has the
+classes of py123d 0.1.0 to 0.7.0, by the last part of that path). The class is never imported. For an unknown class, the
+kinds are derived from the lengths.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ from logs.states import Trajectory
 
 SYNC, EGO, BOXES = "sync.arrow", "ego_state_se3", "box_detections_se3"
 HEAD_BYTES = 65_536
-"""Bytes by which the schema of an old log is recognised."""
+"""Number of first bytes in which the schema of an old log is recognised."""
 SAME_MPS = 1e-5
-"""Times are in whole microseconds: differences at 10 m/s come out within 2e-6 m/s."""
+"""Tolerance of equal velocities, m/s: with whole microseconds, differences at 10 m/s are exact within 2e-6 m/s."""
 TELLING_MPS = 1e-4
-"""Where differences to both sides are nearer to each other, they say nothing about how a velocity was found."""
+"""Differences to both sides that are closer than this do not show how a velocity was computed, m/s."""
 _RECORDED = (
     "av2", "nuplan", "nuscenes", "wod", "kitti360", "pandaset", "physical-ai-av", "ncore", "nureasoning", "truckdrive",
 )  # fmt: skip
@@ -75,7 +75,7 @@ _LICENCES = {
 _CAR, _TRUCK, _BUS, _MOTORCYCLE = AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE
 _BICYCLE, _PEDESTRIAN, _OBJECT = AgentKind.BICYCLE, AgentKind.PEDESTRIAN, AgentKind.OBJECT
 LONG_M = 6.5
-"""A vehicle of no nearer description that is longer is a lorry."""
+"""A vehicle of unspecified type that is longer is a truck, m."""
 
 AV2_CATEGORIES = {
     "ANIMAL": _OBJECT, "ARTICULATED_BUS": _BUS, "BICYCLE": _BICYCLE, "BICYCLIST": _BICYCLE, "BOLLARD": _OBJECT,
@@ -107,13 +107,13 @@ KINDS: dict[str, dict[AgentKind, tuple[int, ...]]] = {
     "TruckDriveBoxDetectionLabel": {_CAR: (1, 4, 5, 6, 8), _BICYCLE: (0,), _PEDESTRIAN: (2,)},
     "DefaultBoxDetectionLabel": {_CAR: (1,), _BUS: (2,), _BICYCLE: (3,), _PEDESTRIAN: (4,)},
 }  # fmt: skip
-"""Numbers that are not listed are objects."""
+"""Label numbers by kind and label class; numbers that are not listed are objects."""
 _AV2 = "AV2SensorBoxDetectionLabel"
 
 
 @dataclass(frozen=True, eq=False)
 class EgoRows:
-    """The ego's table: times us `(n,)`, poses of the IMU, velocities of it `(n, 9)` (NaN where there are none)."""
+    """The ego's table: times us `(n,)`, poses of the IMU, its dynamic states `(n, 9)` (NaN if missing), metadata."""
 
     time_us: IntArray
     position: FloatArray
@@ -122,19 +122,19 @@ class EgoRows:
     about: Mapping[Any, Any]
 
     def part(self, name: str) -> FloatArray:
-        """The position of a part of the vehicle in the IMU's frame `(3,)`, m; ValueError where the log lacks it."""
+        """Return the position `(3,)` of a part of the vehicle in the IMU's frame, m; ValueError if it is missing."""
         place = np.asarray(self.about.get(name, ()), dtype=np.float64)
         if place.shape != (7,) or not np.isfinite(place).all():
             raise ValueError(f"the vehicle has no {name}")
         return place[:3]
 
     def world(self, point: FloatArray) -> FloatArray:
-        """Where a point `(3,)` in the IMU's frame is in the world `(n, 3)`, m."""
+        """Return the world positions `(n, 3)` of a point `(3,)` in the IMU's frame, m."""
         return self.position + rotated(self.q, np.broadcast_to(point, self.position.shape))
 
 
 def read_123d(folder: Path) -> Scenario:
-    """Read the log in a folder (module docstring); LogError where it cannot be used."""
+    """Read the log in a folder (module docstring); LogError if it cannot be used."""
     notes: list[str] = []
     frames_us, about = read_frames(folder)
     rows = read_ego(folder)
@@ -191,7 +191,7 @@ def read_123d(folder: Path) -> Scenario:
 
 
 def read_frames(folder: Path) -> tuple[IntArray, dict[Any, Any]]:
-    """Times of the frames `(n,)`, us, and the log's metadata."""
+    """Read the times of the frames `(n,)`, us, and the log's metadata."""
     path = folder / SYNC
     table = ipc_table(path, ("sync.timestamp_us",))
     with reading(path):
@@ -199,7 +199,7 @@ def read_frames(folder: Path) -> tuple[IntArray, dict[Any, Any]]:
 
 
 def read_ego(folder: Path) -> EgoRows:
-    """The ego's table in order of time, one row per microsecond."""
+    """Read the ego's table in order of time, with at most one row per microsecond."""
     path = folder / f"{EGO}.arrow"
     if not path.is_file():
         raise LogError(
@@ -225,7 +225,7 @@ def read_ego(folder: Path) -> EgoRows:
 
 
 def _ego(rows: EgoRows, notes: list[str]) -> tuple[Trajectory, bool]:
-    """All states of the rear axle, s since the first, and whether their velocities are the log's own."""
+    """Return all states of the rear axle, s since the first, and whether the log has their velocities."""
     t = (rows.time_us - rows.time_us[0]) / 1e6
     axle = rows.part("rear_axle_to_imu_se3")
     place, yaw = rows.world(axle)[:, :2], np.unwrap(heading(rows.q))
@@ -241,7 +241,7 @@ def _ego(rows: EgoRows, notes: list[str]) -> tuple[Trajectory, bool]:
 
 
 def _is_differenced(t: FloatArray, place: FloatArray, velocity: FloatArray, owner: IntArray) -> bool:
-    """Whether most world velocities are differences of the places `(m, 3)` before and after, of the first ones after.
+    """Return whether most world velocities are central differences of the places `(m, 3)`, and first ones forward.
 
     Samples are ordered by owner and time.
     """
@@ -269,7 +269,7 @@ def _differences(t: FloatArray, place: FloatArray, after: IntArray, earlier: Int
 
 
 def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool, FloatArray]:
-    """All boxes, s since `first_us`, whether their velocities are the log's own, and the times of their frames."""
+    """Return all boxes, s since `first_us`, whether the log has their velocities, and the times of their frames."""
     path = beside(folder, (f"{BOXES}.arrow",))
     if path is None:
         notes.append("The log has no boxes: there are no other road users.")
@@ -312,7 +312,7 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool, 
 
 
 def kinds_of(label_class: str, labels: IntArray, length: FloatArray, notes: list[str]) -> tuple[AgentKind, ...]:
-    """The kinds of road users `(n,)` by their label and, where that says no more than "vehicle", length in m."""
+    """Return the kinds of road users `(n,)` by label and, if the label is only "vehicle", by length in m."""
     key = label_class.rsplit(".", 1)[-1]
     if key == _AV2:
         names = list(AV2_CATEGORIES.values())
@@ -348,7 +348,7 @@ def _claims(path: Path) -> bool:
 
 
 def folder_of(path: Path) -> Path:
-    """The log's folder, where its `sync.arrow` was named."""
+    """Return the log's folder; `path` is the folder or its `sync.arrow`."""
     return path.parent if path.name == SYNC else path
 
 
@@ -361,7 +361,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
 
 
 def _files(path: Path) -> tuple[Path, ...]:
-    """The files that are read: never cameras or lidar."""
+    """Return the files that are read; camera and lidar files are not among them."""
     if not (path.is_dir() or path.name == SYNC):
         return (path,)
     folder = folder_of(path)
@@ -382,7 +382,7 @@ def _span(path: Path) -> tuple[float, float] | None:
 
 
 def _contents(path: Path) -> Contents:
-    """What each modality has at how many frames, from sync.arrow alone."""
+    """Return the modalities and their numbers of frames, from sync.arrow only."""
     try:
         table = ipc_table(folder_of(path) / SYNC, ("sync.timestamp_us",))
         times, about = whole(table, "sync.timestamp_us"), metadata_of(table)

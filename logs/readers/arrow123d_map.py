@@ -1,19 +1,19 @@
-"""The road of a 123D log: its map.arrow, and its traffic lights over time.
+"""Reads the road of a 123D log (map.arrow) and its traffic lights over time.
 
 Layers of a map: lanes (0) with successors, neighbours and speed limits; crosswalks (3); stop zones (7); road lines (9).
-Intersections, walkways, car parks, drivable areas and speed bumps have no place in a Road.
+Intersections, walkways, car parks, drivable areas and speed bumps are not read.
 
-Markings. Where the road lines are the boundaries of the lanes themselves, as in Argoverse 2, a boundary has the type of
+Markings. If the road lines are the boundaries of the lanes themselves, as in Argoverse 2, a boundary has the type of
 its line; else the type of the road lines within `MARK_M` of it.
 
-Stop lines. A stop zone names lanes, and lies on them or on those before them. The stop line is where the centre line
-enters the zone. A zone at the very begin of a lane inside a crossing is a line at the ends of the lanes before that
-lane, and counts for the way onto it. A zone of a traffic light names the light by the lane that the light is for.
+Stop lines. A stop zone names lanes, and lies on them or on their predecessors. The stop line is at the point where the
+centre line enters the zone. For a zone at the begin of a lane in a junction, it lies at the ends of that lane's
+predecessors, and applies to the way onto the lane. A zone of a traffic light identifies the light by its lane.
 
-Lights. A light has the id of the lane that it is for. A light that no stop zone names stands at the ends of the lanes
-before that lane.
+Lights. A light has the id of the lane that it controls. For a light without a stop zone, the stop line is at the ends
+of that lane's predecessors.
 
-Which map. The log's own map comes before that of its place in the data root,
+Maps. The log's own map is preferred to the map of its place in the data root,
 `maps/<dataset>/<dataset>_<location>.arrow` in a folder above the log.
 """
 
@@ -46,40 +46,40 @@ MARKS = (
     "DOUBLE_SOLID_WHITE", "DOUBLE_DASH_YELLOW", "DOUBLE_DASH_WHITE", "SOLID_YELLOW", "SOLID_WHITE", "SOLID_DASH_WHITE",
     "SOLID_DASH_YELLOW", "SOLID_BLUE",
 )  # fmt: skip
-"""Types of road lines by number."""
+"""Types of road lines; the index is their number."""
 ZONE_LIGHT, ZONE_STOP = 1, 2
 REACH_M = 300.0
-"""A map is read up to this distance around the requested places."""
+"""Lanes up to this distance around the requested places are read, m."""
 MARK_M = 0.35
 STEP_M = 0.5
 CONNECTORS_RIGHT = (0, 5)
-"""Since this version nuPlan's lanes inside crossings have predecessors and successors as they should."""
+"""First version with correct predecessors and successors of nuPlan's lanes inside junctions."""
 KEEPS_LEFT = ("sg-", "singapore")
 
 
 @dataclass(frozen=True, eq=False)
 class MapObjects:
-    """The rows of a map by layer: id, features and geometry of each; and its metadata."""
+    """The rows of a map by layer (id, features, geometry), and its metadata."""
 
     layers: Mapping[int, Sequence[tuple[int, dict[Any, Any], bytes]]]
     about: Mapping[Any, Any] = field(default_factory=dict)
 
     def of(self, layer: int) -> Sequence[tuple[int, dict[Any, Any], bytes]]:
-        """The objects of a layer."""
+        """Return the objects of a layer."""
         return self.layers.get(layer, ())
 
 
 def road_of_map(
     path: Path, origin: tuple[float, float] = (0.0, 0.0), near: FloatArray | None = None, notes: list[str] | None = None
 ) -> Road:
-    """The road in a map file (module docstring).
+    """Read the road of a map file (module docstring).
 
     Args:
         path: `map.arrow`, or a place's map.
         origin: Subtracted from all points, m.
-        near: Places `(k, 2)` in the map's coordinates; what lies farther than `REACH_M` outside their bounding box is
-            left out. None: all of the map.
-        notes: Gets what was assumed.
+        near: Places `(k, 2)` in the map's coordinates; objects farther than `REACH_M` outside their bounding box are
+            left out. None: the whole map.
+        notes: List to which assumptions are added.
 
     Raises:
         LogError: The file is no such map, or has no lanes that can be used.
@@ -136,7 +136,7 @@ def road_of_map(
 
 
 def read_objects(path: Path) -> MapObjects:
-    """All rows of a map file; LogError where it is none."""
+    """Read all rows of a map file; LogError if it is not a map."""
     table = ipc_table(path, ("object_id", "map_layer", "features", "wkb"))
     with reading(path):
         layers: dict[int, list[tuple[int, dict[Any, Any], bytes]]] = {}
@@ -154,7 +154,7 @@ def read_objects(path: Path) -> MapObjects:
 
 
 def _is_near(points: Any, near: FloatArray | None) -> bool:
-    """Whether a line or outline comes within `REACH_M` of the box around some places."""
+    """Return whether a line or outline comes within `REACH_M` of the bounding box of places."""
     if near is None or points is None:
         return True
     line, near = array_of(points)[:, :2], np.asarray(near)
@@ -171,7 +171,7 @@ def _ids(values: Any) -> list[int]:
 
 
 def _ring(f: Mapping[str, Any], origin: FloatArray) -> FloatArray:
-    """An outline `(k, 2)` without its repeated last point; empty where it is none."""
+    """Return an outline `(k, 2)` without its repeated last point; empty if it is invalid."""
     ring = array_of(f["outline"])[:, :2]
     if len(ring) < 4 or not (np.abs(ring) < LARGEST_M).all():
         return np.empty((0, 2))
@@ -182,7 +182,7 @@ def _ring(f: Mapping[str, Any], origin: FloatArray) -> FloatArray:
 
 
 def line_of_wkb(geometry: bytes) -> FloatArray:
-    """The points `(n, 2)` of a little-endian EWKB line, 2D or 3D."""
+    """Return the points `(n, 2)` of a little-endian EWKB line, 2D or 3D."""
     kind, count = (int.from_bytes(geometry[at : at + 4], "little") for at in (1, 5))
     if geometry[:1] != b"\x01" or kind not in (2, 0x80000002):
         raise ValueError(f"a road line has the geometry type {kind:#x}")
@@ -193,7 +193,7 @@ def line_of_wkb(geometry: bytes) -> FloatArray:
 def _marks(
     objects: MapObjects, lanes: Sequence[tuple[int, Mapping[str, Any]]], near: FloatArray | None, notes: list[str]
 ) -> dict[Any, str]:
-    """The marking's name of each (lane, side) that has one: its own line's, else of those beside most of the edge."""
+    """Return the marking by (lane, side): that of the boundary's own line, else the commonest along most of it."""
     lines = [(line_of_wkb(g), int(f.get("road_line_type") or 0)) for _, f, g in objects.of(ROAD_LINE)]
     lines = [(line, kind) for line, kind in lines if _is_line(line) and 0 <= kind < len(MARKS) and _is_near(line, near)]
     if not lines:
@@ -238,7 +238,7 @@ def _is_line(points: FloatArray) -> bool:
 
 
 def ends_at(lane: Lane, part: float) -> FloatArray:
-    """The two ends `(2, 2)` of a line across a lane at a part of its length, 0 to 1."""
+    """Return the ends `(2, 2)` of a line across a lane at a relative length of 0 to 1."""
     way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))] / lane.length
     return np.array([[np.interp(part, way, side[:, k]) for k in (0, 1)] for side in (lane.left, lane.right)])
 
@@ -246,11 +246,11 @@ def ends_at(lane: Lane, part: float) -> FloatArray:
 def stop_lines(
     zones: Sequence[tuple[Mapping[str, Any], FloatArray]], lanes: Mapping[int, Lane], notes: list[str]
 ) -> tuple[StopLine, ...]:
-    """The stop lines of stop zones (module docstring); a zone that lies on none of its lanes gives none."""
+    """Return the stop lines of stop zones (module docstring); a zone that lies on none of its lanes is left out."""
     feeding, found, lost = predecessors(lanes), list[StopLine](), 0
     for f, ring in zones:
         named = [lanes[i] for i in _ids(f.get("lane_ids")) if i in lanes]
-        placed = list[tuple[int, float, tuple[int, ...]]]()  # lane, part of its length, the lanes that it counts for
+        placed = list[tuple[int, float, tuple[int, ...]]]()  # lane, relative length, lanes that it applies to
         for lane in named if len(ring) > 2 else ():
             ahead, part = [lanes[i] for i in feeding.get(lane.id, ())], _entry_into_outline(lane, ring)
             if part is not None and (part * lane.length > STEP_M or not ahead):
@@ -264,14 +264,14 @@ def stop_lines(
         kind = f.get("stop_zone_type")
         for across, part, towards in placed:
             lights: list[tuple[int | None, tuple[int, ...]]] = [(None, towards)]
-            if kind == ZONE_LIGHT:  # a light has the id of the lane that it is for
+            if kind == ZONE_LIGHT:  # a light has the id of its lane
                 lights = [(after, (after,)) for after in towards or lanes[across].successors] or [(across, ())]
             for light, ways in lights:
                 ends = ends_at(lanes[across], part)
                 found.append(StopLine(len(found), across, ends, light, kind == ZONE_STOP, ways))
     if lost:
         notes.append(f"{lost} of {len(zones)} stop zones lie on none of the lanes that they name and are left out.")
-    joined: dict[Any, StopLine] = {}  # lines at the same place that mean the same are one, for all their lanes
+    joined: dict[Any, StopLine] = {}  # equal lines at the same place are merged
     for line in found:
         key = (line.lane, line.points.tobytes(), line.light, line.must_stop)
         known = joined.setdefault(key, replace(line, id=len(joined), towards=tuple(dict.fromkeys(line.towards))))
@@ -281,7 +281,7 @@ def stop_lines(
 
 
 def _entry_into_outline(lane: Lane, ring: FloatArray) -> float | None:
-    """The part of a lane's length at which its centre line comes into an outline."""
+    """Return the relative length at which a lane's centre line enters an outline; None if it does not."""
     points = dense(lane.center, STEP_M)
     within = [inside(x, y, ring) for x, y in points]
     return within.index(True) / (len(points) - 1) if any(within) else None
@@ -291,11 +291,11 @@ LIGHTS = "traffic_light_detections"
 COLOURS = (Colour.GREEN, Colour.YELLOW, Colour.RED, Colour.OFF)
 UNKNOWN = 4
 UP = 6
-"""Folders above a log in which the maps of places are looked for."""
+"""Number of folders above a log in which the maps of places are searched."""
 
 
 def map_of(folder: Path, about: Mapping[Any, Any]) -> Path | None:
-    """The log's own map, else that of its place in the data root above it; None: none. LogError as `beside`."""
+    """Return the log's own map, else that of its place in the data root above it, or None; LogError as in `beside`."""
     own = beside(folder, ("map.arrow",))
     if own is not None:
         return own
@@ -314,7 +314,7 @@ def road_of(
     start_us: int,
     notes: list[str],
 ) -> tuple[Road, tuple[TrafficLight, ...]]:
-    """The road and the lights of the log in a folder, t = 0 at `start_us`; without lanes: along the driven path."""
+    """Read the road and the lights of a log, t = 0 at `start_us`; without lanes, the road is the driven path."""
     lights = _observed_lights(folder, start_us, notes)
     path, road = map_of(folder, about), None
     if path is not None:
@@ -335,7 +335,7 @@ def road_of(
         road = replace(road, default_speed_limit=assumed_limit(ego))
         limit = f"{road.default_speed_limit:.1f} m/s"
         notes.append(f"{lacking} of {len(road.lanes)} lanes have no speed limit: {limit} is assumed ({ASSUMED}).")
-    # a stop line for each light that no stop zone names: at the ends of the lanes before its lane
+    # a light without a stop zone gets a stop line at the ends of its lane's predecessors
     named, feeding = {line.light for line in road.stop_lines}, predecessors(road.lanes)
     lines, lost = list(road.stop_lines), 0
     number = max((line.id for line in lines), default=-1) + 1
@@ -359,7 +359,7 @@ def road_of(
 
 
 def _observed_lights(folder: Path, start_us: int, notes: list[str]) -> tuple[TrafficLight, ...]:
-    """The lights of the log; each has the id of the lane that it is for."""
+    """Read the lights of the log; each has the id of the lane that it controls."""
     path = beside(folder, (f"{LIGHTS}.arrow",))
     if path is None:
         return ()

@@ -1,4 +1,4 @@
-"""Arrow IPC files (feather among them) and Parquet, columns as arrays; whatever the bytes, a table or a LogError."""
+"""Reads columns of Arrow IPC (feather) and Parquet files as arrays; any bytes give a table or a LogError."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
 
 METADATA = b"metadata"
-"""Key of a 123D file's schema under which its metadata are, as msgpack."""
+"""Key of the metadata (msgpack) in the schema of a 123D file."""
 LARGEST_BYTES = 4_000_000_000
-"""Limit of a table in memory (ten hours of 100 boxes at 10 Hz take 1.5 GB)."""
+"""Largest size of a table in memory, bytes (ten hours of 100 boxes at 10 Hz take 1.5 GB)."""
 LARGEST = 1e8
 """A larger length, speed or position, in m and s, is not valid and read as NaN."""
 COPY_AGAIN = "copy the log again from its source"
@@ -26,12 +26,12 @@ _WRONG = (
     pa.ArrowException, msgspec.MsgspecError, OSError, EOFError, MemoryError, ValueError, TypeError, KeyError,
     IndexError, AttributeError, OverflowError, NotImplementedError, RecursionError,
 )  # fmt: skip
-"""What damaged or foreign bytes raise in pyarrow, msgspec and NumPy."""
+"""The exceptions of pyarrow, msgspec and NumPy for damaged or unknown bytes."""
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Whatever goes wrong with the bytes of a file becomes a LogError that names its part."""
+    """Turn any error about the bytes of a file into a LogError that names the file."""
     try:
         yield
     except LogError as error:
@@ -45,7 +45,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def ipc_table(path: Path, columns: Sequence[str] = ()) -> Any:
-    """A table of an Arrow IPC file, with at least these columns; checked whole, so that no index in it misleads."""
+    """Read an Arrow IPC file with at least these columns; it is validated fully, so that all offsets are valid."""
     with reading(path):
         with pa.OSFile(str(path)) as stream, pa.ipc.open_file(stream) as file:
             _demand(path, columns, file.schema.names)
@@ -54,7 +54,7 @@ def ipc_table(path: Path, columns: Sequence[str] = ()) -> Any:
 
 
 def parquet_table(path: Path, columns: Sequence[str]) -> Any:
-    """These columns of a Parquet file."""
+    """Read these columns of a Parquet file."""
     import pyarrow.parquet as pq
 
     with reading(path):
@@ -80,14 +80,14 @@ def _checked_table(table: Any) -> Any:
 
 
 def metadata_of(table: Any) -> dict[Any, Any]:
-    """The metadata of a 123D file; none: an empty table."""
+    """Return the metadata of a 123D file; {} if it has none."""
     packed = (table.schema.metadata or {}).get(METADATA)
     found = msgspec.msgpack.decode(packed) if packed is not None else {}
     return found if isinstance(found, dict) else {}
 
 
 def array_of(value: Any) -> FloatArray:
-    """A NumPy array as 123D packs it, `(n, 2 or more)`, or a list of points."""
+    """Decode a NumPy array as packed by 123D, `(n, 2 or more)`, or a list of points."""
     if isinstance(value, dict):
         dtype = value[b"dtype"]
         if dtype not in ("<f8", "<f4", "<i8", "<i4"):
@@ -97,7 +97,7 @@ def array_of(value: Any) -> FloatArray:
 
 
 def whole(table: Any, name: str) -> IntArray:
-    """A column of whole numbers `(n,)`; ValueError where one is missing."""
+    """Return a column of integers `(n,)`; ValueError if one is missing."""
     column = table[name]
     if column.null_count or not pa.types.is_integer(column.type):
         raise ValueError(f"{name} has empty entries or is no column of whole numbers")
@@ -105,21 +105,21 @@ def whole(table: Any, name: str) -> IntArray:
 
 
 def numbers(table: Any, name: str) -> FloatArray:
-    """A column of numbers `(n,)`, NaN where one is missing or beyond `LARGEST`."""
+    """Return a column of numbers `(n,)`; NaN where one is missing or beyond `LARGEST`."""
     values = np.array(table[name].cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
     values[~(np.abs(values) <= LARGEST)] = np.nan
     return values
 
 
 def words(table: Any, name: str) -> tuple[IntArray, list[str]]:
-    """A column of strings as numbers `(n,)` and what they stand for."""
+    """Return a column of strings as codes `(n,)`, and the strings by code."""
     return _codes_and_names(_one(table[name]))
 
 
 def vectors(column: Any, size: int) -> FloatArray:
-    """A column of fixed lists `(n, size)`, rows of NaN where one is missing, NaN for what is beyond `LARGEST`.
+    """Return a column of lists `(n, size)`; missing lists are NaN, and so are numbers beyond `LARGEST`.
 
-    What lies behind an empty entry is undefined, and flattening leaves it out: the rows are put back by the mask.
+    Flattening drops the undefined content of missing lists: the mask restores the rows.
     """
     array = _one(column)
     if not pa.types.is_fixed_size_list(array.type) or array.type.list_size != size:
@@ -132,10 +132,10 @@ def vectors(column: Any, size: int) -> FloatArray:
 
 
 class Lists:
-    """Columns of lists, one list per row, as long as each other in every row.
+    """Columns with one list per row; in each row, all lists have the same length.
 
     Attributes:
-        row: `(m,)` the row of each item.
+        row: `(m,)` row of each item.
     """
 
     def __init__(self, table: Any, key: str) -> None:
@@ -147,25 +147,25 @@ class Lists:
         return pc.fill_null(pc.list_value_length(_one(self._table[name])), 0).to_numpy().astype(np.int64)
 
     def items(self, name: str) -> Any:
-        """The items of a column, all rows in one array."""
+        """Return the items of a column, all rows in one array."""
         if not np.array_equal(self._lengths(name), self._sizes):
             raise ValueError(f"{name} and {self._key} have lists of different lengths")
         return _one(self._table[name]).flatten()
 
     def numbers(self, name: str) -> IntArray:
-        """Whole numbers `(m,)`."""
+        """Return the items of a column of integers `(m,)`."""
         items = self.items(name)
         if items.null_count or not pa.types.is_integer(items.type):
             raise ValueError(f"{name} has empty entries or no whole numbers")
         return items.to_numpy(zero_copy_only=False).astype(np.int64)
 
     def words(self, name: str) -> tuple[IntArray, list[str]]:
-        """Strings as numbers `(m,)` and what they stand for."""
+        """Return the items of a column of strings as codes `(m,)`, and the strings by code."""
         return _codes_and_names(self.items(name))
 
 
 def _one(column: Any) -> Any:
-    """A column as one array."""
+    """Return a column as one array."""
     if not isinstance(column, pa.ChunkedArray):
         return column
     return column.chunk(0) if column.num_chunks == 1 else pa.concat_arrays(column.chunks) if column.num_chunks else (

@@ -1,4 +1,4 @@
-"""What a reader of a log format is: one value `Reader` per file, and the settings that all of them take."""
+"""The class of log readers, one instance per format, and the settings of all readers."""
 
 from __future__ import annotations
 
@@ -19,25 +19,24 @@ SIZES = ("length", "width", "wheelbase", "rear_overhang")
 
 @dataclass(frozen=True)
 class LogSettings:
-    """The `[log]` table of a run: what a log does not say, or where it says it. Readers use what their format needs.
+    """The `[log]` table of a run: data that logs lack, or where logs have them. Readers use the keys of their format.
 
     Attributes:
-        ego: Id of the road user who is taken as the ego; "": the one that the log names.
-        problem: Planning problem of a CommonRoad file, by id or by place from 1; 0: the first.
-        reader: The reader that is asked first: a format's name, or "module:NAME" of a reader of your own.
+        ego: Id of the road user to use as the ego; "": the log's ego.
+        problem: Planning problem of a CommonRoad file, by id or by number from 1; 0: the first.
+        reader: The reader to try first: a format's name, or "module:NAME" of a reader of your own.
         map: Path of a map that replaces the log's (Lanelet2 .osm, 123D map.arrow, OpenDRIVE .xodr); "": the log's own.
-        map_origin: Where such a map's coordinates begin, if it does not say so (`logs.maps.projections.FORMS`).
+        map_origin: Origin of that map's coordinates, if the map does not state it (`logs.maps.projections.FORMS`).
         begin: Seconds after the log's first ego state at which the scenario begins.
-        end: And at which it ends, s; inf: with the log.
-        clock: Times of messages: "log" when they were recorded, "header" as stamped by their sender; "": the reader's
-            choice for the format, which its notes say.
+        end: Seconds after the log's first ego state at which it ends; inf: with the log.
+        clock: Times of messages: "log" for times of recording, "header" for stamps of the sender; "": chosen by the
+            reader, with a note.
         topics: Topic or file by role ("ego", "speed", "acceleration", "agents", "lights", "goal", "plan", "steering"
-            ...), where the choice by type is not the right one; "-": none.
+            ...), to override the choice by type; "-": none.
         frames: Name of the log's frame by role: "map" and "base" (rear axle) of transforms.
-        columns: Column of a table by the name that replan has for it ("x": "pos_east_m"; of one of the
-            tables "ego.x", "agents.x").
-        car: Sizes of the ego, m, where the log has none: "length", "width", "wheelbase", "rear_overhang".
-        repair: Whether raw detections are made into tracks: "auto" where they are no tracks, "on", "off".
+        columns: Name of a table's column by replan's name ("x": "pos_east_m"; for one table "ego.x", "agents.x").
+        car: Sizes of the ego, m, if the log has none: "length", "width", "wheelbase", "rear_overhang".
+        repair: Whether to make tracks from raw detections: "auto" (if they are not tracks), "on", "off".
     """
 
     ego: str = ""
@@ -67,10 +66,10 @@ class LogSettings:
             raise ValueError("the sizes in car must be positive")
 
     def vehicle(self) -> VehicleParameters:
-        """The default car with the sizes of `car`.
+        """Return the default car with the sizes of `car`.
 
         Raises:
-            LogError: They make no vehicle.
+            LogError: The sizes do not fit each other.
         """
         sizes: dict[str, Any] = dict(self.car)
         try:
@@ -79,12 +78,12 @@ class LogSettings:
             raise LogError(str(error), topic="[log]") from None
 
     def between(self, begin: float, end: float) -> LogSettings:
-        """The same, of another part of the log."""
+        """Return the settings for another part of the log."""
         return replace(self, begin=begin, end=end)
 
 
 def beside(folder: Path, names: Sequence[str]) -> Path | None:
-    """The optional file of a log's folder that has one of the `names`; None where none is there.
+    """Return the optional file of a log's folder that has one of the `names`; None if there is none.
 
     Raises:
         LogError: The entry is not a file, several of the names exist, or a name differs from these by case only (its
@@ -114,7 +113,7 @@ def beside(folder: Path, names: Sequence[str]) -> Path | None:
 
 @dataclass(frozen=True)
 class TopicSummary:
-    """One topic or table: what is on it, how often, from when to when (log time, ns; None without messages)."""
+    """One topic or table: schema, encoding, number of messages, first and last log time (ns; None without messages)."""
 
     topic: str
     schema: str
@@ -127,7 +126,7 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class Contents:
-    """What a log holds, for `replan inspect`: its format in words ("": the reader's summary) and its topics."""
+    """The content of a log for `replan inspect`: its format in words ("": the reader's summary) and its topics."""
 
     profile: str = ""
     topics: tuple[TopicSummary, ...] = ()
@@ -138,7 +137,7 @@ def _nothing(path: Path) -> Contents:
 
 
 def files_named(suffix: str) -> Callable[[Path], bool]:
-    """A function that claims all files with a suffix."""
+    """Return a function that claims all files with a suffix."""
 
     def claims(path: Path) -> bool:
         return path.suffix.lower() == suffix and path.is_file()
@@ -147,7 +146,7 @@ def files_named(suffix: str) -> Callable[[Path], bool]:
 
 
 def itself(path: Path) -> tuple[Path, ...]:
-    """The files of a log that is one file."""
+    """Return the files of a log that is a single file."""
     return (path,)
 
 
@@ -157,20 +156,20 @@ def _unknown_span(path: Path) -> tuple[float, float] | None:
 
 @dataclass(frozen=True)
 class Reader:
-    """One format.
+    """The reader of one log format.
 
     Attributes:
-        name: As in `replan convert NAME` and in messages.
-        summary: What it is, in one line.
-        looks_for: What is looked for in a folder, in words ("*.bag").
-        suffixes: Of its files (".bag"): a file with such a suffix that no reader claims is reported as left out.
-        claims: Whether a path, file or folder, is a log of this format; cheap, raises nothing on any bytes.
-        read: The scenario; raises LogError, and nothing else, on any bytes.
-        files: The files of a log, in a fixed order: what its identity is hashed from.
-        span: Seconds from the log's first to its last moment, cheaply; None where that needs all of it.
-        contents: Its topics, as far as they can be read; raises nothing.
-        settings: The keys of `LogSettings` that it reads besides `begin`, `end` and `repair`, which hold for all.
-        cuts: Whether it reads only what lies around the part between `begin` and `end`, in times of the whole log.
+        name: Its name in `replan convert NAME` and in messages.
+        summary: The format in one line.
+        looks_for: The files that it reads, in words ("*.bag").
+        suffixes: Suffixes of its files (".bag"): a file with such a suffix that no reader claims is reported.
+        claims: Whether a path, file or folder, is a log of this format; fast, and raises nothing on any bytes.
+        read: Reads the scenario; raises only LogError on any bytes.
+        files: The files of a log, in a fixed order: the log's identity is their hash.
+        span: First and last time of the log, s, if they can be found quickly; else None.
+        contents: The topics that can be read; raises nothing.
+        settings: The keys of `LogSettings` that it uses, besides `begin`, `end` and `repair`, which apply to all.
+        cuts: Whether it reads only the surroundings of the part from `begin` to `end`, in times of the whole log.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""comma2k19 segments: the poses of a driven camera, without a map and without other road users.
+"""Reads comma2k19 segments: the poses of a camera in a car, without a map and other road users.
 
 A segment is a folder with `global_pose/frame_positions` (NumPy arrays without a suffix). Positions and velocities are
 ECEF, orientations quaternions that turn ECEF into the camera's forward, right, down. The plane is east and north at the
@@ -46,7 +46,7 @@ def _array(path: Path, name: str, columns: int) -> FloatArray:
     try:
         if file.stat().st_size > MOST_BYTES:
             what = f"the array has {file.stat().st_size} bytes"
-            raise LogError(what, topic=name, remedy="this is no minute of poses")
+            raise LogError(what, topic=name, remedy="a segment has poses of one minute")
         found: Any = np.load(file, allow_pickle=False)
     except (OSError, ValueError, EOFError, SyntaxError, MemoryError, OverflowError, TypeError, TokenError) as error:
         what = f"the array cannot be read: {' '.join(str(error).split())[:120]}"
@@ -67,7 +67,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
             raise LogError("a value is not finite", topic=name)
     place, velocity, turn, frames, gps = arrays
     if not (np.hypot.reduce(place[0]) > 1.0 and (np.abs(turn).sum(axis=1) > 0.0).all()):
-        raise LogError("a position is no place on the earth, or an orientation no quaternion", topic=POSE)
+        raise LogError("a position is not on the earth, or an orientation is not a quaternion", topic=POSE)
     t = frames[:, 0] - frames[0, 0]
     plane = _east_north(place[0])
     x, y = plane @ (place - place[0]).T
@@ -103,7 +103,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
 
 
 def _east_north(place: FloatArray) -> FloatArray:
-    """Unit vectors east and north `(2, 3)` at an ECEF position, m."""
+    """Return the unit vectors east and north `(2, 3)` at an ECEF position, m."""
     x, y, z = place
     e2 = FLATTENING * (2.0 - FLATTENING)
     minor, radius = SEMI_MAJOR_M * (1.0 - FLATTENING), np.hypot(x, y)

@@ -1,9 +1,9 @@
-"""A part of a scenario by time, and times in whole nanoseconds.
+"""Cuts a part of a scenario by time, and rounds times to whole nanoseconds.
 
-The begin of a part becomes t = 0, and what lies outside is left out. The ego begins and ends there exactly,
-interpolated. Tracks keep the samples from `HISTORY_S` before the begin, so that it is known which agents were there and
-how they moved, to the first after the end, if that is at most `HISTORY_S` later. Lights keep what they showed at the
-begin. Detections are kept from `DETECTED_S` before the begin, as long as a tracker remembers.
+The begin of a part becomes t = 0, and data outside are left out. The ego's first and last state are interpolated at the
+begin and end. Tracks keep the samples from `HISTORY_S` before the begin, which show who is present and how they move,
+to the first after the end, if that is at most `HISTORY_S` later. Lights keep their colour at the begin. Detections are
+kept from `DETECTED_S` before the begin, longer than the memory of a tracker.
 
 Native MCAP holds whole nanoseconds. Every scenario has such times, so that a log and its conversion are the same bit
 for bit:
@@ -28,15 +28,15 @@ from logs.scenario import Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
 
 HISTORY_S = 2.0
-"""More than `logs.observed.MAX_GAP_S`: a sample that is older stands for no agent any more."""
+"""Tracks keep this time before a part, s: longer than any sample is valid (`logs.observed.MAX_GAP_S`)."""
 DETECTED_S = 10.0
-"""A repair joins across gaps of up to 8 s (`logs.repair.users`), a tracker across 2 s: neither rests on more."""
+"""Detections keep this time before a part, s: a repair joins across gaps up to 8 s, a tracker up to 2 s."""
 CLOSE_S = 1e-9
-"""A sample so close to begin or end is that: logs hold whole nanoseconds."""
+"""A sample this close to the begin or end is at it, s: logs hold whole nanoseconds."""
 
 
 def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
-    """The part from `begin` to `end`, s after the scenario's start; all of it: the same object.
+    """Cut the part from `begin` to `end`, s after the scenario's start; the whole scenario is returned unchanged.
 
     Raises:
         LogError: The ego's log has nothing in that part.
@@ -64,13 +64,13 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         keep = (controls.t >= begin) & (controls.t <= end)
         shifted = (controls.t[keep] - begin, controls.steer[keep], controls.throttle[keep], controls.brake[keep])
         controls = Controls(*shifted) if keep.any() else None
-    newest = max(sum(plan.known <= begin for plan in scenario.onboard) - 1, 0)  # at the begin
+    newest = max(sum(plan.known <= begin for plan in scenario.onboard) - 1, 0)  # the newest plan at the begin
     onboard = []
     for plan in scenario.onboard[newest:]:
         if plan.known <= end:
             moved_plan = replace(plan.trajectory, t=plan.trajectory.t - begin)
             onboard.append(OnboardPlan(plan.known - begin, moved_plan))
-    lights = []  # from the last change before the begin on; none that was not observed before the end
+    lights = []  # from the last change before the begin on; lights first observed after the end are left out
     for light in scenario.lights:
         before = max(int(np.searchsorted(light.t, begin, side="right")) - 1, 0)
         shown = np.flatnonzero(light.t <= end)
@@ -96,7 +96,7 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
 
 
 def _samples_within(tracks: Tracks, begin: float, end: float) -> BoolArray:
-    """Which samples `(m,)` the part has."""
+    """Return which samples `(m,)` belong to the part."""
     owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
     before = np.r_[-inf, tracks.t[:-1]]
     before[tracks.offsets[:-1]] = -inf
@@ -111,7 +111,7 @@ def _detections(found: Detections, begin: float, end: float) -> Detections:
 
 
 def _repair(scenario: Scenario, begin: float, end: float, kept: BoolArray, tracks: Tracks) -> Repair:
-    """What was repaired in the part, whose `tracks` are the samples `kept` of the scenario's."""
+    """Cut the repair to the part, whose `tracks` are the samples `kept` of the scenario's."""
     made = scenario.repair
     assert made is not None
     if made.tracks is not scenario.tracks:
@@ -131,7 +131,7 @@ Timed = TypeVar("Timed", Trajectory, Tracks, Controls, TrafficLight)
 
 
 def in_nanoseconds(scenario: Scenario) -> Scenario:
-    """The scenario with its samples at whole nanoseconds (1).
+    """Round the times of all samples to whole nanoseconds (1).
 
     Raises:
         LogError: Two samples of the ego, of a road user or of a light fall on one nanosecond.
@@ -174,7 +174,7 @@ def _columns_over_time(table: Timed) -> Timed:
 
 
 def framed(found: Detections) -> Detections:
-    """Detections whose frames are at whole nanoseconds (1); those of one nanosecond become one frame."""
+    """Round the frames of detections to whole nanoseconds (1); frames at the same nanosecond become one."""
     t, frames = _round_times(found.t), np.unique(_round_times(found.frames))
     same = np.array_equal(t, found.t) and np.array_equal(frames, found.frames)
     return found if same else replace(found, t=t, frames=frames)

@@ -1,10 +1,10 @@
 """replan's own MCAP, ASAM OSI ground truth in MCAP, and bare ASAM OSI traces.
 
-The native reader is asked last and claims every .mcap: its errors say what the file lacks.
+The native reader is tried last and claims every .mcap file: its errors name what the file lacks.
 
 A bare OSI trace (`.osi`) is a sequence of messages, each a little-endian length and a GroundTruth or SensorView. By the
-naming convention of OSI the name of the file has `_gt_` or `_sv_`. Without either, the messages are SensorViews if the
-first one, read as a SensorView, holds ground truth. ASAM's own package (`osi-python`) reads the messages.
+naming convention of OSI, the file name contains `_gt_` or `_sv_`. Without either, the messages are SensorViews if the
+first one, parsed as a SensorView, contains ground truth. ASAM's own package (`osi-python`) reads the messages.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
 
 
 def _contents(path: Path) -> Contents:
-    """The topics up to the file's end or damage."""
+    """Return the topics up to the file's end or damage."""
     from logs.mcap import native, osi
     from logs.mcap.container import read_container
 
@@ -53,19 +53,19 @@ READER = Reader(
 
 
 LENGTH = 4
-"""Bytes of a message's length."""
+"""Size of a message's length field, bytes."""
 MOST_BYTES = 2**28
-"""Limit of the size of a message."""
+"""Largest size of a message, bytes."""
 GROUND_TRUTH, SENSOR_VIEW = "osi3.GroundTruth", "osi3.SensorView"
 NAMED = {"_gt_": GROUND_TRUTH, "_sv_": SENSOR_VIEW}
-"""Message by the part of the file's name."""
+"""Message type by a part of the file name."""
 
 
 def trace_of(path: Path) -> Stream:
-    """The messages of a trace as a topic; their log times are their numbers, since OSI has a timestamp inside.
+    """Return the messages of a trace as a topic; log times are message numbers, as OSI messages have timestamps.
 
     Raises:
-        LogError: The file cannot be read, or is no sequence of messages.
+        LogError: The file cannot be read, or is not a sequence of messages.
     """
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
     from google.protobuf.message import DecodeError
@@ -91,7 +91,7 @@ def trace_of(path: Path) -> Stream:
         except DecodeError:
             is_view = False
         schema = SENSOR_VIEW if is_view else GROUND_TRUTH
-    found, seen, open_files = FileDescriptorSet(), set[str](), [osi_sensorview_pb2.DESCRIPTOR]  # what defines both
+    found, seen, open_files = FileDescriptorSet(), set[str](), [osi_sensorview_pb2.DESCRIPTOR]  # defines both
     while open_files:
         file = open_files.pop()
         if file.name not in seen:

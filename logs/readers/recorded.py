@@ -1,18 +1,18 @@
-"""Recorded poses as the ego's states, recorded boxes as tracks, and their rotations.
+"""Makes ego states from recorded poses, tracks from recorded boxes, and computes with rotations.
 
 Boxes. A track's size is the median of its boxes. An object (cone, barrier, sign) whose boxes stay within `STAYS_M` of
-their median for `SEEN_S` or longer is static and stands at that median. Vehicles and people are never static: while the
+their median for `SEEN_S` or longer is static, at that median. Vehicles and people are never static: while the
 ego drives past a parked car, it cannot know that the car will stay parked.
 
-Poses. Where the log has no speed, it is derived. Recorded poses jitter by centimetres at 100 Hz and more, so
-differences of neighbours are useless. A parabola is fitted at each state to the poses of the `WINDOW_S` before it, to
-none after it:
+Poses. If the log has no speed, it is derived. Recorded poses jitter by centimetres at 100 Hz and more, so differences
+of neighbours are useless. At each state, a parabola is fitted to the poses of the `WINDOW_S` before it, and to no later
+pose:
 
 (1) min over c of  sum_i |p_i - c_0 - c_1 tau_i - c_2 tau_i^2|^2,    tau_i = t_i - t_k in [-WINDOW_S, 0]
     v = c_1 . h,  a = 2 c_2 . h,  yaw rate w = c_1 of the heading,   h the unit vector of the heading
 (2) with fewer than `ENOUGH` poses, or poses that span less than `SPAN_S`: a straight line, and a = 0
-(3) an ego that moved less than `STILL_M` in the last `STILL_S`, or against v, stands: v = a = 0
-(4) kappa = w / v; below `ROLLING_MPS` the previous value, at first 0
+(3) an ego that moved less than `STILL_M` in the last `STILL_S`, or opposite to v, stands: v = a = 0
+(4) kappa = w / v; below `ROLLING_MPS` the previous value, initially 0
 
 Rotations are quaternions q = (x, y, z, w) of unit length, rows of `(n, 4)`:
 
@@ -37,19 +37,19 @@ from logs.states import Trajectory
 from logs.vehicle import VehicleParameters
 
 ROUNDED = 0.01
-"""The length of a stored quaternion may differ from 1 by this."""
+"""Tolerance of the length of a stored quaternion, which should be 1."""
 
 
 def is_unit(q: FloatArray) -> BoolArray:
-    """Which quaternions `(n, 4)` have unit length, but for rounding."""
+    """Return which quaternions `(n, 4)` have unit length, within `ROUNDED`."""
     return np.asarray(np.abs(np.sqrt((q * q).sum(axis=1)) - 1.0) < ROUNDED)
 
 
 def unit_of_wxyz(q: FloatArray) -> FloatArray:
-    """Unit quaternions (x, y, z, w) of stored ones (w, x, y, z), `(n, 4)`.
+    """Convert stored quaternions (w, x, y, z) to unit quaternions (x, y, z, w), `(n, 4)`.
 
     Raises:
-        ValueError: The length of one differs from 1 by more than rounding.
+        ValueError: The length of a quaternion differs from 1 by more than `ROUNDED`.
     """
     if not is_unit(q).all():
         raise ValueError("an orientation is not a quaternion of unit length")
@@ -57,26 +57,26 @@ def unit_of_wxyz(q: FloatArray) -> FloatArray:
 
 
 def unit_or_identity(q: FloatArray) -> FloatArray:
-    """Quaternions `(n, 4)` of length 1; those of length 0, which senders leave empty, become the identity."""
+    """Normalise quaternions `(n, 4)`; those of length 0, which senders leave empty, become the identity."""
     size = np.linalg.norm(q, axis=1, keepdims=True)
     return np.where(size > 1e-9, q / np.where(size > 1e-9, size, 1.0), np.array([0.0, 0.0, 0.0, 1.0]))
 
 
 def heading(q: FloatArray) -> FloatArray:
-    """Direction (5) of the rotated x axis seen from above `(n,)`, rad."""
+    """Return the heading (5) of the rotated x axis `(n,)`, rad."""
     x, y, z, w = q.T
     return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def rotated(q: FloatArray, p: FloatArray) -> FloatArray:
-    """Vectors p `(n, 3)` rotated (6) by q."""
+    """Rotate the vectors p `(n, 3)` by q (6)."""
     u, w = q[:, :3], q[:, 3:]
     twice = 2.0 * np.cross(u, p)
     return np.asarray(p + w * twice + np.cross(u, twice))
 
 
 def product(q: FloatArray, r: FloatArray) -> FloatArray:
-    """Products (7)."""
+    """Return the products q r (7)."""
     ax, ay, az, aw = q.T
     bx, by, bz, bw = r.T
     columns = (
@@ -93,12 +93,12 @@ def product(q: FloatArray, r: FloatArray) -> FloatArray:
 STAYS_M = 0.5
 SEEN_S = 1.0
 SOONEST_S = 1e-3
-"""A second sample of a track within this is the same one again."""
+"""A second sample of a track within this time is a repetition, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """All boxes of a log, `(m,)` each: s, whose (index into `names`), centre m, rad, m, m/s (NaN: not known)."""
+    """All boxes of a log, `(m,)` each: time s, owner (index into `names`), centre m, rad, m, m/s (NaN: unknown)."""
 
     names: tuple[str, ...]
     kinds: tuple[AgentKind, ...]
@@ -119,13 +119,13 @@ class Boxes:
         return cls((), (), none, np.empty(0, np.int64), *(none,) * 7)
 
     def taken(self, rows: Any) -> Boxes:
-        """Only these rows."""
+        """Return the boxes of these rows."""
         names = ("t", "owner", "x", "y", "yaw", "length", "width", "vx", "vy")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 def ordered(boxes: Boxes, notes: list[str]) -> Boxes:
-    """By track and time, without what cannot be used, which is noted."""
+    """Sort boxes by track and time, and leave out unusable boxes, with notes."""
     finite = np.logical_and.reduce([np.isfinite(getattr(boxes, name)) for name in ("t", "x", "y", "yaw")])
     if not finite.all():
         notes.append(f"{(~finite).sum()} of {len(finite)} boxes have a pose that is not finite and are left out.")
@@ -140,7 +140,7 @@ def ordered(boxes: Boxes, notes: list[str]) -> Boxes:
 
 
 def tracks_of(boxes: Boxes, notes: list[str]) -> Tracks:
-    """The tracks of `ordered` boxes."""
+    """Make tracks from `ordered` boxes."""
     if not len(boxes.t):
         return Tracks.empty()
     there, first = np.unique(boxes.owner, return_index=True)
@@ -171,10 +171,10 @@ def tracks_of(boxes: Boxes, notes: list[str]) -> Tracks:
 
 
 def car_of(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
-    """The ego's vehicle from "length", "width", "wheelbase" and "rear_overhang", m; what is missing is in proportion.
+    """Make the ego's vehicle from "length", "width", "wheelbase" and "rear_overhang", m; others scale with length.
 
     Raises:
-        ValueError: As `VehicleParameters`.
+        ValueError: As in `VehicleParameters`.
     """
     default = VehicleParameters()
     length = sizes.get("length", default.length)
@@ -199,22 +199,24 @@ def car_of(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
 # Poses
 
 WINDOW_S = 0.5
-"""With less the acceleration is noise (Argoverse 2: 99th percentile 8.6 m/s2 at 0.1 s, 3.1 at 0.5 s, as driven)."""
+"""Window of the fit, s: in shorter ones acceleration is noise (Argoverse 2: 99 % below 8.6 m/s2 at 0.1 s, 3.1 at
+0.5)."""
 ENOUGH = 5
 SPAN_S = 0.3
 ROLLING_MPS = 0.5
 STILL_M, STILL_S = 0.05, 0.3
-"""The parabola of a stop swings through 0: 0.3 m/s backwards after braking with 3 m/s2."""
+"""Bounds of a stand (3): after a stop the parabola overshoots, to -0.3 m/s after braking with 3 m/s2."""
 STATE_S = 0.1
-"""Ego states are kept at the frames of the boxes and, where these are at half of this rate or less, so often."""
+"""Ego states are kept at the frames of the boxes and, if those are twice this time apart or more, at this interval,
+s."""
 APART_S = 0.03
-"""Two states are not nearer than this."""
+"""Least time between two states, s."""
 
 
 def fitted(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """First and second derivative (1) of `values` `(n, c)` at each time `(n,)`, s, from the samples up to it.
+    """Return first and second derivative (1) of `values` `(n, c)` at each time `(n,)`, s, from samples up to it.
 
-    The second is NaN where (2) holds; both are NaN at the first sample.
+    The second is NaN where (2) applies; both are NaN at the first sample.
     """
     n, c = values.shape
     moments, sums = np.zeros((5, n)), np.zeros((3, n, c))
@@ -246,16 +248,16 @@ def fitted(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def nearest(times: Any, wanted: Any) -> IntArray:
-    """The row of rising `times` `(n,)` that is nearest to each of `wanted` `(k,)`; of two the later one."""
+    """Return the row of increasing `times` `(n,)` nearest to each of `wanted` `(k,)`; of two, the later one."""
     after = np.clip(np.searchsorted(times, wanted), 0, len(times) - 1)
     earlier = np.maximum(after - 1, 0)
     return np.where(np.abs(times[earlier] - wanted) < np.abs(times[after] - wanted), earlier, after)
 
 
 def kept(times: FloatArray, frames: FloatArray) -> IntArray:
-    """Which states to keep, from the first frame (s) to the last: the nearest to each, others every `STATE_S` between.
+    """Return the states to keep: the nearest to each frame (s), and between frames one every `STATE_S`.
 
-    Without frames: one every `STATE_S`.
+    Without frames, it is one every `STATE_S`.
     """
     if not len(frames):
         frames = times[[0, -1]]
@@ -272,7 +274,7 @@ def kept(times: FloatArray, frames: FloatArray) -> IntArray:
 
 
 def from_second(index: IntArray, times: FloatArray, first: FloatArray, notes: list[str]) -> IntArray:
-    """The states after the first frame: `first` is its time, s, or nothing where there are no frames."""
+    """Return the states after the first frame; `first` holds its time, s, and is empty without frames."""
     begin = int(np.argmin(np.abs(times[index] - first[0]))) + 1 if len(first) else 1
     if begin + 1 >= len(index):
         return index
@@ -281,9 +283,9 @@ def from_second(index: IntArray, times: FloatArray, first: FloatArray, notes: li
 
 
 def from_start(whole: Trajectory, index: IntArray, boxes: Boxes) -> tuple[Trajectory, Boxes, FloatArray]:
-    """The states at `index` and the boxes, both from the first of these states on, and its rounded place `(2,)`.
+    """Shift time and origin to the first state of `index`; return these states, the boxes, and the origin `(2,)`.
 
-    Times are in whole nanoseconds, as logs keep them.
+    Times are rounded to whole nanoseconds, as in logs.
     """
     ego = Trajectory(*(getattr(whole, name)[index] for name in ("t", "x", "y", "yaw", "v", "a", "kappa")))
     start, origin = float(ego.t[0]), np.round([ego.x[0], ego.y[0]])
@@ -293,7 +295,7 @@ def from_start(whole: Trajectory, index: IntArray, boxes: Boxes) -> tuple[Trajec
 
 
 def held_curvature(rate: FloatArray, v: FloatArray) -> FloatArray:
-    """(4) of yaw rates and speeds `(n,)`, 1/m."""
+    """Return the curvature (4) of yaw rates and speeds `(n,)`, 1/m."""
     rolling = (np.abs(v) >= ROLLING_MPS) & np.isfinite(rate)
     kappa = np.divide(rate, v, out=np.zeros(len(v)), where=rolling)
     held = np.maximum.accumulate(np.where(rolling, np.arange(len(v)), -1))
@@ -301,17 +303,17 @@ def held_curvature(rate: FloatArray, v: FloatArray) -> FloatArray:
 
 
 def stands(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArray) -> BoolArray:
-    """(3): which of the states `(n,)` with derived speeds v stand."""
+    """Return which of the states `(n,)` with derived speeds v stand (3)."""
     earlier = np.maximum(np.searchsorted(t, t - STILL_S + 1e-6, side="right") - 1, 0)
     moved = (x - x[earlier]) * np.cos(yaw) + (y - y[earlier]) * np.sin(yaw)
     return (t - t[earlier] >= STILL_S - 1e-6) & ((np.abs(moved) < STILL_M) | (moved * v < 0.0))
 
 
 def driven(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: list[str]) -> Trajectory:
-    """The trajectory through poses `(n,)` by (1) to (4); times increase strictly.
+    """Derive the trajectory through poses `(n,)` by (1) to (4); times increase strictly.
 
     Raises:
-        ValueError: As `Trajectory`.
+        ValueError: As in `Trajectory`.
     """
     yaw = np.unwrap(yaw)
     first, second = fitted(t, np.column_stack([x, y, yaw]))

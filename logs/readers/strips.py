@@ -1,8 +1,8 @@
-"""Lanes between two lines: a map's own left and right boundary, its neighbours as candidates, its markings.
+"""Makes lanes of a map's left and right boundaries, its candidates for neighbours, and its markings.
 
-Boundaries get as many points as each other by relative arc length. A neighbour is one in the same direction only where
-its centre line runs the same way beside the middle of the lane: maps list oncoming lanes as neighbours too. Traffic
-drives on the left where oncoming lanes are to the right more often.
+Boundaries get the same number of points by relative arc length. A neighbour is in the same direction only if its centre
+line runs the same way beside the middle of the lane: maps list oncoming lanes as neighbours, too. Traffic drives on the
+left if more lanes have the oncoming lane on their right than on their left.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ SHORTEST_M, LONGEST_M = 0.01, 1e5
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """A lane as a map has it.
+    """A lane as stored in a map.
 
     Attributes:
-        left: Boundary `(n, 2)` in driving direction, m; `right` `(k, 2)`.
-        beside: Ids of the lanes to the left and to the right, None where there is none.
-        marks: Names of the left and the right marking ("DASH_SOLID_YELLOW"; "": not known).
+        left: Left boundary `(n, 2)` in driving direction, m; `right` `(k, 2)` likewise.
+        beside: Ids of the lanes to the left and to the right, or None.
+        marks: Names of the left and the right marking ("DASH_SOLID_YELLOW"; "": unknown).
     """
 
     id: int
@@ -43,7 +43,7 @@ class Strip:
 
 
 def lanes_of(strips: Sequence[Strip], notes: list[str]) -> tuple[dict[int, Lane], bool]:
-    """The lanes by id, and whether one drives on the right."""
+    """Return the lanes by id, and whether traffic drives on the right."""
     lanes: dict[int, Lane] = {}
     for strip in strips:
         sides = []
@@ -93,16 +93,16 @@ def lanes_of(strips: Sequence[Strip], notes: list[str]) -> tuple[dict[int, Lane]
 
 
 def crossable(mark: str, *, left: bool) -> bool:
-    """Whether a marking to the left or right may be crossed; of a double line the near one counts.
+    """Return whether a marking to the left or right may be crossed; for a double line, the near line decides.
 
-    Their names list the lines from left to right; no line or an unknown one may be crossed.
+    Names list the lines from left to right; a missing or unknown line may be crossed.
     """
     lines = [part for part in mark.split("_") if part in ("SOLID", "DASH", "DASHED")]
     return not lines or lines[-1 if left else 0] != "SOLID"
 
 
 def _same_way(lane: Lane, other: Lane) -> bool:
-    """Whether two lanes are driven the same way: the other where it is nearest to the middle of the lane."""
+    """Return whether two lanes have the same direction: the other one at its point nearest to this one's middle."""
     ahead = lane.center[len(lane.center) // 2] - lane.center[len(lane.center) // 2 - 1]
     middle = 0.5 * (lane.center[len(lane.center) // 2] + lane.center[len(lane.center) // 2 - 1])
     steps = np.diff(other.center, axis=0)
@@ -113,20 +113,20 @@ def _same_way(lane: Lane, other: Lane) -> bool:
 
 
 def dense(line: FloatArray, step: float) -> FloatArray:
-    """A polyline `(n, 2)` with points at most `step` apart, m, equally spaced in arc length."""
+    """Resample a polyline `(n, 2)` at equal arc lengths, with points at most `step` m apart."""
     length = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))][-1]
     return resampled(line, max(2, 1 + int(np.ceil(length / step))))
 
 
 def resampled(line: FloatArray, count: int) -> FloatArray:
-    """A polyline `(n, 2)` at `count` points, equally spaced in arc length."""
+    """Resample a polyline `(n, 2)` at `count` points, equally spaced in arc length."""
     s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
     at = np.linspace(0.0, s[-1], count)
     return np.column_stack([np.interp(at, s, line[:, k]) for k in (0, 1)])
 
 
 def predecessors(lanes: Mapping[int, Lane]) -> dict[int, list[int]]:
-    """The lanes before each lane."""
+    """Return the ids of the lanes that lead into each lane."""
     out: dict[int, list[int]] = {}
     for lane in lanes.values():
         for after in lane.successors:

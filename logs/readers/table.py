@@ -1,13 +1,13 @@
 """Tables: pandas frames, CSV and Parquet files.
 
-    ego      t, x, y, yaw    and, where known, v, a, kappa, steer, throttle, brake          one row a state
-    agents   t, id, x, y     and, where known, yaw, vx, vy or v, length, width, kind        one row an agent and a time
+    ego      t, x, y, yaw    and, where known, v, a, kappa, steer, throttle, brake          one row per state
+    agents   t, id, x, y     and, where known, yaw, vx, vy or v, length, width, kind      one row per agent and time
 
 t is in seconds (any zero), or a date and time; it may be given as t_ns, t_us or t_ms. Positions are world coordinates
 in metres, of the ego's rear axle and the agents' box centres; angles in rad, counter-clockwise from x; speeds in m/s.
-`columns` maps these names to those of the table, with a unit in brackets where it is another one: "heading [deg]",
-"speed [km/h]" (`UNITS`). The unit in a table's own header counts, too: "v [km/h]", "v (km/h)", "v_kmh". What is
-missing is filled in and noted (`logs.mcap.complete`): the ego's v, the agents' yaw and velocity by backward
+`columns` maps these names to those of the table, with a unit in brackets if it differs: "heading [deg]",
+"speed [km/h]" (`UNITS`). A unit in the table's header is used, too: "v [km/h]", "v (km/h)", "v_kmh". Missing columns
+are derived and noted (`logs.mcap.complete`): the ego's v, the agents' yaw and velocity by backward
 differences, sizes by kind.
 
 A log on disk is a folder that holds `ego.csv` or `ego.parquet` and, beside it, `agents.csv` or `agents.parquet`. The
@@ -49,7 +49,7 @@ DIMENSIONS = {
     "share": {"1": 1.0, "%": 0.01},
 }
 UNITS = {"": 1.0} | {unit: factor for units in DIMENSIONS.values() for unit, factor in units.items()}
-"""Factor to our unit of each that may stand in brackets behind a column's name."""
+"""Factor to replan's unit, by the unit in brackets after a column's name."""
 SPELLINGS = {
     "mps": "m/s", "kmh": "km/h", "kph": "km/h", "km/hr": "km/h", "kmph": "km/h", "mps2": "m/s2", "m/s^2": "m/s2",
     "m/s\u00b2": "m/s2", "m/s/s": "m/s2", "ms2": "m/s2", "\u00b5s": "us", "\u03bcs": "us", "sec": "s", "msec": "ms",
@@ -59,19 +59,19 @@ SPELLINGS = {
 }  # fmt: skip
 """Other spellings of units."""
 TIMES = {"t": "s", "t_ms": "ms", "t_us": "us", "t_ns": "ns"}
-"""Our names of the time, and the unit that each has where no other is given."""
+"""Replan's names of the time column, and their default units."""
 ALIASES = {
     "vehicle": "car", "person": "pedestrian", "cyclist": "bicycle", "motorcyclist": "motorcycle", "van": "car",
     "bike": "bicycle", "motorbike": "motorcycle", "unknown": "object", "static": "object", "trailer": "truck",
 }  # fmt: skip
-"""Other words for the kinds."""
+"""Kinds by other common words."""
 MOVED_M = 0.2
 """Way over which a heading is derived, m."""
 _WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\]|\((?P<unit2>[^)]*)\))\s*$", re.DOTALL)
 SEPARATORS = (",", ";", "\t")
 _NUMBER = r"\s*[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?\s*"
 FIRST_LINE = 1 << 20
-"""Characters that are looked at for the separator."""
+"""Number of characters of the first line that are searched for the separator."""
 
 
 def from_frames(
@@ -88,26 +88,26 @@ def from_frames(
     licence: str = "",
     traffic: Spans | None = None,
 ) -> Scenario:
-    """The scenario in tables of the ego and of the other road users (units and frames: docs/logs.md).
+    """Make a scenario from tables of the ego and of the other road users (units and frames: docs/logs.md).
 
     Args:
-        ego: One row a state, in any order: t, x, y, yaw; where known v, a, kappa, steer, throttle, brake.
-        agents: One row an agent and a time: t, id, x, y; where known yaw, vx, vy or v, length, width, kind. None: no
-            other agent is there.
-        name: Short and unique within a run.
-        columns: Name in the table, with its unit, by name here: for both tables ("v"), or for one ("ego.v",
-            "agents.v"). Those that are not named have our names.
-        road: In the tables' coordinates; None: one lane along the driven path, noted.
-        goal: Likewise; None: none.
-        vehicle: The ego's; None: the default car, noted.
-        tags: By which gates and reports group; "recorded" or "synthetic" says whether a person drove.
-        source: Where it comes from; `licence` under which terms.
-        licence: See there.
+        ego: One row per state, in any order: t, x, y, yaw; where known v, a, kappa, steer, throttle, brake.
+        agents: One row per agent and time: t, id, x, y; where known yaw, vx, vy or v, length, width, kind. None: there
+            are no other road users.
+        name: Name of the scenario, short and unique within a run.
+        columns: Column of the table, with its unit, by replan's name: for both tables ("v"), or for one ("ego.v",
+            "agents.v"). Columns that are not listed must have replan's names.
+        road: The road in the tables' coordinates; None: one lane along the driven path, with a note.
+        goal: The goal in the tables' coordinates, or None.
+        vehicle: The ego's vehicle; None: the default car, with a note.
+        tags: Words by which gates and reports group; "recorded" or "synthetic" tells whether a person drove.
+        source: Origin of the data.
+        licence: Licence of the data.
         traffic: When the other agents were observed, s since the first ego row; None: inferred from their rows.
 
     Raises:
-        LogError: A column is missing or not of numbers, a unit or kind is unknown, a value is not finite, two rows of
-            one agent have one time.
+        LogError: A column is missing or not numeric, a unit or kind is unknown, a value is not finite, or two rows of
+            an agent have the same time.
     """
     _check_names(columns or {}, {"ego": ego, "agents": agents})
     table, notes = _Table(ego, "ego", columns or {}), list[str]()
@@ -162,7 +162,7 @@ def from_frames(
 
 
 class _Table:
-    """A frame whose columns are asked for by our names."""
+    """A data frame whose columns are found by replan's names."""
 
     def __init__(self, frame: pd.DataFrame, name: str, columns: Mapping[str, str]) -> None:
         self.frame, self.name = frame, name
@@ -173,10 +173,10 @@ class _Table:
             raise LogError("the table has no rows", topic=name, remedy="give at least one")
 
     def _find_column(self, ours: str, given: str) -> tuple[Any, float] | None:
-        """The table's own header of a column and the factor of its unit; None where it has no such column.
+        """Return the table's header of a column and the factor of its unit; None if there is no such column.
 
-        The header is `given`, or `given` without its unit, or with the header's own unit behind it. Of two units that
-        are given the same must be meant.
+        The header is `given`, or `given` without its unit, or followed by the header's own unit. If both have a unit,
+        the units must be the same.
         """
         name, asked = _split_unit(given)
         exact = [header for text, header in self._headers if text == given]
@@ -191,7 +191,7 @@ class _Table:
             what = f"{name} may be {' or '.join(map(str, found))}"
             raise LogError(what, topic=self.name, remedy=f'name one: columns = {{{ours} = "{found[0]}"}}')
         held, header = "", str(found[0])
-        if exact or not whole:  # the unit that the header itself names
+        if exact or not whole:  # the unit in the header itself
             held = _split_unit(header)[1] or "".join(unit for _, _, unit in _with_suffix([(header, header)], ours))
         units, known = [], DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
         for unit in filter(None, (asked, held)):  # as `UNITS` spells it
@@ -207,14 +207,14 @@ class _Table:
         return found[0], UNITS[units[0] if units else TIMES.get(ours, "")]
 
     def has(self, ours: str) -> bool:
-        """Whether it has such a column."""
+        """Return whether the table has this column."""
         return self._columns[ours] is not None
 
     def column(self, ours: str) -> tuple[pd.Series[Any], float]:
-        """A column and the factor to our unit.
+        """Return a column and the factor to replan's unit.
 
         Raises:
-            LogError: It has none.
+            LogError: The table has no such column.
         """
         found = self._columns[ours]
         if found is None:
@@ -227,7 +227,7 @@ class _Table:
         return self.frame[found[0]], found[1]
 
     def numbers(self, ours: str) -> FloatArray:
-        """A column in our unit `(n,)`; NaN where it is empty."""
+        """Return a column in replan's unit `(n,)`; NaN where it is empty."""
         column, factor = self.column(ours)
         try:
             return np.asarray(pd.to_numeric(column), dtype=np.float64) * factor
@@ -235,7 +235,7 @@ class _Table:
             raise LogError(f"{column.name} is not a column of numbers: {error}", topic=self.name) from None
 
     def times(self, start_ns: int | None = None) -> tuple[int, FloatArray]:
-        """Nanoseconds of the first row (or `start_ns`), and seconds since then `(n,)`."""
+        """Return the earliest time (or `start_ns`), ns, and the seconds of each row since then `(n,)`."""
         ours = next((name for name in TIMES if self.has(name)), "t")
         column, factor = self.column(ours)
         if pd.api.types.is_datetime64_any_dtype(column):
@@ -254,7 +254,7 @@ class _Table:
 
 
 LAST_S = 9e9
-"""Seconds of the last time that fits 64 bits of nanoseconds, about."""
+"""Greatest time, s: about the greatest that fits into 64 bits of nanoseconds."""
 _COLUMNS = (
     "x", "y", "yaw", "v", "a", "kappa", "steer", "throttle", "brake", "id", "vx", "vy", "length", "width", "kind",
 )  # fmt: skip
@@ -268,7 +268,7 @@ _DIMENSION = (
     | dict.fromkeys(("throttle", "brake"), "share")
     | {"a": "acceleration", "kappa": "curvature"}
 )
-"""What each of our columns measures."""
+"""Dimension of each of replan's columns."""
 
 
 def _split_unit(text: str) -> tuple[str, str]:
@@ -278,7 +278,7 @@ def _split_unit(text: str) -> tuple[str, str]:
 
 
 def _with_suffix(headers: Sequence[tuple[str, Any]], ours: str) -> Iterator[tuple[Any, str, str]]:
-    """Headers that end in a unit of such a column ("speed_kmh"): header, what stands before it, and the unit."""
+    """Yield headers that end in a unit of the column ("speed_kmh"): header, text before the unit, unit."""
     known = DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
     for text, header in headers:
         base, _, unit = text.rpartition("_")
@@ -287,7 +287,7 @@ def _with_suffix(headers: Sequence[tuple[str, Any]], ours: str) -> Iterator[tupl
 
 
 def _check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame | None]) -> None:
-    """Refuse unknown names, and names of columns that no table has: the values would silently be derived."""
+    """Raise LogError for unknown names, and for columns that no table has, which would silently be derived."""
     known = (*TIMES, *_COLUMNS)
     held = [_Table(frame, name, columns) for name, frame in frames.items() if frame is not None and len(frame)]
     for key, given in columns.items():
@@ -338,7 +338,7 @@ def _tracks(
         notes.append("The log does not say what the agents are: they are taken for cars.")
         kinds = (AgentKind.CAR,) * len(first)
     sizes = []
-    for column, name in enumerate(("length", "width")):  # the median of each agent's rows; by kind where there is none
+    for column, name in enumerate(("length", "width")):  # median of the agent's rows, else usual size
         size = np.array([USUAL_SIZE_M[kind][column] for kind in kinds])
         if table.has(name):
             given = np.array([np.median(part) for part in np.split(table.numbers(name)[order], first[1:])])
@@ -352,7 +352,7 @@ def _tracks(
 
 
 def _headings(offsets: Any, x: FloatArray, y: FloatArray, notes: list[str]) -> FloatArray:
-    """The direction of the way that each agent has come, over at least `MOVED_M`; a first one looks as it then goes."""
+    """Return each agent's direction of motion over at least `MOVED_M`; first samples get the first known direction."""
     notes.append(
         "The log has no headings of the agents: they are those of the way come, the first of the way that they then go."
     )
@@ -381,9 +381,9 @@ def _kind(word: Any) -> AgentKind:
 
 
 def _file(folder: Path, name: str) -> Path | None:
-    """The table `name` of a log's folder; None where there is none. LogError as `beside`.
+    """Return the file of table `name` in a log's folder, or None; LogError as in `beside`.
 
-    A file of that name with another suffix is refused, as its content would silently be left out.
+    A file of that name with another suffix raises LogError, as its content would silently be left out.
     """
     path = beside(folder, [f"{name}{suffix}" for suffix in SUFFIXES])
     others = sorted(each.name for each in folder.iterdir() if each.name.casefold().partition(".")[0] == name)
@@ -405,7 +405,7 @@ def _files(path: Path) -> tuple[Path, ...]:
 
 
 def _load_table(path: Path) -> pd.DataFrame:
-    """A table; the separator of CSV is the one that parts its first line most often, and the comma where none does."""
+    """Load a table; the separator of CSV is the one that splits the first line into most fields, else the comma."""
     import pyarrow as pa
 
     try:

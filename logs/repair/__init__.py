@@ -1,4 +1,4 @@
-"""Raw detections made into tracks: offline for the judge, causally for planners."""
+"""Makes tracks from raw detections: offline for metrics, causally for planners."""
 
 from logs.repair.names import needs_repair
 from logs.repair.offline import detections_of, repair

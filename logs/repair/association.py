@@ -1,7 +1,7 @@
-"""Which detection of a frame belongs to which track so far: used by the offline repair and by the tracker.
+"""Assigns the detections of a frame to known tracks, for the offline repair and the tracker.
 
-(1) m = e' S^-1 e with the detection's offset e from where the track should be by now and its covariance S; a detection
-    beyond `GATE`, or farther away than the `REACH` of its group, is another object
+(1) m = e' S^-1 e with the detection's offset e from the predicted place of the track and its covariance S; a detection
+    beyond `GATE`, or farther away than the `REACH` of the groups, is another object
 (2) cost = m + ln det S + `OTHER_GROUP` if the group differs + `OTHER_SIZE` |ln of the sizes' ratio|: the frame's
     detections are assigned to the tracks with the least sum (Hungarian method)
 
@@ -22,10 +22,10 @@ from logs.repair.boxes import DENSITY, VEHICLE, Boxes
 from logs.repair.kalman import ACROSS, ALONG, COS, SIN, WIDTH, X, Y, predict_all, update_one
 
 FIRST_ALONG, FIRST_ACROSS = frozen([10.0, 2.5, 3.0]), frozen([1.5, 2.5, 3.0])
-"""Standard deviations of the speed at the first detection along and across the box, m/s: 29 % of the vehicle tracks
-joined without them began with a step above 2.5 m, 18 % sideways."""
+"""Standard deviations of the speed at the first detection along and across the box, m/s: without
+them, 29 % of the vehicle tracks began with a step above 2.5 m, 18 % sideways."""
 REACH = frozen([4.0, 1.5, 1.5])
-"""A detection farther from where a track should be is another object, m; Autoware's gates are 2 m."""
+"""A detection farther from a track's predicted place is another object, m; Autoware's gates are 2 m."""
 GATE = 13.8
 """The 99.9 % quantile of chi squared with 2 degrees of freedom."""
 OTHER_GROUP, OTHER_SIZE, MOST_GROWTH, SIZE_MEMORY = 6.0, 2.0, 1.2, 0.8
@@ -34,33 +34,34 @@ OTHER_GROUP, OTHER_SIZE, MOST_GROWTH, SIZE_MEMORY = 6.0, 2.0, 1.2, 0.8
 Sizes may differ by a factor of up to e^`MOST_GROWTH`.
 """
 AGE_S, YOUNG_AGE_S, YOUNG = 2.0, 0.35, 3
-"""A track ends when it is not seen for `AGE_S`, a track of at most `YOUNG` detections after `YOUNG_AGE_S`. A track that
-missed no frame before the present one does not end."""
+"""A track ends when it is not seen for `AGE_S`, or for `YOUNG_AGE_S` if it has at most `YOUNG` detections. A track that
+was detected in the previous frame does not end."""
 _NEVER = 1e6
 _TRACK = np.dtype(
     [("state", np.float64, WIDTH), ("group", np.int64), ("size", np.float64, 2), ("name", np.int64),
      ("last", np.float64), ("hits", np.int64), ("missed", np.int64)]
 )  # fmt: skip
-"""Filter, group, size (shorter side first), number of birth, time last seen, detections, frames missed since."""
+"""Filter, group, size (shorter side first), number in order of birth, last time seen, detections, frames missed
+since."""
 
 
 @dataclass
 class Association:
-    """Tracks so far `(n,)`: the memory between two frames."""
+    """The known tracks `(n,)`: the state between two frames."""
 
     tracks: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, _TRACK))
     time: float = 0.0
     count: int = 0
 
     def steps(self, boxes: Boxes, frames: FloatArray) -> Iterator[tuple[float, slice, IntArray]]:
-        """Frame by frame: its time, s, its detections among the boxes, and the names of their tracks."""
+        """Yield for each frame its time, s, its detections among the boxes, and the names of their tracks."""
         ends = np.searchsorted(boxes.frame, np.arange(len(frames) + 1))
         for k, t in enumerate(frames.tolist()):
             rows = slice(int(ends[k]), int(ends[k + 1]))
             most = np.where(self.tracks["hits"] > YOUNG, AGE_S, YOUNG_AGE_S)
             tracks = self.tracks[(t - self.tracks["last"] <= most + 1e-9) | (self.tracks["missed"] < 1)]
             predict_all(tracks["state"], t - self.time, DENSITY[tracks["group"]])
-            # each of the detections may begin a track
+            # each detection may begin a track
             found, group, variance = np.zeros(rows.stop - rows.start, _TRACK), boxes.group[rows], boxes.noise[rows] ** 2
             state = found["state"]
             place = state[:, :ALONG]
@@ -93,7 +94,7 @@ def _costs(
     states: FloatArray, group: IntArray, size: FloatArray, place: FloatArray, groups: IntArray, variance: FloatArray,
     sizes: FloatArray, reach: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """The cost (2) of each pair of track and detection `(n, k)`; `_NEVER` if they cannot be the same object."""
+    """Return the cost (2) of each pair of track and detection `(n, k)`; `_NEVER` if they are different objects."""
     out = np.full((len(states), len(place)), _NEVER)
     for i in range(len(states)):
         for j in range(len(place)):

@@ -1,8 +1,8 @@
-"""Detected boxes: constants by group, the area that two share, and which boxes of a frame show one object.
+"""Detected boxes: constants by group, overlap of boxes, and boxes of a frame that show the same object.
 
-Each constant has a value for vehicles, persons (on foot or riding) and clusters, whose kind is not known and whose
-parts split and merge. Measured on 13 city drives at 10 Hz (SFA and cluster detectors of Autoware Mini) where no other
-source is named.
+Most constants have one value each for vehicles, persons (on foot or riding) and clusters, whose kind is unknown and
+whose parts split and merge. Constants without another source were measured on 13 city drives at 10 Hz (SFA and cluster
+detectors of Autoware Mini).
 """
 
 from __future__ import annotations
@@ -22,19 +22,21 @@ NOISE, ACCEL = frozen([0.30, 0.20, 0.35]), frozen([3.0, 1.5, 1.5])
 """Standard deviations of a centre, m, of which most drifts slowly (rms 0.22 to 0.30 m of standing cars), and of the
 acceleration over `STEP_S`, m/s2 (Autoware's tracker: 0.35 g along, 0.15 g across cars, 0.3 g for pedestrians)."""
 STILL, SLOW, FAST = frozen([1.2, 0.6, 2.0]), frozen([0.6, 0.3, 0.6]), frozen([1.5, 0.5, 1.0])
-"""A track that moves less between its first and last third stands, m; who is slower stands meanwhile, and above this
-the direction of motion is known, m/s."""
+"""By group: a track that moves less between its first and last third never moves, m; a slower object stands, m/s; a
+faster object has a known direction of motion, m/s."""
 STEP_S = 0.1
 """The period over which `ACCEL` is constant."""
 DENSITY = frozen(ACCEL**2 * STEP_S)
 """Spectral density of the acceleration, m2/s3."""
 SLIDES = 0.75
-"""A cluster stands unless it gets farther than this share of its length: another part of what stands is seen."""
+"""A cluster stands unless it moves by more than this share of its length: the visible part of a standing object
+changes."""
 SURE, UNSURE_NOISE, LEAST_SIZE_M = 0.4, 1.5, 0.1
-"""Above this score a box is as exact as `NOISE` says; below, 1.5 times less."""
+"""Boxes with a score below `SURE` have `UNSURE_NOISE` times the noise. `LEAST_SIZE_M`: least side of a box, m."""
 TWIN_SHARE, TWIN_PART, OTHER_PART = 0.1, 0.5, 0.7
-"""Two boxes are one object if they share more of their union, or of the smaller one; SimpleTrack removes at 0.25. Of
-persons, who walk close together, only the part counts; of a person and a vehicle `OTHER_PART`."""
+"""Two boxes show one object if they share more than `TWIN_SHARE` of their union, or `TWIN_PART` of the smaller box
+(SimpleTrack removes at 0.25). For two persons, who walk close together, only the part of the smaller box decides; for a
+person and a vehicle, only `OTHER_PART`."""
 _PERSONS, _CLUSTERS = among(*(kind for kind in AgentKind if kind.is_vulnerable)), among(AgentKind.OBJECT)
 _GROUP = frozen(np.where(_CLUSTERS, CLUSTER, np.where(_PERSONS, PERSON, VEHICLE)), np.int64)
 _USUAL = frozen([USUAL_SIZE_M[kind] for kind in AgentKind])
@@ -42,10 +44,10 @@ _USUAL = frozen([USUAL_SIZE_M[kind] for kind in AgentKind])
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """Detections in a stated order within each frame, with what is missing filled in: columns of `Detections` `(m,)`.
+    """Detections in a defined order within each frame, with missing values filled in: columns of `Detections` `(m,)`.
 
-    `source` are their places among the detections, `frame` those of their times among the frames, `group` as above,
-    `noise` the standard deviation of the centre, m. The longer side of a cluster is its length; a score of 0 is NaN.
+    `source` are indices of the detections, `frame` indices of the frames, `group` is as above, `noise` is the standard
+    deviation of the centre, m. The longer side of a cluster is its length; a score of 0 is NaN.
     """
 
     source: IntArray
@@ -65,17 +67,17 @@ class Boxes:
         return len(self.t)
 
     def taken(self, rows: IntArray) -> Boxes:
-        """Some of them, in the order of `rows`."""
+        """Return the boxes `rows`, in that order."""
         return Boxes(**{each.name: getattr(self, each.name)[rows] for each in fields(Boxes)})
 
     @cached_property
     def weight(self) -> FloatArray:
-        """How much each counts in votes `(m,)`: its score, 0.5 where that is not known."""
+        """Weight of each box in votes `(m,)`: its score, 0.05 at least; 0.5 if unknown."""
         return np.where(np.isfinite(self.score), np.maximum(self.score, 0.05), 0.5)
 
     @classmethod
     def of(cls, found: Detections) -> Boxes:
-        """The boxes of detections: the order in which a frame lists them changes nothing."""
+        """Make the boxes of detections; the result does not depend on the order of detections within a frame."""
         order = np.lexsort((found.length, found.yaw, found.y, found.x, found.codes, found.t))
         t, x, y, yaw = (column[order] for column in (found.t, found.x, found.y, found.yaw))
         codes, sizes = found.codes[order], np.column_stack([found.length, found.width])[order]
@@ -91,7 +93,7 @@ class Boxes:
 
 @kernel
 def shared_area(one: FloatArray, two: FloatArray) -> float:
-    """The area that two boxes `(5,)` share, m2: one is cut by each side of the other (Sutherland, Hodgman, 1974)."""
+    """Return the common area of two boxes `(5,)`, m2, by clipping one with the other (Sutherland, Hodgman, 1974)."""
     dx, dy = two[0] - one[0], two[1] - one[1]
     if hypot(dx, dy) >= 0.5 * (hypot(one[3], one[4]) + hypot(two[3], two[4])):
         return 0.0
@@ -119,7 +121,7 @@ def shared_area(one: FloatArray, two: FloatArray) -> float:
 
 @kernel
 def shares(t: FloatArray, boxes: FloatArray, times: FloatArray, others: FloatArray, part: float) -> BoolArray:
-    """At which t `(k,)` a box of `boxes` `(k, 5)` shares more than `part` of the smaller one with that of `others`."""
+    """Return at which t `(k,)` the boxes in `boxes` `(k, 5)` and `others` share more than `part` of the smaller."""
     out, j = np.zeros(len(t), np.bool_), 0
     for i in range(len(t)):
         while j < len(times) and times[j] < t[i]:
@@ -131,9 +133,9 @@ def shares(t: FloatArray, boxes: FloatArray, times: FloatArray, others: FloatArr
 
 
 def stronger_twins(boxes: Boxes) -> IntArray:
-    """For each box the one of its frame that shows the same object better `(m,)`; -1: there is none.
+    """Return for each box the better box of the same object in its frame `(m,)`; -1 if there is none.
 
-    A box is better by its score; without scores the larger one is, and clusters come last.
+    The higher score is better; if scores are equal or missing, the larger box. Scored or not, clusters rank lower by 1.
     """
     strength = np.where(boxes.group < CLUSTER, 1.0, 0.0) + np.nan_to_num(boxes.score)
     order = np.lexsort((-boxes.length * boxes.width, -strength, boxes.frame))
@@ -143,7 +145,7 @@ def stronger_twins(boxes: Boxes) -> IntArray:
 
 @kernel
 def _stronger(order: IntArray, frame: IntArray, pose: FloatArray, group: IntArray) -> IntArray:
-    """`stronger_twins` of boxes `pose` `(m, 5)` in `frame` `(m,)`; `order`: frame by frame, the strongest first."""
+    """Compute `stronger_twins` of boxes `pose` `(m, 5)` in `frame` `(m,)`; `order`: by frame, strongest first."""
     out = np.full(len(pose), -1)
     for i in range(len(order)):
         a = order[i]

@@ -1,14 +1,14 @@
-"""A constant-velocity Kalman filter, used to join detections, to track and to smooth.
+"""A constant-velocity Kalman filter for joining detections, tracking and smoothing.
 
 Per axis, with the covariance C = (pp, pv, vv) of position m and velocity m/s, white acceleration of density q, m2/s3:
 (1) pp += 2 d pv + d^2 vv + q d^3/3,  pv += d vv + q d^2/2,  vv += q d;  d s between samples
-(2) of a position with variance r: gains kp = pp / (pp + r), kv = pv / (pp + r);  C -= k k' (pp + r)
-(3) of a stand: (2) of the velocity 0 with variance `STAND_MPS`^2, so with vv and pp exchanged
-(4) back: G = C F' C-^-1,  x += G (x_next - x-_next)  (Rauch, Tung, Striebel, AIAA Journal 3, 1965)
+(2) update by a position with variance r: gains kp = pp / (pp + r), kv = pv / (pp + r);  C -= k k' (pp + r)
+(3) update by a stand: (2) for the velocity 0 with variance `STAND_MPS`^2, with vv and pp exchanged
+(4) backward pass: G = C F' C-^-1,  x += G (x_next - x-_next)  (Rauch, Tung, Striebel, AIAA Journal 3, 1965)
 
-Noise is alike on both axes of a box, and so is that of the acceleration; only the first velocity is not: a vehicle
-moves along. Along the axes of its first box the two coordinates are independent of each other then, with a covariance
-for each, and no matrix is inverted.
+The noise of positions and of acceleration is the same on both axes of a box; only the uncertainty of the first velocity
+differs: a vehicle moves along its axis. Along the axes of the first box, the two coordinates are therefore independent,
+with one covariance each, and no matrix is inverted.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
 STAND_MPS, FIRST_MPS = 0.02, 10.0
 """Standard deviations of the velocity of a standing agent, and of the first sample of a smoothed track."""
 X, Y, VX, VY, COS, SIN, ALONG, ACROSS, WIDTH = 0, 1, 2, 3, 4, 5, 6, 9, 12
-"""Columns of states `(n, WIDTH)`; from `ALONG` and from `ACROSS` on three each for C."""
+"""Columns of states `(n, WIDTH)`; three each from `ALONG` and from `ACROSS` hold C."""
 
 
 @inner_kernel
 def _predict(cov: FloatArray, d: float, q: float) -> None:
-    """(1), in place."""
+    """Predict the covariance (1), in place."""
     cov[0] += d * (2.0 * cov[1] + d * cov[2]) + q * d**3 / 3.0
     cov[1] += d * cov[2] + 0.5 * q * d * d
     cov[2] += q * d
@@ -33,7 +33,7 @@ def _predict(cov: FloatArray, d: float, q: float) -> None:
 
 @inner_kernel
 def _update(cov: FloatArray, r: float) -> tuple[float, float]:
-    """(2): the gains; the covariance in place."""
+    """Update the covariance (2) in place, and return the gains."""
     s = cov[0] + r
     kp, kv = cov[0] / s, cov[1] / s
     cov[2] -= kv * cov[1]
@@ -44,7 +44,7 @@ def _update(cov: FloatArray, r: float) -> tuple[float, float]:
 
 @kernel
 def predict_all(states: FloatArray, d: float, q: FloatArray) -> None:
-    """(1) of each state `(n, WIDTH)`, in place; q `(n,)`."""
+    """Predict each state `(n, WIDTH)` (1), in place; q `(n,)`."""
     for i in range(len(states)):
         states[i, X] += d * states[i, VX]
         states[i, Y] += d * states[i, VY]
@@ -54,7 +54,7 @@ def predict_all(states: FloatArray, d: float, q: FloatArray) -> None:
 
 @kernel
 def update_one(state: FloatArray, x: float, y: float, r: float) -> None:
-    """(2) of one state `(WIDTH,)`, in place, with a detection at x, y of variance r."""
+    """Update one state `(WIDTH,)` (2), in place, by a detection at x, y with variance r."""
     c, s = state[COS], state[SIN]
     ex, ey = x - state[X], y - state[Y]
     along, across = c * ex + s * ey, c * ey - s * ex
@@ -68,9 +68,9 @@ def update_one(state: FloatArray, x: float, y: float, r: float) -> None:
 
 @kernel
 def smoothed(t: FloatArray, z: FloatArray, r: FloatArray, q: float, stands: BoolArray) -> FloatArray:
-    """x, y, vx, vy `(n, 4)` at all times t `(n,)` of positions z `(n, 2)`, NaN where not seen, with variances r `(n,)`.
+    """Smooth positions z `(n, 2)` (NaN: not seen) with variances r `(n,)` at t `(n,)`; return x, y, vx, vy `(n, 4)`.
 
-    `stands` `(n,)`: when the velocity is 0. The first row of z is a position.
+    `stands` `(n,)` marks times at which the velocity is 0. The first row of z must be a position.
     """
     n = len(t)
     after, before = np.empty((n, 4)), np.empty((n, 4))

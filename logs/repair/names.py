@@ -1,10 +1,10 @@
-"""Names of road users: whether a log's ids are identities, and those that a repaired and a causal track share.
+"""Names of road users: checks whether a log's ids are identities, and matches causal tracks with repaired ones.
 
-(1) a causal track belongs to the repaired track whose box was nearest to its own in most frames so far, within
-    `NEAR_M`; a causal track that was near none is not a road user
+(1) a causal track belongs to the repaired track whose box was nearest to its own, within `NEAR_M`, in most frames up to
+    now; a causal track that was near no repaired track is not a road user
 (2) a repaired track gets the name of the causal track that belonged to it in most frames; other causal tracks of the
-    same road user, after a loss, keep their own names. A repaired track that was never tracked gets a new name, and so
-    does a road user who never moves
+    same road user, after a loss, keep their own names. A repaired track without a causal track gets a new name; a
+    static road user keeps its name, with a suffix if a causal track has it
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from logs.agents import Agents, Detections, Repair
 from logs.kernel import FloatArray
 
 STEP_S, FASTEST_MPS, JUMPS = 0.5, 60.0, 0.02
-"""Ids are no identities if more than `JUMPS` of the steps of one id within `STEP_S` are faster than `FASTEST_MPS`, or
-if this share of the boxes has an id that another box of their frame has."""
+"""Ids are not identities if more than `JUMPS` of the steps of equal ids within `STEP_S` are faster than `FASTEST_MPS`,
+or if more than this share of the boxes has the same id as another box of the frame."""
 SHORT_S, FLICKER, LEAST_IDS = 1.0, 0.5, 10
 """Road users flicker if more than half of at least ten ids are seen for less than a second."""
 NEAR_M = 2.5
-"""Half of a car's length: the drift of a detected centre, and what a lost agent was carried on wrongly."""
+"""Half of a car's length, m: covers the drift of detected centres and the error of extrapolating lost agents."""
 UNTRACKED = "untracked"
 
 
 def needs_repair(detections: Detections) -> str | None:
-    """Why these detections must be repaired, in a sentence; None where they are tracks already."""
+    """Return why the detections must be repaired, in a sentence; None if they are tracks already."""
     if not any(detections.ids):
         return "The log gives its detections no ids." if len(detections) else None
     why = no_identities(detections.ids, detections.t, detections.x, detections.y)
@@ -46,7 +46,7 @@ def needs_repair(detections: Detections) -> str | None:
 
 
 def no_identities(ids: Sequence[str], t: FloatArray, x: FloatArray, y: FloatArray) -> str | None:
-    """Why the ids `(m,)` of boxes at times t `(m,)`, s, equal within a frame, are no identities; None if they are."""
+    """Return why the ids of boxes `(m,)` at the frame times t `(m,)`, s, are not identities; None if they are."""
     codes = np.unique(np.array(ids), return_inverse=True)[1]
     order = np.lexsort((t, codes))
     same, dt = np.diff(codes[order]) == 0, np.diff(t[order])
@@ -62,13 +62,13 @@ def no_identities(ids: Sequence[str], t: FloatArray, x: FloatArray, y: FloatArra
 
 
 class Owners:
-    """Assigns causal tracks to the tracks of a log (1), frame by frame in order of time."""
+    """Assigns causal tracks to the tracks of a log (1), frame by frame."""
 
     def __init__(self) -> None:
         self.votes: dict[str, Counter[str]] = defaultdict(Counter)
 
     def of(self, known: Agents, log: Agents) -> list[str]:
-        """The name in the log of each known agent, "" where none belongs; both are states at the same time."""
+        """Return the log's name of each known agent, "" if it has none; both arguments are states at the same time."""
         away = np.hypot(known.x[:, None] - log.x, known.y[:, None] - log.y)
         for name, row in zip(known.ids, away if len(log) else (), strict=bool(len(log))):
             nearest = int(np.argmin(row))
@@ -77,13 +77,13 @@ class Owners:
         return [self.owner(name) for name in known.ids]
 
     def owner(self, name: str) -> str:
-        """The owner of a causal track; the first of several with equal votes."""
+        """Return the log's track that owns a causal track; the first of several with equal votes."""
         votes = self.votes[name]
         return max(votes, key=votes.__getitem__, default="")
 
 
 def named_as_tracked(made: Repair) -> Repair:
-    """The repair with the names (2); those of what was removed stay."""
+    """Rename the tracks of a repair by (2); removed tracks keep their names."""
     known, owners = made.detections.tracked, Owners()
     for t in known.frames:
         owners.of(known.at(t), made.tracks.perceived(t))

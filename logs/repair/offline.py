@@ -1,13 +1,14 @@
-"""Raw detections to tracks, by use of the whole log, for metrics, traffic and drawing. Not causal.
+"""Makes tracks from raw detections with the whole log, for metrics, traffic and drawing (not causal).
 
-1. twins     of boxes of a frame that show one object the best stays (`boxes`)
+1. twins     keep the best of the boxes of a frame that show one object (`boxes`)
 2. join      detections to tracks, frame by frame (`association`)
 3. stitch    tracks whose ends meet across a gap (`users`)
-4. smooth    forward and backward, outliers weighted down; who stands has no speed (`users`, `kalman`)
+4. smooth    forward and backward, with less weight for outliers; standing users have no speed (`users`, `kalman`)
 5. vote      kind, size, front (`users`)
-6. remove    what was seen too little, moves as nothing does, is where another is, or where the ego drove; a box that
-             the ego only grazes, within the noise of boxes, is smaller; a track that it meets for a moment ends there
-7. extend    who stands where sight ends
+6. remove    users seen too rarely, with impossible motion, in the place of a better one, or where the ego drove; a box
+             that the ego only grazes, within the noise of boxes, is shrunk; of a track that the ego meets for a moment,
+             only the longest part without contact stays
+7. extend    users who stand at the edge of sight
 """
 
 from __future__ import annotations
@@ -29,30 +30,31 @@ from logs.states import Trajectory
 from logs.vehicle import VehicleParameters
 
 STEADY, STEADY_MPS = 3, 5.0
-"""The group of road users at one speed above this, m/s. They are in sight for a few frames only, and clutter does not
-move along a line."""
+"""Index of the group of road users with a constant speed above `STEADY_MPS`, m/s. They are in sight for a few frames
+only, and clutter does not move along a line."""
 LEAST_TIME, LEAST_COUNT = frozen([0.7, 0.7, 1.5, 0.25]), frozen([5, 5, 10, 4])
 LEAST_SCORE, LEAST_SEEN = frozen([2.5, 2.0, 0.0, 1.2]), frozen([0.3, 0.3, 0.6, 0.15])
-"""By group: less time, s, fewer detections, or a smaller sum of scores is no evidence: clutter lasts 0.1 to 0.5 s;
-and the least share of frames in which a moving one is detected (measured: 0.93 close by to 0.69 at 90 m)."""
+"""By group, least evidence of a road user: time, s, number of detections, sum of scores (clutter lasts 0.1 to 0.5 s),
+and the share of frames in which a moving one is detected (measured: 0.93 close by to 0.69 at 90 m)."""
 SURE_SCORE = 1.2
-"""Above this multiple of `LEAST_SCORE` the time does not count: some are there only at the ends of the log."""
+"""From this multiple of `LEAST_SCORE` on, no least time is required: some users appear only at the ends of the log."""
 SIDEWAYS_RAD, SIDEWAYS_MPS, SIDEWAYS_COUNT = np.radians(35.0), 2.0, 2
-"""A vehicle that moves so far off its axis is parts of several: yaw is exact to 3 to 4 degrees."""
+"""A vehicle that moves this far off its axis consists of parts of several objects: yaw is exact to 3 to 4 degrees."""
 SAME_PART, SAME_SHARE = 0.3, 0.33
-"""Two tracks are one object if they share so much of the smaller box for so much of the time; a person and a vehicle
-`OTHER_PART`, as people stand close to cars."""
+"""Two tracks are one object if they share more than `SAME_PART` of the smaller box for more than `SAME_SHARE` of the
+time; for a person and a vehicle the part is `OTHER_PART`, as people stand close to cars."""
 BEFORE_S = 2.0
-"""What stands did not vanish within this before the ego came."""
+"""A standing object does not vanish within this time before the ego arrives, s."""
 GRAZE_M, LEAST_SIDE, MOMENT = 0.3, 0.5, 0.2
-"""A box reaches this much too far at most, and no side becomes less than this share of it; a track that the ego meets
-for a larger share of its samples is none."""
+"""A box is too large by at most `GRAZE_M`, and no side shrinks below the share `LEAST_SIDE`; a track that overlaps the
+ego in more than the share `MOMENT` of its samples is not a road user."""
 RANGE_M, RANGE_SIDE_M, EXTEND_S, EXTEND_STILL_MPS = 42.0, 20.0, 10.0, 0.2
-"""Sight ends about 50 m ahead and 25 m to the side. Who stands when seen first beyond `RANGE_M` stood there before."""
+"""Sight ends about 50 m ahead and 25 m to the side. A user who stands at the first (last) sight beyond `RANGE_M` ahead
+or `RANGE_SIDE_M` aside is assumed to stand there before (after), for `EXTEND_S` at most."""
 
 
 def detections_of(tracks: Tracks) -> Detections:
-    """The samples of tracks as detections without scores, by which any log can be repaired."""
+    """Return the samples of tracks as detections without scores, so that any log can be repaired."""
     owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
     order = np.lexsort((owner, tracks.t))
     columns = {name: getattr(tracks, name)[order] for name in ("t", "x", "y", "yaw", "vx", "vy")}
@@ -64,10 +66,10 @@ def detections_of(tracks: Tracks) -> Detections:
 
 
 def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) -> tuple[Tracks, Repair]:
-    """The road users that raw detections show, and what was done to find them. Not causal: uses the whole log.
+    """Make tracks from raw detections, and record all changes. Not causal: it uses the whole log.
 
-    `ego` is the drive of the log (rear axle): far boxes count less, and nothing stands where it drove. A track keeps
-    the id of the log where all of its detections, and no others, have it; else its id is a number in order of birth.
+    `ego` is the drive of the log (rear axle): far boxes have less weight, and objects in its way are removed. A track
+    keeps the id of the log if exactly its detections have this id; else its id is a number in order of birth.
     """
     every, frames = Boxes.of(detections), detections.frames
     twin_of = stronger_twins(every)
@@ -90,7 +92,7 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
     users = [_extend_standing(user, stay, frames, ego, vehicle) for user in stay]
 
     def sources(user: User) -> tuple[str, ...]:
-        """The ids that the log gave to a user's detections, in order of time."""
+        """Return the log's ids of a user's detections, in order of time."""
         named = (detections.ids[i] for i in boxes.source[user.piece.rows].tolist())
         return tuple(dict.fromkeys(name for name in named if name))
 
@@ -119,15 +121,15 @@ def _birth(user: User) -> tuple[float, int]:
 def _road_users(
     pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray, ego: Trajectory
 ) -> tuple[list[User], list[tuple[User, str]]]:
-    """The users that pieces of motion are evidence of, and what is none or in the place of a better one.
+    """Return the road users of pieces with enough evidence, and the removed ones with reasons.
 
-    The better one gets what the other shows of it before and after.
+    A user in the place of a better one is removed; its detections before and after the better one's go to that one.
     """
     every = [user_of(piece, boxes, ego) for piece in pieces]
     reasons = [_trouble(user, boxes) for user in every]
     removed = [(user, why) for user, why in zip(every, reasons, strict=True) if why]
     users = [user for user, why in zip(every, reasons, strict=True) if not why]
-    # in the place of another one that is seen better: no cluster, then the larger sum of scores
+    # better evidence: not a cluster, then the larger sum of weights
     group = np.array([user.piece.group for user in users])
     proof = np.array([boxes.weight[user.piece.rows].sum() for user in users]) + len(boxes) * (group != CLUSTER)
     reach = np.array([0.5 * np.hypot(user.length, user.width) for user in users])[:, None]
@@ -166,7 +168,7 @@ def _road_users(
 
 
 def _changes(user: User, name: str, note: str, twins: int, sources: tuple[str, ...]) -> list[Change]:
-    """What was done to one road user who stays."""
+    """Return the changes to a road user who stays."""
     t, count = user.piece.t, len(user.piece.rows)
     out = []
 
@@ -202,7 +204,7 @@ def _tracks(users: Sequence[User], ids: Sequence[str]) -> Tracks:
 
 
 def _trouble(user: User, boxes: Boxes) -> str | None:
-    """Why a piece of motion is no evidence of a road user, or no motion of a vehicle; None: it is."""
+    """Return why a piece has too little evidence of a road user, or moves unlike a vehicle; None if it is one."""
     piece, score = user.piece, boxes.score[user.piece.rows]
     group, count, span = piece.group, len(piece.rows), piece.t[-1] - piece.t[0]
     row = group
@@ -233,7 +235,7 @@ def _trouble(user: User, boxes: Boxes) -> str | None:
 
 
 def _depths(t: FloatArray, boxes: FloatArray, ego: Trajectory, vehicle: VehicleParameters) -> FloatArray:
-    """How deep boxes `(k, 5)` are within the ego's at t `(k,)`, m; 0: they are apart, or the log has no ego then."""
+    """Return how deep boxes `(k, 5)` overlap the ego's at t `(k,)`, m; 0 if apart, or if the log has no ego then."""
     x, y, yaw = (np.interp(t, ego.t, column) for column in (ego.x, ego.y, ego.yaw))
     x, y = x + vehicle.axle_to_center * np.cos(yaw), y + vehicle.axle_to_center * np.sin(yaw)
     reach = 0.5 * (np.hypot(vehicle.length, vehicle.width) + np.hypot(boxes[:, 3], boxes[:, 4]))
@@ -245,7 +247,7 @@ def _depths(t: FloatArray, boxes: FloatArray, ego: Trajectory, vehicle: VehicleP
 
 
 def _beside_ego(user: User, ego: Trajectory, vehicle: VehicleParameters) -> tuple[User | None, str]:
-    """A road user as the ego's drive confirms it, and why; None if it was not there."""
+    """Check a road user against the ego's drive: return it, shrunk or cut, or None, and the reason."""
     t, boxes = user.t, user.poses
     if user.piece.still:
         near = (ego.t >= t[0] - BEFORE_S) & (ego.t <= t[-1] + BEFORE_S)
@@ -269,9 +271,9 @@ def _beside_ego(user: User, ego: Trajectory, vehicle: VehicleParameters) -> tupl
 def _extend_standing(
     user: User, users: Sequence[User], frames: FloatArray, ego: Trajectory, vehicle: VehicleParameters
 ) -> User:
-    """A user who stands where sight ends, standing there before the first (after the last) sight as well.
+    """Extend a user who stands at the edge of sight to times before the first (after the last) detection.
 
-    Until the ego, or another one of `users`, is in that place.
+    The extension ends where the ego, or another one of `users`, is in that place.
     """
     if user.piece.group == PERSON or user.piece.t[-1] - user.piece.t[0] < 0.5:
         return user

@@ -1,15 +1,16 @@
-"""Raw detections to road users as they could be known at the time: causal, what a planner gets. A filter, no smoother.
+"""A causal tracker: makes road users for planners from raw detections, without later frames (a filter, no smoother).
 
-Joined by the same association and filter as the offline repair (`association`, `kalman`), frame by frame; what is known
-at t rests on the frames up to t alone.
+Detections are joined frame by frame with the same association and filter as in the offline repair (`association`,
+`kalman`); the state at t depends only on the frames up to t.
 
-(1) a track is reported after the evidence that its group takes (`BIRTH_TIME`); until it was not seen for
-    `KEEP_STILL_S` (who stands), `KEEP_S` (who moves), `KEEP_YOUNG_S` (who was detected up to `FEW` times)
-(2) it stands if its detections of the last `WINDOW_S` lie on a line through time with less than `SLOW`, and the filter
-    says less than `FILTER_SLOW` times that: drift of the boxes looks like motion for shorter
-(3) kind, length and width: as most of its detections say, by score; the axis of its box: averaged over `YAW_MEMORY`;
-    the front: where it goes, or where most headings are
-(4) between frames and while it is not seen it is carried on with its velocity, whose deviation grows
+(1) a track is reported once it has the evidence that its group requires (`BIRTH_TIME`, `BIRTH_COUNT`, `BIRTH_SCORE`),
+    until it was not seen for `KEEP_STILL_S` (standing), `KEEP_S` (moving), or `KEEP_YOUNG_S` (moving, with at most
+    `FEW` detections)
+(2) it stands if a line fitted to its detections of the last `WINDOW_S` has a speed below `SLOW`, and the filter's speed
+    is below `FILTER_SLOW` times that: over shorter times, the drift of boxes looks like motion
+(3) kind, length and width: votes of its detections, by score; axis of the box: averaged with `YAW_MEMORY`; front: the
+    direction of motion, or of most headings
+(4) between frames, and while it is not seen, it is extrapolated with its velocity, whose deviation grows
 """
 
 from __future__ import annotations
@@ -28,17 +29,18 @@ from logs.repair.boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLO
 from logs.repair.kalman import ACROSS, ALONG, VX, VY, X, Y
 
 BIRTH_TIME, BIRTH_COUNT, BIRTH_SCORE = frozen([0.15, 0.15, 0.8]), frozen([3, 3, 6]), frozen([1.2, 1.2, 0.0])
-"""(1) by group, s, detections, sum of scores: fewer ghosts for later births (tests/support/track_score.py)."""
+"""Evidence (1) by group: time s, detections, sum of scores; later births give
+fewer ghosts (tests/support/track_score.py)."""
 KEEP_STILL_S, KEEP_S, KEEP_YOUNG_S, FEW = 2.0, 0.8, 0.35, 10
 WINDOW_S, WINDOW_LEAST_S, FILTER_SLOW = 1.5, 0.8, 2.5
 YAW_MEMORY = 0.8
-"""What stays of the heading with each detection."""
+"""Share of the old heading that remains with each new detection."""
 _KINDS = tuple(AgentKind)
 
 
 @dataclass
 class _Track:
-    """What is remembered of one track besides its filter; `late`: it was not there in the first frame."""
+    """Data of one track besides its filter; `late`: it was first seen after the first frame."""
 
     first: float
     late: bool
@@ -51,7 +53,7 @@ class _Track:
     window: deque[tuple[float, float, float]] = field(default_factory=deque)
 
     def see(self, boxes: Boxes, i: int) -> None:
-        """Remember the detection i (3)."""
+        """Add the detection i (3)."""
         weight, code, t = float(boxes.weight[i]), int(boxes.codes[i]), float(boxes.t[i])
         self.count += 1
         self.score += weight
@@ -66,7 +68,7 @@ class _Track:
             self.window.popleft()
 
     def front(self, group: int, vx: float, vy: float) -> float:
-        """The heading (3)."""
+        """Return the heading (3)."""
         ahead = self.fronts
         if np.hypot(vx, vy) > FAST[group]:
             if group == PERSON:
@@ -76,7 +78,7 @@ class _Track:
         return self.yaw if ahead >= 0.0 else self.yaw + np.pi
 
     def stands(self, group: int, speed: float, length: float) -> bool:
-        """(2)."""
+        """Return whether the track stands (2)."""
         slow = max(SLOW[group], SLIDES * length / WINDOW_S) if group == CLUSTER else SLOW[group]
         t, x, y = np.array(self.window).T
         if t[-1] - t[0] < WINDOW_LEAST_S or speed > FILTER_SLOW * slow:
@@ -87,10 +89,10 @@ class _Track:
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """The road users that are known after each frame: `agents[k]` at `frames[k]` s, without the motion since.
+    """The road users known after each frame: `agents[k]` at `frames[k]` s, not extrapolated.
 
-    `growth[k]` `(n,)`: how fast the variance of their velocities grows, m2/s3; `patience[k]` `(n,)`: for how long they
-    are reported without a detection, s.
+    `growth[k]` `(n,)`: growth rate of the variance of their velocities, m2/s3; `patience[k]` `(n,)`: time for which
+    they are reported without a detection, s.
     """
 
     frames: tuple[float, ...]
@@ -99,7 +101,7 @@ class Tracked:
     patience: tuple[FloatArray, ...]
 
     def at(self, t: float) -> Agents:
-        """The road users as known at t, s: those of the last frame not later than t, carried on (4)."""
+        """Return the road users as known at t, s: those of the last frame not later than t, extrapolated (4)."""
         k = bisect_right(self.frames, t + 1e-9) - 1
         if k < 0:
             return _agents([], [], [])
@@ -113,7 +115,7 @@ class Tracked:
 
 
 def tracked(detections: Detections) -> Tracked:
-    """The road users that raw detections show, as known after each frame, without later frames."""
+    """Track raw detections: return the road users known after each frame, without later frames."""
     every = Boxes.of(detections)
     boxes = every.taken(np.flatnonzero(stronger_twins(every) < 0))
     joining, tracks, out = Association(), dict[int, _Track](), []
@@ -123,7 +125,7 @@ def tracked(detections: Detections) -> Tracked:
                 tracks[name] = _Track(t, t > detections.frames[0], float(boxes.yaw[i]))
             tracks[name].see(boxes, i)
         tracks = {name: tracks[name] for name in joining.tracks["name"].tolist()}
-        ids, codes, columns, growth, patience = [], [], [], [], []  # of those who are reported at t (1)
+        ids, codes, columns, growth, patience = [], [], [], [], []  # of the tracks reported at t (1)
         for (name, track), row in zip(tracks.items(), joining.tracks, strict=True):
             state, group = row["state"], int(row["group"])
             early = t - track.first < BIRTH_TIME[group] - 1e-9

@@ -1,4 +1,4 @@
-"""Joined detections as smooth motion; pieces of one road user put together; its kind, size and front by votes."""
+"""Smooths joined detections, joins pieces of one road user, and finds its kind, size and front by votes."""
 
 from __future__ import annotations
 
@@ -15,33 +15,37 @@ from logs.repair.kalman import smoothed
 from logs.states import Trajectory
 
 SMOOTH_DENSITY = 0.45 * DENSITY
-"""Where the whole track is known: the speed of who drives is off by a fifth less (tests/support/track_score.py)."""
+"""Density for smoothing: errors of moving speeds are a fifth smaller than with `DENSITY`
+(tests/support/track_score.py)."""
 LEAST_NOISE_M, DRIFT, NOISE_COUNT = 0.05, 3.0, 8
-"""Noise of a track: `DRIFT` times what its boxes jitter about the line between their neighbours, as slow drift, which
-none sees, is three times the jitter (0.30 m to 0.09 m); its group's noise at most, and where it has fewer boxes."""
+"""Noise of a track: `DRIFT` times the jitter of its boxes about the line between their neighbours, because slow drift,
+which this does not show, is three times the jitter (0.30 m to 0.09 m). The group's noise is the upper bound, and the
+noise of tracks with fewer than `NOISE_COUNT` boxes."""
 OUTLIER, OUTLIER_WEIGHT = 2.5, 2.0
-"""A box that is more deviations off the smooth path counts as so much less exact."""
+"""A box farther off the smooth path than `OUTLIER` standard deviations gets a standard deviation larger in
+proportion."""
 STAND_S, SPREAD = 1.0, 1.3
-"""Standing is decided over this: the drift of a box looks like motion for shorter. Nine in ten boxes of what stands are
-within `SPREAD` times `STILL`."""
+"""Shortest stand, s: over shorter times, the drift of a box looks like motion. Nine in ten boxes of a standing object
+lie within `SPREAD` times `STILL`."""
 STITCH_S, STITCH_STILL_S, STANDS_S = 3.0, 8.0, 0.6
-"""Gaps between two pieces that can be one road user's; between two that stand. Between two that stand the allowed miss
-grows for `STANDS_S` only: beyond, it would reach the next car in a queue."""
+"""Longest gap between two pieces of one road user, s; the same for two standing pieces. For standing pieces, the
+allowed miss grows for `STANDS_S` only: beyond, it would reach the next car in a queue."""
 MEET, TURN = np.array([(1.0, 0.8), (0.7, 0.5), (0.7, 0.3)]), np.array([(3.0, 2.0), (1.5, 1.0), (1.5, 0.5)])
-"""By group: two that meet within this in the middle of their gap are one, m, and more per second of gap; if their
-velocities differ by less, m/s, and more per second of gap."""
+"""By group: two pieces are one if they meet within this distance in the middle of their gap, m, plus m per second of
+gap, and if their velocities differ by less than this, m/s, plus m/s per second of gap."""
 STITCH_GROWTH, CHANGE_MPS, GAP_WORTH = 0.8, 0.3, 0.1
-"""Sizes within a factor of e^0.8; what 1 m/s and 1 s cost against a miss by all that is allowed, or a factor of e."""
+"""Sizes agree within a factor of e^0.8. Costs of 1 m/s and of 1 s; the whole allowed miss, or a factor of e, costs
+1."""
 FEW = 4
-"""A piece of fewer detections has no velocity of its own."""
+"""A piece of fewer detections has no reliable velocity."""
 FAR_M = 20.0
-"""A vote from there counts half as much as one from close by."""
+"""Distance at which a vote has half the weight of one close by, m."""
 RIDES_MPS, RIDES_M = 3.3, 8.0
 """A "pedestrian" with a faster median speed over more than this is a rider: joggers run 2.5 to 3 m/s."""
 REVERSE_MPS, HEADINGS_AGREE = 4.0, 0.9
-"""No vehicle drives backwards faster. Where fewer of a slow one's headings agree, its front is where it goes."""
+"""Vehicles reverse no faster, m/s. If a smaller share of a slow vehicle's headings agrees, it moves forward."""
 YAW_S, YAW_OFF = 0.4, 0.6
-"""Headings are averaged over this; one farther from where the vehicle goes does not count, rad."""
+"""Headings are averaged over this, s; a heading farther from the vehicle's course is ignored, rad."""
 _KINDS = tuple(AgentKind)
 
 
@@ -50,12 +54,13 @@ class Piece:
     """A road user's motion on every frame from the first to the last detection, `(k,)`.
 
     Attributes:
-        rows: Boxes, in order of time; `seen` their places among the frames, `group` theirs by votes.
+        rows: Its boxes, in order of time; `seen` are the indices of their frames, `group` is their group by votes.
         t: Times of the frames, s.
         z: Detected centres `(k, 2)`, m, NaN between detections; `variance` of each, m2.
         path: Smooth x, y, vx, vy `(k, 4)`.
         scale: Standard deviation of a centre as a share of the group's.
-        still: Whether it never moves; `net`: from where it was in the first third to where in the last, m.
+        net: Distance between its mean places in the first and in the last third, m.
+        still: Whether it never moves.
     """
 
     rows: IntArray
@@ -70,7 +75,7 @@ class Piece:
     still: bool
 
     def standing(self) -> FloatArray:
-        """The path `(k, 4)`, where it is slow for `STAND_S` held at a stand."""
+        """Return the path `(k, 4)`, standing where it is slow for at least `STAND_S`."""
         stands = np.hypot(self.path[:, 2], self.path[:, 3]) < SLOW[self.group] * self.scale
         ends = np.flatnonzero(np.diff(np.r_[False, stands, False]))
         for a, b in zip(ends[::2], ends[1::2], strict=True):
@@ -83,7 +88,7 @@ class Piece:
 
 
 def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
-    """The motion that the boxes `rows`, in order of time, show."""
+    """Estimate the motion of the boxes `rows`, which are in order of time."""
     weight = boxes.weight[rows]
     group = int(np.bincount(boxes.group[rows], weight, len(NOISE)).argmax())
     first, last = boxes.frame[rows[0]], boxes.frame[rows[-1]]
@@ -116,7 +121,7 @@ def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
 
 
 def stitched(pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray) -> list[Piece]:
-    """The pieces with those put together whose ends meet when both are carried on to the middle of the gap."""
+    """Join the pieces whose ends meet if both are extrapolated to the middle of the gap."""
     if len(pieces) < 2:
         return list(pieces)
     begin, end = (np.array([[piece.t[at], *piece.path[at]] for piece in pieces]) for at in (0, -1))
@@ -154,14 +159,14 @@ def stitched(pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray) -> list[
 
 @dataclass(frozen=True, eq=False)
 class User:
-    """A road user over the frames `(k,)` in which it is there.
+    """A road user over the frames `(k,)` in which it is present.
 
     Attributes:
-        piece: Its detections and motion as smoothed.
-        kind: What it is; `label` what most detections call it.
-        length: m; `width` likewise.
-        way: Rows t, s, x, y, yaw of the box, vx, vy `(6, k)`.
-        turned: How many detections had their front at the other end.
+        piece: Its detections and smoothed motion.
+        kind: Its kind; `label` is the kind of most detections.
+        length: Length of its box, m; `width` likewise.
+        way: Rows t (s), x, y, yaw of the box, vx, vy `(6, k)`.
+        turned: Number of detections with exchanged front and back.
         extended: Whether a sample is before the first or after the last detection `(k,)`.
     """
 
@@ -186,14 +191,14 @@ class User:
 
 
 def user_of(piece: Piece, boxes: Boxes, ego: Trajectory) -> User:
-    """The road user that a piece of motion shows; votes count by score and by distance from the ego."""
+    """Make the road user of a piece; votes are weighted by score and by distance from the ego."""
     rows = piece.rows
     t, x, y, codes = boxes.t[rows], boxes.x[rows], boxes.y[rows], boxes.codes[rows]
     far = np.hypot(x - np.interp(t, ego.t, ego.x), y - np.interp(t, ego.t, ego.y))
     weight = boxes.weight[rows] / (1.0 + (far / FAR_M) ** 2)
     code = int(np.bincount(codes, np.where(boxes.group[rows] == piece.group, weight, 0.0)).argmax())
     sides = []
-    for values in (boxes.length[rows], boxes.width[rows]):  # the weighted medians of those of this kind
+    for values in (boxes.length[rows], boxes.width[rows]):  # weighted medians of the detections of this kind
         order, same = np.argsort(values), np.where(codes == code, weight, 0.0)
         sides.append(float(values[order[np.searchsorted(np.cumsum(same[order]), 0.5 * same.sum())]]))
     path = piece.standing()
@@ -209,10 +214,10 @@ def user_of(piece: Piece, boxes: Boxes, ego: Trajectory) -> User:
 
 
 def _headings(piece: Piece, path: FloatArray, yaw: FloatArray, weight: FloatArray) -> tuple[FloatArray, int]:
-    """The heading at each time `(k,)`, and how many of the detected ones `yaw` have front and back exchanged.
+    """Return the heading at each time `(k,)`, and the number of detected headings `yaw` with front and back exchanged.
 
-    The axis is that of the boxes, the front where it goes, or, of what never goes anywhere, where most headings are.
-    A person's heading is where they go, as their boxes say little (16 to 33 degrees).
+    The axis is that of the boxes. The front is the direction of motion; without motion, that of most headings. A
+    person's heading is the direction of motion, as headings of their boxes are inexact (16 to 33 degrees).
     """
     speed = np.hypot(path[:, 2], path[:, 3])
     fast = np.flatnonzero(speed > FAST[piece.group])
@@ -224,7 +229,7 @@ def _headings(piece: Piece, path: FloatArray, yaw: FloatArray, weight: FloatArra
     goes = np.unwrap(np.arctan2(path[fast, 3], path[fast, 2]))[nearest]
     if piece.group == PERSON:
         return goes, 0
-    # one end of the box throughout, though it may go back and forth
+    # the front is the same end of the box at all times, although the object may reverse
     axis = np.unwrap(goes, period=np.pi) if piece.group == VEHICLE else np.full(len(path), middle)
     ahead = np.cos(axis[fast] - goes[fast]).sum() >= 0.0
     agree = float(np.average(np.cos(yaw - axis[piece.seen]) >= 0.0, weights=weight))

@@ -1,6 +1,7 @@
-"""Judging: gates (`gates`), their verdicts (`verdicts`), and what excuses a broken bound (`excuses`).
+"""Judging: gates (`gates`), their verdicts (`verdicts`), and excuses for broken bounds (`excuses`).
 
-`aggregate` takes logs together; `rows` adds to the table what verdicts say of it, and judges the time that plans took.
+`aggregate` summarises many logs. `verdicts` also adds rows about ensembles and gates to the table, and judges late
+plans.
 """
 
 from metrics.judge.excuses import CAREFUL, DRIVER, FOLLOWER, IMPACT, REFERENCE, REPLAY_CONTACT

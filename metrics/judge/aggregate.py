@@ -1,17 +1,17 @@
-"""Many logs as one: mean, median, worst and total of every metric, and the share of logs that pass, by group of logs.
+"""Summarises many logs: mean, median, worst and total of every metric, and the share of logs that pass, by group.
 
-Groups are the suite (all logs), each family, each tag, and each dataset. `groups` gives a row per group, planner, loop
-and metric, and of each group and planner the row `PASS`: the share of its logs that pass.
+Groups are the suite (all logs), each family, each tag, and each dataset. `groups` returns a row per group, planner,
+loop and metric, and per group and planner the row `PASS`: the share of its logs that pass.
 
 With passed = logs that the gates pass, n = logs of the group, p = passed / n, z = `Z`, the share's interval is
 
 (1)  (p + z^2 / 2n +- z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
 
 (Wilson, J. Am. Stat. Assoc. 22 (1927) 209; recommended for few trials by Brown, Cai, DasGupta, Statistical Science 16
-(2001) 101). It takes the logs as drawn at random from those that the group stands for.
+(2001) 101). It assumes that the logs are a random sample of those that the group represents.
 
-n counts every log of the run: one that could not be evaluated counts against the planner, as a failed one does;
-an inconclusive log is no pass either, and is counted apart.
+n counts every log of the run. A log that could not be evaluated counts against the planner like a failed log; an
+inconclusive log is not a pass either, and is counted separately.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-Z = 1.959963984540054  # Of the normal distribution: 95 % lie within +-Z
-PASS = "pass"  # Name of the rows about the share of logs that pass; it is no metric
+Z = 1.959963984540054  # 95 % of the normal distribution lie within +-Z
+PASS = "pass"  # Name of the rows about the share of logs that pass; not a metric
 SUITE = "suite"
-BOTH = "both"  # Mode of the rows about a log's open and closed loop together
-STANDINGS = ("failed", "missing", "inconclusive", "passed")  # of several loops the first counts
+BOTH = "both"  # Mode of the rows that combine open and closed loop of a log
+STANDINGS = ("failed", "missing", "inconclusive", "passed")  # of several loops, the first of these applies
 _STANDS = {"fail": "failed", "inconclusive": "inconclusive", "pass": "passed"}
 
 COLUMNS = (
@@ -40,7 +40,7 @@ _KEY = ["kind", "group", "planner", "mode", "metric"]
 
 @dataclass(frozen=True, slots=True)
 class LogLabels:
-    """What a log belongs to; "" and () where that is not known."""
+    """The family, dataset and tags of a log; "" and () if unknown."""
 
     family: str = ""
     dataset: str = ""
@@ -48,7 +48,7 @@ class LogLabels:
 
 
 def wilson(passed: int, n: int) -> tuple[float, float]:
-    """The interval (1) of a share, 95 %; of no trials everything: 0 to 1."""
+    """Return the 95 % interval (1) of a share; 0 to 1 without trials."""
     if n == 0:
         return 0.0, 1.0
     share, width = passed / n, 1.0 + Z * Z / n
@@ -59,7 +59,7 @@ def wilson(passed: int, n: int) -> tuple[float, float]:
 
 
 def membership(labels: Mapping[str, LogLabels]) -> dict[tuple[str, str], tuple[str, ...]]:
-    """The logs of each (kind, group): suite, families, tags, datasets, each by name; a log may have no family."""
+    """Return the logs of each (kind, group): suite, families, tags, datasets, by name; a log may have no family."""
     found: dict[tuple[str, str], list[str]] = {(SUITE, ""): list(labels)}
     for kind, words in (
         ("family", {log: (of.family,) for log, of in labels.items()}),
@@ -78,14 +78,14 @@ def standings(
     asked: Sequence[tuple[str, str]],
     crashed: Collection[tuple[str, str | None, str | None]] = (),
 ) -> pd.DataFrame:
-    """How each log stands with each planner: a row per log, planner and mode, one of `STANDINGS`.
+    """Return the standing of each log with each planner: a row per log, planner and mode, with one of `STANDINGS`.
 
     Args:
         verdicts: Outcomes of gates: columns log, planner, mode, outcome.
-        drives: What was driven: columns log, planner, mode, oracle.
-        logs: All logs of the run, those that could not be read among them.
-        asked: Planners and modes of the run; an oracle that no gate names does not stand at all.
-        crashed: Log, planner and mode of what could not be evaluated; None: any.
+        drives: The drives: columns log, planner, mode, oracle.
+        logs: All logs of the run, including those that could not be read.
+        asked: Planners and modes of the run; an oracle that no gate judges has no standing.
+        crashed: Log, planner and mode of drives that could not be evaluated; None: any.
     """
     outcomes: dict[tuple[str, str, str], set[str]] = {}
     for log, planner, mode, outcome in _rows(verdicts, "log", "planner", "mode", "outcome"):
@@ -110,7 +110,7 @@ def standings(
 
 
 def pass_shares(stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """The rows `PASS` of `groups`, of rows of `standings`."""
+    """Return the rows `PASS` of `groups`, from the rows of `standings`."""
     by_log: dict[tuple[str, str], dict[str, str]] = {}
     for log, planner, mode, standing in _rows(stand, "log", "planner", "mode", "standing"):
         by_log.setdefault((planner, mode), {})[log] = standing
@@ -129,10 +129,10 @@ def pass_shares(stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Data
 
 
 def groups(table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """`COLUMNS` per group, planner, mode and metric, and the share that passes; sorted, suite first.
+    """Return `COLUMNS` per group, planner, mode and metric, and the shares that pass; sorted, suite first.
 
-    `table` has rows of `metrics.evaluate` (not of reference drives), `stand` of `standings`. `worst` is by the metric's
-    direction, NaN where it has none; `missing` the logs of the group without a value.
+    `table` has rows of `metrics.evaluate` (not of reference drives), `stand` of `standings`. `worst` follows the
+    metric's direction, NaN if it has none; `missing` is the number of logs of the group without a value.
     """
     table = table[table["mode"].isin(["open", "closed"]) & table["log"].isin(list(labels))]
     row, logs = pd.factorize(table["log"], sort=True)

@@ -1,24 +1,25 @@
-"""When a value is no evidence for or against a planner: excused, not reached by a yardstick, not covered, or marginal.
+"""When a value is no evidence about a planner: excused, not reached by a yardstick, lacking evidence, or marginal.
 
 A value out of bounds is excused by a reference drive of `EXCUSED` that breaks the same bound in the same event: the
-values are about the same road user or thing, at most `SAME_S` apart, and the planner's is not clearly worse (`WORSE`).
+values are about the same road user or object, at most `SAME_S` apart, and the planner's is not clearly worse (`WORSE`).
 In comfort an event without a road user excuses nothing. A collision is not excused where the careful driver of UN R157
-collides more slowly by more than `SLOWER_MPS`. Safety and progress are excused, too, by a replayed road user that drove
-into the ego (`replay_contact`): safety where it is about that road user. Progress is excused where the collision that
-ended the drive is, and where a phantom of the log stops the route follower as well. Nothing excuses a drive in which
-the planner failed.
+collides more slowly by more than `SLOWER_MPS`. A replayed road user that drives into the ego (`replay_contact`) also
+excuses progress, and safety values about that road user. Progress is also excused if the collision that ended the drive
+is excused, or if a phantom of the log stops the route follower too. A drive in which the planner failed is never
+excused.
 
-Yardsticks of a `reachable` gate are the recorded driver, and where their drives hold the gates on safety and rules the
-route follower (`REFERENCES`) and all other planners of the run. The careful driver is none: it knows no rules.
+The yardsticks of a `reachable` gate are the recorded driver, and the route follower (`REFERENCES`) and all other
+planners of the run if their drives pass the gates on safety and rules. The careful driver is no yardstick, because it
+ignores traffic rules.
 
-Marginal: would the log at another rate of its road users' samples say something else of a gate? A sample is up to one
-interval d old when the next one comes, and a speed from two samples is as old as their middle: what is judged is
-(1) tau = 1.5 d late. A value is marginal where it is no further from its bound than what may happen in that time:
+Marginal: could the outcome of a gate change if the road users of the log were sampled at another rate? A sample is up
+to one interval d old when the next one arrives, and a speed from two samples is as old as their midpoint, so values are
+late by (1) tau = 1.5 d. A value is marginal if it is no farther from its bound than it can change in that time:
 (2) times, s: tau; distances, m: a tau^2 / 2 with a = `HARD_MPS2`, as hard as cars brake.
 
-A gate that allows no time or number of steps beyond a bound is about the extreme value: `ttc.time_below_950ms <= 0` is
-marginal where `ttc.min` is near 0.95 s. One that allows some is about that time itself. Asked are the metrics that are
-about others, and comfort: how hard a planner brakes depends on when it sees them.
+A gate that allows no time beyond a bound depends on the extreme value: `ttc.time_below_950ms <= 0` is marginal if
+`ttc.min` is near 0.95 s. A gate that allows some time depends on that time itself. This is tested for metrics about
+other road users, and for comfort, because the braking of a planner depends on when it sees them.
 """
 
 from __future__ import annotations
@@ -35,18 +36,18 @@ from metrics.judge.gates import Gate, unit_of
 REFERENCE = "reference"  # Mode of the rows of reference drives
 DRIVER, CAREFUL, FOLLOWER = "driver", "careful", "follower"
 REFERENCES = {DRIVER: "the recorded driver", CAREFUL: "the careful driver", FOLLOWER: "the route follower"}
-"""Planner of those rows: the log's own driver; the careful driver of UN R157, which brakes only and knows no rules; and
-the route follower, which accelerates, steers and obeys the rules (`replay.loop.reference_drives`)."""
-NO_COLLISION = Gate("collision_at_fault.count", max=0.0)  # It ends a drive: progress is excused where it is
+"""Planner names of these rows: the log's own driver; the careful driver of UN R157, which only brakes and ignores
+traffic rules; and the route follower, which steers and obeys the rules (`replay.loop.reference_drives`)."""
+NO_COLLISION = Gate("collision_at_fault.count", max=0.0)  # A collision ends a drive: if it is excused, so is progress
 SAME_S, SLOWER_MPS, WORSE = 2.0, 1.0, 1.5
-"""A stop at another time, or an impact that is clearly harder, is another event (`CC_TTC_S` of the careful driver). A
-value that is farther out of bounds than `WORSE` times the reference drive's holds more than that event."""
+"""A value at another time (`CC_TTC_S` of the careful driver), or a clearly harder impact, is another event. A value
+that is more than `WORSE` times as far out of bounds as the reference drive's is not explained by the same event."""
 REPLAY_CONTACT, IMPACT, PHANTOMS = "replay_contact.final", "collision_severity.impact_speed.max", "phantom.count"
 EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"safety": (DRIVER, CAREFUL), "rules": (DRIVER,), "comfort": (CAREFUL,)}
 )
-"""Which reference drives may excuse, by group of metrics."""
-LAWFUL = ("safety", "rules")  # Groups of the gates that a yardstick holds
+"""The reference drives that may excuse a value, by group of metrics."""
+LAWFUL = ("safety", "rules")  # Groups of the gates that a yardstick must pass
 GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
 
 INTERVAL = "agent_interval.final"
@@ -57,7 +58,7 @@ _MARKED = frozenset({*OF_OTHERS, *(metric.name for metric in GROUPS["comfort"])}
 
 
 class Row(NamedTuple):
-    """A row of the table; `about`: the road user or thing that its value is about, with the whole id ("car 12")."""
+    """A row of the table; `about`: the road user or object that its value is about, with the full id ("car 12")."""
 
     value: float
     available: bool
@@ -87,7 +88,7 @@ class Drives:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Case:
-    """What is judged: a gate on the drive of one planner in one mode and log, among all drives of the run."""
+    """A gate, the judged drive (planner, mode and log), and all drives of the run."""
 
     gate: Gate
     log: str
@@ -96,31 +97,31 @@ class Case:
     drives: Drives
 
     def row(self, metric: str) -> Row:
-        """A row of the drive; `NOTHING` where the table has none."""
+        """Return a row of the drive; `NOTHING` if the table has none."""
         return self.drives.rows[self.planner, self.mode].get(self.log, {}).get(metric, NOTHING)
 
     def reference(self, planner: str, metric: str) -> Row:
-        """A row of a reference drive of the log; `NOTHING` where the table has none."""
+        """Return a row of a reference drive of the log; `NOTHING` if the table has none."""
         return self.drives.rows.get((planner, REFERENCE), {}).get(self.log, {}).get(metric, NOTHING)
 
     def value(self, metric: str) -> float:
-        """A value of the drive; NaN where it has none."""
+        """Return a value of the drive; NaN if it has none."""
         row = self.row(metric)
         return row.value if row.known else nan
 
     @property
     def crashed(self) -> str:
-        """Why the planner failed in the drive; empty: it did not."""
+        """The reason why the planner failed in the drive; empty if it did not."""
         return self.drives.crashed.get((self.log, self.planner, self.mode), "")
 
 
 def group_of(gate: Gate) -> str:
-    """The group of a gate's metric."""
+    """Return the group of a gate's metric."""
     return GROUP.get(gate.metric.partition(".")[0], "")
 
 
 def lacking_evidence(case: Case) -> str:
-    """Why a value within the bounds is no pass: too little of the drive has the evidence; empty: it has enough."""
+    """Return why a value within the bounds is no pass (too little evidence); empty if there is enough evidence."""
     gate, share = case.gate, case.row(f"evidence.{case.gate.evidence}.share")
     if not share.known or share.value >= gate.min_evidence:
         return ""
@@ -129,12 +130,12 @@ def lacking_evidence(case: Case) -> str:
 
 
 def excuse(case: Case) -> str:
-    """Why a value out of bounds is no evidence against the planner; empty: it is."""
+    """Return why a value out of bounds is no evidence against the planner; empty if it is evidence."""
     gate, group, row = case.gate, group_of(case.gate), case.row(case.gate.metric)
     if case.crashed:
         return ""
     if gate.reachable and not _any_yardstick_holds(case):
-        return "no yardstick holds it: neither the recorded driver, the route follower nor another planner"
+        return "no yardstick stays within it: neither the recorded driver, the route follower nor another planner"
     contact, crash, phantom = (case.row(name) for name in (REPLAY_CONTACT, NO_COLLISION.metric, PHANTOMS))
     concerned = group == "progress" or (group == "safety" and row.about == contact.about)
     if concerned and contact.known and contact.value > 0.0:
@@ -147,12 +148,12 @@ def excuse(case: Case) -> str:
         return _excuse_by_reference(NO_COLLISION, case)
     follower = case.reference(FOLLOWER, gate.metric)
     if follower.known and gate.margin(follower.value) < 0.0 and phantom.known and phantom.value > 0.0:
-        return f"the log shows what was not there ({phantom.reason}), and stops the route follower, too"
+        return f"a phantom of the log ({phantom.reason}) also stops the route follower"
     return ""
 
 
 def _any_yardstick_holds(case: Case) -> bool:
-    """Whether a yardstick holds the bound in this log (module docstring)."""
+    """Return whether a yardstick stays within the bound in this log (module docstring)."""
     for planner, mode in case.drives.rows:
         if (planner, mode) == (case.planner, case.mode) or mode not in (case.mode, REFERENCE) or planner == CAREFUL:
             continue
@@ -167,7 +168,7 @@ def _any_yardstick_holds(case: Case) -> bool:
 
 
 def _excuse_by_reference(gate: Gate, case: Case) -> str:
-    """Which reference drive breaks the bound of a gate in the same event (module docstring); empty: none."""
+    """Return which reference drive breaks the bound in the same event (module docstring), as text; empty: none."""
     row, group = case.row(gate.metric), group_of(gate)
     impact, careful = case.row(IMPACT), case.reference(CAREFUL, IMPACT)
     harder = impact.known and not (careful.known and impact.value <= careful.value + SLOWER_MPS)
@@ -183,9 +184,9 @@ def _excuse_by_reference(gate: Gate, case: Case) -> str:
 
 
 def marginal(gate: Gate, value_of: Callable[[str], float]) -> str:
-    """Why a gate's outcome on a drive is marginal: "marginal: at 5 Hz ..."; empty: it is not.
+    """Return why a gate's outcome on a drive is marginal: "marginal: at 5 Hz ..."; empty if it is not.
 
-    `value_of` gives the drive's value by its name in the table ("ttc.min"); NaN where it has none.
+    `value_of` returns the drive's value by its name in the table ("ttc.min"); NaN if there is none.
     """
     name, _, reduced = gate.metric.rpartition(".")
     metric, interval = METRICS.get(name.partition(".")[0]), value_of(INTERVAL)

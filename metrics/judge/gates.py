@@ -1,7 +1,7 @@
-"""Gates: thresholds on the table, and rules of comparison, as a TOML file says them; docs/gates.md explains all keys.
+"""Gates (thresholds on the table) and rules of comparison, from a TOML file; docs/gates.md explains all keys.
 
-The file holds tables [[gate]], whose keys are the attributes of `Gate` (`verdicts` judges by them), and may hold tables
-[[compare]], with those of `Rule`: what a candidate may not do worse than a baseline (`metrics.compare`).
+The file contains tables [[gate]], whose keys are the attributes of `Gate` (judged by `verdicts`). It may contain tables
+[[compare]] with the attributes of `Rule`: how much worse than a baseline a candidate may be (`metrics.compare`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Outcome(Enum):
-    """The outcome of a gate; in order of weight when several are taken together: the first wins."""
+    """The outcome of a gate, most important first: of several outcomes, the first one applies."""
 
     FAIL = "fail"
     INCONCLUSIVE = "inconclusive"
@@ -49,17 +49,18 @@ class Gate:
 
     Attributes:
         metric: A name of the table's column `metric`.
-        min: The bounds are inclusive; one of them or both.
+        min: Least allowed value; `max` is the greatest. Bounds are inclusive; a gate has one or both.
         mode: "open" or "closed"; None: each mode that has the metric.
         tags: Only logs that have all of these; `families`, `datasets`: one of these.
         planner: None: every planner, oracles excepted.
-        over: What must hold the bounds: every log ("worst"), the logs together ("mean", "median", "sum"), or a share
-            of them ("pass_share"): at least `min_share`, with `confident` the lower end of its 95 % interval too.
+        over: What must be within the bounds: every log ("worst"), a statistic of the logs ("mean", "median", "sum"), or
+            a share of the logs ("pass_share"): at least `min_share`; with `confident`, also the lower end of its 95 %
+            interval.
         per: A verdict for each "family", "tag" or "dataset" by itself.
         min_logs: How many logs must be judged; `max_missing`: the share of the logs that may be without evidence.
-        optional: Not asked of logs without the value.
-        reachable: Inconclusive where no yardstick holds it (`excuses`).
-        evidence: What a pass needs evidence about, over `min_evidence` of the driven time (`EVIDENCE`).
+        optional: Logs without the value are NOT ASKED.
+        reachable: A broken bound is inconclusive if no yardstick stays within it (`excuses`).
+        evidence: Kind of evidence (`EVIDENCE`) that a pass needs over at least `min_evidence` of the driven time.
         broken: What a broken bound means, "fail" or "inconclusive"; `reason` is shown with it.
     """
 
@@ -121,7 +122,7 @@ class Gate:
 
     @property
     def judged(self) -> str:
-        """What must be within the bounds: "gap.min", "mean gap.min"."""
+        """The value that must be within the bounds: "gap.min", "mean gap.min"."""
         return self.metric if self.over in ("worst", "pass_share") else f"{self.over} {self.metric}"
 
     @property
@@ -132,12 +133,12 @@ class Gate:
         return f"{low}{self.judged}{high}"
 
     def selects(self, labels: LogLabels) -> bool:
-        """Whether the gate asks for a log with these labels."""
+        """Return whether the gate applies to a log with these labels."""
         named = (not self.families or labels.family in self.families) and set(self.tags) <= set(labels.tags)
         return named and (not self.datasets or labels.dataset in self.datasets)
 
     def margin(self, value: float) -> float:
-        """How far a value is inside the bounds; negative outside."""
+        """Return how far a value is inside the bounds; negative outside."""
         low = inf if self.min is None else value - self.min
         high = inf if self.max is None else self.max - value
         return min(low, high)
@@ -145,13 +146,13 @@ class Gate:
 
 @dataclass(frozen=True, slots=True)
 class Gates:
-    """The gates of a run and where they come from."""
+    """The gates of a run and their source."""
 
     gates: tuple[Gate, ...]
     source: str
 
     def asked_of(self, modes: Iterable[str]) -> Gates:
-        """The gates that name one of these modes or none."""
+        """Return the gates for one of these modes, or for all modes."""
         wanted = set(modes)
         return replace(self, gates=tuple(gate for gate in self.gates if not gate.mode or gate.mode in wanted))
 
@@ -163,11 +164,12 @@ class Rule:
     Attributes:
         metric: A name of the table's column `metric`, which may not rise by more than `max_increase` or fall by more
             than `max_decrease`, in its unit; over the logs its "mean" or "median", or no log ("worst").
-        significant: Breaks only where the interval of the mean excludes no change.
-        max_flips: The number of gates that may turn to FAIL from a pass or from not asked; `gate`: on this metric.
+        significant: The rule is broken only if the interval of the mean change excludes 0.
+        max_flips: The number of gates that may change from PASS or NOT ASKED to FAIL; `gate`: only gates on this
+            metric.
         max_missing: The number of drives of the baseline that may be missing in the candidate.
         mode: Only this mode; `planner`, `tags` likewise.
-        optional: No verdict where no log has the metric; else that is INCONCLUSIVE.
+        optional: There is no verdict if no log has the metric; otherwise the verdict is INCONCLUSIVE then.
         reason: Shown with the verdict.
     """
 
@@ -226,10 +228,11 @@ class Rule:
 
 
 def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> Gates:
-    """The gates of a TOML file; None: the packaged default.
+    """Load the gates of a TOML file; None: the packaged default.
 
     Raises:
-        ConfigError: Not readable, unknown key or metric, no or senseless bounds; names the file and the gate.
+        ConfigError: The file cannot be read, a key or metric is unknown, or bounds are missing or contradictory; names
+            file and gate.
     """
     source, gates = _read_tables(path, "gate", Gate, metrics)
     if not gates:
@@ -238,10 +241,11 @@ def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
 
 
 def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> tuple[Rule, ...]:
-    """The rules of a TOML file; the packaged ones where it has none, or for None.
+    """Load the rules of a TOML file; the packaged rules if it has none, or for None.
 
     Raises:
-        ConfigError: Not readable, unknown key or metric, or a contradictory rule; names the file and the rule.
+        ConfigError: The file cannot be read, a key or metric is unknown, or a rule is contradictory; names file and
+            rule.
     """
     return _read_tables(path, "compare", Rule, metrics)[1] or _read_tables(None, "compare", Rule, metrics)[1]
 
@@ -249,10 +253,10 @@ def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
 def _read_tables(
     path: Path | None, kind: str, rule: type[R], metrics: Mapping[str, Metric]
 ) -> tuple[str, tuple[R, ...]]:
-    """The name of a file of gates (None: the packaged one), and its tables [[gate]] or [[compare]] as dataclasses.
+    """Return the name of a file of gates (None: the packaged one), and its tables [[gate]] or [[compare]] as objects.
 
     Raises:
-        ConfigError: Not readable, it holds other tables, or a table has a key, a value or a metric that cannot be.
+        ConfigError: The file cannot be read, has other tables, or a table has an invalid key, value or metric.
     """
     source = "default gates" if path is None else str(path)
     content = read_toml(Path(__file__).with_name("default_gates.toml") if path is None else path)
@@ -275,7 +279,7 @@ def _read_tables(
             words = name.split(".")
             open_part = (
                 len(words) == 3 and f"{words[0]}.*.{words[2]}" in rows
-            )  # "qp_iterations.*.max": any word will do
+            )  # "qp_iterations.*.max" matches all words of its middle part
             if name not in rows and not open_part:
                 raise ConfigError(f"{place}: no metric has this name{meant(name, rows)}")
         try:
@@ -292,16 +296,16 @@ def _check_keys(table: Mapping[str, Any], keys: Sequence[str], place: str) -> No
 
 
 def unit_of(unit: str) -> str:
-    """A unit as it follows its number; empty for ratios and counts."""
+    """Return a unit as suffix of its number; empty for ratios and counts."""
     return "" if unit in ("1", "count") else f" {unit}"
 
 
 def count_logs(count: int) -> str:
-    """The words "1 log", "2 logs"."""
+    """Return the text "1 log", "2 logs"."""
     return "1 log" if count == 1 else f"{count} logs"
 
 
 def meant(word: str, known: Sequence[str], *, cutoff: float = 0.4) -> str:
-    """The words ", did you mean '...'?" for a word that is near to a known one; else nothing."""
+    """Return ", did you mean '...'?" for a word that is similar to a known one; else ""."""
     close = difflib.get_close_matches(word, known, n=1, cutoff=cutoff)
     return f", did you mean {close[0]!r}?" if close else ""

@@ -1,21 +1,21 @@
-"""Judging: the gates on the table of a run, log by log, and then over the logs.
+"""Judges the gates on the table of a run: for each log, then over all logs.
 
-The outcome of a gate on a log is the first of these that holds:
+The outcome of a gate on a log is the first of these that applies:
 
-    INCONCLUSIVE    the log could not be evaluated, or has no value (NaN is no value) although the gate is not optional
-    NOT ASKED       the gate is optional and the log has no value; the reason of the metric says why
+    INCONCLUSIVE    the log could not be evaluated, or has no value (or NaN) although the gate is not optional
+    NOT ASKED       the gate is optional and the log has no value; the reason is that of the metric
     INCONCLUSIVE    the value is within the bounds, but the drive crashed, or less than `min_evidence` of it has the
                     evidence that the gate names (`evidence.PART.share`): traffic, lights, limit or lane
-    PASS            the value is within the bounds, or the gate asks for the sum of all logs
-    INCONCLUSIVE    the value is out of bounds, the gate is `reachable`, and no yardstick holds the bound
+    PASS            the value is within the bounds, or the gate judges the sum over all logs
+    INCONCLUSIVE    the value is out of bounds, the gate is `reachable`, and no yardstick stays within the bound
     INCONCLUSIVE    the value is out of bounds, but is excused (`excuses`), or `broken = "inconclusive"`
     FAIL            the value is out of bounds
 
-A pass or fail says in its reason where it is marginal: another rate of the log might turn it (`excuses`).
+The reason of a pass or fail states if it is marginal: another sampling rate of the log might change it (`excuses`).
 
-Over the logs together a gate has a verdict per planner and mode, and per group where it asks so. Judged is a log that
-passes or fails; inconclusive one with no evidence (no value, or excused); missing one that could not be evaluated,
-crashed or has no result. What must hold the bound:
+Over all logs, a gate has a verdict per planner and mode, and per group if it has `per`. A log is judged if it passes or
+fails, inconclusive without evidence (no value, or excused), and missing if it could not be evaluated, crashed or has no
+result. What must be within the bound:
 
     worst           every judged log
     mean, median    that of the judged logs
@@ -25,23 +25,24 @@ crashed or has no result. What must hold the bound:
 and the verdict is the first of these:
 
     FAIL            the bound is broken; pass_share: the share is below `min_share` even if all inconclusive logs passed
-    INCONCLUSIVE    any log is missing (but pass_share: there it counts like a failed one); fewer than `min_logs` were
+    INCONCLUSIVE    any log is missing (except pass_share, which counts it as failed); fewer than `min_logs` were
                     judged; more than `max_missing` of the logs are inconclusive or missing; the share is below
                     `min_share`; or with `confident` the lower end of its 95 % interval is (`aggregate`, (1))
     PASS            else
 
-FAIL is INCONCLUSIVE where the gate says `broken = "inconclusive"`. Nothing judged is INCONCLUSIVE always. An optional
-gate has no verdict where no log was asked; filters that no log passes and planners that are not in the run are
-INCONCLUSIVE always, since they are most likely misspelt.
+FAIL becomes INCONCLUSIVE if the gate has `broken = "inconclusive"`. If no log is judged, the verdict is INCONCLUSIVE.
+An optional gate is NOT ASKED if all its logs are NOT ASKED, and has no verdict if the run has no such metric. Filters
+that match no log, and planners that are not in the run, are INCONCLUSIVE even then, since they are most likely
+misspelt.
 
-Gates also make rows of the table: is a verdict robust or fragile, and how many of the gates were asked? A member is the
-log driven again under one perturbation (`replay.run.perturb`); its verdict on a planner in one mode is the worst
-outcome of the gates. With the unperturbed drive among the members:
+Gates also add rows to the table: whether a verdict is robust or fragile, and the share of gates that were asked. A
+member is the log driven again under one perturbation (`replay.run.perturb`); its verdict on a planner in one mode is
+the worst outcome of the gates. The unperturbed drive is one of the members:
 
 (1) ensemble.pass_share = members that pass / members
-(2) ensemble.fragile    = 1 where a member's verdict is another than the unperturbed drive's, else 0
+(2) ensemble.fragile    = 1 if the verdict of any member differs from the unperturbed drive's, else 0
 
-Late plans are judged likewise. They are wall clock, so they are not in the table of metrics.
+Late plans are judged likewise. They depend on wall-clock time, so they are not in the table of metrics.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ from metrics.judge.excuses import LAWFUL, REFERENCE, Case, Drives, Row, excuse, 
 from metrics.judge.gates import Gate, Gates, Outcome, count_logs, meant, unit_of
 
 _NO_ENTRIES: Mapping[Any, str] = MappingProxyType({})
-MEMBER, PERTURBATION = "member", "perturbation"  # The columns of a table of members beside those of `metrics.evaluate`
+MEMBER, PERTURBATION = "member", "perturbation"  # Additional columns of a table of members
 LATE = "deadline.share"
 MAX_LATE = 0.01  # The share of a drive's plans that may be late
 MISS_COLUMNS = ("log", "planner", "mode", "plans", "misses", "share", "worst_s", "worst_t_s")
@@ -74,7 +75,7 @@ DRIVE = ["log", "planner", "mode"]
 
 @dataclass(frozen=True, slots=True)
 class LogOutcome:
-    """The outcome of a gate on one log: `why` it is inconclusive or not asked, else the road user that it is about."""
+    """The outcome of a gate on one log; `why`: the reason if inconclusive or not asked, or what the value is about."""
 
     log: str
     outcome: Outcome
@@ -86,7 +87,7 @@ class LogOutcome:
 
     @property
     def place(self) -> str:
-        """Where the value is: "on log X at 3.20 s (car 7)"."""
+        """The place of the value: "on log X at 3.20 s (car 7)"."""
         when = f" at {self.time_s:.2f} s" if isfinite(self.time_s) else ""
         return f"on {self.log}{when}" + (f" ({self.why})" if self.why else "")
 
@@ -99,12 +100,12 @@ class Verdict:
         gate: The rule.
         outcome: Pass, fail, inconclusive or not asked.
         reason: One sentence that names planner, worst log, value and time.
-        planner: "" where no planner was to be judged; `mode` likewise.
-        value: The judged value (what `over` makes of the logs, or the worst log's); NaN where there is none.
-        log: The worst log; "" where there is none.
-        time_s: When its value occurred; NaN where it has no time.
+        planner: "" if no planner could be judged; `mode` likewise.
+        value: The judged value (the statistic `over` the logs, or the worst log's value); NaN if there is none.
+        log: The worst log; "" if there is none.
+        time_s: The time of its value; NaN if it has no time.
         logs: The outcome of each log that the gate selects.
-        group: "family everyday/cut_in" where the gate has a verdict per group; else "".
+        group: "family everyday/cut_in" if the gate has a verdict per group; else "".
     """
 
     gate: Gate
@@ -127,19 +128,19 @@ def judge(
     failed: Mapping[str, str] = _NO_ENTRIES,
     crashed: Mapping[tuple[str, str, str], str] = _NO_ENTRIES,
 ) -> tuple[Verdict, ...]:
-    """The verdicts on a table of `evaluate` rows, in the order of the gates.
+    """Return the verdicts on a table of `evaluate` rows, in the order of the gates.
 
     Args:
         gates: The rules.
-        table: The rows of all logs, planners and modes, reference drives among them.
-        labels: Of all logs of the run, so that one without rows is missed.
-        failed: Logs that could not be evaluated, and why.
-        crashed: Likewise drives, by log, planner and mode.
+        table: The rows of all logs, planners and modes, including reference drives.
+        labels: Labels of all logs of the run, so that logs without rows are detected.
+        failed: Reason by log, for logs that could not be evaluated.
+        crashed: Reason by log, planner and mode, for drives that crashed.
     """
     rows: dict[tuple[str, str], dict[str, dict[str, Row]]] = {}
     columns = ("planner", "mode", "log", "metric", *Row._fields)
     about = table.get("about", table["reason"]).astype(object)
-    about = about.where(about.notna(), table["reason"])  # rows of an older replan have whole ids in their reasons
+    about = about.where(about.notna(), table["reason"])  # reasons of older versions of replan contain full ids
     table = table.assign(about=[str(each).partition(":")[0] for each in about])
     for planner, mode, log, metric, *rest in zip(*(table[name] for name in columns), strict=True):
         rows.setdefault((planner, mode), {}).setdefault(log, {})[metric] = Row(*rest)
@@ -150,7 +151,7 @@ def judge(
 
 
 def outcomes(verdicts: Sequence[Verdict]) -> pd.DataFrame:
-    """The outcome of each gate on each log, a row each (`OUTCOME_COLUMNS`), once however many groups the log is in."""
+    """Return the outcome of each gate on each log as `OUTCOME_COLUMNS`; one row even if a log is in several groups."""
     found = [
         (str(v.gate), log.log, v.planner, v.mode, log.outcome.value, log.value, log.time_s, log.why)
         for v in verdicts
@@ -163,7 +164,7 @@ def outcomes(verdicts: Sequence[Verdict]) -> pd.DataFrame:
 
 
 def worst(found: Iterable[Outcome]) -> Outcome:
-    """Several outcomes taken together, those NOT ASKED left out; INCONCLUSIVE where there is none."""
+    """Return the worst of several outcomes without NOT ASKED; INCONCLUSIVE if there is none."""
     asked = (outcome for outcome in found if outcome is not Outcome.NOT_ASKED)
     return min(asked, key=list(Outcome).index, default=Outcome.INCONCLUSIVE)
 
@@ -172,7 +173,7 @@ def _judge_gate(
     gate: Gate, drives: Drives, known: Sequence[str], labels: Mapping[str, LogLabels], failed: Mapping[str, str]
 ) -> list[Verdict]:
     """The verdicts of a gate, by planner, mode and group."""
-    unknown = LogLabels()  # of a log that failed before its labels were known: gates may select it
+    unknown = LogLabels()  # labels of a log that failed before they were known: any gate may select it
     logs = [log for log in known if gate.selects(labels.get(log, unknown)) or (log in failed and log not in labels)]
     if not logs:
         known_words = {
@@ -242,7 +243,7 @@ def _judge_log(case: Case, failed: Mapping[str, str]) -> LogOutcome:
 
 
 def _judge_drive(gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome], group: str) -> Verdict:
-    """The verdict on one planner and mode; NOT ASKED where no log was asked and the gate is optional."""
+    """Return the verdict on one planner and mode; NOT ASKED if the gate is optional and no log was asked."""
     planner, mode = drive
     who = f"{planner}, {mode} loop" + (f", {group}" if group else "")
     nothing = Verdict(gate, Outcome.INCONCLUSIVE, "", planner, mode, logs=tuple(logs), group=group)
@@ -254,7 +255,7 @@ def _judge_drive(gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome],
     judged = [log for log in found if isfinite(log.value) and log.outcome is not Outcome.INCONCLUSIVE]
     missing = [log for log in found if not log.evaluated]
     without = Counter(log.why for log in found if log.outcome is Outcome.INCONCLUSIVE and log.evaluated)
-    aside = ""  # what could not be judged
+    aside = ""  # text about logs that could not be judged
     if without:
         ran = count_logs(len(found) - len(missing))
         aside = f"; no evidence in {without.total()} of {ran} ({without.most_common(1)[0][0]})"
@@ -276,7 +277,7 @@ def _judge_drive(gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome],
 def _judge_value(
     gate: Gate, judged: Sequence[LogOutcome], bad: LogOutcome, *, lacking: bool
 ) -> tuple[float, Outcome, str]:
-    """Value, outcome and what was found: "gap.min = 0.31 m, below 0.5, on log X at 3.20 s (car 7)"."""
+    """Return value, outcome and reason: "gap.min = 0.31 m, below 0.5, on log X at 3.20 s (car 7)"."""
     how: Mapping[str, Callable[[list[float]], Any]] = {"mean": np.mean, "median": np.median, "sum": np.sum}
     reduced = how.get(gate.over)
     value = float(reduced([log.value for log in judged])) if reduced else bad.value
@@ -296,7 +297,7 @@ def _judge_value(
 def _judge_share(
     gate: Gate, found: Sequence[LogOutcome], bad: LogOutcome, *, lacking: bool
 ) -> tuple[float, Outcome, str]:
-    """The same of the share of logs that pass."""
+    """Return value, outcome and reason of a gate on the share of logs that pass."""
     least, n = gate.min_share or 0.0, len(found)
     passed = sum(log.outcome is Outcome.PASS for log in found)
     unsure = sum(log.outcome is Outcome.INCONCLUSIVE and log.evaluated for log in found)
@@ -309,7 +310,7 @@ def _judge_share(
     elif gate.confident and low < least:
         how = f"but not surely {100.0 * least:g} %"
     elif lacking:
-        how += ", but of too few that were judged"
+        how += ", but too few logs were judged"
     else:
         outcome = Outcome.PASS
     interval = f"95 % interval {100.0 * low:.3g} to {100.0 * high:.3g} %"
@@ -320,7 +321,7 @@ def _judge_share(
 def with_ensemble(
     table: pd.DataFrame, members: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]
 ) -> pd.DataFrame:
-    """The table of unperturbed drives with the rows (1) and (2) of each; those of `members` are counted from 1.
+    """Add the rows (1) and (2) to the table of unperturbed drives; the drives of `members` are numbered from 1.
 
     Gates on `ensemble` itself are left out.
     """
@@ -351,7 +352,7 @@ def with_ensemble(
 
 
 def with_asked(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """The table with the row `asked.share` of each drive: the share of the other gates that judged it."""
+    """Add the row `asked.share` of each drive to the table: the share of the other gates that were asked."""
     rules = replace(gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ASKED.name)))
     values: Values = {}
     for drive, found in _drive_outcomes(rules, table, labels).items():
@@ -362,7 +363,7 @@ def with_asked(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels
 
 
 def _fill_rows(table: pd.DataFrame, values: Values) -> pd.DataFrame:
-    """The table with these values and reasons."""
+    """Return the table with these values and reasons filled in."""
     keys = list(zip(*(table[name] for name in (*DRIVE, "metric")), strict=True))
     at = table.index[[i for i, key in enumerate(keys) if key in values]]
     found = [values[key] for key in keys if key in values]
@@ -375,7 +376,7 @@ def _fill_rows(table: pd.DataFrame, values: Values) -> pd.DataFrame:
 def _drive_outcomes(
     gates: Gates, table: pd.DataFrame, labels: Mapping[str, LogLabels]
 ) -> dict[Drive, dict[str, Outcome]]:
-    """Outcomes by gate, of each log, planner and mode."""
+    """Return the outcomes by gate, for each log, planner and mode."""
     found: dict[Drive, dict[str, Outcome]] = {}
     table = outcomes(judge(gates, table, labels))
     for *drive, gate, outcome in zip(*(table[name] for name in (*DRIVE, "gate", "outcome")), strict=True):
@@ -384,7 +385,7 @@ def _drive_outcomes(
 
 
 def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
-    """How many plans of each drive took longer than a deadline.
+    """Count the plans of each drive that took longer than a deadline.
 
     Args:
         timings: Columns log, planner, mode, t_s, stage, seconds; the stage "total" is a whole plan.

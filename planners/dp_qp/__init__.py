@@ -2,12 +2,12 @@
 
     path      which side of each obstacle, the smoothest path; passing   stage, bounds, corridor, dp, qp, passing
     speed     the order of passing, the smoothest speed, the braking     stage, caps, problem, dp, qp, doubt, braking
-    lane      both stages in one lane and what that costs
-    choice    keep the lane, pass within it, or change, and who would be endangered
-    goal_window    arriving when, as fast and where the goal says
+    lane      both stages in one lane, and their cost
+    choice    keep the lane, pass within it, or change; the agents that this would endanger
+    goal_window    arrival at the goal: time, speed and place
 
-What the speed DP sees of the obstacles: `frenet.st_boundaries` (when they take the path), `frenet.scene` (stops),
-`speed.doubt` (how far a prediction binds), `speed.caps` (limits of speed), and `speed.problem`, which joins these.
+The speed DP gets obstacles from `frenet.st_boundaries` (when they take the path), `frenet.scene` (stops), `speed.doubt`
+(how far a prediction binds) and `speed.caps` (limits of speed); `speed.problem` joins these.
 
 Cost to go, reference path, start, S-T boundaries and fallback are those of `planners.frenet`. docs/planner.md has the
 picture.

@@ -1,19 +1,19 @@
 """Keep the lane, pass within it, or change: by cost with hysteresis and a safety protocol (paper, section II-F).
 
-The neighbours are looked at where the route asks for a change, a slow agent is ahead, the plan in the lane fails, or a
-change is under way (so that it can be aborted). A neighbour is taken where it is cheaper by `hysteresis_s` and no agent
-on it is endangered:
+The neighbouring lanes are planned where the route needs a change, a slow agent is ahead, or the plan in the lane is not
+comfortable (while a change is under way, only then: it may be aborted). The ego changes to a neighbouring lane that is
+cheaper by `hysteresis_s` if it endangers no agent on it:
 
 (1) gap behind >= MIN_GAP_M + REACTION_S max(0, v_a - v) + max(0, v_a - v)^2 / (2 YIELD_MPS2)      for each follower
 (2) no agent beside the ego, from MIN_GAP_M behind its rear to MIN_GAP_M before its front
-(3) those ahead are met in the lane's own S-T graph; the plan must not need hard braking
+(3) the lane's own S-T graph contains the agents ahead; the plan must not need hard braking
 
-The plan that keeps the lane follows those who are slower. A second plan of the same lane passes them where
-`path.passing` says ("nudge" in the paper): it must be comfortable and cheaper by `hysteresis_s`, once it is under way
-not dearer by more than that. Its path and speed are found in turns: the first counts on the speed of a road without
-them, the next on the speed that the turn before found, at most `TURNS` in one frame; later frames go on from the last
-one's plan. It is a plan only if, by its own speed, it gets past the nearest of them within the predictions. The lane
-beside may be borrowed on the passing side where (1) and (2) hold for it, until the ego is over the marking and is seen.
+The plan that keeps the lane follows slower agents. A second plan of the same lane passes them where `path.passing`
+allows it ("nudge" in the paper): it must be comfortable and cheaper by `hysteresis_s`; once it is under way, it may not
+be dearer by more than that. Its path and speed are found in turns, at most `TURNS` in one frame: the first turn assumes
+the speed on a free road, the next the speed of the turn before; later frames start from the plan of the last frame. It
+is a plan only if, at its own speed, it gets past the nearest agent within the predictions. It may borrow the lane on
+the passing side where (1) and (2) hold for it; once the ego is over the marking, others see it and they need not hold.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ from planners.frenet.scene import Scene
 from planners.rules.rulebook import YIELD_MPS2
 
 MIN_GAP_M = 2.0
-"""Least gap to an agent that follows (1) or is beside (2), m."""
+"""Least gap to a follower (1) or an agent beside the ego (2), m."""
 REACTION_S = 1.0
 """Reaction time of a follower before it brakes with `YIELD_MPS2` (1), s."""
 INSIDE_M = 1.0
 """An ego nearer than this to a lane's reference line drives in that lane, m."""
 SLOWEST_CHANGE_MPS = 1.0
-"""A slower ego does not begin to change, m/s: it would stand across the marking."""
+"""A slower ego does not begin a lane change, m/s: it would stop across the marking."""
 TURNS = 3
-"""Turns of path and speed in one frame."""
+"""Most turns of path and speed in one frame."""
 SETTLED_M = 1.0
-"""Boxes that a further turn moves by less than this are settled, m."""
+"""The turns end when the last one has moved each box by less than this, m."""
 
 
 def worth_looking(keep: LanePlan, config: LaneConfig, *, since_change: float) -> bool:
-    """Whether the neighbours are planned, by the plan in the lane and the time (s) since the last change."""
+    """Whether to plan the neighbouring lanes, by the plan in the lane and the time (s) since the last change."""
     if abs(keep.scene.l) > INSIDE_M:  # a change is under way
         return not keep.is_comfortable
     slow = keep.time_lost > config.look_s and since_change > config.dwell_s
@@ -57,7 +57,7 @@ def worth_looking(keep: LanePlan, config: LaneConfig, *, since_change: float) ->
 
 
 def hopeless(name: str, scene: Scene, least: CostTerms, keep: LanePlan, hysteresis_s: float) -> LaneOption | None:
-    """Why a neighbour that costs `least` or more need not be planned; None where it may be taken."""
+    """Why a neighbouring lane that costs `least` or more need not be planned; None if it must be."""
     cost = sum(value for _, value in least.terms)
     against = ""
     if not cost < keep.cost - hysteresis_s:
@@ -68,7 +68,7 @@ def hopeless(name: str, scene: Scene, least: CostTerms, keep: LanePlan, hysteres
 
 
 def choose(keep: LanePlan, others: list[LanePlan], hysteresis_s: float) -> tuple[LanePlan, tuple[Artefact, ...]]:
-    """The cheapest lane that may be taken, and what was considered."""
+    """The cheapest permitted plan, and the options that were compared."""
     best, rejected = keep, dict[str, str]()
     for other in others:
         against = "" if other.is_comfortable else other.trouble
@@ -91,14 +91,14 @@ def choose(keep: LanePlan, others: list[LanePlan], hysteresis_s: float) -> tuple
 
 
 def _unsafe(scene: Scene) -> str:
-    """Why a change into the scene's lane may not be begun now; empty where it may."""
+    """Why a change into the scene's lane must not begin now; empty if it may."""
     return "too slow to change" if scene.frame.ego.v < SLOWEST_CHANGE_MPS else endangered(scene)
 
 
 def endangered(scene: Scene, beside: str = "") -> str:
     """The agent that the ego would endanger (1), (2), and how; empty if there is none.
 
-    By a change into the scene's lane, or by borrowing the road `beside` it ("left" or "right").
+    The ego changes into the scene's lane, or borrows the road `beside` it ("left" or "right").
     """
     lane = scene.reference
     right_edge, left_edge = {
@@ -125,10 +125,10 @@ def endangered(scene: Scene, beside: str = "") -> str:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassMemory:
-    """Memory of passing slower agents in one lane: when it was last considered, s, and the agents that are passed.
+    """Memory of passing slower agents in one lane: time `t` of the last frame that considered it, s, and those passed.
 
-    `given_up`: when passing an agent was given up, s; `stations` of the last plan that passes, at the times of the
-    predictions since `t` `(k,)`, m; `lane`: of the plans that pass, apart from those that keep the lane.
+    `given_up`: when the ego gave up passing an agent, s; `stations`: those of the last passing plan at the times of the
+    predictions since `t` `(k,)`, m; `lane`: memory of the passing plans, not of those that keep the lane.
     """
 
     t: float = -inf
@@ -141,7 +141,7 @@ class PassMemory:
 def passing(
     keep: LanePlan, planner: LanePlanner, memory: PassMemory, config: DpQpConfig, *, passes_left: bool
 ) -> tuple[LanePlan, tuple[Artefact, ...], PassMemory]:
-    """The plan that passes slower agents where it is worth it, else `keep`; the options considered; the memory."""
+    """The plan that passes slower agents if it is better, else `keep`; the options considered; the memory."""
     scene, t, hysteresis = keep.scene, keep.scene.frame.t, config.lane.hysteresis_s
     if not 0.0 <= t - memory.t <= FORGET_S:
         memory = PassMemory()
@@ -175,7 +175,7 @@ def _plan_past(
     keep: LanePlan, planner: LanePlanner, memory: PassMemory, who: list[int], config: CorridorConfig, *,
     passes_left: bool,
 ) -> tuple[LanePlan | None, frozenset[str], PassMemory]:  # fmt: skip
-    """The plan past the nearest, all that it passes, and the memory; None where there is no such plan."""
+    """The plan past the nearest agent, all agents that it passes, the memory; None where there is no such plan."""
     scene, t, lane = keep.scene, keep.scene.frame.predictions.t, memory.lane
     if not who:
         return None, frozenset(), replace(memory, stations=None)
@@ -214,6 +214,6 @@ def _plan_past(
 
 
 def _carried_on(known: FloatArray, stations: FloatArray, t: FloatArray) -> FloatArray:
-    """Stations `(n,)` of `known` times at other times `(k,)`; after the last with the last speed."""
+    """Interpolate stations `(n,)` at `known` times to other times `(k,)`; after the last, at the last speed."""
     speed = (stations[-1] - stations[-2]) / (known[-1] - known[-2])
     return np.asarray(np.interp(t, known, stations) + speed * np.maximum(t - known[-1], 0.0))

@@ -13,19 +13,19 @@ from planners.rules import RulesConfig
 
 @dataclass(frozen=True)
 class LaneConfig:
-    """Settings of the lane choice; costs are seconds, what something is worth in time.
+    """Settings of the lane choice; costs are in seconds of equivalent time.
 
     Attributes:
-        hysteresis_s: By how much another lane, or passing, must be cheaper than keeping the lane.
-        look_s: Time lost to others from which the neighbours are looked at.
-        dwell_s: No change back, and no passing anew, within this time, unless the lane fails.
+        hysteresis_s: Amount by which another lane, or passing, must be cheaper than keeping the lane.
+        look_s: Time lost to other agents from which the neighbouring lanes are planned.
+        dwell_s: No further change and no new attempt to pass within this time, unless the lane fails.
         route_s: Cost of a lane change that the route needs.
-        urgency_s: What is added to that as the change becomes due.
-        due_s: A change is urgent where less than this is left to drive until it is due, per change.
+        urgency_s: Cost that is added to it as the change becomes due.
+        due_s: Changes are urgent where less than this time per change is left until they are due.
         dead_end_s: Cost of a lane from which the goal cannot be reached.
-        change_s: Cost of leaving the driven lane: a change pays only for a clear gain.
-        hard_s: Cost where comfort cannot keep the distance.
-        failed_s: Cost where nothing can, or a stage failed: more than all others together.
+        change_s: Cost of leaving the driven lane, so that only a clear gain leads to a change.
+        hard_s: Cost where comfortable braking cannot keep the distance.
+        failed_s: Cost where no braking can, or a stage failed: more than all others together.
     """
 
     hysteresis_s: float = 0.5
@@ -54,8 +54,8 @@ class DpQpConfig:
         path: The path stage.
         speed: The speed stage.
         lane: The choice between lanes, and of passing.
-        rules: What the rules of the road leave open.
-        solver: Of the path and speed QPs: "interior_point", "osqp" or "piqp".
+        rules: Settings of the traffic rules.
+        solver: Solver of the path and speed QPs: "interior_point", "osqp" or "piqp".
         stitch_m: The plan starts on the previous one where the ego is nearer to it than this ...
         stitch_mps: ... and its speed nearer than this; else at the ego.
     """

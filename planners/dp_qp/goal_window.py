@@ -4,14 +4,14 @@ With the goal region from s_0 to s_1 along the lane, the ego at station s at tim
 speeds up to v_1:
 
 (1) v <= v_1 within the region
-(2) v <= (s_1 - s) / (t_0 - t)     where driving on as fast as it may would leave the region before t_0: too early
+(2) v <= (s_1 - s) / (t_0 - t)     where the fastest permitted driving would leave the region before t_0: too early
 (3) in a hurry                     where it would not enter the region by t_1 - `HASTE_S`: too late
 
-As fast as it may: at the speed limit, reached with comfortable acceleration. (1) and (2) hold with some room:
-`ROOM_MPS` of speed, a quarter of the region (`END_M` of the road) and `ROOM_S`. (2) never asks for less than `LEAST` of
-the limit: who drives much slower than others is in their way. In a hurry the ego wants `HURRIED_GAP_S` to the one ahead
-instead of its usual time gap; it drives no faster than the limit. Where a goal has a time but no region, s_1 is the end
-of the road, and who is too early stops there.
+The fastest permitted driving is at the speed limit, reached with comfortable acceleration. (1) and (2) hold with a
+reserve: `ROOM_MPS` of speed, a quarter of the region (`END_M` of the road) and `ROOM_S`. (2) never demands less than
+`LEAST` of the limit: an ego much slower than the traffic is in its way. In a hurry the ego keeps `HURRIED_GAP_S` to its
+leader instead of its usual time gap, and the speed limit. Where a goal has a time but no region, s_1 is the end of the
+road, and an ego that is too early stops before it.
 
 (4) l_0(s) + m <= l <= l_1(s) - m      where the region is from l_0 to l_1 beside the line at station s; m = `SIDE_M`
 """
@@ -32,39 +32,39 @@ from planners.frenet.reference_path import ReferencePath
 LEAST = 0.3
 """Share of the speed limit below which (2) does not slow the ego down."""
 HASTE_S = 3.0
-"""The ego is in a hurry where it would be there less than this before the last time (3), s."""
+"""The ego is in a hurry where it would arrive less than this before the last time (3), s."""
 ROOM_MPS = 1.0
-"""Room to the goal's greatest speed (1), m/s."""
+"""Reserve to the goal's greatest speed (1), m/s."""
 ROOM_S = 0.2
-"""Room to its first time (2), s."""
+"""Reserve to its first time (2), s."""
 END_M = 3.0
-"""Room to the end of the road where a goal has no region, m."""
+"""Reserve to the end of the road where a goal has no region, m."""
 HURRIED_GAP_S = 0.8
 """Time gap of an ego in a hurry, s."""
 BESIDE_M = 8.0
-"""A region further beside the line is not its goal, m."""
+"""A region farther beside the line than this is not a goal of this lane, m."""
 SIDE_M = 0.3
-"""Room that the ego's middle keeps to a region's sides, m, or a quarter of its width."""
+"""Distance of the ego's middle to a region's sides, m; at most a quarter of the region's width."""
 ALONG_M = 0.5
-"""Step in which a region's sides are taken, m ..."""
+"""Spacing of the stations at which a region's sides are measured, m ..."""
 ROWS = 400
-"""... and how many at most."""
+"""... and their greatest number."""
 STEPS = 32
-"""In which the way to a region is taken."""
+"""Number of steps in the integration of the time to a region."""
 JOINED_M = 0.1
 """Regions nearer to each other than this are one, m."""
 NARROW = 0.5
-"""Where a region is narrower than this share of its width, at its corners, its sides are not kept to."""
+"""(4) does not apply where a region is narrower than this share of its greatest width: at its corners."""
 NO_SIDES = np.empty((3, 0))
 """(4) where there is no region."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedTarget:
-    """What the goal asks of the speed now.
+    """The demands of the goal on the speed now.
 
-    A cap, m/s, up to a station, m; whether the ego is late, and how much, s; the station, m, beyond which it must not
-    be yet.
+    A `cap`, m/s, up to the station `until`, m; whether the ego is `hurried`; how much too late it would be, s; the
+    station that it must not pass yet, m.
     """
 
     cap: float = np.inf
@@ -75,7 +75,7 @@ class SpeedTarget:
 
 
 class GoalWindow:
-    """The goal along one reference line, for an ego with a comfortable acceleration; None: it has no goal."""
+    """The goal along one reference line, for a comfortable acceleration; without a `goal` it demands nothing."""
 
     def __init__(
         self, goal: Goal | None, reference: ReferencePath, vehicle: VehicleParameters,
@@ -92,7 +92,7 @@ class GoalWindow:
 
     @property
     def slow_zone(self) -> tuple[float, float, float] | None:
-        """(1): stations, m, between which the rear axle keeps the goal's speed, and that speed, m/s; None: nowhere."""
+        """(1): stations, m, between which the rear axle keeps the goal's speed, and that speed, m/s; or None."""
         if self._goal is None or self._goal.v is None or not np.isfinite(self._region).all():
             return None
         fastest = max(self._goal.v[1], 0.0)
@@ -100,17 +100,17 @@ class GoalWindow:
         return float(begin), float(self._region[1]), max(fastest - ROOM_MPS, 0.5 * fastest)  # (1)
 
     def sides(self, begin: float, end: float) -> FloatArray:
-        """Rows station, least and greatest offset `(3, n)` of (4), m; empty where none are between two stations."""
+        """Rows station, least and greatest offset `(3, n)` of (4), m; empty if there are none between two stations."""
         at = self._sides[0]
         return self._sides if len(at) and at[0] <= end and begin <= at[-1] else NO_SIDES
 
     def time_left(self, t: float) -> float:
-        """How long the goal may still be reached, s; inf where it names no time or that is over."""
+        """Time left to reach the goal, s; inf where it names no time or the time has passed."""
         last = self._goal.t[1] if self._goal is not None and self._goal.t is not None else -np.inf
         return last - t if last > t else np.inf
 
     def target(self, t: float, s: float, v: float) -> SpeedTarget:
-        """What (2) and (3) ask of the rear axle at station `s` at time `t` with speed `v`."""
+        """The demands (2) and (3) on a rear axle at station `s` at time `t` with speed `v`."""
         goal, (begin, end) = self._goal, self._region
         if goal is None or goal.t is None:
             return SpeedTarget()
@@ -119,7 +119,7 @@ class GoalWindow:
         if not goal.regions:
             early = self._slow(t, s, v, self._road_end - END_M, self._road_end, opens)
             return replace(early, stop=self._road_end - END_M) if early.cap < np.inf else early
-        if not np.isfinite(end):  # of a lane far beside the goal's: it is no way to be there sooner
+        if not np.isfinite(end):  # a lane far beside the goal's: it does not lead there sooner
             return SpeedTarget(missed_s=max(self._late(t, s, v, self._begins, last), 0.0))
         if s > end:
             return SpeedTarget()
@@ -137,17 +137,17 @@ class GoalWindow:
         return SpeedTarget(max((inner - s) / (opens - t), slowly), end)  # (2)
 
     def _late(self, t: float, s: float, v: float, begin: float, last: float) -> float:
-        """How much later than `last` the ego would be at station `begin`, s; -inf where it is there or too late now."""
+        """Lateness of the ego at station `begin` after `last`, s; -inf if it is past `begin` or `last` has passed."""
         return t + self._least_time(s, begin, v) - last if s < begin and t < last else -np.inf
 
     def _least_time(self, s: float, to: float, v: float) -> float:
-        """How long driving as fast as it may takes from station to station, from the speed `v`, s."""
+        """Time of the fastest permitted driving from station to station, from the speed `v`, s."""
         return _least_time(*self._limit, s, max(to, s), v, self._accel)
 
 
 @kernel
 def _least_time(knots: FloatArray, limit: FloatArray, s: float, to: float, v: float, accel: float) -> float:
-    """From station to station in equal steps, s; `limit` is that at knots `(n,)`, m/s. Eight sums, as in NumPy."""
+    """Integrate the time, s, in equal steps; `limit` at knots `(n,)`, m/s. It adds in eight sums, as NumPy does."""
     step, last, sums = (to - s) / STEPS, len(knots) - 1, np.zeros(8)
     before = s
     for i in range(STEPS):
@@ -163,7 +163,7 @@ def _least_time(knots: FloatArray, limit: FloatArray, s: float, to: float, v: fl
 
 
 def _region(goal: Goal, reference: ReferencePath, beside: float) -> FloatArray:
-    """From where to where the goal's regions lie along the line, m; NaN where they are further beside it."""
+    """First and last station of the goal's regions, m; NaN where all are farther than `beside` from the line."""
     found = [reference.line.project(float(x), float(y)) for region in goal.regions for x, y in region]
     stations = [along for along, aside in found if abs(aside) < beside]
     return np.array([min(stations), max(stations)] if stations else [np.nan, np.nan])
@@ -172,7 +172,7 @@ def _region(goal: Goal, reference: ReferencePath, beside: float) -> FloatArray:
 def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
     """Rows station, least and greatest offset `(3, n)` of (4), NaN where there is no region.
 
-    Where there are several, of the one around the line, else of the nearest.
+    Of several regions it takes the one around the line, else the nearest one.
     """
     begin, end = _region(goal, reference, BESIDE_M)
     if not np.isfinite(end):
@@ -191,7 +191,7 @@ def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
             at = np.sort(aside[cut] + (then - aside)[cut] * along[cut] / (along - after)[cut])
             pieces[k] += [(float(low), float(high)) for low, high in zip(at[::2], at[1::2], strict=True)]
     across = []
-    for row in pieces:  # those that touch are joined; then the one around the line, or nearest to it
+    for row in pieces:  # join pieces that touch; then take the one around the line, or nearest to it
         joined: list[tuple[float, float]] = []
         for right, left in sorted(row):
             if joined and right <= joined[-1][1] + JOINED_M:

@@ -1,13 +1,14 @@
-"""One candidate lane planned: path and speed in its own Frenet frame, and what that plan is worth.
+"""Plans one candidate lane: path and speed in its own Frenet frame, and the cost of that plan.
 
 The cost of a candidate adds terms in seconds, weighted as `LaneConfig` says:
 
 (1) time lost     = (distance on a free road - distance planned) / speed limit, over the horizon
-(2) lane changes  = n (route_s + urgency_s u),  u from 0 to 1 as the place where the first is due, or the goal's last
-                    time, comes near; dead_end_s where the goal cannot be reached from the lane
-(3) change        = change_s for another lane than the one that is driven
-(4) braking       = hard_s where comfort cannot keep the distance, failed_s where nothing can or a stage failed
-(5) late          = how much later than the goal's last time the ego would be there at the lane's speed limit
+(2) lane changes  = n (route_s + urgency_s u),  u from 0 to 1 as the ego comes near the place where the first is due, or
+                    the goal's last time; dead_end_s where the goal cannot be reached from the lane
+(3) change        = change_s for a lane that the ego does not drive in
+(4) braking       = hard_s where comfortable braking cannot keep the distance, failed_s where no braking can, or a stage
+                    failed
+(5) late          = lateness at the goal, after its last time, at the lane's speed limit
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ from planners.frenet.scene import TRACK_M, Scene, behind, on_path, scene_of
 from planners.rules import Rulebook, RuleMemory
 
 FORGET_S = 0.5
-"""A lane that was not planned for this long is planned as if for the first time, s."""
+"""The memory of a lane that was not planned for this long is dropped, s."""
 LOST_M = 15.0
-"""A start that is farther from the last one is looked for anew: its foot point is not near the last one's, m."""
+"""The foot point of a start that is farther from the last start is searched along the whole line, m."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassWay:
-    """The moving agents that a plan shall pass, and the input of the path stage for that."""
+    """The moving agents that a plan is to pass, and the input of the path stage for them."""
 
     targets: tuple[PassTarget, ...]
     way: InTheWay
@@ -45,10 +46,10 @@ class PassWay:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LaneMemory:
-    """Memory of the previous frames in one lane; a fresh frame has `LaneMemory()`.
+    """Memory of the previous frames in one lane; a frame without a previous plan has `LaneMemory()`.
 
-    When it was planned last, s; x, y and station of the last start, m, None where unknown; of both stages and the
-    rules.
+    Time `t` of the last plan, s; `place`: x, y and station of the last start, m, None if unknown; the memory of both
+    stages and of the rules.
     """
 
     t: float = -inf
@@ -60,7 +61,7 @@ class LaneMemory:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LanePlan:
-    """What was planned in one lane: "keep", "pass" (the same lane, past slower agents), "left" or "right".
+    """The plan in one lane: "keep", "pass" (the same lane, past slower agents), "left" or "right".
 
     `speed` is None where there is no path; `costs` are (1)-(5).
     """
@@ -95,7 +96,7 @@ class LanePlan:
 
     @property
     def trouble(self) -> str:
-        """Why it is not comfortable, in words."""
+        """Why the plan is not comfortable, in words."""
         return self.path.reason or (self.speed.reason if self.speed else "") or "no plan"
 
     @property
@@ -109,7 +110,7 @@ class LanePlan:
 
 
 class LanePlanner:
-    """Plans in one lane sequence; what it remembers is handed in and out."""
+    """Plans in one lane sequence; the caller keeps its memory."""
 
     def __init__(self, lane: LaneSequence, context: PlannerContext, config: DpQpConfig | None = None) -> None:
         config = config or DpQpConfig()
@@ -128,11 +129,11 @@ class LanePlanner:
 
     @property
     def places(self) -> tuple[float, ...]:
-        """Stations at which lanes part or meet, vehicles may have to wait, or others cross, m."""
+        """Stations at which lanes part or meet, vehicles may have to wait, or agents cross, m."""
         return (*self.lane.reference.waits, *self._rules.places)
 
     def scene(self, frame: Frame, start: EgoState, memory: LaneMemory) -> Scene:
-        """The scene of a frame in this lane; the start is looked for near the last one."""
+        """The scene of a frame in this lane; the start's foot point is searched near the last one."""
         near = None
         if memory.place is not None and hypot(start.x - memory.place[0], start.y - memory.place[1]) < LOST_M:
             near = memory.place[2]
@@ -141,10 +142,10 @@ class LanePlanner:
     def plan(
         self, name: str, scene: Scene, memory: LaneMemory, past: PassWay | None = None
     ) -> tuple[LanePlan, LaneMemory]:
-        """Path and speed from the scene's start, with costs, and what is remembered.
+        """Plan path and speed from the scene's start, with costs; and the new memory.
 
-        `name` is "keep" for the lane that is driven; `past` those that a plan is to pass while they go on. A path that
-        does not pass the nearest of them is no such plan, and gets no speed.
+        `name` is "keep" for the lane that the ego drives in; `past` are the moving agents that the plan is to pass. A
+        path that does not pass the nearest of them gets no speed.
         """
         t, start, config = scene.frame.t, scene.start, self._config
         if not 0.0 <= t - memory.t <= FORGET_S:
@@ -159,7 +160,7 @@ class LanePlanner:
             stops = on_path(demanded, path.path, self._vehicle)
             skip = behind(scene, keeps_track=path.shift < TRACK_M and past is None)
             who, beside = [] if past else find_slow_agents(scene), past.targets if past else ()
-            if who:  # they are beside an ego that drives at the limit, which comes there soonest; else followed
+            if who:  # passing them is planned for an ego at the limit, which gets there soonest; else it follows them
                 expected = free_stations(scene.frame.predictions.t, scene.s, start.v, scene.limit)
                 beside = pass_targets(scene, who, expected)
             task = SpeedTask(standing, skip, stops, beside, past is not None, self._goal, target)
@@ -174,7 +175,7 @@ class LanePlanner:
         return plan, LaneMemory(t, (start.x, start.y, scene.s), path_memory, speed_memory, rules)
 
     def least_costs(self, name: str, scene: Scene, target: SpeedTarget | None = None) -> CostTerms:
-        """(2), (3) and (5) of a plan in this lane, without making it: it costs no less, but for time gained."""
+        """(2), (3) and (5) of a plan in this lane, without planning it: it costs no less, except for time gained."""
         lane, start, config = self.lane, scene.start, self._config
         target = target or self._goal.target(scene.frame.t, scene.s, start.v)
         route = 0.0 if lane.changes == 0 else config.dead_end_s

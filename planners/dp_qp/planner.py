@@ -18,9 +18,9 @@ from planners.frenet.scene import start_of
 
 @dataclass(eq=False)
 class PlannerMemory:
-    """All that the planner remembers; a fresh frame has a new one.
+    """The planner's memory; a frame without a previous plan has a new one.
 
-    The lane that is driven, `changed` since when, s; of each lane planned so far, and of passing in it.
+    The lane that the ego drives in, and when it `changed` to it, s; the memory of each lane, and of passing in it.
     """
 
     driven: LaneSequence
@@ -40,9 +40,9 @@ class DpQp:
         self._memory = PlannerMemory(self._lanes.start(context.start))
 
     def plan(self, frame: Frame) -> Plan:
-        """A plan from the previous plan or the ego; with a fallback, its status and reason.
+        """Plan from the previous plan or the ego; a fallback has its status and reason.
 
-        A frame without a previous plan is fresh: nothing is remembered.
+        A frame without a previous plan starts with fresh memory.
         """
         start, start_kind = start_of(frame, self._config.stitch_m, self._config.stitch_mps)
         if frame.previous is None:
@@ -59,7 +59,7 @@ class DpQp:
         return Plan(trajectory_along(path, speed.profile, frame.t), status, speed.reason, start_kind, internals)
 
     def _choose(self, frame: Frame, start: EgoState) -> tuple[LanePlan, tuple[Artefact, ...]]:
-        """The plan in the best lane; the neighbours are planned only where that may pay."""
+        """The plan in the best lane; neighbouring lanes are planned only where they may be cheaper."""
         memory, config = self._memory, self._config
         planner, before = self._planner(memory.driven), memory.lanes.get(memory.driven, LaneMemory())
         keep, memory.lanes[memory.driven] = planner.plan("keep", planner.scene(frame, start, before), before)

@@ -1,4 +1,4 @@
-"""What is driven when a stage fails: the previous plan, else a comfortable stop, else a hard stop.
+"""The plan when a stage fails: the previous plan, else a comfortable stop, else a hard stop.
 
 1. the rest of the previous plan, if it lasts `MIN_REST_S` without a collision
 2. a stop along its path (or straight on where there is none) with comfortable limits, if that is free of collisions
@@ -22,7 +22,7 @@ from planners.frenet.path import Path, path_through, states_on_path
 from planners.frenet.profiles import COMFORT, EMERGENCY, HORIZON_KNOTS, STEP_S, SpeedLimits, braking
 
 MIN_REST_S = 3.0
-"""The rest of the previous plan is driven if it lasts at least this long, s."""
+"""The ego drives the rest of the previous plan if it lasts at least this long, s."""
 
 
 def trajectory_along(path: Path, profile: FloatArray, t: float) -> Trajectory:
@@ -46,7 +46,7 @@ def _trajectory_rows(
 
 
 class Stops(NamedTuple):
-    """Limits of a comfortable and of the hardest stop, and for how many steps of `STEP_S` a stop is planned."""
+    """Limits of a comfortable and of the hardest stop, and the number of steps of `STEP_S` in the plan of a stop."""
 
     comfortable: SpeedLimits = COMFORT
     hardest: SpeedLimits = EMERGENCY
@@ -60,7 +60,7 @@ def fall_back(
     frame: Frame, start: EgoState, start_kind: PlanStart, path: Path | None, reason: str,
     artefacts: Sequence[Artefact], vehicle: VehicleParameters, stops: Stops = USUAL_STOPS,
 ) -> Plan:  # fmt: skip
-    """The fallback ladder of the module docstring; `path` is this frame's, if there is one."""
+    """The fallback ladder of the module docstring; `path` is that of this frame, if there is one."""
     rest, old = None, frame.previous.trajectory if frame.previous is not None else None
     if old is not None and old.t[-1] - frame.t >= MIN_REST_S and old.t[0] <= frame.t:
         rest = old.resampled(np.r_[frame.t, old.t[old.t > frame.t + 1e-6]])

@@ -1,7 +1,7 @@
-"""Candidate lanes: the lane that is driven and its neighbours, each with its own reference line (paper, section II-F).
+"""Candidate lanes: the ego's lane and its neighbours, each with its own reference line (paper, section II-F).
 
-A lane sequence is a lane with those that go on from it without a lane change, chosen so that the goal stays near.
-What it is worth to the route is read off the cost to go of its lanes (`route.costs_to_go`):
+A lane sequence is a lane with the lanes that continue it without a lane change, chosen so that the goal stays near.
+Its value for the route follows from the cost to go of its lanes (`route.costs_to_go`):
 
 (1) changes(sequence)  = lane changes between it and the goal
 (2) change_by(sequence) = station at which its last lane ends from which the first of these changes is possible
@@ -20,7 +20,7 @@ from logs.states import EgoState
 from planners.frenet.reference_path import BEYOND_M, ReferencePath, make_reference_path
 
 BEHIND_M = 60.0
-"""Length of a sequence behind the lane that it was made for, m: for agents that follow."""
+"""Length of a sequence behind the lane that it was made for, m, so that it contains agents that follow."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -28,9 +28,9 @@ class LaneSequence:
     """A candidate lane.
 
     Attributes:
-        lanes: In driving order, a stretch behind included.
+        lanes: Its lanes in driving order, including a stretch behind.
         reference: Its reference line and widths.
-        changes: (1); 0 where it leads to the goal or there is none, None where the goal cannot be reached from it.
+        changes: (1); 0 if it leads to the goal or there is no goal, None if the goal cannot be reached from it.
         change_by: (2), m; inf where no change is needed.
     """
 
@@ -41,7 +41,7 @@ class LaneSequence:
 
 
 class LaneSequences:
-    """The lane sequences of one scenario, made when they are first needed."""
+    """The lane sequences of one scenario, each made when it is first needed."""
 
     def __init__(self, context: PlannerContext) -> None:
         self._road = context.road
@@ -54,7 +54,7 @@ class LaneSequences:
         self._start, self._car = context.start, context.vehicle
 
     def start(self, ego: EgoState) -> LaneSequence:
-        """The sequence to begin with: of the lanes under the ego, the one nearest to the goal."""
+        """The first sequence: that of the lane nearest to the goal among the lanes under the ego."""
         under = start_lanes(self._road, ego)
         aligned = under[:1] if not self._to_go else under
         best = min(aligned, key=lambda lane: (*_rank(self._to_go.get(lane)), under.index(lane)))
@@ -69,7 +69,7 @@ class LaneSequences:
         return self._sequences[lane]
 
     def beside(self, sequence: LaneSequence, station: float) -> tuple[tuple[str, LaneSequence], ...]:
-        """The neighbours ("left" or "right") of a sequence at a station, as far as the markings may be crossed."""
+        """The neighbours ("left" or "right") of a sequence at a station whose marking may be crossed."""
         ends = np.cumsum([self._road.lanes[lane].length for lane in sequence.lanes])
         here = min(int(np.searchsorted(ends, station + TIE)), len(sequence.lanes) - 1)
         lane = self._road.lanes[sequence.lanes[here]]
@@ -85,7 +85,7 @@ class LaneSequences:
         return tuple(found)
 
     def _make_sequence(self, lane: int) -> LaneSequence:
-        """The sequence of a lane: on towards the goal, or straight on where no successor leads there; and behind it."""
+        """The sequence of a lane: on towards the goal, straight on if no successor leads there, and back behind it."""
         onward, length = [lane], 0.0
         while length < BEYOND_M:
             leading = [i for i in self._road.lanes[onward[-1]].successors if i in self._to_go]

@@ -25,13 +25,13 @@ from logs.states import EgoState, wrap
 FINE_M = 0.5
 """Greatest spacing of the points of a path, m."""
 SHIFT_AHEAD_M = 60.0
-"""A shift within this ahead leaves the track, m."""
+"""Distance ahead within which the shift of a path is measured, m."""
 AT_START_M = 5.0
-"""A path may be bent more than the lock nearer to its start than this, m."""
+"""Within this distance of its start, a path may bend more than the steering lock permits, m."""
 MAX_TURN = 1.2
-"""Heading off the reference line, rad, from which on a path is no function of its station any more."""
+"""Heading off the reference line, rad, above which a path is no longer a function of its station."""
 MIN_REGULAR = 0.1
-"""1 - kappa l is kept above this: nearer to the centre of the turn the Frenet frame says nothing."""
+"""Least 1 - kappa l: nearer to the centre of the turn the Frenet frame is not defined."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -40,7 +40,7 @@ class Path:
 
     Attributes:
         sigma: Arc length from the start, m.
-        x: World, m; `y`, `yaw` (rad, unwrapped), `kappa` (1/m) likewise.
+        x: In the world frame, m; `y`, `yaw` (rad, unwrapped), `kappa` (1/m) likewise.
         s: Station on the reference line, m.
     """
 
@@ -53,7 +53,7 @@ class Path:
 
     @property
     def length(self) -> float:
-        """M."""
+        """Length of the path, m."""
         return float(self.sigma[-1])
 
 
@@ -100,7 +100,7 @@ def drivable_path(
 ) -> tuple[Path, float]:
     """The path through knots of (l, l', l'') `(3, n)`, `step` m apart from station `s0`, and its shift, m.
 
-    It ends before a station and before it is bent more than `sharpest`, 1/m, farther than `AT_START_M` from its start.
+    It ends at station `until`, or where it bends more than `sharpest`, 1/m, farther than `AT_START_M` from its start.
     The shift is the largest change of the offset within `SHIFT_AHEAD_M`.
     """
     parts = max(1, ceil(step / FINE_M))
@@ -114,7 +114,7 @@ def make_path(line: ReferenceLine, s0: float, step: float, offsets: FloatArray) 
 
 
 def path_through(x: FloatArray, y: FloatArray, yaw: FloatArray, kappa: FloatArray) -> Path:
-    """The path through points `(n,)`, those nearer than a millimetre to the one before left out."""
+    """The path through points `(n,)`, without those nearer than a millimetre to the one before."""
     keep = np.r_[True, np.hypot(np.diff(x), np.diff(y)) > 1e-3]
     x, y, yaw, kappa = (column[keep] for column in (x, y, yaw, kappa))
     sigma = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
@@ -122,7 +122,7 @@ def path_through(x: FloatArray, y: FloatArray, yaw: FloatArray, kappa: FloatArra
 
 
 def out_of_frame(line: ReferenceLine, state: EgoState, s: float, l: float) -> str:  # noqa: E741
-    """Why a state with foot point (s, l) has no l', l'' in the Frenet frame; empty where it has."""
+    """Why a state with foot point (s, l) has no l', l'' in the Frenet frame; empty if it has."""
     _, _, yaw_r, kappa_r = line.frame(s)
     turn = abs(wrap(state.yaw - yaw_r))
     if not turn <= MAX_TURN:
@@ -135,7 +135,7 @@ def out_of_frame(line: ReferenceLine, state: EgoState, s: float, l: float) -> st
 def frenet_start(line: ReferenceLine, state: EgoState, s: float, l: float) -> tuple[float, float, float]:  # noqa: E741
     """l, l', l'' of a state whose foot point is (s, l): the inverse of (2) and (3).
 
-    Only for states of which `out_of_frame` has nothing to say.
+    Only for states for which `out_of_frame` is empty.
     """
     _, _, yaw_r, kappa_r = line.frame(s)
     dkappa_r = line.frame(s + 0.25)[3] - line.frame(s - 0.25)[3]
@@ -153,7 +153,7 @@ def states_on_path(
 ) -> FloatArray:
     """Rows x, y, yaw, kappa `(4, n)` at arc lengths `(n,)`: cubic Hermite in the position, linear in yaw and kappa.
 
-    Beyond the end the path goes on straight.
+    Beyond the end the path continues straight.
     """
     out = np.empty((4, len(stations)))
     last = len(sigma) - 1

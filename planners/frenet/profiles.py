@@ -18,11 +18,11 @@ import numpy as np
 from logs.kernel import FloatArray, kernel
 
 STEP_S = 0.1
-"""Between two knots of a speed profile, and two samples of a plan, s."""
+"""Time between two knots of a speed profile, and between two samples of a plan, s."""
 
 
 class KnotLimits(NamedTuple):
-    """`SpeedLimits` for kernels: m/s2, m/s3."""
+    """`SpeedLimits` in the form that kernels take: m/s2, m/s3."""
 
     accel: float
     decel: float
@@ -39,18 +39,18 @@ class SpeedLimits:
 
     @cached_property
     def columns(self) -> KnotLimits:
-        """For kernels."""
+        """The limits in the form that kernels take."""
         return KnotLimits(self.accel_mps2, self.decel_mps2, self.jerk_mps3)
 
     def braking(self, start: tuple[float, float], knots: int, *, share: float = 1.0) -> FloatArray:
-        """Rows s, v, a `(3, knots)` of braking with a share of them."""
+        """Rows s, v, a `(3, knots)` of braking with a share of these limits."""
         return braking(start[0], start[1], share * self.decel_mps2, share * self.jerk_mps3, STEP_S, knots)
 
 
 COMFORT = SpeedLimits(1.8, 3.0, 3.0)
-"""Limits of a profile that need not brake harder."""
+"""Limits of a comfortable profile."""
 EMERGENCY = SpeedLimits(1.8, 7.5, 15.0)
-"""Limits of a profile that must."""
+"""Limits of a profile that must brake harder."""
 HORIZON_STEPS = 80
 """Steps of a plan: 8 s."""
 HORIZON_KNOTS = HORIZON_STEPS + 1

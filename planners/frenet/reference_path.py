@@ -7,10 +7,9 @@ p_i, equally spaced on the raw line r_i:
 (2) p_i = r_i + l_i n_i + t_i m_i,   |l_i| <= ACROSS MAX_SHIFT_M,   |t_i| <= sqrt(1 - ACROSS^2) MAX_SHIFT_M
 
 (discrete bending energy: the FEM-position-deviation smoother of Apollo's reference lines) with the normal n_i and the
-tangent m_i of the raw line: bounds (2) keep the norm in (1), and turn and mirror with the world, as bounds on x and on
-y would not;
-more shift where the line would bend more than the car can steer. The lateral extents of the lanes are where their
-boundaries cross the normals of the smoothed line.
+tangent m_i of the raw line: bounds (2) keep the norm in (1), and rotate and mirror with the world, which bounds on x
+and y do not. The shift is larger where the line would otherwise bend more than the car can steer. The lateral extents
+of the lanes are where their boundaries cross the normals of the smoothed line.
 """
 
 from __future__ import annotations
@@ -33,33 +32,33 @@ from logs.vehicle import VehicleParameters
 from planners.qp import QuadraticProgram
 
 SPACING_M = 2.0
-"""Between two points of (1), m."""
+"""Spacing of the points of (1), m."""
 BENDING_WEIGHT = 50.0
 """w of (1)."""
 MAX_SHIFT_M = 0.3
-"""The mean over all headings of what bounds of 0.25 m on x and on y leave across a line (0.25 * 4 / pi = 0.32)."""
+"""Largest shift, m: about the mean over all headings that bounds of 0.25 m on x and y permit across a line (0.32)."""
 BEND = np.array([1.0, -2.0, 1.0])
-"""Of three points: what (1) sums the squares of."""
+"""Coefficients of three points in the bending term of (1)."""
 ACROSS = 0.97
-"""Share of the shift that a point may make across the line; the rest along it, which a sharp corner needs."""
+"""Share of the shift that a point may make across the line; the rest is along it, as a sharp corner needs."""
 HARDER = ((0.5, 200.0), (0.75, 1000.0), (1.0, 1000.0), (1.5, 3000.0))
 """Shift (m) and bending weight of further attempts, where the line bends more than a car can steer."""
 LOCK_SHARE = 0.9
 """Share of the steering lock that a reference line may need."""
 EDGE_M = 0.1
-"""Room to the lane's edge that a shift leaves the car, m."""
+"""Distance of the car to the lane's edge that a shift keeps, m."""
 BEYOND_M = 300.0
-"""Length of the line after the route, m: farther than a plan of 8 s reaches at 130 km/h."""
+"""Length of the line after the route, m; a plan of 8 s at 130 km/h is shorter."""
 HALF_LANE_M = 1.75
-"""Half the width of a lane where the map gives none, m; half of that is the least that is taken."""
+"""Half the width of a lane without a width in the map, m; the least half width is half of that."""
 REACH_M = 16.0
-"""Lane edges farther beside the line than this are not looked for, m: about four lanes."""
+"""Lane edges farther beside the line than this are ignored, m: about four lanes."""
 JOINT_M = 0.6
 """Boundaries nearer than this are one marking, m."""
 
 
 class Section(NamedTuple):
-    """The road across stations `(k,)`: edges as of `ReferencePath`, speed limit (m/s), curvature of the line (1/m)."""
+    """The road across stations `(k,)`: edges as in `ReferencePath`, speed limit (m/s), curvature of the line (1/m)."""
 
     lane_right: FloatArray
     road_right: FloatArray
@@ -73,16 +72,16 @@ class Section(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ReferencePath:
-    """A reference line and what holds along it; arrays `(n,)` over `line.s`, offsets l in m, positive left.
+    """A reference line and the road along it; arrays `(n,)` over `line.s`, offsets l in m, positive left.
 
     Attributes:
-        line: Goes on straight beyond its ends.
+        line: The line; it continues straight beyond its ends.
         lane_left: Left edge of the route's own lane (of both lanes during a lane change); `lane_right` < 0 likewise.
         road_left: Left edge of the same-direction lanes that can be reached from there; `road_right` likewise.
         limit: Speed limit, m/s.
         lanes: The lanes that it leads along, in driving order.
         facing_left: Left edge of the lane of the opposite direction that adjoins `road_left` where the marking may be
-            crossed, else `road_left`; `facing_right` likewise. None: there is none.
+            crossed, else `road_left`; `facing_right` likewise; None without such a lane.
         waits: Stations before which traffic may have to wait: where lanes part or meet, m.
     """
 
@@ -111,7 +110,7 @@ class ReferencePath:
         return frozen(np.column_stack([*columns, self.line.kappa]))
 
     def at(self, s: FloatArray) -> Section:
-        """The road at stations `(k,)`; beyond the ends as there, with no curvature."""
+        """The road at stations `(k,)`; beyond the ends as at the ends, without curvature."""
         return sections(self.line.s, self.table, s)
 
 
@@ -139,7 +138,7 @@ def write_sections(knots: FloatArray, table: FloatArray, s: FloatArray, out: Flo
 
 
 def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None) -> ReferencePath:
-    """The reference of a route for an ego at its start; a `car` can be steered along it if lanes allow."""
+    """The reference path of a route for an ego at its start; a `car` can follow it if the lanes are wide enough."""
     lanes, line = make_line(road, route, ego, car)
     extents = _lane_extents(road, line)
     lane_left, lane_right, limit = _own_lane(road, line, lanes, extents)
@@ -160,7 +159,7 @@ def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehiclePar
         if then in onward:
             x, y = road.lanes[now].center[-1]
             s = line.project(x, y, s + road.lanes[now].length, 50.0)[0]
-            if len(onward) > 1 or into[then] > 1:  # the lanes part or meet others
+            if len(onward) > 1 or into[then] > 1:  # lanes part or meet here
                 waits.append(s)
     edges = lane_left, lane_right, road_left, -road_right
     return ReferencePath(line, *edges, limit, lanes, facing_left, facing_right, tuple(waits))
@@ -169,9 +168,9 @@ def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehiclePar
 def make_line(
     road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None
 ) -> tuple[tuple[int, ...], ReferenceLine]:
-    """The lanes of a route, carried on straight for `BEYOND_M` or to the end of the map, and the line along them.
+    """The lanes of a route, extended straight on for `BEYOND_M` or to the end of the map, and the line along them.
 
-    It is smoothed more where the car could not be steered along it and the lanes' width allows it.
+    The line is smoothed more where the car could not follow it and the lanes are wide enough.
     """
     lanes, beyond = list(route.lanes), 0.0
     while beyond < BEYOND_M:
@@ -180,7 +179,7 @@ def make_line(
             break
         lanes.append(onward)
         beyond += road.lanes[onward].length
-    groups: list[list[Lane]] = []  # of lanes side by side
+    groups: list[list[Lane]] = []  # each of lanes side by side
     for before, now in zip((None, *lanes), lanes, strict=False):
         if before is not None and now in (road.lanes[before].left_neighbour, road.lanes[before].right_neighbour):
             groups[-1].append(road.lanes[now])
@@ -203,7 +202,7 @@ def _sharpest(line: ReferenceLine) -> float:
 
 
 def smooth_points(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float = BENDING_WEIGHT) -> FloatArray:
-    """The polyline `(n, 2)`, equally spaced and smoothed by (1); a line too short or not solvable stays as it is."""
+    """The polyline `(n, 2)`, equally spaced and smoothed by (1); unchanged if it is too short or the QP fails."""
     chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
     count = floor(chord[-1] / SPACING_M + 0.5 - TIE) + 1
     if count < 4:
@@ -234,7 +233,7 @@ def smooth_points(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: fl
 
 
 def _blend_centers(group: list[Lane], ego: EgoState | None) -> FloatArray:
-    """The centre line of lanes side by side: from the first to the last, over as much of their length as is left."""
+    """The centre line of lanes side by side: from the first to the last lane, over the rest of their length."""
     if len(group) == 1:
         return group[0].center
     u = np.linspace(0.0, 1.0, max(2, floor(group[0].length + TIE) + 1))
@@ -270,7 +269,7 @@ def _crossings(xy: FloatArray, yaw: FloatArray, boundary: FloatArray, reach: flo
         for i in range(1, len(boundary)):
             along_next = (boundary[i, 0] - x) * c + (boundary[i, 1] - y) * s
             left_next = (boundary[i, 1] - y) * c - (boundary[i, 0] - x) * s
-            crosses = min(along, along_next) <= TIE and max(along, along_next) >= -TIE  # one that ends there does, too
+            crosses = min(along, along_next) <= TIE and max(along, along_next) >= -TIE  # its end, too
             if crosses and abs(along - along_next) > TIE:
                 offset = left + (left_next - left) * along / (along - along_next)
                 if abs(offset) <= reach and not abs(offset) >= abs(best):
@@ -323,9 +322,9 @@ def _own_lane(
 
 
 def _one_lane_further(edge: FloatArray, beside: list[tuple[FloatArray, FloatArray, bool, bool]]) -> FloatArray:
-    """The edge `(n,)` moved out over the adjoining lanes, where both lanes let their common marking be crossed.
+    """The edge `(n,)` moved out over the adjoining lanes, where both lanes permit crossing their common marking.
 
-    `beside` holds of each lane its inner and outer edge `(n,)`, and whether they may be crossed.
+    `beside` has the inner and outer edge `(n,)` of each lane, and whether each may be crossed.
     """
     closed = np.zeros(len(edge), np.bool_)
     for _, outer, _, crossable in beside:
@@ -338,7 +337,7 @@ def _one_lane_further(edge: FloatArray, beside: list[tuple[FloatArray, FloatArra
 
 
 def _fill_nan(values: FloatArray, default: float) -> FloatArray:
-    """NaN replaced by the nearest known values, linearly between them; all NaN: the default."""
+    """Replace NaN by linear interpolation, beyond the ends by the nearest value; all NaN: by the default."""
     known = np.isfinite(values)
     if not known.any():
         return np.full(len(values), default)

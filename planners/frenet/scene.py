@@ -1,13 +1,13 @@
-"""The scene: one frame in one lane, worked out once, which every stage reads; where a plan begins; what takes the lane.
+"""The scene: one frame in one lane, computed once for all stages; the start of a plan; what takes parts of the lane.
 
-For an agent whose centre has its foot at station s on the reference line, with the line's heading yaw_r there,
+For an agent whose centre projects to station s of the reference line, with the line's heading yaw_r there,
 
 (1) v_s = vx cos yaw_r + vy sin yaw_r,  v_l = vy cos yaw_r - vx sin yaw_r             along and across the line
 (2) turn = yaw - yaw_r, a principal value
 
-What takes a part of the lane for a time, a standing car, a cyclist, a red light, is an `Occupancy`: a box of stations
-and offsets with the time until which it holds. The path passes boxes or stops before them; the speed stage meets them
-as stations that must not be passed (`StBoundaries.with_stops`). Whoever moves is met where they are predicted, by their
+A standing car, a cyclist or a red light takes a part of the lane for a time. It is an `Occupancy`: a box of stations
+and offsets with the time until which it lasts. The path passes boxes or stops before them; for the speed stage they are
+stations that the ego must not pass (`StBoundaries.with_stops`). Moving agents take the path by their predicted
 footprints (`st_boundaries`).
 """
 
@@ -36,13 +36,13 @@ STITCH_M = 0.5
 STITCH_MPS = 1.0
 """... and its speed nearer than this, m/s."""
 WINDOW_SHARE = 1.5
-"""An agent's foot is looked for before and behind the ego's as far as this times their distance ..."""
+"""An agent's foot point is searched ahead of and behind the ego's within this times their distance ..."""
 WINDOW_M = (80.0, 370.0)
-"""... and the first, m, more, not farther than the second, m: that keeps off other branches of a road that winds."""
+"""... plus the first, m, but at most the second, m, so that it is not on another branch of a winding road."""
 FOOT_M = 30.0
-"""The ego's foot is searched within this distance of where it is expected, m."""
+"""The ego's foot point is searched within this distance of its expected station, m."""
 STANDING_MPS = 0.5
-"""An agent slower than this stands, m/s: the path passes it or stops, the speed does not follow it."""
+"""An agent slower than this stands, m/s: the path passes it, or the ego stops; the speed stage does not follow it."""
 UNLIKELY = 0.2
 """A predicted hypothesis that is not more probable than this is unlikely."""
 TRACK_M = 1.0
@@ -52,7 +52,7 @@ TRACK_ROOM_M = 0.3
 OVERLAP_M = 0.5
 """An agent whose front is past the ego's rear by less than this follows the ego, m."""
 VULNERABLE = among(*(kind for kind in AgentKind if kind.is_vulnerable))
-"""By their codes."""
+"""The vulnerable kinds (on foot or riding), by code."""
 
 
 class AgentsAlong(NamedTuple):
@@ -66,7 +66,7 @@ class AgentsAlong(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """The frame's agents as kernels take them, `(n,)` each, as in `Agents`."""
+    """The frame's agents in the form that kernels take, `(n,)` each, as in `Agents`."""
 
     x: FloatArray
     y: FloatArray
@@ -78,7 +78,7 @@ class Bodies(NamedTuple):
 
 
 class Futures(NamedTuple):
-    """The predictions as kernels take them, as in `Predictions`."""
+    """The predictions in the form that kernels take, as in `Predictions`."""
 
     t: FloatArray
     agent: IntArray
@@ -93,15 +93,15 @@ class Scene:
     """A frame in a lane.
 
     Attributes:
-        frame: What is known now; `start` where the plan begins.
+        frame: The planner's input now; `start` is the state at which the plan begins.
         reference: The lane's reference path.
         vehicle: The ego.
         s: Station of the start, m; `l` its offset, m.
-        trouble: Why the start has no l', l'' in the Frenet frame; empty where it has.
+        trouble: Why the start has no l', l'' in the Frenet frame; empty if it has.
         frenet: l, l', l'' of the start; zeros where there is `trouble`.
         limit: The lane's speed limit at the start, m/s.
         bodies: The agents' boxes; `agents` these along the reference path; `across` the rows of `road` `(8, n)`.
-        speed: Of the agents `(n,)`, m/s; which of them are `standing`, and which are `vulnerable`: walk or ride.
+        speed: Speeds of the agents `(n,)`, m/s; which of them are `standing`, and which `vulnerable` (walk or ride).
     """
 
     frame: Frame
@@ -154,7 +154,7 @@ class Scene:
 def scene_of(
     frame: Frame, start: EgoState, reference: ReferencePath, vehicle: VehicleParameters, near: float | None = None
 ) -> Scene:
-    """The scene of a frame for a plan from `start`, whose foot is looked for near a station (None: anywhere)."""
+    """The scene of a frame for a plan from `start`, whose foot point is searched near a station (None: anywhere)."""
     line, agents = reference.line, frame.agents
     bodies = Bodies(agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width)
     search = (0.5 * line.length, line.length) if near is None else (near, FOOT_M)
@@ -177,7 +177,7 @@ def place_agents(
 ) -> tuple[float, float, float, FloatArray]:  # fmt: skip
     """Station and offset of the ego, the speed limit there, and rows `AgentsAlong`, speed, `Section` `(14, n)`.
 
-    The ego's foot is looked for up to `within` m from the station `near`; `table` is that of a reference path.
+    The ego's foot point is searched up to `within` m from the station `near`; `table` is that of a reference path.
     """
     s_ego, l_ego = line_project(knots, coef, ego[0], ego[1], near, within)
     x, y, vx, vy = bodies.x, bodies.y, bodies.vx, bodies.vy
@@ -196,9 +196,9 @@ def place_agents(
 
 
 def behind(scene: Scene, *, keeps_track: bool) -> BoolArray:
-    """Which agents `(n,)` follow behind the ego, so that they must react to it and not the ego to them.
+    """Which agents `(n,)` follow the ego, so that they must react to it and not the ego to them.
 
-    Where the ego keeps its track these are all behind it in its direction; where it changes, those in its track.
+    Where the ego keeps its track, all agents behind it in its direction follow; where it changes, those in its track.
     """
     agents, ego = scene.agents, (scene.rear, scene.l, scene.frame.ego.yaw, scene.vehicle.width)
     return _follow(agents.s, agents.l, scene.bodies, scene.standing, ego, keeps_track)
@@ -221,7 +221,7 @@ def _follow(
 
 
 def start_of(frame: Frame, stitch_m: float = STITCH_M, stitch_mps: float = STITCH_MPS) -> tuple[EgoState, PlanStart]:
-    """Where the plan of a frame begins: on the previous plan where the ego keeps to it, else at the ego."""
+    """The state at which the plan of a frame begins: on the previous plan if the ego is near it, else at the ego."""
     if frame.previous is not None:
         old = frame.previous.trajectory.at(frame.t)
         near = hypot(old.x - frame.ego.x, old.y - frame.ego.y) <= stitch_m
@@ -240,7 +240,7 @@ class RouteTracker:
         self._station: float | None = None
 
     def scene(self, frame: Frame) -> tuple[Scene, PlanStart]:
-        """The scene of a frame along the route, and where its plan begins."""
+        """The scene of a frame along the route, and the kind of start of its plan."""
         start, kind = start_of(frame)
         near = None if frame.previous is None else self._station
         scene = scene_of(frame, start, self.reference, self._vehicle, near)
@@ -253,14 +253,14 @@ class Occupancy:
     """A part of the lane that is taken for a time (module docstring).
 
     Attributes:
-        agent: An agent's id, or the name of a thing ("stop line 7").
+        agent: An agent's id, or the name of a stop ("stop line 7").
         s_from: Station at which it begins, m; `s_to` at which it ends.
         l_from: Offset of its right side, m; `l_to` of its left side.
-        aside: How much of the box on either side is room for the agent, not the agent, m.
-        until: How long it lasts, s from the frame; inf: not known to end.
-        aim: Where the ego's front should come to rest before it, m; inf: it is no stop.
-        kind: What is decided about it; IGNORE: nothing yet.
-        reason: Why.
+        aside: Width of the box on either side that is space beside the agent, m.
+        until: Time until which it lasts, s from the frame; inf: not known to end.
+        aim: Station at which the ego's front should come to rest before it, m; inf: it is not a stop.
+        kind: The decision about it; IGNORE: none yet.
+        reason: The reason for the decision.
     """
 
     agent: str
@@ -276,12 +276,12 @@ class Occupancy:
 
     @property
     def s_middle(self) -> float:
-        """Between its ends, m."""
+        """Station in the middle between its ends, m."""
         return 0.5 * (self.s_from + self.s_to)
 
     @property
     def decision(self) -> Decision:
-        """What is decided about it, and why."""
+        """The decision about it, and its reason."""
         return Decision(self.agent, self.kind, "speed", self.reason)
 
 
@@ -303,12 +303,12 @@ def on_path(stops: tuple[Occupancy, ...], path: Path, vehicle: VehicleParameters
 
 
 def open_end(stops: Sequence[Occupancy]) -> float:
-    """Where the ego should come to rest before the first stop that is not known to end, m; inf: there is none."""
+    """Station at which the ego should come to rest for the first stop that is not known to end, m; inf without one."""
     return min((stop.aim for stop in stops if not isfinite(stop.until)), default=inf)
 
 
 def upper_bound(stops: Sequence[Occupancy], times: FloatArray, length: float) -> FloatArray:
-    """Greatest station `(n,)` that stops on a path allow at times `(n,)`, m; `length` where none stands."""
+    """Greatest station `(n,)` that stops on a path allow at times `(n,)`, m; `length` where there is none."""
     upper = np.full(len(times), length)
     for stop in stops:
         upper = np.where(times < stop.until, np.minimum(upper, stop.s_from), upper)

@@ -1,19 +1,19 @@
-"""S-T boundaries: when which part of the path is taken, and by which agent.
+"""S-T boundaries: when agents take which part of the path.
 
 The ego's footprint is swept along the planned path and tested against each predicted footprint:
 
 (1) taken(agent, t) = { sigma : box of the ego at path(sigma), widened by a margin, overlaps the agent's box at t }
 
 which is an interval [lower, upper] of stations of the rear axle for each time sample. Corners and the curvature of the
-path are exact, since real boxes are tested: at the path's points, and between two of them by bisection. Boxes are
-tested one by one only where envelopes touch: of `PART` points of the path, and of `SAMPLES` samples of a prediction.
-Where no prediction comes near the path, no box is made.
+path are exact, since the boxes themselves are tested: at the path's points, and between two of them by bisection.
+Single boxes are tested only where envelopes of `PART` points of the path and `SAMPLES` samples of a prediction touch.
+Where no prediction comes near the path, no boxes are computed.
 
-(2) An agent who crosses may come sooner by `early_s` and leave later by `late_s`: the first and the last interval are
-    drawn out in time, less where the event is near and so surer.
-(3) The agent's speed along the path is that of their velocity along the path's heading where they enter it.
-(4) Decision, given a profile s(t): overtake where it passes above the middle of all intervals; else stop for those who
-    stand, follow those who move along the path with more than the share `ALONG` of their speed, yield to all others.
+(2) An agent that crosses may come sooner by `early_s` and leave later by `late_s`: the first and the last interval are
+    extended in time, less where the event is near and so more certain.
+(3) The agent's speed along the path is the component of its velocity along the path's heading where it enters the path.
+(4) Decision for a profile s(t): overtake where it passes above the middle of all intervals; else stop for agents that
+    stand, follow those that move along the path with more than the share `ALONG` of their speed, yield to all others.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from planners.frenet.path import Path
 from planners.frenet.scene import STANDING_MPS, Bodies, Futures, Occupancy, Scene
 
 NO_ONE = np.zeros(0, np.bool_)
-"""None of the agents."""
+"""No agent (see `Roles`)."""
 ALONG = 0.8
-"""An agent with this share of its speed along the path is followed, not let go first; at 45 degrees it crosses."""
+"""An agent with this share of its speed along the path is followed, not yielded to; at 45 degrees it crosses."""
 HALVINGS = 4
-"""Of the path's spacing, about 0.4 m, towards the edge of an interval."""
+"""Halvings of the path's spacing, about 0.4 m, in the search for the edge of an interval."""
 JUMP = 0.999
-"""Share of a gap that is jumped over, so that rounding does not jump over a touch."""
+"""Share of a gap that the search skips, so that rounding does not skip a touch."""
 PART, SAMPLES = 16, 8
-"""Points of the path, and samples of a prediction, in one envelope: envelopes are tested first."""
+"""Number of points of the path, and of samples of a prediction, in one envelope; envelopes are tested first."""
 ROUNDING_M = 1e-6
-"""Envelopes that are this near count as touching, m."""
+"""Envelopes nearer than this touch, m."""
 KINDS = (DecisionKind.OVERTAKE, DecisionKind.STOP, DecisionKind.FOLLOW, DecisionKind.YIELD)
 """The decisions (4) ..."""
 OVERTAKE, STOP, FOLLOW, YIELD = range(len(KINDS))
@@ -55,11 +55,11 @@ class StGraphConfig:
     """Margins of the swept footprint, added to each side of the ego, m.
 
     Attributes:
-        margin_m: To vehicles and objects; `vulnerable_margin_m` to pedestrians and riders.
-        passed_margin_m: To an obstacle that the path passes on purpose.
-        step_s: Between two time samples.
-        early_s: An agent that crosses may come sooner by this, or by a third of the time that is left until then.
-        late_s: It may leave later by this, or by half of the time that is left: the nearer, the surer.
+        margin_m: Margin to vehicles and objects; `vulnerable_margin_m` to pedestrians and riders.
+        passed_margin_m: Margin to an obstacle that the path passes on purpose.
+        step_s: Time between two samples.
+        early_s: An agent that crosses may come sooner by this, at most by a third of the time left until then.
+        late_s: It may leave later by this, at most by half of the time left.
     """
 
     margin_m: float = 0.3
@@ -80,10 +80,10 @@ class StBoundaries:
 
     Attributes:
         t: `(k,)` s from the frame.
-        agent: `(n,)` index into the frame's agents; -1 for a stop that belongs to none.
-        lower: `(n, k)` m along the path, drawn out in time by what is uncertain; `upper` likewise.
-        speed: `(n,)` the agent's speed along the path where they enter (3), m/s.
-        probability: `(n,)` of the prediction.
+        agent: `(n,)` index into the frame's agents; -1 for a stop, which belongs to no agent.
+        lower: `(n, k)` m along the path, extended in time by the uncertainty (2); `upper` likewise.
+        speed: `(n,)` the agent's speed along the path where it enters (3), m/s.
+        probability: `(n,)` probability of the prediction.
     """
 
     t: FloatArray
@@ -97,7 +97,7 @@ class StBoundaries:
         return len(self.agent)
 
     def only(self, rows: BoolArray) -> StBoundaries:
-        """Some of them `(n,)`."""
+        """The boundaries of some rows; `rows` is a mask `(n,)`."""
         return StBoundaries(
             self.t, self.agent[rows], self.lower[rows], self.upper[rows], self.speed[rows], self.probability[rows]
         )
@@ -113,7 +113,7 @@ class StBoundaries:
 
     @property
     def step(self) -> float:
-        """Between two times, s; the predictions may be coarser than `StGraphConfig.step_s`."""
+        """Time between two samples, s; the predictions may be coarser than `StGraphConfig.step_s`."""
         return float(self.t[1] - self.t[0]) if len(self.t) > 1 else np.inf
 
     @property
@@ -122,7 +122,7 @@ class StBoundaries:
         return float(np.nanmin(self.lower)) if len(self) else inf
 
     def with_stops(self, stops: Sequence[Occupancy]) -> StBoundaries:
-        """These and a row per stop on the path, which belongs to no agent (-1)."""
+        """Add a row for each stop on the path; its agent is -1."""
         if not stops:
             return self
         n, lower = len(stops), np.array([np.where(self.t < stop.until, stop.s_from, np.nan) for stop in stops])
@@ -135,7 +135,7 @@ class StBoundaries:
 def st_boundaries(
     scene: Scene, path: Path, skip: BoolArray, passed: Collection[str], config: StGraphConfig
 ) -> StBoundaries:
-    """The intervals (1) of all predictions but those of agents to `skip` `(agents,)`.
+    """The intervals (1) of all predictions except those of agents to `skip` `(agents,)`.
 
     Agents that the path passes on purpose (`passed`, their ids) have the smallest margin.
     """
@@ -153,7 +153,7 @@ def st_boundaries(
 def decide(lower: FloatArray, upper: FloatArray, speed: FloatArray, total: FloatArray, s: FloatArray) -> IntArray:
     """Codes of (4) `(n,)` for intervals `(n, k)` and a profile `(k,)` at their times.
 
-    `speed` is that along the path, `total` that of the agents `(n,)`, m/s.
+    `speed` is that along the path, `total` the speed of the agents `(n,)`, m/s.
     """
     codes = np.empty(len(lower), np.int64)
     for i in range(len(lower)):
@@ -166,7 +166,7 @@ def decide(lower: FloatArray, upper: FloatArray, speed: FloatArray, total: Float
 
 
 def decide_speed(blocks: StBoundaries, scene: Scene, s: FloatArray) -> tuple[Decision, ...]:
-    """(4) per row for a profile `(k,)` at the boundaries' times; and when and where the row takes the path."""
+    """Decide (4) for each row and a profile `(k,)` at the boundaries' times; the reason has when and where."""
     found, agents = [], scene.frame.agents
     codes = decide(blocks.lower, blocks.upper, blocks.speed, scene.speed[blocks.agent], s)
     for code, who, lower in zip(codes, blocks.agent, blocks.lower, strict=True):
@@ -178,7 +178,7 @@ def decide_speed(blocks: StBoundaries, scene: Scene, s: FloatArray) -> tuple[Dec
 
 
 def outlines(blocks: StBoundaries, decisions: Sequence[Decision]) -> tuple[GraphObstacle, ...]:
-    """The intervals as polygons of the S-T graph, each with what was decided about it."""
+    """The intervals as polygons of the S-T graph, each with its decision."""
     found = []
     for i, decision in enumerate(decisions):
         taken = np.isfinite(blocks.lower[i])
@@ -216,10 +216,10 @@ class Roles(NamedTuple):
 
 
 class Swept(NamedTuple):
-    """What a sweep takes of the ego and of the settings, for the kernel.
+    """The ego's box and the settings of a sweep, for the kernel.
 
     Attributes:
-        rear_to_center: From the rear axle to the box's centre, m; `length` and `width` of the box.
+        rear_to_center: Distance from the rear axle to the box's centre, m; `length` and `width` of the box.
         margin: As in `StGraphConfig`, m; `vulnerable_margin` and `passed_margin` likewise.
         early: (2), s; `late` likewise.
     """
@@ -238,7 +238,7 @@ class Swept(NamedTuple):
 def sweep(
     way: Way, futures: Futures, bodies: Bodies, roles: Roles, ego: Swept, now: float, stride: int
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The fields of `StBoundaries`: of the predictions that take the path, at times `stride` samples apart."""
+    """The fields of `StBoundaries` for the predictions that take the path, at times `stride` samples apart."""
     t = futures.t[::stride] - now
     x, y, yaw, size = futures.x, futures.y, futures.yaw, len(futures.agent)
     rows, speed = np.empty(size, np.int64), np.empty(size)
@@ -286,10 +286,10 @@ def _takes(
     sigma: FloatArray, boxes: FloatArray, moved: float, parts: FloatArray, ego_size: tuple[float, float],
     other: FloatArray, other_size: tuple[float, float], lower: FloatArray, upper: FloatArray,
 ) -> bool:  # fmt: skip
-    """Write the intervals (1) `(k,)` of one prediction; whether there is any.
+    """Write the intervals (1) `(k,)` of one prediction; return whether there are any.
 
-    Boxes are tested only on those parts of the path whose envelope meets that of some samples of the prediction; who
-    stays where they are is tested once.
+    Boxes are tested only on those parts of the path whose envelope meets that of some samples of the prediction; an
+    agent that does not move is tested once.
     """
     taken = False
     around = _envelopes(other, np.int64(SAMPLES), other_size[0], other_size[1])
@@ -320,7 +320,7 @@ def _takes(
 
 @inner_kernel
 def _ego_boxes(way: Way, count: int, rear_to_center: float, radius: float) -> tuple[FloatArray, float]:
-    """Rows x, y, cos yaw, sin yaw, yaw `(5, count)` of the ego's box along a path; the most that its points move, m."""
+    """Rows x, y, cos yaw, sin yaw, yaw `(5, count)` of the ego's box along a path; the greatest step of a point."""
     out = np.empty((5, count))
     moved = 1e-6
     for j in range(count):
@@ -337,8 +337,8 @@ def _ego_boxes(way: Way, count: int, rear_to_center: float, radius: float) -> tu
 def _envelopes(boxes: FloatArray, every: np.int64, length: float, width: float) -> FloatArray:
     """Boxes around groups of a sequence: rows x, y, cos yaw, sin yaw, half length, half width.
 
-    The sequence has the rows x, y, cos yaw, sin yaw; all are of one size. An envelope heads as its middle one.
-    `every` is no literal, since numba would compile this for each of them.
+    The sequence has the rows x, y, cos yaw, sin yaw; all boxes have one size. An envelope has the heading of its middle
+    box. `every` is not a literal, since numba would compile the function for each value.
     """
     out = np.empty((6, (boxes.shape[1] + every - 1) // every))
     for e in range(out.shape[1]):
@@ -382,8 +382,8 @@ def _first_met(
 ) -> int:  # fmt: skip
     """The first point from `begin` to `end`, exclusive, forwards or backwards, at which the ego meets a box; -1: none.
 
-    Points are jumped over at which the gap cannot have closed: from one to the next no point of the ego's box moves
-    further than `moved` m. The `other` box is x, y, cos yaw, sin yaw, length, width.
+    It skips points at which the gap cannot have closed: from one to the next no point of the ego's box moves farther
+    than `moved` m. The `other` box is x, y, cos yaw, sin yaw, length, width.
     """
     j, step = begin, 1 if end > begin else -1
     while (end - j) * step > 0:
@@ -422,7 +422,7 @@ def _edge(
 
 @inner_kernel
 def _drawn_out(t: FloatArray, lower: FloatArray, upper: FloatArray, early: float, late: float) -> float:
-    """Draw an interval `(k,)` out in time (2); returns the station at which the agent enters."""
+    """Extend an interval `(k,)` in time (2); return the station at which the agent enters."""
     first, last = 0, len(t) - 1
     while isnan(lower[first]):
         first += 1

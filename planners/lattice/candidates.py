@@ -1,28 +1,28 @@
-"""Pairs of polynomials: the states that they stand for, what they cost, and what they must keep.
+"""Pairs of polynomials: their states, their cost, and their constraints.
 
 Longitudinal, from (s, s_dot, s_ddot) at the start:
 
 (1) keep a speed: quartic s(t) to (s_dot, s_ddot) = (v1, 0) at T, s free            least integral of jerk^2
 (2) reach a point (stop, follow): quintic s(t) to (s1, v1, 0) at T                  least integral of jerk^2
-    after T both go on with v1
+    after T both continue with v1
 
 Lateral, from (l, l', l'') at the start:
 
 (3) quintic l(s) to (l1, 0, 0) over D = max(s(T_l) - s(0), `LEAST_M`), then l1
 
 (Werling et al., ICRA 2010; l over s is its form for low speeds. It is used at all speeds here, since at constant speed
-it is the same polynomial as l over t, and needs no switch.) Cost of a pair, Delta s being what it misses its wanted
-point by:
+it is the same polynomial as l over t, and needs no switch.) Cost of a pair, where Delta s is the distance by
+which it misses its wanted point:
 
 (4) J = K_LAT (k_j J_l + k_u T_l + k_l l1^2) + k_j J_s + k_t T + k_v (v1 - v_wanted)^2 + k_s (Delta s)^2 + k_gap H
     J_s = integral of s_dddot^2 dt
     J_l = (D / T_l)^5 integral of l'''^2 ds, which is the integral of l_dddot^2 dt at constant speed
-(5) H = mean over the horizon, sum over the agents on the track of l1, of  max(0, 1 - gap / (g0 + tau v))^2: the share
-    of the wanted gap that is missing, to who is ahead, and, where the track changes, to who is behind
+(5) H = mean over the horizon, sum over the agents on the track of l1, of  max(0, 1 - gap / (g0 + tau v))^2: the missing
+    share of the wanted gap to the agent ahead, and, where the track changes, to the agent behind
 
-Where the traffic rules demand a stop soon, v_wanted is 0, and a pair that ends before that place misses it. All but H
-is Werling's. Without H, a pair that ends a hand's breadth behind its leader would be as good as any. A pair must keep
-speed and acceleration, the curvature, the road, and a distance from all agents.
+Where the traffic rules demand a stop soon, v_wanted is 0, and Delta s is the distance by which a pair ends before that
+place. All terms but H are Werling's. Without H, a pair that ends a hand's breadth behind its leader would be as good as
+any. A pair must keep bounds of speed and acceleration, the curvature, the road, and a distance from all agents.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ from planners.frenet.path import MAX_TURN, MIN_REGULAR, quintic
 from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 
 LEAST_M = 8.0
-"""A lateral move is not shorter than this (3), m: at low speeds it would be too sharp to steer."""
+"""Least length of a lateral move (3), m: at low speeds a shorter one would be too sharp to steer."""
 REST_MPS = 0.05
 """Below this speed the ego stands: an agent that then runs into it is not the ego's fault."""
 SIDE_M = 0.1
 """An agent nearer than this beside a track is on it."""
 COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")
-"""The terms of (4) as a recording names them."""
+"""The names of the terms of (4) in traces."""
 STRIDE = 4
-"""Samples of the plan per sample of the others' Frenet coordinates."""
+"""Samples of the plan per sample of the agents' Frenet coordinates."""
 
 
 class Fault(IntEnum):
@@ -107,7 +107,7 @@ def third_square(c3: float, c4: float, c5: float, T: float) -> float:
 
 @kernel
 def evaluate_polynomial(c: FloatArray, T: float, x: float) -> tuple[float, float, float]:
-    """Value, first and second derivative of a polynomial `(6,)` at x; beyond T it goes on straight."""
+    """Value, first and second derivative of a polynomial `(6,)` at x; beyond T it continues linearly."""
     u = min(x, T)
     value = ((((c[5] * u + c[4]) * u + c[3]) * u + c[2]) * u + c[1]) * u + c[0]
     first = (((5.0 * c[5] * u + 4.0 * c[4]) * u + 3.0 * c[3]) * u + 2.0 * c[2]) * u + c[1]
@@ -179,9 +179,9 @@ def speed_faults(
 ) -> IntArray:  # fmt: skip
     """Per longitudinal candidate, s from the start, s_dot, s_ddot `(m, 3, k)`, its first fault.
 
-    `limit` is that at stations `grid`, uniform; `allowed` a speed that is allowed in any case at each time `(k,)`: who
-    starts too fast has to come down; `upper` how far the traffic rules let the ego go `(k,)`, m from the start;
-    `bounds` the greatest acceleration, hardest deceleration, and room above the limit.
+    `limit` is that at stations `grid`, uniform; `allowed` a speed that is always allowed at each time `(k,)`, since an
+    ego that starts too fast has to slow down; `upper` the distance that the traffic rules permit `(k,)`, m from the
+    start; `bounds` the greatest acceleration, the greatest deceleration, and the permitted excess over the limit.
     """
     out = np.zeros(len(motion), np.int64)
     h = grid[1] - grid[0]
@@ -206,7 +206,7 @@ def speed_faults(
 
 @inner_kernel
 def _outside(l: float, s: float, grid: FloatArray, left: FloatArray, right: FloatArray) -> float:  # noqa: E741
-    """How far an offset lies outside of the edges at station s, m."""
+    """Distance of an offset outside the edges at station s, m."""
     at = min(max(int((s - grid[0]) / (grid[1] - grid[0])), 0), len(grid) - 1)
     return max(l - left[at], right[at] - l, 0.0)
 
@@ -227,9 +227,9 @@ class Futures(NamedTuple):
         agent: `(n,)` index into the frame's agents.
         pose: x, y, yaw `(3, n, HORIZON_KNOTS)`; beyond the predictions' horizon all agents stay.
         frenet: `futures_frenet` of every `STRIDE`-th time `(4, n, m)`.
-        speed: Along the line at first `(n,)`, m/s.
+        speed: Speed along the line at the first time `(n,)`, m/s.
         sizes: Length, width, margin `(3, n)`, m.
-        behind: `(2, n)` those that the ego need not look at: keeping its track, and changing it.
+        behind: `(2, n)` which the ego ignores: when it keeps its track, and when it changes it.
     """
 
     agent: IntArray
@@ -243,8 +243,8 @@ class Futures(NamedTuple):
 class Longitudinal(NamedTuple):
     """Longitudinal polynomials that keep the limits, m of them: coefficients `(m, 6)`, lowest power first.
 
-    Durations T, s, end speeds v1, m/s, what they miss their wanted point by, m, and the index of the end offset that
-    they belong to, -1 where to any: `(m,)` each.
+    Durations T, s, end speeds v1, m/s, distances by which they miss their wanted point, m, and the index of their end
+    offset, -1 for any: `(m,)` each.
     """
 
     coef: FloatArray
@@ -255,14 +255,14 @@ class Longitudinal(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Candidates, n of them: a row of `Longitudinal`, and where and how long they move sideways.
+    """Candidates, n of them: a row of `Longitudinal` with an end offset and a length of the lateral move.
 
     Attributes:
         lon: The longitudinal polynomials; `row` `(n,)` index into them.
         l1: End offset `(n,)`, m; `length` D of the lateral polynomial.
-        changes: `(n,)` whether the end is on another track.
-        costs: By `COST_PARTS` `(5, n)`.
-        faults: How many pairs were not made, since their longitudinal polynomial breaks a limit.
+        changes: `(n,)` whether they end on another track.
+        costs: Cost by `COST_PARTS` `(5, n)`.
+        faults: Number of pairs, by fault, that were not made since their longitudinal polynomial breaks a limit.
     """
 
     lon: Longitudinal
@@ -277,7 +277,7 @@ class Pairs(NamedTuple):
 class Room(NamedTuple):
     """Where the rear axle may be: stations of the reference line `(n,)`, uniform, m, its coefficients `(n-1, 8)`.
 
-    The greatest and the least offset at these stations `(n,)`, m.
+    Also the greatest and the least offset at these stations `(n,)`, m.
     """
 
     knots: FloatArray
@@ -287,7 +287,7 @@ class Room(NamedTuple):
 
 
 class Body(NamedTuple):
-    """The ego's box and limits: rear axle to the box's centre, length, width (m), curvature (1/m), a_lat (m/s2)."""
+    """The ego's box and limits: distance from rear axle to centre, length, width (m), curvature (1/m), a_lat (m/s2)."""
 
     rear_to_center: float
     length: float
@@ -315,9 +315,9 @@ def _met(x: float, y: float, yaw: float, k: int, others: Futures, skip: BoolArra
 def drive_fault(
     at: FloatArray, motion: FloatArray, s0: float, room: Room, others: Futures, skip: BoolArray, ego: Body
 ) -> int:
-    """The first fault of a candidate's `states` `(9, k)` and s, s_dot, s_ddot `(3, k)` along time, 0 where it has none.
+    """The first fault of a candidate's `states` `(9, k)` and s, s_dot, s_ddot `(3, k)` over time, 0 without one.
 
-    A bound that the start breaks already may stay broken as much as there, but not more. `skip`: ignored agents.
+    A bound that the start violates may stay violated by as much as at the start, but not more. `skip`: ignored agents.
     """
     out = _outside(at[6, 0], s0, room.knots, room.left, room.right) + 0.02
     kappa_max = max(ego.max_kappa, abs(at[5, 0]) + 0.01)
@@ -340,7 +340,7 @@ def drive_fault(
 def first_feasible(
     pairs: Pairs, order: IntArray, ego: Ego, room: Room, others: Futures, body: Body
 ) -> tuple[int, IntArray]:
-    """The first pair in `order` without a fault, -1 where there is none, and how many were found with which fault."""
+    """The first pair in `order` without a fault, -1 if there is none, and the number of pairs found with each fault."""
     found, start = np.zeros(FAULTS, np.int64), np.array(ego.lateral)
     for pair in order:
         i = pairs.row[pair]
@@ -379,10 +379,10 @@ def headway(
     motion: FloatArray, s0: float, others: FloatArray, speed: FloatArray, behind: BoolArray, l1: float,
     box: FloatArray, wanted: FloatArray, changes: bool,
 ) -> FloatArray:  # fmt: skip
-    """(5) of longitudinal candidates `(m, 3, k)`, as of `sample_polynomials`, on the track at offset `l1`: `(m,)`.
+    """(5) of longitudinal candidates `(m, 3, k)`, as in `sample_polynomials`, on the track at offset `l1`: `(m,)`.
 
-    `others` are `futures_frenet`, `behind` as of `Futures`; `box` from the rear axle to front and rear, and half the
-    width, m; `wanted` g0, tau; `changes`: whether the track is another than the ego's.
+    `others` are `futures_frenet`, `behind` is as in `Futures`; `box` has the distances from the rear axle to front and
+    rear, and half the width, m; `wanted` is g0, tau; `changes`: whether the track is not the ego's.
     """
     out = np.zeros(len(motion))
     for j in range(others.shape[1]):
@@ -409,7 +409,7 @@ def lateral_costs(
 ) -> tuple[FloatArray, FloatArray]:
     """The lateral part of (4), without K_LAT, and the lengths D, of the pairs with durations `T` `(p,)`: `(m, p)` each.
 
-    From `start`, l, l', l''; `weights` k_j, k_u, k_l.
+    `start` is l, l', l''; `weights` are k_j, k_u, k_l.
     """
     cost, length = np.empty((len(motion), len(T))), np.empty((len(motion), len(T)))
     for i in range(len(motion)):

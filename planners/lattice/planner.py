@@ -1,6 +1,6 @@
 """The planner: start, scene, pairs, the first feasible pair in order of cost; or the fallback.
 
-Before it, which polynomials are tried; after it, what a recording shows of a plan: both graphs, decisions, costs.
+The module also selects the polynomials to try, and makes the artefacts of a plan: both graphs, decisions, costs.
 """
 
 from __future__ import annotations
@@ -71,13 +71,13 @@ from planners.lattice.candidates import (
 from planners.rules import Rulebook, RuleMemory
 
 SHORT = 4.0
-"""Weight of each metre short of a stop that the rules require: the ego should visibly have stopped there."""
+"""Weight of each metre short of a stop that the rules require, so that the ego stops visibly at that place."""
 STOP_S = 1.0
-"""The ego brakes for a stop that the rules demand this long, s ..."""
+"""The ego brakes for a stop that the rules demand from this time, s ..."""
 STOP_M = 2.0
-"""... and this far, m, before gentle braking would have to begin."""
+"""... and this distance, m, before gentle braking would have to begin."""
 NEAR_M = 30.0
-"""Agents that stay farther than this from the ego's reach are not in the scene."""
+"""Agents that stay farther than this from the ego's reach are left out, m."""
 EVERY = 4
 """Samples of the plan per point of the S-L graph."""
 Row = tuple[float, float, float, float, float, float, float]
@@ -90,21 +90,21 @@ class LatticeConfig:
 
     Attributes:
         speeds: Number of end speeds between 0 and the wanted one.
-        durations_s: Of longitudinal polynomials (T).
-        lateral_durations_s: Of lateral ones (T_l).
-        offset_spacing_m: Between two end offsets.
+        durations_s: Durations of longitudinal polynomials (T).
+        lateral_durations_s: Durations of lateral polynomials (T_l).
+        offset_spacing_m: Distance between two end offsets.
         w_jerk: Weight k_j; `w_time` k_t, `w_offset` k_l, `w_speed` k_v, `w_point` k_s, `w_gap` k_gap.
         w_lateral: Weight of the lateral part (K_LAT).
-        w_lateral_time: Weight of the lateral duration (k_u): so small that an offset of `offset_spacing_m` is undone.
+        w_lateral_time: Weight of the lateral duration (k_u): so small that `offset_spacing_m` is undone.
         standstill_gap_m: Wanted gap at standstill (g0).
         time_gap_s: Wanted time gap (tau).
         accel_mps2: Greatest acceleration.
-        decel_mps2: Hardest deceleration, positive.
+        decel_mps2: Greatest deceleration, positive.
         lat_accel_mps2: Greatest lateral acceleration.
-        curve_accel_mps2: Lateral acceleration from which the wanted speed in curves comes.
+        curve_accel_mps2: Lateral acceleration of the wanted speed in curves.
         ease_mps2: Deceleration towards lower limits and curves.
-        margin_m: To vehicles and objects; `vulnerable_margin_m` to pedestrians and riders.
-        edge_m: To the road's edge.
+        margin_m: Distance to vehicles and objects; `vulnerable_margin_m` to pedestrians and riders.
+        edge_m: Distance to the road's edge.
     """
 
     speeds: int = 8
@@ -138,9 +138,9 @@ class LatticeConfig:
 
 
 def ego_frenet(scene: Scene) -> Ego:
-    """The start in the Frenet frame: `candidates.states` read backwards.
+    """The start in the Frenet frame: the inverse of `candidates.states`.
 
-    Near standstill a deceleration that would soon be a reverse is not taken over.
+    Near standstill it drops a deceleration that would soon make the ego reverse.
     """
     line, start, s0, l0, lateral = scene.reference.line, scene.start, scene.s, scene.l, scene.frenet
     _, _, yaw_r, kappa_r = line.frame(s0)
@@ -153,10 +153,10 @@ def ego_frenet(scene: Scene) -> Ego:
 
 
 def futures_of(scene: Scene, ego: Ego, config: LatticeConfig) -> Futures:
-    """The others of a scene as they are predicted, on the plan's grid of times; before and after they stay."""
+    """The predicted agents of a scene on the plan's grid of times; before and after the predictions they stay."""
     frame, start, line, car = scene.frame, scene.start, scene.reference.line, scene.vehicle
     agents, futures = frame.agents, frame.predictions
-    reach = HORIZON_STEPS * STEP_S * (ego.speed + 3.0) + NEAR_M  # as far as the ego can get
+    reach = HORIZON_STEPS * STEP_S * (ego.speed + 3.0) + NEAR_M  # farther than the ego can get
     way = np.vstack([line.xy[(line.s > ego.s - NEAR_M) & (line.s < ego.s + reach)], [[start.x, start.y]]])
     low, high = way.min(axis=0) - NEAR_M, way.max(axis=0) + NEAR_M
     near = np.zeros(len(futures), np.bool_)
@@ -178,7 +178,7 @@ def futures_of(scene: Scene, ego: Ego, config: LatticeConfig) -> Futures:
         length, width = car.length + 2.0 * margin, car.width + 2.0 * margin
         px, py, yaw = pose[:, j, 0]
         is_near = overlap(x, y, start.yaw, length, width, px, py, yaw, sizes[0, j], sizes[1, j])
-        sizes[2, j] = 0.0 if is_near else margin  # nothing is kept to who is nearer already
+        sizes[2, j] = 0.0 if is_near else margin  # no margin to agents that are nearer already
     thin = [np.ascontiguousarray(rows[:, ::STRIDE]) for rows in pose]
     frenet = futures_frenet(line.s, line.coef, thin[0], thin[1], thin[2], sizes, ego.s)
     speed = (frenet[0, :, 1] - frenet[0, :, 0]) / (STRIDE * STEP_S)
@@ -206,7 +206,7 @@ class Sampler:
         self.right = np.minimum(reference.road_right + side, middle)
 
     def pairs(self, ego: Ego, futures: Futures, stops: Sequence[Occupancy] = ()) -> Pairs:
-        """Every longitudinal polynomial that keeps limits and stops, with every lateral one of its tracks."""
+        """All longitudinal polynomials that keep limits and stops, each with all lateral ones of its tracks."""
         config, stations, aim = self._config, self._reference.line.s, open_end(stops)
         spacing, there = config.offset_spacing_m, ego.s + 2.0 * ego.speed + 10.0
         left, right = (float(np.interp(there, stations, edge)) for edge in (self.left, self.right))
@@ -223,8 +223,8 @@ class Sampler:
         motion = sample_polynomials(lon.coef, lon.T, HORIZON_STEPS)
         allowed = braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, HORIZON_KNOTS)[1] + 0.3
         bounds, t = np.array([config.accel_mps2, config.decel_mps2, 0.5]), STEP_S * np.arange(HORIZON_KNOTS)
-        upper = upper_bound(stops, t, np.inf)  # how far the rules let the ego go
-        if not rests:  # far from an open stop only at first
+        upper = upper_bound(stops, t, np.inf)  # the greatest station that the rules permit
+        if not rests:  # a far, open stop binds for `STOP_S`
             timed = upper_bound([stop for stop in stops if stop.until < np.inf], t, np.inf)
             upper = np.where(t < STOP_S, upper, timed)
         faults = speed_faults(motion, ego.s, stations, self.limit, allowed, upper, bounds)
@@ -236,9 +236,9 @@ class Sampler:
         return self._pair_candidates(ego, futures, kept, motion[fit], offsets, wanted, counts)
 
     def _keeping(self, ego: Ego, wanted: float, aim: float) -> list[Row]:
-        """Polynomials to speeds up to the wanted one, also the ego's own; rests, from gentle to as hard as allowed.
+        """Polynomials to speeds up to the wanted one, to the ego's own speed, and to rest, from gentle to hard braking.
 
-        Where the rules demand a stop at `aim`, m (inf: none), a row that ends before it misses it, and others reach it.
+        Where the rules demand a stop at `aim`, m (inf: none), rows that end before it miss it; further rows reach it.
         """
         config, rows = self._config, list[Row]()
         speeds = [*np.linspace(0.0, wanted, config.speeds), min(ego.speed, wanted)]
@@ -254,7 +254,7 @@ class Sampler:
         return rows
 
     def _reaching(self, ego: Ego, futures: Futures, offsets: FloatArray) -> list[Row]:
-        """Points behind whoever is first on each track when T has passed: at the wanted gap, and nearer."""
+        """Points behind the first agent on each track at time T: at the wanted gap, and nearer."""
         config, car, rows = self._config, self._vehicle, list[Row]()
         if not len(futures.agent):
             return rows
@@ -308,9 +308,9 @@ class Sampler:
 
 
 class Lattice:
-    """Chooses among pairs of polynomials; its memory is the last station and what the rules remember.
+    """Chooses among pairs of polynomials; its memory is the last station and the memory of the rules.
 
-    Where no pair can be driven, the ladder of `planners.frenet.fallback` answers: the rest of the previous plan, else a
+    Where no pair is feasible, it uses the ladder of `planners.frenet.fallback`: the rest of the previous plan, else a
     comfortable stop, else a hard one. Agents behind are ignored while the ego keeps its track.
     """
 
@@ -324,7 +324,7 @@ class Lattice:
         self._sampler = Sampler(self._tracker.reference, self._vehicle, self._config, passes_left=passes_left)
 
     def plan(self, frame: Frame) -> Plan:
-        """The cheapest pair that can be driven, ties to the first; else the fallback, and why."""
+        """Return the cheapest feasible pair (the first of equals); else the fallback and the reason."""
         scene, start_kind = self._tracker.scene(frame)
         if frame.previous is None:
             self._memory = RuleMemory()
@@ -355,7 +355,7 @@ class Lattice:
         lateral = lateral_polynomial(np.array(ego.lateral), pairs.l1[chosen], pairs.length[chosen])
         at = states(line.s, line.coef, scene.s, lateral, pairs.length[chosen], motion)
         x, y, yaw, v, a, kappa = at[:6]
-        t, rest = frame.t + STEP_S * np.arange(at.shape[1]), v < 1e-3  # a rest is a rest
+        t, rest = frame.t + STEP_S * np.arange(at.shape[1]), v < 1e-3  # standstill is exact
         way = Trajectory(t, x, y, yaw, np.where(rest, 0.0, v), np.where(rest & (np.abs(a) < REST_MPS), 0.0, a), kappa)
 
         def internals() -> tuple[Artefact, ...]:
@@ -367,7 +367,7 @@ class Lattice:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Chosen:
-    """The pair that is driven, of those in a scene: its `states` `(9, k)`, and its s, s_dot, s_ddot `(3, k)`."""
+    """The chosen pair of a scene: its `states` `(9, k)`, and its s, s_dot, s_ddot `(3, k)`."""
 
     scene: Scene
     ego: Ego
@@ -379,9 +379,9 @@ class Chosen:
 
 
 def artefacts(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
-    """Graphs, decisions and costs of the pair that is driven.
+    """Graphs, decisions and costs of the chosen pair.
 
-    A decision for each agent that stands in the middle of the road and is driven past, and on which side.
+    Each agent that stands in the middle of the road and that the ego passes has a decision with the side.
     """
     scene, ego, motion, passed = chosen.scene, chosen.ego, chosen.motion, dict[str, Decision]()
     half, l1 = 0.5 * scene.vehicle.width, float(chosen.pairs.l1[chosen.pair])
@@ -414,7 +414,7 @@ def _graph_along(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
     """The S-T graph along the planned path, and the decisions to follow, yield to or overtake agents."""
     scene, at, futures = chosen.scene, chosen.at, chosen.futures
     way, d = path_through(at[0], at[1], at[2], at[5]), np.arange(1.0, 30.0)
-    sigma, yaw = np.r_[way.sigma, way.sigma[-1] + d], way.yaw[-1]  # straight on, so that the one it stops for is seen
+    sigma, yaw = np.r_[way.sigma, way.sigma[-1] + d], way.yaw[-1]  # straight on, to show its leader
     x, y = np.r_[way.x, way.x[-1] + d * np.cos(yaw)], np.r_[way.y, way.y[-1] + d * np.sin(yaw)]
     turned, bent = np.r_[way.yaw, np.full(len(d), yaw)], np.r_[way.kappa, np.zeros(len(d))]
     path = Path(sigma, x, y, turned, bent, chosen.ego.s + sigma)

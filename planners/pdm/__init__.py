@@ -1,4 +1,4 @@
-"""PDM-Closed: IDM drivers in several tracks are proposed, simulated and scored; the best one is driven."""
+"""PDM-Closed: it proposes, simulates and scores IDM drivers on several tracks, and drives the best one."""
 
 from planners.pdm.planner import Pdm, PdmConfig
 

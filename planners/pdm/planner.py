@@ -1,27 +1,28 @@
-"""PDM-Closed: drivers in several tracks are proposed, simulated, scored (`score`); the best proposal is driven.
+"""PDM-Closed: it proposes drivers on several tracks, simulates and scores them (`score`), and drives the best one.
 
-A driver with the wanted speed v0 goes along a track from the ego's foot on it (IDM, as PDM-Closed has it):
+A driver with the wanted speed v0 drives along a track, from the projection of the ego on it (IDM as in PDM-Closed):
 
 (1) dv/dt = a (1 - (v / v0)^delta - (s* / max(gap, s0))^2), kept within [-b, a]
     s*    = s0 + v T + v (v - v_lead) / (2 sqrt(a b))
 
 The leader is the nearest one on the track whose centre is ahead of the rear axle. The ego follows such a proposal with
-the two-stage LQR of nuPlan, which looks `AHEAD` steps of h = `STEP_S` ahead. Along: v_r is the proposal's speed then,
+the two-stage LQR of nuPlan, which looks `AHEAD` steps of h = `STEP_S` ahead. Longitudinal, with the
+proposal's speed v_r then:
 
 (2) a = N q (v_r - v) / (N^2 q + 1), N = h `AHEAD`; where both are below `STOPPING_MPS`: (v_r - v) / 2, no steering
 
-Across: e and psi are the offset and the heading from the proposal's pose, kappa_k its curvature, v_k = v + k h a:
+Lateral: e and psi are the offset and the heading from the proposal's pose, kappa_k its curvature, v_k = v + k h a:
 
 (3) e_k+1 = e_k + h v_k psi_k,   psi_k+1 = psi_k + h v_k (steer_k / L - kappa_k),   steer_k+1 = steer_k + h u
     the constant rate u minimises  e_N^2 + 10 psi_N^2 + u^2  after `AHEAD` steps
 
-The car is a kinematic bicycle with lags (`replay.vehicle` has those that drive; this is the planner's own idea of one):
+The car is a kinematic bicycle with lags (the planner's own model; `replay.vehicle` has those of the simulation):
 
 (4) a <- a + h / (h + 0.2 s) (a_wanted - a),   steer <- steer + h / (h + 0.05 s) h u,   v <- v + h a >= 0
-    yaw' = v tan(steer) / L, the middle of the step for x and y
+    yaw' = v tan(steer) / L, x and y by the midpoint rule
 
 Source: Dauner, Hallgarten, Geiger, Chitta, "Parting with Misconceptions about Learning-based Vehicle Motion Planning",
-CoRL 2023 (arXiv 2306.07962); numbers of its code, autonomousvision/tuplan_garage. What differs: docs/peers.md.
+CoRL 2023 (arXiv 2306.07962); parameters from its code, autonomousvision/tuplan_garage. Differences: docs/peers.md.
 """
 
 from __future__ import annotations
@@ -54,16 +55,16 @@ from planners.pdm.score import PARTS, WHY_NOT, Scores, scores
 from planners.rules import Rulebook, RuleMemory
 
 KNOT_M, BEYOND_M, LOOKED_UP_S = 2.0, 30.0, 0.2
-"""Spacing of the knots of a track, m; how much longer it is than the ego gets at the limit, m; the others are put
-forward in steps of this to find leaders, s."""
+"""Spacing of the knots of a track, m; length of a track beyond the way at the speed limit, m; time step of the
+predictions of agents, s."""
 BODIES = StGraphConfig(margin_m=0.0, vulnerable_margin_m=0.0, step_s=LOOKED_UP_S, early_s=0.0, late_s=0.0)
-"""A track is as wide as the ego."""
+"""S-T boundaries without margins: a track is as wide as the ego."""
 AHEAD = 10
 """Steps that (2) and (3) look ahead."""
 Q_SPEED, Q_OFFSET, Q_HEADING = 10.0, 1.0, 10.0
-"""Weights of (2) and (3); that of the input is 1."""
+"""Weights of (2) and (3); the weight of the input is 1."""
 STOPPING_MPS, STOPPING_GAIN, ACCEL_LAG_S, STEER_LAG_S = 0.2, 0.5, 0.2, 0.05
-"""From which speed on (2) only stops, m/s, and its gain then, 1/s; lags of (4), s."""
+"""Speed up to which (2) only stops, m/s, and its gain there, 1/s; lags of (4), s."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +74,13 @@ class PdmConfig:
     Attributes:
         speed_shares: Wanted speeds (v0), as shares of the speed limit where the ego is.
         offsets_m: Tracks to either side of the middle of the route, beside the one in the middle.
-        min_gap_m: To the leader at standstill (s0).
-        headway_s: To the leader (T).
+        min_gap_m: Gap to the leader at standstill (s0).
+        headway_s: Time gap to the leader (T).
         accel_mps2: Greatest acceleration (a).
         decel_mps2: Greatest deceleration (b), positive.
-        exponent: Of the free road (delta).
+        exponent: Exponent of the term for the free road (delta).
         horizon_s: How long proposals are simulated and scored.
-        radius_m: Others farther away count for the traffic rules only.
+        radius_m: Only the traffic rules consider agents farther away than this.
         w_progress: Weight of progress in the score; `w_ttc` of the time to collision, `w_comfort` of comfort.
         brake_within_s: Where the best proposal has a contact at fault within this time ...
         brake_below_mps: ... and the ego is not faster than this, it brakes ...
@@ -112,7 +113,7 @@ class PdmConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Track:
-    """A path beside the middle of the route, who takes it, and the drivers' profiles s, v `(n, 2, HORIZON_KNOTS)`."""
+    """A path along the route at an offset, agents and stops on it, drivers' profiles s, v `(n, 2, HORIZON_KNOTS)`."""
 
     offset: float
     path: Path
@@ -122,7 +123,7 @@ class Track:
 
 
 class Pdm:
-    """Drives the best of its simulated proposals; its memory is the last station and what the rules remember."""
+    """Drives the best of its simulated proposals; its memory is the last station and the memory of the rules."""
 
     def __init__(self, context: PlannerContext, config: PdmConfig | None = None) -> None:
         c = self._config = config or PdmConfig()
@@ -135,7 +136,7 @@ class Pdm:
         self._driver = Driver(c.accel_mps2, c.decel_mps2, c.headway_s, c.min_gap_m, c.exponent)
 
     def plan(self, frame: Frame) -> Plan:
-        """The simulated drive along the best proposal, ties to the first; a stop outside of the route's frame."""
+        """Return the simulated drive along the best proposal (the first of equals), or a stop off the route's frame."""
         c, car = self._config, self._vehicle
         scene, start_kind = self._tracker.scene(replace(frame, predictions=constant_velocity(frame)))
         if frame.previous is None:
@@ -159,7 +160,7 @@ class Pdm:
         track, row = tracks[chosen // len(c.speed_shares)], chosen % len(c.speed_shares)
         internals = Internals((), lambda: self._artefacts(scene, track, row, found, chosen))
         if found.contact[chosen] <= c.brake_within_s and frame.ego.v <= c.brake_below_mps:
-            start, sigma = scene.start, np.linspace(0.0, BEYOND_M, 61)  # on with the curvature of now
+            start, sigma = scene.start, np.linspace(0.0, BEYOND_M, 61)  # with the present curvature
             half = 0.5 * start.kappa * sigma
             x, y = (sigma * np.sinc(half / np.pi) * turn(start.yaw + half) for turn in (np.cos, np.sin))
             bent = np.full(len(sigma), start.kappa)
@@ -186,7 +187,7 @@ class Pdm:
         return Track(offset, path, blocks, stops, profiles)
 
     def _artefacts(self, scene: Scene, track: Track, row: int, found: Scores, chosen: int) -> tuple[Artefact, ...]:
-        """Both graphs of the chosen proposal, who leads, and the scores of all: what they are made of, and why not."""
+        """Both graphs of the chosen proposal, its leaders, the score terms of all, why others were not chosen."""
         named = [f"{share:g} of the limit, {at:+g} m" for at in self._offsets for share in self._config.speed_shares]
         t, driven_m = STEP_S * np.arange(HORIZON_KNOTS), track.profiles[row, 0]
         decisions = decide_speed(track.blocks, scene, np.interp(track.blocks.t, t, driven_m))
@@ -208,7 +209,7 @@ class Pdm:
 
 
 def constant_velocity(frame: Frame) -> Predictions:
-    """The others going on with their velocity, for the horizon of a plan."""
+    """Predict the agents at constant velocity for the horizon of a plan."""
     agents, ahead = frame.agents, LOOKED_UP_S * np.arange(round(HORIZON_STEPS * STEP_S / LOOKED_UP_S) + 1)
     x, y = agents.x[:, None] + agents.vx[:, None] * ahead, agents.y[:, None] + agents.vy[:, None] * ahead
     yaw = np.repeat(agents.yaw[:, None], len(ahead), axis=1)
@@ -216,7 +217,7 @@ def constant_velocity(frame: Frame) -> Predictions:
 
 
 class Driver(NamedTuple):
-    """(1): a, b (m/s2), T (s), s0 (m), delta."""
+    """Parameters of (1): a, b (m/s2), T (s), s0 (m), delta."""
 
     accel: float
     decel: float
@@ -227,7 +228,7 @@ class Driver(NamedTuple):
 
 @kernel
 def idm_acceleration(v: float, v0: float, gap: float, v_lead: float, driver: Driver) -> float:
-    """(1), m/s2; an infinite gap is a free road."""
+    """Acceleration (1), m/s2; an infinite gap is a free road."""
     a, b = driver.accel, driver.decel
     wanted = driver.min_gap + v * driver.headway + v * (v - v_lead) / (2.0 * sqrt(a * b))
     return min(max(a * (1.0 - (v / v0) ** driver.exponent - (wanted / max(gap, driver.min_gap)) ** 2), -b), a)
@@ -240,8 +241,8 @@ def drive_track(
 ) -> FloatArray:  # fmt: skip
     """Rows s, v `(n, 2, HORIZON_KNOTS)` of a driver per wanted speed `(n,)`, m/s, along one track.
 
-    `t` `(k,)`, `lower`, `upper` `(m, k)` and `speed` `(m,)` are those of `StBoundaries`, `center` is from the rear axle
-    to the box's centre, m.
+    `t` `(k,)`, `lower`, `upper` `(m, k)` and `speed` `(m,)` are those of `StBoundaries`; `center` is the distance from
+    the rear axle to the box's centre, m.
     """
     out = np.empty((len(speeds), 2, HORIZON_KNOTS))
     for n in range(len(speeds)):
@@ -260,7 +261,7 @@ def drive_track(
 
 
 def track_proposal(path: Path, profile: FloatArray, start: EgoState, car: VehicleParameters, knots: int) -> FloatArray:
-    """`follow_proposal` of a profile s, v `(2, HORIZON_KNOTS)` on a path."""
+    """Simulate the ego on a proposal (`follow_proposal`): a profile s, v `(2, HORIZON_KNOTS)` on a path."""
     pose = states_on_path(path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile[0]))
     state = np.array([start.x, start.y, start.yaw, max(start.v, 0.0), start.a, atan(car.wheelbase * start.kappa)])
     return follow_proposal(pose, profile[1], state, car.wheelbase, car.max_steer, knots)
@@ -270,9 +271,9 @@ def track_proposal(path: Path, profile: FloatArray, start: EgoState, car: Vehicl
 def follow_proposal(
     pose: FloatArray, speed: FloatArray, start: FloatArray, wheelbase: float, max_steer: float, knots: int
 ) -> FloatArray:
-    """Rows x, y, yaw, v, a, kappa `(6, knots)` of the ego that follows a proposal, x, y, yaw, kappa `(4, n)` of it.
+    """Rows x, y, yaw, v, a, kappa `(6, knots)` of the ego that follows a proposal.
 
-    `speed` `(n,)` is the proposal's; `start` is x, y, yaw, v, a, steer.
+    The proposal has the rows x, y, yaw, kappa `(4, n)` and the `speed` `(n,)`; `start` is x, y, yaw, v, a, steer.
     """
     out, last = np.empty((6, knots)), pose.shape[1] - 1
     x, y, yaw, v, a, steer = start
@@ -286,7 +287,7 @@ def follow_proposal(
             wanted = N * Q_SPEED * (speed[then] - v) / (N * N * Q_SPEED + 1.0)  # (2)
             e = (y - pose[1, at]) * cos(pose[2, at]) - (x - pose[0, at]) * sin(pose[2, at])
             psi = wrap(yaw - pose[2, at])
-            e1, psi1, steer1 = 0.0, 0.0, 0.0  # the response to a rate of 1; e and psi become the free one
+            e1, psi1, steer1 = 0.0, 0.0, 0.0  # the response to a rate of 1; e and psi become that to a rate of 0
             for i in range(AHEAD):
                 way = STEP_S * max(v + i * STEP_S * wanted, 0.0)
                 e, psi = e + way * psi, psi + way * (steer / wheelbase - pose[3, min(at + i, last)])

@@ -1,19 +1,20 @@
-"""The score of simulated proposals: nuPlan's closed-loop metrics over the proposal, as PDM-Closed has them.
+"""The score of simulated proposals: nuPlan's closed-loop metrics over the proposal, as in PDM-Closed.
 
 (1) score = collision direction drivable (5 progress + 5 ttc + 2 comfort) / 12
 
-    collision   0 with a contact at fault (1/2: with an object): into who stands, with the front, or with the side
-                while not in the own lane; who touches the ego now, and who touched it not at fault, counts no more
-    drivable    0 where a corner is more than `OFF_M` farther off the road than the farthest one now
+    collision   0 with a contact at fault (1/2 with an object): with a standing agent, with the ego's front, or with its
+                side while it is out of its lane; agents that touch the ego at the start are ignored, and so is an agent
+                after a first contact that is not the ego's fault
+    drivable    0 where a corner is more than `OFF_M` farther off the road than the farthest corner at the start
     direction   1/2, 0 where the centre drives more than 2 m, 6 m beside the lanes of the ego's direction
-    progress    of the centre along the route, with the first three factors, relative to the best proposal; 1 for each
-                with those where that is not more than 0.1 m
-    ttc         0 where the ego's box, carried on straight for 0, 0.3, 0.6 or 0.9 s, meets one who is not behind it
-    comfort     1 where the six signals keep nuPlan's bounds; filtered by Savitzky and Golay over the whole proposal
+    progress    way of the centre along the route times the first three factors, relative to that of the best proposal;
+                where that is 0.1 m or less: 1 for each proposal whose factors are not 0
+    ttc         0 where the ego's box, extrapolated straight for 0, 0.3, 0.6 or 0.9 s, touches an agent not behind it
+    comfort     1 where six signals are within nuPlan's bounds, after Savitzky-Golay filters
 
-The others go on as they go. The road is that along the route: the ego's lane (`lane_left`, `lane_right`), those of its
-direction (`road_...`), and the one of the opposite direction as far as its marking may be crossed (`facing_...`). An
-offset from the route's line is taken from the foot of the ego's centre, to second order in the corner's distance d:
+The agents keep their velocity. The road is that along the route: the ego's lane (`lane_left`, `lane_right`), those of
+its direction (`road_...`), and that of the opposite direction where its marking may be crossed (`facing_...`). An
+offset from the route's line starts at the projection of the ego's centre, to second order in the corner's distance d:
 
 (2) l = l_c + (the corner's distance across the line) - kappa d^2 / 2
 """
@@ -37,33 +38,33 @@ from planners.frenet.reference_path import sections
 from planners.frenet.scene import Scene
 
 OFF_M = 0.3
-"""nuPlan's tolerance off the road, m."""
+"""nuPlan's tolerance for leaving the road, m."""
 AGAINST_M = 2.0, 6.0
-"""Ways beside the lanes of the ego's direction from which on `direction` is 1/2, 0."""
+"""Distances driven beside the lanes of the ego's direction above which `direction` is 1/2 and 0, m."""
 LEAST_WAY_M = 0.1
-"""Below this no proposal gets on."""
+"""Where the best proposal does not progress more than this, progress is not compared, m."""
 STOPPED_MPS = 0.05
-"""Slower agents stand, as nuPlan judges contacts, m/s; the ego has no time to collision below a tenth of it."""
+"""Agents up to this speed stand, as nuPlan judges contacts, m/s; below a tenth of it the ego's `ttc` is 1."""
 BEHIND = cos(np.deg2rad(150.0))
 """An agent more than 150 degrees off the heading, seen from the rear axle, is behind: cosine."""
 CARRIED = (0, 3, 6, 9)
-"""Steps over which the ego is carried on straight for `ttc`."""
+"""Steps by which `ttc` extrapolates the ego straight ahead."""
 BOUNDS = frozen([(-4.05, 2.40), (-4.89, 4.89), (-8.37, 8.37), (-4.13, 4.13), (-1.93, 1.93), (-0.95, 0.95)])
-"""Of a (m/s2), v^2 kappa, the change of the size of both (m/s3), of a, of the yaw rate (rad/s2), of the yaw (rad/s)."""
+"""Bounds of a, v^2 kappa (m/s2), the rates of their norm, of a (m/s3), of the yaw rate (rad/s2), the yaw (rad/s)."""
 PARTS = ("no collision", "driving direction", "drivable area", "progress", "time to collision", "comfort")
 WHY_NOT = (
     "collides at fault", "drives beside the lanes of its direction", "leaves the road", "makes less progress",
     "comes too close in time", "uncomfortable",
 )  # fmt: skip
-"""The reasons in words, in the order of `PARTS`, where a proposal is worse in a part."""
+"""The reasons why a proposal is worse, in words, in the order of `PARTS`."""
 OBJECTS = among(AgentKind.OBJECT)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scores:
-    """Of n proposals: (1) by `PARTS` `(6, n)`, each 0 to 1, and the last three weighted `(3, n)`, the score's terms.
+    """Scores of n proposals: `PARTS` `(6, n)`, each 0 to 1, and the last three weighted `(3, n)`, the terms of (1).
 
-    `contact` `(n,)` is the time of the first contact at fault, s, inf: none; `agent` `(n,)` the road user, -1: none.
+    `contact` `(n,)` is the time of the first contact at fault, s, or inf; `agent` `(n,)` is its agent's index, or -1.
     """
 
     parts: FloatArray
@@ -73,12 +74,12 @@ class Scores:
 
     @property
     def total(self) -> FloatArray:
-        """(1), `(n,)`."""
+        """The score (1) `(n,)`."""
         return np.asarray(self.weighted.sum(axis=0))
 
 
 class Body(NamedTuple):
-    """The ego's length, width, and rear axle to centre and front, m."""
+    """The ego's length and width, and the distances from its rear axle to its centre and front, m."""
 
     length: float
     width: float
@@ -87,9 +88,9 @@ class Body(NamedTuple):
 
 
 def scores(states: FloatArray, scene: Scene, near: IntArray, weights: tuple[float, float, float]) -> Scores:
-    """Of proposals, x, y, yaw, v, a, kappa of the rear axle `(n, 6, k)` every 0.1 s from the scene's start on.
+    """Score proposals: x, y, yaw, v, a, kappa of the rear axle `(n, 6, k)`, every 0.1 s from the scene's start.
 
-    `near` are the agents that count, `weights` those of progress, ttc and comfort.
+    `near` are the indices of the agents to consider, `weights` those of progress, ttc and comfort.
     """
     agents, reference, car = scene.frame.agents, scene.reference, scene.vehicle
     line, body = reference.line, Body(car.length, car.width, car.axle_to_center, car.axle_to_front)
@@ -112,7 +113,7 @@ def scores(states: FloatArray, scene: Scene, near: IntArray, weights: tuple[floa
 def _on_road(
     states: FloatArray, knots: FloatArray, coef: FloatArray, table: FloatArray, s_start: float, ego: Body
 ) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
-    """Per proposal and step `(n, k)`: how far off the road, m, whether out of the own lane.
+    """Per proposal and step `(n, k)`: the distance off the road, m, and whether the ego is out of its lane.
 
     Per proposal `(n,)`: the longest way of the centre beside the lanes of its direction, and its way along the line, m.
     """
@@ -151,9 +152,9 @@ def _on_road(
 def _meetings(
     states: FloatArray, moving: FloatArray, objects: BoolArray, astray: BoolArray, ego: Body
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Per proposal: step of the first contact at fault, its road user (-1: none), `collision` and `ttc` of (1).
+    """Per proposal: step and agent of the first contact at fault (-1 without one), `collision` and `ttc` of (1).
 
-    `moving` is x, y, yaw, vx, vy, length, width of the others `(7, m)`; `astray` where the ego is out of its lane.
+    `moving` is x, y, yaw, vx, vy, length, width of the agents `(7, m)`; `astray` where the ego is out of its lane.
     """
     count = len(states)
     step, hit, collision, ttc = np.full(count, -1), np.full(count, -1), np.ones(count), np.ones(count)
@@ -173,7 +174,7 @@ def _meetings(
 
 @inner_kernel
 def _meets(states: FloatArray, k: int, ahead: int, other: FloatArray, ego: Body) -> int:
-    """Whether the ego at step k, carried on straight for `ahead` steps, touches another then: 1, behind the axle -1."""
+    """Whether the ego, extrapolated from step k by `ahead` steps, touches an agent: 1; -1 if it is behind; else 0."""
     c, s, t, way = cos(states[2, k]), sin(states[2, k]), STEP_S * (k + ahead), STEP_S * ahead * states[3, k]
     x, y = states[0, k] + (ego.center + way) * c, states[1, k] + (ego.center + way) * s
     px, py = other[0] + t * other[3], other[1] + t * other[4]
@@ -187,7 +188,7 @@ def _meets(states: FloatArray, k: int, ahead: int, other: FloatArray, ego: Body)
 
 @inner_kernel
 def _contact_at_fault(states: FloatArray, other: FloatArray, is_object: bool, astray: BoolArray, ego: Body) -> int:
-    """The step of the first contact with another, where it is the ego's fault; else -1."""
+    """The step of the first contact with an agent if it is the ego's fault; else -1."""
     for k in range(1, states.shape[1]):
         met = _meets(states, k, 0, other, ego)
         if met == 0:
@@ -216,7 +217,7 @@ def _comes_close(states: FloatArray, other: FloatArray, ego: Body) -> bool:
 
 
 def comfortable(states: FloatArray) -> BoolArray:
-    """Which proposals `(n, 6, k)` keep the `BOUNDS`, `(n,)`."""
+    """Whether each of the proposals `(n, 6, k)` is within the `BOUNDS`, `(n,)`."""
     yaw, v, a, kappa = (states[:, i] for i in (2, 3, 4, 5))
     smooth, slope, whole, rate, bend = _filters(states.shape[2])
     aside = v * v * kappa
@@ -228,10 +229,10 @@ def comfortable(states: FloatArray) -> BoolArray:
 
 @cache
 def _filters(k: int) -> tuple[FloatArray, ...]:
-    """Savitzky and Golay's filters of nuPlan and PDM as matrices `(k, k)`, applied from the right.
+    """Savitzky-Golay filters of nuPlan and PDM as matrices `(k, k)`, applied from the right.
 
-    A smoothed acceleration, the slope over the whole proposal of such a one, the acceleration smoothed over the whole;
-    first and second derivative of the yaw.
+    They smooth an acceleration, give its slope over the whole proposal, smooth an acceleration over the whole proposal,
+    and give the first and second derivative of the yaw.
     """
     made = ((8, 2, 0), (k, 2, 1), (k, 2, 0), (5, 2, 1), (5, 3, 2))
     return tuple(

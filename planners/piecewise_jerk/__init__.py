@@ -1,1 +1,1 @@
-"""Piecewise-jerk QPs, over station and over time: problem, own interior-point solver, interface to all solvers."""
+"""Piecewise-jerk QPs, over station and over time: problem, interior-point solver, interface to all solvers."""

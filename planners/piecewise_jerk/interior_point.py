@@ -1,11 +1,11 @@
 """Mehrotra's interior-point method for the piecewise-jerk QP, in B-spline coefficients.
 
-`problem` has the rows (its (7)), the fixed coefficients (its (8)), and the problem (its (9))
+`problem` defines the rows (its (7)), the fixed coefficients (its (8)), and the QP (its (9)):
 
 (3) minimise  1/2 sum q (y - r)^2 + 1/2 sum e^2 / give    subject to   y = A c,   lower <= y + e <= upper
 
-A slack z >= 0 and a multiplier f >= 0 per bound, force = f_lower - f_upper on a row, sign = 1 for lower and -1 for
-upper bounds. KKT conditions (Nocedal & Wright, "Numerical Optimization", 2006, ch. 16.6):
+Each bound has a slack z >= 0 and a multiplier f >= 0; force = f_lower - f_upper on a row; sign = 1 for lower and -1
+for upper bounds. KKT conditions (Nocedal & Wright, "Numerical Optimization", 2006, ch. 16.6):
 
 (4) dual:            A' (q (y - r) - force) = 0   (rows of the free coefficients),   e = give force
 (5) primal:          sign (y + e - bound) - z = 0
@@ -20,20 +20,21 @@ right-hand side of a row and W its barrier's curvature. The matrix has 4 bands: 
 (8) dy = A dc,   d force = t~ - W~ dy,   dz = sign (dy + give d force) + primal,   df = - (product + f dz) / z
 
 Mehrotra's predictor-corrector ("On the implementation of a primal-dual interior point method", 1992): the step with
-sigma = 0 says how far the boundary is, then
+sigma = 0 shows how far the boundary is. Then
 
-(9) sigma = (mu after that step / mu)^3, its second-order term dz df joins the product, and 0.995 of the way to the
-    boundary is gone, primal and dual apart, which is quicker, until the gap is nearly closed; then together, so that
-    the residual of (4) falls (and always together where rows give way: there e = give force couples them)
+(9) sigma = (mu after that step / mu)^3, its second-order term dz df is added to the product, and the step goes 0.995 of
+    the way to the boundary. Its primal and dual lengths differ, which is faster, until the gap is nearly closed; then
+    they are equal, so that the residual of (4) falls (always where rows give way: there e = give force couples them)
 
-The first point is the optimum without bounds, one factorisation away: in most frames it breaks none and is the answer.
+The first point is the optimum without bounds, which costs one factorisation. In most frames it violates no bound and is
+the solution.
 
 (10) Stop: at the optimum the duality gap bounds the distance, 1/2 |x - x*|^2 <= sum z f (the cost is that convex in
      x): so sum z f <= 1/2 accuracy^2, and the residuals of (4), (5) are small.
 (11) Infeasible (Farkas): forces with A' force = 0 on the free coefficients, give force = 0 and
-     sum sign f bound > force' A c_fixed  contradict every c. Called so where the two are small to the last: `FARKAS`.
+     sum sign f bound > force' A c_fixed  contradict every c. The two terms may be as small as `FARKAS` instead of 0.
 
-Nothing is warm-started: a solution depends on its problem alone. A mirrored problem gives the mirrored bits.
+Each solve starts cold: a solution depends on its problem alone. A mirrored problem has exactly the mirrored solution.
 """
 
 from __future__ import annotations
@@ -71,31 +72,31 @@ STATUS = {
 }
 """The status codes in words."""
 ACCURACY_M = 1e-4
-"""Distance of (10) from the optimum, far below what can be steered. Where bounds are nearly empty, residuals and
+"""Distance from the optimum in (10), far below what a car can steer. Where bounds are nearly equal, residuals and
 `NARROW_M` add to it (measured: docs/solvers.md)."""
 MAX_ITERATIONS = 60
-"""Several times what a problem of a road needs (docs/solvers.md)."""
+"""Several times the iterations that problems from roads need (docs/solvers.md)."""
 RESIDUAL = 1e-2
-"""Residuals of (4) and (5) that may be left, as a share of the accuracy."""
+"""Greatest residuals of (4) and (5) in a solution, as a share of the accuracy."""
 FARKAS = 1e-7
-"""(11): the forces' residual, as a share of the contradiction: it holds for all coefficients up to the inverse, m."""
+"""Residual of the forces in (11), as a share of the contradiction, which holds for coefficients up to 1 / this, m."""
 TO_BOUNDARY = 0.995
-"""Share of the way to the boundary that is gone (9)."""
+"""Share of the way to the boundary that a step goes (9)."""
 NEARLY = 1e3
 """The gap is nearly closed where it is less than this multiple of the accuracy squared."""
 FLOOR = 0.1
-"""Products z f are not aimed below this share of what (10) asks for: smaller ones only cost digits."""
+"""Least target of the products z f, as a share of what (10) needs: smaller ones only lose digits."""
 PROXIMAL = 1e-10
 """The give of every row in a step: the matrix stays positive definite in floating point, and the solution is the same
 (proximal method of multipliers) ..."""
 PROXIMAL_M = 1e-6
-"""... less where the largest multiplier would make more than this, m, of it."""
+"""... it is smaller where its product with the largest multiplier would exceed this, m."""
 START_SHARE = 0.1
-"""First slacks are at least this share of the room between two bounds ..."""
+"""First slacks are at least this share of the distance between two bounds ..."""
 START_LEAST_M = 0.01
-"""... which counts as not less than this, m ..."""
+"""... which is taken as at least this, m ..."""
 START_MOST_M = 2.0
-"""... nor more than this, m."""
+"""... and at most this, m."""
 START_MU = 1.0
 """First products z f, m2."""
 
@@ -115,11 +116,11 @@ class Newton(NamedTuple):
 
     Attributes:
         primal: Residuals of (5) `(2, N)`.
-        product: z f and what joins it `(2, N)`.
+        product: z f and the terms that (7) adds to it `(2, N)`.
         inverse: 1 / z `(2, N)`.
         stiffness: W~ `(N,)`.
         softening: 1 / (1 + give W) `(N,)`.
-        push: What `A'` gathers or multiplies: q (y - r), q + W~, t~ in turn `(N,)`.
+        push: Input of `gather` and `multiply`: q (y - r), q + W~, t~ in turn `(N,)`.
         dual: Residual of (4) `(m + 3,)`, 0 for the fixed coefficients.
         pull: A' force `(m + 3,)`.
         band: The matrix by diagonals, then its factors `(4, m + 3)`.
@@ -137,15 +138,15 @@ class Newton(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What came out.
+    """The result of `solve`.
 
     Attributes:
         curve: x, x', x'' `(3, n)`, to be used only where `status` is `SOLVED`.
         status: A key of `STATUS`.
-        iterations: Matrices factorised.
+        iterations: Number of factorised matrices.
         primal: Largest residual of (5), m; `dual` of (4), m.
         gap: Sum of the products (6), m2.
-        violation: Largest, of the problem's bounds, in the units of the row (`largest_violation`).
+        violation: Largest violation of the problem's bounds, in the units of the row (`largest_violation`).
     """
 
     curve: FloatArray
@@ -159,7 +160,7 @@ class Solution(NamedTuple):
 
 @kernel
 def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -> Solution:
-    """The curve of a problem, `accuracy` m from the optimum at most."""
+    """The curve of a problem, at most `accuracy` m from the optimum."""
     rows = rows_of(problem)
     point, step = _blank(rows), _blank(rows)
     size, ends = len(point.y), len(point.c)
@@ -217,7 +218,7 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
 
 @inner_kernel
 def _fault(problem: PiecewiseJerkProblem) -> int:
-    """Why there is nothing to solve; `SPENT` if there is something."""
+    """The status of a problem that cannot be solved: `CROSSED` or `NOT_FINITE`; else `SPENT`."""
     kinds, n = problem.lower.shape
     for k in range(kinds):
         first = 0 if k == DDDX else 1
@@ -232,7 +233,7 @@ def _fault(problem: PiecewiseJerkProblem) -> int:
 
 @inner_kernel
 def _to_free_optimum(rows: Rows, point: Point, newton: Newton, step: Point) -> float:
-    """Move c and y to the optimum without bounds; the residual of (4) there, inf where the matrix is no number."""
+    """Move c and y to the optimum without bounds; the residual of (4) there, inf where the matrix is not finite."""
     multiply(rows.stencil, rows.cost, newton.band)
     if not factorise(newton.band):
         return np.inf
@@ -258,7 +259,7 @@ def _pull(rows: Rows, point: Point, newton: Newton) -> None:
 
 @inner_kernel
 def _open(rows: Rows, point: Point) -> None:
-    """Slacks well inside, multipliers to match."""
+    """Write first slacks, well inside the bounds, and multipliers to match."""
     size = len(rows.cost)
     for i in range(size):
         low, high = rows.bound[0, i], rows.bound[1, i]
@@ -287,7 +288,7 @@ def _largest(values: FloatArray) -> float:
 
 @inner_kernel
 def _residuals(rows: Rows, point: Point, newton: Newton) -> tuple[float, float, float]:
-    """Residuals of (4), (5), products of (6); the largest of (5), of (4), and the sum of the products."""
+    """Write residuals (4), (5) and products (6); return the largest of (5), of (4), and the sum of the products."""
     y, force, slack, multiplier = point.y, point.force, point.slack, point.multiplier
     give, bound, primal, product = rows.give, rows.bound, newton.primal, newton.product
     size = len(y)
@@ -328,7 +329,7 @@ def _verdict(rows: Rows, point: Point, newton: Newton, primal: float, dual: floa
 
 @inner_kernel
 def _assemble(rows: Rows, point: Point, newton: Newton, proximal: float) -> None:
-    """The matrix of (7), lower diagonals; the fixed coefficients get rows of the identity."""
+    """Write the matrix of (7) by its lower diagonals; the fixed coefficients get rows of the identity."""
     slack, multiplier, inverse = point.slack, point.multiplier, newton.inverse
     softening, stiffness, push = newton.softening, newton.stiffness, newton.push
     cost, give = rows.cost, rows.give
@@ -349,7 +350,7 @@ def _assemble(rows: Rows, point: Point, newton: Newton, proximal: float) -> None
 
 @inner_kernel
 def _direction(rows: Rows, point: Point, newton: Newton, step: Point, proximal: float) -> None:
-    """Newton's step (7), (8) for the products that are in `newton`."""
+    """Write Newton's step (7), (8) for the products in `newton`."""
     multiplier, inverse, give = point.multiplier, newton.inverse, rows.give
     primal, product, push = newton.primal, newton.product, newton.push
     size = len(push)
@@ -378,7 +379,7 @@ def _direction(rows: Rows, point: Point, newton: Newton, step: Point, proximal: 
 def _step_lengths(point: Point, newton: Newton, step: Point, share: float, together: bool) -> tuple[float, float]:
     """Primal and dual share of a step up to which slacks and multipliers stay positive, times `share`; 1 at most."""
     slack, multiplier, inverse = step.slack, step.multiplier, newton.inverse
-    below, above, pull, push = 0.5, 0.5, 0.5, 0.5  # four chains that do not wait for each other
+    below, above, pull, push = 0.5, 0.5, 0.5, 0.5  # four independent chains of operations
     for i in range(slack.shape[1]):
         below = max(below, -slack[0, i] * inverse[0, i])
         above = max(above, -slack[1, i] * inverse[1, i])

@@ -8,10 +8,10 @@ The path QP (x = offset, t = station) and the speed QP (x = station, t = time) a
 (3) x'''_i   = (x''_{i+1} - x''_i) / h
 (4) minimise   sum_i w_x (x_i - r_i)^2 + w_dx (x'_i - r'_i)^2 + w_ddx x''_i^2 + w_dddx x'''_i^2
 (5) subject to the start (x_0, x'_0, x''_0), and lower <= row <= upper, i = 1 .. n-1, of the rows x, x', x'' and
-    x + lead_j x' (what lies `lead` before the point that follows the curve), and of x'''_i, i = 0 .. n-2
+    x + lead_j x' (a point `lead` ahead of the one that follows the curve), and of x'''_i, i = 0 .. n-2
 (6) softly: the rows x and x + lead_j x' are replaced by row + e, and soft e^2 is added to the cost
 
-Units: those of x (m) and t (m or s); cost without unit.
+Units: x in m, t in m or s; the cost has no unit.
 
 Such a curve is a cubic B-spline with uniform knots. Its coefficients c_0 .. c_{n+1} fulfil the dynamics (1), (2) by
 themselves, and each row of its bounds reads four neighbours:
@@ -20,8 +20,8 @@ themselves, and each row of its bounds reads four neighbours:
     h^2 x''_i = c_i - 2 c_{i+1} + c_{i+2}                    h^3 x'''_i  = c_{i+3} - 3 c_{i+2} + 3 c_{i+1} - c_i
 (8) the start fixes c_0, c_1, c_2:  c_1 = x_0 - h^2 x''_0 / 6,   c_0, c_2 = x_0 -+ h x'_0 + h^2 x''_0 / 3
 
-Scaled by 1, h, h^2, h^3 all rows are of the size of x. With A the matrix of (7), the cost is divided by the curvature
-that it has in x at least, so that cost is the square of a distance (m2), and the problem is
+Scaled by 1, h, h^2, h^3 all rows are of the size of x. A is the matrix of (7). The cost is divided by a lower
+bound of its curvature in x, so that it is the square of a distance (m2), and the problem is
 
 (9) minimise  1/2 sum q (y - r)^2 + 1/2 sum e^2 / give    subject to   y = A c,   lower <= y + e <= upper
 
@@ -45,15 +45,15 @@ from logs.kernel import FloatArray, inner_kernel, kernel
 X, DX, DDX, DDDX, LEADS = 0, 1, 2, 3, 4
 """Rows of the bounds; rows x + lead x' from `LEADS` on."""
 NARROW_M = 1e-6
-"""Bounds that are nearer to each other than twice this are moved apart to that: the method needs an inside."""
+"""Bounds less than twice this apart are moved to twice this apart: the method needs an interior."""
 FAR_M = 1e6
-"""A bound that is farther away than this is none."""
+"""Scaled bounds are clipped to +- this, m."""
 ROUNDING, HUGE = 1e-15, 1e128
-"""Pivots that are less than this share of their diagonal are rounding, and are replaced by a huge one."""
+"""Pivots that are less than this share of their diagonal are rounding errors; a huge one replaces them."""
 
 
 class Weights(NamedTuple):
-    """Of the squares in (4)."""
+    """Weights of the squares in (4)."""
 
     x: float
     dx: float
@@ -68,12 +68,12 @@ class PiecewiseJerkProblem(NamedTuple):
         step: h > 0.
         leads: Lead of each further row `(k,)`.
         start: x, x', x'' at the first knot `(3,)`.
-        weights: Of (4), not negative, one of them positive.
+        weights: Weights of (4), not negative, at least one positive.
         references: r and r' `(2, n)`.
-        lower: Bounds of the rows x, x', x'', x''', x + lead x' `(4 + k, n)`, -inf for none. Not read: what belongs to
-            the first knot, which is the start, and the last x''', which does not exist.
+        lower: Bounds of the rows x, x', x'', x''', x + lead x' `(4 + k, n)`, -inf for none. The solvers do
+            not read those at the first knot, which is the start, except that of x''', nor the last of x'''.
         upper: Likewise, inf for none.
-        soft: 0, or the weight in (6), the corridor then giving way.
+        soft: Weight in (6), with which the corridor gives way; 0: it does not.
     """
 
     step: float
@@ -88,9 +88,9 @@ class PiecewiseJerkProblem(NamedTuple):
 
 @kernel
 def largest_violation(problem: PiecewiseJerkProblem, curve: FloatArray) -> float:
-    """By how much a curve x, x', x'' `(3, n)` violates (1), (2), (5), in the units of the row; nan if one is nan.
+    """Largest violation of (1), (2), (5) by a curve x, x', x'' `(3, n)`, in the row's units; nan if it is not finite.
 
-    What gives way in (6) does not count.
+    Rows that give way in (6) are left out.
     """
     h, lower, upper = problem.step, problem.lower, problem.upper
     x, dx, ddx = curve[0], curve[1], curve[2]
@@ -115,13 +115,13 @@ def largest_violation(problem: PiecewiseJerkProblem, curve: FloatArray) -> float
 class Rows(NamedTuple):
     """The rows of (9); K kinds (x, x', x'', x''', x + lead x'), m = n - 1 rows each, N = K m.
 
-    Row j of each kind reads c_j .. c_{j+3}. Arrays `(N,)` are kind by kind; `(2, N)` of lower and upper bounds.
+    Row j of each kind reads c_j .. c_{j+3}. Arrays `(N,)` are kind by kind.
 
     Attributes:
         stencil: Coefficients of (7) `(K, 4)`.
-        cost: q `(N,)`; `wanted` r likewise.
-        give: Of (9) `(N,)`.
-        bound: `(2, N)`.
+        cost: q of (9) `(N,)`; `wanted` is r.
+        give: give of (9) `(N,)`.
+        bound: Lower and upper bounds `(2, N)`.
     """
 
     stencil: FloatArray
@@ -171,7 +171,7 @@ def rows_of(problem: PiecewiseJerkProblem) -> Rows:
 
 @inner_kernel
 def coast(problem: PiecewiseJerkProblem, c: FloatArray) -> None:
-    """Write the coefficients `(m + 3,)` of the start going on with constant x'; the first three are those of (8)."""
+    """Write the coefficients `(m + 3,)` of a curve that keeps x' after the start; the first three are those of (8)."""
     h = problem.step
     x, dx, ddx = problem.start[0], h * problem.start[1], h * h * problem.start[2]
     c[0], c[1], c[2] = x - dx + ddx / 3.0, x - ddx / 6.0, x + dx + ddx / 3.0  # (8)
@@ -240,7 +240,7 @@ def curve_of(c: FloatArray, h: float) -> FloatArray:
 def factorise(band: FloatArray) -> bool:
     """L D L' (10) in place: D in the first row, L below the diagonal in the others; False where a number is not finite.
 
-    A pivot that is nothing but rounding becomes infinite, so that its coefficient does not move (Wright, "Modified
+    A pivot that is only rounding error becomes `HUGE`, so that its coefficient does not move (Wright, "Modified
     Cholesky factorizations in interior-point algorithms for linear programming", 1999).
     """
     size = band.shape[1]

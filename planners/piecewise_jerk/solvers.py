@@ -1,7 +1,7 @@
-"""The interface to the solvers of piecewise-jerk QPs. None is warm-started: an answer depends on its problem alone.
+"""The interface to the solvers of piecewise-jerk QPs. They start cold: an answer depends on its problem alone.
 
-`interior_point` is ours (default). `osqp` and `piqp` solve the sparse form through `planners.qp`: OSQP (ADMM) with PIQP
-to the rescue where it runs out of iterations, or PIQP at once.
+`interior_point` is replan's own (default). `osqp` and `piqp` solve the sparse form through `planners.qp`: OSQP (ADMM),
+with PIQP where OSQP runs out of iterations, or PIQP alone.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from planners.piecewise_jerk.problem import DDX, PiecewiseJerkProblem, Weights
 from planners.qp import QPConfig, QPResult, QuadraticProgram
 
 DEFAULT = "interior_point"
-"""The solver where none is named."""
+"""Name of the default solver."""
 OSQP_EPS = 1e-5
 """Tolerance of OSQP: at 1e-4 its answers are up to 0.5 m off ..."""
 OSQP_ITERATIONS = 4000
-"""... and the iterations with which it solves nearly all, cold."""
+"""... and the iterations in which it solves nearly all problems from a cold start."""
 
 
 def check_solver(name: str) -> None:
-    """ConfigError where no solver has this name."""
+    """Raise ConfigError if no solver has this name."""
     if name not in SOLVERS:
         raise unknown_name("solver", name, SOLVERS)
 
 
 def solve(problem: PiecewiseJerkProblem, solver: str = DEFAULT, *, stage: str, tolerance: float) -> QPResult:
-    """The curve of a problem, x = (x, x', x'') `(3 n,)`, and how the solver got there; the report names the `stage`.
+    """Solve a problem: its curve x = (x, x', x'') `(3 n,)`, and the solver's report, which names the `stage`.
 
-    `tolerance`: largest violation of a bound that still counts as solved, in the units of the row.
+    `tolerance` is the largest violation of a bound in a solution, in the units of the row.
     """
     result = SOLVERS[solver](problem, stage, tolerance)
     asked = _RECORDED.get()
@@ -82,7 +82,7 @@ def _interior_point(problem: PiecewiseJerkProblem, stage: str, tolerance: float)
 
 
 def _sparse(config: QPConfig, problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:
-    """The answer of the solvers of `planners.qp` to the sparse form."""
+    """Solve the sparse form by `planners.qp`."""
     program = _program(structure(problem), stage, replace(config, tolerance=tolerance))
     result = program.solve(*vectors(problem), fresh=True)
     return QPResult(result.x[: 3 * problem.lower.shape[1]], result.report)
@@ -90,7 +90,7 @@ def _sparse(config: QPConfig, problem: PiecewiseJerkProblem, stage: str, toleran
 
 @lru_cache(maxsize=64)
 def _program(kind: Structure, stage: str, config: QPConfig) -> QuadraticProgram:
-    """The workspace of a structure; every solve in it is a fresh one, so that it remembers nothing."""
+    """The workspace of a structure; each solve in it is fresh, so that it does not depend on earlier ones."""
     form = matrices(kind)
     return QuadraticProgram(stage, form.P, form.A, equalities=form.equalities, scale=form.sizes, config=config)
 
@@ -102,11 +102,11 @@ SOLVERS: MappingProxyType[str, Callable[[PiecewiseJerkProblem, str, float], QPRe
         "piqp": partial(_sparse, QPConfig(max_iterations=0)),
     }
 )
-"""By the names that `[planner.dp_qp] solver` takes."""
+"""The solvers by the names that `[planner.dp_qp] solver` takes."""
 
 
 class Structure(NamedTuple):
-    """What problems must share to share a solver's workspace: the arguments of `matrices`."""
+    """The properties that problems have in common if they share a solver's workspace."""
 
     knots: int
     step: float
@@ -116,7 +116,7 @@ class Structure(NamedTuple):
 
 
 class Matrices(NamedTuple):
-    """P and A of the sparse form, the count of its equalities (the first rows), the typical size of each unknown."""
+    """P and A of the sparse form, the number of its equalities (the first rows), the typical size of each unknown."""
 
     P: sparse.csc_matrix
     A: sparse.csc_matrix

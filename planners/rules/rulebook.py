@@ -1,4 +1,4 @@
-"""The stops that the rules demand at one frame, and what is remembered of them.
+"""The stops that the rules demand at one frame, and the memory of them.
 
 Lines, with the distance d(b, j) in which the ego stops with deceleration b and jerk j:
 
@@ -6,7 +6,7 @@ Lines, with the distance d(b, j) in which the ego stops with deceleration b and 
 (2) yellow                   stop where `COMFORT` stops before the line; else drive on
 (3) stop sign                come to rest (`REST_MPS`) within `NEAR_M` before the line once, then go
 
-Zones: the ego would be in a zone from t_in to t_out, driving freely but for whoever is ahead of it; it waits unless for
+Zones: the ego would be in a zone from t_in to t_out, driving freely behind the agent ahead of it; it waits unless for
 each window (a, b) in which others take the zone
 
 (4) t_out + c + x <= a    or    b + AFTER_S <= t_in    (lanes that merge: a + FOLLOW_S <= t_in)
@@ -15,12 +15,12 @@ c is the post-encroachment time, `CLEAR_S` before a vehicle: below 1.5 s an enco
 catalogue, Westhofen et al. 2023), and with the time to clear a lane from rest it makes gaps between the critical ones
 of HCM 2010 (4.1 s for a left turn from the major road, 7.1 s from the minor one); `WALK_CLEAR_S` before a pedestrian.
 Where the lanes merge, the ego is out of the way when its rear is in the zone, and x is what the one behind needs to
-brake to the ego's speed at `YIELD_MPS2`: x = (v - v_ego)^2 / (2 v YIELD_MPS2). A gap once taken is kept with `KEPT_S`
-less. The wait ends when (4) holds for who comes by at speed and for who starts from rest; it is open while nothing says
-when. A zone behind which there is no room for the ego is not entered either. A demand that comes too late for `COMFORT`
-(priority lane) or `HARD` (crosswalk) is not made: the agents are in the S-T graph anyway.
+brake to the ego's speed at `YIELD_MPS2`: x = (v - v_ego)^2 / (2 v YIELD_MPS2). A gap that the ego has taken
+needs `KEPT_S` less. The wait ends when (4) holds both for an ego that enters at speed and for one that leaves as from
+rest; it has no end if that is not within the horizon. The ego does not enter a zone without room for it behind. A stop
+that comes too late for `COMFORT` (priority lane) or `HARD` (crosswalk) is not demanded: the S-T graph has the agents.
 
-Memory (`RuleMemory`): the lines and zones that it stops for, which are stopped for as long as `HARD`
+Memory (`RuleMemory`): the lines that the ego stops for, until it is `OVER_M` over them, and the zones, while `HARD`
 can; the stop signs at which it came to rest; the zones whose gap it took; since when it stands before a crosswalk.
 """
 
@@ -57,15 +57,15 @@ from planners.rules.zones import (
 COMFORT = 2.8, 2.8
 """Deceleration (m/s2) and jerk (m/s3) with which the ego stops where it comfortably can; below ITE's 3.05 m/s2."""
 HARD = 7.0, 12.0
-"""Those with which it stops where it must."""
+"""Deceleration (m/s2) and jerk (m/s3) with which the ego stops where it must."""
 REST_MPS = 0.1
 """The ego is at rest below this, m/s."""
 NEAR_M = 3.0
-"""It has stopped at a stop sign where it came to rest within this before the line, m."""
+"""The ego has stopped at a stop sign if it came to rest within this distance before the line, m."""
 SHORT_M = 0.8
-"""The front stays this far before a line, where comfort can, m."""
+"""Distance from the front to a line where a comfortable stop can keep it, m."""
 AIM_M = 0.5
-"""It comes to rest this far before that, m."""
+"""Distance before that point at which the ego aims to come to rest, m."""
 OVER_M = 1.0
 """An ego that stops for a line and is over it by less than this still waits, m."""
 CLEAR_S = 1.5
@@ -73,11 +73,11 @@ CLEAR_S = 1.5
 WALK_CLEAR_S = 2.0
 """c of (4) before a pedestrian, s."""
 AFTER_S = 0.5
-"""How long after a vehicle has left a zone the ego enters it (4), s."""
+"""Time after a vehicle has left a zone until the ego may enter it (4), s."""
 FOLLOW_S = 1.0
-"""How long after a vehicle has come into the lane that it then shares with the ego, which follows it (4), s."""
+"""Where lanes merge: time after a vehicle has entered the zone until the ego may follow it (4), s."""
 KEPT_S = 0.5
-"""A gap once taken is kept if (4) holds with this much less, s."""
+"""A gap that the ego has taken is kept while (4) holds with this much less, s."""
 YIELD_MPS2 = 2.0
 """Deceleration that the ego may demand of an agent from behind, m/s2: comfortable (b of IDM)."""
 GO_MPS2 = 1.5
@@ -85,13 +85,13 @@ GO_MPS2 = 1.5
 GO_MPS3 = 2.0
 """... and its jerk, m/s3."""
 CURVE_MPS2 = 3.0
-"""Lateral acceleration in curves with which it is assumed to go, m/s2: of a planner that does not say its own."""
+"""Assumed lateral acceleration of the ego in curves, m/s2, for planners that do not set their own."""
 EASE_MPS2 = 1.5
-"""Deceleration towards a lower limit, m/s2, likewise."""
+"""Assumed deceleration towards a lower limit, m/s2, likewise."""
 LOOK_M = 10.0
-"""Zones are looked at from this before the place where gentle braking for them would begin, m."""
+"""Zones are considered from this distance before the place where gentle braking for them would begin, m."""
 ROLLING_MPS = 1.0
-"""Slower than this the one ahead makes no room behind a zone, and the ego has not set off from a crosswalk, m/s."""
+"""A leader slower than this makes no room behind a zone, an ego slower has not left a crosswalk, m/s."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class RulesConfig:
 
 @dataclass(frozen=True, slots=True)
 class RuleMemory:
-    """What is remembered of the frames before; a fresh frame has a new one.
+    """The memory of earlier frames; without a previous plan it is a new one.
 
     Attributes:
         stopping: Lines and zones that the ego stops for.
@@ -128,9 +128,9 @@ class RuleMemory:
 
 @dataclass
 class _Visit:
-    """One frame's work: the scene, who is passed, the memory.
+    """The data of one frame: the scene, the agents that the path passes, the memory.
 
-    The one ahead in the ego's way: station of the rear, m, speed, index; inf, 0, -1: there is none.
+    `leader` is the agent ahead in the ego's way: station of its rear, m, speed, m/s, index; inf, 0, -1 without one.
     """
 
     scene: Scene
@@ -156,13 +156,13 @@ class _Visit:
         return float(profile[0, -1])
 
     def remembered(self, stops: list[Occupancy]) -> RuleMemory:
-        """What later frames are given."""
+        """The memory for the next frame."""
         names = frozenset(stop.agent for stop in stops)
         return RuleMemory(names, frozenset(self.rested), frozenset(self.taken), dict(self.since))
 
 
 class Rulebook:
-    """The rules along one reference path (module docstring), for an ego that slows down for curves as it says."""
+    """The rules along one reference path (module docstring), for an ego with the planner's accelerations in curves."""
 
     def __init__(
         self, road: Road, reference: ReferencePath, vehicle: VehicleParameters, *,
@@ -181,16 +181,16 @@ class Rulebook:
 
     @property
     def places(self) -> tuple[float, ...]:
-        """Stations at which the ego may have to wait or others cross, m: lines, where zones begin and end."""
+        """Stations at which the ego may have to wait or others cross, m: stop lines, begins and ends of zones."""
         zones = [station for zone in self._zones for station in (zone.s_in, zone.s_out)]
         return (*(line.s for line in self._lines), *zones)
 
     def stops(
         self, scene: Scene, memory: RuleMemory, passed: frozenset[str] = frozenset()
     ) -> tuple[tuple[Occupancy, ...], RuleMemory]:
-        """The stops for a plan from the scene's start, in driving order, for the ego's front; and what is remembered.
+        """The stops for a plan from the scene's start, in driving order, for the ego's front; and the new memory.
 
-        Agents that the path passes (`passed`) do not stand in the way behind a zone.
+        Agents that the path passes (`passed`) do not take the room behind a zone.
         """
         if not self._lines and not self._zones:
             return (), memory
@@ -219,7 +219,7 @@ class Rulebook:
         return _stop(line.s, visit, inf, name, DecisionKind.STOP, reason) if stops else None
 
     def _at_zones(self, visit: _Visit, barrier: float) -> Iterator[Occupancy]:
-        """The stops before zones, as far as the stop lines let the ego come."""
+        """The stops before the zones that the ego reaches before `barrier`, the first stop at a line."""
         scene, front, v = visit.scene, visit.scene.front, visit.scene.start.v
         near = []
         for zone in self._zones:
@@ -241,7 +241,7 @@ class Rulebook:
             visit.leader = float(rears[i]), float(scene.speed[i]), i
         rear, speed, _ = visit.leader
         sooner, later = (self._drive_profile(scene.s, scene.v, at_first) for at_first in (max(accel, 0.0), accel))
-        if isfinite(rear):  # not into the one ahead
+        if isfinite(rear):  # the ego stays behind its leader
             behind = rear - front - ROOM_M + speed * STEP_S * np.arange(HORIZON_KNOTS)
             for motion in (sooner, later):
                 motion[0] = np.minimum(motion[0], np.maximum(behind, 0.0))
@@ -252,7 +252,7 @@ class Rulebook:
                 yield stop
 
     def _at_zone(self, zone: Zone, visit: _Visit, sooner: FloatArray, later: FloatArray) -> Occupancy | None:
-        """The stop before a zone, by (4); the ego enters as with one motion, rows s, v, and leaves as with another."""
+        """The stop before a zone (4); the ego enters as in the motion `sooner`, leaves as in `later` (rows s, v)."""
         scene, front = visit.scene, visit.scene.front
         held, late = zone.name in visit.stopping, isinstance(zone.by, Walk)
         t_in, t_out = self._passage(zone, front, sooner)[0], self._passage(zone, front, later)[1]
@@ -265,7 +265,7 @@ class Rulebook:
             against = [each for each in taken if not self._passes(zone, each, t_in, t_out, later, less)]
             waits, has_waited, ego = all(each.waits for each in against), False, scene.frame.ego
             late = late and not waits
-            if against and waits:  # pedestrians who stand there: the ego goes first once it has stood long enough
+            if against and waits:  # only standing pedestrians: the ego goes first after it has stood long enough
                 if ego.v < REST_MPS:
                     visit.since.setdefault(zone.name, scene.frame.t)
                 elif ego.v > ROLLING_MPS and zone.name not in visit.taken:
@@ -296,15 +296,15 @@ class Rulebook:
         return cruising(ahead, limit, v, a, GO_MPS2, COMFORT[0], GO_MPS3, STEP_S, HORIZON_KNOTS)
 
     def _passage(self, zone: Zone, front: float, motion: FloatArray) -> tuple[float, float]:
-        """When the ego's front enters a zone and its rear is out of the way, s; inf: later than it is looked ahead.
+        """When the ego's front enters a zone and its rear is out of the way, s; inf: after the horizon.
 
-        Where the lanes merge it is out of the way when its rear is in the zone: from there on it is ahead.
+        Where the lanes merge it is out of the way when its rear is in the zone: from then on it is the leader.
         """
         end = zone.s_in if _merges(zone) else zone.s_out
         return _when(motion, zone.s_in - front), _when(motion, end + self._vehicle.length - front)
 
     def _passes(self, zone: Zone, window: Window, t_in: float, t_out: float, motion: FloatArray, less: float) -> bool:
-        """(4) for one window, with `less` of the margin."""
+        """Whether (4) holds for one window, with the margin reduced by `less`, s."""
         extra, clear = 0.0, CLEAR_S if isinstance(zone.by, Priority) else WALK_CLEAR_S
         if _merges(zone) and isfinite(t_out) and window.speed > 0.0:
             own = float(np.interp(t_out, STEP_S * np.arange(HORIZON_KNOTS), motion[1]))
@@ -314,7 +314,7 @@ class Rulebook:
     def _release(self, zone: Zone, visit: _Visit, taken: tuple[Window, ...], motion: FloatArray) -> float:
         """When the ego may pass the place where it waits, s: (4) holds for all windows, at speed and from rest.
 
-        inf where within the horizon it does not.
+        inf if it does not within the horizon.
         """
         hold = next(each for each in zone.holds if each >= visit.scene.front)
         go = self._drive_profile(hold - self._vehicle.axle_to_front, 0.0, 0.0)
@@ -332,20 +332,20 @@ def _merges(zone: Zone) -> bool:
 
 
 def _gone(zone: Zone, window: Window) -> float:
-    """From when on the ego may enter a zone after an agent, s: into a lane that it then shares it follows."""
+    """Time from which the ego may enter a zone after an agent, s; where lanes merge, it follows the agent."""
     if _merges(zone):
         return window.begin + FOLLOW_S  # (4)
     return window.end + (AFTER_S if isinstance(zone.by, Priority) else 0.0)
 
 
 def _stop(line: float, visit: _Visit, until: float, name: str, kind: DecisionKind, reason: str) -> Occupancy:
-    """The stop at a line: `SHORT_M` before it; nearer, or over it, only where braking asks for it."""
+    """The stop at a line: `SHORT_M` before it; nearer, or over it, only where braking needs it."""
     bound = max(line - SHORT_M, min(visit.scene.front + visit.soft, line), visit.scene.front + visit.hard)
     return Occupancy(name, bound, until=until, aim=bound - AIM_M, kind=kind, reason=reason)
 
 
 def _when(motion: FloatArray, distance: float) -> float:
-    """When a motion, rows s, v, has come a distance (m), s; 0 where it has at the start, inf where it never does."""
+    """Time at which a motion, rows s, v, has covered a distance (m), s; 0 for none, inf if it is not covered."""
     if distance <= 0.0:
         return 0.0
     k = int(np.searchsorted(motion[0], distance))

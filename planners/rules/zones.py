@@ -1,25 +1,25 @@
-"""The rules of the road along one reference: its stop lines, the zones where others go first, and when.
+"""The rules of the road along one reference: its stop lines, the zones where other road users go first, and when.
 
-A zone is the stretch of the reference line on which the ego's body would be in the way of those who go first:
+A zone is the stretch of the reference line on which the ego's body would obstruct road users with priority:
 
 (1) crosswalk:       stations at which the ego's body, `SIDE_M` wider on each side, is over the polygon
 (2) priority lane:   stations at which the reference line is nearer than w / 2 + `HALF_CAR_M` + `SIDE_M` to the middle
                      of a lane that the ego's lane yields to
 
-Zones with less room between them than the ego is long are waited for together, before the first: not on a crosswalk,
-not where lanes cross. The others take a zone in time windows, from where they are and how they are predicted.
+The ego waits before the first of several zones if it does not fit between them, and so not on a crosswalk nor where
+lanes cross. Agents take a zone in time windows, which follow from their positions and predictions.
 
-Crosswalk: a pedestrian who is on it, or within `EDGE_M` of it and walks towards it, takes it while a hypothesis has it
-in the ego's half, `KEPT_M` more on each side. Who stands there waits: takes it as if starting now with `START_MPS` the
-way it faces, for an unknown time.
+Crosswalk: a pedestrian who is on it, or within `EDGE_M` of it and walks towards it, takes it while one of their
+hypotheses is in the ego's half, widened by `KEPT_M` on each side. A pedestrian who stands there takes it for an unknown
+time: from when a hypothesis enters it, else as if they started now with `START_MPS` in the direction that they face.
 
 Priority lane: a vehicle on it or on a lane that leads to it, in its direction, takes the zone
 
-(3) while the box of a hypothesis touches the zone, where its hypotheses that do weigh `UNLIKELY` together
+(3) while the box of a hypothesis touches the zone, if all that do so have a probability of `UNLIKELY` together
 (4) on the priority lane itself also from (p_in - front) / v to (p_out - rear) / v: it may be predicted to leave the
-    lane, and does not; one that stands in the zone takes it until it has left
+    lane, but stay on it; one that stands in the zone takes it until it has left
 
-but not where a red light holds it on its way there.
+A vehicle that a red light holds on its way there takes no zone.
 """
 
 from __future__ import annotations
@@ -42,36 +42,36 @@ from planners.frenet.reference_path import ReferencePath
 from planners.frenet.scene import STANDING_MPS, UNLIKELY
 
 SIDE_M = 0.3
-"""Room beside the ego's body that (1) and (2) count, m."""
+"""Space beside the ego's body in (1) and (2), m."""
 HALF_CAR_M = 1.0
 """Half the width of agents that go first in (2), m."""
 STEP_M = 0.5
 """Spacing of the stations that are tried, m."""
 ROOM_M = 1.0
-"""Room that an ego that waits leaves before and behind it, to a zone and to the one ahead, m."""
+"""Space that a waiting ego keeps before and behind itself, to zones and to the agent ahead, m."""
 LINE_BEFORE_M = 15.0
-"""A stop line nearer than this before a zone is where one waits for it, m."""
+"""The ego waits for a zone at a stop line that is nearer than this before it, m."""
 FEED_M = 100.0
 """An agent nearer than this to a priority lane, on lanes that lead to it, may claim it, m."""
 ASIDE_M = 1.0
-"""A stop line counts where the reference line runs within this of it, m."""
+"""A stop line applies where the reference line runs within this of it, m."""
 MERGED_M = 1.5
 """Two lanes whose ends are nearer than this merge, m."""
 EDGE_M = 1.5
 """A pedestrian who stands within this of a crosswalk may want to cross, m."""
 TOWARDS_MPS = 0.3
-"""A pedestrian who approaches it faster than this walks towards it; a slower one stands, m/s."""
+"""A pedestrian whose distance to it falls faster than this walks towards it; a slower one stands, m/s."""
 KEPT_M = 0.3
-"""Room beside the ego's half of a crosswalk that pedestrians have, m."""
+"""Width by which the ego's half of a crosswalk is extended on each side, m."""
 START_MPS = 1.2
-"""Speed with which a standing pedestrian sets off, m/s: as RiLSA 2010 counts pedestrians' clearing times."""
+"""Speed with which a standing pedestrian sets off, m/s: that of the clearing times in RiLSA 2010."""
 ASKEW_RAD = 1.0
 """A vehicle drives along a lane where its heading differs less than this, rad."""
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A stop line that counts for the reference path, at the station `s` that the front must not pass, m."""
+    """A stop line that applies to the reference path, at the station `s` that the front must not pass, m."""
 
     id: int
     s: float
@@ -81,7 +81,7 @@ class Line:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Walk:
-    """A crosswalk; the ego's half is what lies between the offsets `right` and `left` of its lane, m."""
+    """A crosswalk; the ego's half lies between the offsets `right` and `left` of its lane, m."""
 
     crosswalk: Crosswalk
     right: float
@@ -90,14 +90,14 @@ class Walk:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Priority:
-    """A lane that goes first.
+    """A lane whose vehicles go first.
 
     Attributes:
         lane: The lane.
-        feeds: Lanes from which it is reached, itself included, and the lights that hold who is on them.
+        feeds: Lanes that lead to it, itself included, each with the lights that hold its vehicles.
         p_in: Station on its centre line where the zone begins, m; `p_out` where it ends.
         boxes: The zone as boxes along the reference line: x, y, yaw, length, width `(k, 5)`.
-        merges: Whether it goes on as the ego's lane does.
+        merges: Whether it ends where the ego's lane ends.
     """
 
     lane: Lane
@@ -113,10 +113,10 @@ class Zone:
     """A stretch in which others may go first.
 
     Attributes:
-        name: As reasons name it ("crosswalk 3", "lane 17").
-        by: The road user with priority.
-        s_in: Station that the front reaches it at, m; `s_out` that the rear leaves it at.
-        holds: Stations that the front does not pass while it waits, in driving order: the first that is ahead counts.
+        name: Its name in reasons ("crosswalk 3", "lane 17").
+        by: The crosswalk or lane whose users go first.
+        s_in: Station at which the front enters it, m; `s_out` at which the rear leaves it.
+        holds: Stations that the front does not pass while it waits, in driving order; the first one ahead applies.
     """
 
     name: str
@@ -140,7 +140,7 @@ def lines_along(road: Road, reference: ReferencePath, width: float) -> tuple[Lin
 def zones_along(road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> tuple[Zone, ...]:
     """The zones of a reference path in driving order, with their `holds`.
 
-    These are a stop line before the group of zones, the begin of the group, and the zone itself.
+    These are the stop lines before the group of zones, the begin of the group, and that of the zone.
     """
     line, half, zones = reference.line, 0.5 * vehicle.width + SIDE_M, list[Zone]()
     for crosswalk in road.crosswalks:
@@ -175,7 +175,7 @@ def zones_along(road: Road, reference: ReferencePath, vehicle: VehicleParameters
 
 
 def _marks(road: Road, lanes: tuple[int, ...]) -> Iterator[StopLine]:
-    """The stop lines across the lanes of a sequence, as far as they count for the way that it takes."""
+    """The stop lines across the lanes of a sequence, that apply to the way that it takes."""
     order = {lane: i for i, lane in enumerate(lanes)}
     for mark in road.stop_lines:
         if mark.lane not in order:
@@ -197,7 +197,7 @@ def _stop_station(mark: StopLine, line: ReferenceLine, width: float) -> float | 
 
 
 def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> list[Zone]:
-    """The zones (2), one per priority lane, where two lanes of the ego meet it one after the other."""
+    """The zones (2); one per priority lane, even where two consecutive lanes of the ego meet it."""
     yielding = [road.lanes[i] for i in reference.lanes if road.lanes[i].yields_to]
     before: dict[int, list[int]] = {}
     for lane in road.lanes.values() if yielding else ():
@@ -269,7 +269,7 @@ def _feeds(road: Road, lane: int, before: Mapping[int, list[int]], own: Iterable
 
 
 def turned(lane: Lane, x: float, y: float, yaw: float) -> float:
-    """By how much a heading differs from the lane's at the centre point nearest to (x, y), rad, not negative."""
+    """Angle between a heading and the lane's at the centre point nearest to (x, y), rad, not negative."""
     i = min(int(np.argmin((lane.center[:, 0] - x) ** 2 + (lane.center[:, 1] - y) ** 2)), len(lane.center) - 2)
     dx, dy = lane.center[i + 1] - lane.center[i]
     return abs(wrap(yaw - float(np.arctan2(dy, dx))))
@@ -277,7 +277,7 @@ def turned(lane: Lane, x: float, y: float, yaw: float) -> float:
 
 @kernel
 def distances(points: FloatArray, line: FloatArray) -> FloatArray:
-    """Distance `(n,)` of each point `(n, 2)` from a polyline `(k, 2)`, m; of one point from that."""
+    """Distance `(n,)` of each point `(n, 2)` from a polyline `(k, 2)`, m, which may be one point."""
     out = np.empty(len(points))
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
@@ -289,11 +289,11 @@ def distances(points: FloatArray, line: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """An agent takes a zone from `begin` to `end`, s from the frame; inf: it is not known how long.
+    """An agent takes a zone from `begin` to `end`, s after the frame's time; inf: the end is not known.
 
     Attributes:
         agent: Index into the frame's agents; `speed` of it, m/s.
-        waits: Whether it stands at a crosswalk: it may take it, but has not begun to.
+        waits: Whether it is a pedestrian who stands at the crosswalk and may begin to cross.
     """
 
     begin: float
@@ -304,13 +304,13 @@ class Window:
 
 
 def windows(zone: Zone, line: ReferenceLine, road: Road, frame: Frame) -> tuple[Window, ...]:
-    """The windows in which others take a zone, in order of their begin."""
+    """The windows in which agents take a zone, in order of their begin."""
     found = _walking(zone, zone.by, line, frame) if isinstance(zone.by, Walk) else _driving(zone.by, road, frame)
     return tuple(sorted(found, key=lambda window: (window.begin, window.end, window.agent)))
 
 
 def _walking(zone: Zone, walk: Walk, line: ReferenceLine, frame: Frame) -> Iterator[Window]:
-    """Of the pedestrians who are on a crosswalk, or near it and do not walk along or away from it."""
+    """Windows of the pedestrians who are on a crosswalk, or near it and do not walk along or away from it."""
     futures, agents, polygon, ahead = (
         frame.predictions,
         frame.agents,
@@ -349,7 +349,7 @@ def _on_half(zone: Zone, walk: Walk, line: ReferenceLine, x: FloatArray, y: Floa
 
 
 def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[Window]:
-    """Of the vehicles that may claim the zone, by the lane that they are on: the priority lane before all others."""
+    """Windows of the vehicles that may take the zone, by the lane that they are on; the priority lane comes first."""
     agents, futures = frame.agents, frame.predictions
     taken: set[int] = set()
     for lane_id, lights in priority.feeds.items():
@@ -376,7 +376,7 @@ def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[Window]:
 
 
 def _passage(priority: Priority, i: int, frame: Frame) -> Iterator[Window]:
-    """(4), for a vehicle on the priority lane."""
+    """The window (4) of a vehicle on the priority lane."""
     agents, center = frame.agents, priority.lane.center
     x, y, step = float(agents.x[i]), float(agents.y[i]), np.diff(center, axis=0)
     length = np.hypot(*step.T)
@@ -395,7 +395,7 @@ def _passage(priority: Priority, i: int, frame: Frame) -> Iterator[Window]:
 
 
 def _span(taken: BoolArray, ahead: FloatArray, i: int, frame: Frame) -> Iterator[Window]:
-    """The window from the first to the last time that is taken; open where that is the last time at all."""
+    """The window from the first to the last taken time; it has no end if that is the last time of the predictions."""
     at = np.flatnonzero(taken)
     if len(at):
         end = inf if at[-1] == len(ahead) - 1 else float(ahead[at[-1]])

@@ -1,4 +1,4 @@
-"""The command line: words in, exit code out; no logic here.
+"""The command line: it parses options, calls the other packages, and sets the exit code.
 
 Commands by subject:
 
@@ -32,7 +32,7 @@ PANELS = {
 group_commands(PANELS)
 
 COLLECTED_EVERY = 10_000
-"""New objects between two garbage collections: with Python's 700, they took a twelfth of a first verdict."""
+"""New objects between two garbage collections: with Python's 700, they took 1/12 of the time to a first verdict."""
 
 
 def main() -> None:

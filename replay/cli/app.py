@@ -1,4 +1,4 @@
-"""What the commands share: the app, errors as one line and an exit code, and what is printed."""
+"""What the commands share: the app, errors as one line and an exit code, and output."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ app = typer.Typer(
 
 
 def group_commands(panels: Mapping[str, Sequence[str]]) -> None:
-    """Show the commands in the help in these groups and this order; KeyError where one has no group."""
+    """Show the commands in the help in these groups and this order; KeyError if one has no group."""
     places = {name: panel for panel, names in panels.items() for name in names}
     order = {name: place for place, name in enumerate(places)}
     for command in app.registered_commands:
@@ -75,7 +75,7 @@ def handle_errors() -> Iterator[None]:
 INTERNAL = 70
 """Exit code of a bug in replan (EX_SOFTWARE of sysexits.h); 1 always means that a gate failed."""
 TRACEBACK = "REPLAN_TRACEBACK"
-"""Environment variable: if it is set, the traceback of such an error is printed."""
+"""Environment variable: if it is set, the traceback of a bug is printed."""
 
 
 def bug(error: Exception) -> NoReturn:
@@ -90,14 +90,14 @@ def bug(error: Exception) -> NoReturn:
 
 
 def say(text: object = "", *, err: bool = False) -> None:
-    """Print to stdout or stderr, with control characters made visible: none reaches the terminal."""
+    """Print to stdout or stderr, with control characters made visible, so that none reaches the terminal."""
     from replay.draw.report.console import visible
 
     typer.echo(visible(text), err=err)
 
 
 def console_of(width: int) -> SafeConsole:
-    """The console of stdout for tables; `width` characters where it is no terminal and COLUMNS is not set."""
+    """The console of stdout for tables; `width` characters wide if stdout is not a terminal and COLUMNS is not set."""
     from replay.draw.report.console import SafeConsole
 
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else width
@@ -128,7 +128,7 @@ def say_json(document: Any) -> None:
 
 
 def _as_json_value(value: Any) -> Any:
-    """A value as JSON has it."""
+    """A value converted to JSON types."""
     if is_dataclass(value) and not isinstance(value, type):
         return {item.name: _as_json_value(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):

@@ -18,11 +18,11 @@ from logs.readers import READER, LogSettings, Reader, logs_in, read_log, reader_
 from logs.scenario import Scenario
 
 CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(Change))
-"""Of the table: those of `logs.agents.Change`."""
+"""Columns of the table: the fields of `logs.agents.Change`."""
 
 
 def listing() -> Iterator[str]:
-    """The formats, a line each, and how one is added."""
+    """The lines of the formats, and how a format is added."""
     width = max(len(reader.name) for reader in readers())
     for reader in readers():
         keys = f"; [log] {', '.join(reader.settings)}" if reader.settings else ""
@@ -31,7 +31,7 @@ def listing() -> Iterator[str]:
 
 
 def table() -> list[dict[str, Any]]:
-    """What `listing` says, as data."""
+    """The content of `listing`, as data."""
     keys = ("name", "summary", "looks_for", "suffixes", "settings")
     return [{key: getattr(reader, key) for key in keys} for reader in readers()]
 
@@ -45,14 +45,15 @@ def convert_all(
     say: Callable[[str], None],
     say_error: Callable[[str], None],
 ) -> bool:
-    """Write logs as native MCAP: into `out` if that is named .mcap, else into that folder; whether all could be read.
+    """Write logs as native MCAP, into `out` if its suffix is .mcap, else into that folder; return whether all are read.
 
     With `foxglove` they get channels that Foxglove draws.
-    A first name that is no path and a reader's asks for that reader: it takes the files whatever their names are.
+    If the first name is not a path but the name of a reader, that reader reads all files, whatever their names.
 
     Raises:
         ConfigError: A path does not exist, there is nothing to convert, several logs are to go into one file, a log
-            would be written over itself or another, or what Foxglove needs is not installed. Nothing was written then.
+            would be written over itself or another, or the package for Foxglove is not installed. Nothing has been
+            written in these cases.
         OutputError: A log cannot be written.
     """
     reader = None
@@ -95,7 +96,7 @@ def _logs_at(path: Path, asked: Reader | None, settings: LogSettings, say: Calla
         return
     for log, reader in logs_in(path, settings):
         if reader is None:
-            say(f"left out {log}: no reader claims it")
+            say(f"left out {log}: no reader recognises it")
         else:
             yield log
 
@@ -119,7 +120,7 @@ def repair_log(log: Path, target: Path, table: Path | None, settings: LogSetting
     """Read a log, write it as native MCAP, and its changes as CSV; the scenario, whose `repair` may be None.
 
     Raises:
-        ConfigError: There is no such log, or a file of it would be overwritten. Nothing was written then.
+        ConfigError: There is no such log, or a file of it would be overwritten. Nothing has been written then.
         LogError: The log cannot be read.
         OutputError: A file cannot be written.
     """
@@ -152,7 +153,7 @@ def repair_log(log: Path, target: Path, table: Path | None, settings: LogSetting
 
 
 def changes(scenario: Scenario) -> tuple[Change, ...]:
-    """What was changed."""
+    """The changes of the repair; empty if there was none."""
     return () if scenario.repair is None else scenario.repair.changes
 
 
@@ -166,7 +167,7 @@ def changes_as_text(scenario: Scenario) -> Iterator[str]:
 
 
 def unrepaired(log: Path, settings: LogSettings, scenario: Scenario) -> Scenario | None:
-    """The log of a repaired scenario as it was before the repair; None if the log does not hold it."""
+    """The log of a repaired scenario as it was before the repair; None if the log has no tracks of its own."""
     if scenario.repair is None:
         return None
     raw = read_log(log, replace(settings, repair="off"))

@@ -1,4 +1,4 @@
-"""`replan view | plot | explain | frame`: look at one drive of a run: the one that the options name, else the worst."""
+"""`replan view | plot | explain | frame`: look at one drive of a run: the named one, otherwise the worst."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OfMode = Annotated[Loop | None, option(None, "Default: the loop with a failed ga
 
 
 class Chosen(NamedTuple):
-    """A drive, and a remark in brackets on why it was chosen; "" if no other drive fits."""
+    """A drive, and a remark in brackets on why it was chosen; "" if no other drive matches."""
 
     drive: DriveResult
     remark: str
@@ -38,7 +38,7 @@ class Chosen(NamedTuple):
 
 
 def chosen_drive(results: Results, log: str | None, planner: str | None, mode: Loop | None) -> Chosen:
-    """The worst drive of those that fit, as `worst_drive`.
+    """The worst of the matching drives, as `worst_drive`.
 
     Args:
         results: The run.
@@ -47,7 +47,7 @@ def chosen_drive(results: Results, log: str | None, planner: str | None, mode: L
         mode: "open" or "closed"; None: either.
 
     Raises:
-        ConfigError: No drive fits.
+        ConfigError: No drive matches.
     """
     table, asked = results.drives, {"log": log, "planner": planner, "mode": mode}
     for column, value in asked.items():
@@ -61,10 +61,10 @@ def chosen_drive(results: Results, log: str | None, planner: str | None, mode: L
 
 
 def worst_drive(results: Results, drives: Sequence[DriveResult], options: str) -> Chosen:
-    """The worst of some drives of a run; the remark says by which options another is chosen.
+    """The worst of some drives of a run; the remark gives the options that select another drive.
 
     Worst is a drive with a failed gate, then an inconclusive one, then the one with the most coloured cells in the
-    report; of two loops the one in which a gate failed, else the closed one.
+    report; of two loops, the one in which a gate failed, otherwise the closed one.
     """
     from replay.draw.report.overview import overview
 
@@ -197,7 +197,7 @@ def _files(
 
 
 def _place(save: Path | None) -> Path | None:
-    """Where a recording is saved, its folder made; ConfigError where it is called otherwise."""
+    """Create the folder of a recording and return its path; ConfigError if the suffix is not .rrd."""
     from logs.errors import writing
 
     if save is not None and save.suffix != ".rrd":

@@ -1,4 +1,4 @@
-"""`replan evaluate | vary | paper | calibrate`: what drives."""
+"""`replan evaluate | vary | paper | calibrate`: the commands that drive."""
 
 from __future__ import annotations
 
@@ -240,7 +240,7 @@ def vary(
 
 
 def engine_of(name: str, address: str | None, workers: int | None) -> Engine:
-    """Where the logs are driven."""
+    """The engine that drives the logs; ConfigError if options conflict."""
     from replay.run.engine import Local
 
     if name == "ray":
@@ -270,7 +270,7 @@ def paper(
 ) -> None:
     """Run the experiments of the paper: its figures 9, 10 and 12, recordings, controllers compared, pedestrians.
 
-    A few minutes. What agrees with the paper and what does not: docs/paper.md.
+    This takes a few minutes. docs/paper.md compares the results with the paper.
     """
     with handle_errors():
         from replay.paper.reproduce import PaperConfig, reproduce

@@ -4,7 +4,7 @@ CommonRoad solution: the ego's states at the scenario's time steps, of the kinem
 position is the centre of gravity, b behind it the rear axle (commonroad-vehicle-models):
 
 (1) p = r + b (cos yaw, sin yaw),   b = wheelbase - cog_to_front,   r the rear axle in the world
-(2) A drive that reaches the goal between two steps is carried on to the next one with the last acceleration and
+(2) A drive that reaches the goal between two steps is extended to the next one with the last acceleration and
     steering angle: s = v h + a h^2 / 2, yaw' = yaw + s tan(steer) / wheelbase
 
 CommonRoad's checker integrates the model between the states: it accepts what such a vehicle drove, so the drive must be
@@ -28,9 +28,9 @@ from replay.results.load import load
 from replay.results.tables import safe_name
 
 TYPES = {"bmw_320i": 2, "vw_vanagon": 3}
-"""Vehicle type of a benchmark id by our name of the vehicle."""
+"""Vehicle type in a benchmark id, by the vehicle's name in replan."""
 COSTS = ("JB1", "SA1", "WX1", "SM1", "SM2", "SM3", "MW1", "TR1")
-"""Cost functions that CommonRoad knows: only named in the file, the cost is theirs to compute."""
+"""Cost functions of CommonRoad: the file only names them, and CommonRoad computes the cost."""
 VERSION = "2020a"
 
 
@@ -52,10 +52,10 @@ def commonroad_solution(trace: Path, cost: str = COSTS[0]) -> str:
 
 
 def solutions(run: Path, cost: str = COSTS[0]) -> tuple[dict[str, str], list[str]]:
-    """The solution files of the closed drives of a run by their names, and why other closed drives have none.
+    """The solution files of the closed drives of a run by name, and why other closed drives have none.
 
     Raises:
-        ConfigError: It is no result folder.
+        ConfigError: The path is not a result folder.
     """
     results, found, skipped = load(run), dict[str, str](), list[str]()
     for log, planner in results.drives.loc[results.drives["mode"] == "closed", ["log", "planner"]].itertuples(
@@ -104,7 +104,7 @@ def _solution(scenario: Scenario, cost: str) -> str:
 
 
 def _carried_on(scenario: Scenario, dt: float) -> Trajectory:
-    """The drive to the next time step (2)."""
+    """The drive, extended to the next time step (2)."""
     ego, last = scenario.ego, scenario.ego.state(-1)
     left = dt * np.ceil(last.t / dt - 1e-6) - last.t
     if left < 1e-6:

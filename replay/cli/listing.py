@@ -1,8 +1,8 @@
 """Lists all that replan knows by name, each with one line and its place in the code. `replan list` prints it.
 
-The lines are those that stand in the code already: of a class or function its docstring's first, of a table of names
-what its module's docstring says of each, of a metric, family, reader or suite its own summary, of a car the first
-comment of its file.
+The lines come from the code: for a class or function, the first line of its docstring; for a table of names, the entry
+in the docstring of its module; for a metric, family, reader or suite, its summary; for a car, the first comment of its
+file.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Entry:
     """A name.
 
     Attributes:
-        name: As options and files take it.
-        says: One line.
+        name: The name in options and files.
+        says: Its description in one line.
         where: "package.module:line", or a file.
     """
 
@@ -48,19 +48,19 @@ class Entry:
 
 
 def entries(kind: str) -> tuple[Entry, ...]:
-    """All names of a kind, in the order of its table; ConfigError where there is no such kind."""
+    """All names of a kind, in the order of its table; ConfigError if there is no such kind."""
     if kind not in KINDS:
         raise unknown_name("kind", kind, KINDS)
     return tuple(KINDS[kind]())
 
 
 def lines(found: Iterable[Entry]) -> list[str]:
-    """The entries for a terminal, a line each and where it stands below."""
+    """The entries for a terminal: a line each, and its place in the code below it."""
     return [line for one in found for line in (f"{one.name}: {one.says}", f"    {one.where}")]
 
 
 def counts() -> list[str]:
-    """How many names of each kind there are, a line each."""
+    """The number of names of each kind, a line each."""
     width = max(map(len, KINDS))
     return [f"{kind:{width}}  {len(entries(kind)):4d}" for kind in KINDS]
 
@@ -72,18 +72,18 @@ def _planners() -> Iterator[Entry]:
 
 
 def _entries_of_code(table: Mapping[str, Callable[..., Any]]) -> Iterator[Entry]:
-    """By the docstrings of what the names stand for."""
+    """The entries of a table, described by the docstrings of its values."""
     for name, thing in table.items():
         yield Entry(name, _first_line(thing), _where(thing))
 
 
 def _all(kind: Kind[Any]) -> dict[str, Any]:
-    """Ours, then those of other distributions."""
+    """The built-in names, then those of other distributions."""
     return {**kind.builtin, **kind.installed()}
 
 
 def _entries_of_table(module: str, names: Mapping[str, Callable[..., Any]] | Iterable[str]) -> Iterator[Entry]:
-    """By the table in a module's docstring: `"name"    what it is`."""
+    """Entries that are described by the table in a module's docstring: `"name"    what it is`."""
     doc = inspect.getdoc(import_module(module)) or ""
     code = names if isinstance(names, Mapping) else {}
     for name in names:
@@ -107,7 +107,7 @@ def _cars() -> Iterator[Entry]:
 
 
 def _first_line(thing: Callable[..., Any]) -> str:
-    """Of a class, function, or one of them with settings, which are named."""
+    """The first docstring line of a class or function; settings of a `partial` are appended."""
     if isinstance(thing, partial):
         settings = ", ".join(f"{key} {value}" for key, value in thing.keywords.items())
         return f"{_first_line(thing.func)} With {settings}."

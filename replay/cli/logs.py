@@ -223,7 +223,7 @@ def commonroad_solution(
 ) -> None:
     """Write the closed drives over CommonRoad scenarios as CommonRoad solutions, for CommonRoad's own checker.
 
-    Of a run, drives over other logs are skipped and named; exit code 3 where no drive could be written.
+    For a run, drives over other logs are skipped and named; exit code 3 if no drive could be written.
 
     [bold]Example[/bold]
 

@@ -1,4 +1,4 @@
-"""Options of several commands: what the shell completes, their old names, the configuration that they make."""
+"""Options of several commands: shell completion, old names, and the configuration of a run from options."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ TABLES = {
     "suite": (("logs/catalogue/__init__.py", "SUITES"),),
     "kind": (("replay/cli/listing.py", "KINDS"),),
 }
-"""Of each option the tables of its names: file and variable."""
+"""For each option, the tables of its names: file and variable."""
 
 BESIDES = {"prediction": ("oracle",), "chart": ("all",)}
-"""Names that are in no table."""
+"""Names that options take in addition to their tables."""
 
 
 def names(option: str) -> tuple[str, ...]:
-    """The names that an option takes, in the order of their tables, read from the source: importing them takes longer.
+    """The names that an option takes, in the order of their tables; read from the source, as importing takes longer.
 
     A table is a dictionary of string keys that is written out in a module: `PLANNERS: ... = {"dp_qp": DpQp, ...}`.
     """
@@ -53,7 +53,7 @@ def names(option: str) -> tuple[str, ...]:
 
 
 def completion(option: str) -> Callable[[str], list[str]]:
-    """What `typer.Option(autocompletion=...)` takes; a file that cannot be read completes nothing."""
+    """The function for `typer.Option(autocompletion=...)`; it completes nothing if a file cannot be read."""
 
     def complete(incomplete: str) -> list[str]:
         try:
@@ -65,7 +65,7 @@ def completion(option: str) -> Callable[[str], list[str]]:
 
 
 def complete_setting(incomplete: str) -> list[str]:
-    """The keys that `--set` takes, each with "="; of a planner, controller ... that is named, those of its table."""
+    """The keys that `--set` takes, each with "="; tables of planners, controllers ... with a name and "."."""
     from replay.config import RunConfig
     from replay.settings import SETTINGS, dotted_keys
 
@@ -86,11 +86,11 @@ def option(panel: str | None, words: str, *names: str, complete: str = "", **mor
     """A `typer.Option` in a group of the help.
 
     Args:
-        panel: The group; None: that of all options.
-        words: What the help says.
-        names: As the option is written; none: by its parameter.
-        complete: The table of `TABLES` that the shell completes it from.
-        more: As `typer.Option` takes it.
+        panel: The group; None: the default group.
+        words: The help text.
+        names: The spellings of the option; by default made from its parameter.
+        complete: The key of `TABLES` for shell completion.
+        more: Further arguments of `typer.Option`.
     """
     if complete:
         more["autocompletion"] = completion(complete)
@@ -151,7 +151,7 @@ def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[
     Args:
         config: A TOML file, or None.
         options: A table like that of the file; None and empty lists are options that were not given.
-        words: "KEY=VALUE" each, the key dotted, the value as TOML has it; a value that is not TOML is taken as text.
+        words: "KEY=VALUE" each, with a dotted key and a TOML value; a value that is not TOML is taken as text.
 
     Raises:
         ConfigError: A key is unknown, a value is wrong, or the file cannot be read.
@@ -194,7 +194,7 @@ EVALUATE: Mapping[str, str] = {
     "--plant": "loop.plant.{}",
     "--end-with-evidence": "loop.end_with_evidence=true",
 }
-"""Options of `replan evaluate`, and what `--set` takes in their place; {} is the option's value."""
+"""Options of `replan evaluate`, and the argument of `--set` that replaces each; {} is the option's value."""
 COMPARE = {"--no-partings": "--no-first-difference"}
 """Options of `replan compare`, and their new names."""
 
@@ -232,7 +232,7 @@ def replaced(words: Sequence[str], table: Mapping[str, str]) -> Iterator[str]:
         setting = table[option]
         if "{}" in setting:
             given: Any = value if equals else next(left, None)
-            if given is None:  # click says that there is no such option
+            if given is None:  # click reports the unknown option
                 yield word
                 return
             setting = setting.format(given)

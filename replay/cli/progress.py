@@ -23,24 +23,24 @@ from replay.results.log_result import LogResult
 from replay.run.sources import Selection
 
 QUIET_S = 20.0
-"""Nothing is silent for longer than this."""
+"""Longest time without output, s."""
 LEAST_S, MOST_S = 5.0, 60.0
-"""Off a terminal a line comes when another tenth of the logs is done, but not within 5 s, and each minute."""
+"""Without a terminal, a line is printed after each tenth of the logs, at least 5 s apart, and at least each minute."""
 
 
 @dataclass
 class Pace:
-    """Decides when to print the progress of a run, and what.
+    """Decides when to print the progress of a run, and makes the line.
 
     Attributes:
-        total: How many logs there are.
-        begin: When the first was begun, s.
-        done: How many have ended.
-        left: Expected cost of the logs that have not ended, in the unit of `step`'s `cost`; None: one each.
-        driven: How many of them were driven, not taken from an earlier run.
-        spent: Expected cost of the driven ones.
-        last: When the last line was printed, s.
-        tenth: How many tenths had been done then.
+        total: The number of logs.
+        begin: Time at which the first log was started, s.
+        done: Number of logs that have ended.
+        left: Expected cost of the logs that have not ended, in the unit of `step`'s `cost`; None: 1 per log.
+        driven: Number of them that were driven in this run.
+        spent: Expected cost of the logs that were driven.
+        last: Time at which the last line was printed, s.
+        tenth: Number of tenths that were done at that time.
     """
 
     total: int
@@ -101,14 +101,14 @@ def sign_of_life(say: Callable[[str], None], words: Callable[[], str], every_s: 
 def progress(
     *, quiet: bool = False, verbose: bool = False
 ) -> Iterator[tuple[Callable[[Selection, Path], None], Callable[[LogResult], None]]]:
-    """The functions to call as a run begins and as each log ends.
+    """The functions to call when a run begins and when each log ends.
 
     Args:
         quiet: Print errors only.
         verbose: Print each log as it ends, with its time and how its drives ended.
 
     Raises:
-        KeyboardInterrupt: As it came, with a message that says what is finished and how to continue.
+        KeyboardInterrupt: Re-raised with a message about the finished logs and how to continue.
     """
     rest = TextColumn("{task.fields[rest]}")
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), rest

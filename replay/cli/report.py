@@ -1,4 +1,4 @@
-"""`replan merge | report`, and the end of a run: reports, what is printed, the exit code."""
+"""`replan merge | report`, and the end of a run: reports, output, the exit code."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EXIT_CODES = (
 
 
 def load_baseline(path: Path, run: RunConfig, gates: Path | None, out: Path | None) -> Run:
-    """Read the run to compare with, and the rules, before anything is driven: an error in them costs no run.
+    """Read the run to compare with, and the rules, before anything is driven, so that an error in them is found first.
 
     Raises:
         ConfigError: One of them cannot be read, or the baseline lies in the result folder.
@@ -46,10 +46,10 @@ def finish_run(
     Args:
         results: The run.
         before: The run to compare with.
-        url: Where the results are sent from their folder; "": they stay there.
+        url: The URL to which the results are sent; "" if they stay in their folder.
         gates: The file of thresholds and rules; None: the packaged ones.
         as_json: Print one JSON document.
-        quiet: Print the outcome alone.
+        quiet: Print only the outcome.
         report: Write the report files.
     """
     from replay.cli.compare import print_tables
@@ -144,7 +144,7 @@ def report(
     The HTML is one file that opens from disk: tables, charts, and a page for each of the 100 worst drives.
 
     `replan evaluate` and `replan merge` write them too. In CI the Markdown is also appended to the summary of the step
-    (GITHUB_STEP_SUMMARY). Exit code 0 where they are written, whatever they say; `replan compare` judges.
+    (GITHUB_STEP_SUMMARY). Exit code 0 if they are written, whatever the verdicts; `replan compare` judges.
 
     [bold]Examples[/bold]
 

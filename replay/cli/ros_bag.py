@@ -1,9 +1,9 @@
-"""A drive among raw detections as a ROS 2 bag, as a team records it: poses of the ego, detected objects, the goal.
+"""Writes a drive with raw detections as a ROS 2 bag: poses of the ego, detected objects, the goal.
 
     /localization/kinematic_state    nav_msgs/msg/Odometry, frames map and base_link, the ego's samples
     /detection/detected_objects      autoware_msgs/msg/DetectedObjectArray, in map: pose, size, label, score, id
-    /planning/goal                   geometry_msgs/msg/PoseStamped: the ego where its log comes into the goal
-    /clock                           rosgraph_msgs/msg/Clock: the drive is no recorded one
+    /planning/goal                   geometry_msgs/msg/PoseStamped: the pose at which the logged ego reaches the goal
+    /clock                           rosgraph_msgs/msg/Clock: because the drive is simulated
 
 Velocities and scores that a detector does not give are 0. Lanes are not in a bag.
 """
@@ -25,7 +25,7 @@ from logs.errors import ConfigError, writing
 from logs.scenario import Scenario
 
 START_NS = 1_700_000_000_000_000_000
-"""Of logs that begin at 0: a bag's times are of a clock."""
+"""Start time of logs that begin at 0, because a bag's times are wall-clock times."""
 LABELS = {
     AgentKind.CAR: "car", AgentKind.TRUCK: "truck", AgentKind.BUS: "bus", AgentKind.MOTORCYCLE: "motorcycle",
     AgentKind.BICYCLE: "bicycle", AgentKind.PEDESTRIAN: "pedestrian", AgentKind.OBJECT: "unknown",
@@ -49,7 +49,7 @@ def write_bag(path: Path, scenario: Scenario) -> None:
 
     Raises:
         ConfigError: The scenario has no raw detections, or the folder exists.
-        OutputError: It cannot be written.
+        OutputError: The bag cannot be written.
     """
     if scenario.detections is None:
         raise ConfigError(f"{scenario.name} has tracks and no raw detections: a bag holds those (synth raw --as ros2)")
@@ -70,7 +70,7 @@ def write_bag(path: Path, scenario: Scenario) -> None:
 
 
 def message(kind: str, types: Any, **values: Any) -> Any:
-    """A message with some fields set (dicts for messages in it, lists for lists), all others zero."""
+    """A message with some fields set (nested messages as dicts, arrays as lists), all others zero."""
     fields = {name: _value(desc, values.pop(name, None), types) for name, desc in types.fielddefs[kind][1]}
     if values:
         raise ValueError(f"{kind} has no {', '.join(values)}")
@@ -105,7 +105,7 @@ def _ns(scenario: Scenario, t: float) -> int:
 
 
 def _rows(scenario: Scenario, found: Detections) -> Iterator[Row]:
-    """The messages of the ego, of the detected objects, and of the goal where the drive reaches it."""
+    """The messages of the ego, of the detected objects, and of the goal if the drive reaches it."""
     for i in range(len(scenario.ego)):
         state, ns = scenario.ego.state(i), _ns(scenario, float(scenario.ego.t[i]))
         where = {"pose": {"pose": pose(state.x, state.y, state.yaw)}, "twist": {"twist": {"linear": {"x": state.v}}}}

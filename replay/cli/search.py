@@ -1,4 +1,4 @@
-"""`replan falsify | tune | diagnose`: the mildest failure of a planner, better settings, why drives fail."""
+"""`replan falsify | tune | diagnose`: find the mildest failure of a planner, better settings, causes of failures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from replay.cli.app import app, handle_errors, progress_lines, resumable_folder,
 from replay.cli.options import JUDGE, LOGS, LOOP, RUNNING, log_table, option, run_config
 
 SHOWN = 20
-"""Trials of a Pareto front that are printed; pareto.csv has all."""
+"""Largest number of trials of a Pareto front that are printed; pareto.csv has all."""
 FALSIFY_CODES = (
     "Exit codes: 0 no such case found; 1 one is found: falsified; 2 wrong usage or configuration; 3 the recorded case"
     " could not be driven; 130 interrupted."

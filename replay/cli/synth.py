@@ -1,4 +1,4 @@
-"""Catalogue -> MCAP: synthesised logs with their parameters in the metadata; and what the catalogue holds, in words."""
+"""Catalogue -> MCAP: synthesised logs with their parameters in the metadata; and a description of the catalogue."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from replay.results.tables import safe_name, write_text
 TABLE = "suite.csv"
 NATIVE, ROS2 = "native", "ros2"
 FORMS = (NATIVE, ROS2)
-"""Of the logs that are written."""
+"""The forms in which logs are written."""
 COLUMNS = ("log", "file", "family", "parameters", "seed", "tags", "accepted_decisions")
 
 
@@ -49,7 +49,8 @@ def synthesise(
     Yields each path when it is written.
 
     Raises:
-        ConfigError: A family has no such parameter, or it leaves no careful drive, or there is no such form of it.
+        ConfigError: A family has no such parameter, its values allow no careful drive, or it does not exist in this
+            form.
     """
     scenarios = [family.scenario(**parameters) for family in families]
     for one in scenarios:
@@ -60,7 +61,7 @@ def write_suite(name: str, out: Path, form: str = NATIVE) -> Iterator[Path]:
     """Write the logs of a suite (or of a family or group, all cells) into `out`, and last their table, `TABLE`.
 
     Raises:
-        ConfigError: Nothing has this name, or it does not exist in this form.
+        ConfigError: No suite, family or group has this name, or a log does not exist in this form.
     """
     rows = []
     for label in suite(name):
@@ -113,7 +114,7 @@ def _count(family: Family) -> int:
 
 
 def _grid(family: Family) -> str:
-    """The values of each parameter; where they are evenly spaced and many: first, second ... last."""
+    """The values of each parameter; many evenly spaced ones are shown as first, second ... last."""
     parts = []
     for key, values in family.grid.items():
         steps = {round(b - a, 9) for a, b in pairwise(values)}
@@ -124,7 +125,7 @@ def _grid(family: Family) -> str:
 
 
 def markdown_page() -> str:
-    """docs/catalogue.md."""
+    """The text of docs/catalogue.md."""
     parts = [INTRODUCTION]
     for name, group in groups().items():
         lines = [f"## {name}", "", ABOUT[name], ""]
@@ -181,4 +182,4 @@ ABOUT: Mapping[str, str] = {
     "faults": "Logs with faults of perception (scene 0 the crossing pedestrian, 1 a lead, 2 a cut-in), of the ego's "
     "start, and of lanes.",
 }
-"""Of each group, one sentence or two."""
+"""One or two sentences on each group."""

@@ -1,9 +1,9 @@
-"""How a plan is followed: a Plan and the ego's state give a Command.
+"""Follows a plan: a Plan and the ego's state give a Command.
 
 CONTROLLERS    by name, each built as `factory(parameters, powertrain, period, **settings)`; adding one is one file and
-               one line here; a law that only steers or only drives is a part of `SplitController` (`split`). Speed is
-               by dual-loop PID, except with "mpc" and "pid" (a single loop)
-CONTROLLER     finds those, and users' own
+               one line here; a law that only steers or only drives is a part of `SplitController` (`split`). Speed
+               control is a dual-loop PID, except for "mpc" and "pid" (a single loop)
+CONTROLLER     finds the built-in controllers and those of users
 """
 
 from __future__ import annotations
@@ -30,31 +30,37 @@ from replay.vehicle.base import Controller, Powertrain
 ControllerFactory = Callable[..., Controller]
 
 
-def split_controller(steers: int, drives: int = DUAL_LOOP) -> ControllerFactory:
-    """The factory of a controller of two laws (`split_law`)."""
+def split_controller(summary: str, steers: int, drives: int = DUAL_LOOP) -> ControllerFactory:
+    """The factory of a controller of two laws (`split_law`); `replan list controllers` shows the summary."""
 
     def build(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
         return SplitController(split_law(steers, parameters, powertrain, period, drives=drives))
 
+    build.__doc__ = summary
     return build
 
 
 def mpc_or_dlqr(
     parameters: VehicleParameters, powertrain: Powertrain, period: float, *, config: MpcConfig | None = None
 ) -> Controller:
-    """Steering and speed by MPC; where that has no solution, as `dlqr_pid`."""
+    """Build the MPC for steering and speed, with `dlqr_pid` as fallback without a solution."""
     delay = SteeringDelay(parameters, period)
     fallback = SplitController(split_law(DLQR, parameters, powertrain, period, commands=False), delay)
     return Mpc(parameters, powertrain, period, fallback, delay, config)
 
 
 CONTROLLERS: dict[str, ControllerFactory] = {
-    "dlqr_pid": split_controller(DLQR),
-    "dlqr_kinematic_pid": split_controller(KINEMATIC_DLQR),
+    "dlqr_pid": split_controller(
+        "Steering by DLQR on the dynamic model (the kinematic one where the tyres are rigid), speed by dual-loop PID.",
+        DLQR,
+    ),
+    "dlqr_kinematic_pid": split_controller(
+        "Steering by DLQR on the kinematic model, speed by dual-loop PID.", KINEMATIC_DLQR
+    ),
     "mpc": mpc_or_dlqr,
-    "pure_pursuit": split_controller(PURE_PURSUIT),
-    "stanley": split_controller(STANLEY),
-    "pid": split_controller(STEERING_PID, SPEED_PID),
+    "pure_pursuit": split_controller("Steering by pure pursuit, speed by dual-loop PID.", PURE_PURSUIT),
+    "stanley": split_controller("Steering by Stanley's law, speed by dual-loop PID.", STANLEY),
+    "pid": split_controller("A PID for the steering and a single-loop PID for the speed.", STEERING_PID, SPEED_PID),
 }
 
 CONTROLLER: Kind[ControllerFactory] = Kind("controller", "controllers", CONTROLLERS)

@@ -8,12 +8,12 @@
     H <- H + A' H (I + G H)^-1 A      from H = Q; H -> P, its error squared in each round
 
 R grows with the lateral acceleration that a steering angle makes: below v_0 the error decays over a distance, above it
-over a time. K is tabulated over speed and interpolated; below the table's first speed, where one can hardly steer, its
-first row holds.
+over a time. K is tabulated over speed and interpolated; below the first speed of the table, where steering has little
+effect, its first row is used.
 
 (4) is structured doubling: Chu, Fan, Lin, Wang, Structure-preserving algorithms for periodic discrete-time algebraic
-Riccati equations, Int. J. Control 77 (2004), section 3. It is a kernel of small matrices, since the library solvers
-take a hundred times longer where the threads of their linear algebra find the cores busy.
+Riccati equations, Int. J. Control 77 (2004), section 3. It is a kernel for small matrices, because library solvers take
+a hundred times longer when the threads of their linear algebra compete for busy cores.
 
 Where the tyres slip, the model is the paper's four-state error model with the steering's lag: state x = (e_d m, e_d'
 m/s, e_phi rad, e_phi' rad/s, e_steer rad) at the rear axle, input u = commanded steer, each minus that of exact
@@ -186,7 +186,7 @@ def gain_table(p: VehicleParameters, period: float, config: DlqrConfig) -> Float
 
 @kernel
 def gain(gains: FloatArray, v: float, column: int) -> float:
-    """An entry of K at a speed, m/s, linear between the table's rows; the ends hold."""
+    """Return an entry of K at a speed, m/s, linear between the table's rows, constant beyond its ends."""
     i, u = at_speed(gains, v)
     return gains[i, column] + u * (gains[i + 1, column] - gains[i, column])
 
@@ -197,8 +197,8 @@ class DlqrLaw(NamedTuple):
     Attributes:
         gains: From `gain_table`.
         slips: From `slip_table`.
-        slip: What the slip is learned by.
-        delay: What the steering's delay is learned by.
+        slip: Model that estimates the slip.
+        delay: Model that estimates the steering's delay.
         wheelbase: m.
         max_steer: rad.
         lag: Of the steering, s.

@@ -1,4 +1,4 @@
-"""What is learned while driving: the slip of the tyres, and the steering's delay.
+"""Estimates the slip of the tyres and the delay of the steering while driving.
 
 Slip is the compliance of each axle against that of the parameters. With F the lateral force of an axle and alpha the
 slip angle that it shows (`lateral_model` (1)), over one period:
@@ -7,14 +7,14 @@ slip angle that it shows (`lateral_model` (1)), over one period:
 (2) alpha_f = steer - (v_lat + L r) / v,       alpha_r = -v_lat / v
 (3) ratio' = GAIN phi (alpha - ratio phi) / (PHI_0^2 + phi^2),   phi = F / C        normalised gradient, from ratio = 1
 
-So a heavier car, softer or saturated tyres, or another model of the car cost no steady error and need no other tuning.
-Nothing is learned on a straight, where there is nothing to learn from. With rigid tyres phi = 0 and the ratios stay.
+So a heavier car, softer or saturated tyres, or another vehicle model cause no steady error and need no retuning. On a
+straight there is no slip to learn from, so the ratios do not change. With rigid tyres phi = 0 and the ratios stay.
 
 The actuator's model gives the wheel angle w under the commands so far. Where commands act late by an unknown time d (a
 slow bus, a slower actuator), the measured angle is w(t - d):
 
 (4) w' = clip((command - w) / lag, -max_rate, max_rate)                             exact for a held command
-(5) o' = (measured - w(t - d) - o) / OFFSET_S                                       what else the model does not know
+(5) o' = (measured - w(t - d) - o) / OFFSET_S                                       other errors of the model
 (6) d' = -GAIN w'(t - d) (measured - w(t - d) - o) / (RATE_0^2 + w'(t - d)^2)       normalised gradient, from d = 0
 
 Nothing is learned while the wheel rests. Only the steering's delay is learned; the pedals' is not. Source of (3) and
@@ -44,7 +44,7 @@ SLIP_GAIN_PER_S = 16.0
 PHI_0_RAD = 0.005
 SLOWEST_MPS = 2.0
 LEAST, MOST = 1.0 / 3.0, 4.0
-"""Bounds of plausible ratios: at small forces, slip that the model lacks looks like compliance."""
+"""Bounds of plausible ratios: at small forces, slip that is not modelled looks like compliance."""
 DELAY_GAIN_PER_S = 12.0
 RATE_0_RADPS = 0.05
 OFFSET_S = 2.0
@@ -68,7 +68,7 @@ class SlipModel(NamedTuple):
 
 
 class SlipState(NamedTuple):
-    """The ratios of both axles; what was seen a period ago: v_lat, r, alpha_f, alpha_r, NaN where nothing was."""
+    """The ratios of both axles; values of the previous period: v_lat, r, alpha_f, alpha_r, NaN if there are none."""
 
     front: float
     rear: float
@@ -132,7 +132,7 @@ class DelayModel(NamedTuple):
 
 
 class DelayState(NamedTuple):
-    """What is known of the steering.
+    """The estimated state of the steering.
 
     Attributes:
         wheel: `(k,)` w of (4) now, one period ago, ... rad; kernels write into it.
@@ -211,7 +211,7 @@ def predicted(
     y: Lateral, state: DelayState, model: DelayModel, knots: FloatArray, foot: float,
     v: float, angle: Series,
 ) -> Lateral:  # fmt: skip
-    """The deviation when a command of now takes effect.
+    """Return the deviation when a present command takes effect.
 
     `y` is the deviation now; `foot` the station of the ego's foot point, m; `v` its speed, m/s; `angle` the series of
     exact following (`following_at`).
@@ -235,11 +235,11 @@ def predicted(
 
 
 class SteeringDelay:
-    """(4)-(7); takes what is measured (`observe`) and what is commanded (`record`) once a period each.
+    """Estimates the delay (4)-(7) from the measured (`observe`) and commanded (`record`) wheel angle, once per period.
 
     Attributes:
-        model: The numbers.
-        state: What is known.
+        model: The parameters.
+        state: The present estimate.
     """
 
     def __init__(self, parameters: VehicleParameters, period: float) -> None:
@@ -247,7 +247,7 @@ class SteeringDelay:
 
     @property
     def seconds(self) -> float:
-        """D of (6), s."""
+        """The delay d of (6), s."""
         return self.state.delay
 
     @property
@@ -268,5 +268,5 @@ class SteeringDelay:
         record(self.state, self.model, command)
 
     def predict(self, y: Lateral, knots: FloatArray, foot: float, v: float, angle: Series) -> Lateral:
-        """The deviation when a command of now takes effect; arguments as `predicted`."""
+        """Return the deviation when a present command takes effect; arguments as `predicted`."""
         return predicted(y, self.state, self.model, knots, foot, v, angle)

@@ -1,6 +1,6 @@
 """Geometric steering: pure pursuit, and Stanley. Neither has a model of the vehicle's dynamics.
 
-Pure pursuit drives the circle through a point of the path ahead, and does not look at curvature:
+Pure pursuit drives the circle through a point of the path ahead, and ignores curvature:
 
 (1) ahead = clip(time v, shortest, longest)                    m
 (2) alpha = bearing from the rear axle to the path's point at that distance, against the heading
@@ -42,7 +42,7 @@ class PursuitLaw(NamedTuple):
 
 @inner_kernel
 def steer_pursuing(law: PursuitLaw, now: Motion, off: Deviation, knots: FloatArray) -> float:
-    """Front wheel angle to command, rad."""
+    """Return the front wheel angle to command, rad."""
     wanted = min(max(law.time * now.v, law.shortest), law.longest)  # (1)
     s = off.foot + wanted
     for _ in range(3):  # station at which the distance is as wanted; exact on a straight
@@ -66,7 +66,7 @@ class StanleyLaw(NamedTuple):
 
 @inner_kernel
 def steer_at_front(law: StanleyLaw, now: Motion, off: Deviation, knots: FloatArray) -> float:
-    """Front wheel angle to command, rad."""
+    """Return the front wheel angle to command, rad."""
     x, y = now.x + law.wheelbase * cos(now.yaw), now.y + law.wheelbase * sin(now.yaw)
     rx, ry, yaw, _ = path_point(knots, path_foot(knots, x, y, off.foot + law.wheelbase))
     lateral = (y - ry) * cos(yaw) - (x - rx) * sin(yaw)

@@ -25,8 +25,8 @@ The feed-forward of exact following along a path, by (4) tabulated over speed, w
 (7) of a command that the steering follows with lag T and that is held for h, (1 + T D) exp(h D / 2) times (6):
         d_1 + (T + h / 2) d_0        d_2 + (T + h / 2) d_1 + (T h / 2 + h^2 / 8) d_0
 
-The shift in time reads the curvature ahead and differentiates nothing; kappa'' is a difference over 2 SPREAD_S, so that
-the kinks of a sampled plan do not come through. Times are stations at the present speed.
+The shift in time reads the curvature ahead and differentiates nothing; kappa'' is a difference over 2 SPREAD_S, which
+smooths the kinks of a sampled plan. Times are stations at the present speed.
 
 Sources: Rajamani, Vehicle Dynamics and Control, 2.3-2.5, 3.1-3.2 (with C = 2 C_alpha).
 """
@@ -55,12 +55,12 @@ Series = tuple[float, float, float]
 
 
 def has_rigid_tyres(p: VehicleParameters) -> bool:
-    """Whether the tyres do not slip (5)."""
+    """Return whether the tyres do not slip (5)."""
     return not (isfinite(p.cornering_front) and isfinite(p.cornering_rear))
 
 
 def with_rigid_tyres(p: VehicleParameters) -> VehicleParameters:
-    """The same vehicle as a kinematic model has it (5)."""
+    """Return the same vehicle with rigid tyres, as in a kinematic model (5)."""
     return replace(p, cornering_front=inf, cornering_rear=inf)
 
 
@@ -127,7 +127,7 @@ def bilinear(A: FloatArray, B: FloatArray, period: float) -> tuple[FloatArray, F
 
 
 def following(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The series (4) at `v` > 0 m/s, i = 0, 1, 2, by what the tyres do: rear slip, front slip, rolling.
+    """Return the series (4) at `v` > 0 m/s, i = 0, 1, 2, split by cause: rear slip, front slip, rolling.
 
     p_i = rear_i and d_i = front_i - rear_i + rolling_i, in rad m s^i; slips are in proportion to compliances.
     """
@@ -158,7 +158,7 @@ def body_model(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray]:
 
 
 DISCRETISATIONS = {"zoh": held, "bilinear": bilinear, "paper": paper_form}
-"""How x' = A x + B u becomes x+ = A x + B u: exact, consistent midpoint, as printed."""
+"""Discretisations of x' = A x + B u: exact, consistent midpoint, as printed in the paper."""
 
 
 def table_speeds() -> FloatArray:
@@ -168,7 +168,7 @@ def table_speeds() -> FloatArray:
 
 @kernel
 def at_speed(table: FloatArray, v: float) -> tuple[int, float]:
-    """Row of a table over `table_speeds` and share of the next row; the ends hold."""
+    """Return the row of a table over `table_speeds` and the share of the next row, limited at the ends."""
     place = min(max(v / SPEED_STEP_MPS - 1.0, 0.0), len(table) - 1.0)
     i = min(int(place), len(table) - 2)
     return i, place - i

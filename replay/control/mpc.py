@@ -4,8 +4,8 @@
     The paper calls R_u the weight of the change and R_u_rate that of the magnitude; the names here say what they weigh.
 (2) subject to the prediction and limits of `replay.control.mpc_model` (deviations from exact following of the plan)
 
-The plan is resampled by quintic polynomials (`mpc_model` (7)). A weight on the inputs themselves would pull
-the ego off a plan that accelerates: what is weighted is how far they are from those of exact following.
+The plan is resampled by quintic polynomials (`mpc_model` (7)). The weights apply to the differences from the inputs of
+exact following, because weights on the inputs themselves would pull the ego off a plan that accelerates.
 
 One solve per `period_s` (20 Hz), warm-started; between two the steering goes on at the solved rate and the acceleration
 is held. The actuators' lag is in the prediction of the acceleration and is inverted for the steering and the plan:
@@ -13,13 +13,12 @@ is held. The actuators' lag is in the prediction of the acceleration and is inve
 (3) steer command   = that of exact following + steer_0 + w (tau + lag + period / 2)
 (4) acceleration    = a_plan, led by the pedal's dead time and lag (`pedals` (3)), + a
 
-The prediction starts when a command of now takes effect (`estimation`: the delay is learned), with the wheel angle
-of the actuator's model under the commands so far: a controller that starts from the measured angle takes back what a
-late actuator has not done yet.
+The prediction starts when a present command takes effect (`estimation`: the delay is learned), with the wheel angle of
+the actuator's model under the commands so far. A controller that started from the measured angle would take back
+commands that a late actuator has not executed yet.
 
-A plan carries the times at which it is to be driven, so a plan that comes late is followed from where it should be by
-now. Where no solution is found, the command is that of DLQR and dual-loop PID until the next; `notes` say how often
-and why.
+A plan has times, so a plan that arrives late is followed from its present station. Without a solution, DLQR and
+dual-loop PID command until the next solve; `notes` report how often and why.
 """
 
 from __future__ import annotations
@@ -223,8 +222,8 @@ class Mpc:
         parameters: Of the ego.
         powertrain: Its longitudinal plant.
         period: Between two commands, s.
-        fallback: Drives where there is no solution.
-        delay: Of the steering, as it is learned; the fallback may read it too.
+        fallback: Controller that drives without a solution.
+        delay: Learned delay of the steering; the fallback may read it too.
         config: Horizon and weights.
     """
 

@@ -5,7 +5,7 @@ exact following (`lateral_model` (4), with the slip that was learned); input a i
 steer rate.
 
 (1) e_s' = e_v,   e_v' = e_a,   e_a' = (a - e_a) / lag                             lag of the pedal that the plan takes
-    (not e_v + v kappa e_d: a controller that knows it cuts corners to make up for lost time)
+    (not e_v + v kappa e_d: with that term the controller would cut corners to make up for lost time)
 (2) e_d' = v_lat + v e_phi,   e_phi' = r,   (v_lat, r)' = body_model(v),   steer' = w
 (3) sigma = g steer,  w <- g w,  g = 1 + (v / v_0)^2             so that one weight suits all speeds
 (4) xi[k+1] = A_k xi[k] + B_k u[k]       exact for inputs held over h; (2) from a table over speed
@@ -21,8 +21,8 @@ Before, it is resampled by quintic polynomials, the paper's eq. 16: between two 
 (7) f(t) = a_0 + a_1 (t - t_i) + ... + a_5 (t - t_i)^5        (the paper prints a_6 for a_5)
 
 matches position, velocity (v cos yaw, v sin yaw) and acceleration (a along, v^2 kappa across) at both samples: it is
-C2 there. Heading and speed are those of f'; where it is slower than SLOW_MPS they have no direction, and the headings
-of the samples count. Curvature is linear: f'' would give it with the rounding of the positions over h^2.
+C2 there. Heading and speed are those of f'; below SLOW_MPS they have no direction, and the headings of the samples are
+used. Curvature is linear: f'' would give it with the rounding of the positions over h^2.
 """
 
 from __future__ import annotations

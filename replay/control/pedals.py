@@ -1,18 +1,18 @@
-"""Acceleration to pedals: the powertrain inverted, one pedal at a time; how a stop ends and is held.
+"""Converts acceleration to pedals by inverting the powertrain, one pedal at a time; ends and holds stops.
 
 (1) throttle = (a - coasting(v)) / full_throttle(v)        while driving, not below 0
 (2) brake    = (coasting(v) - a) / full_brake(v)           while braking, not below 0
 
-The pedal changes only when `a` is HYSTERESIS_MPS2 beyond coasting on the other side; until then the pedal in use is
-released. So both are never on together, and noise around coasting does not make them alternate.
+The pedal changes only when `a` is HYSTERESIS_MPS2 beyond coasting on the other side; until then, the pedal in use is
+released. So the pedals are never pressed together, and do not alternate due to noise around coasting.
 
-The pedal's dead time d and lag T are inverted. A plan that begins now cannot be met before d has passed; what is
-missing then is made up for over CATCH_UP_S and not at once, which would be a jerk beyond the plan's. Over a period h:
+The pedal's dead time d and lag T are inverted. A plan that begins now cannot be met before d has passed. The deficit is
+then made up over CATCH_UP_S, because making it up at once would add jerk to the plan's. Over a period h:
 
 (3) m+ = m + a(t + d + h) - a(t + d) + h (a(t + d) - m) / CATCH_UP_S,   a_command = m + (m+ - m) / (1 - exp(-h / T))
-    not so far that the other pedal would be pressed: that is the plan's to ask for
+    limited so that it never presses the other pedal, unless the plan requires that
 
-A stop that is wanted ends softly: a deceleration b that stayed until standstill would drop to 0 there at once. From the
+A planned stop ends softly: a deceleration b that lasted until standstill would drop to 0 abruptly. From the
 speed v on at which it can be released with the jerk j, it follows v = j u^2 / 2, b = j u, with u s left; that is b^3 /
 (24 j^2) longer, so
 
@@ -25,8 +25,8 @@ The calibration table: acceleration x speed -> pedals, as the vehicle's own mode
     pedal = beyond / full_throttle(v) where beyond >= 0, beyond / full_brake(v) where it is negative; NaN out of reach
 
 Such a table is measured on a car whose drive train cannot be inverted. Here the power train is known and linear in the
-pedal at each speed, so controllers use the exact inverse: no error between the table's nodes, no file to keep in step
-with the vehicle. The table is for the reader, and to drive a real car by.
+pedal at each speed, so controllers use the exact inverse, without interpolation errors or a file that must match the
+vehicle. The table is for inspection, and for driving a real car.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ HOLDING_BRAKE = 0.2
 STILL_MPS, SLOWING_MPS2 = 0.002, 0.05
 
 STANDING_MPS = 0.1
-"""The ego stands where it is slower than this and the plan does not want to move within LOOK_AHEAD_S."""
+"""The ego stands if it is slower than this and the plan does not move within LOOK_AHEAD_S."""
 LEAVING_MPS = 0.15
 LOOK_AHEAD_S = 1.0
 GENTLE_MPS3 = 4.0
@@ -58,14 +58,14 @@ LONGER_M = 0.06
 """By how much the soft end (4) lengthens a stop; the residue of the lag adds as much again."""
 HARDER_PER_S = 3.0
 LAGS = 1.1
-"""Lags of the brake by which (4) is led: a little early, for what is left of the brake at standstill is a jerk."""
+"""Lead of (4), in lags of the brake: slightly early, because braking that remains at standstill is a jerk."""
 CATCH_UP_S = 0.3
 STEEPEST_MPS3 = 15.0
-"""Changes of a plan's acceleration beyond this are taken for steps, which (3) does not follow."""
+"""Faster changes of a plan's acceleration are steps, which (3) does not follow."""
 
 SPEEDS_MPS = np.arange(0.0, 50.1, 1.0)
 ACCELERATIONS_MPS2 = np.arange(-9.0, 5.1, 0.25)
-"""Of the calibration table."""
+"""Grid of the calibration table."""
 
 
 class PedalState(NamedTuple):
@@ -87,7 +87,7 @@ NO_PEDAL, NO_STOP = PedalState(False, False), StopState(0.0, 0.0)
 
 @kernel
 def press(state: PedalState, train: PedalMap, acceleration: float, v: float) -> tuple[float, float, PedalState]:
-    """Throttle and brake, 0 to 1, for an acceleration (m/s2) at a speed (m/s)."""
+    """Return throttle and brake, 0 to 1, for an acceleration (m/s2) at a speed (m/s)."""
     beyond = acceleration - coasting(train, v)
     braking = beyond < -HYSTERESIS_MPS2 or (state.braking and beyond <= HYSTERESIS_MPS2)
     throttle = brake = 0.0
@@ -107,9 +107,9 @@ def hold(state: PedalState, v: float, a: float) -> tuple[float, float, PedalStat
 
 @kernel
 def compensated(m: float, train: PedalMap, times: FloatArray, t: float, v: float, h: float) -> tuple[float, float]:
-    """The acceleration to command at `t` (s) and speed `v` (m/s) for a period `h`, for that of the plan, m/s2; m+ (3).
+    """Return the acceleration to command at `t` (s), speed `v` (m/s), for a period `h`, to get the plan's; and m+ (3).
 
-    `m` is what the acceleration follows; NaN: nothing was commanded yet.
+    `m` is m of (3), m/s2; NaN: nothing has been commanded yet.
     """
     coast = coasting(train, v)
     later = timed(times, t + train.brake_delay + h)[2]
@@ -129,7 +129,7 @@ def compensated(m: float, train: PedalMap, times: FloatArray, t: float, v: float
 def eased(
     state: StopState, train: PedalMap, times: FloatArray, t: float, v: float, a: float, wanted: float, h: float
 ) -> tuple[float, StopState]:
-    """What to command at `t` (s), speed `v` and acceleration `a`, where `wanted` is wanted, m/s2."""
+    """Soften the end of a stop (4): return the acceleration to command at `t`, `v`, `a` instead of `wanted`, m/s2."""
     v, late, jerk, offset = max(v, 0.0), train.brake_delay + LAGS * train.brake_lag, state.jerk, state.offset
     if timed(times, t + LOOK_AHEAD_S)[1] > STANDING_MPS:
         jerk, offset = 0.0, 0.0
@@ -147,7 +147,7 @@ def eased(
 
 @kernel
 def stands(standing: bool, v: float, t: float, times: FloatArray) -> bool:
-    """Whether to hold the vehicle at speed `v` (m/s) and time `t` (s), and whether it was held until now."""
+    """Return whether to hold the vehicle at speed `v` (m/s) and time `t` (s); `standing`: it has been held."""
     wanted = max(timed(times, t)[1], timed(times, t + LOOK_AHEAD_S)[1])
     return wanted <= LEAVING_MPS if standing else v < STANDING_MPS and wanted <= STANDING_MPS
 
@@ -159,7 +159,7 @@ class Calibration:
     Attributes:
         speed: `(n,)` m/s, increasing.
         acceleration: `(m,)` m/s2, increasing.
-        pedal: `(m, n)`; throttle positive, brake negative, -1 to 1; NaN where the vehicle cannot.
+        pedal: `(m, n)`; throttle positive, brake negative, -1 to 1; NaN out of the vehicle's reach.
     """
 
     speed: FloatArray
@@ -174,7 +174,7 @@ class Calibration:
     def of(
         cls, powertrain: Powertrain, speed: FloatArray = SPEEDS_MPS, acceleration: FloatArray = ACCELERATIONS_MPS2
     ) -> Calibration:
-        """The table of a power train."""
+        """Compute the table of a power train."""
         coasting, throttle, brake = (
             np.array([of(float(v)) for v in speed])
             for of in (powertrain.coasting, powertrain.full_throttle, powertrain.full_brake)
@@ -184,7 +184,7 @@ class Calibration:
         return cls(speed, acceleration, np.where(np.abs(pedal) <= 1.0, pedal, np.nan))
 
     def at(self, acceleration: float, v: float) -> tuple[float, float]:
-        """Throttle and brake by bilinear interpolation, held at the table's ends; NaN out of the vehicle's reach."""
+        """Return throttle and brake by bilinear interpolation, constant beyond its ends; NaN if unreachable."""
         i, u = _place(self.acceleration, acceleration)
         j, w = _place(self.speed, v)
         corners = self.pedal[i : i + 2, j : j + 2]
@@ -192,7 +192,7 @@ class Calibration:
         return max(pedal, 0.0) if pedal == pedal else pedal, max(-pedal, 0.0) if pedal == pedal else pedal
 
     def save(self, path: Path) -> None:
-        """Write it as CSV: a row per acceleration, a column per speed; empty where the vehicle cannot."""
+        """Write the table as CSV: a row per acceleration, a column per speed; empty out of the vehicle's reach."""
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(["acceleration_mps2", *(f"{v:g}_mps" for v in self.speed)])
@@ -200,7 +200,7 @@ class Calibration:
                 writer.writerow([f"{a:g}", *("" if np.isnan(value) else f"{value:.6f}" for value in row)])
 
     def plot(self, path: Path) -> None:
-        """Draw it as a picture (format by the path's ending).
+        """Draw the table as a picture (the suffix of the path selects the format).
 
         Raises:
             ConfigError: matplotlib is not installed.
@@ -224,6 +224,6 @@ class Calibration:
 
 
 def _place(grid: FloatArray, value: float) -> tuple[int, float]:
-    """Cell of a value in an increasing grid and its share of it, 0 to 1; the ends hold."""
+    """Return the cell of a value in an increasing grid, and the share of the next node, 0 to 1, limited at the ends."""
     i = int(np.clip(np.searchsorted(grid, value, side="right") - 1, 0, len(grid) - 2))
     return i, float(np.clip((value - grid[i]) / (grid[i + 1] - grid[i]), 0.0, 1.0))

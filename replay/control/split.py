@@ -1,8 +1,8 @@
-"""A controller made of two laws: one steers, the other drives; at a standstill neither does.
+"""A controller of two laws: one steers, the other controls speed; at a standstill neither is used.
 
 It is one compiled step, so that the loop can run it for a whole plan period without coming back to Python
-(`replay.loop.plan_period`). Which laws it is made of is data: `SplitLaw` names them and holds their numbers; adding one
-is its kernel, its numbers here, and a branch of `steer` or `control`.
+(`replay.loop.plan_period`). `SplitLaw` selects the laws and holds their parameters. To add a law, write its kernel, add
+its parameters here, and add a branch to `steer` or `control`.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ from replay.vehicle.plan_path import Deviation, Tracker, deviation
 DLQR, KINEMATIC_DLQR, PURE_PURSUIT, STANLEY, STEERING_PID = range(5)
 DUAL_LOOP, SPEED_PID = range(2)
 MEMORY, DELAY = 18, slice(15, 18)
-"""Numbers of a `SplitState` as an array (`remembered`), and those of its steering's delay."""
+"""Length of a `SplitState` as an array (`remembered`), and the entries of its steering delay."""
 
 
 class SplitLaw(NamedTuple):
-    """Which law steers (DLQR ...), which drives (DUAL_LOOP ...), the numbers of all, used or not, and the pedals."""
+    """The laws for steering (DLQR ...) and speed (DUAL_LOOP ...), the parameters of all laws, and the pedal map."""
 
     steers: int
     drives: int
@@ -74,7 +74,7 @@ class SplitLaw(NamedTuple):
 
 
 class SplitState(NamedTuple):
-    """What the laws remember: standstill, pedal, end of a stop, integrals, tyres and steering."""
+    """The memory of the laws: standstill, pedal, end of a stop, integrals, tyres and steering."""
 
     standing: bool
     pedal: PedalState
@@ -88,7 +88,7 @@ class SplitState(NamedTuple):
 def steer(
     law: SplitLaw, state: SplitState, now: Motion, off: Deviation, knots: FloatArray
 ) -> tuple[float, float, DlqrState]:
-    """Front wheel angle to command, rad; the steering integral and the state of the DLQR after it."""
+    """Return the front wheel angle to command, rad, the new steering integral and the new state of the DLQR."""
     if law.steers == DLQR:
         angle, known = steer_slipping(law.dlqr, state.dlqr, now, off, knots)
         return angle, state.steer_integral, known
@@ -108,11 +108,11 @@ def steer(
 def control(
     law: SplitLaw, state: SplitState, now: Motion, off: Deviation, times: FloatArray, knots: FloatArray
 ) -> tuple[float, float, float, SplitState]:
-    """Steer, throttle and brake for the next control period, and what is remembered then.
+    """Return steer, throttle and brake for the next control period, and the new state.
 
     A stop ends softly; while the vehicle is held at a standstill, the brake is on and the steering stays where it is.
     """
-    if stands(state.standing, now.v, now.t, times):  # forget where the wheel is, and what was integrated
+    if stands(state.standing, now.v, now.t, times):  # forget the wheel angle and the integrals
         throttle, brake, pedal = hold(state.pedal, now.v, now.a)
         delay = state.dlqr.delay
         unknown = DelayState(delay.wheel, delay.offset, delay.delay, delay.known and not law.dlqr.commands)
@@ -149,7 +149,7 @@ def remember(m: FloatArray, s: SplitState) -> None:
 
 @inner_kernel
 def named_law(p: Plain) -> SplitLaw:
-    """The law that plain tuples hold (`replay.vehicle.base.plain`)."""
+    """Return the law from plain tuples (`replay.vehicle.base.plain`)."""
     d = p[2]
     dlqr = DlqrLaw(d[0], d[1], SlipModel(*d[2]), DelayModel(*d[3]), d[4], d[5], d[6], d[7])
     others = KinematicLaw(*p[3]), PursuitLaw(*p[4]), StanleyLaw(*p[5]), SteeringPidLaw(*p[6])
@@ -181,13 +181,13 @@ class SplitController:
     """Steering by one law, pedals by another. See `replay.vehicle.base.Controller`.
 
     Args:
-        law: Both.
-        delay: What is known of the steering, where another controller commands and tells it; None: this one does.
+        law: The laws for steering and speed.
+        delay: Delay of the steering, if another controller commands it; None: this controller does.
 
     Attributes:
         laws: The law as plain tuples.
-        memory: `(MEMORY,)` what is remembered; kernels write into it.
-        wheel: Of `DelayState`, likewise.
+        memory: `(MEMORY,)` the state as an array; kernels write into it.
+        wheel: As in `DelayState`; kernels write into it.
     """
 
     notes: tuple[str, ...] = ()
@@ -200,7 +200,7 @@ class SplitController:
 
     @property
     def state(self) -> SplitState:
-        """What is remembered, by name."""
+        """The state of the laws."""
         return remembered(self.memory, self.wheel)
 
     def control(self, state: EgoState, plan: Plan) -> Command:
@@ -215,14 +215,14 @@ class SplitController:
 
 UNUSED = frozen(np.zeros((2, 5)))
 UNUSED_TABLE = frozen(np.zeros((2, 5, 6)))
-"""Tables of laws that do not steer: they need not be solved for."""
+"""Placeholder tables of unused steering laws, which are not solved."""
 
 
 def split_law(
     steers: int, parameters: VehicleParameters, powertrain: Powertrain, period: float,
     *, drives: int = DUAL_LOOP, commands: bool = True,
 ) -> SplitLaw:  # fmt: skip
-    """The law for a vehicle as controllers model it; with rigid tyres, the kinematic DLQR replaces the DLQR.
+    """Build the law for a vehicle; with rigid tyres, the kinematic DLQR replaces the DLQR.
 
     Args:
         steers: One of DLQR, KINEMATIC_DLQR, ...

@@ -1,6 +1,6 @@
 """The changes with which failing drives are driven again, and the cause to which the passing ones point.
 
-The changes are rows of TOML tables, ours in `changes.toml`.
+The changes are rows of TOML tables; the built-in ones are in `changes.toml`.
 
 [[change]]
 name = "no_delay"                           # of its folder
@@ -39,7 +39,7 @@ from replay.settings import flat, merged, strict
 BUILT_IN = Path(__file__).with_name("changes.toml")
 NOT_FOUND, UNAVOIDABLE = "not found", "unavoidable"
 RANKS = ("default", "ideal", "limits", "planner")
-"""In this order a cause is looked for: what was set otherwise before what could be better."""
+"""The order in which a cause is searched: settings that differ from the defaults before possible improvements."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,10 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class ChangedRun:
-    """A change of a run.
+    """A run with a change.
 
     Attributes:
-        change: The row.
+        change: The row of the table.
         run: The run with it, resolved.
         keys: Keys and values in which it differs from the run.
     """
@@ -83,10 +83,10 @@ class ChangedRun:
 
 
 def load_changes(path: Path | None = None) -> tuple[Change, ...]:
-    """Our changes, and those of a file.
+    """The built-in changes, and those of a file.
 
     Raises:
-        ConfigError: It cannot be read, a row is wrong, or two have one name.
+        ConfigError: The file cannot be read, a row is invalid, or two rows have the same name.
     """
     rows: list[Change] = []
     for file in filter(None, (BUILT_IN, path)):
@@ -114,7 +114,7 @@ def driven(run: RunConfig, planner: str) -> RunConfig:
 
 
 def changed_runs(changes: Sequence[Change], run: RunConfig) -> tuple[tuple[ChangedRun, ...], dict[str, str]]:
-    """The changes of a run of one planner that make it another run, each once, and why others cannot be applied."""
+    """The changes that alter a run of one planner, each once, and the reasons why others cannot be applied."""
     run = checked(run)[0]
     table = dump_run(run)
     base = dict(flat(tomllib.loads(table)))
@@ -124,7 +124,7 @@ def changed_runs(changes: Sequence[Change], run: RunConfig) -> tuple[tuple[Chang
         if change.planner and change.planner != run.planners[0]:
             continue
         changed = tomllib.loads(table)
-        for key in change.default:  # without it its default holds
+        for key in change.default:  # the default applies to a missing key
             *parents, last = key.split(".")
             inner = changed
             for name in parents:
@@ -144,7 +144,7 @@ def changed_runs(changes: Sequence[Change], run: RunConfig) -> tuple[tuple[Chang
 
 @dataclass(frozen=True)
 class Cause:
-    """Why a drive fails.
+    """The cause of the failure of a drive.
 
     Attributes:
         name: "prediction", "prediction or control", "unavoidable", "not found".
@@ -164,7 +164,7 @@ def cause_of(
 
     Args:
         runs: The changes that were driven.
-        passing: Names of those with which it passes.
+        passing: Names of the changes with which it passes.
         fragile: Perturbations with which it passes.
         avoidable: Whether the careful driver avoids the contact, or there is none.
     """

@@ -1,8 +1,8 @@
-"""A diagnosis: the failing drives of a run, driven again with one thing changed.
+"""A diagnosis: the failing drives of a run, driven again with one change.
 
     OUT/logs/                 the logs of the failing drives
     OUT/changes/NAME/         results with a change, as `replan compare` and `replan view` take them; first "as_it_was"
-    OUT/study.jsonl           what was driven; `--resume` goes on from it
+    OUT/study.jsonl           the drives; `--resume` continues from it
 
 and the files of `replay.diagnose.findings`. The same run gives the same diagnosis at any number of workers.
 """
@@ -43,18 +43,18 @@ from replay.search.study import Study
 
 KIND = "diagnose"
 CONTROLS = ("tiny", "start", "noise")
-"""Perturbations (`replay.run.perturb`) with which a drive must fail, too, before a change shows anything."""
+"""Perturbations (`replay.run.perturb`) with which a drive must also fail, so that a change is conclusive."""
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What is asked for.
+    """The inputs of a diagnosis.
 
     Attributes:
         results: The run.
         planner: The planner whose failing drives are diagnosed.
-        logs: Names of logs; empty: all.
-        changes: What is changed.
+        logs: Names of logs; empty for all logs.
+        changes: The changes to try.
     """
 
     results: Results
@@ -89,8 +89,8 @@ def question(results: Results, planner: str | None, logs: Sequence[str], changes
     """The question, checked.
 
     Raises:
-        ConfigError: There is no such planner or log in the run, no planner is named of several, or the run has no
-            closed loop.
+        ConfigError: There is no such planner or log in the run, the run has several planners and none is named, or it
+            has no closed loop.
     """
     run = results.run
     if planner is None and len(run.planners) > 1:
@@ -115,20 +115,20 @@ def diagnose(
     resume: bool = False,
     say: Callable[[str], None] = lambda line: None,
 ) -> Diagnosis:
-    """Drive the failing drives of a run again with each change, and write what that shows into `out`.
+    """Drive the failing drives of a run again with each change, and write the findings into `out`.
 
-    A drive that cannot be driven again is one of the findings: `Diagnosis.not_driven`.
+    `Diagnosis.not_driven` has the drives that cannot be driven again.
 
     Args:
-        asked: What is asked for.
+        asked: The inputs.
         out: A folder that is new, empty, or holds an earlier diagnosis, which is replaced or resumed.
         settings: For the first drive of each cluster, the smallest change of one of these with which it passes.
-        workers: Processes; 0: this one.
-        resume: Go on with the diagnosis that `out` holds.
+        workers: Number of processes; 0: this process.
+        resume: Continue the diagnosis in `out`.
         say: Called with a line after each change.
 
     Raises:
-        ConfigError: A folder that is not ours to write, or nothing to resume.
+        ConfigError: The folder must not be written, or there is nothing to resume.
         PlannerError: The planner cannot be loaded.
     """
     runs, refused = changed_runs(asked.changes, asked.run)
@@ -153,7 +153,7 @@ def diagnose(
 
 
 class _Trials:
-    """The drives of a diagnosis, change by change; what the study holds is not driven again."""
+    """The drives of a diagnosis, change by change; drives in the study file are not repeated."""
 
     def __init__(self, asked: Question, out: Path, study: Study, workers: int) -> None:
         self._asked, self._out, self._study, self._workers = asked, out, study, workers
@@ -166,7 +166,7 @@ class _Trials:
             for name, file in self.files.items():
                 try:
                     scenario = self._scenario(name)
-                except (ConfigError, LogError) as error:  # it is not where it was, or damaged
+                except (ConfigError, LogError) as error:  # it was moved, or is damaged
                     lost[name] = {"gates": [], "lost": str(error)}
                     continue
                 write_scenario(file, scenario)
@@ -181,7 +181,7 @@ class _Trials:
         self.answers: dict[str, dict[str, Any]] = {}
 
     def _file(self, name: str) -> Path:
-        """Where the log is written; folders of logs are unique, names without their special characters are not."""
+        """The path of a written log, by its folder, which is unique; names without special characters are not."""
         return self._out / "logs" / f"{self._logs['folder'].astype(str)[name]}.mcap"
 
     def _scenario(self, name: str) -> Scenario:
@@ -225,7 +225,7 @@ class _Trials:
         return self._drives[name]
 
     def drive(self, run: ChangedRun) -> dict[str, Any]:
-        """Drive the failing drives with a change: what came of it by log, which `answers` has from then on."""
+        """Drive the failing drives with a change, and return the results by log, which are also kept in `answers`."""
         known = self._study.known(run.change.name)
         if known is None:
             files, place = [self.files[name] for name in self.failing], self._out / "changes" / run.change.name
@@ -249,7 +249,7 @@ class _Trials:
         return self.answers[run.change.name]
 
     def found(self, name: str, runs: Sequence[ChangedRun]) -> Found:
-        """What all changes show of a drive."""
+        """The findings of all changes about a drive."""
         base, drive = self._base_rows[name], self._drive_of(name)
         answers = {run.change.name: self.answers[run.change.name][name] for run in runs}
         passing = tuple(change for change, answer in answers.items() if answer["passes"])
@@ -282,11 +282,11 @@ class _Trials:
         return Found(name, tuple(base["gates"]), time, beyond, cause, failure, parts, first, passing)
 
     def remedy(self, name: str, settings: Sequence[Setting], say: Callable[[str], None]) -> Remedy:
-        """The smallest change of a setting with which a drive passes, and what it does to the others."""
+        """The smallest change of a setting with which a drive passes, and its effect on the other drives."""
         file, before, scratch = self.files[name], self._base_rows[name]["gates"], self._out / f"{PARTIAL}remedy"
 
         def known(key: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-            """The row of the study; made where it holds none."""
+            """The row of the study; made if it does not exist."""
             row = self._study.known(key)
             if row is None:
                 row = {"key": key, **make()}
@@ -305,7 +305,7 @@ class _Trials:
             return bool(row["passes"])
 
         def everywhere(setting: Setting, value: Value) -> dict[str, Any]:
-            """What a change does to the drives of the run that can be driven."""
+            """The effect of a change on the drives of the run that can be driven."""
             files = {}
             for log in map(str, self._logs.index[self._logs["sha256"] != ""]):
                 place = self._file(log)
@@ -313,7 +313,7 @@ class _Trials:
                     if not place.is_file():
                         write_scenario(place, self._scenario(log))
                 except (ConfigError, LogError):
-                    continue  # it cannot be read
+                    continue  # the log cannot be read
                 if log not in self.not_driven:
                     files[log] = place
             made = drives(setting, value, list(files.values()))
@@ -341,5 +341,5 @@ def _control(file: Path, name: str) -> Path:
 
 
 def _frame_at(frames: Sequence[PlannedFrame], at: float) -> int:
-    """The last frame that is not later than a time; the first one."""
+    """The index of the last frame that is not later than a time, at least 0."""
     return max(int(np.searchsorted([frame.t for frame in frames], at + 1e-6, side="right")) - 1, 0)

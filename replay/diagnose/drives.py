@@ -1,8 +1,8 @@
 """Failing drives, driven again with changes and judged by the gates of their run.
 
-A drive passes with a change where no gate fails and none that it failed before is inconclusive. The gates ask the
-same of every change: a drive with the others' true futures is judged as any other, and another planner as the one that
-failed.
+A drive passes with a change if no gate fails, and no gate that it failed before is inconclusive. The gates are the same
+for every change: a drive with the true futures of road users is judged as any other, and another planner as the one
+that failed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Driven:
     Attributes:
         results: The run.
         names: Name of each log in the run, by its file's name.
-        planner: The planner that drove.
+        planner: The planner of the drives.
         gates: The gates that judge them, by their rules as text.
         outcomes: A row per drive and gate: `COLUMNS`; `drive` is the name of the log's file.
     """
@@ -61,11 +61,11 @@ class Driven:
         return {file for file, name in self.names.items() if name in logs}
 
     def drive(self, file: Path) -> DriveResult:
-        """The drive of a log's file; ConfigError where there is none."""
+        """The drive of a log's file; ConfigError if there is none."""
         return self.results.drive(self.names[file.name], self.planner, MODE)
 
     def ended(self, file: Path) -> str:
-        """How a drive ended, or why it was not driven."""
+        """The end of a drive, or the reason why it was not driven."""
         name = self.names.get(file.name, file.name)
         rows = self.results.drives
         mine = rows[(rows["log"] == name) & (rows["planner"] == self.planner)]
@@ -76,13 +76,13 @@ class Driven:
         return str(said.iloc[0]) if len(said) else "not driven"
 
     def value(self, file: Path, metric: str) -> float:
-        """A value of the drive; NaN: it has none."""
+        """A metric of the drive; NaN if it has no value."""
         rows = self.drive(file).metrics
         mine = rows[(rows["metric"] == metric) & rows["available"]]["value"]
         return float(mine.iloc[0]) if len(mine) else nan
 
     def about(self, file: Path, metric: str) -> str:
-        """Which road user or thing the value of a metric is about: "pedestrian 17"; "" where it is not known."""
+        """The road user or object that the value of a metric is about: "pedestrian 17"; "" if it is unknown."""
         rows = self.drive(file).metrics
         about = rows.loc[rows["metric"] == metric, "about"].dropna()
         return str(about.iloc[0]) if len(about) else ""
@@ -94,12 +94,12 @@ class Driven:
 
 
 def drive_again(files: Sequence[Path], run: RunConfig, planner: str, out: Path, *, workers: int) -> Driven:
-    """Drive logs, and judge them by the gates that are asked of `planner`; errors as `evaluate_logs`."""
+    """Drive logs, and judge them by the gates for `planner`; errors as `evaluate_logs`."""
     return as_driven(evaluate_logs(list(files), run, out, workers=workers), planner)
 
 
 def as_driven(results: Results, planner: str) -> Driven:
-    """Results of one planner, judged by the gates that are asked of `planner`."""
+    """Results of one planner, judged by the gates for `planner`."""
     run = results.run
     files = (Path(source).name for source in results.logs["source"])
     names = dict(zip(files, results.logs["log"], strict=True))
@@ -136,7 +136,7 @@ def passes(before: Sequence[str], rows: pd.DataFrame) -> bool:
 
 
 def parting(one: DriveResult, two: DriveResult) -> dict[str, Any]:
-    """Where a drive parts from another: time (s), stage and what differs; empty where it does not."""
+    """The first difference of two drives: time (s), stage and description; empty if there is none."""
     part = first_difference if one.planner == two.planner else planners_part
     try:
         found = part(one.trace, two.trace)

@@ -1,4 +1,4 @@
-"""What goes wrong in a failing drive, in words that are made of its numbers and of nothing else.
+"""Describes a failing drive in words that are made only of its numbers.
 
 F is the failing drive, P the one that passes with the change that points to the cause. Both are compared up to t_x,
 when the first gate fails, or the end of the shorter one.
@@ -29,7 +29,7 @@ BRAKES_MPS2, WEAKER_MPS2, MOVES_MPS = -0.5, 0.5, 0.1
 APART_MPS, APART_M, LATE_S = 0.5, 0.3, 0.2
 AHEAD_S, SAME_S = 3.0, 1e-6
 MISSED_M = 1.0
-"""A road user shown or predicted this far from their true place counts as shown or predicted elsewhere."""
+"""A road user shown or predicted this far from their true place is treated as shown or predicted elsewhere."""
 STAYS_M = 0.5
 """A road user that moves less than this within `AHEAD_S` stands."""
 SOMEONE = "a road user"
@@ -79,20 +79,20 @@ OUTCOMES = {
     "plan_kept_lateral": "does not drive where it planned",
     "plan_score": "makes plans of a low score",
 }
-"""What a broken gate means, by the first part of its metric; {} stands for the road user."""
+"""The meaning of a broken gate, by the first part of its metric; {} is the road user."""
 
 
 @dataclass(frozen=True)
 class DriveDifference:
-    """The failing drive beside the one that passes: equations (1) to (5); None: there is none.
+    """The failing drive compared with the one that passes: equations (1) to (5); None if a value does not exist.
 
     Attributes:
-        ahead_m: How far F is ahead of P at t_x, m.
+        ahead_m: Distance of F ahead of P at t_x, m.
         left_m: (5), m.
         brakes_s: t_F; `would_brake_s` is t_P.
-        would_brake_s: See there.
-        hardest_mps2: Of F; `would_hardest_mps2` of P.
-        would_hardest_mps2: See there.
+        would_brake_s: t_P.
+        hardest_mps2: Hardest braking of F; `would_hardest_mps2` that of P.
+        would_hardest_mps2: Hardest braking of P.
     """
 
     ahead_m: float = 0.0
@@ -129,7 +129,7 @@ class DriveDifference:
 
     @property
     def behaviour(self) -> tuple[str, str]:
-        """How F differs from P, and the numbers; empty if nothing is known."""
+        """The difference of F from P in words, and the numbers; empty if nothing is known."""
         does, would = self.brakes_s, self.would_brake_s
         if would is not None and self.ahead_m > APART_M:
             if does is None:
@@ -152,7 +152,7 @@ def _relative(ego: EgoState, x: float | FloatArray, y: float | FloatArray) -> tu
 
 
 def _braking(ego: Trajectory, since: float, until: float) -> float | None:
-    """(2) up to a time."""
+    """The time (2) of the first braking, up to a time."""
     brakes = (ego.a <= BRAKES_MPS2) & (ego.v > MOVES_MPS)
     later = np.flatnonzero(brakes & (ego.t >= since - SAME_S) & (ego.t <= until + SAME_S))
     if not len(later):
@@ -163,16 +163,16 @@ def _braking(ego: Trajectory, since: float, until: float) -> float | None:
 
 @dataclass(frozen=True)
 class Foresight:
-    """What the planner perceived of a road user, and what was predicted (6); None: not known.
+    """The perception and the prediction (6) of a road user; None if a value is unknown.
 
     Attributes:
         at_s: Time of the frame.
         is_seen: Whether they are in the frame.
-        seen_off_m: How far from where they are, m.
-        ahead_s: For how long they are predicted.
-        predicted_m: How far they are predicted to move, m.
-        moved_m: How far they move.
-        off_m: Between both.
+        seen_off_m: Distance of the perceived from the true position, m.
+        ahead_s: Length of the prediction, s.
+        predicted_m: Distance that they are predicted to move, m.
+        moved_m: Distance that they move, m.
+        off_m: Distance between the predicted and the true position, m.
     """
 
     at_s: float | None = None
@@ -185,7 +185,7 @@ class Foresight:
 
     @classmethod
     def of(cls, trace: Trace, who: str, at: float) -> Foresight:
-        """What the frame at a time contained about a road user of the trace."""
+        """The perception and prediction of a road user of the trace in the frame at a time."""
         frame = next((one for one in reversed(trace.frames) if one.t <= at + SAME_S), None)
         if frame is None or who not in trace.agents.ids or frame.predictions is None:
             return cls()
@@ -226,16 +226,16 @@ class Foresight:
 
 @dataclass(frozen=True)
 class Failure:
-    """What goes wrong in a drive.
+    """The failure of a drive.
 
     Attributes:
         gate: The first gate that it fails, of `metric`.
-        metric: See there.
-        who: Kind and short name of the road user that this is about: "pedestrian 17"; "": none.
-        lane: "left" or "right": the lane change that is under way then; "": none.
-        difference: How it differs from the drive that passes.
+        metric: The metric of the gate.
+        who: Kind and short name of the road user that this is about: "pedestrian 17"; "" if there is none.
+        lane: "left" or "right": the lane change that is under way then; "" if there is none.
+        difference: The difference from the drive that passes.
         brakes_for: Whether its plan names the road user as a reason to slow down when it begins to brake.
-        foresight: What the planner was shown of the road user.
+        foresight: The perception and prediction of the road user.
     """
 
     gate: str

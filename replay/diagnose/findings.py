@@ -1,4 +1,4 @@
-"""What a diagnosis found, in sentences, as JSON, as a page and as tables.
+"""The findings of a diagnosis as sentences, JSON, a page and tables.
 
 OUT/diagnosis.json        causes by cluster and by drive, the sentences that are printed
 OUT/diagnosis.md          the same as a page
@@ -39,12 +39,12 @@ class Found:
     Attributes:
         log: Its name in the run.
         gates: The gates that it fails.
-        time_s: When it fails the first of them; NaN: not known.
-        beyond: How far beyond its bound that is; NaN likewise.
+        time_s: Time at which it fails the first of them; NaN if unknown.
+        beyond: Excess over the bound of that gate; NaN if unknown.
         cause: The cause.
-        failure: What goes wrong.
-        parts: Where the drive with the change that points to the cause parts from it: t_s, stage, what.
-        because: Why the planner slowed down there, in its explanation's words.
+        failure: The description of the failure.
+        parts: First difference of the drive with the change that points to the cause: t_s, stage, what.
+        because: The reason why the planner slowed down there, from its explanation.
         passing: Names of all changes with which it passes.
     """
 
@@ -60,7 +60,7 @@ class Found:
 
     @property
     def place(self) -> str:
-        """Where to look, and what can be seen there."""
+        """The time to look at, and what can be seen at it."""
         at = f" at {self.time_s:.1f} s" if isfinite(self.time_s) else ""
         parts = f"; it parts at {self.parts['what']}" if self.parts else ""
         because = f" {self.because}" if self.because else ""
@@ -75,14 +75,14 @@ class Diagnosis:
     Attributes:
         out: The folder.
         run: The result folder of the run.
-        planner: Whose drives.
+        planner: The planner of the drives.
         drives: A row per failing drive.
         not_failing: Logs whose drives no longer fail.
-        not_driven: Logs that could not be driven again, and why.
+        not_driven: Logs that could not be driven again, with the reasons.
         runs: The changes that were driven.
-        refused: Changes that cannot be applied to the run, and why.
+        refused: Changes that cannot be applied to the run, with the reasons.
         answers: The result by change and log: passes, gates, end, parts.
-        remedies: The smallest change of a setting for the first drive of each cluster, where settings are given.
+        remedies: The smallest change of a setting for the first drive of each cluster, if settings are given.
     """
 
     out: Path
@@ -98,7 +98,7 @@ class Diagnosis:
 
     @property
     def exit_code(self) -> int:
-        """3 where a drive could not be driven again."""
+        """3 if a drive could not be driven again, otherwise 0."""
         return 3 if self.not_driven else 0
 
     def clusters(self) -> list[tuple[Found, ...]]:
@@ -111,7 +111,7 @@ class Diagnosis:
         return sorted(map(tuple, found.values()), key=lambda some: (-len(some), some[0].log))
 
     def words_of(self, cause: Cause) -> str:
-        """Why a cause is named."""
+        """The evidence for a cause."""
         words = {run.change.name: run.change.words for run in self.runs}
         if cause.fragile:
             return f"fragile: passes with a perturbation that should change nothing ({', '.join(cause.fragile)})"
@@ -141,7 +141,7 @@ class Diagnosis:
         return [*said, *(f"Not tried: {name}: {why}." for name, why in self.refused.items())]
 
     def document(self) -> dict[str, Any]:
-        """All of it as JSON has it: null where a number is not known."""
+        """The diagnosis as JSON types; unknown numbers are null."""
         clusters = [
             {"cause": some[0].cause.name, "why": self.words_of(some[0].cause), "happens": some[0].failure.sentence,
              "about": some[0].failure.kind, "gates": sorted({one.gates[0] for one in some}),
@@ -159,7 +159,7 @@ class Diagnosis:
         }  # fmt: skip
 
     def write(self) -> None:
-        """The files of the module's docstring."""
+        """Write the files that the docstring of the module lists."""
         drives = [
             (one.log, one.cause.name, self.words_of(one.cause), one.failure.sentence, "; ".join(one.gates),
              one.failure.kind, one.time_s, one.parts.get("t_s"), one.parts.get("stage", ""), " ".join(one.passing))
@@ -205,10 +205,10 @@ class Diagnosis:
 
 
 def read_diagnosis(folder: Path, results: Results) -> dict[str, Any]:
-    """What diagnosis.json in a folder holds, for `replay.draw.report`.
+    """The contents of diagnosis.json in a folder, for `replay.draw.report`.
 
     Raises:
-        ConfigError: There is none, it cannot be read, or it is of another run.
+        ConfigError: The file is missing or unreadable, or it is of another run.
     """
     file = folder / "diagnosis.json"
     try:

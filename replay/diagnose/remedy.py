@@ -1,8 +1,8 @@
-"""The smallest change of one setting with which a drive passes, by bisection, and what it breaks elsewhere.
+"""The smallest change of one setting with which a drive passes, by bisection, and the drives that it breaks.
 
     (1) u = |value - default| / (high - low)       of a setting with `log`: of the logarithms; of choices: 1
 
-Each end of a setting's range is driven; where the drive passes there, the way from the default is halved `STEPS` times.
+Each end of a setting's range is driven; if the drive passes there, the way from the default is halved `STEPS` times.
 The change with the least u is driven on all logs of the run. Between the default and an end the drive may pass, fail
 and pass again: the change passes, and a smaller one may, too.
 """
@@ -25,14 +25,14 @@ class Remedy:
     """A change of a setting.
 
     Attributes:
-        log: The drive that it was looked for.
-        key: The setting; "": none was found.
+        log: The log of the drive for which it was searched.
+        key: The setting; "" if none was found.
         was: Its value in the run; `now` the changed one.
-        now: See there.
-        u: (1).
+        now: The changed value.
+        u: The size (1).
         mended: Logs of failing drives that pass with it.
         broken: Logs whose drives did not fail, and fail with it.
-        drives: How many drives of the run were driven with it.
+        drives: Number of drives of the run that were driven with it.
     """
 
     log: str
@@ -58,10 +58,10 @@ class Remedy:
 def smallest_change(
     settings: Sequence[Setting], passes: Callable[[Setting, Value], bool]
 ) -> tuple[Setting, Value, float] | None:
-    """The setting and value with the least (1) with which a drive passes; None: there is none.
+    """The setting and value with the least (1) with which a drive passes; None if there is none.
 
     Args:
-        settings: Their ranges.
+        settings: The settings, with their ranges.
         passes: Drives with a setting at a value.
     """
     found: list[tuple[Setting, Value, float]] = []

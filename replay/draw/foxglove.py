@@ -1,4 +1,4 @@
-"""A log or a trace as Foxglove draws it: channels of its well-known schemas beside the native ones (`--foxglove`).
+"""Channels with Foxglove's well-known schemas, beside the native ones of a log or a trace (`--foxglove`).
 
     /foxglove/road        SceneUpdate     once: lanes by their boundaries, crosswalks, the goal's regions
     /foxglove/stop_lines  SceneUpdate     stop lines in the colours of their lights, whenever one changes
@@ -6,11 +6,12 @@
     /foxglove/agents      SceneUpdate     all other agents, as boxes with their names, coloured by kind
     /foxglove/tf          FrameTransform  `BASE` (the ego's rear axle) in `MAP`
     /foxglove/ego         SceneUpdate     once: the ego's box, bound to `BASE`
-    /foxglove/onboard, /foxglove/plan    PosesInFrame    plans: that of the log's own planner, those of the trace
-    /foxglove/plan_line   SceneUpdate     the latter as a line
+    /foxglove/onboard, /foxglove/plan    PosesInFrame    plans of the log's own planner, and of the trace
+    /foxglove/plan_line   SceneUpdate     the plans of the trace as lines
 
-Protobuf by Foxglove's own package (extra `foxglove`). `MAP` has the coordinates of the log, relative to its origin; the
-ground is z = 0. Each message of a topic shows all of it, so that a viewer may jump to any time.
+The messages are Protobuf, from Foxglove's own package (extra
+`foxglove`). `MAP` has the coordinates of the log, relative to its origin; the
+ground is z = 0. Each message replaces the whole content of its topic, so that a viewer may jump to any time.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ def scenario_channels(scenario: Scenario) -> Iterator[Entry]:
     """
     start = scenario.start_ns
     yield from _road(scenario)
-    # agents that never move, once; the others at each time at which one of them was sampled, and at the end
+    # write agents that never move once, the others at each time at which one of them was sampled and at the end
     tracks, ego, vehicle, short = scenario.tracks, scenario.ego, scenario.vehicle, scenario.short_names
     still = np.repeat(tracks.static, np.diff(tracks.offsets))
     if still.any():
@@ -168,7 +169,7 @@ def _boxes(agents: Agents, time: int, short: ShortNames) -> SceneUpdate:
 
 
 def _plans(topic: str, plans: Sequence[tuple[float, Trajectory]], start: int) -> Iterator[Entry]:
-    """Plans by when they were known, thinned as `kept_samples`."""
+    """Plans at the times at which they were known, thinned by `kept_samples`."""
     times = log_times(np.array([known for known, _ in plans]), start, topic)
     for time, (_, plan) in zip(times, plans, strict=True):
         kept = kept_samples(plan.t)
@@ -178,7 +179,7 @@ def _plans(topic: str, plans: Sequence[tuple[float, Trajectory]], start: int) ->
 
 
 def _thin_times(t: FloatArray) -> FloatArray:
-    """Of increasing times the first one, and each that is at least `STEP_S` after the last one that is kept."""
+    """Thin increasing times: keep the first one, and each that is at least `STEP_S` after the last kept one."""
     kept = [-np.inf]
     for time in t.tolist():
         if time >= kept[-1] + STEP_S - 1e-9:
@@ -217,7 +218,7 @@ def _quaternion_of_yaw(yaw: float) -> Quaternion:
 
 
 def _colour(packed: int) -> Color:
-    """Of 0xRRGGBBAA."""
+    """The colour of a packed value 0xRRGGBBAA."""
     red, green, blue, opacity = (byte / 255.0 for byte in packed.to_bytes(4))
     return Color(r=red, g=green, b=blue, a=opacity)
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from replay.drive import StageTime
 
 ROUND = (1.0, 2.0, 5.0, 10.0)
-"""Steps are these multiples of a power of ten."""
+"""Round steps are these factors times a power of ten."""
 
 
 def nice_step(span: float, most: int, factors: tuple[float, ...] = ROUND) -> float:
@@ -60,7 +60,7 @@ def widened(low: float, high: float, least: float, room: float = 0.06) -> tuple[
 
 JERK = LON_JERK_STATE.name
 SPIKE = 99.5
-"""Percentile of the size of spiky values that the axis of a chart shows."""
+"""Percentile of the absolute values of a spiky curve up to which the axis of a chart reaches."""
 BLUE, YELLOW, RED, GREEN, VIOLET, TEAL, PINK, GREY = SERIES = (
     0x4AB8F5FF, 0xE8AC30FF, 0xFF6E64FF, 0x78DC82FF, 0xC896FFFF, 0x50D2C8FF, 0xFF96C8FF, 0x9E9E9EFF,
 )  # fmt: skip
@@ -69,7 +69,7 @@ DIM, PALE = 0xFFFFFF78, 0xFFFFFF96
 """Masks that make a colour more transparent: `RED & DIM`."""
 
 Steps = Callable[[str], tuple[FloatArray, FloatArray]]
-"""The name of a metric to its times and values `(n,)`; both empty if it was not measured."""
+"""Maps the name of a metric to its times and values `(n,)`; both are empty if it was not measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +78,11 @@ class Curve:
 
     Attributes:
         name: One word.
-        legend: What the reader sees.
+        legend: Its name in the legend.
         t: `(n,)` s.
         values: `(n,)`.
-        colour: In recordings.
-        width: In recordings, pixels.
+        colour: Colour in recordings.
+        width: Width in recordings, pixels.
         steps: Whether a value holds until the next.
         spiky: Whether the axis may cut off its rarest values.
     """
@@ -108,10 +108,10 @@ class Panel:
 
     Attributes:
         name: One word.
-        title: With the unit.
+        title: The title, with the unit.
         curves: The curves with a finite value; at most three in a chart.
         least: The axis is never shorter than this, so that a constant curve looks constant.
-        about: First words of the metrics whose failed gates are shaded here, in charts.
+        about: Prefixes of the names of metrics; charts shade the times at which their gates fail.
         floor: The axis does not go below this, in charts.
         most: The axis does not go above this, in charts.
     """
@@ -141,13 +141,13 @@ class Panel:
 
 
 def _panels_with_values(*panels: Panel) -> list[Panel]:
-    """The panels with their curves that have a finite value; no panel without any."""
+    """The panels with only those curves that have a finite value; panels without such a curve are omitted."""
     kept = (replace(panel, curves=tuple(curve for curve in panel.curves if len(curve.known))) for panel in panels)
     return [panel for panel in kept if panel.curves]
 
 
 def _columns(some: object | None, *curves: tuple[str, str, str, int, float]) -> tuple[Curve, ...]:
-    """Curves of an object with columns: name, legend, column, colour and width each; none without the object."""
+    """Curves of an object with columns, each as name, legend, column, colour and width; empty if the object is None."""
     if some is None:
         return ()
     t: FloatArray = some.t  # type: ignore[attr-defined]
@@ -160,7 +160,7 @@ def _columns(some: object | None, *curves: tuple[str, str, str, int, float]) -> 
 
 
 def steps_of(table: DataFrame | None) -> Steps:
-    """The steps of metrics in the rows of `metrics.series`; None: none was measured."""
+    """The steps of metrics in the rows of `metrics.series`; None: no metric was measured."""
 
     def steps(metric: str) -> tuple[FloatArray, FloatArray]:
         if table is None:
@@ -176,7 +176,7 @@ def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray, steps: St
     ego, log = trace.ego, scenario.ego.between(-np.inf, float(times[-1]))
     compared = log if trace.mode is Mode.CLOSED and len(log) > 1 else None
     jerk = steps(JERK)
-    limits = np.full(len(times), np.nan)  # of the lane that the ego is on, as in the log
+    limits = np.full(len(times), np.nan)  # speed limit of the lane under the ego
     if scenario.road.source is RoadSource.LANES:
         x, y = np.interp(times, ego.t, ego.x), np.interp(times, ego.t, ego.y)
         for i in range(len(times)):
@@ -234,7 +234,7 @@ def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray, steps: St
 
 
 def _plan_curves(trace: Trace, column: str) -> list[Curve]:
-    """Closed loop: the plan in force. Open loop, in which each plan starts at the log: what older plans predicted."""
+    """Closed loop: the plan in force. Open loop (each plan starts at the log): values that older plans predicted."""
     if not trace.frames:
         return []
     if trace.mode is Mode.CLOSED:
@@ -257,7 +257,7 @@ def _plan_curves(trace: Trace, column: str) -> list[Curve]:
 
 
 def stage_panel(timings: Sequence[StageTime], names: dict[str, str]) -> list[Panel]:
-    """Milliseconds per stage; "total" is the whole plan. `names`: of the stages as entities."""
+    """Milliseconds per stage; "total" is the whole plan. `names`: the entity name of each stage."""
     curves = []
     for k, (stage, name) in enumerate(sorted(names.items(), key=lambda item: item[0] != "total")):
         some = sorted((timing.t, timing.seconds) for timing in timings if timing.stage == stage)
@@ -278,7 +278,7 @@ def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
     ego = trace.ego
 
     def measured(legend: str, metric: str, *, gaps: bool = False, spiky: bool = False) -> Curve:
-        """A metric step by step, without steps that have no value; `gaps` where none is known for over a second."""
+        """A metric per step, without missing values; `gaps` breaks the curve where values are missing for over 1 s."""
         t, values = steps(metric)
         known = np.isfinite(values)
         t, values = t[known], values[known]
@@ -404,12 +404,12 @@ def decided(plan: Plan) -> dict[str, Decision]:
 def in_full(
     ids: Sequence[str], x: FloatArray, y: FloatArray, about: Container[str], ego: tuple[float, float]
 ) -> IntArray:
-    """The rows, increasing, of the agents that are drawn in full: (1), (2).
+    """Rows of the agents drawn in full, increasing: the `NEAREST` within `NEAR_M`, and those with a decision.
 
     Args:
         ids: `(n,)`.
-        x: World, m, `(n,)`; `y` likewise.
-        y: See there.
+        x: World coordinate, m, `(n,)`.
+        y: World coordinate, m, `(n,)`.
         about: The agents that the plan decides about.
         ego: Position of the ego.
     """

@@ -38,10 +38,10 @@ MOST = 12
 def write_index(path: Path, folder: Path, most: int) -> tuple[Path, list[Path]]:
     """Write the index of a folder; returns it, and the recordings of the worst drives, at most `most`, the worst last.
 
-    The viewer shows what was opened last, and lists recordings by name.
+    The viewer shows the recording that was opened last, and lists recordings by name.
 
     Raises:
-        ConfigError: It is no folder of results.
+        ConfigError: The folder is not a result folder.
         OutputError: The file cannot be written.
     """
     over = overview(load(folder))
@@ -78,10 +78,10 @@ def recordings(target: Path, log: str | None = None) -> list[Path]:
 
     Args:
         target: The folder.
-        log: Only those whose path contains this name, of a log or its folder.
+        log: Name of a log or its folder: only recordings whose path contains it.
 
     Raises:
-        ConfigError: There are none.
+        ConfigError: There are no such recordings.
     """
     found = sorted(target.rglob("*.rrd"))
     if not found:
@@ -98,7 +98,7 @@ def recordings(target: Path, log: str | None = None) -> list[Path]:
 
 
 def to_open(target: Path, log: str | None, folder: Path) -> list[Path]:
-    """The files of a folder to open: of results the index and the worst recordings, else all, at most `MOST`.
+    """The files to open: for a result folder the index and the worst recordings, otherwise all, at most `MOST`.
 
     Args:
         target: A folder of results, or any folder with recordings.
@@ -153,7 +153,7 @@ def write_pair(out: Path, files: tuple[Path, Path]) -> None:
 
 
 def save_log(log: Path, out: Path, settings: LogSettings | None = None) -> None:
-    """Write a log of any format as a recording; LogError if it cannot be read, OutputError if `out` cannot."""
+    """Write a log of any format as a recording; raises LogError if reading fails, OutputError if writing does."""
     write_log_recording(out, read_log(log, settings))
 
 

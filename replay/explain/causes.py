@@ -1,14 +1,16 @@
-"""Why a plan slows down, stands or crawls: what the ego would meet, break or miss if it did not.
+"""The causes for which a plan slows down, stands or crawls: the conflicts and violations if it did not.
 
-The causes are found from public data: the plan, the frame, the predictions, the road. The plan is held along its way
-(`replay.explain.course`); each cause says what would follow, and the least constant deceleration that avoids it. A
+The causes are found from public data: the plan, the frame, the predictions, the road. The plan is "held": continued
+along its way at constant speed (`replay.explain.course`); each cause gives the consequence, and the least constant
+deceleration that avoids it. A
 decision of the planner is its cause only if the numbers confirm it; all other causes are inferred.
 
 (1) agent   met, or followed too near (`replay.explain.course`)
-(2) stop    a stop line with a light or sign that requires it, or a thing in the S-T graph that the planner stops for
+(2) stop    a stop line with a light or sign that requires it, or another obstacle in the S-T graph that the planner
+stops for
 (3) limit   the speed limit along the way is lower than the speed that is held, by `OVER_MPS`
 (4) curve   v^2 |kappa| > `CURVE_MPS2` somewhere along the way
-(5) goal    reached before its time, too fast, or passed although the plan stops at it
+(5) goal    the goal is reached before its time, too fast, or passed although the plan stops at it
 (6) end     the map ends on the way, and the plan stops before it
 (7) word    the planner's STOP or YIELD for an agent near the way that the ego would not meet, or for an object without
     a position
@@ -40,21 +42,21 @@ CURVE_MPS2 = 2.5
 SOON_S = 1.0
 """A limit or curve nearer than this is treated as this far away, because no driver brakes instantly."""
 LEAST_MPS2 = 0.05
-"""A limit, curve or goal that requires less is no cause."""
+"""A limit, curve or goal that requires less deceleration is not a cause."""
 MOST_MPS2 = 9.81
-"""The ego cannot stop at a stop line that requires more."""
+"""The ego cannot stop at a stop line that requires more deceleration."""
 GOAL_ROOM_M = 10.0
 """A plan that stops at most this far before the end of the goal's region stops for the goal."""
 SAME_M = 0.1
-"""An obstacle of the S-T graph whose lower station changes by less than this stands there."""
+"""An obstacle of the S-T graph whose lower station changes by less than this is standing."""
 NEAR_M = 3.0
-"""An agent farther from the way than this is not near it."""
+"""Largest distance from the way of an agent that is near it."""
 KEEP, PASSING, PASS = "keep", "passing", "pass: "
-"""The lane option of the current lane; the stage that compares passing with following, and how its reasons begin."""
+"""The lane option of the current lane; the stage that compares passing with following; the prefix of its reasons."""
 
 
 class CauseKind(Enum):
-    """What a plan slows down for; the value is its name in tables."""
+    """The kinds of causes; the value is the name in tables."""
 
     FALLBACK = "fallback"
     AGENT = "agent"
@@ -70,18 +72,18 @@ class CauseKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """A cause, with the numbers of its sentence; NaN where there is none.
+    """A cause, with the numbers of its sentence; NaN if a number does not apply.
 
     Attributes:
-        kind: What it is.
-        who: The agent, stop line or thing.
-        decision: The planner's decision about it ("follow"); empty: there is none.
+        kind: The kind of the cause.
+        who: The agent, stop line or obstacle; FALLBACK: the status; GOAL: "time", "speed" or "place".
+        decision: The planner's decision about it ("follow"); empty if there is none.
         reason: The planner's reason for the decision.
         inferred: Whether the planner did not name it.
-        hold_mps: The speed that is held; of an ego that stands, the speed that it would drive off to.
+        hold_mps: The speed that is held; for a plan that stands or crawls, the speed that it would reach.
         away_m: AGENT: distance between the boxes now.
-        time_s: When it would be met or reached, s from the frame.
-        distance_m: How far the ego would have driven until then, m.
+        time_s: Time at which it would be met or reached, s from the frame.
+        distance_m: Distance that the ego would have driven until then, m.
         need_mps2: The least constant deceleration that avoids it.
         value: LIMIT: the limit, m/s; CURVE: the lateral acceleration, m/s2; GOAL: its time, s, or speed, m/s; BEGUN:
             the acceleration that the plan starts with, m/s2.
@@ -114,14 +116,14 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class Account:
-    """What a plan does, and why: the causes, those that the planner named first, then by required deceleration.
+    """The action of a plan and its causes: those that the planner named first, then by required deceleration.
 
     Attributes:
         t: Time of the frame, s.
-        course: What the plan does.
+        course: The action of the plan.
         predicted: Whether the predictions of the other agents were available.
-        causes: Causes of slowing down or standing; empty if it does neither. Of kind NONE if nothing was found.
-        not_passed: Why the agent in the way is not passed, as far as the planner says.
+        causes: Causes of slowing down or standing; empty if it does neither. The kind is NONE if no cause was found.
+        not_passed: The reasons that the planner reports for not passing the agent in the way.
     """
 
     t: float
@@ -244,7 +246,7 @@ def _stops(case: _Case) -> Iterator[Cause]:
             way = case.way
             x, y = way.x + front * np.cos(way.yaw), way.y + front * np.sin(way.yaw)
             (ax, ay), (bx, by) = line.points
-            side = (bx - ax) * (y - ay) - (by - ay) * (x - ax)  # of the line on which the front is
+            side = (bx - ax) * (y - ay) - (by - ay) * (x - ax)  # the side of the line on which the ego's front is
             i = np.flatnonzero((side[:-1] * side[1:] <= 0.0) & (side[:-1] != side[1:]))
             u = side[i] / (side[i] - side[i + 1])
             px, py = x[i] + u * (x[i + 1] - x[i]), y[i] + u * (y[i + 1] - y[i])
@@ -268,7 +270,7 @@ def _stops(case: _Case) -> Iterator[Cause]:
 
 
 def _limit_and_curve(case: _Case) -> Iterator[Cause]:
-    """(3) and (4): of the speeds allowed along the way, the one that requires the hardest braking."""
+    """(3) and (4): the speed limit and the curve along the way that require the hardest braking."""
     held, way = case.held, case.way
     if held.drives_off:
         return
@@ -288,7 +290,7 @@ def _limit_and_curve(case: _Case) -> Iterator[Cause]:
 
 
 def _goal_and_end(case: _Case) -> Iterator[Cause]:
-    """(5) and (6)."""
+    """(5) and (6): the goal, and the end of the map on the way."""
     goal, way, held, car = case.scenario.goal, case.way, case.held, case.scenario.vehicle
     if held.drives_off:
         return
@@ -316,7 +318,7 @@ def _goal_and_end(case: _Case) -> Iterator[Cause]:
 
 
 def _passed_or_begun(case: _Case) -> list[Cause]:
-    """(8), else (9)."""
+    """(8): agents that the plan overtakes; otherwise (9): braking that began in an earlier plan."""
     passed = [
         Cause(CauseKind.WORD, each.agent, each.kind.value, each.reason, True, case.held.v)
         for each in case.plan.internals
@@ -333,7 +335,7 @@ def _passed_or_begun(case: _Case) -> list[Cause]:
 
 
 def not_passed(plan: Plan) -> tuple[str, ...]:
-    """Why no agent is passed, as far as the planner says: within the lane, then by each other lane."""
+    """The reasons that the planner reports for passing no agent: within the lane, then by each other lane."""
     lanes = [each for each in plan.internals if isinstance(each, LaneOption)]
     if any(not each.against and each.name != KEEP for each in lanes):
         return ()

@@ -1,11 +1,11 @@
-"""What a plan does, where it leads, what it would do if it did not slow down, and the agents that it would meet then.
+"""The action of a plan, its way, its motion if it did not slow down, and the agents that it would meet then.
 
 With the time t from the frame and the arc length s along the plan's path, m, the plan is held from `t_b` on:
 
 (1) t_b    = the first time at which the plan brakes by `BRAKES_MPS2` or more while it moves
 (2) s_h(t) = s(t) for t <= t_b,  s(t_b) + v(t_b) (t - t_b) after it
-(3) s_h(t) = v_0 t + t^2 START_MPS2 / 2 up to `START_TO_MPS`, then at that speed: of a plan that stands or crawls, as if
-    it drove off now
+(3) s_h(t) = v_0 t + t^2 START_MPS2 / 2 up to `START_TO_MPS`, then at that speed: for a plan that stands or crawls, as
+    if it drove off now
 
 A plan that stops has a path that ends before its reason to stop. The way goes on from there along the reference line of
 the lane that the ego is in (the one nearest to the goal), at the lateral offset of the end of the path; it goes
@@ -47,7 +47,7 @@ from planners.frenet.st_boundaries import ALONG, Roles, Swept, sweep
 from planners.frenet.st_boundaries import Way as SweptWay
 
 BRAKES_MPS2 = -0.3
-"""A plan brakes where its acceleration is at most this: less is no discomfort (ISO 2631-1: below 0.315 m/s2)."""
+"""A plan brakes if its acceleration is at most this: weaker braking is comfortable (ISO 2631-1: below 0.315 m/s2)."""
 STANDING_MPS = 0.1
 CRAWL_MPS = 2.0
 """A plan that stays below this speed and neither speeds up nor brakes crawls: as fast as a pedestrian walks."""
@@ -57,17 +57,17 @@ STEP_S = 0.1
 LOOK_S = 12.0
 """The plan is held for this long: half as long again as the default horizon of predictions."""
 EASE_MPS2 = 0.75
-"""It is held at least for the distance of a stop with this deceleration: half of what planners use far ahead."""
+"""The plan is held at least for the distance of a stop with this deceleration: half of that of planners far ahead."""
 SPACING_M = 0.5
 """Distance of two points of a way."""
 LEFT_M, ACROSS_RAD = 5.0, radians(60.0)
 """A path has left a line if it ends farther from it, or at a larger angle to it."""
 SAME_M = 1e-3
-"""Points nearer than this are one."""
+"""Points nearer to each other than this are merged."""
 
 
 class Action(Enum):
-    """What a plan does within the next second."""
+    """The actions of a plan within the next second."""
 
     STANDS = "stands"
     CRAWLS = "crawls"
@@ -78,16 +78,16 @@ class Action(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What a plan does; times are s from its frame, NaN if there is none.
+    """The course of a plan; times are s from its frame, NaN if there is none.
 
     Attributes:
-        action: What it does within the next second.
+        action: The action within the next second.
         v_start, v_end, v_least: Speed now, at the end of the plan, and the lowest one, m/s.
         duration: Length of the plan, s.
         t_least: Time of the lowest speed.
         a_least: The hardest braking, m/s2.
         t_hardest: Time of the hardest braking.
-        t_brakes: (1).
+        t_brakes: The time t_b of (1).
     """
 
     action: Action
@@ -134,16 +134,16 @@ class Course:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Held:
-    """A plan held (2), (3).
+    """A plan that is held, (2) or (3).
 
     Attributes:
         t: `(n,)` s from the frame, every `STEP_S` for `LOOK_S`.
-        s: `(n,)` arc length, m; up to `t_from` that of the plan.
-        planned: `(n,)` the plan's own arc length, m; after its end that of its end.
+        s: `(n,)` arc length, m; up to `t_from` it is `planned`.
+        planned: `(n,)` the plan's own arc length, m; after its end, that of its last point.
         t_from: t_b, s; 0 for a plan that stands or crawls.
         s_from: Arc length at `t_from`, m.
-        v: The speed that is held, m/s; of a plan that stands or crawls, the speed that it would drive off to.
-        drives_off: Whether it is (3).
+        v: The speed that is held, m/s; for a plan that stands or crawls, the speed that it would reach.
+        drives_off: Whether (3) applies.
     """
 
     t: FloatArray
@@ -173,12 +173,12 @@ class Held:
         return cls(t, s, planned, begin, s_from, v, False)
 
     def when(self, s: float) -> float:
-        """When an arc length is reached, s from the frame; beyond `t` at the speed that is held."""
+        """The time at which an arc length is reached, s from the frame; beyond `t`, at the speed that is held."""
         return float(np.interp(s, self.s, self.t)) + max(s - float(self.s[-1]), 0.0) / max(self.v, STANDING_MPS)
 
     @property
     def reach(self) -> float:
-        """How far ahead causes are looked for, m."""
+        """The distance ahead within which causes are searched, m."""
         far = 0.0 if self.drives_off else self.s_from + 0.5 * self.v**2 / EASE_MPS2
         return max(float(self.s[-1]), far)
 
@@ -210,8 +210,8 @@ class Way:
         x, y: World, m.
         yaw: Without jumps, rad.
         kappa: 1/m.
-        limit: Speed limit of the lane that the ego is in, m/s; NaN where the way is not near its line.
-        end: Arc length at which the map of that lane ends, m; inf: beyond the way.
+        limit: Speed limit of the lane that the ego is in, m/s; NaN where the way is not near its reference line.
+        end: Arc length at which the map of that lane ends, m; inf if it is beyond the way.
         lanes: The lanes of that line.
     """
 
@@ -274,7 +274,7 @@ MARGIN_M, VULNERABLE_MARGIN_M = 0.3, 0.6
 GAP_M = 2.0
 """An ego that comes nearer than this behind an agent has met them: the gap at standstill (IDM's s0)."""
 HEADWAY_S = 2.0
-"""A follower should be no nearer: the rule of two seconds."""
+"""Least time headway of a follower: the two-second rule."""
 TOO_LATE_M = 0.1
 """With less space than this the ego cannot stay behind."""
 
@@ -286,12 +286,12 @@ class Meeting:
     Attributes:
         agent: Their id.
         away_m: Distance between the boxes now, m.
-        time_s: Time of (4) or (5), s from the frame; NaN: neither, they are only in the way.
-        distance_m: How far the ego would have driven until then, m.
-        need_mps2: (6); NaN if the ego stands, for (5), and if it is too late to stay behind.
+        time_s: Time of (4) or (5), s from the frame; NaN if neither occurs, and the agent is only in the way.
+        distance_m: Distance that the ego would have driven until then, m.
+        need_mps2: (6); NaN if the ego stands or crawls, for (5), and if it is too late to stay behind.
         left_m: The least gap of the plan itself behind them, m; NaN if it is not behind them.
         left_at_s: Time of the least gap, s from the frame.
-        is_met: Whether it is (4).
+        is_met: Whether (4) occurs.
     """
 
     agent: str
@@ -307,14 +307,14 @@ class Meeting:
 def meetings(
     held: Held, way: Way, agents: Agents, futures: Predictions, car: VehicleParameters, passed: BoolArray
 ) -> list[Meeting]:
-    """One meeting for each agent that occupies a part of the way: that of their most demanding future.
+    """One meeting for each agent that occupies a part of the way: the one of its most demanding prediction.
 
     Args:
         held: The plan.
-        way: Long enough for it.
+        way: A way that is long enough for the plan.
         agents: The agents of the frame.
         futures: Their predictions.
-        car: The ego.
+        car: The ego's vehicle.
         passed: `(agents,)` whether an agent has no margin.
     """
     times, poses = fine(futures)
@@ -338,7 +338,7 @@ def meetings(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Taken:
-    """What a prediction takes of a way: agent, rows x, y, yaw `(3, k)`, stations `(k,)`, speed along the way, m/s."""
+    """A prediction's part of a way: agent, rows x, y, yaw `(3, k)`, stations `(k,)`, speed along the way, m/s."""
 
     agent: int
     pose: FloatArray
@@ -362,13 +362,13 @@ def fine(futures: Predictions) -> tuple[FloatArray, FloatArray]:
 
 
 def _order(one: Meeting) -> tuple[bool, bool, float, float]:
-    """The most demanding first: met too late, met by need, met sooner; then followed too near."""
+    """Sort key, the most demanding first: met too late, met by need, met sooner; then followed too near."""
     late = one.is_met and np.isnan(one.need_mps2)
     return not one.is_met, not late, -np.nan_to_num(one.need_mps2), float(np.nan_to_num(one.time_s, nan=np.inf))
 
 
 def _meeting(held: Held, way: Way, agents: Agents, taken: _Taken, car: VehicleParameters) -> Meeting | None:
-    """The meeting with an agent; None: they come only from behind."""
+    """The meeting with an agent; None if they come only from behind."""
     here, lower, upper = np.isfinite(taken.lower), taken.lower, taken.upper
     first = int(np.flatnonzero(here)[0])
     if _is_behind(way, held.s[first], taken.pose[:, first], car):
@@ -389,7 +389,7 @@ def _meeting(held: Held, way: Way, agents: Agents, taken: _Taken, car: VehiclePa
     later = np.flatnonzero(here & (np.arange(len(lower)) >= k) & (held.t > held.t_from))
     if len(met) and len(later) and not held.drives_off:  # (6)
         ahead, T = lower[later] - held.s_from, held.t[later] - held.t_from
-        room = np.maximum(ahead - GAP_M, 0.5 * ahead)  # nearer already: half of it is kept
+        room = np.maximum(ahead - GAP_M, 0.5 * ahead)  # half of the distance if the ego is nearer already
         if not (room < TOO_LATE_M).any():
             slower = 2.0 * np.maximum(held.v * T - room, 0.0) / T**2
             stops = slower * T > held.v

@@ -1,4 +1,4 @@
-"""A plan in words: why it slows down, what was decided about which agent, the alternatives, the costs; events.
+"""A plan in words: the causes of slowing down, the decisions about agents, the alternatives, the costs; and events.
 
 `replan explain`, the page "why" of a recording and the HTML report show the same `Explanation`.
 """
@@ -39,7 +39,7 @@ from replay.results.load import DriveResult
 A = TypeVar("A")
 
 MOST_LINES = 5
-"""Further lines of a section are only counted."""
+"""Largest number of lines of a section; the number of further lines is given."""
 LONGITUDINAL = (DecisionKind.STOP, DecisionKind.YIELD, DecisionKind.FOLLOW, DecisionKind.OVERTAKE)
 """Decisions about the speed, the strongest first."""
 FREE_DRIVE, NO_NUDGE, BOTH = "drive on", "keep", "nudge left and right"
@@ -51,7 +51,7 @@ STATUS_WORDS = {
     PlanStatus.HARD_STOP: "hard stop",
     PlanStatus.REFUSED: "plan refused",
 }
-"""The statuses in two words; their values are sentences."""
+"""The statuses in one or two words; their values are sentences."""
 TOUCH_M = 0.1
 """A solution nearer to a bound than this touches it."""
 NOISE = 1e-6
@@ -59,7 +59,7 @@ NOISE = 1e-6
 SHOWS = 1e-3
 """A term with a smaller share does not show in the three digits of the sum."""
 BOUND_M = 6.0
-"""An obstacle bounds a solution from at most this distance: gaps are kept to it."""
+"""Largest distance at which an obstacle bounds a solution, because planners keep a gap to obstacles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class Touch:
 
 
 class Section(NamedTuple):
-    """Lines under a title, each a name (may be empty) and what is stated about it."""
+    """Lines under a title, each a name (may be empty) and a statement about it."""
 
     title: str
     lines: list[tuple[str, str]]
@@ -95,8 +95,8 @@ class Explanation:
 
     Attributes:
         t: Time of the frame, s.
-        does: What the plan does within the next second.
-        because: Why, in sentences.
+        does: The action of the plan within the next second.
+        because: The causes, in sentences.
         account: The numbers of these sentences.
         fallback: Whether the planner failed; then `reason` is part of `because`.
         reason: The planner's own sentence.
@@ -123,7 +123,7 @@ class Explanation:
 
     @classmethod
     def of(cls, frame: PlannedFrame, account: Account, *, bounds: bool = True) -> Explanation:
-        """The explanation of a frame's plan; without `bounds` no active ones are looked for, which takes time."""
+        """The explanation of a frame's plan; `bounds=False` skips the search for active bounds, which takes time."""
         plan, because = frame.plan, sentences(account)
         decisions = list({(d.agent, d.kind, d.stage): d for d in reversed(_artefacts(plan, Decision))}.values())[::-1]
         decisions.sort(key=_is_ignored)
@@ -138,7 +138,7 @@ class Explanation:
         )  # fmt: skip
 
     def sections(self) -> Iterator[Section]:
-        """All that was decided, compared and computed, as lines of plain text; no empty section."""
+        """All decisions, alternatives, costs and solver reports, as lines of plain text; empty sections are omitted."""
         decided = [
             (f"{d.agent}: {d.kind.value}", f" ({d.stage}): {d.reason}" if d.reason else f" ({d.stage})")
             for d in self.decisions
@@ -170,7 +170,7 @@ class Explanation:
 
 
 def explained(drive: DriveResult, at: float | None = None) -> list[Explanation]:
-    """The plan at a time, or each plan that decides otherwise than the one before it.
+    """Explain the plan at a time, or each plan that differs from the one before it as `changes`.
 
     Raises:
         ConfigError: There is no plan at that time.
@@ -200,7 +200,7 @@ def changes(trace: Trace, scenario: Scenario, loop: LoopConfig | None = None) ->
 
 
 def lines_of(one: Explanation) -> Iterator[str]:
-    """An explanation as text; of the solvers only those that failed."""
+    """An explanation as text, with only those solvers that failed."""
     yield f"t = {one.t:.2f} s: {one.does}"
     yield from (f"  {sentence}" for sentence in one.because)
     if one.reason and not one.fallback:
@@ -254,7 +254,7 @@ def taken_option(some: Sequence[LaneOption]) -> str:
 
 
 def describe_choice(some: Sequence[LaneOption]) -> str:
-    """Why an option was taken: its cost, and that of each other."""
+    """The reason for the option that was taken: its cost, and the cost of each other option."""
     name = taken_option(some)
     chosen = next(option for option in some if option.name == name)
     others = "; ".join(f"{option.name} {format_option(option)}" for option in some if option is not chosen)
@@ -285,7 +285,7 @@ def main_terms(terms: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
 
 
 def touched(plan: Plan) -> Iterator[Touch]:
-    """The stretches in which the solutions of a plan's graphs touch a bound; their given start does not count."""
+    """The stretches in which the solutions of a plan's graphs touch a bound; their given start is ignored."""
     for graph in plan.internals:
         if not isinstance(graph, Graph) or graph.corridor is None or len(graph.qp) < 2:
             continue
@@ -337,7 +337,7 @@ def events(trace: Trace, plans: Sequence[PlanSummary] | None = None) -> list[Eve
     found: list[Event] = []
     status, gist, decided = None, "", dict[str, str]()
     for plan in [frame.summary for frame in trace.frames] if plans is None else plans:
-        before, gist = gist, re.sub(r"[\d.]+", "#", plan.reason)  # the same reason with other numbers is no event
+        before, gist = gist, re.sub(r"[\d.]+", "#", plan.reason)  # the same reason with other numbers is not an event
         if plan.status is not status and (status is not None or plan.status.is_fallback):
             level = "WARN" if plan.status.is_fallback else "INFO"
             found.append(Event(plan.t, level, f"{plan.status.value} {f'({plan.reason})' if plan.reason else ''}"))

@@ -1,4 +1,4 @@
-"""The first difference of two drives of one log, in the order of cause and effect; and where two planners part.
+"""The first difference of two drives of one log, in the order of cause and effect; when two planners part.
 
 Within a frame: input (agents, ego), predictions, route, lane choice, path DP (sides and available space), path QP, S-T
 graph, speed DP (order of passing, and available space), speed QP, plan; then, at the control rate, the command and the
@@ -6,13 +6,13 @@ motion of the car. An earlier difference comes before a later one. For a planner
 its plan.
 
 (1) different = something differs by more than TOLERANCE, or in a word (the agents, a decision, a lane, an end)
-(2) first     = the first thing that differs by more than FINE, by time, then by `STAGES`
+(2) first     = the first value that differs by more than FINE, by time, then by `STAGES`
 
 (2) looks closer than (1): a plan that is off by half a millimetre is the cause of a car that is off by two, and not the
 other way round.
 
-Two planners differ in some number from the first frame on. They part at the first time at which what they drive (in the
-open loop: plan, AHEAD_S after each frame) differs enough to matter:
+Two planners differ in some number from the first frame on. They part at the first time at which their drives (in open
+loop: their plans, AHEAD_S after each frame) differ enough to matter:
 
 (3) parted = the speeds differ by more than PARTED_MPS, or the places by more than PARTED_M across the first one's way
 """
@@ -32,16 +32,16 @@ from logs.trace import Decision, DecisionKind, Graph, LaneOption, Mode, Plan, Pl
 from replay.explain.explanation import LONGITUDINAL
 
 TOLERANCE = 1e-3
-"""m, rad, m/s, and the position of pedals, 0 to 1: a millimetre is less than any metric resolves."""
+"""Tolerance in m, rad, m/s, and pedal positions, 0 to 1: a millimetre is less than any metric resolves."""
 FINE = 1e-8
-"""Likewise; just above rounding (1e-9 m in the grid of a city), so that causes are separated from effects."""
+"""In the same units; just above rounding (1e-9 m in the grid of a city), so that causes are separated from effects."""
 SAME_TIME_S = 1e-6
 
 STAGES = (
     "vehicle", "input frame", "prediction", "route", "lane choice", "path DP", "path QP", "S-T graph", "speed DP",
     "speed QP", "plan", "controller", "end",
 )  # fmt: skip
-"""In the order of one instant: earlier commands brought the car to its place; its next command follows the plan."""
+"""Stages in their order at one instant: earlier commands moved the car; its next command follows the plan."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class FirstDifference:
 
 @dataclass(frozen=True, slots=True)
 class _Difference:
-    """A value that differs: its size (inf: in a word), its stage, and its description."""
+    """A value that differs: the size of the difference (inf for words), its stage, and its description."""
 
     t: float
     stage: str
@@ -74,7 +74,7 @@ class _Difference:
 
 
 def first_difference(one: Trace, two: Trace) -> FirstDifference | None:
-    """The first difference of two drives of one log, from the first to the second; None: there is none (1)."""
+    """The first difference of two drives of one log, from the first to the second; None if there is none (1)."""
     n = _together(one.ego.t, two.ego.t)
     t, moved = one.ego.t[:n], "vehicle" if one.mode is Mode.CLOSED else "input frame"
     found: list[_Difference] = []
@@ -118,7 +118,7 @@ def _rows(
 
 
 def _together(one: FloatArray, two: FloatArray) -> int:
-    """The number of first instants that are the same."""
+    """The number of instants at the start that are the same in both."""
     n = min(len(one), len(two))
     apart = np.flatnonzero(np.abs(one[:n] - two[:n]) > SAME_TIME_S)
     return int(apart[0]) if len(apart) else n
@@ -128,7 +128,7 @@ def _together(one: FloatArray, two: FloatArray) -> int:
 
 
 def _frame_differences(one: Trace, two: Trace) -> Iterator[list[_Difference]]:
-    """What differs in each frame, up to the end of the drive that ends first."""
+    """The differences of each frame, up to the end of the drive that ends first."""
     end = min(float(trace.ego.t[-1]) for trace in (one, two)) + SAME_TIME_S
     frames = [{round(f.t / SAME_TIME_S): f for f in trace.frames if f.t <= end} for trace in (one, two)]
     insides = [[item for frame in trace.frames for item in frame.plan.internals] for trace in (one, two)]
@@ -156,8 +156,8 @@ _Found = Iterator[tuple[float, Callable[[], str]]]
 
 
 def _others(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame) -> _Found:
-    """The agents that the planner was shown, and their states."""
-    kept = before.predictions is not None and now.predictions is not None  # else no frame is kept: an older trace
+    """Differences of the agents that were shown to the planner, and of their states."""
+    kept = before.predictions is not None and now.predictions is not None  # else an older trace
     if kept and set(before.agents) != set(now.agents):
         yield inf, partial(_words, "agents", before.agents, now.agents)
         return
@@ -206,7 +206,7 @@ def _plan_differences(before: PlannedFrame, now: PlannedFrame) -> _Found:
 
 
 def _inside(before: PlannedFrame, now: PlannedFrame, kept: set[type]) -> Iterator[tuple[str, _Found]]:
-    """The artefacts of the stages, if both plans have some; `kept`: the kinds of graphs that both traces have."""
+    """Differences of stage artefacts, if both plans have some; `kept`: the kinds of graphs that both traces have."""
     one, two = tuple(before.plan.internals), tuple(now.plan.internals)
     if not one or not two:
         return
@@ -242,7 +242,7 @@ def _graphs(one: Sequence[object], two: Sequence[object], kind: type[Graph]) -> 
 
 
 def _room(one: Graph, two: Graph, value: str, at: str, *, moves: bool) -> _Found:
-    """The obstacles (those of the S-T graph are compared before), the choice of the DP, and the space that is left."""
+    """Differences of the obstacles (`moves=False` only), of the choice of the DP, and of the available space."""
     if not moves:
         yield from _outlines(one, two)
     sides = [{item.agent: item.decision.value for item in graph.obstacles} for graph in (one, two)]
@@ -257,7 +257,7 @@ def _room(one: Graph, two: Graph, value: str, at: str, *, moves: bool) -> _Found
 
 
 def _outlines(one: Graph, two: Graph) -> _Found:
-    """The obstacles of a graph, and where they are."""
+    """Differences of the obstacles of a graph, and of their outlines."""
     names = [tuple(item.agent for item in graph.obstacles) for graph in (one, two)]
     if names[0] != names[1]:
         yield inf, partial(_words, "obstacles", names[0], names[1])
@@ -303,7 +303,7 @@ def _largest(one: FloatArray, two: FloatArray, place: Callable[[int], str], unit
 
 
 def _curve(one: FloatArray, two: FloatArray, value: str, at: str) -> _Found:
-    """Curves `(n, 2)` of a value, m, over a time or station, formatted by `at`: where both are, then their ends."""
+    """Curves `(n, 2)` of a value, m, over a time or station, formatted by `at`: where both exist, then their ends."""
     if not len(one) or not len(two):
         if len(one) != len(two):
             yield inf, partial(str, f"{value}: {'none' if len(two) == 0 else 'there now'}")
@@ -340,7 +340,7 @@ LATERAL = (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
 
 
 def planners_part(one: Trace, two: Trace) -> FirstDifference | None:
-    """Where the drives of two planners part (3), and what each of them decides then; None: nowhere."""
+    """The first time at which two planners part (3), with the decision of each; None if they never do."""
     for old, new in zip(one.frames, two.frames, strict=False):
         t, states = old.t, []
         for trace, frame in ((one, old), (two, new)):

@@ -1,4 +1,4 @@
-"""What the planner was shown in each frame of a drive, and where the agents of its S-T graph really drove.
+"""The input of the planner in each frame of a drive, and the actual motion of the agents in its S-T graph.
 
 A trace in memory keeps the predictions at `KEPT_STEP_S`; its file keeps fewer, without headings. For a trace that was
 read from a file, the predictions are therefore made again with the settings of the loop, and thinned as in memory: the
@@ -34,12 +34,12 @@ BEYOND_M = 15.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlannerInput:
-    """A frame of a trace, with what is needed to explain its plan.
+    """A frame of a trace, with the data that explain its plan.
 
     Attributes:
         planned: The frame.
-        agents: The agents as the planner was shown them.
-        predictions: The predictions of these agents; None: they were not kept.
+        agents: The agents as they were shown to the planner.
+        predictions: The predictions of these agents; None if they were not kept.
         lights: The colour of each traffic light.
     """
 
@@ -77,7 +77,7 @@ def planner_inputs(
 
 
 def agents_shown(trace: Trace, t: float) -> Agents:
-    """The agents as the planner was shown them in the frame at `t`; their order is not that of the frame."""
+    """The agents as they were shown to the planner in the frame at `t`; their order is not that of the frame."""
     some = trace.perceived
     if some is None:
         return trace.agents.perceived(t)
@@ -118,7 +118,7 @@ def actual_occupancy(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArr
 
 
 def _outline(tracks: Tracks, i: int, frame: PlannedFrame, way: FloatArray, end: float, ego: Swept) -> FloatArray | None:
-    """Where an agent was on the path until the drive, its log or the plan ends; None: never on it."""
+    """The outline of an agent on the path until the drive, its log or the plan ends; None if it is never on it."""
     own = slice(int(tracks.offsets[i]), int(tracks.offsets[i + 1]))
     last = min(end, float(frame.plan.trajectory.t[-1]), np.inf if tracks.static[i] else float(tracks.t[own][-1]))
     times = frame.t + STEP_S * np.arange(int(np.floor((last - frame.t) / STEP_S + 1e-9)) + 1)

@@ -9,7 +9,7 @@ from replay.explain.causes import Account, Cause, CauseKind
 from replay.explain.course import GAP_M, HEADWAY_S, STEP_S, Action
 
 MOST = 3
-"""Further causes are only counted."""
+"""Largest number of causes in sentences; the number of further causes is given."""
 NAMES = {
     CauseKind.LIMIT: "the speed limit",
     CauseKind.CURVE: "a curve",
@@ -17,12 +17,12 @@ NAMES = {
     CauseKind.ROAD_END: "the end of the road",
     CauseKind.BEGUN: "braking that is under way",
 }
-"""How sentences name a cause; any other has a name of its own."""
+"""Names of causes in sentences; any other cause is named by its `who`."""
 OPENINGS = {Action.STANDS: "Stands", Action.CRAWLS: "Crawls", Action.SLOWS: "Slows down"}
 
 
 def sentences(account: Account) -> list[str]:
-    """Why a plan slows down, stands or crawls, the first cause first; empty if it does not and is no fallback."""
+    """The causes of slowing down, standing or crawling, the first one first; empty if there is no cause or fallback."""
     failed = [cause for cause in account.causes if cause.kind is CauseKind.FALLBACK]
     rest = conflicts(account)
     lines = [f"Fallback: {_join(cause.who, cause.reason)}." for cause in failed]
@@ -64,7 +64,7 @@ def conflicts(account: Account) -> list[Cause]:
         if cause.who not in named:
             kept.append(cause)
         if cause.kind is CauseKind.STOP:
-            # of several agents that a reason names, the last one: the first may be a common noun; many agents are
+            # if a reason names several agents, the last one is taken: the first may be a common noun; many agents are
             # called by a number, and a number with a fraction is a measurement
             found = {
                 hit.start(): who

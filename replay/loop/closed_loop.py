@@ -28,14 +28,14 @@ def run_closed_loop(
     until_s: float = inf,
     seat: Seat = Planning,
 ) -> Drive:
-    """Drive a scenario with a planner: plan at `config.plan_period_s`, control and step at `config.control_period_s`.
+    """Drive a scenario with a planner, with the plan period and the control period of `config`.
 
-    The ego starts as logged and is then moved by the vehicle model; the others by `config.traffic`. The planner's
-    internals are only built where they are kept. The last frame is at `until_s`, s since the scenario's start.
+    The ego starts as logged and is then moved by the vehicle model; `config.traffic` moves the others. The planner's
+    internals are only built if they are kept. The last frame is at `until_s`, s since the scenario's start.
     `seat` builds the object that calls the planner.
 
     Raises:
-        LogError: The log has no time to drive.
+        LogError: The log ends before the first control step.
         ConfigError: A name of `config` or a keyword of the planner is unknown.
         PlannerError: The planner cannot be loaded or built. (One that fails while driving ends the drive.)
     """

@@ -1,4 +1,4 @@
-"""Open loop: at each frame of a grid over the logged drive, plan from the logged state; nothing moves the ego."""
+"""Open loop: plans from the logged state at each frame of a grid over the logged drive; the ego is not moved."""
 
 from __future__ import annotations
 
@@ -76,6 +76,6 @@ def run_open_loop(
 
 
 def frame_times(log: Trajectory, period_ns: int) -> list[float]:
-    """The frame grid of a log, s: from its first sample on, not beyond its last; at least one frame."""
+    """Return the frame times of a log, s: from its first sample to its last at most; at least one frame."""
     first, last = round(float(log.t[0]) * 1e9), round(float(log.t[-1]) * 1e9)
     return [ns / 1e9 for ns in range(first, last + 1, period_ns)]

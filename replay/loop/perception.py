@@ -1,13 +1,13 @@
-"""What the planner may see: a Frame, made from the World.
+"""Makes the frames that the planner sees from the World.
 
-    "ground_truth"    every agent at its last sample not later than the frame's time, carried on with its velocity
+    "ground_truth"    every agent at its last sample not later than the frame's time, extrapolated with its velocity
                       (`Tracks.perceived`)
-    "recorded"        what a tracker could know by then from the log's own detections (`Recorded`)
+    "recorded"        what a tracker could know at that time from the log's own detections (`Recorded`)
     "auto"            "recorded" where the log's tracks are made of detections, else "ground_truth"
-    "sensor"          what a sensor on the ego would measure (`replay.loop.sensor`), and the ground that it cannot see
+    "sensor"          what a sensor on the ego would measure (`replay.loop.sensor`), and the ground hidden from it
 
-No later sample goes into a frame, with one exception: the prediction "oracle" is the log's own future, and shows the
-most that better predictions could give. It marks the drive as an oracle's.
+A frame contains no later samples, with one exception: the prediction "oracle" is the log's own future, the upper bound
+for better predictions. Such a drive is marked as that of an oracle.
 """
 
 from __future__ import annotations
@@ -34,48 +34,48 @@ from replay.world import World
 
 ORACLE = "oracle"
 PREDICTIONS = (*PREDICTORS, ORACLE)
-"""What `LoopConfig.prediction` may be."""
+"""The values of `LoopConfig.prediction`."""
 
 MOVED = ("x", "y", "yaw", "vx", "vy")
 
 Sight = Callable[[World], tuple[Agents, Visibility | None]]
-"""The agents as the planner sees them, and the ground that can be seen (None: all)."""
+"""Returns the agents as the planner sees them, and the visible ground (None: all)."""
 
 
 class GroundTruth:
-    """Sees all agents, as known at the world's time."""
+    """Shows all agents, as known at the world's time."""
 
     def __init__(self) -> None:
         self._around = NearbyTracks()
 
     def see(self, world: World) -> tuple[Agents, None]:
-        """The agents; nothing is hidden."""
+        """Return the agents; nothing is hidden."""
         t = world.ego.t
         return self._around.of(world.tracks, t, t).perceived(t), None
 
 
 class Recorded:
-    """Shows the agents of one drive as the recorded perception knew them.
+    """Shows the agents of one drive as the recorded perception detected them.
 
     The tracker is causal (`logs.repair.tracker`), and so are its names; a repaired track has the name that the tracker
-    gives it for longest (`logs.repair.names`). Detections are of the log, but in closed loop the traffic moves the
-    others differently: a known road user is shown where the world has it now,
+    uses longest for it (`logs.repair.names`). The detections are those of the log, but in closed loop the traffic moves
+    the others differently. Known road users are therefore shown at their positions in the world,
 
     (1) shown = tracked + (world - log),   of x, y, yaw, vx, vy at the frame's time; both as `Tracks.perceived`
 
-    - A track that belongs to no road user of the log is a false alarm of the recorded perception, and shown as it is.
-    - An agent that the log has now and the world has not is not shown.
-    - An agent that the world has now and the log has not (inserted, or later than recorded), and one that never moves,
-      is shown as by ground truth: no detection exists of it.
+    - A track that belongs to no road user of the log is a false alarm of the recorded perception; it is shown
+      unchanged.
+    - An agent that is present now in the log but not in the world is not shown.
+    - An agent that is present now in the world but not in the log (inserted, or later than recorded), and a static
+      agent, is shown as in ground truth: it has no detections.
 
-    Nothing later than the frame goes in, except to find the road user that a track belongs to: the log's tracks are
-    smoothed.
+    Later data are used only to find the road user of a track: the log's tracks are smoothed.
 
     Args:
-        scenario: Of which `repair` has the detections.
+        scenario: Its `repair` has the detections.
 
     Raises:
-        LogError: It has none.
+        LogError: It has no detections.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -86,7 +86,7 @@ class Recorded:
         self._owners, self._around, self._around_log = Owners(), NearbyTracks(), NearbyTracks()
 
     def see(self, world: World) -> tuple[Agents, None]:
-        """The agents; no ground is known to be hidden."""
+        """Return the agents; no ground is known to be hidden."""
         t = world.ego.t
         known = self._tracked.at(t)
         log = self._around_log.of(self._log, t, t).perceived(t)
@@ -122,7 +122,7 @@ def _rows(places: Iterable[int]) -> IntArray:
 
 
 def shows_truth(perception: str, scenario: Scenario) -> bool:
-    """Whether a perception of this name shows the agents as they are."""
+    """Return whether a perception of this name shows the true agents."""
     return perception == "ground_truth" or (perception == "auto" and scenario.repair is None)
 
 
@@ -134,14 +134,14 @@ PERCEPTIONS: dict[str, Callable[..., Sight]] = {
 }
 """Each is built once per drive as `factory(scenario, config, **settings)`."""
 PERCEPTION: Kind[Callable[..., Sight]] = Kind("perception", "perceptions", PERCEPTIONS)
-"""Finds these and the user's own."""
+"""Finds perceptions by name: the built-in ones and those of users."""
 
 
 class Perception:
     """Makes the frames of one drive, in order of time.
 
     Args:
-        scenario: What is driven.
+        scenario: The scenario.
         config: Perception and prediction by name, and their settings.
 
     Attributes:
@@ -170,7 +170,7 @@ class Perception:
         self.notes = tuple(notes)
 
     def frame(self, world: World, previous: Plan | None) -> Frame:
-        """The frame at the world's time; `previous` is the plan being driven, None in open loop and at the start."""
+        """Return the frame at the world's time; `previous`: the plan being driven (None: open loop, or start)."""
         agents, visibility = self._sight(world)
         if not self._true:
             self._shown.append((world.ego.t, agents))
@@ -213,9 +213,9 @@ class Perception:
 
 
 def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
-    """Where the log has the agents at the times `t` `(k,)`, s; after its end each goes on with its last velocity.
+    """Return the agents' logged positions at the times `t` `(k,)`, s; after its log, each keeps its last velocity.
 
-    Agents that the log does not have (false alarms of a perception) go on with theirs.
+    Agents that are not in the log (false alarms of a perception) keep their present velocity.
     """
     index = {name: i for i, name in enumerate(log.ids)}
     last = log.offsets[1:] - 1

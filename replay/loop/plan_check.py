@@ -1,7 +1,7 @@
-"""Checks the plans of all planners but oracles: does a plan begin at the ego, is it drivable and consistent?
+"""Checks the plans of all planners except oracles: start at the ego, consistency, and drivability.
 
 With p_i, v_i, yaw_i, kappa_i, a_i the samples of a plan, d_i = |p_(i+1) - p_i|, dt_i = t_(i+1) - t_i, h_i the direction
-of p_(i+1) - p_i (turned round in reverse), and a bar for the mean of a column over a step:
+of p_(i+1) - p_i (reversed when driving backwards), and a bar for the mean of a column over a step:
 
 (0) size         n <= MOST_POINTS
 (1) start        p_0 and v_0 are those of the ego, or of the plan being driven where it is near the ego, within START;
@@ -12,10 +12,10 @@ of p_(i+1) - p_i (turned round in reverse), and a bar for the mean of a column o
 (5) acceleration | v(t + 0.5 s) - v(t) - integral of a | <= ACCEL_MPS
 (6) possible     d_i / dt_i and hypot(dv/dt, v^2 kappa) within POSSIBLE, with v and kappa of the positions
 
-A plan that breaks (2) to (5) is driven and judged by its positions: the columns are computed anew from them, and its
-status says so. One that breaks (0), (1) or (6) is refused: what was driven before goes on, which counts as a fallback.
-The bounds of (1) to (5) are two to ten times what `dp_qp`, `idm` and `lattice` differ by over the built-in suite and
-recorded logs; those of (6) are far beyond a road car, so that a plan that is only too fast is driven and judged.
+A plan that breaks (2) to (5) is driven and judged by its positions: the other columns are recomputed from them, and its
+status is CORRECTED. A plan that breaks (0), (1) or (6) is refused: the previous plan continues, which is a fallback.
+The bounds of (1) to (5) are two to ten times the deviations of `dp_qp`, `idm` and `lattice` over the built-in suite and
+recorded logs. The bounds of (6) are far beyond a road car, so that a plan that is merely too fast is driven and judged.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ from replay.planner_process.schema import LONGEST_REASON, MOST_POINTS, shortened
 
 START_M, START_MPS = 0.03, 0.05
 SWING_MPS = 0.3
-"""The speed of a recorded ego that stops swings below 0 by up to this (filters, fits): a plan may start at 0 there."""
+"""The recorded speed of a stopping ego can fall below 0 by this (filters, fits): a plan may start at 0 then."""
 NEAR_M = 1.0
-"""The plan being driven counts as a start where the ego is nearer to it than this (ours: 0.5 m)."""
+"""A plan may start on the plan being driven if the ego is at most this far from it (built-in planners: 0.5 m)."""
 SPEED_MPS, YAW_RAD, LATERAL_MPS2, ACCEL_MPS = 1.0, 0.1, 2.5, 1.0
 STEP_M = 0.1
 """Shorter steps have no direction."""
 WINDOW_S = 0.5
 POSSIBLE_MPS, POSSIBLE_MPS2 = 100.0, 20.0
-"""Of (6): 360 km/h; tyres of road cars give about 10 m/s2."""
+"""Bounds of (6): 360 km/h; tyres of road cars allow about 10 m/s2."""
 REST_S = 0.5
-"""The plan being driven goes on where at least this is left of it; else the ego brakes on its arc with `BRAKE_MPS2`."""
+"""The plan being driven continues if it lasts at least this long; else the ego brakes on its arc by `BRAKE_MPS2`."""
 BRAKE_MPS2 = 4.0
 
 
 def checked(plan: Plan, frame: Frame) -> Plan:
-    """The plan as it may be driven and judged (module docstring)."""
+    """Return the plan as it is driven and judged (module docstring)."""
     trajectory = plan.trajectory
     if len(plan.reason) > LONGEST_REASON:
         plan = replace(plan, reason=shortened(plan.reason))
@@ -96,7 +96,7 @@ def checked(plan: Plan, frame: Frame) -> Plan:
 
 
 def _start_fault(trajectory: Trajectory, frame: Frame) -> str:
-    """How a plan breaks (0) or (1), empty where it does not."""
+    """Return how a plan breaks (0) or (1); empty if it does not."""
     if len(trajectory) > MOST_POINTS:
         return f"it has {len(trajectory)} states, more than {MOST_POINTS}"
     first, starts = trajectory.state(0), [frame.ego]
@@ -178,10 +178,10 @@ def measured_off(
 
 
 def of_positions(plan: Trajectory) -> Trajectory:
-    """The plan with heading, speed, acceleration and curvature of its positions `(n,)`; the first speed is its own.
+    """Return the plan with heading, speed, acceleration and curvature from its positions; the first speed is kept.
 
-    Each sample has the mean of the steps beside it; a step below `STEP_M` has the direction of the one before, the
-    first ones the plan's own heading; whether it reverses is what the plan's speed says.
+    Each sample has the mean of its adjacent steps. A step below `STEP_M` has the direction of the previous step, or
+    initially the plan's first heading. The sign of the plan's speed decides whether a step is driven in reverse.
     """
     dx, dy = np.diff(plan.x), np.diff(plan.y)
     d, way = np.hypot(dx, dy), np.arctan2(dy, dx)

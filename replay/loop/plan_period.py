@@ -1,6 +1,6 @@
 """The compiled inner loop of a closed-loop drive: controller and vehicle run from plan to plan and fill the trace.
 
-The time that planning takes is modelled without a clock, so that a drive is the same twice (`Latency`). A step reads
+Planning time is modelled without a clock, so that repeated drives are equal (`Latency`). A step reads
 row k of the trace (`replay.vehicle.base`) and writes row k + 1:
 
 (1) errors = the motion of row k against the plan
@@ -76,7 +76,7 @@ class Latency:
         self.driven = self.driven or plan
 
     def changes(self, step: int) -> int:
-        """The first step after `step` at which another plan may take effect; NEVER if none is pending."""
+        """The first step after `step` at which another plan may take effect; `NO_STEP` if none is pending."""
         return next((due for due, _ in self._coming if due > step), NO_STEP)
 
     def at(self, step: int) -> Plan:
@@ -92,7 +92,7 @@ def run_kinematic(
     laws: Plain, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray,
     first: int, count: int, dt: float, numbers: Plain,
 ) -> None:  # fmt: skip
-    """`count` steps of a kinematic bicycle from row `first` on; its state stands in the rows."""
+    """Run `count` steps of a kinematic bicycle from row `first`; its state is in the rows."""
     law, car = named_law(laws), Kinematics(*numbers)
     for k in range(first, first + count):
         command = control_row(law, memory, wheel, times, knots, rows, k)  # (1)-(3)
@@ -107,7 +107,7 @@ def run_single_track(
     laws: Plain, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray,
     first: int, count: int, dt: float, numbers: Plain, state: tuple[Plain, Plain, Plain],
 ) -> tuple[Plain, Plain, Plain]:  # fmt: skip
-    """`count` steps of a single-track vehicle from row `first` on; `state`: its own, gearbox, brake commands."""
+    """Run `count` steps of a single-track vehicle from row `first`; `state`: of vehicle, gearbox, brake commands."""
     law, car = named_law(laws), named_car(numbers)
     s, box, line = single_track.State(*state[0]), Gearbox(*state[1]), Pending(*state[2])
     for k in range(first, first + count):
@@ -144,7 +144,7 @@ RUNS: dict[tuple[type, type], Run] = {
     (SplitController, KinematicBicycle): _kinematic,
     (SplitController, SingleTrack): _single_track,
 }
-"""By the types of controller and vehicle."""
+"""Compiled runs by the types of controller and vehicle."""
 
 
 class PlanPeriod:
@@ -181,12 +181,12 @@ class TraceRecorder:
     """The columns of a trace.
 
     Args:
-        steps: The most control steps that there will be.
-        vehicle: At the start.
+        steps: The greatest number of control steps.
+        vehicle: The vehicle at the start.
 
     Attributes:
-        rows: `(steps + 1, COLUMNS)`; rows that are not driven yet are undefined.
-        count: Rows of the drive, once it is closed.
+        rows: `(steps + 1, COLUMNS)`; rows of later steps are undefined.
+        count: Number of rows, after `close`.
         frames: The plans so far.
     """
 
@@ -201,7 +201,7 @@ class TraceRecorder:
         self.frames.append(PlannedFrame.of(frame, plan))
 
     def close(self, last: int, plan: Plan | None) -> None:
-        """End the drive at a row. It has no command of its own: it repeats the one before (NaN if there is none).
+        """End the drive at a row, which repeats the previous command (NaN if there is none).
 
         Args:
             last: The row.

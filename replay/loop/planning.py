@@ -1,9 +1,9 @@
-"""Builds, calls and times the planner of one scenario, checks its plans, and tests if it is deterministic.
+"""Builds, calls and times the planner of one scenario, checks its plans, and tests whether it is deterministic.
 
-The start of a drive is driven twice, each time by a planner that is built anew. The worlds are the same, so the plans
-must be, bit for bit: a difference comes from the planner (a random number, a clock, the order of a set, threads that
-race). It is a note of the drive and a mark in the reports: figures of a planner that is not deterministic are those of
-one try.
+The start of a drive is driven twice, each time with a newly built planner. The worlds are equal, so the plans must be
+equal bit for bit: a difference comes from the planner (random numbers, a clock, the order of a set, race conditions).
+It becomes a note of the drive and a mark in the reports, because the results of a nondeterministic planner are those of
+a single try.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from replay.planner_process.connection import ApartPlanner, FaultError, current_
 from replay.planner_process.planner_config import is_apart, is_built_in, planner_factory, prepared
 
 SHORTEST_DRIVE_M = 10.0
-"""A goal is made of a drive's end only where the drive led at least this far away."""
+"""The end of a drive becomes the goal only if it is at least this far from the start."""
 GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
 DRIVEN_PATH_NOTE = (
     "the road is the driven path: the planner knows where the log's driver went; open-loop errors across the path say"
@@ -44,22 +44,22 @@ class Planning:
     """The planner named by the user, for one scenario.
 
     Args:
-        scenario: What is driven; only an oracle gets it.
+        scenario: The scenario; only an oracle receives it.
         spec: A name in PLANNERS or ORACLES, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
         planner_config: Keywords of the planner; its configuration table where it runs in a process of its own.
-        config: Of the loop.
+        config: Configuration of the loop.
         start: The ego at the first frame.
-        keep_internals: Whether the plans keep the planner's internals, beside its solvers' reports.
-        place: Which of the log's drives it is.
+        keep_internals: Whether the plans keep the planner's internals, in addition to its solvers' reports.
+        place: Key of the drive.
 
     Attributes:
         is_oracle: Whether the planner knows the log.
         notes: Notes for the trace: an assumed goal, a planner that is trusted or batched.
         goal: The planner's goal.
-        context: All that the planner is built with.
+        context: The context that the planner is built with.
 
     Raises:
-        ConfigError: There is no such planner, or it does not take these keywords.
+        ConfigError: The planner does not exist, or does not accept these keywords.
         PlannerError: It cannot be loaded or built.
     """
 
@@ -110,9 +110,10 @@ class Planning:
         return self._watch.times
 
     def plan(self, frame: Frame) -> Plan:
-        """The plan for a frame, as it may be driven and judged (`replay.loop.plan_check`), with the internals to keep.
+        """Return the checked plan for a frame (`replay.loop.plan_check`), with the internals to keep.
 
-        The builders of internals hold the frame, and the frame the plan before: they are resolved or dropped here.
+        The builders of internals refer to the frame, and the frame to the previous plan: they are resolved or dropped
+        here.
 
         Raises:
             PlannerError: The planner raised, or its answer is not a plan.
@@ -137,7 +138,7 @@ Seat = Callable[..., Planning]
 
 
 def _breach(plan: object, frame: Frame) -> str:
-    """How a planner's answer breaks its contract, or ""; a Trajectory is finite and increasing by construction."""
+    """Return how an answer of the planner breaks its contract, or ""; a Trajectory is always finite and increasing."""
     if not isinstance(plan, Plan):
         return f"it returned {type(plan).__name__} instead of a Plan"
     first = float(plan.trajectory.t[0])
@@ -149,7 +150,7 @@ def _breach(plan: object, frame: Frame) -> str:
 
 
 def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
-    """The scenario's goal, or the place where its drive ended, and in that case a note."""
+    """Return the scenario's goal, or the place where its drive ended and a note."""
     if scenario.goal is not None:
         return scenario.goal, ""
     first, last = scenario.ego.state(0), scenario.ego.state(len(scenario.ego) - 1)
@@ -162,7 +163,7 @@ def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
 
 
 def with_probe(trace: Trace, again: Trace, until_s: float) -> Trace:
-    """The trace, with a note where a second drive of the same start parts from it.
+    """Return the trace, with a note if a second drive of the same start differs from it.
 
     Args:
         trace: The drive.
@@ -174,7 +175,7 @@ def with_probe(trace: Trace, again: Trace, until_s: float) -> Trace:
 
 
 def nondeterminism(trace: Trace, again: Trace, until_s: float) -> str:
-    """Where and by how much two drives of the same part, a sentence; "": nowhere up to `until_s`."""
+    """Return where and by how much two equal drives differ, as a sentence; "" if they do not, up to `until_s`."""
     first, second = ([frame for frame in one.frames if frame.t <= until_s] for one in (trace, again))
     for one, other in zip_longest(first, second):
         if one is None or other is None:

@@ -1,21 +1,21 @@
-"""Reference drives: how other drivers drive a log, measured as every other drive.
+"""Reference drives: how other drivers drive a log, measured like every other drive.
 
-    "driver"     the ego as logged, among the others as logged; there where the log holds a drive
+    "driver"     the ego as logged, among the others as logged, if the log holds a drive
     "careful"    the careful driver of UN R157 (`metrics.reference_drivers`) from the log's first state along the lane
     "follower"   the route follower: the planner `idm` in a perfect car, which accelerates, steers along its route,
                  follows others and obeys the rules, among the traffic of the run
 
-They end as a planner's drive would: in the goal, or where a road user touches them. Their rows of the table have the
-mode "reference" and are oracles; `metrics.judge` asks them whether a broken bound is evidence against a planner. Of a
-synthesised log's driver only progress is measured: such a log excuses no collision. The follower excuses none either.
-Its progress counts until its time to collision falls below `metrics.safety.CLOSE_S`: after that it is no yardstick.
-It takes time to drive: it is driven where the log holds no drive to measure progress by, or where a planner of the run
-misses the goal.
+They end like a planner's drive: in the goal, or when a road user touches them. Their rows have the mode "reference" and
+are marked as oracles; `metrics.judge` uses them to decide whether a broken bound is evidence against a planner. For the
+driver of a synthesised log only progress is measured, so such a log excuses no collision. The follower excuses none
+either. Its progress is measured until its time to collision falls below `metrics.safety.CLOSE_S`; after that it is no
+yardstick. Because it takes time, the follower is driven only if the log holds no drive as a yardstick of progress, or
+if a planner of the run misses the goal.
 
 The reference drivers of `metrics.reference_drivers.DRIVERS` also judge each scenario: their verdicts go into its
 metadata (`with_avoidability`), as entries that `metrics.reference_drivers` reads and explains. Their line is the
-reference line of the route that the planners drive, too, up to its first lane change: from there on the driver keeps
-its lane, as that of UN R157 does.
+reference line of the planners' route up to its first lane change; from there on the driver keeps its lane, like that of
+UN R157.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
 
 SHORTEST = 2
-"""An ego log of fewer states is no drive."""
+"""A log with fewer ego states holds no drive."""
 FOLLOWER_PERIODS_S = 0.5, 0.05
-"""How often the follower plans and steps: its plans are smooth, and a yardstick need not cost as much as a drive."""
+"""Plan and control period of the follower: long, because its plans are smooth and a yardstick should be cheap."""
 
 
 def reference_line(scenario: Scenario) -> ReferenceLine:
-    """The line from the log's first state along its lane towards the goal; straight on where it has none."""
+    """Return the line from the log's first state along its lane towards the goal; straight without a lane."""
     return _line(scenario.road, scenario.ego.state(0), scenario.goal)
 
 
-@once  # asked before the scenario has its entries, and again for the reference drives
+@once  # needed before the scenario has its entries, and again for the reference drives
 def _line(road: Road, start: EgoState, goal: Goal | None) -> ReferenceLine:
     route = find_route(road, start, goal)
     kept = 1
@@ -67,7 +67,7 @@ def _line(road: Road, start: EgoState, goal: Goal | None) -> ReferenceLine:
 
 
 def with_avoidability(scenario: Scenario) -> Scenario:
-    """The scenario with the verdicts of the reference drivers in its metadata, in place of those that it has."""
+    """Return the scenario with new verdicts of the reference drivers in its metadata."""
     metadata = {key: text for key, text in scenario.metadata.items() if not key.startswith(FINDING)}
     line = reference_line(scenario)
     for driver in DRIVERS.values():
@@ -76,11 +76,11 @@ def with_avoidability(scenario: Scenario) -> Scenario:
 
 
 def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.DataFrame]:
-    """The scenario with the follower's progress in its metadata (`metrics.progress.FOLLOWER_M`), and the rows on it.
+    """Return the scenario with the follower's gain in its metadata (`metrics.progress.FOLLOWER_M`), and its rows.
 
     Args:
         scenario: What is driven.
-        loop: Of the run: the traffic is the same, the car is perfect, the others are perceived as they are.
+        loop: Configuration of the run, for its traffic; the car is perfect, and the follower perceives ground truth.
     """
     traffic = {key: table for key, table in loop.settings.items() if key == "traffic"}
     same = LoopConfig(*FOLLOWER_PERIODS_S, vehicle="perfect", traffic=loop.traffic, settings=traffic)
@@ -95,7 +95,7 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
 
 
 def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, list[pd.DataFrame]]:
-    """The scenario and the rows of its reference drives; with those of the follower where the log holds no drive."""
+    """Return the scenario and the rows of its reference drives, with the follower if the log holds no drive."""
     follower = []
     if len(scenario.ego) < SHORTEST:
         scenario, rows = with_follower(scenario, loop)
@@ -104,7 +104,7 @@ def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, lis
 
 
 def late_follower(tables: Sequence[pd.DataFrame], scenario: Scenario, loop: LoopConfig) -> list[pd.DataFrame]:
-    """The rows of the follower, if they are missing and a planner in the tables of a log misses the goal."""
+    """Return the rows of the follower, if they are missing and a planner in the tables of a log misses the goal."""
     goal, missed = f"{GOAL.name}.{FINAL.name}", False
     for table in tables:
         for k in [k for k, name in enumerate(table["metric"].tolist()) if name == goal]:
@@ -116,7 +116,7 @@ def late_follower(tables: Sequence[pd.DataFrame], scenario: Scenario, loop: Loop
 
 
 def _measure_drives(drives: Iterable[tuple[Trace, tuple[str, ...]]], scenario: Scenario) -> pd.DataFrame:
-    """The rows of drives, each measured by some groups of metrics."""
+    """Return the rows of drives, each measured by some groups of metrics."""
     rows = []
     for trace, groups in drives:
         measures = {metric.name: METRICS[metric.name] for group in groups for metric in GROUPS[group]}
@@ -125,7 +125,7 @@ def _measure_drives(drives: Iterable[tuple[Trace, tuple[str, ...]]], scenario: S
 
 
 def reference_table(scenario: Scenario) -> pd.DataFrame:
-    """The rows of the log's own and the careful driver; columns as of `metrics.evaluate`."""
+    """Return the rows of the log's own and the careful driver; columns as of `metrics.evaluate`."""
     groups = {
         DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",),
         CAREFUL: ("safety", "progress", "comfort"),  # the careful driver knows no rules
@@ -134,7 +134,7 @@ def reference_table(scenario: Scenario) -> pd.DataFrame:
 
 
 def reference_drives(scenario: Scenario) -> Iterator[Trace]:
-    """The drives, as traces without plans."""
+    """Yield the reference drives as traces without plans."""
     if len(scenario.ego) >= SHORTEST:
         yield _end_drive(DRIVER, scenario.ego, scenario)
     line, start = reference_line(scenario), scenario.ego.state(0)
@@ -150,7 +150,7 @@ def reference_drives(scenario: Scenario) -> Iterator[Trace]:
 
 
 def _end_drive(name: str, ego: Trajectory, scenario: Scenario) -> Trace:
-    """The drive up to the goal or its first contact."""
+    """Return the drive up to the goal or its first contact."""
     agents = without_phantoms(scenario.tracks, phantoms(scenario))
     whole = Trace(scenario.name, name, Mode.CLOSED, True, ego, agents, (), EndReason.END_OF_LOG)
     ends: list[tuple[int, EndReason, str]] = []

@@ -7,11 +7,11 @@ pedestrians and riders occlude no others. Then, per agent:
 (1) x + n_1 e_along + n_2 e_left,  yaw + n_3,  v + n_4 e_along + n_5 e_left        n_i normal, in the agent's own axes
 (2) not measured in slots of `dropout_s`, each with probability `dropout`; each agent's slots have a phase of their own
 
-and it reaches the planner `latency_s` later, carried on with the measured velocity. An agent that is not measured any
-more is carried on from its last measurement for `coast_s`, as a tracker would. The first measurement is known at once:
-the sensor ran before the log began.
+and it reaches the planner `latency_s` later, extrapolated with the measured velocity. An agent that is no longer
+measured is extrapolated from its last measurement for `coast_s`, as by a tracker. The first measurement is available at
+once, as if the sensor had run before the log began.
 
-Every draw is a pure function of scenario, seed, agent and time: other agents and their order change nothing.
+Every random draw is a pure function of scenario, seed, agent and time, independent of other agents and their order.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from replay.world import World, box_center
 
 POINTS = 9
 VISIBLE = 0.25
-"""Share of an agent's points that must be seen."""
+"""Share of an agent's points that must be visible."""
 WIDEST_RAD = radians(88.0)
-"""A shadow's half angle is not wider than this: an agent that near hides half of the surroundings."""
+"""Greatest half angle of a shadow: an agent so near hides half of the surroundings."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Measurement:
-    """What was measured at the time `t`, s."""
+    """The measured agents and the visible ground at the time `t`, s."""
 
     t: float
     agents: Agents
@@ -54,7 +54,7 @@ class Sensor:
 
     Args:
         scenario: Its name seeds the draws; the ego's size places the sensor.
-        config: What it can do.
+        config: Abilities of the sensor.
     """
 
     def __init__(self, scenario: Scenario, config: SensorConfig) -> None:
@@ -64,7 +64,7 @@ class Sensor:
         self._boxes_around = NearbyTracks()
 
     def see(self, world: World) -> tuple[Agents, Visibility]:
-        """The agents as they reach the planner at the world's time, and what the sensor could see of the ground."""
+        """Return the agents as they reach the planner at the world's time, and the ground visible to the sensor."""
         now = world.ego.t
         self._made.append(self._measure(world))
         due = now - self._config.latency_s + 1e-9
@@ -84,7 +84,7 @@ class Sensor:
         rows = np.array([[getattr(m.agents, name)[i] for name in NUMBERS] for m, i in newest.values()], float)
         kinds = tuple(m.agents.kinds[i] for m, i in newest.values())
         seen = Agents.of_rows(tuple(newest), kinds, rows.reshape(-1, len(NUMBERS)).T, codes_of(kinds))
-        x, y = seen.x + unseen * seen.vx, seen.y + unseen * seen.vy  # carried on with its velocity
+        x, y = seen.x + unseen * seen.vx, seen.y + unseen * seen.vy  # extrapolated with its velocity
         return replace(seen, x=x, y=y, age=age, unseen=unseen), arrived[-1].visibility
 
     def _measure(self, world: World) -> Measurement:
@@ -126,7 +126,7 @@ class Sensor:
 
 @inner_kernel
 def _crosses(ax: float, ay: float, bx: float, by: float, box: FloatArray) -> bool:
-    """Whether the segment from a to b touches a box (x, y, yaw, length, width): slabs in the box's own axes."""
+    """Return whether the segment from a to b touches a box (x, y, yaw, length, width): slabs in the box's axes."""
     c, s = cos(box[2]), sin(box[2])
     px, py = (ax - box[0]) * c + (ay - box[1]) * s, (ay - box[1]) * c - (ax - box[0]) * s
     dx, dy = (bx - ax) * c + (by - ay) * s, (by - ay) * c - (bx - ax) * s
@@ -143,7 +143,7 @@ def _crosses(ax: float, ay: float, bx: float, by: float, box: FloatArray) -> boo
 
 @kernel
 def _boxes_around(boxes: FloatArray, x: float, y: float) -> BoolArray:
-    """Which boxes hold the point: an agent there is no view but a collision."""
+    """Return which boxes contain the sensor: such an agent is a collision and does not occlude."""
     out = np.zeros(len(boxes), np.bool_)
     for i in range(len(boxes)):
         out[i] = _crosses(x, y, x, y, boxes[i])
@@ -152,7 +152,7 @@ def _boxes_around(boxes: FloatArray, x: float, y: float) -> BoolArray:
 
 @kernel
 def _seen_shares(boxes: FloatArray, hiding: BoolArray, view: FloatArray) -> FloatArray:
-    """Share of each box's points that a sensor (x, y, yaw, range, field of view) sees `(n,)`."""
+    """Return the share of each box's points that a sensor (x, y, yaw, range, field of view) sees `(n,)`."""
     n = len(boxes)
     out, points = np.zeros(n), np.empty((POINTS, 2))
     for i in range(n):
@@ -178,7 +178,7 @@ def _seen_shares(boxes: FloatArray, hiding: BoolArray, view: FloatArray) -> Floa
 
 @kernel
 def _shadows(boxes: FloatArray, view: FloatArray) -> FloatArray:
-    """Ground hidden behind boxes within range `(k, 4, 2)`: near right, far right, far left, near left."""
+    """Return the ground hidden behind boxes within range `(k, 4, 2)`: near right, far right, far left, near left."""
     out, count = np.empty((len(boxes), 4, 2)), 0
     for i in range(len(boxes)):
         dx, dy = boxes[i, 0] - view[0], boxes[i, 1] - view[1]

@@ -1,4 +1,4 @@
-"""What a closed loop is driven with: vehicle, controller, traffic and the steps of its clock, as configured."""
+"""The setup of a closed loop: vehicle, controller, traffic and the steps of its clock, as configured."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from replay.vehicle.base import Controller, Vehicle
 from replay.world import World, box_center, logged_ego
 
 ROUNDING = 1e-7
-"""Of a control period: times that differ by less are the same."""
+"""Tolerance in control periods: times that differ by less are equal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +33,13 @@ class SimulationSetup:
 
     Attributes:
         vehicle: At the log's first ego state, moving as it did.
-        controller: Knows the vehicle's numbers, not its state.
-        traffic: Moves the others.
-        steps: Control periods from the ego's first sample to the end of the log, or to the last that is asked for.
+        controller: Knows the vehicle's parameters, not its hidden state.
+        traffic: Moves the other road users.
+        steps: Control periods from the ego's first sample to the end of the log, or to the last requested step.
         steps_per_plan: Control steps between two frames.
-        period: Of the control, s.
-        assumptions: About the start, the vehicle and the road, one sentence each.
-        end: Why the drive ends at its last step where the log goes on; empty: the log ends there.
+        period: Control period, s.
+        assumptions: Assumptions about the start, the vehicle and the road, one sentence each.
+        end: Why the drive ends before the log; empty: it ends with the log.
     """
 
     vehicle: Vehicle
@@ -53,7 +53,7 @@ class SimulationSetup:
 
     @classmethod
     def of(cls, scenario: Scenario, config: LoopConfig, until_s: float = inf) -> SimulationSetup:
-        """The setup for a scenario, whose last step begins at `until_s`, s since its start.
+        """Build the setup for a scenario; the last step begins at `until_s`, s since its start.
 
         Raises:
             LogError: The log ends before the first step.
@@ -96,15 +96,15 @@ class SimulationSetup:
         return (*self.assumptions, *self.controller.notes, *self.traffic.notes)
 
     def world(self) -> World:
-        """The world as the vehicle and the traffic have it now."""
+        """Return the present world, from vehicle and traffic."""
         return World(self.vehicle.state, self.traffic.step(self.vehicle.state))
 
     def plan_period(self) -> PlanPeriod:
-        """The object that runs controller and vehicle."""
+        """Return the object that runs controller and vehicle."""
         return PlanPeriod(self.controller, self.vehicle, self.period)
 
     def horizon(self, step: int, most: int) -> int:
-        """The step until which only the ego moves, at most `most` after `step`: the next frame or traffic step."""
+        """Return the next step with a frame or a reaction of the traffic, at most `most` after `step`."""
         frame = step - step % self.steps_per_plan + self.steps_per_plan
         ahead = (self.traffic.due - self.vehicle.state.t) / self.period
         reacts = step + max(ceil(ahead - ROUNDING), 1) if ahead < most else self.steps
@@ -118,12 +118,13 @@ def controller_of(
     period: float,
     settings: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
 ) -> Controller:
-    """The controller of that name for the vehicle's assumed parameters; a vehicle that follows plans has its own.
+    """Build the controller of that name for the assumed parameters; a vehicle that follows plans has its own.
 
-    Where the vehicle's tyres are rigid, the controller's model has them so.
+    If the vehicle has rigid tyres, so does the controller's model.
 
     Raises:
-        ConfigError: No controller of that name, it does not take these settings (`LoopConfig.settings`), or is none.
+        ConfigError: No controller has that name, it does not accept these settings (`LoopConfig.settings`), or it is
+            invalid.
     """
     factory = configured(CONTROLLER, name, settings)
     if vehicle.own_controller is not None:
@@ -135,7 +136,7 @@ def controller_of(
 
 
 def _notes(scenario: Scenario, config: LoopConfig) -> list[str]:
-    """What the user must know of the start, the road and the vehicle."""
+    """Return notes for the user about the start, the road and the vehicle."""
     notes = []
     first = scenario.ego.state(0)
     if first.v < 0.0:

@@ -1,7 +1,7 @@
-"""Why a closed loop ends: goal, collision, off the road. The loop itself ends at the log's end or a planner failure.
+"""Ends a closed loop: goal, collision, off the road. The loop itself ends at the log's end or a planner failure.
 
-The metrics' rule of fault (`metrics.safety.classify`) decides whether a contact is the ego's collision or a replayed
-agent ran into it; with several contacts at once, one at fault makes it a collision.
+The metrics' rule of fault (`metrics.safety.classify`) decides whether a contact is a collision of the ego or a replayed
+agent ran into it. Of several simultaneous contacts, one at fault makes it a collision.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from replay.vehicle.base import state_at
 from replay.world import AgentBoxes, EgoBox, agent_boxes, box_center, ego_box, touched
 
 CRACK_M = 0.5
-"""Lanes that meet may leave a gap: a car farther than this from every drivable lane is off the road."""
+"""A car farther than this from every drivable lane is off the road; adjoining lanes may leave small gaps."""
 
 
 class Outlines(NamedTuple):
@@ -48,9 +48,9 @@ def outline_distance(x: float, y: float, polygon: FloatArray) -> float:
 
 @kernel
 def metres_off(lanes: Outlines, on: int, x: float, y: float) -> tuple[float, int]:
-    """Distance of a point from the nearest lane, m, 0 on a lane and until it has been on one; the last lane it was on.
+    """Return the distance of a point to the nearest lane, m (0 before its first lane), and the last lane it was on.
 
-    `on` is the last lane that it was on; -1: it never was on one.
+    `on` is the last lane that it was on; -1: it has not been on any lane.
     """
     points, offsets = lanes.points, lanes.offsets
     if on >= 0 and inside(x, y, points[offsets[on] : offsets[on + 1]]):
@@ -96,10 +96,10 @@ class Ended(NamedTuple):
 class Termination:
     """Judges the rows of one drive's trace, in order.
 
-    Boxes that the recorded ego stood in (`metrics.boxes`) do not count.
+    Phantoms (`metrics.boxes`) are ignored.
 
     Args:
-        scenario: What is driven.
+        scenario: The scenario.
         goal: Where the drive should end (the scenario's own, or one made for it); None: nowhere.
         start: The ego at the start, so that it is known whether it begins on the road.
     """
@@ -107,7 +107,7 @@ class Termination:
     def __init__(self, scenario: Scenario, goal: Goal | None, start: EgoState) -> None:
         self._scenario, self._car = scenario, ego_box(scenario.vehicle)
         if goal is not None and not goal.regions and goal.t is None and goal.v is None and goal.yaw is None:
-            goal = None  # it asks for nothing: such a goal is never reached, since it always is
+            goal = None  # a goal without conditions is ignored: it would always be reached
         self._goal = goal
         self._near = (np.nan,) * 4  # least and greatest x and y at which the goal may be reached; NaN: there is none
         if goal is not None:
@@ -126,9 +126,9 @@ class Termination:
         self._agents = agent_boxes(self._tracks)
 
     def first(self, rows: FloatArray, first: int, end: int, tracks: Tracks) -> Ended | None:
-        """The first end within the rows from `first` (at least 1) to before `end`; None while the drive goes on.
+        """Return the first end within the rows from `first` (at least 1) to before `end`; None if the drive goes on.
 
-        At one row, a collision comes before the goal, and that before the road's edge.
+        At one row, a collision has priority over the goal, and the goal over leaving the road.
         """
         if first >= end:
             return None

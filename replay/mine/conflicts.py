@@ -1,11 +1,11 @@
-"""Events of two road users that want the same place: near misses, and which of them yields.
+"""Events of two road users that use the same place: near misses, and which of them yields.
 
 A road user and the ego conflict where their boxes take the same place at different times, the ego's at step i and the
 other's at step j of the grid; for vehicles with headings that differ by 30 degrees or more. With the pair of least time
 
 (1) PET = |t_j - t_i|
 
-and who was there first goes first. The second one has yielded if it slowed down before the first one was there, and at
+and the first one there goes first. The second one has yielded if it slowed down before the first one was there, and at
 the speed that it had before it slowed down it would have come less than `CLOSE_S` after the first one, or before it.
 """
 
@@ -29,14 +29,14 @@ from replay.mine.driven_log import DrivenLog, Event, EventKind, Neighbour, runs,
 from replay.mine.ego_and_road import HARD_MPS2
 
 NEAR_S, NEAR_M = 2.0, 1.0
-"""A course to touch was a near miss where they come this near within this time after it, or where one brakes hard."""
+"""A collision course is a near miss if the boxes come within NEAR_M in NEAR_S after it, or if one brakes hard."""
 WINDOW_S = 10.0
-"""Road users that reach a place at times farther apart do not meet."""
+"""Largest time between two road users at a place that are in conflict."""
 CLOSE_S = 1.0
 BEFORE_S = 10.0
 """A road user that yields slows down within this time before the other one is there."""
 SLOWED_MPS, SLOWED = 1.0, 0.3
-"""By how much, and by which part of the speed that it had, a road user that yields slows down at least."""
+"""Least decrease of the speed of a road user that yields: absolute, m/s, and as a share of its speed before."""
 MOVES_MPS = 0.5
 
 
@@ -87,11 +87,11 @@ def _ego_is_yielded_to(log: DrivenLog) -> Iterator[Event]:
 
 
 def _step_of_slowing(v: FloatArray, way: FloatArray, first: int, at: int) -> int:
-    """The step at which the second one begins to slow down for the first one, -1 where it does not.
+    """The step at which the second one begins to slow down for the first one; -1 if it does not.
 
     Args:
         v: `(n,)` its speed, m/s.
-        way: `(n,)` how far it has come, m.
+        way: `(n,)` distance that it has moved, m.
         first: The step at which the first one is at the place.
         at: The step at which the second one is there.
     """
@@ -110,7 +110,7 @@ def _step_of_slowing(v: FloatArray, way: FloatArray, first: int, at: int) -> int
 
 @once
 def _conflicts(log: DrivenLog) -> tuple[tuple[Neighbour, int, int], ...]:
-    """Each road user that the ego conflicts with, the ego's step and the other's of least PET."""
+    """Each road user in conflict with the ego, with the steps of the ego and of the other at the least PET."""
     found = []
     size = np.array([log.car.length, log.car.width])
     low, high = log.boxes[:2].min(axis=1) - 10.0, log.boxes[:2].max(axis=1) + 10.0

@@ -1,11 +1,11 @@
-"""Coverage: which cells a set of logs has, and the fewest logs that have them all.
+"""Coverage: the cells of a set of logs, and the fewest logs that together have all of them.
 
-A cell is an event's kind, road, kind of road user and range of speed. All cells that could be there are not known; so
-the gaps of a set are the cells of another one that it lacks, by default those of the catalogue, whose families can be
+A cell is an event's kind, road, kind of road user and range of speed. The set of all possible cells is unknown, so the
+gaps of a set are the cells of another set that it lacks, by default those of the catalogue, whose families can be
 synthesised: a gap names the family that fills it.
 
-`replan suite` chooses by greedy set cover (Chvatal, Math. Oper. Res. 4, 1979: within ln n + 1 of the smallest): the log
-that has most of what no chosen log has comes next; of equals the shorter one, then the first by name.
+`replan suite` chooses by greedy set cover (Chvatal, Math. Oper. Res. 4, 1979: within ln n + 1 of the smallest): the
+next log is the one with most cells that no chosen log has; of equal ones the shorter, then the first by name.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ def gaps(have: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
 
 
 def table(have: pd.DataFrame, missing: pd.DataFrame) -> pd.DataFrame:
-    """Both as one table, as coverage.csv has it: `covered` says which is which."""
+    """Both as one table, as in coverage.csv; `covered` tells them apart."""
     parts = [have.assign(covered=True), missing.assign(covered=False)]
     return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)
 
 
 def figure(events: pd.DataFrame, title: str) -> Figure:
-    """How many events of each kind there are, by road, by kind of road user and by speed."""
+    """The number of events of each kind, by road, by kind of road user and by speed."""
     import matplotlib as mpl
     import numpy as np
 
@@ -90,7 +90,7 @@ def catalogue() -> Selection:
 
 
 def write_coverage(out: Path, events: pd.DataFrame, rows: pd.DataFrame) -> None:
-    """coverage.csv and coverage.png in a folder of mined logs; OutputError."""
+    """Write coverage.csv and coverage.png into a folder of mined logs; OutputError if that fails."""
     write_file(out / "coverage.csv", lambda partial: rows.to_csv(partial, index=False, lineterminator="\n"))
     from replay.draw.report.figures import save
 
@@ -99,7 +99,7 @@ def write_coverage(out: Path, events: pd.DataFrame, rows: pd.DataFrame) -> None:
 
 
 def lines(have: pd.DataFrame, missing: pd.DataFrame, source: str) -> list[str]:
-    """The cells in words: how many there are, and the gaps by kind with a log of `source` that fills each."""
+    """The cells in words: their number, and the gaps by kind with a log of `source` that fills each."""
     found = [f"{counted(len(have), 'cell')} covered; {counted(len(missing), 'cell')} of {source} not"]
     for kind, group in missing.groupby("kind", sort=True):
         examples: Sequence[str] = list(dict.fromkeys(group["example"]))
@@ -115,7 +115,7 @@ Cell = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Chosen:
-    """A log of the suite, and how many cells it adds to those before it."""
+    """A log of the suite, and the number of cells that it adds to the logs before it."""
 
     log: str
     source: str
@@ -127,7 +127,7 @@ def smallest_cover(cells: Mapping[str, frozenset[Cell]], seconds: Mapping[str, f
 
     Args:
         cells: The cells of each log.
-        seconds: How long each log is.
+        seconds: Length of each log, s.
     """
     left = set().union(*cells.values()) if cells else set()
     chosen: list[str] = []
@@ -160,12 +160,12 @@ def suite_of(mined: Mined) -> list[Chosen]:
 
 
 def write_suite(chosen: list[Chosen], out: Path, begun: Path) -> None:
-    """Write the suite as TOML; paths are relative to its folder where they can be.
+    """Write the suite as TOML; paths are relative to its folder if possible.
 
     Args:
         chosen: The logs.
         out: The file.
-        begun: Where relative sources begin.
+        begun: The directory to which relative sources refer.
 
     Raises:
         OutputError: The file cannot be written.

@@ -1,18 +1,19 @@
 """Event kinds, and a log prepared for finding them: on a time grid, in the frame of the ego's path.
 
-An `EventKind` finds `Event`s in a `DrivenLog`: one function (log) -> events, and one row of `replay.mine.kinds`. One
+An `EventKind` finds `Event`s in a `DrivenLog`: one function (log) -> events, and one row of `replay.mine.kinds`. A kind
 of your own is an `EventKind` in a module, named as "module:NAME" (`replan mine --kind module:NAME`) or by an entry
 point of the group `replan.events`.
 
 The path is the way that the recorded rear axle took, as a reference line (straight on before its begin and beyond its
-end). It holds the log's future: mining looks back at a whole log, no planner sees it. With a road user's box centre at
+end). It contains the log's future, because mining looks at a whole log; no planner sees
+it. With a road user's box centre at
 (s, l) on that path and its heading turned by d against it:
 
 (1) half_s = (|cos d| length + |sin d| width) / 2     half_l = (|sin d| length + |cos d| width) / 2
 (2) rear, front = s -+ half_s     low, high = l -+ half_l
 (3) the band: |l| <= half of the ego's width; a box reaches into it where low < half and high > -half
 
-A road user is looked at where it is within `NEAR_M` of the ego, at the steps of the grid at which the log knows it.
+A road user is examined at the steps of the grid at which the log has it within `NEAR_M` of the ego.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ from metrics.metric import Unavailable, rate_of_change
 
 NEAR_M = 80.0
 SEARCH_M, FOLLOW_M = 120.0, 15.0
-"""A foot is searched within this distance of the ego's station first, then of the foot before it."""
+"""The first foot is searched within SEARCH_M of the ego's station, each later one within FOLLOW_M of the last."""
 SHORT_M = 2.0
-"""An ego that goes a shorter way stands: its path is straight along its heading."""
+"""An ego that moves less than this stands: its path is straight along its heading."""
 FELT_S = 0.5
-"""The ego's acceleration is the change of its speed over this."""
+"""The ego's acceleration is the change of its speed over this time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +46,8 @@ class Event:
 
     Attributes:
         begin: s since the log's start; `end` likewise, not before it.
-        value: The number that the kind measures, in its unit; NaN: it measures none.
-        agents: Ids of the road users that took part, the main one first; empty: none but the ego.
+        value: The number that the kind measures, in its unit; NaN if it measures none.
+        agents: Ids of the road users that took part, the main one first; empty if only the ego did.
         what: More in words ("left", "crosswalk 7"); may be empty.
     """
 
@@ -59,18 +60,18 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class EventKind:
-    """What is looked for.
+    """A kind of event.
 
     Attributes:
         name: One word, as in the column `kind` of events.parquet.
-        find: The events of a log in any order; Unavailable where the log lacks what is needed to look.
-        meaning: What it is and between which times it lasts, with its thresholds.
-        measures: What `Event.value` is; empty: it is NaN.
-        unit: Of the value: "m", "s", "m/s", "m/s2", "1".
-        source: Where the definition comes from; empty: it is ours.
+        find: The events of a log in any order; raises Unavailable if the log lacks the required data.
+        meaning: Its definition, begin and end, with its thresholds.
+        measures: The meaning of `Event.value`; empty if that is NaN.
+        unit: Unit of the value: "m", "s", "m/s", "m/s2", "1".
+        source: Source of the definition; empty for a definition of replan.
 
     Raises:
-        ValueError: A field is not what it should be.
+        ValueError: A field is invalid.
     """
 
     name: str
@@ -92,9 +93,9 @@ class Neighbour:
     """One road user at the m steps of the grid at which it is near the ego.
 
     Attributes:
-        index: Of its track.
-        id: Of its track.
-        kind: What it is.
+        index: Index of its track.
+        id: Id of its track.
+        kind: Its kind.
         k: `(m,)` the steps, increasing.
         pose: `(5, m)` x, y (box centre, m), yaw (rad), vx, vy (m/s), world.
         accel: `(m,)` rate of its speed, m/s2.
@@ -123,7 +124,7 @@ class Neighbour:
         return np.hypot(self.pose[3], self.pose[4])
 
     def reaches_into(self, half: float) -> BoolArray:
-        """`(m,)` (3)."""
+        """Whether it reaches into the band (3), `(m,)`."""
         return (self.l - self.half_l < half) & (self.l + self.half_l > -half)
 
 
@@ -131,7 +132,7 @@ class DrivenLog:
     """A log on a grid of `metrics.boxes.GRID_S`.
 
     Args:
-        scenario: As it was read; road users in whom the recorded ego stood are left out.
+        scenario: The scenario as it was read; phantoms (`metrics.boxes.phantoms`) are left out.
 
     Attributes:
         scenario: The log.
@@ -143,7 +144,7 @@ class DrivenLog:
         path: The way of the rear axle.
         station: `(n,)` of the rear axle on it, m.
         front: `(n,)` station of the front bumper, m; `back` of the rear bumper.
-        neighbours: Those who come near, in the order of their tracks.
+        neighbours: The road users that come near, in the order of their tracks.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -188,7 +189,7 @@ class DrivenLog:
 
     @cached_property
     def lead(self) -> tuple[IntArray, FloatArray]:
-        """Per step the place in `neighbours` of whoever is nearest ahead in the band (-1), and the gap, m (NaN).
+        """Per step, the index in `neighbours` of the nearest one ahead in the band (-1: none), and the gap, m (or NaN).
 
         A road user that comes towards the ego is not a lead.
         """
@@ -201,7 +202,7 @@ class DrivenLog:
         return who, np.where(who >= 0, np.maximum(gap, 0.0), np.nan)
 
     def event(self, one: Neighbour, first: int, last: int, value: float, what: str = "") -> Event:
-        """An event of a road user from one of its places to another."""
+        """An event of a road user between two of its places."""
         return Event(float(self.t[one.k[first]]), float(self.t[one.k[last]]), float(value), (one.id,), what)
 
     def gap_to(self, one: Neighbour) -> FloatArray:
@@ -209,7 +210,7 @@ class DrivenLog:
         return one.s - one.half_s - self.front[one.k]
 
     def reached(self, s: FloatArray) -> FloatArray:
-        """When the ego's front bumper comes to stations `(m,)`, s; NaN where it was beyond at first, or never comes."""
+        """Times at which the ego's front bumper reaches stations `(m,)`, s; NaN if it starts beyond or never does."""
         front = np.maximum.accumulate(self.front)
         at = np.searchsorted(front, s)
         inside = (at > 0) & (at < len(front))
@@ -221,8 +222,8 @@ def runs(marked: BoolArray, k: IntArray | None = None, least: int = 1, hole: int
 
     Args:
         marked: `(m,)`.
-        k: `(m,)` the steps of the places: a run ends where a step is missing. None: none is.
-        least: How many places a run has.
+        k: `(m,)` the steps of the places: a run ends where a step is missing. None: no step is missing.
+        least: Least number of places of a run.
         hole: Up to this many consecutive unmarked places do not end a run.
     """
     flags = np.array(marked, np.bool_)
@@ -239,7 +240,7 @@ def runs(marked: BoolArray, k: IntArray | None = None, least: int = 1, hole: int
 
 
 def steps(seconds: float) -> int:
-    """How many steps of the grid a time is."""
+    """The number of steps of the grid in a time, s."""
     return round(seconds / GRID_S)
 
 

@@ -1,8 +1,7 @@
-"""Events of the ego alone: how it drives, and what the map and the lights ask of it.
+"""Events of the ego alone: its motion, and its behaviour at elements of the map and at lights.
 
-The lane that the ego is on at a step contains its box centre and leads its way (`logs.route.on_lane`). Where several
-do, it stays on the one that it is on, then takes a successor of that, then a neighbour, each time the one that holds
-for longest.
+The lane that the ego is on at a step contains its box centre and leads its way (`logs.route.on_lane`). If several lanes
+do, the ego stays on its lane, then takes a successor of it, then a neighbour, always the one that fits for longest.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ class Stay:
 
 @once
 def stays(log: DrivenLog) -> tuple[Stay, ...]:
-    """The lanes that the ego drove, in order of time; steps on no lane are in none."""
+    """The lanes that the ego drove, in order of time; steps outside of all lanes are in no stay."""
     road, (x, y, yaw) = log.scenario.road, log.boxes[:3]
     box = np.array([x.min(), y.min(), x.max(), y.max()])
     on: dict[int, BoolArray] = {}
@@ -152,7 +151,7 @@ def _lane_change(log: DrivenLog) -> Iterable[Event] | Unavailable:
 
 
 def _turns(log: DrivenLog) -> Iterator[tuple[float, float, float]]:
-    """Stretches of the path that turn by `TURN_RAD` or more to one side: from and to which station, and the angle."""
+    """Stretches of the path that turn by `TURN_RAD` or more to one side: first station, last station, and angle."""
     s, kappa = log.path.s, log.path.kappa
     for sign in (1.0, -1.0):
         bent = sign * kappa > TURN_KAPPA

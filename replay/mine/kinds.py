@@ -1,8 +1,8 @@
-"""The table of event kinds, those of a planner over a log, and their page docs/events.md.
+"""The table of event kinds, the events of a planner over a log, and their page docs/events.md.
 
-A planner plans open loop: events say where its plans differ from what was driven, fall back, or flip, by the metrics
-of plans (`metrics.plans`). A frame differs where its plan misses what was driven within 3 s (`miss.3s`), and flips
-where it is more than `FLIP_M` to the side of the plan before it (`plan_change_lateral`).
+A planner plans open loop: events say where its plans differ from the recorded drive, fall back, or flip, by the metrics
+of plans (`metrics.plans`). A frame differs if its plan misses the recorded drive within 3 s (`miss.3s`), and flips if
+it is more than `FLIP_M` to the side of the plan before it (`plan_change_lateral`).
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from replay.mine.road_users import ROAD_USERS
 KINDS: Mapping[str, EventKind] = MappingProxyType(
     {each.name: each for each in (*ROAD_USERS, *EGO_AND_ROAD, *CONFLICTS)}
 )
-"""By name."""
+"""The built-in event kinds by name."""
 EVENT_KIND: Kind[EventKind] = Kind("event kind", "events", KINDS, an_instance(EventKind, "replan.EventKind"))
-"""Finds those, and users' own."""
+"""Finds event kinds by name: the built-in ones and those of users."""
 HORIZON_S = 3
 FLIP_M = 1.0
 
 
 def _of_planners(log: DrivenLog) -> tuple[Event, ...]:
-    """These are found by `plan_events`, which needs a planner."""
+    """Return no events: `plan_events`, which needs a planner, finds these kinds."""
     return ()
 
 
@@ -121,7 +121,7 @@ replan mine my_logs --kind my_kinds:CREEPS -o results/mined
 
 
 def page() -> str:
-    """docs/events.md."""
+    """The text of docs/events.md."""
     planners = "\n## Of a planner (`--planner`)\n"
     return "\n".join([HEAD, *_rows(KINDS.values()), planners, *_rows(PLAN_KINDS.values()), OWN]).rstrip()
 

@@ -1,8 +1,8 @@
-"""`replan mine`: finds what happened in logs, without a planner, and writes it as tables.
+"""`replan mine`: finds events in logs, without a planner, and writes them as tables.
 
-A log that cannot be read is left out: its row of logs.parquet says why. Where the log holds no drive, or lacks what a
-kind needs (lanes, crosswalks, lights), the kind is not looked for, and logs.parquet names it: nothing found is not the
-same as not looked for. The tables do not depend on the number of workers.
+A log that cannot be read is left out: its row of logs.parquet has the reason. If the log has no drive, or lacks data
+that a kind needs (lanes, crosswalks, lights), the kind is not searched, and logs.parquet names it, because "not found"
+differs from "not searched". The tables do not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ from replay.run.sources import LogSource, Selection, log_hash
 
 EVENTS, LOGS, HEALTH, CARD = "events.parquet", "logs.parquet", "health.parquet", "mined.json"
 CURVE_KAPPA = 1.0 / 150.0
-"""A road that is more bent is a curve."""
+"""A road with more curvature than this is a curve, 1/m."""
 JUNCTION_M = 8.0
-"""Where lanes cross so near on the ego's path, it is at a junction."""
+"""The ego is at a junction if lanes cross within this distance on its path."""
 SPEEDS = ((0.5, "standing"), (30.0 / 3.6, "to 30 km/h"), (50.0 / 3.6, "to 50 km/h"), (90.0 / 3.6, "to 90 km/h"))
 FASTER = "above 90 km/h"
 ROADS = ("roundabout", "junction", "curve", "straight", "no lanes")
 ALONE = "none"
-"""In place of a road user's kind where an event is of the ego alone."""
+"""The value of `agent_kind` for an event of the ego alone."""
 PLACES = ("location", "place", "city", "country")
 WEATHERS = ("weather", "time_of_day", "environment")
-"""Entries of a log's metadata that say where and in which weather it was driven."""
+"""Entries of a log's metadata with the place and the weather."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +56,10 @@ class MinedLog:
     """The result of one log.
 
     Attributes:
-        name: Of the log; its source's label where it could not be read.
+        name: Name of the log; the label of its source if it could not be read.
         row: Its row of logs.parquet.
-        events: Its rows of events.parquet; `health` of health.parquet.
-        failures: What could not be done, one line each.
+        events: Its rows of events.parquet; `health` are its rows of health.parquet.
+        failures: The failures, one line each.
     """
 
     name: str
@@ -77,7 +77,7 @@ class Mined:
         events: A row per event (docs/results.md).
         logs: A row per log.
         health: A row per finding.
-        failures: What could not be done, one line each.
+        failures: The failures, one line each.
     """
 
     events: pd.DataFrame
@@ -95,15 +95,15 @@ def mine(
     workers: int = 0,
     on_log: Callable[[MinedLog], None] = lambda log: None,
 ) -> Mined:
-    """Look for events in logs.
+    """Find events in logs.
 
     Args:
         selection: The logs.
-        run: How logs are read, and the settings of the planners.
+        run: Settings for reading logs, and of the planners.
         kinds: "module:NAME" of kinds of your own, beside the built-in ones.
         planners: Planners that plan open loop over each log: the kinds of `replay.mine.kinds`.
-        workers: Child processes; 0: this one.
-        on_log: Called as each log ends, in order of ending.
+        workers: Number of child processes; 0: this process.
+        on_log: Called when each log ends, in order of ending.
 
     Raises:
         ConfigError: A kind or planner is unknown.
@@ -123,7 +123,7 @@ def mine(
         on_log(found[index])
     logs = [found[index] for index in sorted(found)]
     names = Counter(log.name for log in logs)
-    for place, log in enumerate(logs, 1):  # those that share a name get the hash of their content, or their place
+    for place, log in enumerate(logs, 1):  # logs that share a name get the hash of their content, or their index
         if names[log.name] > 1:
             name = f"{log.name}@{str(log.row['sha256'])[:8] or place}"
             events, findings = (table.assign(log=name) if len(table) else table for table in (log.events, log.health))
@@ -138,7 +138,7 @@ def write(mined: Mined, run: RunConfig, kinds: Sequence[str], planners: Sequence
     """Write the tables into a result folder, which is emptied first; the folder (None: the next free one).
 
     Raises:
-        ConfigError: The folder holds something else, or another run writes into it.
+        ConfigError: The folder contains other files, or another run writes into it.
         OutputError: The disk is full.
     """
     out = next_free() if out is None else out
@@ -208,7 +208,7 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
 
 
 def _load_kinds(kinds: Sequence[str]) -> tuple[EventKind, ...]:
-    """The built-in kinds and those that are named; ConfigError where one is unknown, or has the name of another."""
+    """The built-in kinds and the named ones; ConfigError if one is unknown, or has the name of another."""
     return (*KINDS.values(), *(EVENT_KIND.find(name) for name in kinds if name not in KINDS))
 
 
@@ -248,7 +248,7 @@ def _not_mined(label: str, line: str) -> MinedLog:
 
 
 def summary(mined: Mined) -> list[str]:
-    """What was found, a line each."""
+    """The events and failures in words, a line each."""
     read = mined.logs[mined.logs["error"] == ""]
     hours = float(read["duration_s"].sum()) / 3600.0
     lines = [f"{counted(len(read), 'log')}, {hours:.2f} h: {counted(len(mined.events), 'event')}"]

@@ -1,12 +1,13 @@
 """`replan query`: SQL over the tables of a result folder, read only; `replan cut`: the moments that it finds, as logs.
 
-The views are the tables of docs/results.md under their names without ending: of a run `metrics`, `verdicts`, `groups`,
-`health`, `timings`, `frames`, `logs`, `drives`, `gates`, `failures`, `decisions`; of mined logs `events`, `logs`,
+The views are the tables of docs/results.md under their names without suffix: for a run `metrics`, `verdicts`, `groups`,
+`health`, `timings`, `frames`, `logs`, `drives`, `gates`, `failures`, `decisions`; for mined logs `events`, `logs`,
 `health`. Only those whose names are in the query are read. DuckDB runs one SELECT in memory, with its access to files,
-networks and extensions locked: a query reads these views and nothing else.
+networks and extensions locked: a query can read only these views.
 
-A row of a query gives a log and a moment: its columns `t_from_s` and `t_to_s`, or `time_s`, or `t_s`. Moments of one
-log that overlap after `before` and `after` are added are one. The cut log is native, ready for `replan evaluate`, with
+A row of a query gives a log and a moment: its columns `t_from_s` and `t_to_s`, or `time_s`, or `t_s`. Moments
+of one log that overlap after `before` and `after` are added are
+merged. The cut log is native, ready for `replan evaluate`, with
 its origin in its metadata ("cut.of", "cut.from_s", "cut.to_s", and the kinds of its events in "cut.kinds").
 """
 
@@ -40,12 +41,12 @@ LOCKED = (
     "SET autoinstall_known_extensions = false",
     "SET autoload_known_extensions = false",
     "SET python_enable_replacements = false",
-    "SET threads = 1",  # the order of rows that no ORDER BY asks for
+    "SET threads = 1",  # a fixed order of rows without ORDER BY
     "SET lock_configuration = true",
 )
 TIMES = (("t_from_s", "t_to_s"), ("time_s", "time_s"), ("t_s", "t_s"))
 LEAST_S = 0.5
-"""A cut that would hold less of the log is an error."""
+"""A cut with less of the log than this is an error."""
 WRITERS: Mapping[str, Callable[[pd.DataFrame, Path], object]] = {
     ".csv": lambda table, path: table.to_csv(path, index=False, lineterminator="\n"),
     ".parquet": lambda table, path: table.to_parquet(path, index=False),
@@ -53,14 +54,14 @@ WRITERS: Mapping[str, Callable[[pd.DataFrame, Path], object]] = {
         (table.to_json(orient="records", indent=2, double_precision=15) or "[]") + "\n", encoding="utf-8"
     ),
 }
-"""By the ending of the file."""
+"""Functions that write rows, by the suffix of the file."""
 
 
 def views(folder: Path) -> Mapping[str, Callable[[], pd.DataFrame]]:
     """The function that reads each view of a result folder.
 
     Raises:
-        ConfigError: It is neither the result of a run nor of `replan mine`.
+        ConfigError: The folder is neither the result of a run nor of `replan mine`.
     """
     if (folder / CARD).is_file():
         return {name: lambda name=name: getattr(read_mined(folder), name) for name in MINED_VIEWS}  # type: ignore[misc]
@@ -71,14 +72,14 @@ def views(folder: Path) -> Mapping[str, Callable[[], pd.DataFrame]]:
 
 
 def query(folder: Path, sql: str) -> pd.DataFrame:
-    """The rows that one SELECT gives.
+    """The result rows of one SELECT.
 
     Args:
-        folder: Of a run, or of `replan mine`.
+        folder: Result folder of a run or of `replan mine`.
         sql: The SELECT, over `views`.
 
     Raises:
-        ConfigError: DuckDB is not installed, the SQL is wrong or no SELECT, or what it asks for is locked.
+        ConfigError: DuckDB is not installed, the SQL is invalid or not a SELECT, or it needs access that is locked.
         LogError: A table is damaged.
     """
     try:
@@ -105,10 +106,10 @@ def query(folder: Path, sql: str) -> pd.DataFrame:
 
 
 def write_rows(table: pd.DataFrame, path: Path) -> None:
-    """Write rows as .csv, .parquet or .json, by the ending.
+    """Write rows as .csv, .parquet or .json, by the suffix.
 
     Raises:
-        ConfigError: Another ending.
+        ConfigError: The suffix is another.
         OutputError: The file cannot be written.
     """
     if path.suffix not in WRITERS:
@@ -140,11 +141,11 @@ def moments(folder: Path, where: str, table: str = "events", before: float = 5.0
     """The moments that a condition selects, sorted by log and begin.
 
     Args:
-        folder: Of a run, or of `replan mine`.
+        folder: Result folder of a run or of `replan mine`.
         where: The condition, in SQL, over the columns of `table`.
         table: The view that is queried.
-        before: What is added before each row's begin, s.
-        after: What is added after its end, s.
+        before: Time that is added before each row's begin, s.
+        after: Time that is added after its end, s.
 
     Raises:
         ConfigError: As `query`; nothing is selected, or the view has no log and time.
@@ -174,10 +175,10 @@ def moments(folder: Path, where: str, table: str = "events", before: float = 5.0
 
 
 def cut_logs(folder: Path, found: Sequence[Moment], out: Path) -> Iterator[Path]:
-    """Write a native log per moment into a folder; gives each file as it is written.
+    """Write a native log per moment into a folder; yields each file when it is written.
 
     Raises:
-        ConfigError: A log is not where it was, or the folder holds a file of this name.
+        ConfigError: A log was moved, or the folder contains a file of this name.
         LogError: A log cannot be read.
         OutputError: A file cannot be written.
     """

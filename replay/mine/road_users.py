@@ -19,11 +19,11 @@ from replay.mine.driven_log import DrivenLog, Event, EventKind, Neighbour, runs,
 ALONG = float(np.cos(np.pi / 4.0))
 MOVES_MPS, WALKS_MPS = 1.0, 0.3
 HOLE_S = 0.5
-"""An event that is interrupted for no longer than this is one event."""
+"""Longest interruption of one event."""
 AROUND_S = 1.0
-"""How long a cut-in is out of the band before and stays in it afterwards; for cut-outs the other way round."""
+"""Time for which a cut-in is out of the band before and in it afterwards; for cut-outs the other way round."""
 HEADWAY_S, HEADWAY_M = 3.0, 10.0
-"""How near ahead of a moving ego a cut-in or cut-out is an event: in time, or in way at low speed."""
+"""Largest distance ahead of a moving ego of a cut-in or cut-out: as a time, or in m at low speed."""
 BRAKES_MPS2, BRAKES_S = 3.0, 0.3
 LEAD_S, LEAD_M = 4.0, 15.0
 QUEUE, QUEUE_MPS, QUEUE_GAP_M, QUEUE_AHEAD_M, QUEUE_S = 3, 0.5, 15.0, 60.0, 2.0
@@ -31,16 +31,16 @@ ONCOMING_AHEAD_M, ONCOMING_S, HEAD_ON = 60.0, 1.0, float(np.cos(np.pi / 9.0))
 CYCLIST_BESIDE_M, CYCLIST_AHEAD_M, CYCLIST_S = 2.0, 30.0, 1.0
 PASS_MPS, PASS_M, PASS_VULNERABLE_M = 3.0, 0.5, 1.5
 CROSSING_S, CROSSING_AHEAD_M, WAITS_MPS = 8.0, 15.0, 2.0
-"""A pedestrian's crossing concerns the ego where the ego comes there within this, or waits so near before it."""
+"""A crossing concerns the ego if it gets there within CROSSING_S, or waits within CROSSING_AHEAD_M before it."""
 BESIDE_CROSSWALK_M = 2.0
 
 _VEHICLES = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
 
 
 def _changes(flags: BoolArray, one: Neighbour, before: int, after: int) -> Iterator[int]:
-    """Places at which a mark begins, after `before` unmarked steps on end and with `after` marked ones on end.
+    """Places at which a mark begins, after `before` unmarked steps and with `after` marked ones, all consecutive.
 
-    A road user that is lost earlier than `after` steps later must have had half of them.
+    For a road user that is lost before `after` steps, half of them are enough.
     """
     ends = dict(runs(flags, one.k))
     for first, last in runs(~flags, one.k, before):
@@ -53,7 +53,7 @@ def _changes(flags: BoolArray, one: Neighbour, before: int, after: int) -> Itera
 
 
 def _near_ahead(log: DrivenLog, one: Neighbour, j: int) -> bool:
-    """Whether a road user is so near ahead of the moving ego that a change of lane concerns it."""
+    """Whether a road user is near enough ahead of the moving ego that its change of lane concerns the ego."""
     gap, v = float(log.gap_to(one)[j]), float(log.ego.v[one.k[j]])
     return 0.0 < gap <= max(HEADWAY_S * v, HEADWAY_M) and v > MOVES_MPS and float(one.speed[j]) > MOVES_MPS
 
@@ -61,7 +61,7 @@ def _near_ahead(log: DrivenLog, one: Neighbour, j: int) -> bool:
 def _moved_aside(one: Neighbour, j: int) -> bool:
     """Whether it was its own motion that changed its place in the band: more than half a metre across its heading.
 
-    What changes because the path bends away from a road user that goes straight on does not count.
+    A change because the path bends away from a road user that goes straight on is ignored.
     """
     low, high = max(j - steps(2.0), 0), min(j + steps(1.0), len(one.k) - 1)
     yaw = np.unwrap(one.pose[2, low : high + 1])
@@ -156,7 +156,7 @@ def _close_pass(log: DrivenLog) -> Iterator[Event]:
         beside = (one.s + one.half_s > log.back[one.k]) & (one.s - one.half_s < log.front[one.k])
         along = np.abs(one.along) > ALONG
         if one.kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
-            along = np.ones(len(one.k), np.bool_)  # a box of people or things has no direction that says much
+            along = np.ones(len(one.k), np.bool_)  # the heading of a pedestrian or object is not meaningful
             along &= one.speed < MOVES_MPS if one.kind is AgentKind.OBJECT else one.speed < 3.0
         passed = beside & along & (room < bound) & (room >= 0.0) & (log.ego.v[one.k] > PASS_MPS)
         for first, last in runs(passed, one.k, hole=steps(HOLE_S)):
@@ -172,7 +172,7 @@ def _pedestrian_crossing(log: DrivenLog, *, off_crosswalks: bool = False) -> Ite
     for one in log.neighbours:
         if one.kind is not AgentKind.PEDESTRIAN:
             continue
-        for first, last in runs(one.reaches_into(log.half), one.k):  # they are in the band ahead of the ego
+        for first, last in runs(one.reaches_into(log.half), one.k):  # the road user is in the band ahead of the ego
             low, high = max(first - steps(1.0), 0), min(last + steps(1.0), len(one.k) - 1)
             aside = abs(float(one.l[high] - one.l[low]))
             walked = aside > max(log.half, WALKS_MPS * 0.1 * (high - low))

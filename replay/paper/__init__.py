@@ -1,1 +1,1 @@
-"""The experiments of the paper: figures, controllers compared, the pedestrian varied (`replan paper`)."""
+"""The experiments of the paper: figures, a comparison of controllers, variations of the pedestrian (`replan paper`)."""

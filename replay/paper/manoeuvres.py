@@ -1,11 +1,11 @@
-"""Controllers compared: manoeuvres given as plans, without a planner, on each vehicle model.
+"""Compares controllers: each vehicle model follows manoeuvres that are given as plans, without a planner.
 
     python -m replay.paper.manoeuvres [--vehicle NAME ...] [--controller NAME ...] [--roads 50] [--robustness]
         [--car NAME] [--entry-speed] [--csv FILE]
 
 Tracking only: the whole reference is one plan, known in advance; the vehicle starts on it. "roads" are seeded roads of
-15 s with up to 3 m/s2 to the side, their rows joined: the RMS over all of them, the maxima of the worst. A drive that
-is LOST_M off its path is lost and ends there: its errors are those until then.
+15 s with up to 3 m/s2 of lateral acceleration, in one row: the RMS over all roads, and the maxima of the worst one. A
+drive that is LOST_M off its path is lost and ends there; its errors are those until then.
 
 The path y(x) of the rear axle through the tracks of ISO 3888 (`logs.catalogue.iso3888`) minimises the integral of
 y''^2 + W y'''^2 with the body between the cones:
@@ -42,11 +42,11 @@ STEP_M = 0.5
 BEFORE_M, AFTER_M = 60.0, 60.0
 JERK_WEIGHT = 100.0
 SPARE_M = 0.1
-"""Room that the path leaves beside the cones: the body does not point along the path where the tyres slip."""
+"""Space between the path and the cones: the body does not point along the path where the tyres slip."""
 
 
 def cones_hit(places: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, car: VehicleParameters) -> int:
-    """How many of the cones the vehicle's box touched, by the states of its rear axle `(m,)`."""
+    """The number of cones that the vehicle's box touched, from the states of its rear axle `(m,)`."""
     dx, dy = places[:, 0, None] - x, places[:, 1, None] - y
     along, left = dx * np.cos(yaw) + dy * np.sin(yaw), dy * np.cos(yaw) - dx * np.sin(yaw)
     inside = (along >= -car.rear_overhang) & (along <= car.axle_to_front) & (np.abs(left) <= 0.5 * car.width)
@@ -57,7 +57,7 @@ def cone_path(sections: tuple[iso3888.Section, ...], car: VehicleParameters) -> 
     """The path (1) `(n, 2)` of the rear axle, STEP_M apart in x.
 
     Raises:
-        ConfigError: The vehicle does not fit.
+        ConfigError: The vehicle does not fit between the cones.
     """
     x = np.arange(-BEFORE_M, sections[-1].end + AFTER_M + 0.5 * STEP_M, STEP_M)
     n = len(x)
@@ -92,7 +92,7 @@ def _differences(n: int, order: int) -> FloatArray:
 PERIOD_S = 0.01
 SAMPLE_S = 0.1
 JERK_OVER = 10
-"""Control periods over which the jerk is taken: gear shifts and pedals are steps."""
+"""Number of control periods over which the jerk is averaged, because gear shifts and pedals are steps."""
 ALAT_MPS2 = 3.0
 LOST_M = 5.0
 FASTEST_KMH = 90
@@ -105,10 +105,10 @@ class Manoeuvre:
     """A reference to follow.
 
     Attributes:
-        name: In the table.
+        name: Name in the table.
         reference: The plan, at the rear axle.
         cones: Places `(n, 2)` that must not be touched, m.
-        plant: What the vehicle has and its controller does not know of, such as the road's friction.
+        plant: Plant parameters that are hidden from the controller, such as the road's friction.
     """
 
     name: str
@@ -196,7 +196,7 @@ def obstacle_avoidance(car: VehicleParameters, kmh: float = 50.0) -> Manoeuvre:
 
 
 def road(seed: int) -> Manoeuvre:
-    """A road of arcs with up to ALAT_MPS2 to the side, joined by clothoids of 1 to 2 s, at a speed that wavers."""
+    """A road of arcs with up to ALAT_MPS2 laterally, joined by clothoids of 1 to 2 s, at a speed that wavers."""
     rng = np.random.default_rng(seed)
     v, swing = rng.uniform(6.0, 25.0), rng.uniform(0.0, 0.1)
     fastest = v * (1.0 + swing)
@@ -213,7 +213,7 @@ def road(seed: int) -> Manoeuvre:
 
 
 def manoeuvres(car: VehicleParameters) -> tuple[Manoeuvre, ...]:
-    """Those of the table, but for the roads."""
+    """The manoeuvres of the table, except the roads."""
     return (
         s_curve(50.0, 12.0, "paper_s_curve"),
         turn(30.0, 8.0),
@@ -230,7 +230,7 @@ class Driven:
 
     Attributes:
         columns: t, x, y, yaw, lateral, heading, speed, station error, a, wheel angle.
-        notes: Of the controller.
+        notes: Notes of the controller.
     """
 
     columns: Mapping[str, FloatArray]
@@ -301,7 +301,7 @@ VARIANTS: dict[str, tuple[Mapping[str, float], int]] = {
     "tyre stiffness -30 %": ({"tyre_stiffness": 0.7}, 0),
     "delay +100 ms": ({}, 10),
 }
-"""The robustness table: factors on what the vehicle has, and control periods by which commands are late."""
+"""Variants of the robustness table: factors on plant parameters, and the delay of commands in control periods."""
 
 
 def compare(
@@ -331,7 +331,7 @@ def compare(
 def fastest_clean(controller: str, vehicle: str, car: VehicleParameters) -> float:
     """The highest entry speed of ISO 3888-2 up to which no cone is hit, km/h, in steps of 1 from 30 to FASTEST_KMH.
 
-    NaN where one is hit at 30 km/h.
+    A lost drive is treated as a hit; NaN if there is a hit at 30 km/h.
     """
     for kmh in range(30, FASTEST_KMH + 1):
         trial = obstacle_avoidance(car, float(kmh))

@@ -1,11 +1,11 @@
-"""The paper's crossing pedestrian, varied: speed of the ego x speed of the walker x who comes first, and by how much.
+"""The paper's crossing pedestrian, varied: speed of the ego, speed of the walker, and when the walker arrives.
 
-Each cell is `paper/crossing_pedestrian` with another speed, another walk and another distance. Of the log only the
-first ego state is taken: a careful driver cannot avoid every cell.
+Each cell is `paper/crossing_pedestrian` with another speed, another walk and another distance. Only the first ego state
+of the log is used, because a careful driver cannot avoid contact in every cell.
 
-What a point mass can do there, which is what a cell is judged by: keep its speed, or brake and stay behind the walker.
-The two boxes meet at right angles; f(t) is the front bumper's way from the walker's nearer side, and he is within the
-ego's width from t_in to t_out:
+A cell is judged by the options of a point mass: keep its speed, or brake and stay behind the walker.
+The two boxes meet at right angles; f(t) is the front bumper's way from the walker's nearer side, and the walker is
+within the ego's width from t_in to t_out:
 
 (1) keeping its speed avoids him   <=>  f(t_out) <= 0  or  f(t_in) >= ego length + walker width      f = v t - g
 (2) braking avoids him             <=>  f(t_out) <= 0                f = v t_b - g + s(t - t_b) from t_b on
@@ -46,7 +46,7 @@ WALKER_MPS = (0.8, 1.15, 1.5, 1.85, 2.2)
 LATE_S = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
 REACTION_S = 0.0
 WALK_RAMP_S = 0.4
-"""In which the walker of the family comes to speed."""
+"""Time in which the walker of the family reaches its speed, s."""
 RELEASE_S = 1.0
 JERK_MPS3 = 4.13
 """Comfort bound of the longitudinal jerk (metrics.comfort)."""
@@ -62,8 +62,8 @@ class Cell:
     Attributes:
         ego_kmh: Speed of the ego and of the road.
         walker_mps: Speed of the walker.
-        late_s: When the walker is in the middle of the lane, minus when the front bumper of an ego that keeps its
-            speed is at his line.
+        late_s: Time at which the walker is in the middle of the lane, minus the time at which the front bumper of an
+            ego that keeps its speed reaches the walker's line.
     """
 
     ego_kmh: float
@@ -72,7 +72,7 @@ class Cell:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """What it changes of the family."""
+        """The parameters of the family that the cell changes."""
         nominal = crossing_pedestrian.parameters
         middle = (HALF_LANE + nominal["kerb_distance_m"]) / self.walker_mps + 0.5 * WALK_RAMP_S
         v = self.ego_kmh / 3.6
@@ -90,7 +90,7 @@ def crossing(cell: Cell) -> Scenario:
 
 
 def walker_within(scenario: Scenario, margin: float) -> tuple[float, float]:
-    """When the walker is first and last within the ego's width and `margin` on each side, s."""
+    """First and last time at which the walker is within the ego's width and `margin` on each side, s."""
     track = scenario.tracks
     reach = 0.5 * (scenario.vehicle.width + ADULT[0]) + margin
     entry, leave = (float(np.interp(side, track.y, track.t)) for side in (-reach, reach))
@@ -98,7 +98,7 @@ def walker_within(scenario: Scenario, margin: float) -> tuple[float, float]:
 
 
 def braked(u: float, v: float, limits: SpeedLimits) -> float:
-    """Way (3) of a point mass `u` >= 0 s after it began to brake from `v` m/s, m."""
+    """Distance (3) of a point mass `u` >= 0 s after it began to brake from `v` m/s, m."""
     b, j = limits.decel_mps2, limits.jerk_mps3
     ramp = min(b / j, sqrt(2.0 * v / j))
     left = max(v - 0.5 * j * ramp**2, 0.0)
@@ -108,7 +108,7 @@ def braked(u: float, v: float, limits: SpeedLimits) -> float:
 
 @dataclass(frozen=True)
 class Avoidable:
-    """What a point mass can do in a cell: (1), and (2) with comfortable and with hard braking."""
+    """Whether a point mass avoids contact in a cell: by (1), and by (2) with comfortable and with hard braking."""
 
     keeping_speed: bool
     comfortable: bool
@@ -121,7 +121,7 @@ class Avoidable:
 
 
 def avoidable(cell: Cell) -> Avoidable:
-    """What can be done in a cell (module docstring)."""
+    """The options of a point mass in a cell (module docstring)."""
     scenario, qp, v = crossing(cell), SpeedQpConfig(), cell.ego_kmh / 3.6
     car, walk = scenario.vehicle, crossing_pedestrian.parameters["walk_start_s"]
     t_in, t_out = walker_within(scenario, 0.0)
@@ -133,7 +133,7 @@ def avoidable(cell: Cell) -> Avoidable:
 
 
 def braking_intervals(trace: Trace) -> list[tuple[float, float]]:
-    """From when to when the brake was commanded, s; short releases are bridged."""
+    """Begin and end of each interval in which the brake was commanded, s; short releases are bridged."""
     if trace.commands is None:
         return []
     pressed = np.r_[False, trace.commands.brake > PRESSED, False]
@@ -155,7 +155,7 @@ def first_reason(trace: Trace) -> str:
 
 
 def measured(cell: Cell) -> dict[str, object]:
-    """One row of the table: the cell, what could be done, what was done."""
+    """One row of the table: the cell, the options of a point mass, and the result of the drive."""
     scenario = crossing(cell)
     trace = run_closed_loop(scenario, PLANNER, config=LOOP).trace
     names = ("gap", "lon_jerk_state", "lon_accel", "fallback", "pedals_together")
@@ -196,11 +196,11 @@ def measured(cell: Cell) -> dict[str, object]:
 
 
 def verdict(can: Avoidable, *, contact: bool, released: float, jerk: float) -> str:
-    """What is wrong with a cell: the first of these that holds.
+    """The verdict on a cell: the first of these that applies.
 
-    "failed"        the drive ended otherwise (`measured`)
-    "contact"       hard braking would have avoided it
-    "drive on"      contact; braking could not avoid it, but keeping the speed
+    "failed"        the planner failed, or the ego left the road (`measured`)
+    "contact"       contact that hard braking would have avoided
+    "drive on"      contact; braking could not avoid it, but keeping the speed could
     "unavoidable"   contact; neither could
     "late release"  the brake was still pressed RELEASE_S after the path was clear
     "jerk"          above the comfort bound, where no hard braking was needed

@@ -1,4 +1,4 @@
-"""The paper's experiments by one command: figures, recordings, controllers compared, the pedestrian varied.
+"""Runs the paper's experiments: figures, recordings, the comparison of controllers, variations of the pedestrian.
 
     OUT/fig09_path.png            planned and driven path on paper/free_road, lateral error over station
     OUT/fig10_st.png              scene and S-T graph before, while and after the pedestrian blocks the path
@@ -10,9 +10,10 @@
     OUT/pedestrian_grid.csv       and .png: the pedestrian varied (replay.paper.pedestrian_grid)
     OUT/paper.md                  all of it on one page
 
-No clock is in them but for the planner's stage times in the recordings: two runs give the same bytes of the rest. Each
+The files contain no measured times except the planner's stage times in the recordings: two runs otherwise give the same
+bytes. Each
 file is written under a temporary name and renamed.
-What agrees with the paper, and what it gets wrong, is in docs/paper.md.
+docs/paper.md compares the results with the paper.
 """
 
 from __future__ import annotations
@@ -46,13 +47,13 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class PaperConfig:
-    """How much is run.
+    """The extent of the experiments.
 
     Attributes:
-        vehicles: Vehicle models of the tables of controllers; the figures have the first one's.
+        vehicles: Vehicle models of the tables of controllers; the figures use the first one.
         roads: Seeded roads among the manoeuvres.
-        cells: Of the pedestrian grid.
-        workers: Processes of the grid; 0: in this one. The same results.
+        cells: Cells of the pedestrian grid.
+        workers: Number of processes for the grid; 0: this process. The results are the same.
 
     Raises:
         ConfigError: A vehicle model is unknown, or a number is negative.
@@ -77,7 +78,7 @@ DEFAULT = PaperConfig()
 def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda line: None) -> Path:
     """Run all experiments; `say` is called with each step. Returns the page `paper.md`.
 
-    Files of these names are replaced, others in the folder are left alone.
+    Files of these names are replaced; other files in the folder are kept.
 
     Raises:
         ConfigError: The folder cannot be made.
@@ -116,7 +117,7 @@ def drive(scenario: Scenario, vehicle: str, controller: str) -> Drive:
 
 
 def free_road(out: Path, vehicle: str) -> dict[str, str]:
-    """Fig. 9 and its recording; what it shows, in words."""
+    """Make Fig. 9 and its recording; returns its facts in words."""
     scenario = paper.free_road.scenario()
     drives = {name: drive(scenario, vehicle, name) for name in ("mpc", "dlqr_pid")}
     traces = [(name, one.trace) for name, one in drives.items()]
@@ -136,7 +137,7 @@ def free_road(out: Path, vehicle: str) -> dict[str, str]:
 
 
 def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
-    """Fig. 10, Fig. 12 and their recording; what they show, in words."""
+    """Make Fig. 10, Fig. 12 and their recording; returns their facts in words."""
     scenario = paper.crossing_pedestrian.scenario()
     made = drive(scenario, vehicle, "mpc")
     trace = made.trace
@@ -159,7 +160,7 @@ def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
 
 
 def planned_points(trace: Trace) -> FloatArray:
-    """Where the plan being driven wanted the rear axle at each time of the drive `(n, 2)`, m; no plan delay."""
+    """Positions `(n, 2)` of the rear axle by the plan in force at each time of the drive, m, without plan delay."""
     starts = np.array([frame.t for frame in trace.frames])
     owner = np.searchsorted(starts, trace.ego.t + 1e-9) - 1
     points = [trace.frames[k].plan.trajectory.at(t) for k, t in zip(owner, trace.ego.t.tolist(), strict=True)]
@@ -170,7 +171,7 @@ def blocked_moments(frames: Sequence[PlannedFrame]) -> list[tuple[str, PlannedFr
     """The first frame in which an agent is in the S-T graph, the middle one, and the first one after the last.
 
     Raises:
-        ConfigError: No agent ever is, or one is until the end.
+        ConfigError: No agent is ever in the S-T graph, or one is until the end.
     """
     graphs = [[one for one in frame.plan.internals if isinstance(one, StGraph)] for frame in frames]
     blocked = [i for i, some in enumerate(graphs) if any(graph.obstacles for graph in some)]
@@ -197,7 +198,7 @@ SCENARIO_COLUMNS: dict[str, str] = {
 
 
 def scenario_table(vehicles: Sequence[str], controllers: Sequence[str] = tuple(CONTROLLERS)) -> pd.DataFrame:
-    """A row per vehicle model, scenario of the paper and controller; at the end the perfect vehicle, as the bound."""
+    """A row per vehicle model, scenario of the paper and controller; last the perfect vehicle, as the bound."""
     wanted = {name.partition(".")[0] for name in SCENARIO_COLUMNS.values()}
     metrics = {name: METRICS[name] for name in METRICS if name in wanted}
     pairs = [(vehicle, name) for vehicle in vehicles if vehicle != "perfect" for name in controllers]
@@ -219,7 +220,7 @@ def _write_table(path: Path, table: pd.DataFrame) -> None:
 
 
 def markdown(table: pd.DataFrame) -> str:
-    """A table in Markdown; numbers with three digits, `-` where there is none."""
+    """A table in Markdown; numbers have three digits; `-` is NaN."""
     lines = ["| " + " | ".join(table.columns) + " |", "|" + "---|" * len(table.columns)]
     for row in table.itertuples(index=False):
         cells = (str(v) if not isinstance(v, float) else "-" if np.isnan(v) else f"{v:.3g}" for v in row)
@@ -232,7 +233,7 @@ FAILED_COLUMNS = (
     "brake_begin_s", "braking_s", "path_clear_s", "release_after_clear_s", "peak_decel_mps2", "peak_jerk_mps3",
     "first_reason",
 )  # fmt: skip
-"""The page's part about the cells in which something failed."""
+"""Columns of the page's table of the cells in which something failed."""
 
 
 def _page(
@@ -242,7 +243,7 @@ def _page(
     manoeuvres: pd.DataFrame,
     cells: pd.DataFrame,
 ) -> str:
-    """paper.md."""
+    """The text of paper.md."""
     counts = cells["verdict"].value_counts(sort=False)
     bad = cells[~cells["verdict"].isin(["ok", "unavoidable"])]
     lists = ["\n".join(f"- {key}: {value}" for key, value in facts.items()) for facts in (first, second)]

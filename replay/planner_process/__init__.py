@@ -1,10 +1,10 @@
-"""Planners kept apart: a planner that is not built in plans in a process of its own, and receives only frames.
+"""Planners in separate processes: a planner that is not built in has its own process, and receives only frames.
 
-schema      the messages (docs/planners_apart.md describes them field by field), and their nouns
+schema      the messages (docs/planners_apart.md describes each field), and their conversion
 channel     messages over file descriptors, with deadlines
 launcher    a small warm process per worker from which planners' processes are forked, and templates of them
-processes   the worker's side of it: a process that is started, waited for, killed
+processes   the worker's side of the launcher: starts a process, waits for it, kills it
 child       the Python planner in its process
-connection  a message and its answer within limits, and the planner that a loop sees
+connection  requests with time limits, and the planner object for a loop
 batch       several logs in lock step, whose frames one planner plans at once
 """

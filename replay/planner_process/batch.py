@@ -1,9 +1,9 @@
 """Several logs in lock step: the frames of one step are sent to one planner's process together (`loop.apart.batch`).
 
-Each log is evaluated in a thread, of which one runs at a time, until its drive asks the planner; then the next one
-runs. So code that drives, measures or writes knows no threads, and the results depend on no clock. When all
-logs wait, they are answered. First come the frames of the drive that is on (one planner, one loop; each log has made as
-many steps). Where no log waits for a plan any more, the drive begins that comes first of those that they wait for.
+Each log is evaluated in a thread. One thread runs at a time, until its drive sends a request to the planner; then the
+next one runs. So code that drives, measures or writes needs no locks, and the results depend on no clock. When all logs
+wait, their requests are answered: first the frames of the current drive (one planner, one loop, the same step in each
+log). If no log waits for a plan, the first of the drives for which logs wait begins.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ R = TypeVar("R")
 
 
 class AbandonedError(BaseException):
-    """The run has ended before this log: its thread unwinds."""
+    """The run ended before this log; raised in the thread of the log to end it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What the drive of a log asks.
+    """A request of the drive of a log.
 
     Attributes:
         place: The drive.
-        message: `schema.Hello`, where it begins, or `schema.Frame`.
-        limit: How long the answer may take, s.
-        limits: Of the planner's process.
-        load: What it loads.
+        message: `schema.Hello` at its begin, or `schema.Frame`.
+        limit: Time limit of the answer, s.
+        limits: Limits of the planner's process.
+        load: What the process loads.
     """
 
     place: DriveKey
@@ -51,11 +51,11 @@ class BatchLog(Generic[R]):
     """A log that is evaluated in a thread, which runs while `run_on` waits for it.
 
     Attributes:
-        request: What it waits for.
+        request: The request that it waits for.
         answer: The answer, or the planner's fault.
-        took_s: How long the answer took, s.
+        took_s: Duration of the answer, s.
         ended: Whether its evaluation has returned.
-        result: What that returned.
+        result: The result of its evaluation.
     """
 
     request: Request
@@ -69,7 +69,7 @@ class BatchLog(Generic[R]):
         self._thread = threading.Thread(target=copy_context().run, args=(self._run,), daemon=True)
 
     def run_on(self) -> None:
-        """Run until the log asks or has ended; what its evaluation raises is raised here."""
+        """Run until the log sends a request or has ended; exceptions of its evaluation are raised here."""
         if self._thread.ident is None:
             self._thread.start()
         else:
@@ -101,7 +101,7 @@ class BatchLog(Generic[R]):
         return BatchConnection(ask)
 
     def abandon(self) -> None:
-        """End the evaluation, with what it has to clear away."""
+        """End the evaluation; its cleanup code runs."""
         self._abandoned = True
         if self._thread.is_alive():
             self._go.release()
@@ -128,18 +128,18 @@ class BatchConnection:
         return self.answer(message, limit)
 
     def fault(self, what: str) -> FaultError:
-        """The error; the process goes on."""
+        """The error; the process continues."""
         return FaultError(what)
 
     def kill(self) -> None:
-        """Do nothing: the process goes on."""
+        """Do nothing: the process continues."""
 
 
 class BatchSession:
     """The planner's process for the drives of some logs.
 
     Args:
-        logs: Those that wait for the begin of their drive.
+        logs: The logs that wait for the begin of their drive.
     """
 
     def __init__(self, logs: Sequence[BatchLog[Any]]) -> None:
@@ -157,7 +157,7 @@ class BatchSession:
         self._answer(logs, frames, f"in step {self._steps} of drives {self._together}")
 
     def _answer(self, logs: Sequence[BatchLog[Any]], message: Any, when: str) -> None:
-        """Send a message for all these logs, and give each its answer; a failure of all is one of each."""
+        """Send a message for all these logs, and give each its answer; if it fails, all get the failure."""
         begin = time.perf_counter()
         answer: schema.Answer | FaultError
         try:

@@ -18,9 +18,9 @@ T = TypeVar("T")
 
 HEADER = struct.Struct("<I")
 PIPE_BYTES = 1 << 20
-"""Room of a pipe: a frame goes over in one piece (64 KiB is usual, 1 MiB what Linux grants to everyone)."""
+"""Size of a pipe, which holds a whole frame (the default is 64 KiB; Linux allows 1 MiB without privileges)."""
 PRINTED_BYTES = 4096
-"""How much of the end of what the planner printed is kept."""
+"""Number of last bytes of the planner's output that are kept."""
 
 
 class LateError(Exception):
@@ -36,14 +36,14 @@ class GarbageError(Exception):
 
 
 class Channel(Generic[T]):
-    """Sends any message, receives those of a type.
+    """Sends any message, and receives messages of one type.
 
     Args:
-        into: Where the other side reads.
-        out: Where it writes.
-        stderr: Where it prints, read along so that it never has to wait; -1: nowhere.
-        kind: What is received.
-        patient: Whether this side waits without deadlines: a planner.
+        into: Descriptor from which the other side reads.
+        out: Descriptor to which it writes.
+        stderr: Descriptor to which it prints, read meanwhile so that it never blocks; -1: none.
+        kind: Type of the received messages.
+        patient: Whether this side waits without deadlines, as a planner does.
     """
 
     def __init__(self, into: int, out: int, kind: Any, stderr: int = -1, *, patient: bool = False) -> None:
@@ -80,12 +80,12 @@ class Channel(Generic[T]):
                 left[0] = left[0][sent:]
 
     def receive(self, deadline: float = float("inf")) -> T:
-        """The next message, where it comes before the deadline.
+        """The next message before the deadline.
 
         Raises:
             LateError: It did not come in time.
             GoneError: The channel was closed.
-            GarbageError: It is no message of the type.
+            GarbageError: It is not a message of the type.
         """
         self._read(HEADER.size, deadline)
         (size,) = HEADER.unpack_from(self._buffer)
@@ -104,7 +104,7 @@ class Channel(Generic[T]):
         return found
 
     def _read(self, size: int, deadline: float) -> None:
-        """Until `size` bytes are in the buffer; what comes with them stays for the next message."""
+        """Read until `size` bytes are in the buffer; further bytes are kept for the next message."""
         if size > len(self._buffer):
             self._buffer = self._buffer.ljust(size, b"\0")
         while self._filled < size:
@@ -119,7 +119,7 @@ class Channel(Generic[T]):
             self._filled += came
 
     def _wait(self, fd: int, event: int, deadline: float) -> None:
-        """Until `fd` is ready; what is printed meanwhile is kept."""
+        """Wait until `fd` is ready; the end of output that is printed meanwhile is kept."""
         while True:
             poll = select.poll()
             poll.register(fd, event)
@@ -135,7 +135,7 @@ class Channel(Generic[T]):
                 return
 
     def read_printed(self) -> None:
-        """Read what the planner printed so far."""
+        """Read the output that the planner printed so far."""
         while self._stderr >= 0:
             try:
                 part = os.read(self._stderr, PIPE_BYTES)
@@ -150,7 +150,7 @@ class Channel(Generic[T]):
                 return
 
     def close(self) -> None:
-        """Close all that is open."""
+        """Close all descriptors."""
         for fd in {self._into, self._out, self._stderr} - {-1}:
             with suppress(OSError):
                 os.close(fd)
@@ -158,7 +158,7 @@ class Channel(Generic[T]):
 
 
 def widen(fd: int) -> None:
-    """Give a pipe room for a whole frame, where the system can."""
+    """Enlarge a pipe so that it holds a whole frame, if the system can."""
     with suppress(OSError, ImportError, AttributeError):
         import fcntl
 

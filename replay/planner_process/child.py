@@ -1,7 +1,7 @@
 """A Python planner in its process: it is built from a context, and answers frames with plans.
 
-Its stdin and stdout carry the messages of `replay.planner_process.schema`. The planner's code cannot use them: what it
-prints goes to stderr, whose last lines are shown where it fails.
+Its stdin and stdout carry the messages of `replay.planner_process.schema`. The planner's code cannot use them: its
+output goes to stderr, whose last lines are shown if it fails.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def load(planner: str, settings: bytes) -> None:
-    """Load what all drives of a planner share: its module, and what its class prepares (`prepared`).
+    """Load the shared parts of all drives of a planner: its module, and the data that its class prepares (`prepared`).
 
     Args:
         planner: "module:Class".
@@ -72,7 +72,7 @@ def _redirect_streams() -> None:
 
 
 def warm() -> None:
-    """Load the kernel that every plan needs: the compiler starts in 0.2 s, here once instead of in each process."""
+    """Load the kernel that every plan needs: starting the compiler takes 0.2 s, once instead of in each process."""
     Trajectory(*np.arange(14.0).reshape(7, 2))
 
 
@@ -127,7 +127,7 @@ class PlannerServer:
     def _plan_frames(
         self, plan: Callable[[list[Any], list[Frame]], Any], seats: list[int], sent: list[schema.Frame]
     ) -> Any:
-        """What the planners in some seats return for their frames; `plan` calls them."""
+        """The results of the planners in some seats for their frames; `plan` calls them."""
         planners, frames = [self._planners[seat] for seat in seats], [schema.frame_of(message) for message in sent]
         assert None not in planners, "a frame came before the context"
         self._watch.start()
@@ -150,6 +150,6 @@ def _try_answer(answer: Callable[[Any], Any], question: Any) -> Any:
         return answer(question)
     except ReplanError as error:
         return schema.Failed(str(error), "config" if isinstance(error, ConfigError) else "load")
-    except BaseException as error:  # also SystemExit: the planner has raised, and no more
+    except BaseException as error:  # also SystemExit, which is treated as an exception of the planner
         planning = isinstance(question, schema.Frame | schema.Frames)
         return schema.Failed(raised(error), "raised" if planning else "build")

@@ -25,7 +25,7 @@ from replay.planner_process.planner_config import is_foreign
 from replay.planner_process.processes import Load, Process, start_process
 
 LAST_CHARACTERS, LAST_LINES = 300, 3
-"""How much of what a planner printed last is shown where it fails."""
+"""Number of last characters and lines of a planner's output that are shown if it fails."""
 
 
 class FaultError(Exception):
@@ -36,15 +36,15 @@ class PlannerConnection(Protocol):
     """Sends messages to a planner and receives its answers."""
 
     def ask(self, message: Any, limit: float, when: str) -> schema.Answer:
-        """The answer within `limit` seconds; FaultError, with `when` in its sentence, where there is none."""
+        """The answer within `limit` seconds; FaultError, with `when` in its sentence, if there is none."""
         ...
 
     def fault(self, what: str) -> FaultError:
-        """The error for a wrong answer; where the planner serves this drive alone, it is ended."""
+        """The error for a wrong answer; a planner that serves only this drive is ended."""
         ...
 
     def kill(self) -> None:
-        """End the planner where it serves this drive alone."""
+        """End the planner if it serves only this drive."""
         ...
 
 
@@ -60,7 +60,7 @@ _of_thread = threading.local()
 
 
 def current_log() -> CurrentLog | None:
-    """The log that is evaluated in this thread together with others; None: it is evaluated alone."""
+    """The log that is evaluated in this thread together with others; None if it is evaluated alone."""
     log: CurrentLog | None = getattr(_of_thread, "log", None)
     return log
 
@@ -71,7 +71,7 @@ def set_current_log(log: CurrentLog) -> None:
 
 
 class Node:
-    """A planner that runs already, reached over TCP; the counterpart of `Process`, without a process to end."""
+    """A running planner that is reached over TCP; the counterpart of `Process`, without a process to end."""
 
     def __init__(self, spec: str, within_s: float) -> None:
         try:
@@ -94,7 +94,7 @@ class Node:
 
 
 def _open(spec: str, limits: PlannerProcessConfig, load: Load | None = None) -> Process | Node:
-    """The process, started, or the node, reached; errors as `Connection`."""
+    """Start the process, or connect to the node; errors as `Connection`."""
     if spec.startswith("tcp:"):
         return Node(spec, limits.start_timeout_s)
     return start_process(command_of(spec) if spec.startswith("exec:") else None, schema.Answer, limits, load)
@@ -105,9 +105,9 @@ class Connection:
 
     Args:
         spec: "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
-        limits: Of time and memory.
-        load: What a Python planner loads.
-        drives: How many drives it serves; the time limit of a drive is multiplied by it.
+        limits: Limits of time and memory.
+        load: The module and settings that a Python planner loads.
+        drives: Number of drives that it serves; the time limit of a drive is multiplied by it.
 
     Raises:
         ConfigError: The command or address is invalid.
@@ -139,7 +139,7 @@ class Connection:
         return answer
 
     def fault(self, what: str) -> FaultError:
-        """The error, with what the planner printed last; the planner is ended."""
+        """The error, with the last output of the planner; the planner is ended."""
         self._planner.channel.read_printed()
         last = last_words(self._planner.channel.printed)
         self.kill()
@@ -151,12 +151,12 @@ class ApartPlanner:
 
     Args:
         spec: "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
-        context: As for every planner; its clock is not used.
+        context: The context of the planner; its clock is not used.
         table: The planner's table in the configuration.
-        limits: Of time and memory.
+        limits: Limits of time and memory.
         watch: Receives the stages of a plan and how long they took, s.
         keep_internals: Whether the internals of its plans are kept.
-        place: Which of the log's drives it plans.
+        place: The key of the drive that it plans.
 
     Raises:
         ConfigError: The planner does not take such settings.
@@ -196,7 +196,7 @@ class ApartPlanner:
             raise self._connection.fault(f"cannot be built: {what}")
 
     def plan(self, frame: Frame) -> Plan:
-        """The planner's plan; FaultError where it sends none."""
+        """The planner's plan; FaultError if it sends none."""
         limit = self._limits.plan_timeout_s
         if not self._has_planned:
             limit, self._has_planned = max(limit, self._limits.start_timeout_s), True
@@ -223,7 +223,7 @@ class ApartPlanner:
 
 
 def describe_planner(spec: str, table: Mapping[str, object], limits: PlannerProcessConfig) -> dict[str, Any]:
-    """The planner's table with every default spelled out, as far as it can be known.
+    """The planner's table with all defaults; unchanged for programs and nodes, whose defaults are unknown.
 
     Raises:
         ConfigError: A key is unknown, a value has the wrong type, the command or address is invalid.
@@ -257,7 +257,7 @@ def describe_planner(spec: str, table: Mapping[str, object], limits: PlannerProc
 
 
 def command_of(spec: str) -> list[str]:
-    """The words of "exec:COMMAND", split as a shell would split them; ConfigError where there is no such program."""
+    """The words of "exec:COMMAND", split as a shell would split them; ConfigError if there is no such program."""
     try:
         words = shlex.split(spec.removeprefix("exec:"))
     except ValueError as error:
@@ -268,7 +268,7 @@ def command_of(spec: str) -> list[str]:
 
 
 def address_of(spec: str) -> tuple[str, int]:
-    """Host and port of "tcp://HOST:PORT"; ConfigError where they are missing."""
+    """Host and port of "tcp://HOST:PORT"; ConfigError if they are missing."""
     try:
         parts = urlsplit(spec)
         if parts.scheme == "tcp" and parts.hostname and parts.port:
@@ -279,11 +279,11 @@ def address_of(spec: str) -> tuple[str, int]:
 
 
 def last_words(printed: bytes) -> str:
-    """The end of what was printed, in one clean line."""
+    """The end of the output, in one clean line."""
     lines = [line for line in printed.decode("utf-8", "replace").splitlines() if line.strip()]
     return clean_text(" | ".join(line.strip() for line in lines[-LAST_LINES:]))[-LAST_CHARACTERS:]
 
 
 def clean_text(text: str) -> str:
-    """A planner's text for our messages: one line of limited length, without control characters."""
+    """A planner's text for messages of replan: one line of limited length, without control characters."""
     return "".join(each if each.isprintable() else "?" for each in " ".join(schema.shortened(text).split()))

@@ -1,26 +1,26 @@
-"""A small process, warm and without secrets, from which the planners' processes are forked.
+"""A small process with loaded modules and without logs, from which the planners' processes are forked.
 
     python -P -m replay.planner_process.launcher      its control socket is its stdin; replan starts it
     (`replay.planner_process.processes`)
 
 It has imported what every Python planner needs, and never holds a frame, so that a process for a drive starts in
-milliseconds and knows nothing of earlier drives. The control socket carries JSON, one message a line:
+milliseconds and has no data of earlier drives. The control socket carries JSON, one message a line:
 
     {"start": KEY, "argv": [...] or null, "memory": bytes or 0}    with three descriptors: stdin, stdout, stderr of it
     {"start": KEY, "load": [planner, settings], "memory": ...}     with one: the control socket of a template
     {"kill": KEY}                                    the process and its group
-    {"ended": KEY, "status": wait status}            what comes back, once for each that was started
+    {"ended": KEY, "status": wait status}            the reply, once for each process that was started
 
-`argv` null is a Python planner (`replay.planner_process.child`), else a program. Where the control socket closes, all
+`argv` null is a Python planner (`replay.planner_process.child`), else a program. When the control socket closes, all
 are killed.
 
-A template is this process once more, which has loaded a planner's module besides (`child.load`): it says
-`{"unfit": reason}`, and where the reason is empty it goes on as this one does, on its own control socket. What a fork
-would share between drives, or break, makes it unfit: threads, open files and connections, processes of its own.
+A template is a fork of this process that has also loaded a planner's module (`child.load`): it sends `{"unfit":
+reason}`, and if the reason is empty, it serves requests as this process does, on its own control socket. Threads, open
+files and connections, and own processes make it unfit, because a fork would share them between drives, or break them.
 
-A planner may start processes in sessions of their own, which its group does not hold. On Linux each of these processes
-is a subreaper (`prctl`): what loses its parent becomes its child. So a planner's process keeps what it has started as
-long as it runs; when it has ended, all that is left becomes a child of this process, which kills it.
+A planner may start processes in their own sessions, outside of its process group. On Linux each of these processes is a
+subreaper (`prctl`): orphans become its children. So a planner's process keeps its descendants as long as it runs; when
+it has ended, those that are left become children of this process, which kills them.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ from logs.errors import raised
 from replay.planner_process import child
 
 PDEATHSIG, CHILD_SUBREAPER = 1, 36
-"""`prctl`: which signal comes when the parent has died; that orphans below become children of the process (Linux)."""
+"""Options of `prctl` (Linux): the signal when the parent dies; whether orphans become children of the process."""
 ENDING_S = 2.0
-"""How long a template may take to end, with all processes that it has started, when this process ends."""
+"""Time limit for a template to end with all its processes when this process ends, s."""
 
 
 def main() -> None:
@@ -55,7 +55,7 @@ def main() -> None:
     control = socket.socket(fileno=os.dup(0))
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for name in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(name, signal.SIG_IGN)  # they are for replan: it ends this
+        signal.signal(name, signal.SIG_IGN)  # replan handles them and ends this process
     child.warm()
     _prctl(CHILD_SUBREAPER, 1)
     Forks(control).serve()
@@ -67,9 +67,10 @@ class Forks:
 
     Attributes:
         control: The socket.
-        seed: Whether a fork goes on with the state of `random`, which Python seeds anew: its module may have set it.
-        live: What runs, by process id, as it was asked for.
-        given: Descriptors that came and were not taken yet.
+        seed: Whether a fork keeps the state of `random`, which the planner's module may have set, and which Python
+            reseeds.
+        live: The requests of running processes, by process id.
+        given: Received descriptors that are not used yet.
     """
 
     control: socket.socket
@@ -106,14 +107,14 @@ class Forks:
         until = time.monotonic() + ENDING_S
         for pid in [pid for pid, request in self.live.items() if "load" not in request]:
             _kill(pid)
-        while self.live and time.monotonic() < until:  # templates end by themselves, as their sockets have closed, too
+        while self.live and time.monotonic() < until:  # templates end by themselves: their sockets have closed, too
             time.sleep(0.005)
             self._reap()
         for pid in self.live:
             _kill(pid)
 
     def _do(self, request: dict[str, Any]) -> None:
-        """One request; a start takes its descriptors from `given`."""
+        """Serve one request; a start takes its descriptors from `given`."""
         if "kill" in request:
             for pid in [pid for pid, started in self.live.items() if started["start"] == request["kill"]]:
                 _kill(pid)
@@ -138,20 +139,20 @@ class Forks:
             ended, status = os.waitpid(pid, os.WNOHANG)
             if ended:
                 with suppress(OSError):
-                    os.killpg(pid, signal.SIGKILL)  # what it started goes with it
+                    os.killpg(pid, signal.SIGKILL)  # its group ends with it
                 message = {"ended": self.live.pop(pid)["start"], "status": status}
                 until = time.monotonic() + ENDING_S  # the ended process left children, and this one is their parent now
                 while (orphans := children() - self.live.keys()) and time.monotonic() < until:
                     for orphan in orphans:
                         _kill(orphan)
                         with suppress(ChildProcessError):
-                            os.waitpid(orphan, 0)  # then what it has started itself is a child of this process
+                            os.waitpid(orphan, 0)  # then its own children become children of this process
                 with suppress(OSError):
                     self.control.send(json.dumps(message).encode() + b"\n")
 
 
 def children() -> set[int]:
-    """Processes whose parent is this one, as Linux lists them; elsewhere none, as no orphan becomes one."""
+    """Processes whose parent is this one, as Linux lists them; none on other systems, where it adopts no orphans."""
     found = set[int]()
     for task in Path("/proc/self/task").glob("*/stat"):
         found |= {int(word) for word in (task.parent / "children").read_text().split()}
@@ -169,7 +170,7 @@ def _become(request: dict[str, Any], given: list[int], parent: int) -> NoReturn:
     code = 1
     try:
         os.setsid()
-        _prctl(PDEATHSIG, signal.SIGKILL)  # a launcher that has died takes this process along, even if it hangs
+        _prctl(PDEATHSIG, signal.SIGKILL)  # ends this process when the launcher dies, even if it hangs
         if os.getppid() != parent:  # it died before that
             os._exit(1)
         _prctl(CHILD_SUBREAPER, 1)
@@ -185,7 +186,7 @@ def _become(request: dict[str, Any], given: list[int], parent: int) -> NoReturn:
             try:
                 child.load(planner, bytes.fromhex(settings))
                 unfit = _unfit(before)
-            except BaseException as error:  # the drive's own process will say it
+            except BaseException as error:  # the drive's own process reports it
                 unfit = raised(error)
             control.sendall(json.dumps({"unfit": unfit}).encode() + b"\n")
             if not unfit:
@@ -206,7 +207,7 @@ def _become(request: dict[str, Any], given: list[int], parent: int) -> NoReturn:
 
 
 def _at_places(*given: int) -> None:
-    """Descriptors as stdin, stdout, stderr."""
+    """Make descriptors stdin, stdout and stderr."""
     for place, fd in enumerate(given):
         os.dup2(fd, place)
     for fd in set(given):
@@ -214,9 +215,9 @@ def _at_places(*given: int) -> None:
 
 
 def _unfit(before: set[int]) -> str:
-    """Why this process must not be forked for drives; "": it may be."""
+    """The reason why this process must not be forked for drives; "" if it may be."""
     if _threads() > 1:
-        pid = os.fork()  # the libraries that stop their threads for a fork, as OpenBLAS does, have stopped them then
+        pid = os.fork()  # libraries that stop their threads for a fork, such as OpenBLAS, have then stopped them
         if pid == 0:
             os._exit(0)
         os.waitpid(pid, 0)
@@ -232,16 +233,16 @@ def _unfit(before: set[int]) -> str:
 
 
 def _threads() -> int:
-    """Threads of this process; on other systems than Linux those that Python knows."""
+    """The number of threads of this process; on other systems than Linux, of those that Python knows."""
     tasks = Path("/proc/self/task")
     return len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()
 
 
 def _descriptors() -> set[int]:
-    """All that are open."""
+    """All open descriptors."""
     found = set()
     for place in list(Path("/dev/fd").iterdir()):
-        with suppress(OSError):  # that of the listing itself
+        with suppress(OSError):  # the descriptor of the listing itself
             os.fstat(int(place.name))
             found.add(int(place.name))
     return found
@@ -257,7 +258,7 @@ def _execute(argv: list[str]) -> NoReturn:
 
 
 def _limit(memory: int) -> None:
-    """Bound the memory, write no core file, and be the first to go where the system runs out of memory (Linux)."""
+    """Bound the memory, write no core file, and be killed first if the system runs out of memory (Linux)."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if memory:
         resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))

@@ -15,7 +15,7 @@ Factory = Callable[..., Any]
 
 
 FOREIGN = ("exec:", "tcp://")
-"""How planners are named that are no Python of ours to load."""
+"""Prefixes of planners that are not Python classes to load."""
 
 
 def is_built_in(spec: str) -> bool:
@@ -35,7 +35,7 @@ def is_apart(spec: str, apart: PlannerProcessConfig) -> bool:
 
 
 def planner_factory(spec: str) -> Factory:
-    """The factory of the planner or oracle of this name; ConfigError or PlannerError where there is none."""
+    """The factory of the planner or oracle of this name; ConfigError or PlannerError if there is none."""
     return ORACLES[spec] if spec in ORACLES else load_planner(spec, also=ORACLES)
 
 
@@ -46,14 +46,14 @@ def of_class(factory: Factory, name: str) -> Callable[..., Any] | None:
 
 
 _prepared: dict[Factory, Mapping[str, Any]] = {}
-"""With what each class of planners was prepared last, in this process."""
+"""The keywords with which each class of planners was last prepared in this process."""
 
 
 def prepared(spec: str, keywords: Mapping[str, Any]) -> Factory:
-    """The factory of the planner, after it has loaded what all its drives share.
+    """The factory of the planner, after it has loaded the data that all its drives share.
 
-    A class may have a class method `prepare(**keywords)`, which is given the keywords of the planner before it is built
-    of them: called once in a process, and once in that from which the processes of drives are forked.
+    A class may have a class method `prepare(**keywords)`, which gets the keywords of the planner before it is built
+    with them. It is called once per process, and once in the process from which those of drives are forked.
     """
     factory = planner_factory(spec)
     prepare = of_class(factory, "prepare")
@@ -64,11 +64,11 @@ def prepared(spec: str, keywords: Mapping[str, Any]) -> Factory:
 
 
 def planner_keywords(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The keywords that a planner's table stands for; ConfigError where it is wrong (`replay.settings`)."""
+    """The keywords of a planner's table; ConfigError if it is wrong (`replay.settings`)."""
     return keywords_of(planner_factory(spec), table, dotted("planner", spec))
 
 
 def resolved_table(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The table with every default spelled out; ConfigError where the planner cannot be built with it."""
+    """The table with all defaults; ConfigError if the planner cannot be built with it."""
     given = 2 if spec in ORACLES else 1  # the context, and for an oracle the log
     return resolved(planner_factory(spec), table, dotted("planner", spec), f"planner '{spec}'", given)

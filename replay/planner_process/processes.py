@@ -1,8 +1,9 @@
-"""The worker's side of the launcher: a process for a planner, started within milliseconds, and its end.
+"""The worker's side of the launcher: it starts a process for a planner within milliseconds, and ends it.
 
-One launcher serves a worker as long as its Python path, folder and environment stay as they are; it ends with the
-worker, and with it all that it has started. Within a run (`set_template_run`) the drives of a planner are forked from a
-template, which has loaded its module once; where there can be none, from the launcher, and each loads it for itself.
+One launcher serves a worker as long as its Python path, folder and environment do not change; it ends with the worker,
+and so do all processes that it has started. Within a run (`set_template_run`) the drives of a planner are forked from a
+template, which has loaded its module once; if there cannot be a template, from the launcher, and each loads the module
+itself.
 """
 
 from __future__ import annotations
@@ -30,15 +31,15 @@ ENVIRONMENT = (
     "PATH", "HOME", "USER", "LANG", "LC_", "TZ", "TMPDIR", "XDG_CACHE_HOME", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_",
     "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "CUDA_", "VIRTUAL_ENV", "COVERAGE_",
 )  # fmt: skip
-"""Environment variables, or beginnings of their names, that are passed on: what programs need to start."""
+"""Environment variables, or prefixes of their names, that are passed on, because programs need them to start."""
 GRACE_S = 1.0
-"""How long a planner may take to end by itself after its drive."""
+"""Time limit for a planner to end by itself after its drive, s."""
 ROOT = Path(__file__).parents[2]
 
 
 @dataclass(frozen=True)
 class Load:
-    """What a template has loaded.
+    """The planner that a template loads.
 
     Attributes:
         planner: "module:Class".
@@ -56,20 +57,20 @@ class Process:
     """A planner's process.
 
     Attributes:
-        channel: To it; what it prints is read along.
+        channel: The channel to it; its output is read, too.
     """
 
     def __init__(self, forks: Forks, key: int, channel: Channel[Any]) -> None:
         self._forks, self._key, self.channel = forks, key, channel
 
     def close(self) -> None:
-        """Let it end by itself after its drive, and kill it where it does not."""
+        """Let it end by itself after its drive, and kill it if it does not."""
         self.channel.close()
         if self._forks.status(self._key, GRACE_S) is None:
             self._forks.kill(self._key)
 
     def kill(self) -> None:
-        """End it, and what it has started."""
+        """End it, and all processes that it has started."""
         self._forks.kill(self._key)
         self.channel.close()
 
@@ -93,8 +94,8 @@ def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfi
     Args:
         argv: The program and its arguments; None: a Python planner.
         kind: The type of its answers.
-        limits: Of its memory, and of the time to load its template.
-        load: What its template has loaded, within a run; None: it begins without a template.
+        limits: Limits of its memory, and of the time to load its template.
+        load: The planner of its template, within a run; None: it starts without a template.
 
     Raises:
         ConfigError: The system cannot pass descriptors between processes.
@@ -106,7 +107,7 @@ def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfi
     path = dict.fromkeys([*(str(Path(entry).absolute()) for entry in sys.path if "://" not in entry), str(ROOT)])
     environment |= {"PYTHONPATH": os.pathsep.join(path), "PYTHONHASHSEED": "0"}
     wanted = os.getpid(), str(Path.cwd()), environment
-    if _warm.get("for") != wanted or not _warm["launcher"].alive:  # the launcher is started anew where those change
+    if _warm.get("for") != wanted or not _warm["launcher"].alive:  # the launcher is restarted if those change
         _warm.update({"for": wanted, "launcher": Launcher(environment)})
     launcher: Launcher = _warm["launcher"]
     request = {"argv": argv, "memory": round(limits.memory_gb * 1e9)}
@@ -135,7 +136,7 @@ class Forks:
 
     Args:
         control: The socket.
-        key: Under which this process was itself started; 0: by no other.
+        key: The key under which the process at the other end was started; 0 for the launcher.
     """
 
     def __init__(self, control: socket.socket, key: int = 0) -> None:
@@ -146,7 +147,7 @@ class Forks:
         self.close = weakref.finalize(self, control.close)
 
     def start(self, request: Mapping[str, Any], kind: Any) -> Process:
-        """A planner's process, forked there; OSError where the other end is gone."""
+        """Fork a planner's process at the other end; OSError if that end has closed."""
         pipes = [os.pipe() for _ in range(3)]
         (stdin, into), (out, stdout), (printed, stderr) = pipes
         try:
@@ -161,7 +162,7 @@ class Forks:
         return Process(self, key, Channel(into, out, kind, printed))
 
     def template(self, request: Mapping[str, Any]) -> Forks:
-        """A template, forked there, that loads a module."""
+        """Fork a template at the other end, which loads a module."""
         ours, theirs = socket.socketpair()
         with theirs:
             return Forks(ours, self._send_request(request, [theirs.fileno()]))
@@ -172,14 +173,14 @@ class Forks:
         return self._count
 
     def fit(self, within_s: float) -> bool:
-        """Whether a template has loaded what it should within a time, and may be forked."""
+        """Whether a template has loaded its planner within a time, and may be forked."""
         until = time.monotonic() + within_s
         while self._unfit is None and self._hear(until):
             pass
         return self._unfit == ""
 
     def status(self, key: int, within_s: float) -> int | None:
-        """The wait status of a process that has ended within a time; None: it has not."""
+        """The wait status of a process that has ended within a time; None if it has not."""
         until = time.monotonic() + within_s
         while key not in self._ended:
             if not self._hear(until):
@@ -187,7 +188,7 @@ class Forks:
         return self._ended[key]
 
     def _hear(self, until: float) -> bool:
-        """Read messages; False: none came until then, or the socket is closed."""
+        """Read messages; False if none came until `until`, or the socket is closed."""
         try:
             ready, _, _ = select.select([self._control], [], [], max(until - time.monotonic(), 0.0))
             data = self._control.recv(1 << 16, socket.MSG_DONTWAIT) if ready else b""
@@ -212,8 +213,8 @@ class Launcher:
     """The process of `replay.planner_process.launcher`, and its templates.
 
     Attributes:
-        forks: What forks there.
-        templates: What was loaded; None: it cannot be.
+        forks: The end of its control socket.
+        templates: The templates by what they load; None if one cannot be made.
     """
 
     def __init__(self, environment: Mapping[str, str]) -> None:
@@ -233,7 +234,7 @@ class Launcher:
         return self.close.alive and self._process.poll() is None
 
     def template(self, load: Load, limits: PlannerProcessConfig) -> Forks | None:
-        """The template that has loaded a planner; None: it cannot be loaded in time, or must not be forked."""
+        """The template that has loaded a planner; None if that takes too long, or it must not be forked."""
         found = self.templates.get(load)
         if found is not None and self.forks.status(found.key, 0.0) is not None:
             del self.templates[load]  # it has died
@@ -251,7 +252,7 @@ def _end_launcher(
     control: socket.socket, process: subprocess.Popen[bytes], templates: Mapping[Load, Forks | None]
 ) -> None:
     for each in filter(None, templates.values()):
-        each.close()  # they end by that alone: it would wait for them
+        each.close()  # closing ends them; otherwise the launcher would wait for them
     control.close()
     with suppress(subprocess.TimeoutExpired):
         process.wait(10.0)
@@ -261,4 +262,4 @@ def _end_launcher(
 
 
 _warm: dict[str, Any] = {}
-"""launcher: that of this process; for: the settings it was started with; run: the run that is driven."""
+"""State of this process: `launcher`; `for`: the settings that it was started with; `run`: the current run."""

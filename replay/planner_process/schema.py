@@ -1,7 +1,7 @@
 """The messages between replan and a planner in another process, version 1.
 
-On the wire each is 4 bytes, the length of what follows (little-endian, unsigned), and a MessagePack map of the fields
-below; "type" says which message it is. Replan speaks first:
+On the wire each is 4 bytes, the length of the rest (little-endian, unsigned), and a MessagePack map of the fields
+below; "type" names the message. Replan sends the first message:
 
     replan   hello                 frame          frame         ...  closes the channel: the drive is over
     planner         ready | failed       plan           plan | failed
@@ -11,7 +11,7 @@ after one another. Frames, units and signs are those of `logs`: world frame, SI,
 axle, an agent's the centre of its box. A reader skips the fields that it does not know, and a planner should, too.
 
 Lanes, stop lines, crosswalks, goals, the ego's state, the vehicle and the visibility are the nouns themselves, with
-arrays as columns (`logs.codec`). The other nouns have a message here: they hold what is not sent.
+arrays as columns (`logs.codec`). The other nouns have a message here, because some of their fields are not sent.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from logs.vehicle import VehicleParameters
 
 SCHEMA_VERSION = 1
 LARGEST_BYTES = 64 << 20
-"""The greatest length of a planner's message: the first four characters of any text would be a greater length."""
+"""The largest length of a planner's message: any four text characters, read as a length, exceed it."""
 MOST_POINTS = 10_000
 """States of a trajectory: 100 s at 100 Hz. A longer plan is refused (`replay.loop.plan_check`)."""
 LONGEST_REASON = 1000
-"""Characters of a reason or an error message. A longer one is cut, and says so."""
+"""Characters of a reason or an error message. A longer one is cut and marked."""
 LARGEST_INSIDE_BYTES = 8 << 20
-"""What a planner in another process shows of one plan, with its timings, as MessagePack: `dp_qp` shows some 10 KiB."""
+"""Largest size of the internals and timings of one plan, as MessagePack; those of `dp_qp` have about 10 KiB."""
 
 
 class Road(msgspec.Struct):
@@ -54,7 +54,7 @@ class Road(msgspec.Struct):
 
 
 class Context(msgspec.Struct):
-    """`logs.frame.PlannerContext`: what does not change in a drive. Older planners do not read `goal.alternatives`."""
+    """`logs.frame.PlannerContext`: constant in a drive. Older planners do not read `goal.alternatives`."""
 
     road: Road
     goal: Goal | None
@@ -75,7 +75,7 @@ class Hello(msgspec.Struct, tag="hello"):
 
 
 class Describe(msgspec.Struct, tag="describe"):
-    """Before any drive, asked of Python planners only: does it load, what are its settings, can it plan a batch?"""
+    """Before any drive, to Python planners only: checks that it loads and can plan a batch; asks for its settings."""
 
     planner: str
     config: dict[str, Any]
@@ -83,9 +83,9 @@ class Describe(msgspec.Struct, tag="describe"):
 
 
 class Agents(msgspec.Struct):
-    """`logs.agents.Agents`: columns `(n,)`; the last three are empty where they are not known of any agent.
+    """`logs.agents.Agents`: columns `(n,)`; the last three are empty if they are unknown for all agents.
 
-    Replan did not send those before it had `age`, and planners that are as old do not read them.
+    Versions of replan before `age` did not send them, and planners of that time do not read them.
     """
 
     ids: tuple[str, ...]
@@ -117,7 +117,7 @@ class Predictions(msgspec.Struct):
 
 
 class Light(msgspec.Struct):
-    """What a traffic light shows."""
+    """The colour of a traffic light."""
 
     id: int
     colour: Colour
@@ -147,15 +147,15 @@ class Inside(msgspec.Struct, omit_defaults=True):
 
 
 class Plan(msgspec.Struct, tag="plan", omit_defaults=True):
-    """`logs.trace.Plan`: only the trajectory must be there.
+    """`logs.trace.Plan`: only the trajectory is required.
 
     Attributes:
-        trajectory: From the frame's time on.
+        trajectory: The trajectory from the frame's time on.
         status: planned, previous, comfortable_stop, hard_stop or refused: all but the first need a reason.
-        reason: Why, in one sentence.
+        reason: The reason, in one sentence.
         start: ego or previous_plan.
-        laps: How long stages took, s, by name.
-        inside: For recordings.
+        laps: Durations of stages by name, s.
+        inside: The internals, for recordings.
     """
 
     trajectory: Trajectory
@@ -167,7 +167,7 @@ class Plan(msgspec.Struct, tag="plan", omit_defaults=True):
 
 
 class Frame(msgspec.Struct, tag="frame"):
-    """`logs.frame.Frame`: answered by `Plan`; `previous` is the plan being driven, without its inside."""
+    """`logs.frame.Frame`: answered by `Plan`; `previous` is the plan being driven, without its internals."""
 
     t: float
     ego: EgoState
@@ -194,8 +194,9 @@ class Failed(msgspec.Struct, tag="failed"):
     """No plan: it ends the drive.
 
     Attributes:
-        message: Why, in one sentence.
-        what: "raised", or "contract": its own answer was none; before a drive also "config", "load" or "build".
+        message: The reason, in one sentence.
+        what: "raised", or "contract" for an invalid answer of the planner; before a drive
+            also "config", "load" or "build".
     """
 
     message: str
@@ -216,7 +217,7 @@ class Frames(msgspec.Struct, tag="frames"):
 
 
 class Answers(msgspec.Struct, tag="answers"):
-    """To each, in their order."""
+    """The answers to each message, in order."""
 
     each: list[Ready | Plan | Failed]
 
@@ -226,17 +227,17 @@ Answer = Ready | Described | Plan | Failed | Answers
 
 
 def encode(message: object) -> bytes:
-    """A message, or what holds messages, as MessagePack; TypeError where a value cannot be sent."""
+    """Encode a message, or a struct with messages, as MessagePack; TypeError if a value cannot be sent."""
     return msgspec.msgpack.encode(message, enc_hook=array_as_bytes)
 
 
 def decode(data: bytes, kind: Any) -> Any:
-    """The message of a type in MessagePack; msgspec.DecodeError where there is none."""
+    """Decode a message of a type from MessagePack; msgspec.DecodeError if it is invalid."""
     return msgspec.msgpack.decode(data, type=kind, dec_hook=array_of)
 
 
 def shortened(text: str) -> str:
-    """The text, or its beginning and how long it was: at most `LONGEST_REASON` characters."""
+    """The text, or its beginning and its original length: at most `LONGEST_REASON` characters."""
     if len(text) <= LONGEST_REASON:
         return text
     mark = f" ... (cut, {len(text)} characters)"
@@ -283,7 +284,7 @@ def frame_of(message: Frame) -> frame.Frame:
 
 
 def plan_message(plan: trace.Plan, laps: dict[str, float] | None = None, *, inside: bool = False) -> Plan:
-    """The message of a plan, with its inside or without."""
+    """The message of a plan, with or without its internals."""
     shown = Inside(**inside_of(plan.internals)) if inside and len(plan.internals) else None
     columns = (packed(getattr(plan.trajectory, name)) for name in TRAJECTORY_COLUMNS)
     status, start = plan.status.name.lower(), plan.start.name.lower()

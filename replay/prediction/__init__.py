@@ -1,14 +1,14 @@
-"""Predicted futures of the other road users at a frame; the loop puts them into `Frame.predictions`.
+"""Predicts the futures of the other road users at a frame; the loop puts them into `Frame.predictions`.
 
     constant_velocity        straight on                                                          (`off_lanes`)
     constant_turn_rate       round a circle; pedestrians straight on                              (`off_lanes`)
-    lane_following           vehicles along their lanes, the rest as constant_turn_rate           (`lane_following`)
-    pedestrian               pedestrians go on, stop, turn back; the rest at constant velocity    (`off_lanes`)
+    lane_following           vehicles along their lanes, others as constant_turn_rate           (`lane_following`)
+    pedestrian               pedestrians go on, stop, turn back; others at constant velocity    (`off_lanes`)
     lanes_and_pedestrians    vehicles as lane_following, pedestrians as pedestrian
-    oracle                   the log's own future: not made here (`replay.loop.perception`)
+    oracle                   the log's own future, made by `replay.loop.perception`
 
-A predictor gets the agents as perceived at one instant and the lanes, and nothing else: it has no memory and no access
-to the log. Its settings are keywords. Adding one is one function and one line in PREDICTORS.
+A predictor receives only the lanes and the agents as perceived at one instant: it has no memory and no access to the
+log. Its settings are keywords. To add one, write a function and list it in PREDICTORS.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _pedestrian(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
 
 
 def _lanes_and_pedestrians(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """Vehicles follow their lanes, pedestrians have several hypotheses, the rest goes on at a constant turn rate."""
+    """Vehicles follow their lanes, pedestrians have several hypotheses, others keep a constant turn rate."""
     return _instead(everybody(agents, t, lanes), walkers(agents, t, lanes))
 
 
@@ -53,7 +53,7 @@ PREDICTORS: dict[str, Predictor] = {
     "lanes_and_pedestrians": _lanes_and_pedestrians,
 }
 PREDICTION: Kind[Predictor] = Kind("prediction", "predictions", PREDICTORS, besides=("oracle",))
-"""Finds these and the user's own."""
+"""Finds predictors by name: the built-in ones and those of users."""
 
 
 def predict(
@@ -66,18 +66,18 @@ def predict(
     lanes: LaneMap = NO_LANES,
     predictor: Predictor | None = None,
 ) -> Predictions:
-    """Futures of `agents`, perceived at `t`, on the grid t, t + step, ... t + horizon (s).
+    """Predict the futures of `agents`, perceived at `t`, on the grid t, t + step, ... t + horizon (s).
 
-    Every agent has at least one hypothesis; each begins where the agent is. They stand in the order of the agents.
+    Every agent has at least one hypothesis; each begins at the agent's position. They are in the order of the agents.
 
     Args:
-        agents: As perceived.
+        agents: The agents as perceived.
         t: s since the scenario's start.
-        horizon: How far, s.
-        step: Between two samples, s.
+        horizon: Length of the prediction, s.
+        step: Time between two samples, s.
         method: Name in PREDICTORS, or "module:function".
-        lanes: `LaneMap.of(road)`, made once per scenario; by default no lane is known, and no agent follows one.
-        predictor: The predictor `method`, where it is known already.
+        lanes: `LaneMap.of(road)`, made once per scenario; by default no lanes are known, and no agent follows one.
+        predictor: The predictor of the name `method`, if it is already loaded.
 
     Raises:
         ConfigError: There is no predictor `method`, or it does not return `Predictions`.
@@ -90,7 +90,7 @@ def predict(
 
 
 def _instead(general: Predictions, special: Predictions) -> Predictions:
-    """`general`, with the agents of `special` replaced by theirs."""
+    """Return `general`, with the hypotheses of the agents in `special` replaced by those of `special`."""
     rest = np.flatnonzero(~np.isin(general.agent, special.agent))
     agent = np.r_[general.agent[rest], special.agent]
     order = np.argsort(agent, kind="stable")

@@ -1,21 +1,21 @@
-"""Vehicles follow the lane under them.
+"""Predicts vehicles that follow their lanes.
 
-A vehicle belongs to the lanes that hold its centre and point its way (`lane_map.matches`); where it moves sideways so
-that it will be over the marking within `CHANGE_S`, it belongs to the neighbour: the lane change is completed. From a
-lane it goes on into its successors, one hypothesis per successor that can be taken at its speed.
+A vehicle is on the lanes that contain its centre and have its direction (`lane_map.matches`). If its lateral motion
+takes it over the marking within `CHANGE_S`, it is assigned to the neighbouring lane, and so completes the lane change.
+From a lane it continues into the successors, with one hypothesis per successor that is possible at its speed.
 
 Along the lane, with station s, offset l, speed v, lane curvature kappa; theta = distance / v_0:
 
-(1) v = v_0 + a_0 T_a (1 - exp(-t / T_a)), not negative: the acceleration dies away; and v^2 <= A / |kappa| wherever
-    that can be kept with a deceleration of B
-(2) l goes from l_0 to l_end = l_0 + l_dot T as the lateral speed dies away in T: l = l_end - l_dot T exp(-theta / T);
-    where l_end would have the vehicle's side over the marking, it ends beside it: with e_0 = l_0 - l_end
-    l = l_end + (e_0 + (l_dot + e_0 / T) theta) exp(-theta / T)                          (the same, if nothing is cut)
-(3) the heading is the lane's plus atan2(l_dot, s_dot) plus what it was off at the start, which fades over `TURN_M`
+(1) v = v_0 + a_0 T_a (1 - exp(-t / T_a)), not negative: the acceleration decays; and v^2 <= A / |kappa| where a
+    deceleration of B suffices for it
+(2) l goes from l_0 to l_end = l_0 + l_dot T as the lateral speed decays with T: l = l_end - l_dot T exp(-theta / T);
+    l_end is limited so that the vehicle's side stays within the marking: with e_0 = l_0 - l_end
+    l = l_end + (e_0 + (l_dot + e_0 / T) theta) exp(-theta / T)                          (the same, without the limit)
+(3) the heading is the lane's plus atan2(l_dot, s_dot) plus the initial difference, which fades over `TURN_M`
 
-Weights: a lane of misfit m (`matches`) counts exp(-m / 2), a branch that turns by w counts exp(-|w| / `TURN_RAD`).
-Hypotheses below `LEAST` are dropped; those of an agent sum to 1. Vehicles off the lanes, against
-them or in reverse, bicycles and pedestrians follow no lane.
+Weights: exp(-m / 2) for a lane of misfit m (`matches`), exp(-|w| / `TURN_RAD`) for a branch that turns by w. Hypotheses
+below `LEAST` are dropped; those of an agent sum to 1. Vehicles off the lanes, against them or in reverse, bicycles and
+pedestrians follow no lane.
 """
 
 from __future__ import annotations
@@ -33,31 +33,31 @@ from replay.prediction.off_lanes import turn_rate, turned
 
 CHANGE_S = 1.5
 DRIFTING_MPS = 0.3
-"""A vehicle that moves sideways slower than this does not change lanes."""
+"""Vehicles with a lower lateral speed do not change lanes."""
 SETTLE_S, SLOW_MPS = 1.0, 2.0
-"""T of (2); below this speed theta goes with the distance, so that a standing vehicle does not slide sideways."""
+"""T of (2); least v_0 in theta, so that a slow vehicle does not slide sideways."""
 FADE_S, LEAST_MPS2, MOST_MPS2 = 1.0, -4.0, 2.0
-"""T_a of (1), measured to be about the best over recorded traffic; a_0 is cut to these."""
+"""T_a of (1), about the best in measurements on recorded traffic; least and greatest a_0."""
 CURVE_MPS2, EASE_MPS2 = 4.0, 2.0
 """A and B of (1)."""
 HARDEST_MPS2 = 4.0
-"""A branch is possible where the vehicle can be slow enough for it with this deceleration."""
+"""A branch is possible if this deceleration makes the vehicle slow enough for it."""
 TURN_M, TURN_RAD = 5.0, 1.5
 LEAST = 0.1
 WAYS, MATCHED, DEEPEST = 4, 3, 48
-"""Most hypotheses of an agent, most lanes that it may be on, most lanes of a way."""
+"""Greatest numbers of hypotheses of an agent, of lanes that it may be on, and of lanes in a sequence."""
 KNOT_M, FAR_M = 2.0, 1e6
 FOLLOWING = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
 FOLLOW = among(*FOLLOWING)
 
 
 def followers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """The hypotheses of the vehicles that follow a lane, and of no other agents (module docstring)."""
+    """Predict only the vehicles that follow a lane (module docstring)."""
     return _predict_vehicles(agents, t, lanes, others=False)
 
 
 def everybody(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """The same; agents that follow no lane go on at a constant turn rate (`off_lanes`)."""
+    """Predict all agents; those that follow no lane keep a constant turn rate (`off_lanes`)."""
     return _predict_vehicles(agents, t, lanes, others=True)
 
 
@@ -73,10 +73,10 @@ def _predict_vehicles(agents: Agents, t: FloatArray, lanes: LaneMap, *, others: 
 def _predict_all(
     map_: LaneArrays, codes: IntArray, columns: tuple[FloatArray, ...], t: FloatArray, others: bool
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Hypotheses in the order of the agents: agent `(h,)`, probability `(h,)`, rows x, y, yaw `(3, h, k)`.
+    """Return hypotheses in the order of the agents: agent `(h,)`, probability `(h,)`, rows x, y, yaw `(3, h, k)`.
 
     `columns` `(n,)`: x, y, yaw, vx, vy, yaw rate, width, acceleration, direction of the velocity; `t` `(k,)`: times, s,
-    from now on. `others`: those who have no lane to follow go on at a constant turn rate; else they are left out.
+    from now on. `others`: whether agents without a lane keep a constant turn rate; otherwise they are left out.
     """
     n, most = len(codes), 0
     rows, follows, ahead = np.empty((n, 9)), FOLLOW[codes], t - t[0]
@@ -106,7 +106,7 @@ def _predict_all(
             agent[count] = i
             count += 1
     out = np.empty((3, count, len(ahead)))
-    dying = np.empty(len(ahead))  # 1 - exp(-t / T_a) of (1) in the middle between each time and the next
+    dying = np.empty(len(ahead))  # 1 - exp(-t / T_a) of (1), midway between each time and the next
     for k in range(len(ahead)):
         middle = 0.5 * (ahead[k] + ahead[min(k + 1, len(ahead) - 1)])
         dying[k] = 1.0 - exp(-middle / FADE_S)
@@ -124,10 +124,10 @@ def _ways(
     map_: LaneArrays, vehicle: FloatArray, horizon: float,
     ways: IntArray, depth: IntArray, shares: FloatArray, start: FloatArray,
 ) -> int:  # fmt: skip
-    """The lane sequences that a vehicle may drive within the horizon (s); how many.
+    """Find the lane sequences that a vehicle may drive within the horizon (s); return their number.
 
-    `vehicle` is a row of `_predict_all`. Out: `ways` `(w, deepest)` lanes of each way, `depth` `(w,)` how many,
-    `shares` `(w,)` their weights, `start` `(w, 3)` station and offset on the first lane, half of its width.
+    `vehicle` is a row of `_predict_all`. Out: `ways` `(w, deepest)` lanes of each sequence, `depth` `(w,)` their
+    number, `shares` `(w,)` the weights, `start` `(w, 3)` station and offset on the first lane, and half of its width.
     """
     lanes, found = np.empty(MATCHED, np.int64), np.empty((MATCHED, 4))
     count = matches(map_, vehicle[0], vehicle[1], vehicle[2], lanes, found)
@@ -164,7 +164,7 @@ def _ways(
 
 @inner_kernel
 def _velocity_along_lane(map_: LaneArrays, lane: int, s: float, vehicle: FloatArray) -> tuple[float, float]:
-    """Velocity of a vehicle along and across (to the left of) a lane at its foot, m/s."""
+    """Return the velocity of a vehicle along and across (to the left of) a lane at its foot, m/s."""
     yaw = lane_point(map_, lane, s)[2]
     c, n = cos(yaw), sin(yaw)
     return vehicle[3] * c + vehicle[4] * n, vehicle[4] * c - vehicle[3] * n
@@ -177,7 +177,7 @@ def _length(map_: LaneArrays, lane: int) -> float:
 
 @inner_kernel
 def _turn(map_: LaneArrays, lane: int, s: float) -> float:
-    """By how much a lane turns from station `s` to its end, rad, not negative."""
+    """Return by how much a lane turns from station `s` to its end, rad, not negative."""
     return abs(map_.pose[2, map_.first[lane + 1] - 1] - lane_point(map_, lane, s)[2])
 
 
@@ -186,7 +186,7 @@ def _extend_way(
     map_: LaneArrays, h: int, made: int, reach: float, speed: float,
     ways: IntArray, depth: IntArray, shares: FloatArray, start: FloatArray,
 ) -> int:  # fmt: skip
-    """Lead way `h` on until it reaches `reach` m from its start; a fork adds ways. How many there are then."""
+    """Extend sequence `h` to `reach` m from its start; forks add sequences. Return the number of sequences."""
     covered = -start[h, 0]
     for d in range(depth[h]):
         covered += _length(map_, ways[h, d])
@@ -218,7 +218,7 @@ def _extend_way(
 
 @inner_kernel
 def _weight(map_: LaneArrays, lane: int, speed: float, away: float) -> float:
-    """How much a branch counts that begins `away` m ahead; hardly, where the vehicle is too fast for it."""
+    """Return the weight of a branch that begins `away` m ahead; almost 0 if the vehicle is too fast for it."""
     weight = exp(-_turn(map_, lane, 0.0) / TURN_RAD)
     tightest = map_.tightest[lane]
     if tightest > 0.0 and speed * speed - 2.0 * HARDEST_MPS2 * max(away, 0.0) > 1.5 * CURVE_MPS2 / tightest:
@@ -228,7 +228,7 @@ def _weight(map_: LaneArrays, lane: int, speed: float, away: float) -> float:
 
 @inner_kernel
 def _on_way(map_: LaneArrays, way: IntArray, s: float) -> tuple[float, float, float, float]:
-    """x, y, yaw, kappa at a station counted from the start of the way's first lane."""
+    """Return x, y, yaw, kappa at a station from the start of the first lane of a sequence."""
     d = 0
     while d < len(way) - 1:
         length = _length(map_, way[d])
@@ -241,7 +241,7 @@ def _on_way(map_: LaneArrays, way: IntArray, s: float) -> tuple[float, float, fl
 
 @inner_kernel
 def _in_bends(map_: LaneArrays, way: IntArray, s: float, speed: float, reach: float) -> FloatArray:
-    """Squares of the speed that the bends allow (1), every `KNOT_M` from station `s` on; not above `speed`."""
+    """Return the squared speeds that the bends allow (1), every `KNOT_M` from station `s`; not above `speed`."""
     count = int(reach / KNOT_M) + 2
     square = np.empty(count)
     for i in range(count):
@@ -256,7 +256,7 @@ def _in_bends(map_: LaneArrays, way: IntArray, s: float, speed: float, reach: fl
 def _stations(
     map_: LaneArrays, way: IntArray, s: float, speed: float, accel: float, ahead: FloatArray, dying: FloatArray
 ) -> FloatArray:
-    """How far the vehicle has come along its way at each time `(k,)`, m (1)."""
+    """Return the distance of the vehicle along its lanes at each time `(k,)`, m (1)."""
     pull = min(max(accel, LEAST_MPS2), MOST_MPS2) * FADE_S
     wished = np.maximum(speed + pull * dying, 0.0)  # mean speeds (1) without the bends
     fastest, reach, tightest = 0.0, 0.0, 0.0
@@ -265,7 +265,7 @@ def _stations(
     for lane in way:
         tightest = max(tightest, map_.tightest[lane])
     gone = np.zeros(len(ahead))
-    if not tightest * fastest * fastest > (1.0 - TIE) * CURVE_MPS2:  # a hair sooner than `_in_bends` finds a bend
+    if not tightest * fastest * fastest > (1.0 - TIE) * CURVE_MPS2:  # slightly below the threshold of `_in_bends`
         for k in range(len(ahead) - 1):
             gone[k + 1] = gone[k] + wished[k] * (ahead[k + 1] - ahead[k])
         return gone
@@ -283,7 +283,7 @@ def _roll_out(
     map_: LaneArrays, vehicle: FloatArray, way: IntArray, start: FloatArray, ahead: FloatArray, dying: FloatArray,
     out: FloatArray,
 ) -> None:  # fmt: skip
-    """Drive a way (1)-(3): rows x, y, yaw `(3, k)` into `out`; the first column is where the vehicle is."""
+    """Follow a lane sequence (1)-(3): write rows x, y, yaw `(3, k)` to `out`; the first is the vehicle's pose."""
     s, left, half = start[0], start[1], start[2]
     along, across = _velocity_along_lane(map_, way[0], s, vehicle)
     speed = max(along, 0.0)
@@ -297,7 +297,7 @@ def _roll_out(
     turned, shift_x, shift_y = 0.0, 0.0, 0.0
     for k in range(len(ahead)):
         if k > 1 and gone[k] == gone[k - 1]:
-            out[:, k] = out[:, k - 1]  # who stands stays
+            out[:, k] = out[:, k - 1]  # standing vehicles stay
             continue
         theta = gone[k] / paced
         fade = exp(-theta / SETTLE_S)

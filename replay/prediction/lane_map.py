@@ -1,4 +1,4 @@
-"""The lanes of a road as flat arrays, made once per scenario, and the kernels that look things up in them.
+"""The lanes of a road as flat arrays, made once per scenario, and the kernels that query them.
 
 A lane's centre line is resampled to about `SPACING_M`; a point at station s and offset l (to the left) of a lane is
 
@@ -20,17 +20,17 @@ from metrics.metric import once
 
 SPACING_M = 1.0
 BEND_M = 5.0
-"""Curvatures are means over this to both sides, m: maps have corners where roads have bends."""
+"""Curvatures are means over this distance to both sides, m, because bends in maps have corners."""
 SHORTEST_M = 0.1
-"""A lane shorter than this has no direction, and is left out."""
+"""Shorter lanes have no direction and are left out."""
 BESIDE_M = 0.3
-"""A vehicle still belongs to a lane when the centre of its box is this far outside of it, m ..."""
+"""A vehicle is still on a lane if the centre of its box is at most this far outside, m ..."""
 ASKEW_RAD = 0.25 * pi
-"""... and its heading differs from the lane's by less than this."""
+"""... and its heading differs from the lane's by at most this."""
 
 ROAD_STEP_M = 0.25
 OUTSIDE = 100.0
-"""Misfit of a lane that does not hold the box's centre: it counts only where no lane does."""
+"""Additional misfit of a lane that does not contain the box's centre: it is used only if no lane contains it."""
 
 
 class LaneArrays(NamedTuple):
@@ -42,7 +42,7 @@ class LaneArrays(NamedTuple):
         tightest: `(n,)` greatest curvature, 1/m, not negative; `widest` half of the greatest width, m.
         pose: Rows x, y, yaw (continuous within a lane), kappa, half of the lane's width `(5, m)`.
         box: `(n, 4)` least x, y, greatest x, y of the centre line widened by half of the lane's width.
-        next_first: `(n + 1,)`: lane i goes on in the lanes `following[next_first[i] : next_first[i + 1]]`.
+        next_first: `(n + 1,)`: lane i continues in the lanes `following[next_first[i] : next_first[i + 1]]`.
         following: Indices of lanes.
         beside: `(n, 2)` index of the lane to the left and to the right in the same direction, -1: none.
     """
@@ -60,22 +60,22 @@ class LaneArrays(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LaneMap:
-    """Where vehicles may be expected to drive.
+    """The lanes along which vehicles are predicted.
 
     Attributes:
-        arrays: The drivable lanes; none where nothing is known of the road.
+        arrays: The drivable lanes; empty if the road is unknown.
     """
 
     arrays: LaneArrays
 
     @classmethod
     def of(cls, road: Road) -> LaneMap:
-        """The drivable lanes of a road: made once, perception and traffic of all its drives share them."""
+        """Return the drivable lanes of a road; made once and shared by perception and traffic of all its drives."""
         return cls(_arrays(road))
 
     @classmethod
     def unknown(cls) -> LaneMap:
-        """No lane is known: no vehicle follows one."""
+        """Return a map without lanes: no vehicle follows one."""
         return cls.of(Road({}))
 
     def __len__(self) -> int:
@@ -121,7 +121,7 @@ def _arrays(road: Road) -> LaneArrays:
 
 @kernel
 def lane_point(map_: LaneArrays, lane: int, s: float) -> tuple[float, float, float, float]:
-    """x, y, yaw, kappa of a lane's centre line at station `s`; it goes on straight beyond its ends."""
+    """Return x, y, yaw, kappa of a lane's centre line at station `s`; it is straight beyond its ends."""
     first, last = map_.first[lane], map_.first[lane + 1] - 1
     u = s / map_.step[lane]
     i = min(max(int(u), 0), last - first - 1)
@@ -138,11 +138,11 @@ def lane_point(map_: LaneArrays, lane: int, s: float) -> tuple[float, float, flo
 
 @kernel
 def lane_project(map_: LaneArrays, lane: int, x: float, y: float, within: float) -> tuple[float, float, float]:
-    """Station, offset to the left, half of the lane's width (m) at the foot of a point.
+    """Return station, offset to the left and half of the lane's width (m) at the foot of a point.
 
-    The nearest point of the polyline; beyond the lane's ends the station lies outside of [0, length]. Where the
-    polyline is farther away than `within` m, the offset is inf. Samples that cannot be nearer, or are farther than
-    that, are jumped over: neighbours are not further apart than a step.
+    The foot is the nearest point of the polyline; beyond the lane's ends the station is outside of [0, length]. If the
+    polyline is farther away than `within` m, the offset is inf. The search skips samples that cannot be nearer than the
+    best one or `within`, since neighbours are at most one step apart.
     """
     first, last, step = map_.first[lane], map_.first[lane + 1] - 1, map_.step[lane]
     best, nearest, i = first, within + step, first
@@ -177,7 +177,7 @@ def lane_project(map_: LaneArrays, lane: int, x: float, y: float, within: float)
 
 @kernel
 def matches(map_: LaneArrays, x: float, y: float, yaw: float, lanes: IntArray, found: FloatArray) -> int:
-    """The lanes that a vehicle may be driving on, nearest first; on a marking both, equally near the first.
+    """Find the lanes that a vehicle may be driving on, by misfit; of equal lanes (on a marking), the first comes first.
 
     Args:
         map_: The lanes.
@@ -185,11 +185,11 @@ def matches(map_: LaneArrays, x: float, y: float, yaw: float, lanes: IntArray, f
         y: m.
         yaw: Heading.
         lanes: Out `(k,)`: their indices.
-        found: Out `(k, 4)`: station, offset, half of the lane's width, and how badly it fits: (l / half)^2 +
-            (heading difference / 0.3 rad)^2, and `OUTSIDE` where the lane does not hold the point.
+        found: Out `(k, 4)`: station, offset, half of the lane's width, and misfit: (l / half)^2 + (heading difference /
+            0.3 rad)^2, plus `OUTSIDE` if the lane does not contain the point.
 
     Returns:
-        How many were found, not more than k.
+        The number of lanes found, at most k.
     """
     count = 0
     for lane in range(len(map_.step)):
@@ -220,7 +220,7 @@ def matches(map_: LaneArrays, x: float, y: float, yaw: float, lanes: IntArray, f
 
 @kernel
 def road_ahead(map_: LaneArrays, x: float, y: float, toward_x: float, toward_y: float, reach: float) -> float:
-    """How far the first lane is from a point in a direction (a unit vector), m: 0 on a lane, inf not within reach."""
+    """Return the distance to the first lane in a direction (unit vector), m: 0 on a lane, inf if none within reach."""
     steps = int(reach / ROAD_STEP_M) + 1
     for k in range(steps):
         px, py = x + k * ROAD_STEP_M * toward_x, y + k * ROAD_STEP_M * toward_y

@@ -1,20 +1,20 @@
-"""Futures of road users that follow no lane: straight on, round a circle; several hypotheses of each pedestrian.
+"""Futures of road users that follow no lane: straight, along a circle; several hypotheses for each pedestrian.
 
-(1) constant velocity: p(t + tau) = p(t) + v(t) tau, the heading stays
-(2) constant turn rate and velocity: the velocity vector turns with the yaw rate w, so that in tau a chord of length
-    |v| tau sin(h) / h is covered in the direction of v turned by h = w tau / 2; the heading turns by w tau
+(1) constant velocity: p(t + tau) = p(t) + v(t) tau with constant heading
+(2) constant turn rate and velocity: the velocity vector turns with the yaw rate w, so the motion in tau is a chord of
+    length |v| tau sin(h) / h in the direction of v turned by h = w tau / 2; the heading turns by w tau
 
-Pedestrians go on, stop, or turn back. Which and how probable depends on what the pedestrian does and where (`SHARES`):
-walks on a lane, walks towards one that it reaches within `LOOK_S`, walks elsewhere, stands on a lane, stands elsewhere;
-slowing is an acceleration below `SLOWING_MPS2` (backward difference). The shares are cautious assumptions, not fitted
-to data: most pedestrians on the road go on; one who comes to the kerb and slows mostly waits there; one who has just
-stopped may start again.
+Pedestrians go on, stop, or turn back. The hypotheses and their probabilities depend on what the pedestrian does and
+where (`SHARES`): walk on a lane, walk towards a lane that they reach within `LOOK_S`, walk elsewhere, stand on a lane,
+stand elsewhere. A pedestrian slows if its acceleration is below `SLOWING_MPS2` (backward difference). The shares are
+cautious assumptions, not fitted to data: most pedestrians on the road go on; those who slow down at the kerb mostly
+wait there; those who have just stopped may start again.
 
-The hypotheses, with the speed v at the frame (walking: from `WALKING_MPS` on), the direction of the velocity (of the
-heading, of one who stands), and time tau from the frame:
+The hypotheses, with the speed v at the frame (walking: from `WALKING_MPS` on), the direction of the velocity (or of the
+heading, if standing), and the time tau since the frame:
 
-    goes on       at v; one who stands starts after `REACTION_S` at `START_MPS`
-    stops         brakes with `BRAKE_MPS2`; one who comes to a lane stops `KERB_M` before it, if that is not sooner
+    goes on       at v; standing pedestrians start after `REACTION_S` at `START_MPS`
+    stops         brakes with `BRAKE_MPS2`; on the way to a lane, stops `KERB_M` before it, if braking allows
     turns back    stops as above, waits `PAUSE_S`, walks back at v, at least at `START_MPS`
 
 (3) walked(tau) = v tau until tau_b = D / v - v / (2 b), then braking with b to a stop at the distance D
@@ -33,13 +33,13 @@ from logs.kernel import FloatArray, inner_kernel
 from replay.prediction.lane_map import LaneMap, road_ahead
 
 SLOWEST_MPS = 1.0
-"""Below this speed a heading changes mostly by noise: the turn rate counts as zero."""
+"""Below this speed, changes of the heading are mostly noise: the turn rate is taken as zero."""
 MAX_LATERAL_MPS2 = 5.0
-"""A turn rate that asks for more than this lateral acceleration is noise, and is cut to it."""
+"""Turn rates that need more than this lateral acceleration are noise, and are limited to it."""
 MAX_KAPPA = 0.2
-"""Nor does a vehicle turn tighter than this, 1/m."""
+"""Greatest curvature of a vehicle's path, 1/m."""
 ON_FOOT = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
-"""Kinds, by their codes, that turn on the spot or not at all: their yaw rate does not predict where they go."""
+"""Whether a kind (by code) turns on the spot or not at all: its yaw rate does not predict its path."""
 
 WALKING_MPS = 0.3
 SLOWING_MPS2 = -0.4
@@ -50,7 +50,7 @@ REACTION_S, START_MPS, PAUSE_S = 0.5, 1.2, 0.5
 
 
 def constant_velocity(agents: Agents, t: FloatArray) -> Predictions:
-    """Each agent goes straight on with its velocity vector (1): one hypothesis of probability 1 per agent."""
+    """Predict straight motion with the velocity vector (1): one hypothesis of probability 1 per agent."""
     ahead = t - t[0]
     n = len(agents)
     return Predictions(
@@ -66,16 +66,16 @@ def constant_velocity(agents: Agents, t: FloatArray) -> Predictions:
 
 @inner_kernel
 def turn_rate(code: int, speed: float, yaw_rate: float) -> float:
-    """The yaw rate that goes on: of moving vehicles and bicycles, within what they can turn, rad/s."""
+    """Return the yaw rate to continue, rad/s: that of moving vehicles and bicycles, limited to what they can turn."""
     most = min(MAX_LATERAL_MPS2 / max(speed, SLOWEST_MPS), MAX_KAPPA * speed)
     return 0.0 if ON_FOOT[code] or speed < SLOWEST_MPS else min(max(yaw_rate, -most), most)
 
 
 @inner_kernel
 def turned(one: FloatArray, direction: float, ahead: FloatArray, out: FloatArray) -> None:
-    """Round a circle (2).
+    """Predict motion along a circle (2).
 
-    `one` `(6,)`: x, y, yaw, vx, vy and the yaw rate that goes on; `direction` of its velocity; `ahead` `(k,)`: times
+    `one` `(6,)`: x, y, yaw, vx, vy and the yaw rate to continue; `direction` of its velocity; `ahead` `(k,)`: times
     from now, s; `out` `(3, k)`: rows x, y, yaw.
     """
     speed = np.hypot(one[3], one[4])
@@ -110,14 +110,14 @@ SHARES: dict[tuple[Place, bool], tuple[float, float, float]] = {
     (Place.STANDING, False): (0.0, 1.0, 0.0),
     (Place.STANDING, True): (0.2, 0.8, 0.0),
 }
-"""Probability of going on, stopping (standing on) and turning back, by what it does where, and whether it slows."""
+"""Probabilities of going on, stopping (or staying) and turning back, by place and whether the pedestrian slows."""
 
 
 def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """The hypotheses of the pedestrians among `agents`, and of no other agents (module docstring)."""
+    """Predict only the pedestrians among `agents`, with their hypotheses (module docstring)."""
     ahead, still = t - t[0], np.zeros(len(t))
     agent, probability, way = [], [], []
-    walks: tuple[tuple[FloatArray, FloatArray], ...]  # of each hypothesis: the distance walked, whether it has turned
+    walks: tuple[tuple[FloatArray, FloatArray], ...]  # for each hypothesis: the distance walked, whether it has turned
     for i, kind in enumerate(agents.kinds):
         if kind is not AgentKind.PEDESTRIAN:
             continue
@@ -150,7 +150,7 @@ def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
 
 
 def walked(ahead: FloatArray, speed: float, distance: float) -> FloatArray:
-    """Distance walked at `speed` (m/s) with a stop after `distance` (m) (3)."""
+    """Return the distance walked (3) at `speed` (m/s) with a stop after `distance` (m)."""
     begins = distance / speed - 0.5 * speed / BRAKE_MPS2
     braking = np.clip(ahead - begins, 0.0, speed / BRAKE_MPS2)
     return np.asarray(speed * np.minimum(ahead, begins) + speed * braking - 0.5 * BRAKE_MPS2 * braking**2)

@@ -1,1 +1,1 @@
-"""What a run leaves on disk: the files of a log, the tables of a run, and how they are read back (`load`)."""
+"""The files of a run: those of each log, the tables of the run, and functions that read them back (`load`)."""

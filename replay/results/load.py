@@ -1,11 +1,11 @@
-"""A result folder, read back: every table of a run as a tidy frame, every drive with its plans. `replan.load` is this.
+"""Reads a result folder: every table of a run as a tidy frame, every drive with its plans (`replan.load`).
 
 result = load("results/run-001")
 result.metrics                                   # one row per log, planner, mode and metric
-result.drive("paper/free_road").plan(at=6.5)     # the plan that was driven at 6.5 s, with its inside as arrays
+result.drive("paper/free_road").plan(at=6.5)     # the plan that was driven at 6.5 s, with its internals as arrays
 
-Nothing is read before it is asked for. All tables have the columns log, planner and mode where they are about a drive;
-docs/results.md says what each column means. `SCHEMA_VERSION` counts up when one changes its meaning or goes.
+A table is read when it is first used. All tables about drives have the columns log, planner and mode; docs/results.md
+describes each column. `SCHEMA_VERSION` increases when a column changes its meaning or is removed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ FAILURE_COLUMNS = ("log", "planner", "mode", "message", "exit_code")
 DECISION_COLUMNS = ("log", "planner", "mode", "t_s", "agent", "decision", "stage", "reason")
 RECORDINGS = (".rrd",)
 SUMMARY_KEYS = frozenset({"exit_code", "logs", "gates", "failures"})
-"""Without these a summary.json is not replan's."""
+"""Keys that every summary.json of replan has."""
 
 Table = TypeVar("Table")
 
@@ -50,10 +50,10 @@ def load(path: Path | str) -> Results:
     """The results of a run.
 
     Args:
-        path: The result folder, or its URL: all but its recordings is fetched, for as long as the results are kept.
+        path: The result folder, or its URL: its files except recordings are fetched, and kept as long as the results.
 
     Raises:
-        ConfigError: It is no result folder, or of another version.
+        ConfigError: The path is not a result folder, or is of another version.
         LogError: It cannot be fetched.
     """
     return loaded(Near(path, RECORDINGS))
@@ -84,7 +84,7 @@ def loaded(near: Near) -> Results:
 
 
 def _table(file: Path, read: Callable[[Path], Table]) -> Table:
-    """What is in a table's file; LogError where it is not there or damaged."""
+    """The contents of a table's file; LogError if it is missing or damaged."""
     try:
         return read(file)
     except (OSError, pa.ArrowException) as error:
@@ -97,8 +97,8 @@ class Results:
 
     Attributes:
         path: The result folder.
-        summary: What summary.json holds: version, outcome, exit code, logs, gates, failures.
-        resumed: How many logs `evaluate_logs` took from an interrupted run; 0 of results that were loaded.
+        summary: The contents of summary.json: version, outcome, exit code, logs, gates, failures.
+        resumed: Number of logs that `evaluate_logs` kept from an interrupted run; 0 for loaded results.
     """
 
     path: Path
@@ -113,12 +113,12 @@ class Results:
 
     @property
     def exit_code(self) -> int:
-        """Of `replan evaluate`."""
+        """The exit code of `replan evaluate`."""
         return int(self.summary["exit_code"])
 
     @property
     def outcome(self) -> str:
-        """The exit code in words: "pass", "fail", "inconclusive", ...; "not judged" of a shard."""
+        """The exit code in words: "pass", "fail", "inconclusive", ...; "not judged" for a shard."""
         return str(self.summary["outcome"])
 
     @cached_property
@@ -128,7 +128,7 @@ class Results:
 
     @cached_property
     def _metric_rows(self) -> dict[Any, Any]:
-        """Where the metrics of each drive are."""
+        """Row indices of the metrics of each drive."""
         return dict(self.metrics.groupby(["log", "planner", "mode"], sort=False).indices)
 
     @cached_property
@@ -150,7 +150,7 @@ class Results:
 
     @cached_property
     def logs(self) -> pd.DataFrame:
-        """A row per log: where it comes from, hash, tags (a list), its folder; "" where it could not be read."""
+        """A row per log: where it comes from, hash, tags (a list), its folder; "" if it could not be read."""
         return pd.DataFrame(self.summary["logs"], columns=list(LOG_COLUMNS))
 
     @cached_property
@@ -161,7 +161,7 @@ class Results:
 
     @property
     def unread(self) -> tuple[str, ...]:
-        """Logs that could not be read: `failures` says why."""
+        """Logs that could not be read; `failures` has the reasons."""
         return tuple(log["log"] for log in self.summary["logs"] if not log["sha256"])
 
     @cached_property
@@ -172,22 +172,22 @@ class Results:
 
     @cached_property
     def failures(self) -> pd.DataFrame:
-        """What could not be evaluated."""
+        """Logs and drives that could not be evaluated."""
         return pd.DataFrame(self.summary["failures"], columns=list(FAILURE_COLUMNS))
 
     @cached_property
     def timings(self) -> pd.DataFrame:
-        """How long each stage of each plan took, s."""
+        """The duration of each stage of each plan, s."""
         return _table(self.path / "timings.parquet", read_timings)
 
     @cached_property
     def health(self) -> pd.DataFrame:
-        """What is wrong with the logs."""
+        """The findings about the health of the logs."""
         return _table(self.path / "health.parquet", pd.read_parquet)
 
     @cached_property
     def frames(self) -> pd.DataFrame:
-        """Every metric step by step, of all drives: large."""
+        """Every metric step by step, of all drives: a large table."""
         pairs = zip(self.logs["log"], self.logs["folder"], strict=True)
         parts = [self._steps(log, folder) for log, folder in pairs if folder]
         return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
@@ -210,7 +210,7 @@ class Results:
 
         Args:
             log: Name of the log.
-            planner: None: the run's only one.
+            planner: Name of the planner; None: the only one of the run.
             mode: "open" or "closed".
 
         Raises:
@@ -263,19 +263,19 @@ class DriveResult:
 
     @cached_property
     def series(self) -> pd.DataFrame:
-        """Its metrics step by step: index t_s, a column per metric; NaN where a step has none."""
+        """Its metrics step by step: index t_s, a column per metric; NaN if a step has no value."""
         rows = self._mine(self.result._steps(self.log, str(self._row(self.result.logs)["folder"])))
         return rows.pivot(index="t_s", columns="metric", values="value")
 
     def steps(self, metric: str) -> tuple[FloatArray, FloatArray]:
-        """One metric step by step, t (s) and value `(n,)`; empty where it was not measured."""
+        """One metric step by step, t (s) and value `(n,)`; empty if it was not measured."""
         t, values, rows = self._by_metric
         mine = rows.get(metric, slice(0, 0))
         return t[mine], values[mine]
 
     @cached_property
     def _by_metric(self) -> tuple[FloatArray, FloatArray, dict[str, slice]]:
-        """The steps sorted by metric, then by time, and where those of each metric are."""
+        """The steps sorted by metric, then by time, and the slice of each metric."""
         file = self.result.path / str(self._row(self.result.logs)["folder"]) / "frames.parquet"
         if not file.is_file():
             return np.empty(0), np.empty(0), {}
@@ -300,7 +300,7 @@ class DriveResult:
 
     @property
     def trace_file(self) -> Path:
-        """Its MCAP; its recording has the ending .rrd."""
+        """Its MCAP file; its recording has the same name with the suffix .rrd."""
         return next(self.result.path / file for file in self.info["files"] if str(file).endswith(".mcap"))
 
     @cached_property
@@ -309,7 +309,7 @@ class DriveResult:
 
     @property
     def trace(self) -> Trace:
-        """The drive: ego, the others, plans with as much of their inside as was kept; LogError where it is damaged."""
+        """The drive: ego, road users, plans with the internals that were kept; LogError if it is damaged."""
         return self._read[0]
 
     @property
@@ -321,7 +321,7 @@ class DriveResult:
         """The last frame not later than `at`, s since the scenario's start.
 
         Raises:
-            ConfigError: There is none, or the drive had ended.
+            ConfigError: There is no such frame, or the drive had ended.
         """
         if at > self.trace.ego.t[-1] + 1e-6 and isfinite(at):
             ended = f"it ended at {self.trace.ego.t[-1]:.2f} s: {self.trace.end.value}"

@@ -1,12 +1,12 @@
 """The result of one log, in memory and in the log's folder: `log.json`, its tables, and the steps of its metrics.
 
-A folder is there only when all of it is (it is renamed from a temporary name), so that a run that was interrupted can
-take it as it stands. The tables of a run are always made of tables read back from the folders: whether a log was
-evaluated just now or before an interruption makes no difference to a byte of them.
+A folder exists only when it is complete (it is renamed from a temporary name), so that a resumed run can use it
+unchanged. The tables of a run are always made from tables that are read back from the folders, so that they are the
+same, byte for byte, with and without an interruption.
 
-frames.parquet is sorted by planner, loop and metric; the metrics are measured in another order, and take half a
-gigabyte of an hour. So they wait in a file (`StepsFile`) until all are there, and are written in groups of
-`GROUP_ROWS` rows, which depend on nothing but the values.
+frames.parquet is sorted by planner, loop and metric; the metrics are measured in another order, and an hour takes half
+a gigabyte. So they are stored in a file (`StepsFile`) until all are complete, and are written in groups of about
+`GROUP_ROWS` rows, which depend only on the values.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from replay.results.tables import LOG_CARD, write_file, write_json, write_parque
 METRICS, MEMBERS, HEALTH, TIMINGS = "metrics.parquet", "ensemble.parquet", "health.parquet", "timings.parquet"
 FRAMES = "frames.parquet"
 SPOOL_BYTES = 16 * 2**20
-"""The greatest number of bytes of steps in memory; more wait in the file."""
+"""The largest number of bytes of steps in memory; more are stored in the file."""
 GROUP_ROWS = 1 << 18
-"""Rows that are in memory at once, and that a reader of a part takes at least."""
+"""Number of rows that are in memory at once, and the least that a reader of a part reads."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Failure:
 
     Attributes:
         log: Label or name of the log.
-        message: One line that names the thing, the place and the remedy.
-        planner: None: the log itself.
-        mode: None: before any loop.
+        message: One line that names the subject, the place and the remedy.
+        planner: The planner; None for the log itself.
+        mode: The loop; None if it failed before any loop.
         exit_code: The exit code that it causes.
         traceback: Traceback of a bug; empty for an error that the user can correct.
     """
@@ -61,7 +61,7 @@ class Failure:
 
     @property
     def line(self) -> str:
-        """The message, with planner and loop where they are known."""
+        """The message, with planner and loop if they are known."""
         return f"{self.message} [{self.planner}, {self.mode} loop]" if self.planner else self.message
 
 
@@ -86,16 +86,16 @@ class LogResult:
 
     Attributes:
         source: Label of the log: the path as given, or the family's name.
-        name: Of the scenario; the source's label where it could not be read.
-        digest: SHA-256 of the log's bytes; empty where it could not be read.
-        folder: Its folder's name in the result folder; empty where there is none.
-        family: Of the scenario (`Scenario.family`); `dataset` likewise.
-        tags: Of the scenario.
-        notes: What was assumed in reading it.
-        drives: What was driven, planners in the order of the run, open before closed.
-        failures: What could not be driven.
-        seconds: How long it took; for display, in no file; NaN if it was taken from an earlier run.
-        stopped: Why the result, and so the run, could not be written; empty if it was.
+        name: Name of the scenario; the label of the source if it could not be read.
+        digest: SHA-256 of the log's bytes; empty if it could not be read.
+        folder: Name of its folder in the result folder; empty if there is none.
+        family: Family of the scenario (`Scenario.family`); `dataset` likewise.
+        tags: Tags of the scenario.
+        notes: Assumptions that were made when it was read.
+        drives: The drives, planners in the order of the run, open before closed loop.
+        failures: Drives that failed.
+        seconds: Its duration, for display only; NaN if the result is from an earlier run.
+        stopped: The reason why the result could not be written, which stops the run; empty if it was written.
     """
 
     source: str
@@ -112,7 +112,7 @@ class LogResult:
     stopped: str = ""
 
     def record(self) -> dict[str, Any]:
-        """As summary.json and log.json have it, without its failures."""
+        """The record in summary.json and log.json, without failures."""
         return {
             "log": self.name,
             "source": self.source,
@@ -128,12 +128,12 @@ class LogResult:
 
 @dataclass(frozen=True, eq=False)
 class LogTables:
-    """The tables of one log; they are in its folder only, so that a run over many logs holds none of them.
+    """The tables of one log; they are only in its folder, so that a run over many logs keeps none of them in memory.
 
     Attributes:
         metrics: Rows of `metrics.evaluate`.
         members: Rows of `metrics.evaluate` of the ensemble's drives, with `MEMBER` and `PERTURBATION`; mostly empty.
-        health: Rows of `metrics.health.table`: what is wrong with the log.
+        health: Rows of `metrics.health.table`: findings about the log.
         timings: Rows of timings.parquet.
     """
 
@@ -145,7 +145,7 @@ class LogTables:
 
 @dataclass(frozen=True)
 class Stamp:
-    """What the results of a log depend on besides the configuration.
+    """Version and code, on which the results of a log depend besides the configuration.
 
     Attributes:
         replan: Version.
@@ -160,11 +160,11 @@ def write_result(folder: Path, result: LogResult, tables: LogTables, identity: s
     """Write a result into its (still unfinished) folder.
 
     Args:
-        folder: Where the drives' files are already.
-        result: What is kept.
-        tables: Likewise.
-        identity: Which input it came from (`LogSource.identity`).
-        stamp: What it depends on.
+        folder: The folder, which already contains the files of the drives.
+        result: The result.
+        tables: Its tables.
+        identity: Identity of the input (`LogSource.identity`).
+        stamp: Version and code of replan.
     """
     write_parquet(folder / METRICS, tables.metrics)
     write_parquet(folder / TIMINGS, tables.timings)
@@ -177,7 +177,7 @@ def write_result(folder: Path, result: LogResult, tables: LogTables, identity: s
 
 
 def load_result(folder: Path) -> tuple[LogResult, str, Stamp] | None:
-    """Read the result in a log's folder, its input and its stamp; None where the folder is not whole."""
+    """Read the result in a log's folder, its input and its stamp; None if the folder is not complete."""
     try:
         card: dict[str, Any] = json.loads((folder / LOG_CARD).read_text(encoding="utf-8"))
         if card["schema_version"] != SCHEMA_VERSION:
@@ -208,7 +208,7 @@ def load_result(folder: Path) -> tuple[LogResult, str, Stamp] | None:
 
 
 def table_of(out: Path, results: Iterable[LogResult], name: str) -> pd.DataFrame:
-    """A table of all logs, from their folders in `out`, under the names that they have in the run; empty: of none."""
+    """A table of all logs, from their folders in `out`, under their names in the run; empty if no log has it."""
     tables: list[pa.Table] = []
     for result in results:
         file = out / result.folder / name
@@ -226,7 +226,7 @@ def timings_of(out: Path, result: LogResult) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Steps:
-    """One metric of one drive: its name, and where its times and values are in the file."""
+    """One metric of one drive: its name, and the place of its times and values in the file."""
 
     metric: str
     begin: int
@@ -234,13 +234,13 @@ class Steps:
 
 
 class StepsFile:
-    """The steps so far.
+    """Stores the steps of metrics until all drives of a log are complete.
 
     Args:
-        folder: Of the log, still unfinished.
+        folder: The unfinished folder of the log.
 
     Raises:
-        OutputError: As any method: the file cannot be written.
+        OutputError: The file cannot be written; every method may raise it.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -274,12 +274,12 @@ class StepsFile:
         return both[: steps.rows], both[steps.rows :]
 
     def write(self) -> None:
-        """The table of all drives that were added, where there is one."""
+        """Write the table of all drives that were added, if there are any."""
         if self._drives:
             write_file(self._path, self._write)
 
     def close(self) -> None:
-        """Remove the file; whether the rest of it could be written no longer matters."""
+        """Remove the temporary file; errors while its rest is written are ignored."""
         with suppress(OSError):
             self._file.close()
 

@@ -1,4 +1,4 @@
-"""The schema of the tables of a run, in one place: what is written has these columns, and docs/results.md is this page.
+"""The schema of the tables of a run: written tables have these columns, and docs/results.md is made from it.
 
 python -c 'from replay.results.schema import markdown; print(markdown())' > docs/results.md
 """
@@ -12,7 +12,7 @@ import pandas as pd
 import pyarrow as pa
 
 SCHEMA_VERSION = 1
-"""Of the tables and of the JSON files; counts up when a column changes its meaning or goes, not when one is added."""
+"""Version of the tables and JSON files; it increases when a column changes its meaning or is removed."""
 
 _TYPES = {"text": pa.large_string(), "number": pa.float64(), "count": pa.int64(), "yes/no": pa.bool_()}
 _TYPES["list"] = pa.list_(pa.large_string())
@@ -23,9 +23,9 @@ class Column:
     """One column.
 
     Attributes:
-        name: With its unit as the last part where it is a quantity of one unit.
-        kind: "text", "number" (NaN where there is none), "count", "yes/no", "list" (of texts).
-        meaning: What it says.
+        name: The name; its last part is the unit of a quantity with one unit.
+        kind: "text", "number" (NaN if there is none), "count", "yes/no", "list" (of texts).
+        meaning: Its meaning.
     """
 
     name: str
@@ -38,9 +38,9 @@ class Table:
     """One table.
 
     Attributes:
-        rows: What a row is, and what the file is.
+        rows: A description of a row and of the file.
         same: Whether the same inputs give the same bytes.
-        columns: In their order.
+        columns: The columns, in their order.
     """
 
     rows: str
@@ -211,7 +211,7 @@ TABLES: Mapping[str, Table] = {
         ),
     ),
 }
-"""By file name; a file of a run and of a log's folder that have one name differ in what the text says."""
+"""Tables by file name; the text gives the difference between a file of a run and one of a log with the same name."""
 
 FRAMES: Mapping[str, Table] = {
     "logs": Table(
@@ -284,7 +284,7 @@ FRAMES: Mapping[str, Table] = {
         ),
     ),
 }
-"""Tables that only `Results` has, made of summary.json and the traces."""
+"""Tables of `Results` only, made from summary.json and the traces."""
 
 
 def names_of(file: str) -> list[str]:
@@ -293,7 +293,7 @@ def names_of(file: str) -> list[str]:
 
 
 def arrow(file: str, table: pd.DataFrame) -> pa.Table:
-    """The table with the types of its schema, also where it has no rows; any other file as pandas has it.
+    """The table with the types of its schema, even without rows; other files get the types of pandas.
 
     Raises:
         KeyError: It has a column that the schema does not know.
@@ -306,7 +306,7 @@ def arrow(file: str, table: pd.DataFrame) -> pa.Table:
 
 
 def markdown() -> str:
-    """docs/results.md."""
+    """The text of docs/results.md."""
     lines = INTRODUCTION.format(version=SCHEMA_VERSION).strip().splitlines()
     for file, table in TABLES.items():
         same = "The same inputs give the same bytes." if table.same else "Not the same twice: it holds a clock."

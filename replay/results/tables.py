@@ -1,20 +1,20 @@
 """The tables and files of a run, and the folder that they are in.
 
     OUT/metrics.parquet, .csv   one row per log, planner, mode and metric reduction     the same for the same inputs
-    OUT/verdicts.parquet        one row per gate, log, planner and mode: what this log says    likewise
+    OUT/verdicts.parquet        one row per gate, log, planner and mode: the outcome on this log    likewise
     OUT/groups.parquet          one row per group of logs, planner, mode and metric: mean, median, worst   likewise
     OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
     OUT/summary.json            outcome, gates, drives, failures
     OUT/report.md, junit.xml    the reports, by `replan evaluate` and `replan report`
     OUT/run.toml                the resolved configuration
     OUT/origin.json             the directory in which the run was started: where its logs are (`replay.run.output`)
-    OUT/shard.json              of a part of a run: which, of what (`replay.run.shards`)
+    OUT/shard.json              only in a shard: its number and its run (`replay.run.shards`)
     OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
                                 tables above are made of: metrics.parquet, timings.parquet, log.json; ensemble.parquet
                                 (with several planners open.PLANNER.mcap and so on; log.mcap where the log was no MCAP)
 
-`metrics.*`, `verdicts.*`, `groups.*` and `frames.parquet` hold no clock, no path and no machine, and are sorted: two
-runs give the same bytes, whatever the number of workers and however often it was interrupted. Every file is written
+`metrics.*`, `verdicts.*`, `groups.*` and `frames.parquet` contain no measured times, paths or machines, and are sorted:
+two runs give the same bytes, with any number of workers and interruptions. Every file is written
 under a temporary name and renamed.
 """
 
@@ -37,19 +37,19 @@ from replay.config import HEADER
 from replay.results.schema import SCHEMA_VERSION, arrow
 
 PARTIAL = ".partial-"
-"""Names of what is being written begin with this."""
+"""Prefix of the names of unfinished files and folders."""
 
 LOG_CARD = "log.json"
 """A file that replan puts beside the traces of a log: a log beside it is a result, not an input."""
 OUTCOMES = {0: "pass", 1: "fail", 2: "configuration error", 3: "not all could be evaluated", 4: "inconclusive"}
 LOCK = ".lock"
-"""The file by which a run holds its folder (`replay.run.output`)."""
+"""The file by which a run locks its folder (`replay.run.output`)."""
 
 SHARD_CARD = "shard.json"
-"""Which part of a run the folder holds (`replay.run.shards`)."""
+"""The file that identifies a shard of a run (`replay.run.shards`)."""
 
 ORIGIN = "origin.json"
-"""Where the run was started (`replay.run.output`)."""
+"""The file with the directory in which the run was started (`replay.run.output`)."""
 
 TABLES = (
     "metrics.parquet",
@@ -64,7 +64,7 @@ TABLES = (
     ORIGIN,
 )
 MINED = ("events.parquet", "logs.parquet", "mined.json", "coverage.csv", "coverage.png")
-"""What `replan mine` and `replan coverage` write."""
+"""Files that `replan mine` and `replan coverage` write."""
 REPORTS = ("report.md", "junit.xml", "report.html")
 FILES = (*TABLES, *MINED, *REPORTS)
 """The files in a result folder beside the folders of the logs."""
@@ -79,7 +79,7 @@ def safe_name(name: str, digest: str = "") -> str:
 
 
 def write_file(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `path`, then rename it: `path` is whole or not there (OutputError)."""
+    """Let `write` fill a temporary file beside `path`, then rename it: `path` is complete or missing (OutputError)."""
     partial = path.with_name(f"{PARTIAL}{path.name}")
     try:
         with writing(path):
@@ -90,18 +90,18 @@ def write_file(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """`text` as UTF-8, whole or not at all."""
+    """Write `text` as UTF-8, completely or not at all."""
     write_file(path, lambda partial: partial.write_text(text, encoding="utf-8", newline="\n"))
 
 
 def write_parquet(path: Path, table: pd.DataFrame) -> None:
-    """The table with its schema version, and nothing that differs between two writings of the same values."""
+    """Write a table with its schema version; the same values give the same bytes."""
     typed = arrow(path.name, table).replace_schema_metadata({"replan_schema_version": str(SCHEMA_VERSION)})
     write_file(path, lambda partial: pq.write_table(typed, partial, compression="zstd"))
 
 
 def write_timings(path: Path, tables: Iterable[pd.DataFrame]) -> None:
-    """Timings of one log after the other; no more than one of them is in memory."""
+    """Write the timings of one log after the other; only those of one log are in memory."""
     text, schema = pa.large_string(), {"replan_schema_version": str(SCHEMA_VERSION)}
     kinds = {name: pa.float64() if name in ("t_s", "seconds") else text for name in TIMING_COLUMNS}
     columns = pa.schema(list(kinds.items()), metadata=schema)
@@ -121,7 +121,7 @@ def read_timings(path: Path) -> pd.DataFrame:
 
 
 def joined(tables: Iterable[pd.DataFrame], keys: Sequence[str], columns: Sequence[str] = ()) -> pd.DataFrame:
-    """The rows of all tables, sorted by `keys` (stable); `columns` names them where there is no table."""
+    """The rows of all tables, sorted by `keys` (stable); `columns` are those of an empty result."""
     parts = [table for table in tables if len(table)]
     if not parts:
         return pd.DataFrame(columns=list(columns or keys))
@@ -129,7 +129,7 @@ def joined(tables: Iterable[pd.DataFrame], keys: Sequence[str], columns: Sequenc
 
 
 def write_metrics(out: Path, table: pd.DataFrame) -> None:
-    """metrics.parquet and metrics.csv; the schema version is their first column."""
+    """Write metrics.parquet and metrics.csv; the schema version is their first column."""
     table = table.copy()
     table.insert(0, "schema_version", SCHEMA_VERSION)
     write_parquet(out / "metrics.parquet", table)
@@ -137,7 +137,7 @@ def write_metrics(out: Path, table: pd.DataFrame) -> None:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """JSON with the schema version first; NaN is refused."""
+    """Write JSON with the schema version first; NaN raises ValueError."""
     text = json.dumps({"schema_version": SCHEMA_VERSION, **content}, indent=2, ensure_ascii=False, allow_nan=False)
     write_text(path, text + "\n")
 
@@ -146,7 +146,7 @@ def next_free(parent: Path = Path("results")) -> Path:
     """Create the first of `parent/run-001`, `parent/run-002`, ... that does not exist.
 
     Raises:
-        ConfigError: It cannot be made.
+        ConfigError: The folder cannot be created.
     """
     for number in count(1):
         out = parent / f"run-{number:03d}"
@@ -161,7 +161,7 @@ def next_free(parent: Path = Path("results")) -> Path:
 
 
 def clear_folder(out: Path) -> None:
-    """Empty a folder that is held (`replay.run.output`); ConfigError as `check_ours`."""
+    """Empty a folder that is locked (`replay.run.output`); ConfigError as `check_ours`."""
     check_ours(out)
     for entry in out.iterdir():
         if entry.name != LOCK:
@@ -169,7 +169,7 @@ def clear_folder(out: Path) -> None:
 
 
 def check_ours(out: Path) -> None:
-    """ConfigError where a folder holds anything that was not written by a run."""
+    """Raise ConfigError if a folder contains anything that a run did not write."""
     foreign = [entry.name for entry in sorted(out.iterdir()) if not is_ours(entry)]
     if foreign:
         raise ConfigError(f"{out}: contains {foreign[0]}, not a replan result; give --out a new or empty folder")

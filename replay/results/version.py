@@ -1,4 +1,4 @@
-"""Which version of replan this is; imports nothing that takes time."""
+"""The version of replan; this module imports nothing that takes time."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Many logs: select (`sources`), evaluate in workers (`engine`, `pool`, `one_log`), judge and write (`judging`).
 
-A run that was interrupted goes on where it was (`resume`); what it takes from disk is in `replay.results.log_result`.
-A run may be driven in parts on several machines, which are put together again (`shards`). Its folder is held while it
-is written, and may be at a URL (`output`).
+`resume` continues an interrupted run; `replay.results.log_result` reads its finished logs from disk.
+Several machines may each drive a part of a run; `shards` merges the parts. The result folder is locked while it is
+written, and may be at a URL (`output`).
 
 from replay.run import evaluate_logs
 from replay.config import RunConfig

@@ -21,10 +21,10 @@ def calibrate(
     """Write `calibration.csv` and `.png` of a vehicle into a folder.
 
     Args:
-        out: Made where it is not there.
+        out: The folder; it is created if needed.
         model: Name in `replay.vehicle.VEHICLES`.
         car: Name of a set of parameters in `logs/vehicles`; None: that of the configuration, else the default vehicle.
-        config: A run's configuration: its [vehicle].
+        config: A run's configuration, of which [vehicle] is used.
 
     Raises:
         ConfigError: A name is unknown, the model has no power train, or the folder cannot be made.

@@ -39,20 +39,20 @@ KINDS: Mapping[str, tuple[Kind[Callable[..., Any]], int]] = {
     "prediction": (PREDICTION, 3),
     "perception": (PERCEPTION, 2),
 }
-"""By key of [loop]: the kind that resolves its name, and how many arguments the factory takes before its settings."""
+"""By key of [loop]: the kind that resolves its name, and the number of arguments before the settings."""
 SCENE = "paper/crossing_pedestrian"
 REFUSALS = (ValueError, TypeError)
 """The errors with which a factory refuses a setting."""
 _OF_THE_LOG = ("length", "wheelbase", "rear_overhang")
-"""Not checked here: whether they fit together depends on the log's vehicle."""
+"""Plant parameters that are not checked here: whether they are consistent depends on the log's vehicle."""
 
 
 def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
-    """The run with the planners that can be loaded, their settings resolved, and what is wrong with the others.
+    """The run with the planners that can be loaded, their settings resolved, and the failures of the others.
 
     Raises:
-        ConfigError: A name, a planner's keyword or a key of the plant is unknown or missing, a value is refused, or
-            what Foxglove needs is not installed.
+        ConfigError: A name, a planner's keyword or a key of the plant is unknown or missing, a value is refused, or the
+            package for Foxglove is not installed.
         PlannerError: No planner is left.
     """
     tables: dict[str, Any] = {SETTINGS[key]: _resolve_choice(key, run) for key in KINDS}
@@ -106,7 +106,7 @@ def _resolve_choice(key: str, run: RunConfig) -> Mapping[str, Mapping[str, Any]]
 
 
 def _resolve_planner(planner: str, run: RunConfig) -> dict[str, Any]:
-    """The planner's table with its defaults, found out where it will run; checked that it can be built of it."""
+    """The planner's table with its defaults, resolved where the planner will run; checks that it can be built."""
     table, apart = run.planner.get(planner, {}), run.loop.apart
     if is_apart(planner, apart):
         return describe_planner(planner, table, apart)
@@ -132,9 +132,9 @@ def _check_plant(run: RunConfig) -> None:
 
 
 def _check_simulation_extensions(run: RunConfig) -> None:
-    """Refuse the user's traffic, perception or prediction that refuses its settings, by a log that is built in.
+    """Raise ConfigError if the user's traffic, perception or prediction refuses its settings on a built-in log.
 
-    What it raises there by its defaults, too, may be that log's fault: it is heard of from the user's own.
+    An error that it also raises with default settings may be due to that log, and is left to the user's own logs.
     """
     loop, scene = run.drive_loop, cache(lambda: scenario(SCENE))
 

@@ -1,10 +1,11 @@
-"""Where the logs of a run are driven: in this process, in processes of this machine, on a Ray cluster. Same bytes.
+"""Engines drive the logs of a run: in this process, in processes of this machine, or on a Ray cluster. Same bytes.
 
-An engine applies a function to items and yields what came of each as it ends, in any order; a worker that dies costs
-`WorkerLost` for its item and nothing else. The function writes a log's folder into the result folder itself where the
-workers share it with the driver (`local`), else what it returns brings the folder with it (`replay.run.on_ray`).
+An engine applies a function to items and yields the result of each as it ends, in any
+order; if a worker dies, the result of its item is `WorkerLost`, and no other item is
+affected. The function writes a log's folder into the result folder if the workers
+share that with the driver (`Local`); otherwise its result contains the folder (`replay.run.on_ray`).
 
-Items are handed out by how long they are expected to take, the longest first (Graham, SIAM J. Appl. Math. 17, 1969:
+Items are started by their expected duration, the longest first (Graham, SIAM J. Appl. Math. 17, 1969:
 within 4/3 - 1/(3 m) of the shortest makespan on m workers), so that no long log begins last. An item is a log, or the
 logs that are driven in lock step.
 """
@@ -65,7 +66,7 @@ class Local:
                 for begin, team in zip(begins, teams, strict=False):
                     yield from enumerate(job(team), begin)
             finally:
-                set_template_run("")  # this process may go on to other things
+                set_template_run("")  # this process may do other work afterwards
             return
         drive = partial(run_all, job, workers=max(1, min(self.workers, len(teams))), one_first=is_cache_empty())
         ended = longest_first(teams, drive, lambda team: sum(source.expected_s for source in team))
@@ -75,17 +76,17 @@ class Local:
 
 
 def teams_of(count: int, batch: int) -> list[range]:
-    """Which of the logs of a run are evaluated together, by their places alone: each by itself, or `batch` of them."""
+    """Indices of the logs that are evaluated together, in teams of one log, or of `batch` consecutive logs."""
     size = max(batch, 1)
     return [range(begin, min(begin + size, count)) for begin in range(0, count, size)]
 
 
 @dataclass(frozen=True)
 class Job:
-    """`evaluate_log` with all arguments but the log; a planner's module is loaded once where it is called.
+    """`evaluate_log` with all arguments except the log; a process that calls it loads a planner's module once.
 
     Attributes:
-        run: What is driven.
+        run: The configuration of the run.
         out: The result folder.
         stamp: See `evaluate_log`.
         name: A name that no other run has.
@@ -97,7 +98,7 @@ class Job:
     name: str = field(default_factory=lambda: uuid4().hex)
 
     def __call__(self, team: Sequence[LogSource]) -> list[LogResult]:
-        """As `evaluate_log`, of each of some logs that are evaluated together (`LoopConfig.apart.batch`)."""
+        """Evaluate each log of a team; in lock step if `LoopConfig.apart.batch` is set."""
         set_template_run(self.name)
         tasks = [partial(evaluate_log, source, self.run, self.out, self.stamp) for source in team]
         return in_lockstep(tasks) if self.run.loop.apart.batch else [task() for task in tasks]

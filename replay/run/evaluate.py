@@ -46,7 +46,7 @@ def evaluate_logs(
         out: Result folder: new, empty, or results of an earlier run, which are replaced; None: `results/run-NNN`.
         workers: Number of child processes; 0 evaluates in this process. Results do not depend on it.
         engine: Where the logs are driven, with the same results; None: `workers` of this machine.
-        resume: Take the logs that an interrupted run into `out` has finished as they are (`replay.run.resume`); the
+        resume: Keep the results of logs that an interrupted run into `out` has finished (`replay.run.resume`); the
             tables are the same, byte for byte, as those of a run that was never interrupted.
         window: Split each log into windows of this length, s; each is a log of its own.
         suite: Instead of logs: a suite of the catalogue, or a family or group of it with all its cells.
@@ -55,8 +55,8 @@ def evaluate_logs(
         on_log: Called as each log ends, in order of ending.
 
     Raises:
-        ConfigError: No logs, an unknown name, gates that cannot be read, a folder that is not ours to write, nothing
-            that could be resumed with these logs, this configuration and this code; another run writes into `out`.
+        ConfigError: No logs, an unknown name, gates that cannot be read, a folder that replan must not write, no run
+            that can be resumed with these logs, this configuration and this code; another run writes into `out`.
         PlannerError: None of the planners can be loaded.
         OutputError: The disk is full; finished logs are kept for `resume`.
     """
@@ -104,7 +104,7 @@ def evaluate_logs(
 
 
 def _check_batch(engine: Engine, window: float | None, shard: Shard | None) -> None:
-    """Refuse what does not fit to logs in lock step."""
+    """Refuse options that do not work with logs in lock step."""
     if not isinstance(engine, Local):
         raise ConfigError("loop.apart.batch drives logs together on this machine only: leave out --engine or the batch")
     if shard is not None:
@@ -118,7 +118,7 @@ def _check_batch(engine: Engine, window: float | None, shard: Shard | None) -> N
 
 
 def selected(logs: Sequence[Path | str], run: RunConfig, window: float | None, suite: str | None) -> Selection:
-    """The logs of a run, arguments as of `evaluate_logs`; ConfigError where there are none, or they do not fit."""
+    """The logs of a run, from arguments of `evaluate_logs`; ConfigError if there are none, or arguments conflict."""
     if run.log.map and not Path(run.log.map).is_file():
         raise ConfigError(f"{run.log.map}: no such map")
     if suite is not None and suite.endswith(".toml") and not logs:
@@ -126,11 +126,11 @@ def selected(logs: Sequence[Path | str], run: RunConfig, window: float | None, s
     if suite is None and logs:
         return select(logs, run.log, window)
     if window is not None or run.log != LogSettings():
-        raise ConfigError("the built-in suites have no [log] settings and no parts; name logs, or leave them out")
+        raise ConfigError("[log] settings and --window are not for the built-in suites; name logs, or leave them out")
     if suite is None:
         return builtin_suite()
     if logs:
-        raise ConfigError(f"--suite {suite} are logs by themselves: leave out other logs")
+        raise ConfigError(f"--suite {suite} selects logs itself: leave out other logs")
     return named_suite(suite)
 
 
@@ -140,7 +140,7 @@ def _evaluate_rest(
     done: Mapping[int, LogResult],
     on_log: Callable[[LogResult], None],
 ) -> tuple[LogResult, ...]:
-    """The results in the order of the logs; those that are there already first."""
+    """The results in the order of the logs; `on_log` is called for the results in `done` first."""
     results = dict(done)
     for result in done.values():
         on_log(result)

@@ -1,4 +1,4 @@
-"""One frame of a run planned again in one process: the drive up to it, its plan, times, QPs; `replan frame`."""
+"""Plans one frame of a run again in this process: the drive up to it, its plan, times and QPs (`replan frame`)."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class WatchedPlanning(Planning):
     """A planning that keeps its frames, and the QPs of the last; a debugger opens at the frame of `stop_s`.
 
     Attributes:
-        frames: So far.
-        asked: QPs of the last plan.
+        frames: The frames so far.
+        asked: The QPs of the last plan.
     """
 
     def __init__(self, stop_s: float, *arguments: Any, **keywords: Any) -> None:
@@ -59,8 +59,8 @@ class ReplannedFrame:
     Attributes:
         scenario: The log.
         dump: The frames up to it, the plan, the QPs.
-        seconds: How long each stage took, and "total".
-        is_same: Whether the trajectory is the one in the results, to the bit; None: another planner's.
+        seconds: Duration of each stage, and "total", s.
+        is_same: Whether the trajectory is the one in the results, to the bit; None for another planner.
     """
 
     scenario: Scenario
@@ -73,13 +73,13 @@ def replan_frame(drive: DriveResult, at: float, planner: str | None = None, *, d
     """Drive up to a frame as the run did, in this process, and plan it again.
 
     Args:
-        drive: Of a run.
-        at: s; the last frame not later is planned.
-        planner: Another planner, which is given this frame alone; None: the drive's own.
+        drive: A drive of a run.
+        at: Time, s; the last frame that is not later is planned again.
+        planner: Another planner, which gets this frame only; None: the drive's own.
         debug: Open the debugger before the frame is planned.
 
     Raises:
-        ConfigError: No such frame; the log is not where it was, or another; the planner is a program, or an oracle.
+        ConfigError: There is no such frame; the log was moved or changed; the planner is a program, or an oracle.
         PlannerError: The planner raised.
     """
     run, recorded = drive.result.run, drive.frame(at)
@@ -126,7 +126,7 @@ def _drive_up_to(
 def _plan_with(
     drive: DriveResult, scenario: Scenario, watch: WatchedPlanning, planner: str, *, debug: bool
 ) -> ReplannedFrame:
-    """The last frame planned by another planner, fresh."""
+    """Plan the last frame with a new instance of another planner."""
     clock, frame = Stopwatch(), replace(watch.frames[-1], previous=None)
     context, table = replace(watch.context, lap=clock.lap), drive.result.run.planner.get(planner, {})
     factory, keywords = planner_factory(planner), planner_keywords(planner, table)

@@ -1,9 +1,9 @@
-"""One planning frame as a file: what the planner was given from the start of its drive on, its plan, and its QPs.
+"""One planning frame as a file: the input of the planner since the start of its drive, its plan, and its QPs.
 
 A dump is one MessagePack map with the fields of `File`. Context, frames and plan are the messages of
-`replay.planner_process.schema` (docs/planners_apart.md): little-endian float64 columns, so that what is read is what
-was written, to the bit. A planner remembers, so that a dump holds all frames up to the one that is asked about; where
-each frame is fresh (open loop) it holds that one only.
+`replay.planner_process.schema` (docs/planners_apart.md): little-endian float64 columns, so that values are read back to
+the bit. A planner has memory, so a dump contains all frames up to the one of interest; in open loop,
+where each frame starts with fresh memory, it contains only that one.
 
     dump = load(Path("frame.msgpack"))
     dump.frame.agents.ids, dump.problems[0].lower
@@ -35,7 +35,7 @@ VERSION = 1
 
 
 class Problem(msgspec.Struct):
-    """`planners.piecewise_jerk.problem.PiecewiseJerkProblem`, and the curve x, x', x'' `(3 n,)` that answered it.
+    """`planners.piecewise_jerk.problem.PiecewiseJerkProblem`, and the curve x, x', x'' `(3 n,)` that solves it.
 
     Attributes:
         report: The solver's report; its stage names the caller.
@@ -57,15 +57,15 @@ class Problem(msgspec.Struct):
 
 
 class File(msgspec.Struct):
-    """What is in the file.
+    """The contents of the file.
 
     Attributes:
-        version: Of this format.
+        version: Version of this format.
         log: Name; `planner` and `config` (its table) are as in a run's configuration.
-        context: What the planner was built with.
-        frames: In order of time; the last is the one that is asked about.
-        plan: Of the last frame, with its inside.
-        problems: QPs that were solved for it, in their order.
+        context: The context with which the planner was built.
+        frames: The frames in order of time; the last is the one of interest.
+        plan: The plan of the last frame, with its internals.
+        problems: The QPs that were solved for it, in their order.
     """
 
     version: int
@@ -92,11 +92,11 @@ class FrameDump:
 
     @property
     def frame(self) -> Frame:
-        """The frame that is asked about."""
+        """The frame of interest: the last one."""
         return self.frames[-1]
 
     def planned(self) -> Plan:
-        """The plan made anew in this process, by a planner that is given all frames; errors are the planner's own."""
+        """The plan made anew in this process, by a planner that gets all frames; its errors are not caught."""
         planner = planner_factory(self.planner)(self.context, **planner_keywords(self.planner, self.config))
         for frame in self.frames[:-1]:
             planner.plan(frame)
@@ -104,7 +104,7 @@ class FrameDump:
 
 
 def dump(path: Path, one: FrameDump) -> None:
-    """Write a dump; OutputError where the file cannot be written."""
+    """Write a dump; OutputError if the file cannot be written."""
     problems = []
     for problem, result in one.problems:
         arrays = {name: packed(getattr(problem, name)) for name in ("leads", "start", "references", "lower", "upper")}
@@ -125,7 +125,7 @@ def dump(path: Path, one: FrameDump) -> None:
 
 
 def load(path: Path) -> FrameDump:
-    """What `dump` wrote; LogError where it is damaged, or none."""
+    """Read a dump; LogError if the file is damaged, or is not a dump."""
     try:
         file: File = schema.decode(path.read_bytes(), File)
         if file.version != VERSION:
@@ -140,7 +140,7 @@ def load(path: Path) -> FrameDump:
             problems=tuple(map(_problem_of, file.problems)),
         )
     except (OSError, ValueError, KeyError, msgspec.MsgspecError) as error:
-        raise LogError(f"is no dump of a frame: {error}", file=path) from None
+        raise LogError(f"is not a dump of a frame: {error}", file=path) from None
 
 
 def _problem_of(message: Problem) -> SolvedProblem:

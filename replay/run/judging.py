@@ -1,4 +1,4 @@
-"""The end of a run: its logs judged by the gates, its tables and its summary written."""
+"""The end of a run: judges its logs by the gates, and writes its tables and its summary."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from replay.run.sources import Selection
 
 
 def gates_of(run: RunConfig, path: Path | None) -> Gates:
-    """The thresholds in a file, or the packaged ones on what the run drives; ConfigError as `load_gates`."""
+    """The gates in a file, or the packaged gates for the loops of the run; ConfigError as `load_gates`."""
     gates = load_gates(path, metrics=all_metrics(run))
     return gates.asked_of(mode.value for mode in run.modes) if path is None else gates
 
@@ -56,17 +56,17 @@ def judge_and_write(
     """Judge the results of a run (those of a shard are not judged), and write its tables.
 
     Args:
-        out: The result folder, where the folders of the logs are; the tables go there.
-        run: As it was driven.
+        out: The result folder, which contains the folders of the logs; the tables are written into it.
+        run: The configuration of the drives.
         selection: The logs.
-        results: Of each log, in the order of the selection.
+        results: The result of each log, in the order of the selection.
         gates: The thresholds.
-        failures: What could not be evaluated and is not about a log.
-        resumed: How many logs were taken from an interrupted run.
-        shard: Which part of a run it is; "": all of it.
+        failures: Failures that are not about a log.
+        resumed: Number of logs whose results are from an interrupted run.
+        shard: The part of the run; "" for the whole run.
     """
     names, distinct = Counter(result.name for result in results), list[LogResult]()
-    for result in results:  # logs that share a name get the hash of their content behind it
+    for result in results:  # the hash of its content is appended to a name that several logs share
         if names[result.name] > 1 and result.digest:
             name = f"{result.name}@{result.digest[:8]}"
             driven = tuple(replace(drive, log=name) for drive in result.drives)
@@ -108,7 +108,7 @@ def _write_summary(
     out: Path, selection: Selection, results: Sequence[LogResult], verdicts: Sequence[Verdict],
     errors: Sequence[Failure], shard: str,
 ) -> None:  # fmt: skip
-    """summary.json; of a verdict without its rows by log, which are in verdicts.parquet; NaN is null."""
+    """Write summary.json; its verdicts have no rows by log, which are in verdicts.parquet; NaN is null."""
     code = exit_code_of(errors, None if shard else [verdict.outcome for verdict in verdicts])
     gates: list[dict[str, Any]] = []
     for verdict in verdicts:
@@ -135,8 +135,8 @@ def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None
     """Exit code of a run: 0 pass, 1 a gate failed, 2 configuration, 3 not all could be evaluated, 4 inconclusive.
 
     Args:
-        failures: What could not be evaluated.
-        outcomes: Of the gates; None: the run is not judged, and 0 means that it is done.
+        failures: Logs and drives that could not be evaluated.
+        outcomes: Outcomes of the gates; None: the run is not judged, and 0 means that it is complete.
     """
     codes = {failure.exit_code for failure in failures}
     if codes:

@@ -1,12 +1,13 @@
-"""The logs of a run on a Ray cluster: a task per log, tried again where a worker or its node dies.
+"""Drives the logs of a run on a Ray cluster: one task per log, which is retried if a worker or its node dies.
 
-A node needs Python and replan as they are here; the user's own planners and metrics are sent (`code_of`). It writes a
-log's folder into a scratch folder of its own, and sends the files back with the result; here they are written under a
-temporary name and renamed, as a worker of this machine does. What is in flight is bounded, so that neither the
+A node needs the same Python and replan as this machine; the user's own planners and metrics are sent (`code_of`).
+It writes a log's folder into its own scratch folder, and sends the files back with the result; this machine
+writes them under a temporary name and renames them, as a local worker does. The number of tasks in flight is
+bounded, so that neither the
 scheduler nor this process holds more than a few logs of a run of any size.
 
-One task has one log: the overhead of a task is milliseconds (docs/scale.md), a log takes a second or more, and a node
-that dies costs a retry of the logs that it had and no more. The processes that run the tasks are kept by Ray, so that
+One task has one log: the overhead of a task is milliseconds (docs/scale.md), a log takes a second or more, and only the
+logs of a node that dies are retried. The processes that run the tasks are kept by Ray, so that
 kernels are loaded once in each.
 """
 
@@ -42,7 +43,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 RETRIES = 3
-"""Of a task whose worker or node died (Ray's own default); an error that replan raises is an answer, not retried."""
+"""Retries of a task whose worker or node died (Ray's own default); an error that replan raises is not retried."""
 AHEAD = 2
 """Tasks in flight per core of the cluster: each core has its next one waiting, and an autoscaler sees a queue."""
 CONNECT_S = 10.0
@@ -55,8 +56,9 @@ class OnRay:
     """A Ray cluster.
 
     Attributes:
-        address: Of the cluster ("auto", "HOST:6379", "ray://HOST:10001"); "": one on this machine, for this run.
-        workers: The most tasks in flight; of a cluster on this machine its cores. None: as many as the cluster has.
+        address: Its address ("auto", "HOST:6379", "ray://HOST:10001"); "": one on this machine, for this run.
+        workers: Largest number of tasks in flight, and cores of a cluster on this machine. None: by the cluster's
+            cores.
     """
 
     address: str = ""
@@ -68,8 +70,8 @@ class OnRay:
         """As `Engine.evaluate`.
 
         Raises:
-            ConfigError: Ray is not installed, the cluster cannot be reached, or its Python is another.
-            OutputError: A folder cannot be written here.
+            ConfigError: Ray is not installed, the cluster cannot be reached, or its Python differs.
+            OutputError: A folder cannot be written on this machine.
         """
         absolute = [
             source if source.path is None else replace(source, path=source.path.absolute()) for source in sources
@@ -87,7 +89,7 @@ class OnRay:
                     continue
                 result, files = answer
                 if result.folder:
-                    partial = out / f"{PARTIAL}{result.folder}"  # until all of it is there
+                    partial = out / f"{PARTIAL}{result.folder}"  # until it is complete
                     try:
                         with writing(out / result.folder):
                             partial.mkdir()
@@ -100,7 +102,7 @@ class OnRay:
 
     @contextmanager
     def _ray_connection(self, run: RunConfig) -> Iterator[Any]:
-        """Ray, with a connection for the time of the run; one that the caller had is used as it is."""
+        """Ray, with a connection for the time of the run; an existing connection of the caller is used."""
         try:
             import ray
         except ImportError:
@@ -109,7 +111,7 @@ class OnRay:
             yield ray
             return
         host, _, port = self.address.rpartition("/")[2].rpartition(":")
-        if host and port.isdecimal():  # where nothing answers, Ray itself would try for minutes
+        if host and port.isdecimal():  # if nothing answers, Ray itself retries for minutes
             try:
                 socket.create_connection((host, int(port)), CONNECT_S).close()
             except OSError as error:
@@ -134,7 +136,7 @@ class OnRay:
     def _stream_results(
         self, ray: Any, submit: Callable[[T], Any], items: Sequence[T]
     ) -> Iterator[tuple[int, tuple[Any, Any] | WorkerLost]]:
-        """What came of each item, as it ends; a bounded number of them is in flight."""
+        """The result of each item as it ends; a bounded number of items is in flight."""
         waiting, flying = iter(enumerate(items)), dict[Any, int]()
         try:
             while True:
@@ -161,9 +163,9 @@ class OnRay:
 def code_of(run: RunConfig, folder: Path) -> Path:
     """A copy of the user's code that a run names, for the nodes, in `folder`; returns `folder`.
 
-    Of each planner, metric, controller ... "module:NAME" that is not installed: its package whole (weights beside it,
-    too), or its file; and the other modules beside it, which it may import. Of "exec:COMMAND" the files here that the
-    command names.
+    For each planner, metric, controller ... "module:NAME" that is not installed, it contains the whole package (with
+    weights), or the file; and the other modules beside it, which it may import. For "exec:COMMAND" it contains the
+    local files that the command names.
     """
     here = str(Path.cwd())
     for name in (*run.planners, *run.metrics, *_of_loop(run), run.log.reader):
@@ -182,7 +184,7 @@ def code_of(run: RunConfig, folder: Path) -> Path:
             continue
         file = Path(spec.origin)
         if {"site-packages", "dist-packages"} & set(file.parts) or file.is_relative_to(Path(__file__).parents[2]):
-            continue  # installed, or ours
+            continue  # installed, or part of replan
         place = file.parent if spec.submodule_search_locations else file
         for beside in place.parent.glob("*.py"):
             shutil.copy2(beside, folder / beside.name)
@@ -192,7 +194,7 @@ def code_of(run: RunConfig, folder: Path) -> Path:
 
 
 def _of_loop(run: RunConfig) -> tuple[str, ...]:
-    """What is chosen by name in [loop]."""
+    """The names that are chosen in [loop]."""
     return tuple(getattr(run.loop, key) for key in KINDS)
 
 
@@ -200,7 +202,7 @@ def _on_node(source: LogSource, job: tuple[RunConfig, Stamp, str]) -> tuple[LogR
     """A task: a log's result, and the files of its folder by their names in the result folder."""
     run, stamp, name = job
     theirs, wrong = _stamp_here(run.planners, run.metrics, _of_loop(run), run.log.reader), ""
-    if theirs != stamp:  # it would be driven by other code than here
+    if theirs != stamp:  # the node has other code than this machine
         what = f"node {platform.node()} has replan {theirs.replan} with code {theirs.code[:8]}"
         wrong = f"{source.label}: {what}; install there what is here: {stamp.replan} with code {stamp.code[:8]}"
     elif source.path is not None and not source.path.exists():
@@ -217,10 +219,10 @@ def _on_node(source: LogSource, job: tuple[RunConfig, Stamp, str]) -> tuple[LogR
 
 @cache
 def _stamp_here(planners: tuple[str, ...], metrics: tuple[str, ...], of_loop: tuple[str, ...], reader: str) -> Stamp:
-    """The stamp of this node, once in each of its processes."""
+    """The stamp of this node, computed once in each of its processes."""
     loop = LoopConfig(**dict(zip(KINDS, of_loop, strict=True)))  # type: ignore[arg-type]
     return stamp_of(RunConfig(planners=planners, metrics=metrics, loop=loop, log=LogSettings(reader=reader)))
 
 
 _settled = cache(freeze_gc)
-"""Once in each process, behind its first log: by then all kernels are loaded."""
+"""Freezes garbage collection once in each process, after its first log: by then all kernels are loaded."""

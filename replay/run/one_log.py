@@ -1,6 +1,6 @@
-"""Evaluates one log in a worker: log -> drives -> tables -> files. It returns errors and raises none.
+"""Evaluates one log in a worker: log -> drives -> tables -> files. It returns errors instead of raising them.
 
-The files of a log are written into a folder with a temporary name, which is renamed when all are there.
+The files of a log are written into a folder with a temporary name, which is renamed when all files are complete.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class _Progress:
 
     @contextmanager
     def attempt(self, planner: str | None = None, mode: Mode | None = None) -> Iterator[None]:
-        """What is raised inside becomes a failure of this log, planner and mode."""
+        """Turn an exception in the block into a failure of this log, planner and mode."""
         place = (planner, mode.value if mode else None)
         try:
             yield
@@ -75,7 +75,7 @@ class _Progress:
             self.failures.append(Failure(self.log, line, *place, traceback=traceback.format_exc()))
 
     def broken(self, planner: str, mode: Mode) -> metrics.OnError:
-        """What is noted of a metric of this drive that raises: it costs itself only."""
+        """The function that records a metric of this drive that raises; no other metric is affected."""
 
         def noted(metric: Metric, reason: str, error: BaseException) -> None:
             ours = METRICS.get(metric.name) is metric
@@ -83,7 +83,7 @@ class _Progress:
             what = f"a bug in replan: {name} raised" if ours else f"{name} is not available"
             line = f"{self.log}: {what}: {reason}; traceback in summary.json"
             known = {(one.message, one.planner, one.mode) for one in self.failures}
-            if (line, planner, mode.value) not in known:  # once, whatever the number of reductions and ensemble members
+            if (line, planner, mode.value) not in known:  # only once for all reductions and ensemble members
                 trace = "".join(traceback.format_exception(error))
                 self.failures.append(Failure(self.log, line, planner, mode.value, traceback=trace))
 
@@ -146,9 +146,9 @@ def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
 def _describe_log(
     source: LogSource, scenario: Scenario, folder: Path, run: RunConfig
 ) -> tuple[LogResult, pd.DataFrame]:
-    """The log by name and content, and its health; what was no native or OSI MCAP is written as one, `log.mcap`.
+    """The log by name and content, and its health; other logs than native and OSI MCAP are written as `log.mcap`.
 
-    Channels for Foxglove do not count as content.
+    The hash of the content ignores channels for Foxglove.
     """
     path = source.path
     if path is None or not source.is_mcap:
@@ -200,7 +200,7 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
 
 
 class _DriveSpec(NamedTuple):
-    """A drive of a log, or of a member of its ensemble: the planner, the loop, and which of the drives it is."""
+    """A drive of a log, or of a member of its ensemble: the planner, the loop, and the key of the drive."""
 
     planner: str
     mode: Mode
@@ -253,7 +253,7 @@ def _drive_one(
 
 
 def _free_memory(trace: Trace) -> None:
-    """Give memory back after a stage of a long drive."""
+    """Return memory to the system after a stage of a long drive."""
     if isinstance(trace.frames, FrameStore):
         trim_memory()
 
@@ -273,7 +273,7 @@ def _drive_log(scenario: Scenario, place: _DriveSpec, run: RunConfig, *, keep: b
 
 
 def _probe_determinism(drive: Drive, scenario: Scenario, place: _DriveSpec, run: RunConfig) -> Drive:
-    """The drive, marked where its planner is the user's own and is not deterministic (`RunConfig.repeat_s`)."""
+    """The drive, with a note if its planner is the user's own and not deterministic (`RunConfig.repeat_s`)."""
     planner, until_s = drive.trace.planner, float(scenario.ego.t[0]) + run.repeat_s
     if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:
         return drive
@@ -287,7 +287,7 @@ def _probe_determinism(drive: Drive, scenario: Scenario, place: _DriveSpec, run:
 
 
 def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Progress) -> None:
-    """The rows of one member of the ensemble; nothing else of it is kept."""
+    """Drive one member of the ensemble, and keep only its rows of metrics."""
     name, other = perturbed(scenario, member)
     other = with_avoidability(other)
     measures = all_metrics(run)

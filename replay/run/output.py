@@ -1,22 +1,22 @@
-"""Where a run writes its results: a folder that it holds alone, or a URL; and where its logs were.
+"""The place of the results of a run: a folder that it locks, or a URL; and the place of its logs.
 
-A folder is locked by the operating system's lock on the file `.lock` in it: it ends with the process however that ends,
-holds between containers that share a folder, and on network file systems between machines. Where a file system has no
-locks, the file itself is one: that of a process of this machine that has ended is taken over, that of another machine
-is not.
+A folder is locked by the operating system's lock on the file `.lock` in it: it is released when the process ends for
+any reason, and works between containers that share a folder, and between machines on network file systems. If a file
+system has no locks, the file itself is the lock: a lock of a process of this machine that has ended is taken over, a
+lock of another machine is not.
 
-A result folder at a URL is a folder of this machine while the run lasts, from which each log's folder is sent. What is
-there at any time is what an interrupted run would have left: `run.toml`, and the folders of the logs that are finished,
-each with its card `log.json` written last; a folder without card is not whole and is not taken. Tables and reports
-follow at the end. `--resume` fetches what is there first. What an earlier run left there is removed as the first log
-is sent: a run that cannot begin (a name is wrong, a log is not there) removes nothing. The object `.lock` is written
-only where there is none, which S3 (conditional writes) and Google's store do in one step. No object store ends a lock
-with its holder: that of a process of this machine that has ended is taken over, that of another machine is named, and
-removed by hand.
+A result folder at a URL is a folder of this machine while the run lasts, from which each log's folder is sent. At any
+time the URL has the files that an interrupted run would have left: `run.toml`, and the folders of the finished logs,
+each with its card `log.json` written last; a folder without a card is incomplete and is not used. Tables and reports
+follow at the end. `--resume` first fetches the files at the URL. Files of an earlier run are removed when the first log
+is sent: a run that cannot begin (a name is wrong, a log is missing) removes nothing. The object `.lock` is written only
+if it does not exist, which S3 (conditional writes) and Google's store do in one step. No object store releases a lock
+when its holder ends: a lock of a process of this machine that has ended is taken over; a lock of another machine is
+named in the error, and must be removed by hand.
 
-`origin.json` says in which directory a run was started. Logs are named as they were given, mostly relative to that
-directory. It is kept as seen from the results, for those that are moved together with their logs, and as it was
-called, for those that are moved without.
+`origin.json` gives the directory in which a run was started. Logs are named as they were given, mostly relative to that
+directory. It is stored relative to the results, for results that are moved together with their logs, and as an absolute
+path, for results that are moved without them.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ from replay.run.sources import LogSource, log_hash, select
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
 _CARD_BYTES = 4096
 _FAR = 1 << 30
-"""Windows locks bytes, and none may read them: this one is behind all that is written."""
+"""Windows locks bytes, which then cannot be read: this byte is behind all written bytes."""
 
 
 @contextmanager
 def held(out: Path) -> Iterator[None]:
-    """Lock the folder, and make it if needed; nothing of the lock remains afterwards.
+    """Lock the folder, and create it if needed; the lock file is removed afterwards.
 
     Raises:
-        ConfigError: Another run holds it (says which, where and since when), or it cannot be made or written to.
+        ConfigError: Another run has locked it (with process, host and time), or it cannot be created or written to.
     """
     made, path = not out.exists(), out / LOCK
     try:
@@ -69,19 +69,19 @@ def held(out: Path) -> Iterator[None]:
             os.write(handle, lock_card())
         yield
     finally:
-        if sys.platform == "win32":  # has no file removed that is open
+        if sys.platform == "win32":  # an open file cannot be removed
             os.close(handle)
             path.unlink(missing_ok=True)
         else:
             path.unlink(missing_ok=True)
             os.close(handle)
         if made:
-            with suppress(OSError):  # there is something in it, as there should be
+            with suppress(OSError):  # it has contents, as it should have
                 out.rmdir()
 
 
 def _lock(path: Path) -> int:
-    """The lock's file, open and locked; ConfigError where another run has it."""
+    """The lock file, open and locked; ConfigError if another run has locked it."""
     while True:
         try:
             handle, is_new = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), True
@@ -103,11 +103,11 @@ def _lock(path: Path) -> int:
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(handle), path.stat()):
                 return handle
-        os.close(handle)  # its holder removed it between our opening and our locking
+        os.close(handle)  # its holder removed it after it was opened, and before it was locked
 
 
 def _try_lock(handle: int) -> bool | None:
-    """Lock the file; False: another has it; None: the file system has no locks."""
+    """Lock the file; False: another process has locked it; None: the file system has no locks."""
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -145,7 +145,7 @@ def has_ended(card: dict[str, Any]) -> bool:
 
 
 def _start_of_process(pid: int) -> str:
-    """When a process was started, in the system's ticks: another process of its number has another; "": not known."""
+    """Start time of a process in system ticks, which differs for another process with this number; "" if unknown."""
     try:
         return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
     except (OSError, IndexError):
@@ -154,11 +154,11 @@ def _start_of_process(pid: int) -> str:
 
 @dataclass
 class OutputLocation:
-    """Where the results of a run are written.
+    """The place to which the results of a run are written.
 
     Attributes:
         folder: The folder on this machine; None: the next free one.
-        url: The URL to which it is sent; "": none.
+        url: The URL to which it is sent; "" if there is none.
         there: Write times of the files that are at the URL already; they are sent again only if written anew.
         old: Files at the URL that are removed before anything is sent.
     """
@@ -169,7 +169,7 @@ class OutputLocation:
     old: list[str] = field(default_factory=list)
 
     def check_outside(self, sources: Sequence[LogSource]) -> None:
-        """ConfigError where the URL holds a log that is to be driven: it would be removed."""
+        """Raise ConfigError if the URL contains a log that is to be driven: it would be removed."""
         urls = [file.url for source in sources for file in source.remote]
         inside = [url for url in urls if self.url and url.startswith(f"{self.url}/")]
         if inside:
@@ -177,13 +177,13 @@ class OutputLocation:
             raise ConfigError(f"{inside[0]}: {where}; give --out another place")
 
     def keep(self, result: LogResult) -> None:
-        """Send a log's folder, and before the first `run.toml`; OutputError."""
+        """Send a log's folder, and `run.toml` before the first one; OutputError if that fails."""
         if self.url and self.folder is not None and result.folder:
             files = sorted((self.folder / result.folder).iterdir(), key=lambda path: (path.name == LOG_CARD, path.name))
             self._send([self.folder / "run.toml", *files])
 
     def finish(self) -> None:
-        """Send all that is not there yet; OutputError."""
+        """Send all files that are not at the URL yet; OutputError if that fails."""
         if self.url and self.folder is not None:
             files = (path for path in sorted(self.folder.rglob("*")) if path.is_file() and path.name != LOCK)
             self._send([path for path in files if not path.relative_to(self.folder).parts[0].startswith(PARTIAL)])
@@ -201,11 +201,11 @@ class OutputLocation:
 
 @contextmanager
 def output_location(out: Path | str | None, *, resume: bool = False) -> Iterator[OutputLocation]:
-    """A place for a run's results; at a URL it is held, and what is there is fetched (`resume`) or replaced.
+    """A place for a run's results; a URL is locked, and its contents are fetched (`resume`) or replaced.
 
     Raises:
-        ConfigError: Another run writes there, it holds something else than results, or it cannot be written.
-        OutputError: The connection is lost; finished logs are there for `resume`.
+        ConfigError: Another run writes there, its contents are not results, or it cannot be written.
+        OutputError: The connection is lost; finished logs are kept for `resume`.
     """
     url = "" if out is None else url_of(out)
     if not url:
@@ -236,7 +236,7 @@ def output_location(out: Path | str | None, *, resume: bool = False) -> Iterator
 
 
 def _open_url(url: str, folder: Path, *, resume: bool) -> OutputLocation:
-    """The location, with what stays of the results that are there."""
+    """The location at a URL, with those existing results that are kept."""
     files = [file for file in listed(url) if file.name != LOCK]
     cards = {file.name.partition("/")[0] for file in files if file.name.endswith(f"/{LOG_CARD}")}
     logs = [file for file in files if "/" in file.name]
@@ -251,13 +251,13 @@ def _open_url(url: str, folder: Path, *, resume: bool) -> OutputLocation:
         folder.mkdir()
         fetch(kept, folder)
     there = {file.name: (folder / file.name).stat().st_mtime_ns for file in kept}
-    # removed first are the cards, so that no folder looks whole that is not, and last run.toml, which says whose it is
+    # cards are removed first, so that no incomplete folder looks complete; run.toml, which identifies results, last
     order = sorted(files, key=lambda file: (file.name == "run.toml", not file.name.endswith(LOG_CARD), file.name))
     return OutputLocation(folder, url, there, [file.url for file in order if file not in kept])
 
 
 def write_origin(out: Path, begun: Path | None = None) -> None:
-    """Record in the results where the run was started (None: in the working directory); OutputError."""
+    """Record in the results where the run was started (None: the working directory); OutputError if that fails."""
     here = begun or Path.cwd()
     try:
         seen = Path(os.path.relpath(here, out.resolve())).as_posix()
@@ -267,18 +267,18 @@ def write_origin(out: Path, begun: Path | None = None) -> None:
 
 
 def begun_in(out: Path, sources: Iterable[str]) -> Path:
-    """Where a run was started: the first place from which one of its logs is found, else the working directory."""
+    """The directory in which a run was started: the first from which one of its logs is found, else the current one."""
     logs = [local_path(source) for source in sources if not url_of(source)]
     seen = (place for place in _directories(out) if any((place / log).exists() for log in logs))
     return Path(os.path.normpath(next(seen, Path.cwd())))
 
 
 def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Scenario:
-    """The log of a row of `Results.logs`: the copy in the results where there is one, else from where it was read.
+    """The log of a row of `Results.logs`: the copy in the results if there is one, otherwise the original.
 
     Raises:
-        ConfigError: It is not where it was, or another.
-        LogError: It cannot be read.
+        ConfigError: The log was moved or changed.
+        LogError: The log cannot be read.
     """
     folder = str(row.get("folder", ""))
     if folder and (out / folder / "log.mcap").is_file():
@@ -289,17 +289,17 @@ def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Sce
 
 
 def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenario:
-    """The log that a run read, from where it was read.
+    """The original log that a run read.
 
     Args:
         out: The result folder.
         source: The log's path or URL as it was given.
         digest: SHA-256 of its bytes.
-        settings: How it is read.
+        settings: The settings for reading it.
 
     Raises:
-        ConfigError: It is not where it was, or another.
-        LogError: It cannot be read.
+        ConfigError: The log was moved or changed.
+        LogError: The log cannot be read.
     """
     if url_of(source):
         found = select([source], settings).sources[0]
@@ -318,7 +318,7 @@ def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenar
 
 
 def _directories(out: Path) -> list[Path]:
-    """Where the paths of a run may begin, in the order in which they are tried."""
+    """The directories to which the paths of a run may be relative, in the order in which they are tried."""
     try:
         card = json.loads((out / ORIGIN).read_text(encoding="utf-8"))
         seen, called = str(card["from_results"]), Path(card["directory"])

@@ -1,9 +1,9 @@
 """Worlds in which a verdict should be the same: the members of an ensemble.
 
-    again    the very same log: a planner that is not deterministic drives another drive
+    again    the very same log: a planner that is not deterministic drives differently
     turned   the world turned about the ego's start by a random angle
     clock    the log's clock set forward, by up to a day
-    tiny     1e-9 on everything that was measured
+    tiny     errors of 1e-9 on all measured values
     start    the ego's log moved by up to 5 cm along each axis
     noise    Gaussian errors of 2 cm on the agents' positions
     rate     ego and agents sampled at 5 Hz, the rate of the slowest logs of recorded traffic in use
@@ -60,7 +60,7 @@ PERTURBATIONS: Mapping[str, Callable[[Scenario, np.random.Generator], Scenario]]
 
 
 def perturbed(scenario: Scenario, member: int) -> tuple[str, Scenario]:
-    """Member `member` (from 1) of a log's ensemble: the perturbation and the scenario; the kinds take turns."""
+    """Member `member` (from 1) of a log's ensemble: the name of the perturbation and the scenario; kinds alternate."""
     name = list(PERTURBATIONS)[(member - 1) % len(PERTURBATIONS)]
     seed = int.from_bytes(sha256(f"{scenario.name} {member}".encode()).digest()[:8], "big")
     return name, PERTURBATIONS[name](scenario, np.random.default_rng(seed))

@@ -1,7 +1,7 @@
 """A pool of worker processes that survives the death of a worker.
 
 Each worker is a fresh interpreter (`spawn`: nothing of numba, Arrow or Rerun is forked) that serves many items, one at
-a time. A worker that is killed or crashes costs the item that it had; another takes its place.
+a time. If a worker is killed or crashes, only its current item is lost, and a new worker replaces it.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ class WorkerLost:
 
 @dataclass
 class _Worker(Generic[T, R]):
-    """One child process, the pipe to it, and the item that it has (None: idle)."""
+    """One child process, the pipe to it, and its current item (None: idle)."""
 
     process: BaseProcess
     pipe: Connection
     item: int | None = None
 
     def take(self) -> R | WorkerLost:
-        """What the worker sent for its item, or how it ended."""
+        """The result that the worker sent for its item, or the reason for its end."""
         try:
             result: R = self.pipe.recv()
         except (EOFError, ConnectionError):
@@ -60,10 +60,10 @@ def run_all(
     """Apply a module-level function to items in child processes; yields `(index, result)` as they end.
 
     Args:
-        function: Picklable; what it raises kills its worker, so it should return its errors.
+        function: Picklable; an exception in it ends its worker, so it should return its errors.
         items: Picklable; handed out in order.
         workers: Number of child processes, at least 1.
-        one_first: The last item is done alone, before the others: what all need on disk is made once, and not by each.
+        one_first: The last item is processed alone before the others, so that files that all need are made only once.
 
     Closing the iterator, or an exception in its consumer (KeyboardInterrupt), kills the workers.
     """
@@ -100,7 +100,7 @@ def run_all(
 
 def _hand_out(worker: _Worker[T, R], items: Sequence[T], waiting: list[int]) -> None:
     worker.item = waiting.pop()
-    with suppress(ConnectionError):  # it died before it had anything: `take` will find the pipe closed and say so
+    with suppress(ConnectionError):  # the worker died before it got an item; `take` reports the closed pipe
         worker.pipe.send(items[worker.item])
 
 
@@ -111,7 +111,7 @@ def _dismiss(worker: _Worker[T, R]) -> None:
 
 
 def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
-    """The child: answer items until the pipe is closed. Ctrl-C is the parent's business; with it the child ends."""
+    """The child: answer items until the pipe is closed. The parent handles Ctrl-C, and the child ends with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     freeze_gc()
@@ -137,7 +137,7 @@ def freeze_gc() -> None:
 
 
 def _end_with_parent() -> None:
-    """A killed parent must not leave a child behind that goes on writing into the folder of the run."""
+    """End this child when its parent is killed, so that it does not go on writing into the folder of the run."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])

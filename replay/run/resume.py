@@ -1,9 +1,9 @@
-"""Going on with a run that was interrupted: the logs whose folders are whole are taken as they are.
+"""Continues an interrupted run: the results of logs whose folders are complete are kept.
 
-A folder is taken if it came from the same input (name and bytes) under the same configuration, version and source of
-replan and of what users add by name (planners, metrics, ...); gates may differ, they are applied at the end.
-Anything else in the folder of the run is a reason to refuse: nothing is evaluated anew silently, and nothing of another
-run is mixed in.
+A folder is kept if it was made from the same input (name and bytes) under the same configuration, version and source of
+replan and of extensions of users (planners, metrics, ...); gates may differ, because they are applied at the end.
+Any other content of the folder is an error: no log is evaluated again silently, and results of other runs are not mixed
+in.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def stamp_of(run: RunConfig) -> Stamp:
     digest = sha256()
     for file in files:
         digest.update(f"{file.relative_to(root)}\n".encode() + file.read_bytes())
-    own: list[Path] = []  # what is not ours: modules ("module:NAME", entry points), and what commands name
+    own: list[Path] = []  # files of users: modules ("module:NAME", entry points), and files that commands name
     for name in run.planners:
         if name.startswith("exec:"):
             words = command_of(name)
@@ -63,10 +63,10 @@ def stamp_of(run: RunConfig) -> Stamp:
 
 
 def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Stamp) -> dict[int, LogResult]:
-    """The results that an interrupted run left in `out`, by index of their source; clears what it left unfinished.
+    """The results that an interrupted run left in `out`, by index of their source; removes unfinished folders.
 
     Raises:
-        ConfigError: `out` holds something else than such a run of these logs, this configuration and this code.
+        ConfigError: `out` is not an interrupted run of these logs with this configuration and this code.
     """
     check_ours(out)
     folders = [folder for folder in sorted(out.iterdir()) if (folder / LOG_CARD).is_file()]
@@ -104,7 +104,7 @@ def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Sta
 
 
 def identity_of(source: LogSource) -> str:
-    """The identity of a source; its label if it cannot be read (the evaluation will say why)."""
+    """The identity of a source; its label if it cannot be read (the evaluation then reports the reason)."""
     try:
         return source.identity()
     except LogError:

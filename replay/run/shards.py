@@ -1,14 +1,14 @@
-"""A run in parts, on as many machines: shard i of n drives every n-th log, `merge` makes the tables of all of them.
+"""Splits a run over machines: shard i of n drives every n-th log, and `merge` makes the tables of all shards.
 
 The i-th of n shards (from 1) has the logs i, i + n, i + 2n, ... of the selection. The logs of a folder are in the order
-of their names and those of a suite with its families mixed, so that logs of one kind, which take about as long, are
-dealt out evenly; and a log's shard depends on nothing but its place.
+of their names and those of a suite with its families mixed, so that logs of one kind, which take about the same time,
+are distributed evenly; and the shard of a log depends only on its position.
 
 A shard measures and does not judge: a gate's outcome on a part (a mean, a share, missing logs) need not hold for all.
 Its folder also holds `shard.json`: the number of the shard, all logs of the run, the gates, and the failures of logs
-without a folder. The tables of all shards are made from the folders of the logs, as by `--resume`: they are those of
-the run that drives all logs itself, byte for byte. What cannot be the same is a clock: `timings.parquet`, and what is
-judged by it (`deadline_s`).
+without a folder. The tables of all shards are made from the folders of the logs, as by `--resume`: they are equal, byte
+for byte, to those of a run that drives all logs itself, except for measured times: `timings.parquet`, and the verdicts
+on `deadline_s`.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Shard:
     """A part of a run.
 
     Attributes:
-        number: Which, from 1.
-        of: How many there are.
+        number: Number of this shard, from 1.
+        of: Number of all shards.
     """
 
     number: int
@@ -60,18 +60,18 @@ class Shard:
 
     @classmethod
     def parsed(cls, text: str) -> Shard:
-        """The shard that "2/5" means; ConfigError where it means none."""
+        """Parse a shard such as "2/5"; ConfigError if the text is invalid."""
         number, _, of = text.partition("/")
         if not (number.isdecimal() and of.isdecimal()):
             raise ConfigError(f"shard {text!r}: write it as I/N with I from 1 to N, for example 2/5")
         return cls(int(number), int(of))
 
     def places(self, count: int) -> range:
-        """Which of `count` logs it has, from 0."""
+        """Indices of its logs among `count` logs, from 0."""
         return range(self.number - 1, count, self.of)
 
     def part(self, selection: Selection) -> Selection:
-        """Its logs; none where there are fewer logs than shards."""
+        """Its logs; may be empty if there are fewer logs than shards."""
         return replace(selection, sources=selection.sources[self.number - 1 :: self.of])
 
 
@@ -79,16 +79,16 @@ def write_card(
     out: Path, shard: Shard, whole: Selection, run: RunConfig, stamp: Stamp,
     failures: Iterable[Failure], results: Iterable[LogResult],
 ) -> None:  # fmt: skip
-    """Write `shard.json` into a shard's folder: it is whole now.
+    """Write `shard.json` into a shard's folder, which marks it as complete.
 
     Args:
         out: The folder.
         shard: Which it is.
         whole: The logs of all shards.
-        run: As it was driven.
-        stamp: What it depends on beside.
-        failures: What is about no log.
-        results: In the order of the shard's logs, under the names that they have in their own folders.
+        run: The configuration of the drives.
+        stamp: Version and code on which the results depend.
+        failures: Failures that are not about a log.
+        results: Results in the order of the shard's logs, under the names in their own folders.
     """
     card: dict[str, Any] = {
         **asdict(shard),
@@ -109,17 +109,17 @@ def write_card(
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A shard's folder, read.
+    """The contents of a shard's folder.
 
     Attributes:
         folder: Where it is.
         shard: Which it is.
-        inputs: Of all logs of the run: what tells them from every other (`LogSource.identity`).
-        dropped: Why logs were left out of the selection.
+        inputs: Identities of all logs of the run (`LogSource.identity`).
+        dropped: The reasons why logs were left out of the selection.
         gates: The text of the thresholds; None: the packaged ones.
         stamp: Version and code of replan and of the user's planners and metrics.
-        failures: What is about no log.
-        results: What came of its logs, in their order.
+        failures: Failures that are not about a log.
+        results: Results of its logs, in their order.
     """
 
     folder: Path
@@ -136,13 +136,13 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
     """Judge the logs of all shards together and write one result folder.
 
     Args:
-        folders: Of all shards of a run (`evaluate_logs(shard=...)`), in any order.
+        folders: Folders of all shards of a run (`evaluate_logs(shard=...)`), in any order.
         out: Result folder: new, empty, or results of an earlier run, which are replaced.
 
     Raises:
-        ConfigError: A folder is no whole shard; they are of different runs (logs, configuration, gates, version, code),
-            or of another version or code than there is now; one is there twice or missing; `out` is not ours to write,
-            or in use.
+        ConfigError: A folder is not a complete shard; the shards are of different runs (logs, configuration, gates,
+            version, code), or of another version or code than this replan; one is duplicate or missing; `out` must not
+            be written, or is in use.
         OutputError: The disk is full.
     """
     found, out = _read_parts([Path(folder) for folder in folders]), Path(out)
@@ -170,13 +170,13 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
                 finally:
                     shutil.rmtree(partial, ignore_errors=True)
         results = tuple(placed[place] for place in range(len(placed)))
-        sources = tuple(LogSource(result.source) for result in results)  # by label alone: no log is read any more
+        sources = tuple(LogSource(result.source) for result in results)  # labels only: no log is read again
         return judge_and_write(out, run, Selection(sources, found[0].dropped), results, gates, found[0].failures)
 
 
 @contextmanager
 def gates_in(shard: Path) -> Iterator[Path | None]:
-    """The thresholds of a shard as a file, for a while; None: the packaged ones. ConfigError: it is no whole shard."""
+    """The gates of a shard as a temporary file; None: the packaged ones. ConfigError if the shard is not complete."""
     text = _card(shard)["gates"]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "gates.toml"
@@ -185,7 +185,7 @@ def gates_in(shard: Path) -> Iterator[Path | None]:
 
 
 def _read_parts(folders: Sequence[Path]) -> tuple[Part, ...]:
-    """The shards in these folders, by number: all of one run, each once, of what replan is now; else ConfigError."""
+    """The shards in these folders, by number; ConfigError unless all are of one run and of this replan, each once."""
     if not folders:
         raise ConfigError("name the folders of all shards: replan merge SHARD1 SHARD2 ... -o OUT")
     found = sorted((_read_part(folder) for folder in folders), key=lambda one: (one.shard.number, str(one.folder)))
@@ -215,7 +215,7 @@ def _read_parts(folders: Sequence[Path]) -> tuple[Part, ...]:
         raise ConfigError(f"shards are missing: {', '.join(missing)}; given are {len(found)} of {of}")
     run = load_run(one.folder / "run.toml")
     for planner in run.planners:
-        planner_factory(planner)  # says what is not installed
+        planner_factory(planner)  # raises an error that names a missing package
     now = stamp_of(run)
     if now != one.stamp:
         raise ConfigError(f"{one.folder}: was driven with {_describe(one.stamp)}, this is {_describe(now)}")
@@ -223,7 +223,7 @@ def _read_parts(folders: Sequence[Path]) -> tuple[Part, ...]:
 
 
 def _card(folder: Path) -> Mapping[str, Any]:
-    """What `shard.json` says; ConfigError where it is not there or of another version."""
+    """The contents of `shard.json`; ConfigError if it is missing or of another version."""
     try:
         card: Mapping[str, Any] = json.loads((folder / SHARD_CARD).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -267,7 +267,7 @@ def _describe(stamp: Stamp) -> str:
 
 
 def _link_or_copy(source: str, target: str) -> str:
-    """A hard link where the file system has them: no file of a log's folder is ever written again."""
+    """Make a hard link if the file system has them, because files of a log's folder never change; otherwise copy."""
     with suppress(OSError):
         os.link(source, target)
         return target

@@ -1,6 +1,6 @@
-"""Which logs a run evaluates: files, folders, or the built-in suite; and how many were found, kept and left out.
+"""Selects the logs of a run: files, folders, or the built-in suite; and the numbers found, kept and left out.
 
-An empty selection is an error that says what was looked for: it must not look like a run in which nothing failed.
+An empty selection is an error that names the searched formats: it must not look like a run without failures.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ BYTES_PER_S: Mapping[str, float] = {
     "123d": 165e3,
     "argoverse2": 65e3,
 }
-"""Size of a second of drive by format, medians of our logs: only for the order in which they are driven."""
+"""Bytes per second of drive by format, medians of logs that we have; only for the order in which logs are driven."""
 _OTHER_BYTES_PER_S = 50e3
 
 LOOKED_INTO = (".xml", ".bag", ".db3", ".yaml", ".mcap")
-"""Files of which readers look at the begin to claim a log; of others the name says it."""
+"""Suffixes of files whose first bytes readers check to recognise a log; other files are recognised by name."""
 HEAD_BYTES = 4096
 SUITE_HEADER = "# A suite of logs, written by `replan suite`; give it to --suite. Paths are relative to this file."
 """First line of a suite's file."""
@@ -54,15 +54,15 @@ SUITE_HEADER = "# A suite of logs, written by `replan suite`; give it to --suite
 
 @dataclass(frozen=True)
 class LogSource:
-    """Where a log comes from: a file or folder of any format, or the catalogue.
+    """The source of a log: a file or folder of any format, or the catalogue.
 
     Attributes:
-        label: What the user calls it; of the catalogue the name of a scenario (`logs.catalogue.scenario`).
+        label: Its name for the user; for the catalogue, the name of a scenario (`logs.catalogue.scenario`).
         path: The file or folder; None for the catalogue.
-        settings: How it is read.
-        digest: Its `log_hash` where it is known: a long log in many parts is hashed once; "": not known.
-        remote: Its files where it is named by URL: `fetched` has it as a path.
-        format: Of a remote log, as far as its name says.
+        settings: The settings for reading it.
+        digest: Its `log_hash`, so that a log with many windows is hashed once; "" if unknown.
+        remote: Its files if it is named by URL; `fetched` gives it as a path.
+        format: Format of a remote log, as known from its name.
     """
 
     label: str
@@ -75,7 +75,7 @@ class LogSource:
     def identity(self) -> str:
         """Identifies the input: names and hashes of log and map, or the name; LogError as `read`.
 
-        Of a remote log sizes and versions are taken for the hash: it is not fetched for that.
+        For a remote log, sizes and versions replace the hash, so that it need not be fetched.
         """
         if self.path is None and not self.remote:
             file = FAMILY.file(self.label.partition("@")[0])
@@ -97,7 +97,7 @@ class LogSource:
         with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
             begin, end, (file, *more) = self.settings.begin, self.settings.end, self.remote
             fetched = False
-            if self.format == "native" and not more and (begin > 0.0 or end < inf):  # its part is enough
+            if self.format == "native" and not more and (begin > 0.0 or end < inf):  # its window is enough
                 from logs.mcap.records import write_part
 
                 fetched = write_part(ranged(file), file.size, begin, end, Path(scratch, self._entry))
@@ -114,14 +114,14 @@ class LogSource:
         return self.remote[0].name.partition("/")[0]
 
     def read(self) -> Scenario:
-        """The scenario; LogError where it cannot be read."""
+        """The scenario; LogError if it cannot be read."""
         if self.path is None:
             return with_tracks(scenario(self.label), self.settings)
         return read_log(self.path, self.settings)
 
     @property
     def expected_s(self) -> float:
-        """Approximate length of the drive, s, by the log's size; 0 for the catalogue, whose logs are not made yet."""
+        """Approximate length of the drive, s, from the log's size; 0 for the catalogue, whose logs do not exist yet."""
         if self.settings.end < inf:
             return self.settings.end - self.settings.begin
         if self.path is None:
@@ -137,18 +137,18 @@ class LogSource:
 
     @property
     def is_mcap(self) -> bool:
-        """Whether it is a native or OSI MCAP that is read as it is: no copy of it is needed beside the results."""
+        """Whether it is a native or OSI MCAP that is read without settings, so that the results need no copy of it."""
         reader = None if self.path is None else reader_of(self.path, self.settings)
         return reader is not None and reader.name == "native" and self.settings == LogSettings()
 
 
 @dataclass(frozen=True)
 class Selection:
-    """The logs of a run; as text: how many were found and kept, and why others were left out.
+    """The logs of a run; as text, the numbers found and kept, and the reasons why others were left out.
 
     Attributes:
-        sources: Kept, in the order given (folders: sorted by path).
-        dropped: Why others were left out, one line each.
+        sources: The kept logs, in the given order (folders: sorted by path).
+        dropped: The reasons why others were left out, one line each.
     """
 
     sources: tuple[LogSource, ...]
@@ -183,13 +183,13 @@ def suite_file(path: Path) -> list[Path | str]:
 
 
 def select(paths: Sequence[Path | str], settings: LogSettings | None = None, window: float | None = None) -> Selection:
-    """The logs that files and folders hold, of all formats in `logs.readers`.
+    """The logs in files and folders, of all formats in `logs.readers`.
 
-    A folder that is no log itself is searched for logs. Results of earlier runs, hidden files and second copies of the
+    A folder that is not a log is searched for logs. Results of earlier runs, hidden files and second copies of the
     same bytes are left out. With `window`, each log is split into windows of this length, s.
 
     Raises:
-        ConfigError: A path does not exist, is of a kind that no reader knows, or nothing is left.
+        ConfigError: A path does not exist, no reader knows its format, or no log is left.
     """
     settings = settings or LogSettings()
     kept: dict[str, LogSource] = {}
@@ -233,7 +233,7 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
 
 
 def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
-    """The logs at a URL: those that are found in a folder of the same names with what readers look at, and no more."""
+    """The logs at a URL, found in a folder with the same file names and only the bytes that readers check."""
     files = listed(url)
     if not files:
         raise ConfigError(f"{url}: no such file or folder")
@@ -251,7 +251,7 @@ def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
             names = log.relative_to(root.parent).as_posix().removeprefix(root.name)
             try:
                 needed = [path for path in (() if reader is None else reader.files(log)) if path in at]
-            except Exception:  # of a reader to which empty files are damaged ones
+            except Exception:  # a reader that treats empty files as damaged
                 needed = []
             if not needed or not all(path.is_relative_to(log.parent) for path in needed):
                 needed = [path for path in at if path == log or path.is_relative_to(log)]
@@ -277,7 +277,7 @@ def _logs(path: Path, settings: LogSettings) -> Iterator[tuple[Path, str]]:
         yield path, ""
     elif path.is_dir():
         for log, reader in logs_in(path, settings):
-            reason = "" if reader else "no reader claims it"
+            reason = "" if reader else "no reader recognises it"
             if any(part.startswith(".") for part in log.relative_to(path).parts):
                 reason = "hidden"
             elif (log.parent / LOG_CARD).exists():
@@ -288,7 +288,7 @@ def _logs(path: Path, settings: LogSettings) -> Iterator[tuple[Path, str]]:
 
 
 def log_hash(path: Path, settings: LogSettings | None = None) -> str:
-    """SHA-256 of a log's bytes: of the file, or of the names and hashes of its files (a map may lie elsewhere)."""
+    """SHA-256 of a log's bytes: of its file, or of the names and hashes of its files (maps may be elsewhere)."""
     reader = reader_of(path, settings)
     try:
         files = (path,) if reader is None else reader.files(path)
@@ -297,14 +297,14 @@ def log_hash(path: Path, settings: LogSettings | None = None) -> str:
     if files == (path,):
         return file_hash(path)
     digest, log = hashlib.sha256(), os.path.realpath(path)
-    for file in files:  # each by where it is, seen from the log: the same wherever both are
+    for file in files:  # each by its path relative to the log: the same if both are moved
         beside = Path(os.path.relpath(os.path.realpath(file), log)).as_posix()
         digest.update(f"{beside} {file_hash(file)}\n".encode())
     return digest.hexdigest()
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal; LogError where it cannot be read."""
+    """SHA-256 of a file's bytes, hexadecimal; LogError if it cannot be read."""
     try:
         check_regular(path)
         with path.open("rb") as stream:

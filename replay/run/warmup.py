@@ -1,4 +1,4 @@
-"""Kernels compiled beforehand: a few built-in logs are driven, measured and recorded into a folder that is deleted."""
+"""Compiles kernels beforehand: drives, measures and records a few built-in logs in a folder that is then deleted."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ SCENES = (
     "everyday/junction",
     "raw/crossing",
 )
-"""Walkers, cyclists, cars, standing obstacles, junctions, lights, raw detections: what the built-in suite calls."""
+"""Scenes with walkers, cyclists, cars, obstacles, junctions, lights, raw detections: as in the built-in suite."""
 
 
 @dataclass(frozen=True)
 class Warmed:
-    """What was compiled.
+    """The result of a warm-up.
 
     Attributes:
-        seconds: How long it took.
-        compiled: How many kernels were compiled; the others were there.
-        folder: Where their machine code is; None: it is not kept.
-        failures: What could not be driven.
+        seconds: Its duration, s.
+        compiled: The number of compiled kernels; the others were in the cache.
+        folder: The folder of their machine code; None if it is not kept.
+        failures: Drives that failed.
     """
 
     seconds: float
@@ -49,11 +49,11 @@ class Warmed:
 
 
 ELSEWHERE = ("multibody", "recorded")
-"""The first has no kernels and needs a package that may not be there; the second is what "auto" takes for raw logs."""
+"""Choices that are left out: the first has no kernels and an optional package; "auto" uses the second for raw logs."""
 
 
 def everything() -> Iterator[RunConfig]:
-    """Runs that need the kernels of all that is built in: of all planners, and of each other choice in its turn."""
+    """Runs that need all built-in kernels: those of all planners, and of each other choice in turn."""
     yield RunConfig(planners=tuple(PLANNERS))
     apart = RunConfig(mode="closed", recording=False, internals="none")
     yield replace(apart, planner={"dp_qp": {"solver": "osqp"}})
@@ -65,11 +65,11 @@ def everything() -> Iterator[RunConfig]:
 
 
 def warm_up(*runs: RunConfig) -> Warmed:
-    """Compile what runs need, in this process.
+    """Compile the kernels that runs need, in this process.
 
     Raises:
         ConfigError, PlannerError: As `replay.run.evaluate_logs`.
-        OutputError: There is no room for what the drives write.
+        OutputError: The disk is too full for the files of the drives.
     """
     begin = perf_counter()
     failures: list[Failure] = []

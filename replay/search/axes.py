@@ -1,8 +1,8 @@
 """The subject of a falsification and its axes; their scales define a distance from the recorded case.
 
-The subject is a recorded log or a family of the catalogue; a point of the axes makes a scenario of it. Of a log, and of
-a family of which a variation is an axis, every point is a varied log (`logs.variations.varied`), the recorded point
-too: of the ego's log only the start is kept. Of a family's own parameters alone, a point is the scenario that the
+The subject is a recorded log or a family of the catalogue; a point of the axes makes a scenario of it. For a log, and
+for a family with a variation as an axis, every point is a varied log (`logs.variations.varied`), even the recorded
+point: only the start of the ego's log is kept. If all axes are parameters of a family, a point is the scenario that the
 family builds.
 
 (1) u_i = (value_i - origin_i) / scale_i
@@ -11,15 +11,15 @@ family builds.
 The origin is the recorded value: the neutral value of a variation, the default of a family's parameter. An agent that
 was not recorded (`pedestrian`, `standing_car`, `copy`) has none: its origin is the end HIGH of the range.
 
-The scales are about what differs between two drives on two days (`SCALES`, docs/falsify.md):
+The scales are about the differences between two drives on two days (`SCALES`, docs/falsify.md):
 
     time, copy and *_s      1 s: a driver who notices late and reacts (UN R157, Annex 4, Appendix 3: 0.4 s + 0.75 s)
     speed, speeds           0.2 of the recorded one: of adults who cross, from the mean of 1.45 m/s to the 15th
                             percentile of 1.15 m/s (Fitzpatrick et al., TCRP Report 112, 2006)
-    ego_speed, ego speeds   0.1 of the recorded one: what a speedometer may show too much (UN R39, without its 4 km/h)
+    ego_speed, ego speeds   0.1 of the recorded one: the excess that a speedometer may show (UN R39, without its 4 km/h)
     side, lateral ways      0.375 m: the wandering zone in a lane of UN R157's careful driver
     ego_start, other ways   5 m: the length of a car
-    pedestrian, standing_car  10 m: what an ego at 36 km/h drives in 1 s
+    pedestrian, standing_car  10 m: the distance that an ego at 36 km/h drives in 1 s
     *_mps2                  1 m/s2: of lifting the foot from the accelerator
     *_deg                   10 degrees;  *_percent  25, the step of Euro NCAP's overlaps
 """
@@ -50,18 +50,18 @@ SCALES: Mapping[str, float] = {
     "time": TIME_S, "copy": TIME_S, "speed": SPEED, "side": LATERAL_M, "ego_start": ALONG_M, "ego_speed": EGO_SPEED,
     "pedestrian": AHEAD_M, "standing_car": AHEAD_M,
 }  # fmt: skip
-"""Of the variations, by name."""
+"""Scales of the variations, by name."""
 _LATERAL = ("lateral", "offset", "side", "intrusion", "kerb", "clearance", "room", "marking", "width", "swing")
-"""Words in the names of parameters that are ways across the lane."""
+"""Words in the names of parameters that are lateral distances."""
 UNITS = {
     "s": "s", "m": "m", "deg": "deg", "mps": "m/s", "kmh": "km/h", "mps2": "m/s2", "percent": "%",
 }  # fmt: skip
-"""By the ending of a parameter's name."""
+"""Units by the last part of a parameter's name."""
 _BY_ENDING = {"s": TIME_S, "mps2": ACCEL_MPS2, "deg": ANGLE_DEG, "percent": PERCENT}
 DEFAULT_RANGES: Mapping[str, tuple[float, float]] = {"time": (-3.0, 3.0), "speed": (0.5, 2.0), "ego_speed": (0.7, 1.3)}
-"""What is varied of a log where no axis is named; without agents `ego_speed` alone."""
+"""Default axes and ranges for a log; only `ego_speed` if it has no agents."""
 MOST_AXES = 8
-"""With more, 200 drives say little."""
+"""Largest number of axes: with more, 200 drives are too few."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,10 @@ class SearchAxis:
     """One direction of a search.
 
     Attributes:
-        name: Of a variation or of a family's parameter.
+        name: Name of a variation or of a family's parameter.
         low: Least value; `high` the greatest.
         origin: The recorded value.
-        scale: (1), in the unit of the value, positive.
+        scale: The scale in (1), in the unit of the value, positive.
         unit: "1" for a factor.
         is_variation: Whether the name is in `VARIATIONS`; else it is a parameter of a family.
     """
@@ -96,7 +96,7 @@ class SearchAxis:
 
 
 def box_of(axes: Sequence[SearchAxis]) -> FloatArray:
-    """Least and greatest (1) of each axis `(2, n)`."""
+    """Least and greatest u of (1) for each axis, `(2, n)`."""
     ends = [[(end - axis.origin) / axis.scale for end in (axis.low, axis.high)] for axis in axes]
     return np.array(ends).T
 
@@ -112,7 +112,7 @@ def values_at(axes: Sequence[SearchAxis], point: Sequence[float]) -> dict[str, f
 def search_axes(
     words: Sequence[str], scales: Sequence[str], family: Family | None, *, with_agents: bool
 ) -> tuple[SearchAxis, ...]:
-    """The axes that the words of `--axis` and `--scale` name; without words those of the subject.
+    """The axes that `--axis` and `--scale` name; by default those of the subject.
 
     Args:
         words: "NAME=LOW:HIGH" each.
@@ -121,8 +121,8 @@ def search_axes(
         with_agents: Whether the scenario has agents to vary.
 
     Raises:
-        ConfigError: A word is not of this form, a name is unknown, twice there or has no order or no scale, a range
-            does not hold the recorded value or is out of bounds, or there are too many axes.
+        ConfigError: A word is not of this form, a name is unknown, duplicate, a choice or without a scale, a range does
+            not contain the recorded value or is out of bounds, or there are too many axes.
     """
     ranges: dict[str, tuple[float, float]] = {}
     for word in words:
@@ -140,7 +140,7 @@ def search_axes(
         if not steps or not steps[0] > 0.0:
             raise ConfigError(f"--scale {word}: write it as NAME=VALUE with a positive value")
         given[name] = steps[0]
-    if not ranges and family is not None:  # those of its published grid, as far as they are more than a choice
+    if not ranges and family is not None:  # the axes of its published grid, except choices
         for name, values in family.grid.items():
             default = family.parameters[name]
             if len(values) > 1 and _parameter_scale(name, default) is not None:
@@ -183,7 +183,7 @@ def _axis(name: str, low: float, high: float, scale: float | None, family: Famil
 
 
 def _numbers(*words: str) -> list[float]:
-    """The finite numbers that words spell; none where one of them spells none."""
+    """The finite numbers in words; empty if one of them is not a finite number."""
     try:
         found = [float(word) for word in words]
     except ValueError:
@@ -192,7 +192,7 @@ def _numbers(*words: str) -> list[float]:
 
 
 def _parameter_scale(name: str, default: float) -> float | None:
-    """The scale of a family's parameter by the words of its name; None: they say nothing."""
+    """The scale of a family's parameter by the words of its name; None if they give none."""
     *words, ending = name.split("_")
     if ending in ("mps", "kmh"):
         share = EGO_SPEED if "ego" in words else SPEED
@@ -204,13 +204,13 @@ def _parameter_scale(name: str, default: float) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A log or a family.
+    """The log or family that is searched.
 
     Attributes:
-        name: Of the log or the family.
-        scenario: As it was recorded, or the family's with its defaults; prepared for variations.
-        family: None: a log.
-        agents: Ids of the varied agents; empty: none, or the inserted one.
+        name: Name of the log or the family.
+        scenario: The recorded scenario, or that of the family with its defaults; prepared for variations.
+        family: The family; None for a log.
+        agents: Ids of the varied agents; empty if there are none, or if the agent is inserted.
     """
 
     name: str
@@ -219,7 +219,7 @@ class Subject:
     agents: tuple[str, ...] = ()
 
     def of(self, agents: tuple[str, ...]) -> Subject:
-        """The same with these agents varied."""
+        """The subject with these agents varied."""
         return replace(self, agents=agents)
 
     @property
@@ -251,7 +251,7 @@ def opened(name: str, settings: LogSettings) -> Subject:
 
     Raises:
         ConfigError: There is no such file, folder or family.
-        LogError: It cannot be read.
+        LogError: The log cannot be read.
     """
     with here(name) as path:
         if path.exists():
@@ -264,10 +264,10 @@ def opened(name: str, settings: LogSettings) -> Subject:
 
 
 def agents_of(subject: Subject, axes: Sequence[SearchAxis], named: Sequence[str]) -> tuple[str, ...]:
-    """The agents to vary: the named ones, else the one in the conflict of the drive, if an axis needs one.
+    """The agents to vary: the named ones, otherwise the one in conflict with the ego, if an axis needs one.
 
     Raises:
-        ConfigError: An agent is not there, or there is none.
+        ConfigError: A named agent does not exist, or there is no agent.
     """
     short = subject.scenario.short_names
     found = tuple(short.whole(word) for word in named)

@@ -1,6 +1,6 @@
 """A falsification: the mildest variation in which a planner fails and the reference driver does not, and its files.
 
-    OUT/falsify.json         what was asked for, what was found, the sentences that are printed
+    OUT/falsify.json         the question, the result, and the printed sentences
     OUT/study.jsonl          the trials, a line each; `--resume` goes on from it
     OUT/trials.parquet, .csv the same as a table
     OUT/falsify.png          the trials over the two axes that the case moves most
@@ -8,8 +8,8 @@
 
 The same subject, configuration and seed give the same bytes at any number of workers (the folder `case` holds times).
 
-A point counts where the planner fails a gate (FAIL of `metrics.judge`: an excused value is none) that the reference
-driver holds:
+A point counts if the planner fails a gate (FAIL of `metrics.judge`, which excludes excused values) that the reference
+driver keeps:
 
     the careful driver of UN R157   has no contact that it does not avoid (`reference_cc`), and its own drive holds the
                                     bound of the gate, where it is measured on it (safety, progress, comfort)
@@ -63,10 +63,10 @@ from replay.search.study import Study
 
 KIND = "falsify"
 RESOLUTION = 0.02
-"""Of the distance: a fiftieth of a scale."""
+"""Default resolution of the distance: a fiftieth of a scale."""
 BUDGET = 200
 POWER = 4.0
-"""Of (5)."""
+"""The exponent of (5)."""
 FAIL, PASS, INCONCLUSIVE, BOTH, ERROR = "fail", "pass", "inconclusive", "both fail", "error"
 """Outcomes of a point; `BOTH`: the reference driver fails, too."""
 WORDS = {FAIL: "fail", BOTH: "fail, as does the reference driver", ERROR: "cannot be made or driven"}
@@ -74,16 +74,16 @@ WORDS = {FAIL: "fail", BOTH: "fail, as does the reference driver", ERROR: "canno
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What is asked for.
+    """The inputs of a falsification.
 
     Attributes:
         subject: The log or family.
-        axes: What is varied.
+        axes: The axes of variation.
         run: Planner (one) and settings; only the closed loop is run.
         against: "careful", or another planner.
-        budget: The most drives of the search.
-        seed: Another seed, other points.
-        resolution: Of the distance.
+        budget: Largest number of drives of the search.
+        seed: Seed of the points.
+        resolution: Resolution of the distance.
     """
 
     subject: Subject
@@ -101,7 +101,7 @@ class Question:
 
     @cached_property
     def driven(self) -> RunConfig:
-        """The run of each case."""
+        """The configuration of the run of each case."""
         planners = self.run.planners if self.against == CAREFUL else (*self.run.planners, self.against)
         return replace(
             self.run, planners=planners, mode="closed", log=LogSettings(), deadline_s=0.0, ensemble=0, repeat_s=0.0,
@@ -123,11 +123,11 @@ class Case:
     """The result of one drive.
 
     Attributes:
-        outcome: One of those above; "fail" is a point that counts.
-        gates: The failed gates that count; where it does not count, those that the planner fails.
-        why: The reason of the first of them, else why there is no verdict.
+        outcome: One of the outcomes above; "fail" is a point that counts.
+        gates: The failed gates that count; if the point does not count, all gates that the planner fails.
+        why: The reason of the first of them, otherwise the reason why there is no verdict.
         end: How the planner's drive ended.
-        robustness: (5); NaN where no gate has a value.
+        robustness: The value of (5); NaN if no gate has a value.
     """
 
     outcome: str
@@ -146,7 +146,7 @@ class Case:
 
 
 def judged(results: Results, log: str, gates: Sequence[Gate], planner: str, against: str) -> Case:
-    """The case of a log in a run of the planner and of the one that it is compared with ("careful": none)."""
+    """The case of a log in a run of the planner and of `against`, unless that is "careful"."""
     failures = results.failures[results.failures["log"] == log]
     drives = results.drives[(results.drives["log"] == log) & (results.drives["planner"] == planner)]
     if len(failures) or drives.empty:
@@ -180,7 +180,7 @@ def judged(results: Results, log: str, gates: Sequence[Gate], planner: str, agai
 
 
 def robustness(gates: Sequence[Gate], values: Mapping[str, float]) -> float:
-    """(5) of a drive's values by metric; NaN where no gate has one."""
+    """The value of (5) for a drive's values by metric; NaN if no gate has a value."""
     near = []
     for gate in gates:
         value, bound = values.get(gate.metric, nan), gate.max if gate.min is None else gate.min
@@ -190,7 +190,7 @@ def robustness(gates: Sequence[Gate], values: Mapping[str, float]) -> float:
             metric = METRICS.get(name.partition(".")[0])
             bounds = next((one.bounds for one in metric.reductions if one.name == reduced), None) if metric else None
             if bounds is None:
-                continue  # there is no M: the gate is left out
+                continue  # there is no m: the gate is left out
             below = isfinite(bounds[0])
             bound, value = bounds[0 if below else 1], values.get(f"{name}.{'min' if below else 'max'}", nan)
             within = max((value - bound if below else bound - value) / abs(bound), 0.0) if bound else nan
@@ -207,10 +207,10 @@ class Falsified:
 
     Attributes:
         out: The folder.
-        question: What was asked for.
+        question: The inputs.
         found: The mildest point.
         table: A row per trial.
-        case: The row of the mildest one; empty: none.
+        case: The row of the mildest case; empty if there is none.
     """
 
     out: Path
@@ -221,7 +221,7 @@ class Falsified:
 
     @property
     def exit_code(self) -> int:
-        """1: falsified; 0: not."""
+        """1 if a case was found, otherwise 0."""
         return 0 if self.found.point is None else 1
 
     def lines(self) -> list[str]:
@@ -249,7 +249,7 @@ class Falsified:
         return [*said, tried]
 
     def next_steps(self) -> list[str]:
-        """Commands that show the case; none where there is none."""
+        """Commands that show the case; empty if there is none."""
         if self.found.point is None:
             return []
         again = f"replan evaluate {self.out / 'case.mcap'} --mode closed --planner {self.question.planner}"
@@ -269,17 +269,17 @@ def falsify(
     resume: bool = False,
     say: Callable[[str], None] = lambda line: None,
 ) -> Falsified:
-    """Search, and write what was found into `out`.
+    """Search, and write the result into `out`.
 
     Args:
-        question: What is asked for.
+        question: The inputs.
         out: A folder that is new, empty, or holds an earlier falsification, which is replaced or resumed.
-        workers: Processes; 0: this one.
-        resume: Go on with the falsification that `out` holds.
+        workers: Number of processes; 0: this process.
+        resume: Continue the falsification in `out`.
         say: Called with a line after each batch.
 
     Raises:
-        ConfigError: A wrong setting, a folder that is not ours to write, nothing to resume, or cmaes is not installed.
+        ConfigError: A wrong setting, a folder that must not be written, nothing to resume, or cmaes is not installed.
         LogError: The recorded case could not be driven.
         PlannerError: The planner cannot be loaded.
     """
@@ -314,7 +314,7 @@ class Drives:
         self.rows: list[dict[str, Any]] = []
 
     def __call__(self, points: Sequence[Point], part: str) -> list[Scored]:
-        """As `replay.search.mildest.Evaluate`; points that the study holds are not driven again."""
+        """As `replay.search.mildest.Evaluate`; points in the study file are not driven again."""
         new = [point for point in points if self._study.known(_key(point)) is None]
         if new:
             cases = zip(new, self._drive_points(new), strict=True)
@@ -342,7 +342,7 @@ class Drives:
         return {} if point is None else next(row for row in self.rows if row["key"] == _key(point))
 
     def _drive_points(self, points: Sequence[Point]) -> list[Case]:
-        """What came of points that are driven now."""
+        """Drive points, and return their cases."""
         asked = self._question
         shutil.rmtree(self._scratch, ignore_errors=True)
         (self._scratch / "logs").mkdir(parents=True)

@@ -31,9 +31,9 @@ def falsify_figure(table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mappin
 
     Args:
         table: A row per trial: a column per axis, `outcome`.
-        axes: Of the search.
-        case: The row of the mildest case; empty: none.
-        title: Of the picture.
+        axes: The axes of the search.
+        case: The row of the mildest case; empty if there is none.
+        title: Title of the picture.
     """
     import matplotlib as mpl
 
@@ -55,7 +55,7 @@ def falsify_figure(table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mappin
             label = f"mildest failure, distance {case['distance']:.3f}"
             picture.plot(*place, "*", ms=15.0, mfc="none", mec=MILDEST, mew=1.4, label=label)
             turn, away = np.linspace(0.0, 2.0 * np.pi, 181), float(case["distance"])
-            along = first.origin + first.scale * away * np.cos(turn)  # where no other axis is moved, and as far
+            along = first.origin + first.scale * away * np.cos(turn)  # if no other axis is moved
             if second is not None:
                 across = second.origin + second.scale * away * np.sin(turn)
                 picture.plot(along, across, color="#555555", lw=0.8, ls="--", label="as far as that")
@@ -76,13 +76,13 @@ def _padded_range(axis: SearchAxis) -> tuple[float, float]:
 
 
 def pareto_figure(table: pd.DataFrame, metrics: Sequence[str], chosen: Mapping[str, Any], title: str) -> Figure:
-    """The gains of all trials, the first two objectives of them; with one objective over the trial.
+    """The gains of all trials in the first two objectives; a single objective is drawn over the trial number.
 
     Args:
         table: A row per trial: `gain METRIC` for each objective, `feasible`, `pareto`.
         metrics: The objectives.
-        chosen: The row of the chosen trial; empty: none.
-        title: Of the picture.
+        chosen: The row of the chosen trial; empty if there is none.
+        title: Title of the picture.
     """
     import matplotlib as mpl
 

@@ -1,6 +1,6 @@
-"""Logs to search on and held-out logs; by how much a run is better than the defaults, and is that more than chance?
+"""Training and held-out logs; the gain of a run over the defaults, and whether it is more than chance.
 
-For a log i and an objective j, a row of the table of metrics whose direction says which way is better:
+For a log i and an objective j, which is a row of the table of metrics with a better direction:
 
 (1) gain_ij = +-(value_ij - default_ij) / scale_j    0 where the difference is rounding (`metrics.compare`, (1)), and
                                                      where one of both runs has no value
@@ -53,8 +53,8 @@ class Objective:
 
     Attributes:
         metric: Its name in the table ("ttc.min").
-        mode: The loop: the closed one, where the metric is defined there.
-        sign: 1 where higher is better, -1 where lower is.
+        mode: The loop: closed if the metric is defined there, otherwise open.
+        sign: 1 if higher values are better, -1 if lower ones are.
     """
 
     metric: str
@@ -66,7 +66,7 @@ def objectives(names: Sequence[str], metrics: Mapping[str, Metric]) -> tuple[Obj
     """The objectives of these names.
 
     Raises:
-        ConfigError: No metric has a row of this name, or it has no better way; a name is there twice.
+        ConfigError: No metric has a row of this name, or it has no better direction; a name is duplicate.
     """
     known: dict[str, Objective | None] = {}
     for metric in metrics.values():
@@ -94,7 +94,7 @@ class RunScores:
     """The values of a run that the search compares.
 
     Attributes:
-        values: `(j, n)` by objective and log, NaN where there is none.
+        values: `(j, n)` by objective and log, NaN if there is none.
         failed: Failed verdicts and failed drives, all logs together.
     """
 
@@ -103,7 +103,7 @@ class RunScores:
 
 
 def run_scores(results: Results, logs: Sequence[str], asked: Sequence[Objective]) -> RunScores:
-    """A run on these logs, in this order."""
+    """The scores of a run on these logs, in this order."""
     table = results.metrics
     table = table[(table["planner"] == results.run.planners[0]) & table["available"].astype(bool)]
     keys = zip(table["log"], table["metric"], table["mode"], strict=True)
@@ -114,13 +114,13 @@ def run_scores(results: Results, logs: Sequence[str], asked: Sequence[Objective]
 
 
 def scales(default: FloatArray) -> FloatArray:
-    """(2) of the defaults' values `(j, n)`."""
+    """The scales (2) of the defaults' values `(j, n)`."""
     found = [float(np.mean(np.abs(row[np.isfinite(row)]))) if np.isfinite(row).any() else 0.0 for row in default]
     return np.array([scale if scale > 0.0 else 1.0 for scale in found])
 
 
 def gains(values: FloatArray, default: FloatArray, scale: FloatArray, asked: Sequence[Objective]) -> FloatArray:
-    """(1) of values `(j, n)` against the defaults'."""
+    """The gains (1) of values `(j, n)` against those of the defaults."""
     signs = np.array([one.sign for one in asked])[:, None]
     with np.errstate(invalid="ignore"):
         moved = np.where(noise(default, values), 0.0, values - default)
@@ -129,7 +129,7 @@ def gains(values: FloatArray, default: FloatArray, scale: FloatArray, asked: Seq
 
 @dataclass(frozen=True, slots=True)
 class MeanGain:
-    """(6): mean, interval and number of logs, and what they say."""
+    """The result of (6): mean, interval and number of logs, and the conclusion."""
 
     mean: float
     low: float
@@ -149,7 +149,7 @@ class MeanGain:
 
 
 def mean_gain(gain: FloatArray) -> MeanGain:
-    """(6) of the gains `(j, n)` on the held-out logs."""
+    """The mean gain (6) of the gains `(j, n)` on the held-out logs."""
     total = gain.sum(axis=0)
     low, high = intervals(total[None, :])
     return MeanGain(float(total.mean()), float(low[0]), float(high[0]), len(total))
@@ -164,8 +164,8 @@ def held_out(labels: Mapping[str, LogLabels], share: float) -> frozenset[str]:
     """The names of the logs that are held out (7).
 
     Args:
-        labels: What each log belongs to, by name.
-        share: Of the logs, 0 to 1.
+        labels: Family, dataset and tags of each log, by name.
+        share: Share of the logs, 0 to 1.
     """
     order = sorted(labels, key=lambda name: (stratum(labels[name]), sha256(name.encode()).digest()))
     return frozenset(name for k, name in enumerate(order) if floor((k + 1) * share + SLACK) > floor(k * share + SLACK))

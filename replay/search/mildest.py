@@ -1,21 +1,21 @@
-"""The search for the failing point with the least distance from the origin, in as few evaluations as may be.
+"""The search for the failing point with the least distance from the origin, with few evaluations.
 
 Points are in units of the scales (`replay.search.axes`, (1)), in a box that holds the origin. A point has a score, less
 is better, and counts (the planner fails there, avoidably) or not. The parts of a search, in order:
 
-    recorded    the origin; where it counts, that is the answer
+    recorded    the origin; if it counts, the search ends
     spread      a quarter of the budget: a Halton sequence over the box, scrambled by the seed
     cmaes       CMA-ES (Hansen, The CMA Evolution Strategy: A Tutorial, arXiv:1604.00772) in generations of `BATCH`,
-                from the best point; it begins anew there where `PATIENCE` generations found nothing better
+                from the best point; it restarts there if `PATIENCE` generations found nothing better
     fewer       the mildest point with one axis after the other at its recorded value, as long as one of them counts
     line        between the mildest point and the origin: `BATCH` points over the bracket, then over the part that goes
                 from not counting to counting nearest to the origin, until it is no longer than the resolution
 
 As soon as a point of distance d counts, no point beyond it can be milder: those that are farther than `PULL` d are
-pulled in to that distance along their direction. So each evaluation asks whether a milder case counts there.
+pulled in to that distance along their direction. So each evaluation tests whether a milder case counts there.
 
 All points of a batch are known before the first of them is evaluated, and the size of a batch is fixed: the result
-depends on the seed and on nothing else.
+depends only on the seed.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ BATCH = 8
 PATIENCE = 4
 PULL = 15.0 / 16.0
 SPREAD = 0.25
-"""Share of the budget."""
+"""Share of the budget for the spread points."""
 WIDE, NARROW = 0.25, 0.3
-"""First standard deviation of CMA-ES: of the box's sides before a point counts, of the distance then."""
+"""First standard deviation of CMA-ES, as a share of the box's sides; after a point counts, of its distance."""
 DIGITS = 4
 """Points are rounded to this many decimals: a ten-thousandth of a scale."""
 LEAST_BUDGET = 16
@@ -61,11 +61,11 @@ class Mildest:
     """The end of a search.
 
     Attributes:
-        point: The mildest point that counts; None: none was found.
-        distance: Of it; inf: none.
+        point: The mildest point that counts; None if none was found.
+        distance: Its distance; inf if there is none.
         passes: The greatest distance below it, on the line to the origin, at which a point was evaluated and does not
-            count; NaN: none (the origin itself counts).
-        evaluations: How many there were.
+            count; NaN if there is none (the origin itself counts).
+        evaluations: Number of evaluations.
     """
 
     point: Point | None
@@ -83,7 +83,7 @@ class _Trials:
         self.found: dict[Point, Scored] = {}
 
     def ask(self, points: FloatArray, part: str) -> list[Scored | None]:
-        """The scores of points `(k, n)`; each is evaluated once, None where the budget does not allow it any more."""
+        """The scores of points `(k, n)`; each is evaluated once, None if the budget is spent."""
         asked = [tuple(point) for point in (np.clip(points, *self.box).round(DIGITS) + 0.0).tolist()]
         new = [point for point in dict.fromkeys(asked) if point not in self.found][: self.left]
         if new:
@@ -92,7 +92,7 @@ class _Trials:
         return [self.found.get(point) for point in asked]
 
     def mildest(self) -> Point | None:
-        """Of the points that count the nearest; of equals the first."""
+        """The nearest of the points that count; of equal ones, the first."""
         return min((point for point, one in self.found.items() if one.counts), key=norm, default=None)
 
     @property
@@ -102,12 +102,12 @@ class _Trials:
 
     @property
     def distance(self) -> float:
-        """Of the mildest point; inf: there is none."""
+        """Distance of the mildest point; inf if there is none."""
         nearest = self.mildest()
         return inf if nearest is None else norm(nearest)
 
     def pulled(self, points: FloatArray) -> FloatArray:
-        """The points, those that cannot be milder at `PULL` of the least distance."""
+        """The points; those that cannot be milder are moved to `PULL` times the least distance."""
         if self.mildest() is None:
             return points
         length = np.maximum(np.linalg.norm(points, axis=1), 1e-12)
@@ -115,7 +115,7 @@ class _Trials:
 
 
 def norm(point: Sequence[float] | FloatArray) -> float:
-    """(2) of `replay.search.axes`."""
+    """The distance (2) of `replay.search.axes`."""
     return float(np.linalg.norm(point))
 
 
@@ -124,9 +124,9 @@ def search(box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resol
 
     Args:
         box: Least and greatest value of each axis `(2, n)`; the origin is within it.
-        evaluate: See there.
-        budget: The most evaluations.
-        seed: Another seed, other points.
+        evaluate: The function that evaluates points.
+        budget: Largest number of evaluations.
+        seed: Seed of the points.
         resolution: The bracket on the line to the origin is made as narrow as this.
 
     Raises:
@@ -142,7 +142,7 @@ def search(box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resol
         points = low + (high - low) * Halton(len(low), scramble=True, rng=np.random.default_rng(seed)).random(count)
         for begin in range(0, count, BATCH):
             trials.ask(trials.pulled(points[begin : begin + BATCH]), "spread")
-        for reserve in (min(3 * BATCH + box.shape[1], budget // 3), BATCH, 0):  # for what comes after a find
+        for reserve in (min(3 * BATCH + box.shape[1], budget // 3), BATCH, 0):  # kept for the parts after a find
             runs = 0
             while trials.left - reserve >= BATCH and runs < trials.left:
                 left = trials.left
@@ -167,7 +167,7 @@ def search(box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resol
 
 
 def cma_class(budget: int) -> Any:
-    """`cmaes.CMA`; ConfigError where it is not installed, or the budget is too small for a search."""
+    """`cmaes.CMA`; ConfigError if it is not installed, or the budget is too small for a search."""
     if budget < LEAST_BUDGET:
         raise ConfigError(f"--budget {budget}: a search takes {LEAST_BUDGET} drives at least")
     try:
@@ -200,7 +200,7 @@ def _generations(trials: _Trials, cma: Any, seed: int, reserve: int) -> None:
 
 
 def _approach_origin(trials: _Trials, resolution: float) -> None:
-    """As many axes of the mildest point as may be at the origin; then the bracket between it and the origin."""
+    """Set as many axes of the mildest point as possible to the origin; then narrow the bracket to the origin."""
     before = inf
     while trials.distance < before:
         before, point = trials.distance, np.array(trials.mildest())

@@ -4,8 +4,8 @@
     planner.dp_qp.lane.dwell_s = { low = 1.0, high = 5.0, step = 0.5 }
     planner.dp_qp.solver = { choices = ["piqp", "osqp"] }
 
-A setting whose default is a whole number takes whole numbers. All is checked before anything is driven: each end of
-each range, with all other settings at their defaults, has to be accepted by what it configures.
+A setting whose default is a whole number takes whole numbers. All settings are checked before anything is driven: the
+configured object must accept each end of each range, with all other settings at their defaults.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ class Setting:
 
     Attributes:
         path: Its key, part by part.
-        default: What it is without the search.
+        default: Its value without the search.
         low: Least value; `high` the greatest; both None with choices.
-        high: See there.
+        high: The greatest value.
         log: Whether the search is along the logarithm.
-        step: Only low, low + step, ...; None: all between.
-        choices: The values, where there is no range.
+        step: Interval of the values low, low + step, ...; None: all values between.
+        choices: The values, if there is no range.
     """
 
     path: tuple[str, ...]
@@ -76,14 +76,14 @@ class Setting:
         })  # fmt: skip
 
     def _hold(self, rules: Mapping[str, bool]) -> None:
-        """ConfigError with the first complaint that does not hold."""
+        """Raise ConfigError with the text of the first rule that is False."""
         for complaint, holds in rules.items():
             if not holds:
                 raise ConfigError(f"{self.key}: {complaint}")
 
     @property
     def key(self) -> str:
-        """As in TOML: "planner.dp_qp.speed.w_jerk"."""
+        """The key as in TOML: "planner.dp_qp.speed.w_jerk"."""
         key = ""
         for part in self.path:
             key = dotted(key, part)
@@ -120,17 +120,17 @@ def load_space(path: Path, run: RunConfig) -> tuple[Setting, ...]:
 
     Args:
         path: The file.
-        run: What is tuned, not resolved.
+        run: The configuration that is tuned, not resolved.
 
     Raises:
-        ConfigError: Not readable, empty, an unknown key, a range that is none, or a value that is refused.
+        ConfigError: The file is unreadable or empty, or it has an unknown key, an invalid range, or a refused value.
     """
     table = read_toml(path)
     try:
         resolved = tomllib.loads(dump_run(checked(run)[0]))
         settings = tuple(_settings(table, resolved, ()))
         if not settings:
-            raise ConfigError("holds no setting; write KEY = { low = 0.1, high = 10.0 }")
+            raise ConfigError("contains no setting; write KEY = { low = 0.1, high = 10.0 }")
         for setting in settings:
             for value in setting.ends:
                 try:
@@ -164,7 +164,7 @@ def _settings(table: Mapping[str, Any], resolved: Mapping[str, Any], where: tupl
 
 
 def with_values(run: RunConfig, values: Mapping[tuple[str, ...], Value]) -> RunConfig:
-    """The run with other settings; ConfigError where the run's own checks refuse them."""
+    """The run with other settings; ConfigError if the run's own checks refuse them."""
     table: dict[str, Any] = tomllib.loads(dump_run(run))
     for path, value in values.items():
         entry: Any = value
@@ -188,7 +188,7 @@ def difference(table: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, A
 
 
 def chosen_table(run: RunConfig) -> dict[str, Any]:
-    """The keys of a run that are not the defaults, planners named: what `--config` needs."""
+    """The keys of a run that are not the defaults, and the planners, for `--config`."""
     table = tomllib.loads(dump_run(replace(run, gates="default")))
     found = difference(table, tomllib.loads(dump_run(RunConfig())))
     gates = {} if run.gates == "default" else {"gates": str(Path(run.gates).absolute())}

@@ -1,8 +1,8 @@
-"""The file of a study: JSON lines, the head first (what is asked for), then a line per trial.
+"""The file of a study: JSON lines, first the head with the inputs, then a line per trial.
 
-The file is written whole after each batch under another name and renamed, so that an interruption leaves it as it was
-after the batch before. A search is deterministic: with `--resume` it asks for the same trials again, and those that the
-file holds are not driven a second time. So it ends with the same bytes as one that was never interrupted.
+After each batch the whole file is written under another name and renamed, so that an interruption leaves the state
+after the last batch. A search is deterministic: with `--resume` it makes the same trials again, and those in the file
+are not driven a second time. So it gives the same bytes as a search that was never interrupted.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ class Study:
     """The trials of a study, by key.
 
     Args:
-        out: The folder, which is held (`replay.run.output`).
-        head: What is asked for, as JSON has it: a study with another head is another study.
-        resume: Take what the file there holds; else an earlier study of this kind is removed from the folder.
+        out: The folder, which is locked (`replay.run.output`).
+        head: The inputs, as JSON types: a study with another head is a different study.
+        resume: Use the trials in the file; otherwise an earlier study of this kind is removed from the folder.
 
     Raises:
-        ConfigError: The folder holds something else, or nothing that could be resumed.
+        ConfigError: The folder contains other files, or no study that can be resumed.
     """
 
     def __init__(self, out: Path, head: Mapping[str, Any], *, resume: bool) -> None:
@@ -47,10 +47,10 @@ class Study:
                 raise ConfigError(f"{self._path}: contains no study; {again}")
         entries = [entry for entry in out.iterdir() if entry.name != LOCK]
         if entries and (earlier is None or earlier[0].get("study") != head["study"]):
-            raise ConfigError(f"{out}: holds no study of `replan {head['study']}`; give --out a new or empty folder")
+            raise ConfigError(f"{out}: contains no study of `replan {head['study']}`; give --out a new or empty folder")
         if resume:
             if earlier is None:
-                raise ConfigError(f"{out}: holds no study to resume; leave out --resume to start one")
+                raise ConfigError(f"{out}: contains no study to resume; leave out --resume to start one")
             changed = changes(earlier[0], json.loads(json.dumps(self._head)))
             if changed:
                 again = "give the same options, or leave out --resume"
@@ -65,7 +65,7 @@ class Study:
         self._write()
 
     def known(self, key: str) -> dict[str, Any] | None:
-        """The row of a trial, where the file holds it."""
+        """The row of a trial; None if it is not in the file."""
         return self._known.get(key)
 
     def add(self, rows: Iterable[dict[str, Any]]) -> None:

@@ -1,8 +1,8 @@
-"""The trials of a tuning: which settings to try next, by optuna, and what came of each.
+"""The trials of a tuning: optuna chooses the settings to try next, and gets the result of each.
 
-Trials are asked for one after the other, of optuna's multi-objective TPE (Ozaki et al., J. Artif. Intell. Res. 73,
-2022), with the gates as a constraint ((4) of `replay.search.gains`). So the trials depend on the seed and on what came
-of those before, and on nothing else. The first one is the default, where it lies in the space. Settings that are
+Trials are made one after the other, by optuna's multi-objective TPE (Ozaki et al., J. Artif. Intell. Res. 73,
+2022), with the gates as a constraint ((4) of `replay.search.gains`). So the trials depend only on the seed and on the
+results of earlier trials. The first one is the default, if it is in the space. Settings that are
 refused together are a trial that failed.
 """
 
@@ -24,22 +24,22 @@ from replay.search.space import Setting, Value
 KIND = "tune"
 TRIALS, SHARE = 50, 0.3
 STARTUP = 10
-"""Trials at random before TPE has enough to go by (optuna's default)."""
+"""Number of random trials before TPE has enough data (optuna's default)."""
 Values = dict[tuple[str, ...], Value]
 """Values of settings by their path."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What is asked for.
+    """The inputs of a tuning.
 
     Attributes:
         run: Planner (one) and settings with which the search begins: the defaults.
-        settings: What is searched.
-        objectives: What is to become better.
-        trials: How many settings are tried.
-        seed: Another seed, other trials.
-        share: Of the logs that are held out.
+        settings: The settings that are searched.
+        objectives: The metrics to improve.
+        trials: Number of trials.
+        seed: Seed of the trials.
+        share: Share of the logs that are held out.
     """
 
     run: RunConfig
@@ -51,7 +51,7 @@ class Plan:
 
     @cached_property
     def driven(self) -> RunConfig:
-        """The defaults as they are driven: the loops that an objective asks for, nothing drawn."""
+        """The defaults as they are driven: the loops that the objectives need, without recordings."""
         mode: RunMode = "both" if any(one.mode == "open" for one in self.objectives) else "closed"
         return replace(self.run, mode=mode, recording=False, internals="none", deadline_s=0.0, ensemble=0)
 
@@ -68,7 +68,7 @@ class Plan:
 
 
 def optuna_module() -> Any:
-    """optuna, silent; ConfigError where it is not installed."""
+    """Optuna without log output; ConfigError if it is not installed."""
     try:
         import optuna
     except ImportError:
@@ -78,7 +78,7 @@ def optuna_module() -> Any:
 
 
 class Trials:
-    """optuna's study: what to try next, and what came of it."""
+    """optuna's study: it gives the next trial, and takes its result."""
 
     def __init__(self, plan: Plan, default: RunScores) -> None:
         self._plan, self._default, self._scale = plan, default, scales(default.values)
@@ -115,7 +115,7 @@ class Trials:
         return {one.path: self._trial.params[one.key] for one in self._plan.settings}
 
     def tell(self, row: Mapping[str, Any]) -> None:
-        """What came of the trial that was asked for."""
+        """Give optuna the result of the last trial."""
         with _quiet():
             if row["refused"]:
                 self._study.tell(self._trial, state=self._optuna.trial.TrialState.FAIL)
@@ -124,7 +124,7 @@ class Trials:
             self._study.tell(self._trial, [row[f"gain {one.metric}"] for one in self._plan.objectives])
 
     def row(self, values: Values, found: RunScores | str) -> dict[str, Any]:
-        """The row of a trial: of what was measured, or of settings that are refused together, and why."""
+        """The row of a trial: its gains, or the reason why its settings are refused together."""
         row: dict[str, Any] = {one.key: values[one.path] for one in self._plan.settings}
         names = [f"gain {one.metric}" for one in self._plan.objectives]
         if isinstance(found, str):
@@ -138,7 +138,7 @@ class Trials:
 
 
 def _quiet() -> warnings.catch_warnings[None]:
-    """Without optuna's remarks about what it may change in a later version."""
+    """Suppress optuna's warnings about changes in later versions."""
     return warnings.catch_warnings(action="ignore")
 
 

@@ -1,13 +1,13 @@
 """A tuning: settings that are better than the defaults, judged on logs that were not searched, and its files.
 
-    OUT/tune.json            what was asked for, what was found, the sentences that are printed
+    OUT/tune.json            the inputs, the result, and the printed sentences
     OUT/study.jsonl          the trials, a line each; `--resume` goes on from it
-    OUT/trials.parquet, .csv the same as a table; OUT/pareto.csv, .png those that no other trial beats
+    OUT/trials.parquet, .csv the same as a table; OUT/pareto.csv, .png the trials that no other trial beats
     OUT/best.toml            the chosen settings, for `--config`
     OUT/training/            results with the defaults on the training logs
     OUT/held_out/default/, OUT/held_out/chosen/      results on the held-out logs, as `replan compare` takes them
 
-Trials are asked for one after the other (`replay.search.trials`), and the logs of a trial are driven beside each other:
+Trials are made one after the other (`replay.search.trials`), and the logs of a trial are driven in parallel:
 the same logs, space and seed give the same trials at any number of workers.
 """
 
@@ -62,7 +62,7 @@ from replay.search.trials import Plan, Trials, Values, key_of, optuna_module
 
 @dataclass(frozen=True, eq=False)
 class Logs:
-    """The logs of a tuning: where each is, by name, and which are held out."""
+    """The logs of a tuning: the place of each by name, and the names of the held-out logs."""
 
     places: Mapping[str, Path | str]
     identities: Mapping[str, str]
@@ -90,13 +90,13 @@ class Tuned:
 
     Attributes:
         out: The folder.
-        plan: What was asked for.
+        plan: The inputs.
         logs: The logs and their sets.
         table: A row per trial.
-        chosen: The row of the chosen trial; empty: none is better than the defaults.
-        values: The chosen settings; empty likewise.
-        better: On the held-out logs; None likewise.
-        comparison: Of the chosen settings with the defaults there; None likewise.
+        chosen: The row of the chosen trial; empty if none is better than the defaults.
+        values: The chosen settings; empty in that case, too.
+        better: The gain on the held-out logs; None in that case.
+        comparison: Comparison of the chosen settings with the defaults there; None in that case.
     """
 
     out: Path
@@ -117,7 +117,7 @@ class Tuned:
 
     @property
     def exit_code(self) -> int:
-        """0: better; 1: not."""
+        """0 if the chosen settings are better, otherwise 1."""
         return 0 if self.passed else 1
 
     def lines(self) -> list[str]:
@@ -154,19 +154,19 @@ def tune(
     resume: bool = False,
     say: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
-    """Search, judge on the held-out logs, and write all of it into `out`.
+    """Search, judge on the held-out logs, and write the results into `out`.
 
     Args:
-        plan: What is asked for.
+        plan: The inputs.
         selection: The logs.
         out: A folder that is new, empty, or holds an earlier tuning, which is replaced or resumed.
-        engine: Where the logs are driven; None: this process.
-        resume: Go on with the tuning that `out` holds.
+        engine: The engine that drives the logs; None: this process.
+        resume: Continue the tuning in `out`.
         say: Called with a line after each trial.
 
     Raises:
-        ConfigError: A wrong setting, too few logs, no point of the space is accepted, a folder that is not ours to
-            write, nothing to resume, or optuna is not installed.
+        ConfigError: A wrong setting, too few logs, no point of the space is accepted, a folder that must not be
+            written, nothing to resume, or optuna is not installed.
         LogError: A log cannot be read.
         PlannerError: The planner cannot be loaded.
     """
@@ -194,8 +194,8 @@ def _sorted_logs(selection: Selection, out: Path, share: float) -> Logs:
     """The logs, read once for their names and strata.
 
     Raises:
-        ConfigError: Two have one name, or too few are left on one side.
-        LogError: One cannot be read.
+        ConfigError: Two logs have the same name, or one of the sets has too few logs.
+        LogError: A log cannot be read.
     """
     labels: dict[str, LogLabels] = {}
     places: dict[str, Path | str] = {}
@@ -231,7 +231,7 @@ class _Driver:
     resume: bool
 
     def kept(self, logs: Sequence[Path | str], run: RunConfig, folder: str) -> Results:
-        """A run that stays; what an interrupted tuning has finished of it is taken as it is."""
+        """The results of a run whose files are kept; logs that an interrupted tuning finished are not driven again."""
         place = self.out / folder
         place.parent.mkdir(parents=True, exist_ok=True)
         return evaluate_logs(
@@ -239,7 +239,7 @@ class _Driver:
         )
 
     def passing(self, logs: Sequence[Path | str], run: RunConfig, asked: Callable[[Results], RunScores]) -> RunScores:
-        """What is asked of a run whose files do not stay."""
+        """The value of `asked` for a run whose files are removed."""
         scratch = self.out / f"{PARTIAL}trial"
         shutil.rmtree(scratch, ignore_errors=True)
         try:

@@ -1,9 +1,9 @@
-"""How the other road users move while the ego is driven.
+"""Moves the other road users while the ego is driven.
 
-"give_way"        as in the log, except that a road user gives way where it would hit the ego from behind or where the
-                  ego has the right of way (`reactive`, `right_of_way`)
-"time"            each road user is where it was in the log at this time, whatever the ego does
-"ego_position"    all are where they were in the log when the logged ego was where the ego is now (`phase_replay`)
+"give_way"        as in the log, except that road users give way if they would hit the ego from behind, or if the ego
+has the right of way (`reactive`, `right_of_way`)
+"time"            each road user is at its logged position of this time, independent of the ego
+"ego_position"    all are at their logged positions of when the logged ego was where the ego is now (`phase_replay`)
 "reactive"        vehicles follow their logged paths and keep behind every road user on them, the ego included
                   (`reactive`); late vehicles stop at red lights
 """
@@ -28,7 +28,7 @@ class Traffic(Protocol):
 
     @property
     def due(self) -> float:
-        """The next time at which they react to the ego, s; until then `step` changes nothing. inf: they never react."""
+        """The next time at which they react to the ego, s; `step` changes nothing before. inf: they never react."""
         ...
 
     @property
@@ -37,16 +37,16 @@ class Traffic(Protocol):
         ...
 
     def step(self, ego: EgoState) -> Tracks:
-        """The tracks of the others up to `ego.t`; they have seen the ego's states until then.
+        """Return the tracks of the others up to `ego.t`; they may react to the ego's states up to then.
 
-        The tracks may reach beyond `ego.t`; readers take only what is known by then (`Tracks.perceived`). They may
-        hold only the road users around now (`logs.memory.Recent`); the drive keeps their `whole`.
+        The tracks may reach beyond `ego.t`; readers use only what is known at that time (`Tracks.perceived`). They may
+        contain only the road users around that time (`logs.memory.Recent`); the drive stores their `whole`.
         """
         ...
 
 
 class ReplayedByTime:
-    """The log's tracks, unmoved by what the ego does."""
+    """Replays the log's tracks, independent of the ego."""
 
     due = inf
     notes: tuple[str, ...] = ()
@@ -55,12 +55,12 @@ class ReplayedByTime:
         self._tracks = scenario.tracks
 
     def step(self, ego: EgoState) -> Tracks:
-        """The log's tracks."""
+        """Return the log's tracks."""
         return self._tracks
 
 
 def give_way(scenario: Scenario) -> Traffic:
-    """As in the log, except for road users that give way."""
+    """Build traffic as in the log, except for road users that give way."""
     return Reactive(scenario, GIVE_WAY)
 
 
@@ -72,7 +72,7 @@ TRAFFIC: dict[str, Callable[..., Traffic]] = {
 }
 
 TRAFFIC_KIND: Kind[Callable[..., Traffic]] = Kind("traffic", "traffic", TRAFFIC)
-"""Finds these and the user's own."""
+"""Finds traffic by name: the built-in kinds and those of users."""
 
 TRAFFIC_NOTES: dict[str, tuple[str, ...]] = {
     "ego_position": (
@@ -82,4 +82,4 @@ TRAFFIC_NOTES: dict[str, tuple[str, ...]] = {
         "the others react: vehicles keep to their logged paths, behind whoever is on them; late ones stop at red",
     ),
 }
-"""Notes on each kind of traffic that a reader of the results needs; empty where the traffic is as in the log."""
+"""Notes for readers of the results on kinds of traffic that differ from the log."""

@@ -42,14 +42,14 @@ HARDEST_MPS2 = CC_BRAKE_MPS2
 """0.774 g, as the careful driver of UN R157 brakes."""
 LOOK_M, LOOK_S = 20.0, 5.0
 BRUSH_M, EGO_BRUSH_M = 0.2, -0.3
-"""A vehicle's box is narrower by this in the search of the leader: logged boxes brush; to the ego it is wider."""
+"""Reduction of a vehicle's width in the search of the leader, as logged boxes may brush; negative for the ego."""
 ASKEW_RAD, ROOM_M = 0.25 * pi, 0.5
 STANDING_MPS = 0.1
-"""The log stands where it is slower than this."""
+"""A logged road user at a lower speed stands."""
 TOUCHING_M = 0.1
-"""A gap is not less than this in (2) and (3)."""
+"""Least gap in (2) and (3)."""
 ARRIVED_M = 1e-6
-"""Nearer than this is there: rounding must not decide whether a vehicle has come to where its log stands."""
+"""Tolerance of arrival: rounding must not decide whether a vehicle has reached the place where its log stands."""
 FINE_M = 1.0
 """Step of the box along the path; the contact is then halved down to `FINE_M` / 32."""
 
@@ -157,7 +157,7 @@ def covered(paths: Paths, phase: FloatArray, span: float) -> FloatArray:
 
 @inner_kernel
 def moved_on(paths: Paths, phase: FloatArray, way: FloatArray, now: float) -> FloatArray:
-    """The phases after so much of each path `(n,)`, m; the log's standing is passed over, but not beyond `now`."""
+    """Return the phases after `way` m of each path `(n,)`; standstills of the log are skipped, but not beyond `now`."""
     t, x, y = paths.t, paths.x, paths.y
     out = phase.copy()
     for i in range(len(phase)):
@@ -243,13 +243,13 @@ def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
 def leaders(
     paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, heeds: BoolArray, scene: Scene
 ) -> Leaders:
-    """The leaders of the vehicles `whose` `(n,)` at their phases; a pair that is on its logs does not count.
+    """The leaders of the vehicles `whose` `(n,)` at their phases; pairs that are both on their logs are ignored.
 
     The ego leads only the vehicles for which `heeds` `(n,)` holds.
     """
     n, boxes = len(phase), scene.boxes
     out = Leaders(np.full(n, inf), np.zeros(n), np.zeros(n))
-    near = np.empty(n + 1, np.int64)  # who may be in the way
+    near = np.empty(n + 1, np.int64)  # agents that may be in the way
     for i in range(n):
         if not whose[i]:
             continue

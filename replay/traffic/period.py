@@ -3,10 +3,10 @@
 `replay.traffic.reactive` explains the model. The kernels write the arrays of `Phases` in place. `n` counts the agents
 that may be in the scene (`Coming`): in a long log, a step computes these only.
 
-(1) who = road users whose log has begun, and those that never move, without those that have left for good: not in the
-    scene, not waiting to enter, and past the end of their log
+(1) who = road users whose log has begun, and static ones, without those that have left for good: not in the scene,
+    not waiting to enter, and past the end of their log
 
-The others have no effect: they would be neither present nor entering.
+The other road users have no effect: they are neither present nor entering.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from replay.traffic.following import (
 from replay.traffic.phase_replay import PERIOD_S, LoggedTracks, play, played
 
 SAME_MPS = 1e-6
-"""Speeds that differ by less are the same."""
+"""Tolerance when speeds are compared."""
 
 
 class Agents(NamedTuple):

@@ -13,7 +13,7 @@ station s on its logged path, all others are at the log time (phase) at which th
 (3) where the logged path ends, the phase goes on with time
 
 The ego itself is not changed. Once it has stood for `STUCK_S`, the phase goes on with time, so that the road user that
-it waits for can leave (a world that stands still with the ego would wait forever). Then delta is the time by which the
+it waits for can leave (otherwise ego and world would wait forever). Then delta is the time by which the
 phase exceeds the last log time at which the logged ego was within `NEAR_M` of s: later encounters are delayed by it.
 """
 
@@ -35,7 +35,7 @@ from metrics.boxes import present_between
 
 PERIOD_S = 0.1
 ROOM = 1024
-"""Samples of agents that there is room for at first; doubled when they are full."""
+"""Initial capacity for samples of agents; doubled when full."""
 FASTEST = 2.0
 STUCK_S, STANDING_MPS, NEAR_M = 2.0, 0.1, 1.5
 SHORTEST_M = 1.0
@@ -111,8 +111,8 @@ class PhaseReplay:
     def tracks(self, since: FloatArray) -> Tracks:
         """The log's samples before `since` `(n,)`, s, and the replayed ones from then on; inf: the log as it is.
 
-        A track that was inf at the last call may not begin before the last row of that call. Where any agent is off
-        its log, the result holds the tracks around the last row; its `whole` has all of them.
+        If `since` of a track was inf at the last call, it may not be before the last row of that call. If any agent is
+        off its log, the result holds the tracks around the last row; its `whole` has all tracks.
         """
         since = np.where(self._own.static, np.inf, since)
         wanted = since < np.inf
@@ -226,7 +226,7 @@ class ReplayedByEgoPosition:
         scenario: Its ego's log must lead somewhere.
 
     Raises:
-        LogError: The logged ego does not move, so that its position tells no time.
+        LogError: The logged ego does not move, so its position does not determine a time.
     """
 
     notes: tuple[str, ...] = ()

@@ -7,8 +7,8 @@ that gave way would drive on alone after all others have vanished. An agent is n
 and never ahead of its log.
 
 Undisturbed, tau_i = t: the log's own samples, to the bit. An agent is disturbed once its leader requires a lower speed
-than the log's. A pair of agents that are both on their logs does not count, because real drivers keep other gaps than
-a model does; the ego is on its log while it is within `EGO_M` of it. A late agent makes up time while its log stands.
+than the log's. Pairs of agents that are both on their logs are ignored, because real drivers keep other gaps than a
+model does; the ego is on its log while it is within `EGO_M` of it. A late agent makes up time while its log stands.
 `replay.traffic.following` defines leader and acceleration. Late agents also stop at closed lights (`right_of_way`);
 agents on their logs pass them as they did, red ones included. An agent that enters the scene waits while an agent that
 is off its log is in its place, and enters no faster than it can brake for its leader.
@@ -24,7 +24,7 @@ of the ego, and only where the ego may expect them to react:
 (3) or the agent comes from a lane that yields to the ego's (`right_of_way`)
 (4) it brakes as its leader requires, with 0.774 g at most (the same driver)
 
-So an ego that cuts in with less room than a careful driver needs, crosses without the right of way, or blocks oncoming
+So an ego that cuts in more closely than a careful driver would, crosses without the right of way, or blocks oncoming
 traffic is hit as in the log. Pedestrians and objects are replayed by time; with "reactive", bicycles too.
 """
 
@@ -50,7 +50,7 @@ from replay.traffic.right_of_way import RedLights, Yielding
 from replay.world import box_center
 
 Sampled = tuple[FloatArray, BoolArray]
-"""Where `period.sample` writes to."""
+"""The arrays that `period.sample` writes."""
 EGO_M = 1.0
 """The ego is as in the log where it is no farther than this from where the log has it."""
 BEYOND_M = 100.0
@@ -64,7 +64,7 @@ class Rule:
 
     Attributes:
         kinds: The kinds that react.
-        only_ahead: The ego counts only once it has been ahead for this time, s; None: always.
+        only_ahead: Agents react to the ego only after it has been ahead for this time, s; None: always.
         only_needed: An agent on its log reacts only where it would drive into its leader.
         yields: Whether agents on lanes that yield to the ego's wait for it.
     """

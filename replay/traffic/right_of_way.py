@@ -1,4 +1,4 @@
-"""Traffic lights and right of way for agents that drive by the model: where they wait, a leader stands.
+"""Traffic lights and right of way for agents that drive by the model: a standing leader is placed where they wait.
 
 A stop line is on a vehicle's path where the middle of its front bumper first crosses it in the lane's direction, at
 most `ASIDE_M` beside its ends, on a way that the line applies to. With the gap s to it and the speed v, a stop takes
@@ -14,8 +14,8 @@ Until the log leaves its own last standstill before a line, the vehicle stops th
 being on time again. Stop signs are as in the log: the late vehicle slows down where it did.
 
 An agent on a lane that yields (`Lane.yields_to`) waits for the ego on a lane with priority. The ego is predicted along
-its lanes (`replay.prediction`, every way that it may take) for `LOOK_AHEAD_S`. Its boxes on a lane with priority are
-places that it holds by right. An agent that is on the yielding lane, or comes to it, goes on as in its log, but no
+its lanes (`replay.prediction`, every way that it may take) for `LOOK_AHEAD_S`. It has the right of way at its boxes on
+a lane with priority. An agent that is on the yielding lane, or comes to it, goes on as in its log, but no
 faster than its speed v allows: with the distance s from here and a = `following.ACCEL_MPS2`, it arrives after
 
 (2) tau(s) = max(time of the log to there, (sqrt(v^2 + 2 a s) - v) / a)
@@ -264,5 +264,5 @@ def _wait(
 
 @inner_kernel
 def _place(speed: float, place: float, meets: bool) -> float:
-    """The place where it must wait, if it must and can; else inf."""
+    """Return the distance to the place where it must wait, if it must and can stop; else inf, m."""
     return place if meets and speed * speed <= 2.0 * HARDEST_MPS2 * place and place > 0.0 else np.inf

@@ -1,7 +1,7 @@
-"""`replan vary`: one recording becomes a surface of pass and fail over one or two things that are varied in it.
+"""`replan vary`: evaluates a surface of pass and fail over one or two varied parameters of a recording.
 
-    axes.py        what is varied, over which values
-    encounters.py  who comes how near to the ego: which agents to vary
+    axes.py        the varied parameters and their values
+    encounters.py  distances of road users to the ego, to choose the agents to vary
     surface.py     cells -> varied logs -> `replay.run` -> table, edges (where a row stops passing), picture
 
 The picture is drawn by `replay.vary.surface_figure`.

@@ -1,4 +1,4 @@
-"""What is varied: `name=low:high:count` is an axis of the surface, `name=value` holds for all of it."""
+"""The question of a surface: `name=low:high:count` is an axis, `name=value` applies to all cells."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from logs.errors import ConfigError, unknown_name
 from logs.variations import VARIATIONS
 
 FINER = 8
-"""Edges are found to this part of the distance of two cells unless the question has another resolution."""
+"""Default resolution of edges: the distance of two cells divided by this."""
 MOST_AXES = 2
 FORM = "write it as NAME=LOW:HIGH:COUNT, or NAME=VALUE for all cells"
 
@@ -44,9 +44,9 @@ class Question:
 
     Attributes:
         axes: One or two; the first is along the rows of the picture.
-        fixed: Value by name, the same in all cells.
-        agents: Ids of the varied agents; empty: the inserted one.
-        resolution: How near edges are found, in the first axis' unit.
+        fixed: Values by name that are the same in all cells.
+        agents: Ids of the varied agents; empty if the agent is inserted.
+        resolution: Width to which edges are bisected, in the unit of the first axis.
     """
 
     axes: tuple[Axis, ...]
@@ -60,27 +60,27 @@ class Question:
         return ((x, *rest) for *rest, x in product(*(axis.values for axis in self.axes[::-1])))
 
     def values(self, cell: Sequence[float]) -> dict[str, float]:
-        """What is varied in a cell, by name."""
+        """The values of all parameters in a cell, by name."""
         return {**self.fixed, **{axis.name: value for axis, value in zip(self.axes, cell, strict=True)}}
 
     @property
     def recorded(self) -> tuple[float, ...] | None:
-        """The point of the surface where nothing is varied; None where there is none."""
+        """The point of the surface at which nothing is varied; None if there is none."""
         point = tuple(VARIATIONS[axis.name].neutral for axis in self.axes)
         return point if all(map(isfinite, point)) and not self.fixed else None
 
     @property
     def varies_agents(self) -> bool:
-        """Whether agents must be named: a variation is of an agent, and none inserts the agent that it varies."""
+        """Whether agents must be named: a variation changes agents, and no variation inserts its agent."""
         kinds = [VARIATIONS[name] for name in (*self.fixed, *(axis.name for axis in self.axes))]
         return any(kind.of == "agent" for kind in kinds) and not any(kind.inserts for kind in kinds)
 
 
 def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float | None = None) -> Question:
-    """The question that words of `--vary` ask.
+    """Parse the words of `--vary`.
 
     Raises:
-        ConfigError: A word is not of this form, a name is unknown or twice there, a value out of range, no or more
+        ConfigError: A word is not of this form, a name is unknown or duplicate, a value out of range, no or more
             than two axes, a resolution that is not positive.
     """
     axes: list[Axis] = []
@@ -117,7 +117,7 @@ def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float
 
 
 def variations() -> Iterator[str]:
-    """What may be varied, a line each."""
+    """The variations, a line each."""
     width = max(map(len, VARIATIONS))
     for one in VARIATIONS.values():
         neutral = f"; {one.shown(one.neutral)}: as recorded" if isfinite(one.neutral) else ""

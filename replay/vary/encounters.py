@@ -1,10 +1,10 @@
-"""The agents of a log by how near they come to the ego, and who is in conflict with it: which to vary.
+"""The agents of a log by their least distance to the ego, and the one in conflict with it, to choose which to vary.
 
 (1) PET = |t_j - t_i|, the least over the ego's boxes i and an agent's boxes j that overlap (`metrics.encounters`), of
-    pedestrians, and of others whose headings differ by 30 degrees or more: who follows does not cross
+    pedestrians, and of others whose headings differ by 30 degrees or more, because an agent that follows does not cross
 (2) TTC = least time until the boxes touch at constant velocity vectors (`logs.shapes`), within `SOON_S`; of agents
     ahead of an ego that drives
-(3) conflict = min(PET, TTC), s; NaN where an agent neither takes a place of the ego's way nor is on a course to it
+(3) conflict = min(PET, TTC), s; NaN if an agent neither overlaps the ego's way nor is on a course to it
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from replay.vary.axes import Question, question
 
 GRID_S = 0.1
 SEEN_S = 1.0
-"""An agent that is tracked for a shorter time is not proposed: most often it is a flicker."""
+"""An agent that is tracked for a shorter time is not proposed: it is usually a false detection."""
 GOING_M = 1.0
-"""An agent that goes a shorter way stands: another time or speed changes nothing."""
+"""An agent that moves less than this stands: another time or speed has no effect."""
 SOON_S = 10.0
 """The horizon of `metrics.safety.TTC`."""
 SHOWN = 40
@@ -47,12 +47,12 @@ class Encounter:
 
     Attributes:
         agent: Their id.
-        kind: What they are.
-        t_from: When they are first tracked, s; `t_to` last; of what is there at all times, the log's.
-        way: From the first place to the last, m.
-        least: Least distance between both boxes, m; negative where they overlap.
-        at: When, s.
-        conflict: (3) of the module, s; NaN: none.
+        kind: Their kind.
+        t_from: First time at which they are tracked, s; `t_to` the last; for static objects, those of the log.
+        way: Distance from the first to the last position, m.
+        least: Least distance between both boxes, m; negative if they overlap.
+        at: Time of the least distance, s.
+        conflict: The value of (3), s; NaN if there is none.
     """
 
     agent: str
@@ -66,9 +66,9 @@ class Encounter:
 
 
 def prepared(scenario: Scenario) -> Scenario:
-    """The scenario as it is varied: without phantoms, and with a goal where its drive ended if it names none.
+    """The scenario prepared for variation: without phantoms, and with a goal at the end of its drive if it has none.
 
-    Both need the recorded drive, which a varied log no longer holds.
+    Both need the recorded drive, which a varied log no longer contains.
     """
     found = phantoms(scenario)
     goal, note = goal_of(scenario)
@@ -80,11 +80,11 @@ def prepared(scenario: Scenario) -> Scenario:
 
 
 def opened(log: str, settings: LogSettings) -> Scenario:
-    """The scenario of a file, folder or family, as it is varied.
+    """The scenario of a file, folder or family, prepared for variation.
 
     Raises:
         ConfigError: There is no such file, folder or family.
-        LogError: It cannot be read.
+        LogError: The log cannot be read.
     """
     with here(log) as path:
         if path.exists():
@@ -109,7 +109,7 @@ def encounters(scenario: Scenario) -> tuple[Encounter, ...]:
         length, width = others.size[i].tolist()
         away = np.hypot(others.pose[0, i, there] - boxes[0, there], others.pose[1, i, there] - boxes[1, there])
         spread = 0.5 * (hypot(car.length, car.width) + hypot(length, width))
-        near = there[away <= away.min() + spread]  # whoever is nearest by their boxes is among these
+        near = there[away <= away.min() + spread]  # the nearest one by its box is among these
         pairs = zip(boxes[:3, near].T.tolist(), others.pose[:3, i, near].T.tolist(), strict=True)
         gaps = [
             clearance(x1, y1, yaw1, car.length, car.width, x2, y2, yaw2, length, width)
@@ -126,7 +126,7 @@ def encounters(scenario: Scenario) -> tuple[Encounter, ...]:
 
 
 def _conflict(boxes: FloatArray, t: FloatArray, car: Car, others: Others, i: int, angle: float) -> float:
-    """(3) of the ego's boxes at times t and the agent in row i, whose heading must differ by `angle` to cross."""
+    """Conflict (3) of the ego's boxes at times t and agent i, whose heading must differ by `angle` to cross."""
     pose, (length, width), least = others.pose[:, i], others.size[i].tolist(), inf
     mine, theirs = may_meet(boxes, car, others, i)
     if len(mine) and len(theirs) and np.ptp(pose[0, theirs]) + np.ptp(pose[1, theirs]) > 0.0:
@@ -146,9 +146,9 @@ def _conflict(boxes: FloatArray, t: FloatArray, car: Car, others: Others, i: int
 
 
 def conflicting_agent(scenario: Scenario) -> str:
-    """The agent in the conflict of the drive: the least (3) of those that move, of equals the nearest.
+    """The agent in conflict with the ego: the moving one with the least (3), of equal ones the nearest.
 
-    Where none that moves has a conflict, the nearest of those that move; where none moves, the same of all.
+    If no moving agent has a conflict, the nearest moving one; if none moves, the same of all agents.
 
     Raises:
         ConfigError: There is no agent.
@@ -163,7 +163,7 @@ def conflicting_agent(scenario: Scenario) -> str:
 def question_about(
     scenario: Scenario, words: Sequence[str], agents: Sequence[str], resolution: float | None
 ) -> Question:
-    """The question of words of `--vary` about agents, named by whole id or short name; by default the one in conflict.
+    """The question of `--vary` about agents, named by whole id or short name; by default the one in conflict.
 
     Raises:
         ConfigError: As `replay.vary.axes.question` and `conflicting_agent`.

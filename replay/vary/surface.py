@@ -10,8 +10,8 @@ The outcome of a point is the worst outcome of the gates on its log: "pass", "fa
     point where the careful driver of UN R157 collides is "unavoidable"; "error" is a point that could not be made
 or driven. Points without a log, and logs that cannot be driven, do not stop the others.
 
-Where a row goes from pass to something else is found by halving between two cells, of all rows at once, so that the
-points of a round are evaluated beside each other.
+The change of a row from pass to another outcome is found by bisection between two cells, in all rows at once, so that
+the points of a round are evaluated in parallel.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ Cell = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class Bracket:
-    """Two points of a row, on one of which the outcome is pass and on the other it is not.
+    """Two points of a row, of which one has the outcome pass and the other has not.
 
     Attributes:
-        row: Where the row is: the second axis' value; empty with one axis.
-        low: The lower point, `high` the higher one.
+        row: Value of the second axis; empty with one axis.
+        low: The lower point; `high` is the higher one.
         at_low: The outcome there; `at_high` likewise.
-        is_open: Whether it can be halved: False after a point between could not be evaluated.
+        is_open: Whether it can be halved; False after a point between could not be evaluated.
     """
 
     row: tuple[float, ...]
@@ -81,7 +81,7 @@ class Bracket:
         return 0.5 * (self.low + self.high)
 
     def halved(self, outcome: str) -> Bracket:
-        """The half that holds the edge, by the outcome in the middle."""
+        """The half that contains the edge, by the outcome in the middle."""
         if outcome == ERROR:
             return replace(self, is_open=False)
         if (outcome == PASS) == (self.at_low == PASS):
@@ -90,7 +90,7 @@ class Bracket:
 
 
 def brackets(outcomes: Mapping[Cell, str]) -> tuple[Bracket, ...]:
-    """Neighbouring cells `(x, *row)` that differ in whether they pass; a cell with an error is no end of a bracket."""
+    """Neighbouring cells `(x, *row)` that differ in whether they pass; a cell with an error ends no bracket."""
     found = []
     for row in sorted({cell[1:] for cell in outcomes}):
         line = sorted((cell[0], outcome) for cell, outcome in outcomes.items() if cell[1:] == row)
@@ -125,7 +125,7 @@ class VaryResult:
         out: The folder.
         question: The question.
         table: A row per point that was evaluated: the grid first, then the points between.
-        edges: Where rows change, to the resolution of the question.
+        edges: The brackets in which rows change, to the resolution of the question.
     """
 
     out: Path
@@ -135,7 +135,7 @@ class VaryResult:
 
     @property
     def exit_code(self) -> int:
-        """0; 3 where a point could not be evaluated."""
+        """3 if a point could not be evaluated, otherwise 0."""
         return 3 if (self.table["outcome"] == ERROR).any() else 0
 
     def lines(self) -> list[str]:
@@ -164,11 +164,11 @@ def vary(
     """Evaluate a surface and write it into `out`; the same tables whatever the number of workers.
 
     Args:
-        scenario: What is varied, `prepared`.
-        question: Over what.
+        scenario: The scenario to vary, `prepared`.
+        question: The axes and values.
         run: Planner (one) and settings; only the closed loop is run, and the log settings are not applied again.
         out: A folder that is new, empty, or holds an earlier surface.
-        workers: Processes; 0: this one.
+        workers: Number of processes; 0: this process.
         say: Called with a line before each round.
 
     Raises:
@@ -238,7 +238,7 @@ class _Rounds:
         """The outcomes of a round."""
         self.say(f"{part}: {counted(len(cells), 'point')}")
         made: dict[Cell, Path | str] = {}
-        for cell in cells:  # the file of a varied log, or why there is none
+        for cell in cells:  # the file of a varied log, or the reason why there is none
             values = self.question.values(cell)
             path = self.out / "logs" / _file_name(values)
             try:

@@ -1,6 +1,6 @@
 """The picture of `replan vary`: outcome over one or two parameters, the edge of pass, the recorded point.
 
-Colours are of Okabe and Ito's palette for the colour-blind, and every cell says its outcome in a letter, too.
+Colours are of Okabe and Ito's palette for the colour-blind, and every cell also has its outcome as a letter.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ EDGE, RECORDED, HATCH = "#000000", "#009e73", "#555555"
 
 
 def surface_figure(table: pd.DataFrame, edges: Sequence[Bracket], question: Question, title: str) -> Figure:
-    """The surface; each cell with its letter, the least gap, an x where the drive ended in a contact, and a gate."""
+    """The surface; each cell with its letter, the least gap, an x if the drive ended in a contact, and a gate."""
     import matplotlib as mpl
 
     cells = table[table["part"] == "grid"]
@@ -83,7 +83,7 @@ def _cell(axes: Axes, cell: pd.Series, x: float, y: float, half_x: float, half_y
 
 
 def _recorded_point(question: Question) -> tuple[float, ...] | None:
-    """Where nothing is varied; None where that is not within the axes."""
+    """The point at which nothing is varied; None if it is not within the axes."""
     point = question.recorded
     inside = point is not None and all(
         a.values[0] <= v <= a.values[-1] for a, v in zip(question.axes, point, strict=True)

@@ -1,10 +1,10 @@
-"""How the ego moves: a Command and a time step give the next EgoState.
+"""Moves the ego: a Command and a time step give the next EgoState.
 
 VEHICLES    the models by name, each built as `Class(parameters, start, **settings)`; adding one is one file and one
-            line here; what may be set of a model are its keywords
-VEHICLE     finds those, and users' own
+            line here; the settings of a model are its keywords
+VEHICLE     finds the built-in vehicles and those of users
 
-A plant's table (`LoopConfig.plant`) is what the vehicle has that planner and controller do not know of: numbers of
+A plant's table (`LoopConfig.plant`) holds properties of the vehicle that are hidden from planner and controller:
 VehicleParameters by name (mass, tyre_friction, ...: a mismatch on purpose) and keywords of the model (tyre, grade,
 ...). A changed mass keeps the forces of motor, brakes and drag, unless they are changed as well.
 """
@@ -30,7 +30,7 @@ from replay.vehicle.single_track import SingleTrack
 VehicleFactory = Callable[..., Vehicle]
 
 REAR_RATIO = -0.2
-"""Of "kinematic_rear_steer": the rear wheels turn against the front ones by a fifth, which a few real axles can."""
+"""Of "kinematic_rear_steer": the rear wheels turn against the front ones by a fifth; few real axles can."""
 
 VEHICLES: dict[str, VehicleFactory] = {
     "kinematic_bicycle": KinematicBicycle,

@@ -1,8 +1,8 @@
-"""What a vehicle model is, and the controller that drives it: one method each.
+"""The interfaces of vehicle models and controllers: one method each.
 
 A vehicle owns its hidden state (actuators, slip) and is built per drive as `Class(parameters, start)`, already moving
-as `start` does. Its longitudinal plant is a `Powertrain`, which controllers may invert. What else the loop must know of
-it are two capabilities: whether its tyres slip, and whether it follows plans by itself.
+as `start` does. Its longitudinal plant is a `Powertrain`, which controllers may invert. The loop also needs two
+properties: whether its tyres slip, and whether it follows plans by itself.
 
 A trace has one row per control step, which kernels and recorder share: the ego's motion and the actuation at its time,
 what is commanded from then on, and the errors against the plan that is driven then.
@@ -29,7 +29,7 @@ def plain(named: Any) -> Any:
 
 
 class Motion(NamedTuple):
-    """`logs.states.EgoState` as kernels take it, and as it stands in the rows of a trace."""
+    """`logs.states.EgoState` as kernels take it, and as the rows of a trace store it."""
 
     t: float
     x: float
@@ -159,7 +159,7 @@ class Controller(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user must know of the drive so far, such as that another had to take over; goes into the trace."""
+        """Notes for the trace about the drive so far, such as that a fallback controller took over."""
         ...
 
     def control(self, state: EgoState, plan: Plan) -> Command:

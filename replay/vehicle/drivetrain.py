@@ -1,4 +1,4 @@
-"""The drive train: pedals -> motor torque -> gears -> wheels; brakes; what resists; and the actuators.
+"""The drive train: pedals -> motor torque -> gears -> wheels; brakes; resistances; and the actuators.
 
 Over speed v, per kg of vehicle, from the motor map T_g(v) = torque at speed v gear_g / radius (below idle the clutch or
 converter slips: the torque is that of idle; above the last speed of the map there is none):
@@ -12,9 +12,9 @@ converter slips: the torque is that of idle; above the last speed of the map the
 (6) resist      = rolling + drag v^2
 (7) d(steer)/dt = clip((command - steer) / steer_lag, -max_rate, max_rate)      |command| <= max_steer
 
-So the acceleration is linear in each pedal at a given speed, which is how drive-by-wire reads the pedal; the gear only
-limits (a kick-down takes its time). Where no motor is described, force = min(max_accel, max_power / v) and overrun = 0.
-The inertia of motor and wheels counts as mass nowhere: neglected.
+So the acceleration is linear in each pedal at a given speed, as in drive-by-wire; the gear only limits it (a kick-down
+takes time). Without a motor description, force = min(max_accel, max_power / v) and overrun = 0.
+The inertia of motor and wheels is neglected.
 
 Shifting: the highest gear with RESERVE above the wanted force and the motor above CRUISE times idle; up at the earliest
 MIN_HOLD_S after the last shift, down when the gear cannot give what is wanted or the motor falls below LUG times idle.
@@ -37,7 +37,7 @@ MAX_SPEED_MPS = 90.0
 RESERVE, CRUISE, LUG, MIN_HOLD_S = 1.15, 1.6, 1.2, 1.0
 SHIFT_THROTTLE = 0.5
 SHORTEST_LAG_S = 1e-3
-"""A lag of zero is driven as this."""
+"""Least lag; replaces a lag of zero."""
 
 Steering = tuple[float, float, float]
 """max_steer rad, max_steer_rate rad/s, steer_lag s of VehicleParameters: what the kernel takes."""
@@ -74,7 +74,7 @@ class Pending(NamedTuple):
 
     Attributes:
         delay_ns: From a command to its effect.
-        now_ns: Up to here the values in effect have been handed out.
+        now_ns: Time up to which the values in effect have been returned.
         value: In effect now.
         waiting: How many are on their way.
         arrival_ns: `(k,)`, k >= waiting: when each takes effect, increasing.
@@ -107,14 +107,14 @@ def steer_rate(steer: float, command: float, steering: Steering) -> float:
 
 @kernel
 def wanted_force(v: float, throttle: float, drive: Drive) -> float:
-    """What a throttle asks of the motor at the wheels, m/s2; negative in overrun."""
+    """Return the acceleration that a throttle requests from the motor, m/s2; negative in overrun."""
     overrun = at_speed(drive.overrun, v)
     return throttle * (at_speed(drive.most, v) + overrun) - overrun  # (3)
 
 
 @kernel
 def drive_force(v: float, throttle: float, gear: int, drive: Drive) -> float:
-    """What the motor gives at the wheels in a gear, m/s2."""
+    """Return the acceleration by the motor in a gear, m/s2."""
     return min(wanted_force(v, throttle, drive), at_speed(drive.force[gear], v))  # (3)
 
 
@@ -195,7 +195,7 @@ def with_room(line: Pending, dt_ns: int) -> Pending:
 
 
 def spans(line: Pending, command: float, dt: float) -> tuple[list[tuple[float, float]], Pending]:
-    """Give the command for `dt` s: the values in effect meanwhile, each with its duration in s, in order; the line."""
+    """Apply a command for `dt` s; return the values in effect meanwhile with their durations, s, and the line."""
     dt_ns = round(dt * 1e9)
     line = commanded(with_room(line, dt_ns), command)
     end, found = line.now_ns + dt_ns, []
@@ -209,7 +209,7 @@ def spans(line: Pending, command: float, dt: float) -> tuple[list[tuple[float, f
 class Drivetrain:
     """The drive train of `VehicleParameters` in steady state; see `replay.vehicle.base.Powertrain`.
 
-    On a level road: a grade is not the drive train's.
+    It assumes a level road; grades are not part of the drive train.
     """
 
     parameters: VehicleParameters

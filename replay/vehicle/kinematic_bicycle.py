@@ -21,8 +21,8 @@ rear axle makes its slip angle 0): there is no friction limit in it, so it follo
 Integration: Runge-Kutta of order 4 in sub-steps of at most 10 ms and at most half the shortest lag. Coming to a stand
 is an event within the sub-step: until then it rolls, from then on it stands.
 
-The perfect vehicle is where its plan is, so that only planning is judged: the bound of every controller. It is its own
-controller: it answers a plan with the command that a kinematic bicycle without lags would need.
+The perfect vehicle is always at its plan's state, so that only planning is judged: the upper bound for controllers. It
+is its own controller: it returns the command that a kinematic bicycle without lags would need.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from replay.vehicle.plan_path import PlanPath, Tracker, path_point
 
 MAX_SUBSTEP_S = 0.01
 KAPPA_TOLERANCE_PM = 1e-12
-"""The start's curvature is met to this, 1/m: rounding."""
+"""Tolerance of the start's curvature, 1/m: rounding."""
 
 
 class State(NamedTuple):
@@ -71,7 +71,7 @@ class Kinematics(NamedTuple):
 
 @kernel
 def turn_per_metre(steer: float, car: Kinematics) -> float:
-    """Dyaw / (v dt) of (3), 1/m."""
+    """Return dyaw / (v dt) of (3), 1/m."""
     return (tan(steer) - tan(car.rear_ratio * steer)) / car.wheelbase
 
 
@@ -150,7 +150,7 @@ class KinematicBicycle:
 
     Args:
         parameters: Of the ego.
-        start: Where and how it moves at first; steering and pedals are set as that takes. It is not driven in
+        start: Initial motion; steering and pedals are set to match it. It is not driven in
             reverse: a negative speed is taken as 0.
         rear_ratio: Rear wheel angle per front wheel angle, from -1 to below 1.
 
@@ -214,7 +214,7 @@ def _kappa(steer: float, car: Kinematics) -> float:
 
 
 class Perfect:
-    """Is where its plan is; both a `replay.vehicle.base.Vehicle` and a `replay.vehicle.base.Controller`.
+    """Moves exactly along its plan; both a `replay.vehicle.base.Vehicle` and a `replay.vehicle.base.Controller`.
 
     Args:
         parameters: Of the ego; they limit nothing.
@@ -238,7 +238,7 @@ class Perfect:
         return self
 
     def control(self, state: EgoState, plan: Plan) -> Command:
-        """Take the plan to follow; the command that would drive it."""
+        """Set the plan to follow; return the command that would drive it."""
         self._path = self._tracker.path(plan)
         there = self._on_path(self._path, state.t)
         return Command(there.steer, *steady_pedals(self.powertrain, there.a, there.v))

@@ -1,9 +1,10 @@
-"""The 29-state multi-body model of commonroad-vehicle-models, driven by our pedals and steering: the reference plant.
+"""The 29-state multi-body model of commonroad-vehicle-models, driven by replan's pedals and steering: reference plant.
 
 Sprung and unsprung masses, roll, pitch, four wheels that spin, magic formula with combined slip and camber (Althoff and
-Wuersching, "CommonRoad: Vehicle Models", 2020, section 9). All that is the package's; replan adds the following:
+Wuersching, "CommonRoad: Vehicle Models", 2020, section 9). The package implements all of this; replan adds the
+following:
 
-- Its inputs, steering rate and acceleration, come from our actuators and drive train (drivetrain.py):
+- Its inputs, steering rate and acceleration, come from replan's actuators and drive train (drivetrain.py):
   (1) u = drive - rolling - drag v^2 - brake, a torque at the wheels; held over a sub-step.
 - It has no anti-lock brakes and no traction control: (2) drive and brake are kept below SHARE of what the axle that
   gives way first can bear, less by the lateral acceleration (friction circle).
@@ -125,7 +126,7 @@ class Multibody:
         return self.state
 
     def _choose_model(self) -> None:
-        """Take the package's model up where it is valid."""
+        """Switch to the package's model if it is valid."""
         s, car = self.inner, self.car
         if self.body is None and slowest_wheel(s.vx, s.vy, s.r, s.steer, self._reach) > LEAVE_MPS:
             front, rear = atan((s.vy + car.a * s.r) / s.vx) - s.steer, atan((s.vy - car.b * s.r) / s.vx)
@@ -190,7 +191,7 @@ class Multibody:
 
 
 def package_parameters(p: VehicleParameters, tyre_stiffness: float = 1.0) -> Any:
-    """The package's vehicle nearest in mass, with our mass, inertia, axle distances and friction.
+    """Return the package's vehicle nearest in mass, with the mass, inertia, axle distances and friction of `p`.
 
     Raises:
         ConfigError: The stiffness is not positive.

@@ -32,7 +32,7 @@ NO_MOTOR = frozen(np.empty(0))
 
 
 class PedalMap(NamedTuple):
-    """The numbers of (1)-(3), and how late each pedal acts.
+    """The parameters of (1)-(3), and lags and dead time of the pedals.
 
     Attributes:
         max_accel: m/s2.
@@ -69,7 +69,7 @@ def pedal_map(p: VehicleParameters, most: FloatArray, overrun: FloatArray, brake
 
 @kernel
 def at_speed(table: FloatArray, v: float) -> float:
-    """A table's value at |v|, m/s, linear; the last holds."""
+    """Return a table's value at |v|, m/s, interpolated linearly, constant beyond its end."""
     place = min(abs(v) / SPEED_STEP_MPS, len(table) - 1.0)
     i = min(int(place), len(table) - 2)
     return table[i] + (place - i) * (table[i + 1] - table[i])

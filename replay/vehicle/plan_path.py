@@ -1,7 +1,7 @@
-"""A plan as a path with stations, and the ego against it: what controllers, the perfect vehicle and the trace share.
+"""A plan as a path with stations, and the ego's deviation from it, for controllers, perfect vehicle and trace.
 
 The path's station is the arc length driven forward; positions between two samples are cubic in the station (Hermite,
-along their headings), headings and curvatures linear. Standing and measuring noise add nothing to the station:
+along their headings), headings and curvatures linear. Standing and measurement noise do not increase the station:
 
 (1) ds_i    = chord_i . heading_i * h / sin(h)          arc over a chord, h = half of the turn
 (2) station = running maximum of the sum of ds_i
@@ -27,7 +27,7 @@ from logs.trace import Plan
 
 WINDOW_M = 20.0
 KNOT_SPACING_M = 0.05
-"""Knots nearer than this are left out: between them the heading says more than the positions."""
+"""Nearer knots are left out: at such distances the heading is more accurate than the positions."""
 
 
 class Deviation(NamedTuple):
@@ -179,7 +179,7 @@ class Tracker:
     """Keeps the path of the plan being driven, so that a plan is prepared once and not at each command.
 
     Args:
-        prepare: Makes the trajectory to follow of the planned one.
+        prepare: Converts the planned trajectory to the one to follow.
     """
 
     def __init__(self, prepare: Callable[[Trajectory], Trajectory] | None = None) -> None:

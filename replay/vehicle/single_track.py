@@ -22,8 +22,8 @@ Standstill: friction (rolling, brake) and a hill holder keep it exactly; it leav
 slides sideways, brakes and rolling resistance oppose each wheel's own motion.
 
 Integration: Runge-Kutta of order 4; sub-steps of at most 10 ms, half the shortest lag, and STABLE over the trace of the
-lateral dynamics, (Cf + Cr) / (m u) + (a^2 Cf + b^2 Cr) / (I u) with u = floor(vx). Coming to a stand is an event within
-the sub-step. Gears are looked at once a sub-step.
+lateral dynamics, (Cf + Cr) / (m u) + (a^2 Cf + b^2 Cr) / (I u) with u = floor(vx). Coming to a standstill is an event
+within the sub-step. Gear shifts are decided once per sub-step.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def floored(u: float) -> float:
 
 @inner_kernel
 def slides(s: State, car: Car) -> bool:
-    """Whether an axle moves sideways, beyond what standing still would allow."""
+    """Return whether an axle moves sideways faster than a standstill allows."""
     lateral = (s.vy + car.a * s.r) * cos(s.steer) - s.vx * sin(s.steer)
     return abs(lateral) > SLIDING_MPS or abs(s.vy - car.b * s.r) > SLIDING_MPS
 
@@ -252,7 +252,7 @@ def motion(s: State, box: Gearbox, command: tuple[float, float, float], car: Car
     """The motion at `t` under a command.
 
     The curvature is that of the rear axle's path while the vehicle moves faster than 2 SLIP_MPS, that of the wheel
-    angle below SLIP_MPS, and in between a mixture: at standstill a path has none.
+    angle below SLIP_MPS, and in between a mixture, because a path has no curvature at standstill.
     """
     k = rate(s, command, is_moving(s, box.gear, car), heading_of(s, car), box.gear, car)
     v_lat = s.vy - car.b * s.r
@@ -286,7 +286,7 @@ class SingleTrack:
     Args:
         parameters: Of the ego.
         start: Where and how fast it moves at first. It corners steadily along the start's curvature (as far as the
-            tyres allow), so that steering, slip and yaw rate are the model's and not the start's. It is not driven in
+            tyres allow), so steering, slip and yaw rate come from the model and not from the start. It is not driven in
             reverse: a negative speed is taken as 0.
         tyre: Name in `replay.vehicle.tyres.TYRES`.
         tyre_stiffness: Factor on the cornering stiffness.
@@ -297,7 +297,7 @@ class SingleTrack:
         inner: The state of (1)-(8); `box` is the gearbox, `brakes` the brake commands on their way.
 
     Raises:
-        ConfigError: A keyword has no such value.
+        ConfigError: A keyword has an invalid value.
     """
 
     has_rigid_tyres = False
@@ -328,7 +328,7 @@ class SingleTrack:
 
     @property
     def gear(self) -> int:
-        """From 1."""
+        """The gear, counted from 1."""
         return int(self.box.gear) + 1
 
     def step(self, command: Command, dt: float) -> EgoState:

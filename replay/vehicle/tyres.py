@@ -1,11 +1,11 @@
-"""Tyres: the lateral force of an axle over slip and load, what braking and driving leave of it, how a drive uses them.
+"""Tyres: the lateral force of an axle over slip and load, its reduction by braking and driving, and tyre use.
 
 With slip angle alpha (positive where the wheel moves to its left), axle load F, static load F0, cornering stiffness C0
 at F0, peak friction mu, load sensitivity q:
 
 (1) grip = 1 - q (F / F0 - 1)                       not below MIN_GRIP
 (2) C = C0 F / F0 grip,   D = mu F grip             stiffness and peak, both by the load
-(3) linear    Fy = -C alpha                         knows no friction: for analysis
+(3) linear    Fy = -C alpha                         without friction limit: for analysis
 (4) fiala     Fy = -C z + C^2 / (3 D) |z| z - C^3 / (27 D^2) z^3      z = tan(alpha), |z| < 3 D / C; else -D sign(z)
 (5) pacejka   Fy = -D sin(S atan(B alpha - E (B alpha - atan(B alpha))))     B = C / (S D), shape S, curvature E
 (6) |Fx| <= share D                                 anti-lock brakes and traction control hold the rest; less at the
@@ -18,8 +18,8 @@ How the tyres are used, from the motion of a drive at the control rate:
 (9)  a_front = atan(tan a_rear + L r / v) - steer      r = v kappa, L the wheelbase; rad
 (10) use     = sqrt(a^2 + (v^2 kappa)^2) / (mu g)      1: the tyres can give no more (friction circle)
 
-The course is that of the positions (central differences: a simulated drive has no noise). Below `SLOWEST_MPS` a slip
-angle says nothing: NaN.
+The course is that of the positions (central differences: a simulated drive has no noise). Below `SLOWEST_MPS` slip
+angles are meaningless: NaN.
 
 Sources: (4) Fiala 1954 as in Pacejka, Tire and Vehicle Dynamics, 3.2.2, a brush tyre with parabolic pressure; (5)
 Pacejka, ibid. 4.3.1, pure lateral slip without camber, by which an axle's two wheels are one; (8)-(9) Rajamani, Vehicle

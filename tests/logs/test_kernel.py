@@ -46,13 +46,13 @@ def test_without_a_cache_kernels_are_compiled_anew_and_it_is_said_once(without: 
 OUTER = """
 from constants import RATE
 from inner import times
-from logs.kernel import compiled_here, kernel
+from logs.kernel import compiled_count, kernel
 
 @kernel
 def outer(x: float) -> float:
     return times(x) + RATE
 
-print(outer(2.0), compiled_here())
+print(outer(2.0), compiled_count())
 """
 INNER = """
 from logs.kernel import inner_kernel
@@ -166,13 +166,13 @@ if os.environ.get("READ_ONLY"):  # stands for file systems that are read-only: r
     def refused(*_, **__):
         raise OSError("read-only file system")
     os.makedirs = os.mkdir = os.replace = tempfile.TemporaryFile = refused
-from logs.kernel import compiled_here, kernel
+from logs.kernel import compiled_count, kernel
 
 @kernel
 def times(x: float) -> float:
     return {factor} * x
 
-print(times(2.0), compiled_here())
+print(times(2.0), compiled_count())
 """
 
 

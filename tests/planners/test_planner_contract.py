@@ -238,7 +238,7 @@ def test_a_planner_of_the_users_own_is_found_in_the_working_directory(own_module
     assert load_planner("mine_a:MyPlanner").__name__ == "ConstantSpeed"
     with pytest.raises(PlannerError, match="did you mean 'MyPlanner'"):
         load_planner("mine_a:MyPlaner")
-    with pytest.raises(PlannerError, match="is no planner"):
+    with pytest.raises(PlannerError, match="is not a planner"):
         load_planner("mine_a:__name__")
 
 

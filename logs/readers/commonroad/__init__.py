@@ -1,6 +1,6 @@
 """CommonRoad scenarios, XML of 2018b and 2020a: `document` parses the file, this module makes the Scenario.
 
-Who is the ego:
+The ego is one of these:
 
 (1) `ego="ID"`: that vehicle of the traffic; its goal is where its log ends.
 (2) A planning problem whose recorded driver is in the file: an obstacle that is at the problem's start position at its
@@ -37,7 +37,7 @@ from logs.vehicle import VehicleParameters
 SAME_PLACE_M = 0.05
 MONA_PROBLEM_OFFSET = 90_000
 SHORT_S = 3.0
-"""After a shorter recorded drive the other planning problems are named."""
+"""If the recorded drive is shorter, a note names the other planning problems, s."""
 LAST_PLACE_M = 4.0
 """Half the length of the rectangle about the ego's last box centre that stands for a goal, and its whole width."""
 _CANNOT_DRIVE = (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
@@ -53,7 +53,7 @@ _SOURCES = (
 
 
 class _Ego(NamedTuple):
-    """Who drives: the obstacle (None: only the start is known), the problem (None: an obstacle was asked for)."""
+    """The ego: its obstacle (None: only the start is known), its problem (None: the user chose an obstacle)."""
 
     obstacle: Obstacle | None
     problem: Problem | None
@@ -105,7 +105,7 @@ def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | 
 
 
 def _by_problem(document: Document, number: int | None) -> _Ego:
-    """(2) and (3)."""
+    """Choose the ego of a planning problem by (2) and (3)."""
     problems = document.problems
     if not problems:
         raise LogError("no planning problem", topic="planningProblem", remedy="name a vehicle of the traffic as ego")

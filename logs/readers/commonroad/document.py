@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
 LARGEST = 1e9
-"""Any larger number is no length, time or speed."""
+"""A larger number is not a valid length, time or speed."""
 
 
 def number(text: str | None, place: str) -> float:
@@ -49,7 +49,7 @@ def integer(text: str | None, place: str) -> int:
 
 
 def child(parent: Element, path: str, place: str) -> Element:
-    """The element that the format requires there."""
+    """Return a required child element; LogError if it is missing."""
     found = parent.find(path)
     if found is None:
         raise LogError(f"<{path}> is missing", topic=place, remedy="the format requires it")
@@ -77,7 +77,7 @@ def middle(parent: Element, tag: str, place: str) -> float:
 
 
 def references(parent: Element, tag: str, place: str) -> tuple[int, ...]:
-    """What the children of that tag refer to."""
+    """Return the ids to which the children with that tag refer."""
     return tuple(integer(e.get("ref"), f"{place}/{tag}@ref") for e in parent.findall(tag))
 
 
@@ -115,8 +115,8 @@ class Light:
     """A traffic light: its cycle of colours and durations (time steps), (1), and the turns that it is for.
 
     Attributes:
-        cycle: Empty where the file has none.
-        active: A light that is not shows nothing.
+        cycle: Colours with durations; empty if the file has none.
+        active: Whether the light is in use; an inactive light is OFF.
     """
 
     id: int
@@ -170,7 +170,7 @@ class Intersection:
 
 
 class OccupiedSet(NamedTuple):
-    """Where a road user may be from one time step to another (an instant: until the next set): outlines `(k, 2)`."""
+    """Outlines `(k, 2)` that a road user may occupy from one time step to another (an instant: until the next set)."""
 
     first: float
     last: float

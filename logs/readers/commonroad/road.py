@@ -1,4 +1,4 @@
-"""CommonRoad lanelets -> Road: repaired boundaries, who may drive and cross where, and speed limits.
+"""Makes a road from CommonRoad lanelets: repaired boundaries, drivable lanes, crossable markings, speed limits.
 
 A limit that the file does not give is assumed, and the scenario says so:
 
@@ -34,16 +34,16 @@ _HIGHWAY = {"highway", "interstate", "mainCarriageWay"}
 _DEFAULTS = {"country": 100.0 * KPH, "accessRamp": 80.0 * KPH, "exitRamp": 80.0 * KPH}
 _URBAN = 50.0 * KPH
 _ENOUGH = 5
-"""Vehicles that (2) needs."""
+"""Least number of vehicles for (2)."""
 _PLAUSIBLE = (2.0, 45.0)
 _MORE = 1.25
-"""A goal's least speed times this is the most that (3) makes of it."""
+"""Upper bound of (3), as a factor of the goal's least speed."""
 
 
 def road_of(
     document: Document, origin: tuple[float, float], driven: FloatArray, problem: Problem | None
 ) -> tuple[Road, tuple[str, ...]]:
-    """The road, and what was assumed.
+    """Make the road, and notes on assumptions.
 
     Args:
         document: The file.
@@ -147,5 +147,5 @@ def _with_defaults(
 
 
 def _rounded_up(speed: float) -> float:
-    """To whole 10 km/h."""
+    """Round a speed up to a multiple of 10 km/h."""
     return ceil(speed / (10.0 * KPH) - 1e-6) * 10.0 * KPH

@@ -1,25 +1,25 @@
-"""CommonRoad lights, stop lines, signs and intersections -> stop lines, crosswalks, right of way, lights over time.
+"""Makes stop lines, crosswalks, right of way and lights over time from CommonRoad lights, signs and intersections.
 
 Stop lines. A lanelet's stop line lies where its points say, else at the lanelet's end; one without the element has a
-stop line there if a light or a sign to give way is named on it (and no more on the lanelet after it). A light counts
-for the turns of its direction: those of the intersection's incoming, else by the heading that the successor gains.
-Where several lights of a lanelet are for one turn, the one that is for the fewest turns counts; while it is dark (a
-green arrow that is not lit), the next one counts. Signs do not count where an active light does.
+stop line there if a light or a sign to give way is named on it (and no more on the lanelet after it). A light applies
+to the turns of its direction: those of the intersection's incoming, else by the change of heading on the successor. If
+several lights of a lanelet apply to one turn, the one with the fewest turns decides; while it is dark (a green arrow
+that is not lit), the next one decides. Signs are ignored if a light is active.
 
 Right of way, between the lanes inside an intersection of two different incomings, where cars on their two centre lines
-would touch (`CAR_WIDTH_M`). Inside ("inner") are the lanes that follow on an incoming and begin nearer to the middle
-than the farthest incoming ends; a lane that both incomings lead to is behind their conflict. The one waits
+would touch (`CAR_WIDTH_M`). Inside ("inner") are the lanes that follow an incoming and begin nearer to the middle
+than the farthest end of an incoming; a lane that both incomings lead to lies behind their conflict. A lane waits
 
-(1) whose sign ranks lower: stop or yield < none < priority road;
+(1) if its sign ranks lower: stop or yield < none < priority road;
 (2) else, where neither incoming has a light and their headings differ by 30 to 135 degrees: whose carriageway has fewer
     lanes, since multi-lane roads do not wait without a sign; else, where traffic keeps right, to whose right the
-    other one comes from (Vienna Convention on Road Traffic, 18.4 a). Where no sign is there at all this is an
-    assumption, and noted;
+    other one comes from (Vienna Convention on Road Traffic, 18.4 a). If no incoming has a sign, this is an
+    assumption, with a note;
 (3) else, if it turns left and the other one comes from opposite (more than 135 degrees) and goes straight or right;
     where traffic keeps left, left and right change places.
 
-Between two lit incomings the lights decide instead of (1) and (2). Incomings that merge at less than 30 degrees have
-no order without signs.
+Between two lit incomings the lights decide instead of (1) and (2). Without signs, incomings that merge at less than
+30 degrees have no right of way.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ UNSIGNED = 1
 Turns = Mapping[tuple[int, int], str]
 """Turn by lanelet and successor."""
 Heads = Mapping[int, tuple[int, ...]]
-"""Light of the scenario -> lights of the file, of which the first that is not dark counts."""
+"""Light of the scenario -> lights of the file, of which the first that is not dark decides."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class _Approach:
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """A stop line before it has an id; `chain`: the file's lights that it obeys, in the order in which they count."""
+    """A stop line before it has an id; `chain`: the file's lights that it obeys, in order of priority."""
 
     lane: int
     ends: FloatArray
@@ -72,7 +72,7 @@ class _Line:
 
 
 def with_rules(document: Document, road: Road, origin: tuple[float, float]) -> tuple[Road, Heads, tuple[str, ...]]:
-    """The road with its rules, which of the file's lights its stop lines obey, and what was assumed or left out."""
+    """Add the rules to the road; return it, the file's lights of each of its lights, and notes."""
     turns = _turns(document, road)
     lines: list[_Line] = []
     for lanelet in document.lanelets:
@@ -116,7 +116,7 @@ def _comma_list(names: Iterable[int]) -> str:
 
 
 def _turns(document: Document, road: Road) -> dict[tuple[int, int], str]:
-    """Turn by lanelet and successor; from the intersections, else by the heading that is gained on the successor."""
+    """Return the turn by lanelet and successor: from the intersections, else by the change of heading."""
     found = {
         (lanelet, successor): turn
         for intersection in document.intersections
@@ -202,12 +202,12 @@ def lights_of(document: Document, heads: Heads, start: float, duration: float) -
 
 
 def _right_of_way(document: Document, road: Road, turns: Turns) -> tuple[dict[int, set[int]], list[str]]:
-    """Inner lane -> lanes that go first; and what was assumed."""
+    """Return the lanes with right of way by inner lane, and notes on assumptions."""
     waits: dict[int, set[int]] = {}
     assumed, total = 0, len(document.intersections)
     across = "left" if road.drives_on_right else "right"
     for intersection in document.intersections:
-        # inside is what begins nearer to the middle of the incomings' ends than the farthest of these
+        # lanes inside begin nearer to the middle of the incomings' ends than the farthest end
         leading = {i for incoming in intersection.incomings for i in incoming.lanelets if i in road.lanes}
         ends = np.array([road.lanes[i].center[-1] for i in leading]).reshape(-1, 2)
         middle = ends.mean(axis=0) if leading else np.zeros(2)
@@ -241,7 +241,7 @@ def _right_of_way(document: Document, road: Road, turns: Turns) -> tuple[dict[in
 def _approach(
     document: Document, road: Road, incoming: Incoming, turns: Turns, zone: Collection[int]
 ) -> _Approach | None:
-    """The incoming as far as cars drive there; None where they do not. `zone`: the lanes inside the intersection."""
+    """Make an incoming's approach from its drivable lanes, or None. `zone`: the lanes inside the intersection."""
     drivable = {lane.id for lane in road.lanes.values() if lane.drivable}
     lanes = [road.lanes[i] for i in incoming.lanelets if i in drivable]
     if not lanes:

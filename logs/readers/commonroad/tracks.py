@@ -1,4 +1,4 @@
-"""CommonRoad obstacles -> Tracks: headings set right, velocities chosen, occupancy sets covered, the ego's log.
+"""Makes tracks from CommonRoad obstacles: corrects headings, chooses velocities, covers occupancy sets.
 
 Headings. Some recordings give headings against true north and positions on a map grid, so that all vehicles seem to
 drive askew by the same angle (MONA: 1.93 degrees, the grid convergence of UTM zone 32 at Munich).
@@ -12,14 +12,14 @@ differences of positions are noisy (NGSIM). Both candidates use no later sample 
 (2) v cos(yaw), v sin(yaw) with the stored speed v     or     (p_k - p_{k-1}) / (t_k - t_{k-1})
 
 The one with the smaller mean error of a constant-velocity prediction 1 s ahead, over all the file's traffic, is taken
-for the whole file. A first sample has no difference: its stored speed counts.
+for the whole file. A first sample has no difference: its stored speed is used.
 
 Ego log. The rear axle is the box centre minus `axle_to_center` along the heading (positions are exact). Speed and
 acceleration as stored; where the stored speed disagrees with the positions, by central differences. Curvature is the
 slope of heading over distance, and acceleration, where it is not stored, that of speed over time: least squares within
 0.5 s to both sides. An ego log is ground truth and not seen by planners: central windows are allowed.
 
-Occupancy sets. A set says where a road user may be at a time step: polygons that grow, not a pose. Tracks have boxes of
+Occupancy sets. A set is the area that a user may occupy at a step: growing polygons, not a pose. Tracks have boxes of
 one size, so each set becomes boxes of its own, which stand from its time until that of the next set (or over its
 interval). They are objects: replayed by time, never reacting, with no speed. The initial state is the first set.
 
@@ -55,7 +55,7 @@ _ASKEW = radians(0.5)
 
 
 def turned(document: Document) -> tuple[Document, tuple[str, ...]]:
-    """The document with headings corrected by (1), and what was done."""
+    """Correct the headings of the document by (1); return it with a note."""
     medians = []
     for obstacle in document.obstacles:
         step, x, y, yaw = obstacle.states[:, :4].T
@@ -236,7 +236,7 @@ def sized(obstacle: Obstacle) -> VehicleParameters:
 
 
 def trimmed(obstacle: Obstacle, dt: float) -> tuple[Obstacle, tuple[str, ...]]:
-    """The obstacle without a first or last sample that is off its own speed, and what was cut.
+    """Drop a first or last sample whose position contradicts the speed; return the obstacle and notes.
 
     Recordings clip a vehicle's first position to the edge of their view: it then covers the first step at a third of
     its speed (MONA), or a simulator writes the first state twice.
@@ -257,7 +257,7 @@ def trimmed(obstacle: Obstacle, dt: float) -> tuple[Obstacle, tuple[str, ...]]:
 def ego_log(
     obstacle: Obstacle, dt: float, vehicle: VehicleParameters, origin: tuple[float, float]
 ) -> tuple[Trajectory, tuple[str, ...]]:
-    """The obstacle's drive at its rear axle, t = 0 at its first sample, and what was assumed."""
+    """Return the obstacle's drive at its rear axle, t = 0 at its first sample, and notes on assumptions."""
     step, cx, cy, yaw, v, a = obstacle.states.T
     t = np.round((step - step[0]) * dt, 9)
     x = cx - origin[0] - vehicle.axle_to_center * np.cos(yaw)

@@ -1,13 +1,13 @@
-"""ROS 2 bags (rosbag2: MCAP and SQLite, one file or a folder with metadata.yaml) and ROS 1 bags, without ROS.
+"""Reads ROS 2 bags (rosbag2: MCAP and SQLite, one file or a folder with metadata.yaml) and ROS 1 bags, without ROS.
 
-Only this module uses rosbags: a bag as topics, and the wanted fields of their messages by time. A folder with
+Only this module uses rosbags: it gives a bag's topics, and selected fields of their messages by time. A folder with
 `metadata.yaml` is one bag, split over its files; `.mcap` and `.db3` alone are bags of ROS 2, `.bag` of ROS 1. Message
-definitions come from the file; where it has none, from `definitions.msg` (Autoware and other packages) and the
-distribution's own that rosbags knows. With an index in the file only the chunks of a time and topic are read.
+definitions come from the file; if it has none, from `definitions.msg` (Autoware and other packages) and from those of
+the distribution in rosbags. If the file has an index, only the chunks of the requested times and topics are read.
 
 Modules:
     fields.py    some fields of a serialised message, without objects for the others
-    schemas.py   which message types hold what, and where
+    schemas.py   the known message types and their fields
     frames.py    the tree of coordinate frames; log times and stamps
     ego.py       the ego's poses and speed; motion from jittering positions
     objects.py   the objects of a topic: frames, velocities, sizes
@@ -39,28 +39,28 @@ MAGIC = {".bag": b"#ROSBAG V", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP
 METADATA = "metadata.yaml"
 BAG = b"rosbag2_bagfile_information"
 LISTED_BYTES = 1 << 28
-"""Of larger bags `contents` gives no times: they are not in the index."""
+"""Largest bag for which `contents` gives times, bytes: the index does not contain them."""
 COPY_AGAIN = "copy or record it again"
 LAST_TIME_NS = 2**63 - 1
 MAX_CHUNK_BYTES = 1 << 30
-"""What a chunk of a bag may hold when it is decompressed: rosbag2 writes 768 KiB, the largest seen are 100 MiB."""
+"""Largest decompressed chunk of a bag, bytes: rosbag2 writes 768 KiB, the largest known are 100 MiB."""
 LARGEST_DEFINITION = 1 << 18
-"""Limit of the text of a message definition: Autoware's largest have some 20,000 characters."""
+"""Longest text of a message definition: Autoware's longest have some 20,000 characters."""
 _CHUNK_HEAD_BYTES, _FRAME_HEAD_BYTES = 9 + 40, 18
-"""Of an MCAP chunk record before its data, but for the compression's name; of a zstd frame, at most."""
+"""Size of an MCAP chunk's head without the name of the compression, and greatest size of a zstd frame's head."""
 TIMES: Types = {
     f"builtin_interfaces/msg/{name}": ([], [("sec", (1, ("int32", 0))), ("nanosec", (1, ("uint32", 0)))])
     for name in ("Time", "Duration")
 }
-"""Primitive types of ROS 1, messages in ROS 2."""
+"""Definitions of times: primitive types in ROS 1, messages in ROS 2."""
 DAMAGE = (Exception,)
-"""What rosbags and the decompressors raise on damaged bytes: a family without a root, AssertionError and KeyError
-among them."""
+"""Exceptions of rosbags and the decompressors on damaged bytes; they have no common base (AssertionError, KeyError
+...)."""
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic: `kind` is its message type as ROS 2 names it (pkg/msg/Type), `count` its messages."""
+    """A topic: `kind` is its message type in ROS 2 form (pkg/msg/Type), `count` its number of messages."""
 
     name: str
     kind: str
@@ -74,7 +74,7 @@ class Bag:
     """An open bag.
 
     Attributes:
-        topics: In order of their names.
+        topics: Its topics, sorted by name.
         start_ns: Log time of the first message; `end_ns` of the last.
         is_ros2: Whether its messages are CDR.
     """
@@ -87,10 +87,10 @@ class Bag:
     _types: dict[str, Types] = field(default_factory=dict)
 
     def types_of(self, topic: Topic) -> Types:
-        """The definitions of a topic's type and of those that it holds, by their names.
+        """Return the definitions of a topic's type and of the types in it, by name.
 
         Raises:
-            LogError: The file has none, and neither has replan.
+            LogError: Neither the file nor replan has a definition, or it cannot be used.
         """
         from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
@@ -125,16 +125,16 @@ class Bag:
         return types
 
     def has(self, topic: Topic, path: str) -> bool:
-        """Whether the topic's messages have a field, by its dotted name."""
+        """Return whether the topic's messages have a field, given by its dotted name."""
         return has_field(self.types_of(topic), topic.kind, path)
 
     def read(
         self, topic: Topic, wanted: Wanted, begin: int | None = None, end: int | None = None
     ) -> tuple[IntArray, list[tuple[Any, ...]]]:
-        """Log times `(n,)` ns, rising, and the wanted fields of the messages from `begin` to `end` (ns, inclusive).
+        """Return log times `(n,)` ns, sorted, and the wanted fields of messages from `begin` to `end` (ns, inclusive).
 
         Raises:
-            LogError: The file is damaged, or a message is not what its definition says.
+            LogError: The file is damaged, or a message does not fit its definition.
         """
         try:
             walk = decoder(self.types_of(topic), topic.kind, wanted, cdr=self.is_ros2)
@@ -153,7 +153,7 @@ class Bag:
         return np.array(times, dtype=np.int64)[order], [rows[i] for i in order]
 
     def raw(self, topic: Topic, begin: int | None = None, end: int | None = None) -> Iterator[tuple[int, bytes]]:
-        """Log time and bytes of the messages from `begin` to `end`, ns, inclusive; LogError where it is damaged."""
+        """Yield log time and bytes of the messages from `begin` to `end`, ns, inclusive; LogError if damaged."""
         last: int | None = None
         try:
             for _, time, raw in self._messages(topic.connections, begin, None if end is None else end + 1):
@@ -170,7 +170,7 @@ class Bag:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Bag]:
-    """The bag at a path, open; LogError where it cannot be opened."""
+    """Open the bag at a path; LogError if it cannot be opened."""
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
 
@@ -189,7 +189,7 @@ def opened(path: Path) -> Iterator[Bag]:
                     begin = chunk.chunk_start_offset + _CHUNK_HEAD_BYTES + len(chunk.compression)
                     with suppress(ZstdError, OSError, OverflowError):  # reading it says what is wrong
                         size = max(size, frame_content_size(os.pread(part.bio.fileno(), _FRAME_HEAD_BYTES, begin)))
-                if size > MAX_CHUNK_BYTES:  # refused before it is inflated
+                if size > MAX_CHUNK_BYTES:  # refused before decompression
                     what = f"a chunk of {chunk.compressed_size} bytes would become {size}"
                     raise LogError(what, file=path, time_ns=chunk.message_start_time, remedy=COPY_AGAIN)
         connections: dict[tuple[str, str], list[Any]] = {}
@@ -238,7 +238,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
 
 
 def _files(path: Path) -> tuple[Path, ...]:
-    """The files of a bag: a folder's metadata and what it names, as far as it is there."""
+    """Return the files of a bag: the file itself, or a folder's metadata and all its bag files."""
     if path.is_file():
         return (path,)
     kinds = (".mcap", ".db3", ".zstd")
@@ -254,7 +254,7 @@ def _span(path: Path) -> tuple[float, float] | None:
 
 
 def _contents(path: Path) -> Contents:
-    """The topics with their counts; first and last times where the bag is small enough to look through."""
+    """Return the topics with their numbers of messages, and first and last times if the bag is small."""
     try:
         small = sum(each.stat().st_size for each in _files(path)) <= LISTED_BYTES
         with opened(path) as bag:

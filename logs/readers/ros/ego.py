@@ -1,9 +1,9 @@
-"""The ego's poses and speed from the topics that have them, and motion from jittering positions.
+"""Reads the ego's poses and speed from their topics, and derives motion from jittering positions.
 
 Poses, in this order: nav_msgs/Odometry in the map frame; the chain of transforms from the map to the car; Odometry in
-another frame; PoseStamped with or without covariance. Of several topics of a kind the one with most messages is taken,
-then the first by name. Speed: that of the odometry; else a topic of velocities; else derived from the poses. A topic of
-speeds or accelerations is used where it has no gap over `COVERS_S`; at the time of a pose its last value holds.
+another frame; PoseStamped with or without covariance. Of several topics of a kind, the one with most messages is used,
+then the first by name. Speed: that of the odometry; else of a topic of velocities; else derived from the poses. A topic
+of speeds or accelerations is used if it has no gap over `COVERS_S`; a pose gets its last value.
 
 Motion is derived causally, by least squares over a short backward window. With u = t_i - t_k <= 0 the times of the
 samples in the window relative to its last one k, per coordinate
@@ -36,13 +36,13 @@ from logs.readers.ros.frames import HELD, Clock, Frames, Poses, clock_of, descri
 from logs.readers.ros.schemas import STAMP
 
 NONE = "-"
-"""Name of a topic that says: none."""
+"""Name of a topic in the settings that means: use no topic."""
 MAP_NAMES = ("map", "world", "odom", "earth")
 BASE_NAMES = ("base_link", "base_footprint", "ego_vehicle", "hero", "ego")
 LEAST_POSES = 2
 COVERS_S = 0.5
 WARM_UP_S = 0.3
-"""Poses before the first state: from them its speed is known without a later one."""
+"""Time of poses before the first state, s, from which its speed is derived without later poses."""
 POSITION = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))
 
 
@@ -51,7 +51,7 @@ class Part:
     """The messages of a bag that are read: those from `begin` to `end`, log times in ns (None: no bound).
 
     Attributes:
-        notes: Gets what was assumed or left out, one sentence each.
+        notes: List to which assumptions and omissions are added, one sentence each.
     """
 
     bag: Bag
@@ -61,7 +61,7 @@ class Part:
     notes: list[str] = field(default_factory=list)
 
     def topics(self, kinds: Mapping[str, object] | tuple[str, ...], role: str) -> list[Topic]:
-        """The topics of some message types that have messages, most messages first; or what the settings name.
+        """Return the topics of these types that have messages, most messages first; or the topic in the settings.
 
         Raises:
             LogError: The settings name a topic that is not in the bag, or not of such a type.
@@ -81,7 +81,7 @@ class Part:
         return sorted(fitting, key=lambda topic: (-topic.count, topic.name))
 
     def read(self, topic: Topic, wanted: Wanted, stamp: Wanted = STAMP) -> tuple[IntArray, IntArray, list[Any]]:
-        """Log times and stamps `(n,)`, ns, of a topic's messages, and their rows: seconds, nanoseconds, `wanted`."""
+        """Return log times and stamps `(n,)`, ns, of a topic's messages, and rows: seconds, nanoseconds, `wanted`."""
         log, rows = self.bag.read(topic, (*stamp, *wanted), self.begin, self.end)
         return log, np.array([row[0] * 1_000_000_000 + row[1] for row in rows], dtype=np.int64), rows
 
@@ -102,7 +102,7 @@ Edges = Mapping[tuple[str, str], Edge]
 
 @dataclass(frozen=True, eq=False)
 class EgoLog:
-    """The ego as logged: where it was found, its clock, frames, and columns `(n,)`; v, a NaN where to be derived."""
+    """The logged ego: source, clock, frames, poses and speed `(n,)`; the speed is NaN where it must be derived."""
 
     source: str
     clock: Clock
@@ -114,7 +114,7 @@ class EgoLog:
 
 
 def read_edges(part: Part) -> dict[tuple[str, str], Edge]:
-    """All transforms between two log times, ns; static ones from the log's begin on."""
+    """Read all transforms of the part; static ones from the log's begin on."""
     rows: dict[tuple[str, str], list[tuple[float, ...]]] = {}
     static: set[tuple[str, str]] = set()
     moved = (*(f"translation.{c}" for c in "xyz"), *(f"rotation.{c}" for c in "xyzw"))
@@ -144,7 +144,7 @@ def _edge(rows: list[tuple[float, ...]], static: bool) -> Edge:
 
 
 def _map_frame(edges: Edges, named: str, settings: LogSettings) -> str:
-    """The frame of the scenario: as set, "map" and the like where there is one, else what the ego's poses are in."""
+    """Return the frame of the scenario: as set, else "map" or similar, else the frame of the ego's poses."""
     if "map" in settings.frames:
         return settings.frames["map"]
     names = {name for edge in edges for name in edge} | {named}
@@ -154,10 +154,10 @@ def _map_frame(edges: Edges, named: str, settings: LogSettings) -> str:
 
 
 def read_ego(part: Part) -> EgoLog:
-    """The ego's poses.
+    """Read the ego's poses.
 
     Raises:
-        LogError: Nothing in the log says where the ego is.
+        LogError: The log has no poses of the ego.
     """
     edges, settings, notes = read_edges(part), part.settings, part.notes
     wanted = settings.topics.get("ego", "")
@@ -203,7 +203,7 @@ _Found = tuple[Topic, str, str, Edge, FloatArray]
 
 
 def _odometry(part: Part, edges: Edges) -> _Found | None:
-    """The topic of odometry or poses that the ego is read from; None: transforms are better or all that there is."""
+    """Return the topic of odometry or poses of the ego; None: transforms are better, or there is no such topic."""
     kinds = {**dict.fromkeys(schemas.ODOMETRY, "pose.pose"), **schemas.POSES}
     settings = part.settings
     topics = [topic for topic in part.topics(kinds, "ego") if topic.count >= LEAST_POSES]
@@ -250,7 +250,7 @@ def _from_topic(part: Part, found: _Found, edges: Edges) -> EgoLog:
     else:
         map_frame = frame
     if np.ptp(np.nan_to_num(speed)) == 0.0:
-        speed = np.full(len(t), np.nan)  # a speed that never changes is none
+        speed = np.full(len(t), np.nan)  # a constant speed is not a measurement
     return EgoLog(topic.name, clock, map_frame, base, frames, poses, speed)
 
 
@@ -276,7 +276,7 @@ def _no_ego(bag: Bag) -> LogError:
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """A number over time: times `(n,)` ns on the scenario's clock, rising, and values."""
+    """A number over time: increasing times `(n,)` ns on the scenario's clock, and values."""
 
     topic: str
     t: IntArray
@@ -284,7 +284,7 @@ class Signal:
 
 
 def signal(part: Part, kinds: Mapping[str, str], role: str, clock: Clock) -> Signal | None:
-    """The topic of a role, as numbers; None where there is none with two messages or more."""
+    """Read the topic of a role as numbers; None if no topic has at least two messages."""
     for topic in part.topics(kinds, role):
         if topic.count < LEAST_POSES and role not in part.settings.topics:
             continue
@@ -302,7 +302,7 @@ def signal(part: Part, kinds: Mapping[str, str], role: str, clock: Clock) -> Sig
 
 
 def at_poses(some: Signal | None, t: IntArray, word: str, notes: list[str]) -> FloatArray:
-    """The signal's last value at each pose's time `(n,)`; all NaN, and noted, where it does not cover them."""
+    """Return the signal's last value at each pose `(n,)`; all NaN, with a note, if it does not cover all poses."""
     out = np.full(len(t), np.nan)
     if some is None:
         return out
@@ -316,9 +316,9 @@ def at_poses(some: Signal | None, t: IntArray, word: str, notes: list[str]) -> F
 
 
 def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[str, FloatArray]:
-    """Columns x, y, yaw, v, a, kappa `(n,)` of all poses; v and a are derived where they are NaN, kappa always.
+    """Return columns x, y, yaw, v, a, kappa `(n,)` of all poses; kappa is derived, and v and a where they are NaN.
 
-    The first `WARM_UP_S` of the log are too few poses for a derived speed: `begin_of` leaves them out.
+    In the first `WARM_UP_S` of the log, a derived speed has too few poses: `begin_of` leaves them out.
     """
     seconds = (ego.poses.t - ego.poses.t[0]) / 1e9
     x, y = ego.poses.p[:, 0], ego.poses.p[:, 1]
@@ -350,7 +350,7 @@ def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[
 
 
 def begin_of(ego: EgoLog, v: FloatArray) -> int:
-    """The first pose that is a state: the first, or where its speed is derived, the first after `WARM_UP_S`."""
+    """Return the first pose that becomes a state: pose 0, or the first after `WARM_UP_S` if the speed is derived."""
     if np.isfinite(v).all():
         return 0
     t = ego.poses.t
@@ -363,9 +363,9 @@ LEAST = 3.0
 """The shortest window, in usual intervals."""
 PARABOLA = 5
 STANDS_MPS = 0.05
-"""Speeds below are a stand: what a standing car's localisation moves."""
+"""Slower cars stand, m/s: the localisation of a standing car moves at such speeds."""
 AGENT_WINDOW_S, OBJECT_WINDOW_S = 0.5, 1.0
-"""For the boxes of others (10 Hz): outlines of clusters jump by decimetres, and static objects hardly move."""
+"""Windows for boxes of road users and of objects at 10 Hz, s: outlines of clusters jump by decimetres."""
 
 
 def spread(t: FloatArray, first: IntArray, window: FloatArray) -> FloatArray:
@@ -383,14 +383,14 @@ def spread(t: FloatArray, first: IntArray, window: FloatArray) -> FloatArray:
 def rates(
     t: FloatArray, values: FloatArray, first: IntArray, window: FloatArray, *, parabola: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """(1) at every sample: rates and their changes `(c, n)` of `values` `(c, n)`; NaN where a window has one sample.
+    """Fit (1) at every sample: return rates and their changes `(c, n)` of `values` `(c, n)`; NaN for one sample.
 
     Args:
         t: `(n,)` s, rising where `first` is the same.
         values: Coordinates.
         first: `(n,)` first sample that may be in the window.
         window: `(n,)` W, s.
-        parabola: Else straight lines only.
+        parabola: Whether to fit parabolas; else straight lines only.
     """
     begin = np.maximum(first, _begins(t, first, window))
     rows = np.arange(len(t))
@@ -419,7 +419,7 @@ def rates(
 
 
 def _begins(t: FloatArray, first: IntArray, window: FloatArray) -> IntArray:
-    """The first sample within the window of each, by a search within the samples of the same owner."""
+    """Return the first sample within the window of each sample, among those of the same owner."""
     out = np.empty(len(t), np.int64)
     bounds = np.flatnonzero(np.diff(first, prepend=-1))
     for begin, end in zip(bounds, np.append(bounds[1:], len(t)), strict=True):

@@ -1,15 +1,15 @@
-"""Some fields of a serialised ROS message, without making objects of the others.
+"""Decodes selected fields of serialised ROS messages, without objects for the other fields.
 
-A message type is compiled once into a Python function that walks the bytes: what is not wanted is stepped over, runs of
-numbers of one size are unpacked at once. Ten times fewer steps than an object for each nested message: objects of
-perception carry point clouds, images, predicted paths and covariances that no scenario needs.
+A message type is compiled once into a Python function that walks the bytes: unwanted fields are skipped, and runs of
+numbers of one size are unpacked at once. This takes a tenth of the steps of objects for all nested messages, as objects
+of perception have point clouds, images, predicted paths and covariances that no scenario needs.
 
 Layouts: CDR as ROS 2 writes it (XCDR1: a number lies at a multiple of its size after the 4 bytes of the encapsulation
 header; a string ends in NUL) and ROS 1 (nothing is aligned, little endian, a Header begins with its sequence number).
 
-What is wanted is a tuple of dotted names; a tuple `(name, wanted)` among them is a list of messages. The answer is a
-tuple in the same order, with a list of such tuples for a list; of a list of numbers or texts, wanted as `(name, ())`,
-with their list.
+`wanted` is a tuple of dotted names; an item `(name, wanted)` selects fields of a list of messages. The result is a
+tuple in the same order, with a list of such tuples for a list of messages, and a plain list for a list of numbers or
+texts, which is selected by `(name, ())`.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ HEADER = "std_msgs/msg/Header"
 TEXT = "string"
 _DEEPEST = 24
 MOST_FIELDS = 10_000
-"""Limit of the fields of a message, those of all messages in it included: Autoware's largest types have some 100."""
+"""Greatest number of fields of a message, nested messages included: Autoware's largest types have some 100."""
 MOST_FIXED_BYTES = 1 << 30
-"""Limit of a list of fixed length: no message is longer (`bag.MAX_CHUNK_BYTES`)."""
+"""Largest list of fixed length, bytes: no message is longer (`logs.readers.ros.MAX_CHUNK_BYTES`)."""
 SIMPLIFY = "record the topic with a simpler message type, or leave it out of the bag"
 ENDS = {0: ">", 1: "<"}
-"""Second byte of the encapsulation header, of plain XCDR1: byte order."""
+"""Byte order by the second byte of the encapsulation header of plain XCDR1."""
 
 
 def has_field(types: Types, kind: str, path: str) -> bool:
-    """Whether a message type has a field, by its dotted name; lists are gone into."""
+    """Return whether a message type has a field, given by its dotted name, also within lists."""
     name, _, rest = path.partition(".")
     for found, desc in types.get(kind, ((), []))[1]:
         if found == name:
@@ -55,9 +55,9 @@ def has_field(types: Types, kind: str, path: str) -> bool:
 
 
 def decoder(types: Types, kind: str, wanted: Wanted, *, cdr: bool) -> Callable[[bytes], tuple[Any, ...]]:
-    """The function from the bytes of a message of type `kind` to what is wanted of it.
+    """Return a function that decodes the wanted fields of messages of type `kind` from bytes.
 
-    The function raises `struct.error`, `IndexError` or `ValueError` on bytes that are no such message.
+    The function raises `struct.error`, `IndexError` or `ValueError` on bytes that are not such a message.
 
     Raises:
         LogError: The type, or one that it holds, is not known, lacks a wanted field or cannot be walked.
@@ -88,13 +88,13 @@ def decoder(types: Types, kind: str, wanted: Wanted, *, cdr: bool) -> Callable[[
 
 @dataclass
 class _Code:
-    """The function's text so far.
+    """The text of the function while it is generated.
 
     Attributes:
-        known: The position is a multiple of it.
-        run: Numbers that are not unpacked yet: code, size, name (None: stepped over), how many.
-        uniforms: What `uniform` found by message type.
-        fields: Fields walked so far, at most `MOST_FIELDS`.
+        known: A number of which the position is known to be a multiple.
+        run: Numbers that are not unpacked yet: code, size, name (None: skipped), count.
+        uniforms: Results of `uniform` by message type.
+        fields: Number of fields walked, at most `MOST_FIELDS`.
     """
 
     types: Types
@@ -127,7 +127,7 @@ class _Code:
             self.known = size
 
     def message(self, kind: str, wanted: Wanted, level: int) -> list[str]:
-        """Walk a message; the names of what is wanted of it."""
+        """Walk a message; return the names of the variables with the wanted fields."""
         if kind not in self.types:
             raise LogError(f"the message type {kind} is not defined in the log", remedy="record with definitions")
         if level > _DEEPEST:
@@ -153,7 +153,7 @@ class _Code:
         return [places[i] for i in range(len(wanted))]
 
     def value(self, desc: Any, wanted: list[tuple[int, Any]], level: int) -> dict[int, str]:
-        """Walk one field; the names of what is wanted of it, by its place among the wanted."""
+        """Walk one field; return the names of the wanted variables by their index in `wanted`."""
         node, what = desc
         if node == BASE:
             place, name = (wanted[0][0], self.name()) if wanted else (0, None)
@@ -192,7 +192,7 @@ class _Code:
         self.known = size if self.cdr else 1
 
     def count(self) -> str:
-        """Walk the length of a list or text; its name. It cannot be more than there are bytes."""
+        """Walk the length of a list or text and return its name; the code checks it against the remaining bytes."""
         self.flush()
         self.align(4)
         name = self.name()
@@ -210,7 +210,7 @@ class _Code:
         self.known = 1
 
     def array(self, desc: Any, length: int, wanted: list[tuple[int, Any]], level: int) -> dict[int, str]:
-        """A list of fixed length: stepped over, or read as bytes."""
+        """Walk a list of fixed length: skip it, or read it as bytes."""
         if wanted:
             if desc[0] != BASE or CODES.get(desc[1][0]) not in ("B", "b"):
                 raise LogError("a list of fixed length that is not of bytes cannot be read")
@@ -303,7 +303,7 @@ def _check_fixed(size: int) -> None:
 
 
 def _lacks_sequence(types: Types, kind: str) -> bool:
-    """Whether a type is a Header as ROS 2 defines it, which in ROS 1 begins with its sequence number."""
+    """Return whether a type is a Header without a sequence number (ROS 2); in ROS 1 the bytes begin with it."""
     return kind == HEADER and types[HEADER][1][0][0] != "seq"
 
 

@@ -8,10 +8,10 @@ a child in its parent, a chain of two edges is
 The pose of a frame at a time is that of the edges' samples: `held` is the last one not later; `between` is the straight
 line (and the normalised mean of the quaternions) between the two around that time, to place what a moving sensor saw.
 
-Clock. A message has the log time of its record, and may have the stamp that its sender put into its header. A stamp is
-the time of the measurement. Log times are later by the time of computation, and jitter: differences of positions by log
-time are useless where several messages are written at once. So stamps are used where all messages of a topic have one.
-A topic whose stamps are of another clock than the ego's is read by log time.
+Clock. A message has the log time of its record, and may have a stamp of its sender in the header. A stamp is the time
+of the measurement. Log times are later by the time of computation, and jitter: differences of positions by log time are
+useless if several messages are written at once. So stamps are used if all messages of a topic have one. A topic whose
+stamps are from another clock than the ego's is read by log time.
 
 (2) t_stamp(log) = the ego's stamp, interpolated over the ego's log time: for messages without a stamp
 """
@@ -48,18 +48,18 @@ class Poses:
 
 
 def composed(a: Poses, b: Poses) -> Poses:
-    """(1), sample by sample."""
+    """Chain two edges (1), sample by sample."""
     return Poses(a.t, a.p + rotated(a.q, b.p), product(a.q, b.q))
 
 
 def inverse(a: Poses) -> Poses:
-    """The parent in the child."""
+    """Return the poses of the parent in the child."""
     q = a.q * np.array([-1.0, -1.0, -1.0, 1.0])
     return Poses(a.t, -rotated(q, a.p), q)
 
 
 def sampled(poses: Poses, t: IntArray, how: str) -> Poses:
-    """The pose at other times `(m,)` ns; before the first sample it is the first, after the last the last."""
+    """Sample poses at other times `(m,)` ns; the first (last) pose applies before the first (after the last) sample."""
     before = np.clip(np.searchsorted(poses.t, t, side="right") - 1, 0, len(poses) - 1)
     if how == HELD:
         return Poses(t, poses.p[before], poses.q[before])
@@ -95,14 +95,14 @@ class Frames:
         return tuple(name for name in self.names if name not in self.parents)
 
     def path(self, name: str) -> list[str]:
-        """The frame, its parent, and so on to its root; it ends before a cycle."""
+        """Return the frame, its parent, and so on up to the root; a cycle ends the path."""
         out = [name]
         while out[-1] in self.parents and self.parents[out[-1]] not in out:
             out.append(self.parents[out[-1]])
         return out
 
     def chain(self, above: str, below: str) -> list[tuple[str, str, bool]]:
-        """Edges from a frame to another: (parent, child, whether it is gone down).
+        """Return the edges from a frame to another: (parent, child, whether the path goes down to the child).
 
         Raises:
             LogError: No transforms connect them.
@@ -125,7 +125,7 @@ class Frames:
         return out
 
     def times(self, above: str, below: str) -> IntArray:
-        """When the chain moves: times of its edge with most samples, from when all of its edges are known; ns."""
+        """Return the times of the chain's edge with most samples, ns, from when all moving edges are known."""
         edges = [self.edges[parent, child] for parent, child, _ in self.chain(above, below)]
         moving = [edge for edge in edges if len(edge) > 1]
         if not moving:
@@ -135,10 +135,10 @@ class Frames:
 
 
 OTHER_CLOCK_S = 1.0
-"""Topics whose median offset differs by more from the ego's are stamped by another clock; messages by more from their
-topic's median are stale."""
+"""Topics with a larger median offset from the ego's clock are stamped by another clock; messages that differ by more
+from their topic's median are stale, s."""
 REPORTED_S = 0.1
-"""Larger offsets are reported."""
+"""Larger offsets are reported, s."""
 DROPOUT_S, DROPOUT_INTERVALS = 0.3, 5.0
 """A gap is a drop-out if it exceeds both this time (s) and this multiple of the usual interval."""
 _DROPOUTS_SHOWN = 3
@@ -146,17 +146,17 @@ _DROPOUTS_SHOWN = 3
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """How log times become times of the scenario's clock, ns: samples (2) of both, rising; empty: they are the same."""
+    """Converts log times to the scenario's clock, ns, by increasing samples (2) of both; empty: both are the same."""
 
     log: IntArray
     stamp: IntArray
 
     def __call__(self, log: IntArray) -> IntArray:
-        """Log times `(n,)` as times of the scenario's clock."""
+        """Convert log times `(n,)` to the scenario's clock."""
         if not len(self.log):
             return log
         since = np.interp(log - self.log[0], self.log - self.log[0], self.stamp - self.stamp[0])
-        inner = self.stamp[0] + np.rint(since).astype(np.int64)  # whole: times since an epoch are no floats
+        inner = self.stamp[0] + np.rint(since).astype(np.int64)  # integers: floats cannot hold times since an epoch
         out = np.where(log < self.log[0], log - self.log[0] + self.stamp[0], inner)
         return np.where(log > self.log[-1], log - self.log[-1] + self.stamp[-1], out)
 
@@ -165,12 +165,12 @@ LOG_CLOCK = Clock(np.empty(0, np.int64), np.empty(0, np.int64))
 
 
 def stamped(stamps: IntArray) -> bool:
-    """Whether all messages of a topic have a stamp."""
+    """Return whether all messages of a topic have a stamp."""
     return bool(len(stamps) and (stamps > 0).all())
 
 
 def clock_of(log: IntArray, stamps: IntArray, choice: str) -> Clock:
-    """The scenario's clock by the ego's messages: their stamps, unless the choice is "log" or there are none."""
+    """Return the scenario's clock: the stamps of the ego's messages, or the log times by choice or without stamps."""
     if choice == "log" or not stamped(stamps):
         return LOG_CLOCK
     rising = np.flatnonzero(np.diff(log, prepend=log[0] - 1) > 0)
@@ -178,16 +178,16 @@ def clock_of(log: IntArray, stamps: IntArray, choice: str) -> Clock:
 
 
 def times_of(topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: list[str]) -> tuple[IntArray, IntArray]:
-    """Times of a topic's messages `(k,)` ns, rising strictly, and which messages they are `(k,)`.
+    """Return the times of a topic's messages `(k,)` ns, strictly increasing, and the indices of the messages `(k,)`.
 
-    Stale ones (by (2) more than `OTHER_CLOCK_S` later than the topic's usual) are left out, and of several with one
-    time all but the last recorded.
+    Stale messages (delays (2) more than `OTHER_CLOCK_S` off the topic's median) are left out; of several messages with
+    the same time, the last recorded one is kept.
     """
     keep = np.arange(len(log))
     if not len(clock.log) or not stamped(stamps):
         times = clock(log)
     else:
-        late = (clock(log) - stamps) / 1e9  # how much later than stamped they were recorded, s
+        late = (clock(log) - stamps) / 1e9  # delay of the record after the stamp, s
         usual = float(np.median(late))
         near = np.flatnonzero(np.abs(late - usual) <= OTHER_CLOCK_S)
         if abs(usual) > OTHER_CLOCK_S or not len(near):
@@ -210,7 +210,7 @@ def times_of(topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: l
 
 
 def describe_timing(topic: str, log: IntArray, stamps: IntArray, start_ns: int) -> list[str]:
-    """Sentences on a topic's delays and drop-outs; none where there are neither."""
+    """Describe a topic's delays and drop-outs in sentences, if there are any."""
     out = []
     if stamped(stamps):
         late = (log - stamps) / 1e9

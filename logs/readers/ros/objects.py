@@ -1,8 +1,9 @@
-"""The objects in the messages of one topic, with their frame, velocity and size, as `Samples`.
+"""Reads the objects in the messages of one topic, with their velocity and size, as `Samples` in the map frame.
 
 (1) p_map = T_map,frame(t) p_frame with the transform at the time of the message; heading that of the rotated x axis
-(2) velocity: rotated from the object's frame or the message's into the map. Where the type does not say which frame, or
-    the data contradict it, that one is taken which fits the displacement over `MOTION_S`; where neither fits, none is
+(2) velocity: rotated from the object's frame or the message's into the map. If the type does not define the frame, or
+    the data contradict it, the frame that fits the displacement over `MOTION_S` is used; if neither fits, no velocity
+    is
 
 An outline without a box (cluster, polygon) becomes the smallest rectangle around it, one side of which lies along an
 edge of its hull.
@@ -77,7 +78,7 @@ def read_messages(part: Part, topic: Topic) -> Messages:
 
 
 def _first(bag: Bag, topic: Topic, prefix: str, paths: str) -> str:
-    """The first of several fields that the type has; the last where it has none."""
+    """Return the first of several fields that the type has; the last if it has none of them."""
     choice = paths.split("|")
     return next((path for path in choice if bag.has(topic, prefix + path)), choice[-1])
 
@@ -158,9 +159,9 @@ class _Fields:
 
 
 def _kinds(held: _Fields, schema: ObjectSchema) -> tuple[list[AgentKind], BoolArray, FloatArray]:
-    """The kinds, whether they are in the way, and how sure the detector was.
+    """Return the kinds, whether the objects block the way, and the confidence of the detector.
 
-    The last is NaN where the type has no such field, or it holds 0 or no probability.
+    The confidence is NaN if the type has no such field, or if it is 0 or not a probability.
     """
     score = np.full(len(held), np.nan)
     if "classes" in held:

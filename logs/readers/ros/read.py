@@ -1,9 +1,9 @@
-"""A bag as a scenario: which topics, which clock, which part; lights, goal, steering and on-board plans.
+"""Reads a bag as a scenario: chooses topics, clock and part; reads lights, goal, steering and on-board plans.
 
 For a part between `begin` and `end` only the messages around it are read: from `DETECTED_S` before it where the bag has
-detections that may be repaired, else from `HISTORY_S` before it, so that it is known who was there and how they moved;
-and the first seconds of the log, where t = 0 and the origin are. Where the log's clock is faster or slower than the
-senders' (a simulation slower than real time), log times do not tell what is in a part, and all messages are read.
+detections that may be repaired, else from `HISTORY_S` before it, which show who is present and how they move;
+and the first seconds of the log, which define t = 0 and the origin. Where the log's clock is faster or slower than the
+senders' (a simulation slower than real time), log times do not define a part, and all messages are read.
 
 On-board plans whose points have no times (Autoware leaves `time_from_start` at 0) are timed by their speeds:
 
@@ -42,7 +42,7 @@ from logs.states import Controls, OnboardPlan, Trajectory
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 HEAD_S = 2.0
-"""Of the log's begin this is read to find t = 0, where only a later part is wanted."""
+"""Time at the log's begin that is read to find t = 0 if only a later part is wanted, s."""
 MARGIN_S = 1.0
 """Messages may be recorded this much later than they are stamped; read on both sides of the wanted part."""
 
@@ -68,7 +68,7 @@ ROLES = {
     "topics": ("ego", "speed", "acceleration", "agents", "lights", "goal", "steering", "plan"),
     "frames": ("map", "base"),
 }
-"""What the settings can name."""
+"""Valid keys of the settings `topics` and `frames`."""
 
 
 def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
@@ -209,13 +209,13 @@ def _tracks(
 GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
 """The region around a goal pose, along and across."""
 UNSEEN_S = 2.0
-"""A light that was not reported for longer is no longer known."""
+"""A light is OFF (unknown) when it was not reported for this time, s."""
 CREEPS_MPS = 0.1
 LATE_GOAL_S = 1.0
 
 
 def lights(part: Part, ego: EgoLog, t0: int) -> tuple[TrafficLight, ...]:
-    """The traffic lights, by the ids of the log."""
+    """Read the traffic lights, with the ids of the log."""
     topics, notes = part.topics(schemas.LIGHTS, "lights"), part.notes
     if not topics:
         return ()
@@ -304,7 +304,7 @@ def goal(part: Part, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle: Ve
 
 
 def controls(part: Part, ego: EgoLog, t0: int) -> Controls | None:
-    """The front wheel angle: measured, else as commanded."""
+    """Read the front wheel angle: the measured one, else the commanded one."""
     found = signal(part, schemas.STEERING, "steering", ego.clock)
     word = "measured"
     if found is None and "steering" not in part.settings.topics:
@@ -318,7 +318,7 @@ def controls(part: Part, ego: EgoLog, t0: int) -> Controls | None:
 
 
 def onboard(part: Part, ego: EgoLog, t0: int, origin: FloatArray) -> tuple[OnboardPlan, ...]:
-    """The plans that were made on board, each from the time of its message on."""
+    """Read the on-board plans, each known from the time of its message on."""
     topics, notes = part.topics(schemas.PLANS, "plan"), part.notes
     if not topics:
         return ()

@@ -1,4 +1,4 @@
-"""Which message types say what, and where in them: tables, one entry a type.
+"""Tables of the known message types and of the fields in them.
 
 Sources: the definitions of autoware_msgs (Autoware.AI and Autoware Mini), autoware_perception_msgs,
 autoware_auto_perception_msgs, derived_object_msgs and vision_msgs; labels as their constants and users write them.
@@ -19,9 +19,9 @@ OBJECT = AgentKind.OBJECT
 AUTOWARE_LABELS = {
     1: CAR, 2: TRUCK, 3: BUS, 4: TRUCK, 5: MOTORCYCLE, 6: BICYCLE, 7: PEDESTRIAN, 8: PEDESTRIAN,
 }  # fmt: skip
-"""8 is an animal: it walks. All others are objects."""
+"""Kinds by Autoware's label; 8 is an animal, treated as a pedestrian. All others are objects."""
 AUTOWARE_NOT_IN_THE_WAY = (10, 11)
-"""OVER_DRIVABLE, UNDER_DRIVABLE."""
+"""Labels of objects that do not block the way: OVER_DRIVABLE, UNDER_DRIVABLE."""
 DERIVED_LABELS = {4: PEDESTRIAN, 5: BICYCLE, 6: CAR, 7: TRUCK, 8: MOTORCYCLE, 9: CAR}
 WORDS = (
     ("motor", MOTORCYCLE), ("scooter", MOTORCYCLE), ("cycl", BICYCLE), ("bike", BICYCLE), ("rider", BICYCLE),
@@ -35,7 +35,7 @@ NO_CARS = ("cart", "cardboard", "carton")
 
 
 def kind_of_word(label: str) -> AgentKind:
-    """The kind that a label in words means; OBJECT if no word is known."""
+    """Return the kind of a label in words; OBJECT if it has no known word."""
     text = label.lower()
     if any(word in text for word in NO_CARS):
         return OBJECT
@@ -44,16 +44,18 @@ def kind_of_word(label: str) -> AgentKind:
 
 @dataclass(frozen=True)
 class ObjectSchema:
-    """Where a message type has its objects; a field named "" is not there, `a|b` is the first that there is.
+    """Names of the fields of objects in a message type; "": the type has none; `a|b`: the first that exists.
 
     Attributes:
-        items: The list of objects, `frame` the frame that holds for all of them; `own_frame` that of one.
-        pose: Pose; `twist` velocity, in the frame `twist_frame`: "object", "frame" or "log" (the data decide).
-        size: Vector of length, width, height; `shape` 0 box, 1 cylinder, 2 polygon.
-        outline: Points of a polygon; `outline_frame` "object" or "frame".
-        label: The field, or the list of classes (`classes`, with `label` and `score` within).
-        trusted: A flag that says whether the velocity is meant.
-        existence: How sure the detector is of the object, 0 to 1; where the type has none, the `score` of its class.
+        items: List of objects.
+        pose: Pose; `twist` is the velocity, in the frame `twist_frame`: "object", "frame" or "log" (the data decide).
+        id: Id of the object.
+        label: Class of the object; if `classes` is a list of classes, `label` and `score` are fields of its items.
+        size: Vector of length, width, height; `shape` is 0 box, 1 cylinder, 2 polygon.
+        outline: Points of a polygon in `outline_frame`: "object" or "frame".
+        trusted: Flag for whether the velocity is reliable.
+        solid: Shape with a type and a list of dimensions.
+        existence: Confidence of the detector, 0 to 1; types without it use the `score` of the class.
     """
 
     items: str
@@ -98,7 +100,7 @@ OBJECTS = {
         score="hypothesis.score|score",
     ),
 }  # fmt: skip
-"""In order of preference: what is tracked before what is predicted before what is detected."""
+"""Schemas by message type; `RANK` is the order of preference: tracked before predicted before detected objects."""
 RANK = (
     "TrackedObjects",
     "PredictedObjects",
@@ -142,7 +144,7 @@ CLOCK = "rosgraph_msgs/msg/Clock"
 
 @dataclass(frozen=True)
 class LightSchema:
-    """Where a message type has its lights: the list, the ids in order of preference, and the list of lamps in each."""
+    """Names of the fields of lights in a message type: the list, the ids in order of preference, the list of lamps."""
 
     items: str
     ids: tuple[str, ...]
@@ -162,6 +164,6 @@ LIGHTS = {
     "autoware_auto_perception_msgs/msg/TrafficSignalArray": LightSchema("signals", ("map_primitive_id",), "lights"),
 }
 LAMPS = {1: Colour.RED, 2: Colour.YELLOW, 3: Colour.GREEN}
-"""Of Autoware; all others are OFF."""
+"""Colours by Autoware's number; all others are OFF."""
 RESULTS = {0: Colour.RED, 1: Colour.GREEN}
-"""Of autoware_msgs; UNKNOWN is OFF."""
+"""Colours by the number in autoware_msgs; UNKNOWN is OFF."""

@@ -1,4 +1,4 @@
-"""Samples of objects over time: their identities, and tracks with one box, kind and front each.
+"""Finds the identities of objects over time, and makes tracks with one box, kind and front each.
 
 Identities. Where perception numbers the entries of each list anew (`logs.repair.names`), ids are no identities. Then
 the objects of a frame are assigned to those known so far, by the least sum of distances to the positions expected from
@@ -34,7 +34,7 @@ NOISE_OTHERS_M, NOISES = 0.1, 2.0
 """Noise of box centres (root mean square in the 13 drives of Tartu); a derived velocity counts from `NOISES` times the
 standard deviation that follows on: an object that was seen twice 0.1 s apart is not yet known to move."""
 MOVES_MPS = 1.0
-"""Only objects that are faster tell their front and the frame of their velocities."""
+"""Only faster objects show their front and the frame of their velocities, m/s."""
 EGO_WITHIN_M, EGO_LEAST_S = 1.0, 1.0
 """A track whose centre stays within this distance of the ego's for this time while the ego drives is the ego."""
 
@@ -65,7 +65,7 @@ class Samples:
         return len(self.ids)
 
     def taken(self, keep: IntArray) -> Samples:
-        """Some of them, in the order of `keep`."""
+        """Return the samples `keep`, in that order."""
         of = ("ids", "kinds") if self.names is None else ("ids", "kinds", "names")
         lists: dict[str, Any] = {name: [getattr(self, name)[i] for i in keep] for name in of}
         names = ("message", "x", "y", "yaw", "vx", "vy", "length", "width", "turned", "score")
@@ -99,7 +99,7 @@ def firsts(codes: IntArray) -> IntArray:
 
 
 def tracks_of(samples: Samples, t: FloatArray, notes: list[str]) -> Tracks:
-    """The samples as tracks; t `(k,)` s are the times of their messages."""
+    """Make tracks from the samples; t `(k,)` s are the times of their messages."""
     if not len(samples):
         return Tracks.empty()
     names = np.array(samples.names, dtype=object).astype(str)
@@ -150,7 +150,7 @@ def _one_front(
 ) -> FloatArray:
     """Headings of boxes whose front and back change places, so that none turns round from one sample to the next.
 
-    The front is where an agent that moves goes, by most of its samples; of one that stands what most headings say.
+    The front is the direction of motion of most samples; for a standing agent, the direction of most headings.
     """
     out, turned = yaw.copy(), 0
     for part, kind in zip(parts, kinds, strict=True):
@@ -195,7 +195,7 @@ def _fill_velocities(
 
 
 def without_ego(tracks: Tracks, t: FloatArray, x: FloatArray, y: FloatArray, notes: list[str]) -> Tracks:
-    """The tracks but for one that is the ego's own box; x, y `(n,)` are the ego's box centre at t, s."""
+    """Drop tracks that are the ego's own box; x, y `(n,)` are the ego's box centre at t, s."""
     if not len(tracks) or np.hypot(x - x[0], y - y[0]).max() < 10.0 * EGO_WITHIN_M:
         return tracks
     keep = np.ones(len(tracks.t), np.bool_)
@@ -215,24 +215,24 @@ def without_ego(tracks: Tracks, t: FloatArray, x: FloatArray, y: FloatArray, not
 
 REACH_M = {AgentKind.PEDESTRIAN: 1.0, AgentKind.OBJECT: 1.5}
 REACH_OTHERS_M = 2.0
-"""How far from where it should be an object is still the same: noise of its centre and its acceleration."""
+"""Largest distance of an object from its expected place, m: noise of its centre and acceleration."""
 UNKNOWN_MPS = {AgentKind.PEDESTRIAN: 2.5, AgentKind.OBJECT: 5.0}
 UNKNOWN_OTHERS_MPS = 20.0
-"""And more, per second, after a first sample, whose velocity is not known."""
+"""Additional distance per second after a first sample, whose velocity is unknown, m/s."""
 OTHER_KIND_M = 1.0
-"""An object of another kind counts as this much farther away, since labels flicker."""
+"""Added distance of an object of another kind, m: labels flicker."""
 LOST_S = 1.0
 """A road user not seen for longer is no longer expected."""
 OTHER_SIZE_M, OTHER_SIZE = 0.5, 0.25
 """An outline is another object's if its size differs by more than both, m and as a share of the larger one."""
 MEMORY = 5
-"""Samples over which the velocity is taken."""
+"""Number of last samples from which the velocity is computed."""
 _FAR = 1e6
 
 
 @dataclass
 class _Known:
-    """An object so far: its name and kind, the size with which it began, and its last samples (t, x, y)."""
+    """A known object: its name and kind, the size with which it began, and its last samples (t, x, y)."""
 
     name: int
     kind: AgentKind
@@ -240,7 +240,7 @@ class _Known:
     past: list[tuple[float, float, float]] = field(default_factory=list)
 
     def expected(self, now: float) -> tuple[float, float]:
-        """Where it should be: its last place, carried on with the velocity over its last samples."""
+        """Return its expected place: the last one, extrapolated with the velocity over its last samples."""
         (t0, x0, y0), (t1, x1, y1) = self.past[0], self.past[-1]
         if t1 <= t0:
             return x1, y1
@@ -253,7 +253,7 @@ def joined(
 ) -> IntArray:
     """Names `(m,)`, numbered by first appearance, of samples in frames `(m,)`, rising, at times `t` `(m,)`, s.
 
-    `sizes` `(m, 2)`: length and width of outlines, NaN of what has a box.
+    `sizes` `(m, 2)`: length and width of outlines, NaN for samples with a box.
     """
     names = np.empty(len(frame), np.int64)
     known: list[_Known] = []

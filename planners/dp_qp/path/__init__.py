@@ -1,1 +1,1 @@
-"""Path stage: which side of each obstacle (DP), the smoothest path (QP), and the bounds that it keeps."""
+"""Path stage: the side of each obstacle (DP), the smoothest path (QP), and its bounds."""

@@ -1,13 +1,13 @@
 """Path bounds: the agents in the way, the sides on which they are passed, and the corridor that remains.
 
-Only what stands still, or goes slowly along the lane (`passing`), is passed by the path; what else moves is met in the
-S-T graph. (The path DP, coarser than `corridor`, moves the rear axle past boxes grown by the ego's length.)
+The path passes only agents that stand, or move slowly along the lane (`passing`); the S-T graph has the other moving
+agents. (The path DP, coarser than `corridor`, moves the rear axle past boxes grown by the ego's length.)
 
 (1) nudge left of an obstacle:  lower >= its left side + half width + clearance     over its stations
     nudge right:                upper <= its right side - half width - clearance
 
-A bound that steering cannot reach from the start any more is loosened to what it can (`corridor`); an agent that is
-then not cleared is a stop (`check_clearance`).
+A bound that steering cannot keep from the start is loosened to what steering can keep (`corridor`); where the path then
+does not clear an agent, the ego stops before it (`check_clearance`).
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from planners.frenet.reference_path import ReferencePath
 from planners.frenet.scene import Bodies, Occupancy, Scene
 
 SIDES = {DecisionKind.NUDGE_LEFT: 1.0, DecisionKind.NUDGE_RIGHT: -1.0}
-"""The decisions to pass, by the side as kernels take it."""
+"""The decisions to pass, and the side in the form that kernels take."""
 TOLERANCE_M = 0.05
-"""How much of a clearance a solution may lack, m."""
+"""Shortfall of a clearance that a solution may have, m."""
 NEAR_PATH_M = 30.0
-"""Agents that stand farther from the ego than this plus the path's length are ignored."""
+"""Standing agents farther from the ego than this plus the path's length are ignored, m."""
 NEAR_ROAD_M = 1.0
-"""An agent that stands off the road by less than this still counts as an obstacle, m."""
+"""An agent that stands off the road by less than this is still an obstacle, m."""
 NOTHING = Borrowed(np.empty((0, 3)), left=True, right=True)
 """No road beside the lane is used."""
 
@@ -44,14 +44,14 @@ class CorridorConfig:
     """Distances that the path keeps.
 
     Attributes:
-        clearance_m: To an obstacle that is passed.
-        min_clearance_m: Where there is no more room; with less the ego stops.
-        edge_m: To the lane's edge.
-        gap_m: Ahead and behind an obstacle, added to its length.
+        clearance_m: Distance to an obstacle that the path passes.
+        min_clearance_m: Least such distance, where there is no more space; with less the ego stops.
+        edge_m: Distance to the lane's edge.
+        gap_m: Distance ahead of and behind an obstacle, added to its length.
         neighbour_behind_m: A neighbouring lane may be borrowed if no agent moves on it from this far behind ...
         neighbour_ahead_m: ... to this far ahead.
-        facing_margin_s: The facing lane may be borrowed if no agent comes for this long after the ego has left it, s.
-        patience_s: A vehicle that has stood for this long is passed on the facing lane.
+        facing_margin_s: The facing lane may be borrowed if no agent comes within this time after the ego has left it.
+        patience_s: The facing lane may be used to pass a vehicle that has stood for this long.
     """
 
     clearance_m: float = 0.6
@@ -73,10 +73,10 @@ class InTheWay:
     """The agents in the way, and the road beside the lane that may be used to pass them.
 
     Attributes:
-        obstacles: In order of their stations.
+        obstacles: The agents in the order of their stations.
         left: Whether the lane to the left is free; `right` likewise.
-        facing: Agents who may be passed by the lane of the opposite direction.
-        wait: Station at which to wait until that lane is free, m; inf: there is no need.
+        facing: Agents that the ego may pass on the lane of the opposite direction.
+        wait: Station at which to wait until that lane is free, m; inf if there is no need.
     """
 
     obstacles: tuple[Occupancy, ...] = ()
@@ -86,7 +86,7 @@ class InTheWay:
     wait: float = np.inf
 
     def and_moving(self, more: InTheWay) -> InTheWay:
-        """The same with moving agents that are passed; the lanes beside must be free for all."""
+        """Add moving agents to pass; the lanes beside must be free for all."""
         if not more.obstacles:
             return self
         both = tuple(sorted((*self.obstacles, *more.obstacles), key=lambda box: (box.s_from, box.agent)))
@@ -105,13 +105,13 @@ class PathBounds:
     def room(
         self, obstacles: Sequence[Occupancy], vehicle: VehicleParameters, config: CorridorConfig
     ) -> list[list[float]]:
-        """Greatest lower and least upper bound where a point of the ego is beside each obstacle; -inf, inf: nowhere."""
+        """Greatest lower and least upper bound where a point of the ego is beside each obstacle, else -inf, inf."""
         return room_beside(self.s, self.lower, self.upper, _boxes(obstacles), self.gap(vehicle, config)).tolist()
 
     def gap(self, vehicle: VehicleParameters, config: CorridorConfig) -> float:
         """Distance before and behind an obstacle at which the ego still counts as beside it, m.
 
-        Half the distance between two points of the ego, the rear overhang and a knot fit.
+        Half the distance between two points of the ego, or the rear overhang, plus `gap_m` or the knots' spacing.
         """
         between = max(0.5 * vehicle.axle_to_front / max(len(self.s) - 1, 1), vehicle.rear_overhang)
         return between + max(config.gap_m, float(self.s[0, 1] - self.s[0, 0]))
@@ -120,7 +120,7 @@ class PathBounds:
 def standing_obstacles(scene: Scene, length: float, *, facing: bool = False) -> tuple[Occupancy, ...]:
     """The standing agents beside or ahead of the ego, up to `length` m, that stand on the road or near its edge.
 
-    With `facing` the facing lane counts as road.
+    With `facing`, the facing lane is part of the road.
     """
     if not scene.standing.any():
         return ()
@@ -144,9 +144,9 @@ def _standing_boxes(
 ) -> tuple[IntArray, FloatArray]:  # fmt: skip
     """The agents that stand on the road or near its edge `(b,)`; their stations and offsets, from and to `(b, 4)`, m.
 
-    By the feet of their corners and of the middles of their sides, between which a curve bulges. `s` are the stations
-    of all `(n,)`, `left` and `right` the road's edges there, `near` a place x, y and how far around it they are looked
-    for, m.
+    The extents come from the projections of the corners and of the middles of the sides, since a curve bulges between
+    corners. `s` are the stations of all agents `(n,)`, `left` and `right` the road's edges there, `near` a point x, y
+    and the radius around it in which agents are considered, m.
     """
     x, y, length = bodies.x, bodies.y, bodies.length
     rows, boxes = np.empty(len(x), np.int64), np.empty((len(x), 4))
@@ -171,9 +171,9 @@ def _standing_boxes(
 
 
 def borrowed_road(way: InTheWay, speed: float, vehicle: VehicleParameters) -> Borrowed:
-    """Where road beside the lane is used: a free neighbouring lane where an obstacle is passed, at this speed.
+    """The road beside the lane that the ego uses to pass obstacles at this speed: a free neighbouring lane.
 
-    And the facing lane where the obstacle is one of those that may be passed by it.
+    It uses the facing lane, too, for obstacles that it may pass there.
     """
     if not way.obstacles:
         return NOTHING
@@ -198,7 +198,7 @@ def swing_span(box: Occupancy, speed: float, vehicle: VehicleParameters) -> tupl
 
 
 def free_sides(scene: Scene, config: CorridorConfig) -> tuple[bool, bool]:
-    """Whether no agent moves on the reachable road left and right of the own lane, near the ego."""
+    """Whether the reachable road left and right of the own lane is free of moving agents near the ego."""
     ahead = scene.agents.s - scene.s
     near = ~scene.standing & (ahead > -config.neighbour_behind_m) & (ahead < config.neighbour_ahead_m)
     if not near.any():
@@ -219,8 +219,8 @@ def side_gaps(box: Occupancy, lower: float, upper: float, vehicle: VehicleParame
 class SideChoice:
     """The options for one obstacle, before a decision is made.
 
-    `left`: what is left beside the ego that passes it on its left, m; `right` on its right; `settled`: the decision
-    where there is nothing to choose, None: the obstacle can be passed.
+    `left` is the space beside an ego that passes it on its left, m, `right` that on its right; `settled` is the
+    decision where there is no choice; None if the obstacle can be passed.
     """
 
     box: Occupancy
@@ -233,7 +233,7 @@ class SideChoice:
         return self.settled is None and min(self.left, self.right) >= least
 
     def decided(self, goes_left: bool, costs: tuple[float, float] | None, config: CorridorConfig) -> Decision:
-        """The decision for a side, or the other where there is no room; costs of left and right for the reason."""
+        """The decision for a side, or for the other if there is no space; costs of left and right for the reason."""
         if self.settled is not None:
             return self.settled
         if (self.left if goes_left else self.right) < config.min_clearance_m:
@@ -270,7 +270,7 @@ def narrow_bounds(
     space: PathBounds, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...], vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> tuple[PathBounds, tuple[Decision, ...]]:  # fmt: skip
-    """The bounds (1); an obstacle that would close them becomes a stop. Where none is passed, the same bounds."""
+    """The bounds (1); an obstacle that would close them becomes a stop. Without obstacles to pass they stay."""
     if not any(decision.kind in SIDES for decision in decisions):
         return space, decisions
     (lower, upper), room, closed = narrowed_beside(
@@ -288,9 +288,9 @@ def check_clearance(
     path: PathBounds, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...], vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> tuple[dict[str, float], tuple[Decision, ...]]:  # fmt: skip
-    """The room that a path leaves to each agent that it passes, m: its points' offsets are both bounds.
+    """The space between a path and each agent that it passes, m; `path` has the offsets of its points as both bounds.
 
-    And the decisions, with a stop for each agent that it does not clear.
+    Also the decisions, with a stop for each agent that it does not clear.
     """
     if not any(decision.kind in SIDES for decision in decisions):
         return {}, decisions
@@ -308,7 +308,7 @@ def check_clearance(
 
 
 def _boxes(obstacles: Sequence[Occupancy], decisions: Sequence[Decision] = ()) -> FloatArray:
-    """Obstacles as kernels take them (`corridor.narrowed_beside`); without decisions they are passed on no side."""
+    """Obstacles in the form that kernels take (`corridor.narrowed_beside`); without decisions the side is 0."""
     ways = [SIDES.get(decision.kind, 0.0) for decision in decisions] or [0.0] * len(obstacles)
     both = zip(obstacles, ways, strict=True)
     return np.array([(box.s_from, box.s_to, box.l_from, box.l_to, way) for box, way in both])

@@ -1,25 +1,25 @@
-"""The corridor of the path QP: the room that the road gives the ego, as far as steering can keep it.
+"""The corridor of the path QP: the space that the road leaves the ego, as far as steering can keep it.
 
-The bounds hold for the ego's axis at points from the rear axle to the front bumper, each at its own station: so its
-corners stay in the bounds widened by half its width. They are built in named steps:
+The bounds hold for points of the ego's axis from the rear axle to the front bumper, each at its own station, so that
+its corners stay in the bounds widened by half its width. They are built in these steps:
 
 (1) `within_lane`   lower <= l <= upper, the lane (or, beside an obstacle, the reachable road) less half the ego's
                     width, and 1 - kappa l >= MIN_REGULAR: short of the centre of a turn
 (2) `_for_the_nose` wider where the ego's nose needs it in a sharp turn
-(3) `_towards`      within the sides of the goal region, as near to them as it goes
+(3) `_towards`      within the sides of the goal region, or as near to them as possible
 (4) `_widen_bounds`      where the ego is outside the lane: holding a quintic from its state back into it
 (5) `loosen_bounds` to the reach (8) of comfortable steering, where a bound asks for more; of hard steering where
                     comfort would leave the road's room by more than `FORCED_M` and that leaves it by less
 
-What obstacles leave of it stands in `bounds`. With the speed v(s) that is expected along the reference line, the lock
-K and the steering rate d(delta)/dt, steering keeps
+`bounds` narrows it beside obstacles. With the expected speed v(s) along the reference line, the curvature K at the
+steering lock, and the steering rate d(delta)/dt, steering keeps
 
 (6) |kappa| <= min(K, a_lat / v^2)           (7) |kappa'| <= rate / (wheelbase v)
 
 For a path at offset l the curvature is kappa_r / (1 - kappa_r l) + l'' / (1 - kappa_r l)^2 where l' is small.
 
-(8) The reach: l, l' and l'' of steering to one side as hard as (6) and (7) let it. A bound that asks for more cannot be
-    kept; it is loosened to the reach, so that a path is found, and whoever is then met is met in the S-T graph.
+(8) The reach: l, l' and l'' of steering to one side as hard as (6) and (7) permit. A bound beyond the reach cannot be
+    kept; it is loosened to the reach, so that a path is found; the S-T graph has the agents that this path meets.
 
 A point of the ego's axis `lead` m before the rear axle has the offset, from the reference line at s + lead,
 
@@ -46,27 +46,27 @@ their offsets, m; the same without (3), m."""
 MAX_DL = 1.0
 """Bound of l': 45 degrees off the reference line."""
 FORCED_M = 0.3
-"""Steering hard is thought of where comfortable steering would leave the lane by more than this, m."""
+"""Hard steering is considered where comfortable steering would leave the lane by more than this, m."""
 BULGE = 0.03
-"""Of a point ahead: half the curvature, 1/m, by which the way of the rear axle is not its own."""
+"""Half the curvature by which the way of a point ahead differs from that of the rear axle, 1/m."""
 NEARLY_M = 0.5
-"""A goal farther out of the room than this is not this lane's, m."""
+"""A goal farther outside the corridor than this is not a goal of this lane, m."""
 LEFT_M = 0.1
-"""What is left of the room where the goal is outside of it, m."""
+"""Width that the corridor keeps where the goal is outside of it, m."""
 NEAR_GOAL_M = 15.0
-"""An agent that stands within this of the goal is passed as anywhere else, and the goal's sides are not kept, m."""
+"""Where an agent stands within this of the goal, the ego passes it as usual and (3) does not apply, m."""
 HERE = np.empty(0)
-"""`loosen_bounds`: near the reference line."""
+"""Argument `near` of `loosen_bounds`: the path is near the reference line."""
 COMFORT = frozen(np.array([4.0, 3.0, 1.8]))
-"""Lateral acceleration that a path may need, braking and acceleration that the expected speed counts on, m/s2 ..."""
+"""Lateral acceleration that a path may need, braking and acceleration of the expected speed, m/s2 ..."""
 HARD = frozen(np.array([6.0, 5.0, 0.0]))
 """... and those where comfort would leave the lane by more than `FORCED_M`."""
 SHARPEST = 1.0
 """Largest rate of the curvature, 1/m2, however slow the ego is."""
 SHARE = 0.8
-"""Share of the bounds with which the reach (8) steers: what is left makes the path smooth."""
+"""Share of the bounds that the reach (8) uses; the rest lets the path be smooth."""
 SLOWEST_MPS = 1.0
-"""v of (6) and (7) is not less than this, m/s."""
+"""Least v in (6) and (7), m/s."""
 AHEAD = 1.0 / 3.0
 """The swing (9) is that of the curvature at s + lead / 3: exact to second order where the curvature rises linearly."""
 
@@ -76,9 +76,9 @@ class Ego(NamedTuple):
 
     Attributes:
         start: s, l, l', l'' and speed, m, 1, 1/m, m/s `(5,)`.
-        leads: How far its points are before the rear axle `(k,)`, the first 0, m.
-        car: As of `steering_bounds` `(3,)`.
-        side: Half its width and what is kept to the lane's edge, m.
+        leads: Distances of its points ahead of the rear axle `(k,)`, the first 0, m.
+        car: The argument `car` of `steering_bounds` `(3,)`.
+        side: Half its width plus the distance to keep to the lane's edge, m.
     """
 
     start: FloatArray
@@ -88,9 +88,10 @@ class Ego(NamedTuple):
 
 
 class Borrowed(NamedTuple):
-    """The road beside the lane that may be used.
+    """The road beside the lane that the ego may use.
 
-    Rows station from, to, m, and 1 for the neighbouring lane, 2 for the facing one, too `(b, 3)`; which lanes are free.
+    `spans` `(b, 3)`: station from, to, m, and 1 for the neighbouring lane, 2 for the facing one, too; which lanes are
+    free.
     """
 
     spans: FloatArray
@@ -104,7 +105,7 @@ class RoadAhead(NamedTuple):
     Attributes:
         along: Rows `KNOT`, `LIMIT`, `KAPPA` `(3, n)`.
         points: Rows `S` to `MOST` `(6, k, n)`.
-        references: Of the path QP without obstacles `(2, n)` (`PiecewiseJerkProblem`).
+        references: References of the path QP without obstacles `(2, n)` (`PiecewiseJerkProblem`).
         rows: Its lower and upper bounds `(2, 3 + k, n)`.
     """
 
@@ -121,8 +122,8 @@ def road_ahead(
 ) -> RoadAhead:  # fmt: skip
     """(1) to (5) at n knots, `step` m apart, along a reference line's stations and a reference path's table.
 
-    `sides` of the goal `(3, m)` are those of `GoalWindow.sides`; (3) is left out where one of those who stand, at
-    stations from, to `(c, 2)`, m, is near the goal.
+    `sides` of the goal `(3, m)` are those of `GoalWindow.sides`; (3) is left out where an agent
+    that stands (`standing`: stations from, to `(c, 2)`, m) is near the goal.
     """
     along, points = np.empty((3, n)), np.empty((6, len(ego.leads), n))
     for k in range(len(ego.leads)):
@@ -184,7 +185,7 @@ def within_lane(
 
 @inner_kernel
 def _for_the_nose(points: FloatArray) -> None:
-    """(2), and the room with it as `LEAST` and `MOST`."""
+    """Apply (2), and store the bounds so far as `LEAST` and `MOST`."""
     for i in range(points.shape[2]):
         least, most = -np.inf, np.inf
         for k in range(points.shape[1]):
@@ -199,7 +200,7 @@ def _for_the_nose(points: FloatArray) -> None:
 
 @inner_kernel
 def _towards(points: FloatArray, sides: FloatArray, standing: FloatArray) -> None:
-    """(3), where the sides are within reach and no agent stands near the goal."""
+    """Apply (3) where the sides are within reach and no agent stands near the goal."""
     if sides.shape[1] == 0:
         return
     s, lower, upper = points[S], points[LOWER], points[UPPER]
@@ -226,7 +227,7 @@ def _towards(points: FloatArray, sides: FloatArray, standing: FloatArray) -> Non
 
 @inner_kernel
 def _at(s: float, stations: FloatArray, values: FloatArray) -> float:
-    """The value at a station, linearly between two; beyond the ends as there."""
+    """The value at a station, interpolated linearly; beyond the ends, that of the end."""
     j = int(np.searchsorted(stations, s, "right")) - 1
     if j < 0:
         return float(values[0])
@@ -237,7 +238,7 @@ def _at(s: float, stations: FloatArray, values: FloatArray) -> float:
 
 @inner_kernel
 def _widen_bounds(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArray) -> None:
-    """(4) in place, of bounds `(points, n)` at stations of that shape, for a start as of `Ego`."""
+    """Apply (4) in place to bounds `(points, n)` at stations of that shape, for a start as in `Ego`."""
     l0, dl0, ddl0, speed = start[1], start[2], start[3], start[4]
     ahead = l0 + dl0 * min(5.0, 0.5 * speed)
     if lower[0, 0] <= l0 <= upper[0, 0] and lower[0, 0] <= ahead <= upper[0, 0]:
@@ -261,8 +262,8 @@ def loosen_bounds(
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """References and rows of the path QP (`RoadAhead`) for bounds `(points, n)`, loosened to what steering reaches (5).
 
-    The bounds of the curvature are those at the offsets `near` `(n,)`, or where `HERE` as near to the reference line as
-    the bounds are. The references are `middle` times the sum of the bounds (`qp`, (1) and (5)).
+    The bounds of the curvature hold at the offsets `near` `(n,)`; with `HERE`, at offsets as near to the reference line
+    as the bounds permit. The references are `middle` times the sum of the bounds (`qp`, (1) and (5)).
     """
     n = lower.shape[1]
     references, rows = np.zeros((2, n)), np.zeros((2, 3 + len(ego.leads), n))
@@ -301,9 +302,9 @@ def loosen_bounds(
 
 @kernel
 def room_beside(s: FloatArray, lower: FloatArray, upper: FloatArray, boxes: FloatArray, gap: float) -> FloatArray:
-    """Greatest lower and least upper bound `(b, 2)` at the stations beside boxes `(b, 5)`; -inf, inf: there are none.
+    """Greatest lower and least upper bound `(b, 2)` at the stations beside boxes `(b, 5)`; -inf, inf without any.
 
-    Bounds `(points, n)` at stations of that shape; boxes as of `narrowed_beside`.
+    Bounds `(points, n)` at stations of that shape; boxes as in `narrowed_beside`.
     """
     out = np.empty((len(boxes), 2))
     for b in range(len(boxes)):
@@ -321,11 +322,11 @@ def narrowed_beside(
     s: FloatArray, lower: FloatArray, upper: FloatArray, boxes: FloatArray, gap: float, side: float, clearance: float,
     least: float,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
-    """Bounds `(2, points, n)` that keep clear of boxes, one after the other, and which of them would close them.
+    """Narrow bounds `(2, points, n)` so that they keep clear of boxes, one after the other.
 
-    Boxes: station from, to, offset from, to, m; 1 where they are passed on the left, -1 right, 0 not `(b, 5)`. `gap` is
-    kept ahead of and behind a box, `clearance` beside it, or nearly what there is, which must be `least`, m; `side` is
-    half the ego's width. With what is free beside the ego `(b,)`, m, and whether that is too little.
+    Boxes `(b, 5)`: station from, to, offset from, to, m; 1 to pass on the left, -1 on the right, 0 not at all. `gap` is
+    kept ahead of and behind a box, `clearance` beside it, or nearly all of the space if that is at least `least`, m;
+    `side` is half the ego's width. Returns the bounds, the space beside the ego `(b,)`, m, and which boxes close them.
     """
     out = np.empty((2, s.shape[0], s.shape[1]))
     out[0], out[1] = lower, upper
@@ -362,7 +363,7 @@ def _is_beside(s: float, box: FloatArray, gap: float) -> bool:
 def expected_speed(
     v0: float, limit: FloatArray, kappa: FloatArray, step: float, accel: float, decel: float, lateral: float
 ) -> FloatArray:
-    """Speed `(n,)` at stations `step` m apart: the limit and the curves, with as much braking as `decel`, m/s."""
+    """Speed `(n,)` at stations `step` m apart, m/s: that of limit and curves, braking with `decel` at most."""
     out = np.empty(len(limit))
     for i in range(len(limit)):
         out[i] = min(limit[i], sqrt(lateral / max(abs(kappa[i]), 1e-6)))
@@ -389,7 +390,7 @@ def _bend_bounds(bend: float, kappa: float, offset: float) -> tuple[float, float
 
 @inner_kernel
 def _reach(start: FloatArray, aim: FloatArray, low: FloatArray, high: FloatArray, step: float) -> FloatArray:
-    """Rows l, l', l'' `(3, n)` of (8): l'' goes to `aim` `(n,)` as fast as the bounds of its rate `(n - 1,)` let it."""
+    """Rows l, l', l'' `(3, n)` of (8): l'' goes to `aim` `(n,)` as fast as the bounds of its rate `(n - 1,)` permit."""
     n = len(aim)
     out = np.empty((3, n))
     out[:, 0] = start[:3]
@@ -412,9 +413,9 @@ def steering_bounds(
     Args:
         start: l, l', l'' and the speed (m/s) at the first knot; the bounds of l'' are widened to the reach from there.
         limit: Speed limit at the knots `(n,)`, m/s.
-        kappa: Of the reference line there `(n,)`, 1/m.
-        offset: Near which the path is `(n,)`, m.
-        step: Between two knots, m.
+        kappa: Curvature of the reference line there `(n,)`, 1/m.
+        offset: Offsets near which the path is `(n,)`, m.
+        step: Distance between two knots, m.
         car: Curvature at the lock, 1/m, its rate over time, 1/(m s), and the lateral acceleration for which the speed
             stage slows down in curves, m/s2.
         limits: `COMFORT` or `HARD`.

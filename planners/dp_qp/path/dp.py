@@ -1,4 +1,4 @@
-"""Path DP: which side of each obstacle, by dynamic programming over sampled points of the S-L plane.
+"""Path DP: the side of each obstacle, by dynamic programming over sampled points of the S-L plane.
 
 Columns at stations S_i, rows at offsets L_k; nodes have l' = l'' = 0, so an edge between columns is the quintic
 
@@ -12,9 +12,9 @@ and only the first edge, from the ego's (l, l', l''), is a general quintic. Cost
 
 (4) cost[i, k] = min over j  cost[i-1, j] + edge(j, k)
 
-(paper, section II-F, Fig. 6). Backwards likewise; both together are the least cost of a path through a node, and so of
-passing an obstacle on one side. Ties (within `TIE`) go to the row that comes first: rows are ordered from the
-passing side.
+(paper, section II-F, Fig. 6). Backwards likewise; the sum of both is the least cost of a path through a node, and
+so of passing an obstacle on one side. Ties (within `TIE`) go to the first row: rows are ordered from the passing
+side.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ COLLISION = 1e4
 OUTSIDE = 1e3
 """Cost of a metre of way a metre outside of the corridor (2): less than a collision, more than any detour."""
 SAMPLES = 10
-"""Of an edge (2)."""
+"""Samples of an edge (2)."""
 BESIDES = 3.0 * TIE
-"""A path that costs this much more than straight on is not the cheapest, and does not tie with it."""
+"""An edge that costs this much more than going straight on is neither the cheapest nor a tie."""
 
 
 class PathDpWeights(NamedTuple):
@@ -56,10 +56,10 @@ class PathDpConfig:
     Attributes:
         columns: Stations of the grid.
         rows: Offsets of the grid, odd, so that one is the reference line.
-        row_spacing_m: Between two offsets.
+        row_spacing_m: Distance between two offsets.
         w_ref: Weight of l^2; `w_dl` of l'^2; `w_ddl` of l''^2.
         w_near: Weight of coming near an obstacle.
-        reach_m: From this distance on an obstacle does not matter.
+        reach_m: Distance from which an obstacle has no cost.
         w_switch: Cost per m of passing an obstacle on the other side than before.
     """
 
@@ -79,7 +79,7 @@ class PathDpConfig:
 
     @property
     def weights(self) -> PathDpWeights:
-        """As the kernels take them."""
+        """The weights in the form that the kernels take."""
         return PathDpWeights(self.w_ref, self.w_dl, self.w_ddl, self.w_near, self.reach_m, self.w_switch)
 
     def offsets(self, *, passes_left: bool) -> FloatArray:
@@ -93,7 +93,8 @@ class PathDpConfig:
 class SlGrid:
     """The solved grid: stations of the columns `(n,)`, m, offsets of the rows `(k,)`, m; s, l, l', l'' of the start.
 
-    The cost to come `(n, k)`, the row per column, and the least cost of passing each obstacle left and right `(b, 2)`.
+    `cost` to come `(n, k)`, the chosen row per column, and the least cost of passing each obstacle left and right
+    `(b, 2)`.
     """
 
     stations: FloatArray
@@ -116,9 +117,9 @@ def solve_path_dp(
     stations: FloatArray, rows: FloatArray, start: FloatArray, boxes: FloatArray,
     room: Callable[[FloatArray], tuple[FloatArray, FloatArray]], config: PathDpConfig,
 ) -> SlGrid:  # fmt: skip
-    """The grid over stations `(n,)` and offsets `(k,)`, from `start` (s, l, l', l''), past `boxes` `(b, 5)`.
+    """Solve the grid over stations `(n,)` and offsets `(k,)`, from `start` (s, l, l', l''), past `boxes` `(b, 5)`.
 
-    `room` gives the bounds of the offsets at stations; see `path_dp`.
+    `room` returns the bounds of the offsets at stations; see `path_dp`.
     """
     step, shape = stations[1] - stations[0], (len(stations), SAMPLES)
     samples = (stations[:, None] - step + step / SAMPLES * np.arange(1, SAMPLES + 1)).ravel()
@@ -137,7 +138,7 @@ def _edge(
     s0: float, l0: float, dl0: float, ddl0: float, s1: float, l1: float,
     boxes: FloatArray, lower: FloatArray, upper: FloatArray, column: int, weights: PathDpWeights, best: float,
 ) -> float:  # fmt: skip
-    """Cost (2) of the edge; gives up once it exceeds `best`. Corridor bounds `(columns, SAMPLES)` at the samples."""
+    """Cost (2) of an edge; it stops once this exceeds `best`. Corridor bounds `(columns, SAMPLES)` at the samples."""
     length = s1 - s0
     c3, c4, c5 = quintic(l0, dl0, ddl0, l1, length)
     step = length / SAMPLES
@@ -177,10 +178,10 @@ def path_dp(
         stations: `(n,)` m, ahead of the start.
         offsets: `(k,)` m.
         start: s, l, l', l'' of the ego.
-        boxes: `(b, 5)` obstacles: s from, s to, l from, l to, grown by the ego; 1 passed on the left before, -1 right.
+        boxes: `(b, 5)` obstacles: s from, s to, l from, l to, grown by the ego; last side: 1 left, -1 right.
         lower: `(n, SAMPLES)` corridor at the samples of the edge into each column.
         upper: `(n, SAMPLES)`.
-        weights: Of (2) and (3).
+        weights: Weights of (2) and (3).
 
     Returns:
         Cost to come `(n, k)`, and the chosen row per column `(n,)`.
@@ -220,13 +221,13 @@ def path_dp_to_go(
     stations: FloatArray, offsets: FloatArray, boxes: FloatArray, lower: FloatArray, upper: FloatArray,
     weights: PathDpWeights,
 ) -> FloatArray:  # fmt: skip
-    """Least cost `(n, k)` from a node to the grid's end: (4) backwards; args as of `path_dp`."""
+    """Least cost `(n, k)` from a node to the grid's end: (4) backwards; arguments as in `path_dp`."""
     n, k = len(stations), len(offsets)
     cost = np.zeros((n, k))
     for i in range(n - 1, 0, -1):
         for row in range(k):
             best = np.inf
-            for turn in range(k):  # straight on first: it is near the best, so that the others end early
+            for turn in range(k):  # straight on first: it is near the best, so that the other edges stop early
                 after = row if turn == 0 else turn - (turn <= row)
                 if cost[i, after] < best:
                     edge = _edge(
@@ -242,7 +243,7 @@ def path_dp_to_go(
 def side_costs(stations: FloatArray, offsets: FloatArray, through: FloatArray, boxes: FloatArray) -> FloatArray:
     """Least cost `(b, 2)` of passing each box on its left and on its right, at the column next to its middle.
 
-    `through` `(n, k)`: the least cost of a path through each node. No such row: inf.
+    `through` `(n, k)` is the least cost of a path through each node; inf where no row is on that side.
     """
     out = np.full((len(boxes), 2), np.inf)
     for b in range(len(boxes)):

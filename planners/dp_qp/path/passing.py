@@ -9,9 +9,9 @@ Pedestrians and cyclists along the lane, slower than the ego: their position whi
                `ASIDE_M` wider on both sides
 
 The ego follows an agent that it cannot pass before the predictions end, or could pass only near a place where lanes
-part or meet, where it may have to wait, or where others cross. Once it is beside an agent, it is too late to turn back.
+part or meet, where it may have to wait, or where others cross. Once it is beside an agent, the ego cannot turn back.
 
-An agent that blocks the lane and leaves no room on either side of the road, and is in no queue, is passed by the lane
+An agent that blocks the lane and leaves no room on either side of the road, and is in no queue, is passed on the lane
 of the opposite direction where the marking between may be crossed and, for the whole stretch from where the ego leaves
 its lane to where it is back,
 
@@ -20,7 +20,7 @@ its lane to where it is back,
 (4) (BACK_M behind the obstacle - s) / max(v, PASSING_MPS) + facing_margin_s <= horizon of the predictions.
 
 Otherwise the ego waits `WAIT_M` before it, from where it can still steer round it. For an agent along the lane, (4)
-asks when the ego will be there by its plan, and the sensor must
+takes the time at which the plan reaches the place, and the sensor must
 
 (5) see the oncoming lane far enough that a vehicle beyond it, at the speed limit, cannot violate (3) (StVO, 5 (2)).
 """
@@ -44,27 +44,27 @@ from planners.frenet.reference_path import ReferencePath, Section
 from planners.frenet.scene import UNLIKELY, AgentsAlong, Bodies, Futures, Occupancy, Scene
 
 PASSED = among(AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
-"""By code: the kinds that the ego passes while they move."""
+"""The kinds of agents that the ego passes while they move, by code."""
 SLOW_MPS = 7.0
 """The ego follows faster agents, m/s."""
 NEAR_M = 2.0
-"""The ego is beside them from so far behind them on (1), m."""
+"""Distance behind an agent from which the ego counts as beside it (1), m."""
 ASIDE_M = 0.9
-"""Room on both sides of them (2), m: with the path's usual clearance 1.5 m, as German law asks in towns (StVO, 5 (4));
-where there is less, 1.15 m.
+"""Space on both sides of an agent (2), m: with the path's clearance 1.5 m, as German law requires in towns (StVO, 5
+(4)); where there is less space, 1.15 m.
 
-A plan that passes keeps this room. If the ego keeps its lane, only `caps.passing_caps` limits its speed.
+A plan that passes keeps this space. If the ego keeps its lane, only `caps.passing_caps` limits its speed.
 """
 ROAD_RIGHT, ROAD_LEFT = Section._fields.index("road_right"), Section._fields.index("road_left")
 """Rows of `Scene.across`."""
 ALONG_RAD = 0.4
 """An agent whose heading differs more from the lane crosses it, rad."""
 SLACK = 1.5
-"""By this factor those that the ego is passing may be faster, or turn further."""
+"""Factor by which agents that the ego is passing may exceed `SLOW_MPS` and `ALONG_RAD`."""
 GAIN_MPS2 = 1.2
-"""Acceleration of an ego with a free road ahead, m/s2."""
+"""Assumed acceleration of an ego on a free road, m/s2."""
 PLACE_M = 10.0
-"""Distance before a place where it may have to wait at which the ego is back in its lane, m."""
+"""The ego is back in its lane this far before a place where it may have to wait, m."""
 REACH_M = 120.0
 """Agents farther away are ignored, m."""
 SPARE_S = 1.0
@@ -76,21 +76,21 @@ BACK_M = 10.0
 WAIT_M = 9.0
 """Gap between the waiting ego's front and the obstacle, m; enough to steer round it."""
 NEARLY_M = 1.0
-"""A gap is looked at closely where it is less than this wider than the ego, m."""
+"""A gap that is wider than the ego by less than this may be blocked, m."""
 SIGHT_M = 5.0
-"""Between two places of the oncoming lane that must be seen, m."""
+"""Distance between two points of the oncoming lane that must be visible, m."""
 QUEUE_M = 25.0
 """An obstacle nearer than this to another one in the lane stands in a queue, m."""
 ROOM_M = 0.5
-"""Room that the oncoming lane must leave beside the ego for it to be worth waiting for, m."""
+"""The ego waits for the oncoming lane only if that leaves this much space beside it, m."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassTarget:
     """A road user along the lane, slower than the ego, that the ego passes: its index, and its positions meanwhile.
 
-    `box` holds them while the ego is beside them, `begin` to `end` the stations of its rear axle, m; `places` `(n, 2)`,
-    m.
+    `box` is the part of the lane that it takes while the ego is beside it; `begin` and `end` are the first and last
+    station of the ego's rear axle then, m; `places` its positions `(n, 2)`, m.
     """
 
     agent: int
@@ -101,10 +101,9 @@ class PassTarget:
 
 
 def find_slow_agents(scene: Scene, passed: frozenset[str] = frozenset()) -> list[int]:
-    """The agents ahead or beside who walk or ride along the road in the ego's direction.
+    """The agents ahead of the ego or beside it that walk or ride along the road in its direction.
 
-    Those that the ego is passing (`passed`) may become faster by `SLACK`, or turn further aside, and still are among
-    them.
+    Agents that the ego is passing (`passed`) may be faster, or turn further aside, by the factor `SLACK`.
     """
     agents, ego = scene.frame.agents, scene.frame.ego
     may = PASSED[agents.codes] & ~scene.standing
@@ -120,7 +119,7 @@ def _goes_along(
     may: BoolArray, slack: FloatArray, speed: FloatArray, along: AgentsAlong, across: FloatArray, bodies: Bodies,
     ego: tuple[float, float, float],
 ) -> BoolArray:  # fmt: skip
-    """Which of the agents `may` `(n,)` go along the lane, each with its slack; `ego` is x, y, station of the rear."""
+    """Which of the agents `may` `(n,)` move along the lane, each with its slack; `ego` is x, y, station of the rear."""
     out = np.zeros(len(may), np.bool_)
     for i in range(len(may)):
         near, half = hypot(bodies.x[i] - ego[0], bodies.y[i] - ego[1]) < REACH_M, 0.5 * bodies.length[i]
@@ -135,8 +134,8 @@ def pass_targets(
 ) -> tuple[PassTarget, ...]:
     """The boxes (2) of the agents `who`, for an ego at `stations` `(k,)` at the times of the predictions.
 
-    Only of those that it comes beside, and is past before the last of these times; `SPARE_S` before, unless it is
-    passing them already.
+    Agents that the ego does not come beside, or does not pass before the last of these times, are left out; unless it
+    is passing them already, it must be past them `SPARE_S` earlier.
     """
     agents, futures, line, car, found = scene.frame.agents, scene.futures, scene.reference.line, scene.vehicle, []
     t = np.arange(futures.t[0], futures.t[-1] + 1e-9, STEP_S)
@@ -153,10 +152,10 @@ def pass_targets(
 
 
 class Passer(NamedTuple):
-    """The ego that passes: the times that are looked at `(m,)`, s, and its stations at those of the predictions, m.
+    """The ego that passes: the times to evaluate `(m,)`, s, and its stations at the times of the predictions, m.
 
-    Its station now, from its rear axle to its front and to its rear, m; how long before the last time it must be
-    past them, s.
+    Its station now, the distances from its rear axle to its front and to its rear, m; the time before the last one by
+    which it must be past the agents, s.
     """
 
     t: FloatArray
@@ -175,8 +174,8 @@ def _boxes_along(
     """(1) and (2) of an agent and its length and width, m, along a reference line's `knots`, `coef` and headings.
 
     Returns:
-        Least and greatest station and offset; first and last station of the ego beside them, infinite where it does not
-        come there or is past them too late; where they are then `(n, 2)`.
+        Least and greatest station and offset of the agent; first and last station of the ego beside it, infinite where
+        the ego does not get there or is past it too late; the agent's positions then `(n, 2)`.
     """
     s_from, s_to, l_from, l_to, begin, end = inf, -inf, inf, -inf, inf, -inf
     t, stations, (length, width) = ego.t, ego.stations, size
@@ -195,7 +194,7 @@ def _boxes_along(
             turn = interpolated(at, times, futures.yaw[row]) - interpolated(foot, knots, line_yaw)
             c, s = abs(cos(turn)), abs(sin(turn))
             half_s, half_l = 0.5 * (c * length + s * width), 0.5 * (s * length + c * width)
-            if k == 0:  # where they are now
+            if k == 0:  # the present position
                 now_from, now_to = offset - half_l, offset + half_l
             if axle + ego.front > foot - half_s - NEAR_M and axle - ego.rear < foot + half_s:  # (1)
                 if at > t[m - 1] - ego.spare - 0.5 * STEP_S:
@@ -217,13 +216,13 @@ def obstacles_to_pass(
 ) -> InTheWay:  # fmt: skip
     """The input of the path stage, for an ego as in `pass_targets`.
 
-    Those who are to be passed too near to one of the `places`, m, are left out; an ego that passes someone already may
-    be back in its lane nearer to one. `sides`: whether the road left and right of the lane may be borrowed.
+    Agents that the ego would pass too near to one of the `places`, m, are left out; for an agent that it is passing
+    already, the ego may be back in its lane nearer to one. `sides`: whether the ego may borrow the road left and right.
     """
     boxes = []
     for box in (one.box for one in found):
         begin, end = swing_span(box, 0.0 if box.agent in passed else scene.frame.ego.v, scene.vehicle)
-        too_late = scene.front > box.s_from  # to turn back: the ego is beside them
+        too_late = scene.front > box.s_from  # to turn back: the ego is beside the agent
         if too_late or not any(begin < place < end + PLACE_M for place in places):
             boxes.append(box)
     room = scene.vehicle.width + 2.0 * config.min_clearance_m
@@ -246,7 +245,7 @@ def free_stations(t: FloatArray, s_ego: float, v: float, limit: float) -> FloatA
 
 
 def widest_gaps(reference: ReferencePath, boxes: Sequence[Occupancy], *, oncoming: bool = False) -> list[float]:
-    """Between each box and the road's edge at the box's middle, on the side where there is more, m."""
+    """The gap between each box and the road's edge at the box's middle, on the wider side, m."""
     if not boxes:
         return []
     road = reference.at(np.array([box.s_middle for box in boxes]))
@@ -282,11 +281,10 @@ def find_blocking(
 def passed_by_oncoming_lane(
     scene: Scene, blocked: tuple[Occupancy, ...], config: CorridorConfig, stations: FloatArray | None = None
 ) -> frozenset[str]:
-    """The agents that the ego may pass by the oncoming lane: it stays free until the ego is back, and some time more.
+    """The agents that the ego may pass on the oncoming lane: it stays free until the ego is back, and some time more.
 
-    The time that this takes is that of an ego at `stations` `(k,)` at the times of the predictions; None: it counts on
-    driving at least `PASSING_MPS`. What lasts longer than the predictions is refused. Beside the obstacle it is too
-    late to turn back.
+    The time is that of an ego at `stations` `(k,)` at the times of the predictions; None: of one that drives at least
+    `PASSING_MPS`. It must not be longer than the predictions. An ego beside the obstacle can no longer turn back.
     """
     if not blocked:
         return frozenset()
@@ -325,7 +323,7 @@ def passed_by_oncoming_lane(
 
 
 def _in_sight(scene: Scene, place: float, lasts: float) -> bool:
-    """(5), for an ego that is back in its lane at a place (m) and safe after `lasts` s."""
+    """Whether (5) holds for an ego that is back in its lane at a place (m) and safe after `lasts` s."""
     view, reference = scene.frame.visibility, scene.reference
     if view is None:
         return True
@@ -340,7 +338,7 @@ def _in_sight(scene: Scene, place: float, lasts: float) -> bool:
 
 
 def waiting_place(scene: Scene, blocked: tuple[Occupancy, ...], passed: frozenset[str]) -> float:
-    """Station of the rear axle to wait at for the oncoming lane, m; inf where there is none or no need to wait."""
+    """Station of the rear axle to wait at for the oncoming lane, m; inf if there is none or no need to wait."""
     car, waits = scene.vehicle, [box for box in blocked if box.agent not in passed]
     gaps = widest_gaps(scene.reference, waits, oncoming=True)
     places = [

@@ -14,7 +14,7 @@ rear axle (itself the first, lead 0),
 
 (6) l_min,k <= l + lead_k l' <= l_max,k
 
-A corridor that has no solution is asked for once more with (6) softened: a shift e of each bound is paid for with
+Where a corridor has no solution, the problem is solved again with (6) softened: a shift e of each bound costs
 OUTSIDE e^2, so that the path leaves the corridor as little as it must.
 
 The weights grow with the length that a lane shift takes at the speed: w_dl = (a/2)^2, w_ddl = a^4, w_dddl = (0.7 a)^6
@@ -36,7 +36,7 @@ from planners.qp import QPResult
 OUTSIDE = 1e4
 """Cost of a shift of (6), softened, 1/m2."""
 TOLERANCE = 1e-2
-"""By which a solution may violate a bound, in the units of the row."""
+"""Largest violation of a bound in a solution, in the units of the row."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class PathQpConfig:
         knots: Number of knots.
         w_ref: Weight of l^2, 1/m2.
         w_mid: Weight of the distance to the middle of the corridor, 1/m2.
-        settle_s: The settling length is this times the speed, s.
-        min_settle_m: And not less than this, m.
+        settle_s: Settling length per speed, s.
+        min_settle_m: Least settling length, m.
     """
 
     knots: int = 80
@@ -80,13 +80,13 @@ class PathQp:
         self._weights = Weights(config.w_ref + config.w_mid, (0.5 * a) ** 2, a**4, (0.7 * a) ** 6)  # (1) to (5)
 
     def solve(self, problem: PiecewiseJerkProblem, *, softly: bool = False) -> QPResult:
-        """The path in a corridor, which gives way `softly`: x = (l, l', l'') `(3 knots,)`."""
+        """The path in a corridor, which may give way (`softly`): x = (l, l', l'') `(3 knots,)`."""
         stage = "path QP without its corridor" if softly else "path QP"
         asked = problem._replace(soft=OUTSIDE) if softly else problem
         return solve(asked, self._solver, stage=stage, tolerance=TOLERANCE)
 
     def stated(self, start: FloatArray, references: FloatArray, rows: FloatArray) -> PiecewiseJerkProblem:
-        """(1)-(6) for a start (l, l', l'') `(3,)`, with references and rows as of `corridor.loosen_bounds`.
+        """The problem (1)-(6) for a start (l, l', l'') `(3,)`, with references and rows from `corridor.loosen_bounds`.
 
         (1) and (5) together are one square about a point between them: `middle` times the sum of the bounds.
         """

@@ -1,4 +1,4 @@
-"""Path stage: room -> path DP (sides) -> bounds -> path QP -> path, and the S-L graph of it."""
+"""Path stage: corridor -> path DP (sides) -> bounds -> path QP -> path, and its S-L graph."""
 
 from __future__ import annotations
 
@@ -45,19 +45,19 @@ from planners.piecewise_jerk.solvers import DEFAULT
 from planners.qp import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
-"""Path lengths; the shortest that holds the horizon at the present speed is taken, so that weights stay constant, m."""
+"""Path lengths, m; the shortest that holds the horizon at the present speed is used, so that weights stay constant."""
 WAITING_MPS2 = 2.0
-"""Braking with which it stops at the place from which it could pass by the oncoming lane, m/s2."""
+"""Deceleration with which the ego stops where it waits for the oncoming lane, m/s2."""
 JUNCTION_M = 40.0
-"""An agent that stands within this before a place where lanes part or meet waits, and is not passed, m."""
+"""An agent that stands within this before a place where lanes part or meet waits, and the ego does not pass it, m."""
 RELINEARISED = 2
-"""How often a path that cannot keep its bounds is solved anew ..."""
+"""Most further solutions of a path that cannot keep its bounds ..."""
 MOVED_M = 0.02
-"""... until that moves it by less than this, m."""
+"""... until one moves it by less than this, m."""
 LOCK_SLACK = 1.05
-"""A path ends where its curvature is more than this share of the steering lock's."""
+"""A path ends where its curvature is more than this multiple of that at the steering lock."""
 NO_ONE = np.empty((0, 2))
-"""Stations of standing agents where there are none."""
+"""The stations of no standing agent."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class PathConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PathMemory:
-    """Since when each agent has been in the way, s, and the side on which the last path passed it: 1 left, -1 right."""
+    """The time since which each agent has stood in the way, s, and the side of the last path: 1 left, -1 right."""
 
     standing: Mapping[str, float] = field(default_factory=dict)
     sides: Mapping[str, float] = field(default_factory=dict)
@@ -79,10 +79,10 @@ class PathMemory:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ChosenPath:
-    """What the path stage found; where the QP failed no path, and why.
+    """The result of the path stage; where the QP failed, no path, and the reason.
 
-    `passed`: the room that the path leaves to each agent that it passes on purpose, m; `shift`: the largest change of
-    the offset from the reference line within `SHIFT_AHEAD_M`, m; `artefacts` are made when they are read.
+    `passed`: the space between the path and each agent that it passes on purpose, m; `shift`: the largest change of
+    the offset from the reference line within `SHIFT_AHEAD_M`, m; `artefacts` makes them when it is called.
     """
 
     path: Path | None
@@ -95,7 +95,7 @@ class ChosenPath:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Task:
-    """The input of the path QP: the start, the road, and the problem in its room without obstacles.
+    """The input of the path QP: the start, the road, and the problem in its corridor without obstacles.
 
     `space` holds the bounds of the ego's points `(points, knots)`.
     """
@@ -109,9 +109,9 @@ class _Task:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Found:
-    """l, l', l'' `(3, knots)` or None; what the solver answered; what was decided in the end; the problem, reports.
+    """`offsets` l, l', l'' `(3, knots)` or None; the solver's x; the final decisions, bounds, problem, and reports.
 
-    `rooms` as of `bounds.check_clearance`.
+    `rooms` is that of `bounds.check_clearance`.
     """
 
     offsets: FloatArray | None
@@ -139,7 +139,7 @@ class PathStage:
         self._car = np.array([car.max_kappa, car.max_steer_rate / car.wheelbase, curve_accel_mps2])
 
     def choose(self, scene: Scene, memory: PathMemory, moving: InTheWay | None = None) -> tuple[ChosenPath, PathMemory]:
-        """The path from the scene's start, which also passes moving agents; and the memory."""
+        """Choose the path from the scene's start, which also passes the `moving` agents; and the new memory."""
         if scene.trouble:
             return ChosenPath(None, scene.trouble, {}, 0.0, (), tuple), PathMemory()
         task, way, standing = self._task(scene, memory.standing, moving)
@@ -149,7 +149,7 @@ class PathStage:
         found = self._solve_within_bounds(task, way.obstacles, decisions)
         self._lap("path QP")
         path, shift = None, 0.0
-        if found.offsets is not None:  # to where it is to wait, if it can stop there, or turns beyond the lock
+        if found.offsets is not None:  # it ends where the ego waits or where it bends too far
             stops = scene.s + scene.start.v**2 / (2.0 * WAITING_MPS2) < way.wait + 0.5
             until = max(way.wait, scene.s + 1.0) if stops else np.inf
             sharpest = LOCK_SLACK * self._vehicle.max_kappa
@@ -169,9 +169,9 @@ class PathStage:
     def _task(
         self, scene: Scene, before: Mapping[str, float], moving: InTheWay | None
     ) -> tuple[_Task, InTheWay, Mapping[str, float]]:
-        """The corridor without obstacles, who is in the way, and who has stood there since when.
+        """The corridor without obstacles, the agents in the way, and the time since which each has stood there.
 
-        The goal's sides are kept where no standing agent is near.
+        The path keeps the goal's sides unless a standing agent is near.
         """
         reference, car, speed = scene.reference, self._vehicle, scene.start.v
         wanted = (speed + 4.0) * self._horizon + 10.0
@@ -197,7 +197,7 @@ class PathStage:
     def _solve_within_bounds(
         self, task: _Task, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...]
     ) -> _Found:
-        """The path within the bounds, else out of them as little as can be; then without those that it cannot clear."""
+        """The path in the bounds, else as little outside as possible; then without the agents that it cannot clear."""
         config, car = self._config.corridor, self._vehicle
         reports: tuple[SolverReport, ...] = ()
         while True:
@@ -224,7 +224,7 @@ class PathStage:
     ) -> tuple[QPResult, PiecewiseJerkProblem, tuple[SolverReport, ...]]:
         """The path that leaves its bounds as little as it must, the problem that it solves, and all reports.
 
-        Solved anew at most `RELINEARISED` times, with the curvature's bounds at its own offsets.
+        It is solved again at most `RELINEARISED` times, with the curvature's bounds at its own offsets.
         """
         result = task.program.solve(problem, softly=True)
         reports: tuple[SolverReport, ...] = (result.report,)
@@ -241,7 +241,7 @@ class PathStage:
         return result, problem, reports
 
     def _problem(self, task: _Task, space: PathBounds, near: FloatArray) -> PiecewiseJerkProblem:
-        """The path QP in a space, as far as steering can keep it; bounds of the curvature as at offsets `near`."""
+        """The path QP in bounds, loosened to what steering can keep; the curvature's bounds are at offsets `near`."""
         road, program = task.road, task.program
         asked = loosen_bounds(
             road.along, road.points, space.lower, space.upper, near, task.ego, program.step, program.middle
@@ -251,7 +251,7 @@ class PathStage:
     def _in_the_way(
         self, scene: Scene, length: float, standing: Mapping[str, float]
     ) -> tuple[InTheWay, Mapping[str, float]]:
-        """The agents in the way, the free road beside the lane, and since when each agent has stood there."""
+        """The agents in the way, the free road beside the lane, and the time since which each agent has stood there."""
         config, car, agents = self._config.corridor, self._vehicle, scene.frame.agents
         obstacles = bounds.standing_obstacles(scene, length)
         since = {box.agent: standing.get(box.agent, scene.frame.t) for box in obstacles}
@@ -262,7 +262,7 @@ class PathStage:
             return way, since
         near = scene.s + np.arange(0.0, length, 2.0) + np.zeros((1, 1))
         space = bounds.lane_bounds(scene.reference, near, way, scene.start.v, car, config)
-        stay = []  # who will not drive on soon: no vehicles, and those that stood long with nothing to wait for
+        stay = []  # agents that will not drive on soon: objects, and those that have stood long and are in no queue
         for box in find_blocking(obstacles, space, car, config):
             queues = any(box.s_from < place < box.s_to + JUNCTION_M for place in scene.reference.waits)
             has_stood = scene.frame.t - since[box.agent] >= config.patience_s
@@ -279,7 +279,7 @@ class PathStage:
     def _sides(
         self, scene: Scene, task: _Task, way: InTheWay, before: Mapping[str, float]
     ) -> tuple[SlGrid | None, tuple[Decision, ...]]:
-        """On which side each obstacle is passed; the path DP is run only where there is room on both, to decide."""
+        """The side on which each obstacle is passed; the path DP runs only where one has space on both sides."""
         config, car, columns = self._config.corridor, self._vehicle, self._config.dp.columns
         choices = bounds.side_choices(way.obstacles, task.space, car, config)
         if not any(choice.is_open(config.min_clearance_m) for choice in choices):
@@ -306,7 +306,7 @@ class PathStage:
         return grid, tuple(decisions)
 
     def _graph(self, road: RoadAhead, way: InTheWay, grid: SlGrid | None, found: _Found) -> SlGraph:
-        """The S-L graph, with the DP where it was run; its corridor at the knots holds the bounds of all points."""
+        """The S-L graph, with the DP where it ran; its corridor at the knots contains the bounds of all points."""
         offsets, knots, at = found.offsets, road.along[KNOT], found.narrow.s
         points = [X, *range(LEADS, len(found.problem.lower))]
         lower, upper = (of[points] - road.points[SWING] for of in (found.problem.lower, found.problem.upper))

@@ -1,1 +1,1 @@
-"""Speed stage: the order of passing (DP), the smoothest speed (QP), and how hard to brake."""
+"""Speed stage: the order of passing (DP), the smoothest speed (QP), and the strength of braking."""

@@ -1,12 +1,12 @@
-"""How hard to brake: a ladder of limits, of which the first that keeps the bounds is driven.
+"""How hard to brake: a ladder of limits; the ego drives with the first that keeps the bounds.
 
-(1) Comfortable limits, smoothed by the QP; they give up their reserve, then half of the gap.
+(1) Comfortable limits, smoothed by the QP; first with their reserve, then with less, then with half of the gap.
 (2) Hard limits, the mildest with which braking keeps the bounds.
-(3) All that the brakes can do (`UTMOST_MPS3`) where that stays behind, or driving on where that does not touch, or all
-    that the brakes can do.
+(3) Full braking (`UTMOST_MPS3`) where it keeps some of the gap or does not touch, else driving on where that does not
+    touch, else full braking.
 
-Where a QP was asked and has no answer, only rungs with a QP are left, and none where an agent is to be overtaken: what
-one deceleration cannot, another cannot either.
+Where a QP was tried without a solution, only rungs with a QP remain; where an agent is to be overtaken, none remains,
+since another deceleration does not help.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from planners.qp import QPResult
 RESERVE = 0.85
 """Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth."""
 LEAST_RESERVE = 0.97
-"""The same where braking would turn hard otherwise."""
+"""The same where braking would otherwise be hard."""
 TOUCHING = StGraphConfig(margin_m=0.05, vulnerable_margin_m=0.05, passed_margin_m=0.05, early_s=0.0, late_s=0.0)
-"""The footprints, almost: what counts for braking where nothing better than not to touch can be had."""
+"""Nearly the bare footprints: for braking that can do no better than not to touch."""
 BARE = StGraphConfig(margin_m=0.0, vulnerable_margin_m=0.0, passed_margin_m=0.0, early_s=0.0, late_s=0.0)
 """The footprints as predicted."""
 UTMOST_MPS3 = 30.0
-"""Jerk of a full brake, where nothing less will do, m/s3."""
+"""Jerk of full braking, m/s3."""
 ONWARD_S = 0.8
-"""Driving on lets go of the brake and reaches its acceleration within this time, s ..."""
+"""An ego that drives on releases the brake and reaches its acceleration within this time, s ..."""
 RESTING_MPS = 0.5
 """... and does not come to rest: it stays faster than this, m/s."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SolvedSpeed:
-    """The speed found: rows s, v, a `(3, knots)`, or None; why it is not comfortable, or why there is none.
+    """The speed found: rows s, v, a `(3, knots)`, or None; the reason why it is not comfortable, or is None.
 
-    Whether nothing could avoid a contact, whether it brakes as hard as it can, and the QPs that were tried, with
-    answers.
+    Whether no profile avoids a contact, whether it brakes as hard as it can, and the QPs that were tried, with their
+    results.
     """
 
     profile: FloatArray | None
@@ -57,14 +57,14 @@ class SolvedSpeed:
 
     @property
     def reports(self) -> tuple[SolverReport, ...]:
-        """Of all attempts."""
+        """The solver reports of all attempts."""
         return tuple(result.report for _, result in self.attempts)
 
 
 class Rung(NamedTuple):
-    """Braking with a share of limits keeps the bounds, less what is `given` up of the gap, m; smoothed by the QP.
+    """A rung: braking with a share of limits keeps the bounds, with the gap reduced by `given`, m; the QP smooths it.
 
-    `after_full`: whether it may follow full braking, which goes on until the whole gap is kept.
+    `after_full`: whether it may follow full braking, which continues until the whole gap is kept.
     """
 
     limits: SpeedLimits
@@ -75,7 +75,7 @@ class Rung(NamedTuple):
 
 
 class BrakingLadder:
-    """The rungs of (1) and (2), the loop over them, and (3), for a gap that is in the problems' upper bounds, m."""
+    """The rungs of (1) and (2), the loop over them, and (3), for problems whose upper bounds include a gap, m."""
 
     def __init__(self, config: SpeedQpConfig, gap_m: float, most_mps2: float, solver: str = DEFAULT) -> None:
         self._config, self._gap = config, gap_m
@@ -97,10 +97,10 @@ class BrakingLadder:
     def solve(
         self, problem: SpeedProblem, taken: Callable[[StGraphConfig], StBoundaries], *, braked_fully: bool = False
     ) -> SolvedSpeed:
-        """The profile of a frame.
+        """Find the profile of a frame.
 
-        `taken` gives the S-T boundaries with any margins, stops included; `braked_fully`: whether the ego braked as
-        hard as it can, in the frame before.
+        `taken` returns the S-T boundaries with other margins, stops included; `braked_fully`: whether the ego braked as
+        hard as it can in the frame before.
         """
         tried: list[tuple[SpeedProblem, QPResult]] = []
         for rung in self._rungs:
@@ -117,7 +117,7 @@ class BrakingLadder:
                 break
         if tried:
             return SolvedSpeed(None, "speed QP: no profile found", attempts=tuple(tried))
-        # (3): all that the brakes can do where that leaves some of the gap or does not touch; else driving on
+        # (3): full braking where it leaves some of the gap or does not touch; else driving on
         times, full = self._times, self._utmost.braking(problem.start, self._config.knots)
         left = self._gap - float((full[0] - problem.upper).max())
         if left > 0.0:

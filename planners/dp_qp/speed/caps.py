@@ -1,31 +1,31 @@
 """Speed caps: every reason to drive slower than the road allows is a stretch of the path with a speed.
 
 (1) limit(sigma) = min(road(sigma), v of the caps with s_from < sigma <= s_to)
-(2) A cap that is a bound is kept exactly; above any other limit the profile has some room (`speed.problem`).
+(2) The profile keeps a cap that is a bound exactly; it may exceed other limits by a little (`speed.problem`).
 
 A producer is a function `caps(view: PathView) -> tuple[SpeedCap, ...]`; a new one is one line in `OWN` or `OTHERS`.
 
-Most producers ask how fast the ego may pass someone who may come into its way with the speed w (`CautionConfig`: UN
-R157 asks that pedestrians of up to 5 km/h are avoided) from d m beside its side. They need d / w. The ego with its
-front x before them passes first, or it stops:
+Most producers compute how fast the ego may pass an agent that may come into its way with the speed w (`CautionConfig`:
+UN R157 requires that pedestrians of up to 5 km/h are avoided) from d m beside its side, which takes d / w. The ego with
+its front x before the agent passes first, or it stops:
 
 (3) x / v <= d / w                        (4) v T + v^2 / (2 b) <= x              T: reaction, b: deceleration
 
-There is an x at which it can do neither where the greatest x of (3) is less than the least of (4), so that
+There is an x at which it can do neither if the greatest x of (3) is less than the least of (4), so that
 
 (5) v <= max(2 b (d / w - T), `LEAST_MPS`)
 
-keeps the ego safe wherever they come from; at `LEAST_MPS` it creeps past in any case. The cap holds for the front
-beside them; before it, the limit is lowered so that the cap is reached comfortably (`profiles.limit_profile`). It holds
-for those who go along the lane (from as far before them as it takes to stop), for pedestrians and riders who came to
-the path and stand beside it now, and for whoever may step out of hidden ground: in the shadow of agents that do not
-drive, but not where an agent is. The radius of a person belongs to d there. Ground is judged as it is seen now; on
-coming nearer more is seen, and the limit rises. Beyond the sensor's range nothing is seen: there (4) alone limits the
-speed, with x its range.
+keeps the ego safe at any x; at `LEAST_MPS` it creeps past in any case. The cap applies while the front is beside the
+agent; before that, the limit is lowered so that the ego reaches the cap comfortably (`profiles.limit_profile`). It
+applies to agents that move along the lane (from the stopping distance before them), to pedestrians and riders who came
+to the path and stand beside it now, and to people who may step out of hidden ground: ground in the shadow of slow or
+standing agents, but not where an agent is. There d is less by the radius of a person. Hidden ground is that of the
+present frame; as the ego comes nearer, more is visible and the limit rises. Beyond the sensor's range nothing is
+visible: there (4) alone limits the speed, with the range as x.
 
-(6) v <= v_limit max(d / `ROOM_M`, `NUDGE_SHARE`)     beside those who stand, where the path leaves less than `ROOM_M`
+(6) v <= v_limit max(d / `ROOM_M`, `NUDGE_SHARE`)     beside standing agents, where the path leaves less than `ROOM_M`
     (the share is Apollo's `static_obs_nudge_speed_ratio`)
-(7) v <= sqrt(`SWERVE_MPS2` / |kappa - kappa_r|)      where the path swerves from the reference line to pass those that
+(7) v <= sqrt(`SWERVE_MPS2` / |kappa - kappa_r|)      where the path swerves from the reference line to pass agents that
     the ego could follow instead
 """
 
@@ -54,21 +54,21 @@ from planners.rules.zones import TOWARDS_MPS
 WORTH_MPS = 0.5
 """A cap is reported as a decision where it lowers the limit by more than this, m/s."""
 REACTION_S = 0.5
-"""T, s, until the brake bites: a frame, the sensor's latency, the brake's dead time and lag."""
+"""T, s, until the ego brakes: a frame, the sensor's latency, the brake's dead time and lag."""
 LEAST_MPS = 2.5
-"""The ego creeps past with this in any case (5), m/s."""
+"""Least cap (5), at which the ego creeps past, m/s."""
 PERSON_M = 0.3
 """Radius of a person who steps out of hidden ground, m."""
 LOOK_M = 60.0
-"""Distance ahead within which hidden ground and people beside the path are looked for, m ..."""
+"""Distance ahead within which hidden ground and people beside the path are considered, m ..."""
 STEP_M = 1.0
 """... in steps of this, m."""
 SIDE_M = 0.25 * np.arange(1, 15)
-"""Distances from the ego's side at which ground is looked at, m; beyond the last it does not limit a car's speed."""
+"""Distances from the ego's side at which ground is tested, m; ground beyond the last does not limit a car's speed."""
 ROOM_M = 0.5
-"""Room beside standing agents with which the ego passes at the speed limit (6), m."""
+"""Space beside standing agents with which the ego passes at the speed limit (6), m."""
 NUDGE_SHARE = 0.6
-"""Of the limit, where there is hardly any (6)."""
+"""Least share of the speed limit in (6)."""
 SWERVE_MPS2 = 1.6
 """Lateral acceleration of a swerve (7), m/s2."""
 
@@ -78,9 +78,9 @@ class CautionConfig:
     """How the ego prepares for road users who may come into its way.
 
     Attributes:
-        walk_mps: Who may step out, or set off, walks as fast as this: 5 km/h, up to which UN R157 asks to avoid them.
-        ride_mps: Who rides along the lane may swerve into the way as fast as this.
-        hesitates_s: How long someone who came to the path and stands beside it may still set off again.
+        walk_mps: Speed of a person who steps out or sets off: 5 km/h, up to which UN R157 requires to avoid them.
+        ride_mps: Lateral speed of a rider along the lane who swerves into the way.
+        hesitates_s: Time for which a person who came to the path and stands beside it may set off again.
     """
 
     walk_mps: float = 5.0 / 3.6
@@ -97,11 +97,11 @@ class SpeedCap:
     """A reason to drive slower.
 
     Attributes:
-        s_from: Arc length of the rear axle from which it holds, m; `s_to` to which.
+        s_from: Arc length of the rear axle from which it applies, m; `s_to` to which.
         v: The speed, m/s.
-        agent: The agent or thing that it is for; empty where it is not reported.
-        reason: In words.
-        is_bound: Whether the speed is kept exactly (2).
+        agent: Its cause, as the report names it (an agent, "hidden ground"); empty: it is not reported.
+        reason: The reason in words.
+        is_bound: Whether the profile keeps the speed exactly (2).
     """
 
     s_from: float
@@ -117,11 +117,11 @@ class SpeedTask:
     """The input of the speed stage on a path.
 
     Attributes:
-        passed: The room that the path leaves to each agent that it passes while they stand, m.
-        skip: Agents who follow behind `(agents,)`.
+        passed: The space between the path and each standing agent that it passes, m.
+        skip: Which agents follow the ego `(agents,)`.
         stops: The stops that the rules demand on the path.
-        targets: Those who go along the lane where the ego comes beside them; `is_pass`: the path swings out for them.
-        goal: The goal along the lane; `target` what it asks now.
+        targets: Agents along the lane that the ego comes beside; `is_pass`: whether the path swings out for them.
+        goal: The goal along the lane; `target`: its demands now.
     """
 
     passed: Mapping[str, float]
@@ -135,18 +135,18 @@ class SpeedTask:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PathView:
-    """A scene on the path that was chosen: what the producers of caps look at.
+    """A scene on the chosen path: the input of the producers of caps.
 
     Attributes:
         scene: The scene.
         path: The path.
-        task: Who is passed on it, the stops and the goal.
+        task: The agents that it passes, the stops and the goal.
         limit: The road's speed limit along it `(m,)`, m/s.
         taken: When which part of it is taken, and by which agent.
-        came: Who came to the path and when, s.
-        hard_mps2: Deceleration with which the ego must be able to stop for who steps out (b).
-        margin_m: An agent that the path comes nearer to than this is followed, not passed.
-        caution: How fast others may come into the way.
+        came: When each pedestrian or rider was last in the path, s.
+        hard_mps2: Deceleration with which the ego must be able to stop for a person who steps out (b).
+        margin_m: The ego follows an agent that the path comes nearer to than this.
+        caution: How fast agents may come into the way.
     """
 
     scene: Scene
@@ -160,14 +160,14 @@ class PathView:
     caution: CautionConfig
 
     def arc(self, s: float) -> float:
-        """The arc length at a station of the reference path, m; beyond the path's ends as far beyond them."""
+        """The arc length at a station of the reference path, m; extrapolated beyond the path's ends."""
         at, sigma = self.path.s, self.path.sigma
         return float(np.interp(s, at, sigma)) + min(s - float(at[0]), 0.0) + max(s - float(at[-1]), 0.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LoweredLimit:
-    """A speed limit along a path `(m,)`, m/s, where it is kept exactly `(m,)`, and what was decided."""
+    """A speed limit along a path `(m,)`, m/s, where the profile keeps it exactly `(m,)`, and the decisions."""
 
     v: FloatArray
     is_bound: BoolArray
@@ -175,7 +175,7 @@ class LoweredLimit:
 
 
 def lower_limit(sigma: FloatArray, road: LoweredLimit, caps: Sequence[SpeedCap]) -> LoweredLimit:
-    """(1) along a path `(m,)`; a decision for each agent whose cap is worth reporting, the lowest of theirs."""
+    """The limit (1) along a path `(m,)`; a decision for each agent whose cap lowers it noticeably, by the lowest."""
     if not caps:
         return road
     v, bound = road.v.copy(), road.is_bound.copy()
@@ -222,7 +222,7 @@ def goal_and_rules_caps(view: PathView) -> tuple[SpeedCap, ...]:
 def passing_caps(view: PathView) -> tuple[SpeedCap, ...]:
     """(6) beside standing agents that are passed, (5) beside agents that go along the lane.
 
-    Of these, who comes nearer to the path than the margin is followed, in the S-T graph.
+    An agent along the lane that is nearer to the path than the margin has no cap: the ego follows it, by the S-T graph.
     """
     scene, path, agents, found = view.scene, view.path, view.scene.frame.agents, []
     for name, d in view.task.passed.items():
@@ -268,7 +268,7 @@ def came_to_path(
 ) -> Mapping[str, float]:
     """When each pedestrian or rider was last in the path, s, for the next frames.
 
-    `came` is that of the frames before; those who took it longer ago than `hesitates_s` are forgotten.
+    `came` is that of the frames before; entries older than `hesitates_s` are dropped.
     """
     if not (came or len(taken)):
         return came
@@ -278,7 +278,7 @@ def came_to_path(
 
 
 def hesitation_caps(view: PathView) -> tuple[SpeedCap, ...]:
-    """(5) beside each who came to the path, does not take it now, and stands: they may set off again at any moment."""
+    """(5) beside each agent that came to the path, does not take it now, and stands: it may set off at any moment."""
     if not view.came:
         return ()
     scene, path, agents, found = view.scene, view.path, view.scene.frame.agents, []
@@ -300,7 +300,7 @@ def hesitation_caps(view: PathView) -> tuple[SpeedCap, ...]:
 
 
 def hidden_ground_caps(view: PathView) -> tuple[SpeedCap, ...]:
-    """(5) beside hidden ground, up to the first agent who is in the way and sees beyond; (4) for the sensor's range."""
+    """(5) beside hidden ground, up to the first agent that takes the path; (4) for the sensor's range."""
     seen, scene = view.scene.frame.visibility, view.scene
     if seen is None:
         return ()
@@ -326,7 +326,7 @@ def hidden_beside(
 ) -> list[Hidden]:
     """The nearest hidden ground on either side of the path, at most one per point, from the front to `until` m.
 
-    Shadows of agents who are faster than `walk`, m/s, do not count: pedestrians do not come out behind them.
+    Shadows of agents that are faster than `walk`, m/s, are left out: pedestrians do not come out behind them.
     """
     shadows = view.shadows
     if len(agents):
@@ -369,6 +369,6 @@ def _points_in_boxes(points: FloatArray, boxes: FloatArray) -> BoolArray:
 Producer = Callable[[PathView], tuple[SpeedCap, ...]]
 
 OWN: tuple[Producer, ...] = (goal_and_rules_caps,)
-"""Caps that hold on an empty road, too: the time lost to others is counted against these."""
+"""Caps that also apply on an empty road: the time lost to other agents is relative to these."""
 OTHERS: tuple[Producer, ...] = (passing_caps, swerve_caps, hidden_ground_caps, hesitation_caps)
-"""Caps for the sake of others, seen or hidden."""
+"""Caps because of other road users, visible or hidden."""

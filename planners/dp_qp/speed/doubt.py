@@ -3,20 +3,20 @@
 A row of the S-T boundaries has the weight p = p_said p_exist p_enter, with
 
 (1) p_said = min(q / (2 UNLIKELY), 1)                     q: probability of the predicted hypothesis
-(2) p_exist = min(age / `AGE_S`, 1) exp(-(unseen - u0) / `UNSEEN_S`)     u0: of the agent that was seen last
+(2) p_exist = min(age / `AGE_S`, 1) exp(-(unseen - u0) / `UNSEEN_S`)     u0: that of the agent seen most recently
 (3) p_enter = Phi((w t - d) / sqrt(`PLACE_M`^2 + (sigma t)^2) - 1)
 
-d is what lies between the agent's side and the strip of the path that they enter, w the velocity towards it, t when
-they leave it, sigma the velocity's deviation, at least `DRIFT_MPS`. Who walks towards the path is not
-doubted for being new, nor for walking slowly: (3) and the age's share of (2) are 1. (3) is also 1 of who is in the
-strip, and both are of who takes the path now.
+d is the distance between the agent's side and the strip of the path that it enters, w its velocity towards the strip, t
+the time when it leaves it, sigma the standard deviation of the velocity, at least `DRIFT_MPS`. For an agent that walks
+towards the path, (3) and the factor of the age in (2) are 1, so that being new or slow is no doubt. (3) is also 1 for
+an agent that walks away or is in the strip; (2) and (3) are 1 for one that takes the path now.
 
-(4) Rows of p >= `CERTAIN` bind. Others are safe where a stop with `SHARED_MPS2`, `SHARED_S` after now, stays behind, or
-    the planned profile clears them; of the rest those above `NEGLIGIBLE` bind as far as comfortable braking can keep
-    them: what it cannot keep is let go.
-(5) So are vehicles from behind, from the side or from ahead that are not in the way now, where comfort does not keep
-    the bounds, and either p < `SURE` or full braking would not avoid them.
-(6) Who is followed and brakes may go on to brake, by `ERROR_MPS2` less than now, down to a stop.
+(4) Rows of p >= `CERTAIN` bind. Other rows are safe where a stop with `SHARED_MPS2`, `SHARED_S` from now, stays behind
+    them, or the planned profile clears them. The rest, above `NEGLIGIBLE`, binds only as far as comfortable braking can
+    keep it.
+(5) The same holds for vehicles from behind, from the side or from ahead that are not in the way now, where comfortable
+    braking does not keep the bounds, and either p < `SURE` or full braking would not avoid them.
+(6) An agent that is followed and brakes is assumed to brake to a stop, with a deceleration less by `ERROR_MPS2`.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ from planners.frenet.st_boundaries import ALONG, StBoundaries, Way
 CERTAIN, NEGLIGIBLE, SURE = 0.5, 0.05, 0.8
 AGE_S, UNSEEN_S = 0.8, 0.3
 LEAST = 0.1
-"""p_exist of a road user that is seen for the first time: it is doubted, not neglected."""
+"""p_exist of a road user that is seen for the first time: its weight is low, but not 0."""
 PLACE_M, DRIFT_MPS = 0.3, 0.5
 WALK_MPS = 3.0
-"""An agent faster than this does not walk: it is a rider, or a detector's error."""
+"""A pedestrian or object faster than this does not walk: it is a rider, or an error of the detector."""
 SHARED_MPS2, SHARED_S = 3.0, 0.5
 ERROR_MPS2, MOST_MPS2 = 0.5, 8.0
-"""Error of a measured deceleration; and the greatest that is believed."""
+"""Error of a measured deceleration, and the greatest deceleration that is used, m/s2."""
 WALKERS = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
-"""Kinds, by their codes, that count as walking when slow: an agent that a detector cannot name may be on foot."""
+"""Kinds, by code, that walk when they are slow: an agent that a detector cannot classify may be on foot."""
 
 
 class Seen(NamedTuple):
-    """What perception knows of the agents `(n,)`, as in `Agents`, and who walks."""
+    """Perception's data on the agents `(n,)`, as in `Agents`, and which of them walk."""
 
     age: FloatArray
     unseen: FloatArray
@@ -58,7 +58,7 @@ class Seen(NamedTuple):
 
 
 def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
-    """P of the rows `(n,)`."""
+    """The weights p of the rows `(n,)`."""
     agents, line, car = scene.frame.agents, scene.reference.line, scene.vehicle
     seen = Seen(agents.age, agents.unseen, agents.velocity_sigma, _walks(scene))
     way, ego = Way(path.sigma, path.x, path.y, path.yaw), (car.axle_to_front, car.width)
@@ -73,7 +73,7 @@ def _weights(
     t: FloatArray, agent: IntArray, lower: FloatArray, said: FloatArray, seen: Seen, along: AgentsAlong,
     bodies: Bodies, knots: FloatArray, coef: FloatArray, way: Way, stations: FloatArray, ego: tuple[float, float],
 ) -> FloatArray:  # fmt: skip
-    """`weights`: `t` to `said` of the rows, a reference's `knots` and `coef`, a path; the ego's front and width, m."""
+    """`weights`; `t` to `said` belong to the rows, `knots` and `coef` to the reference; `ego`: front and width, m."""
     out, last = np.empty(len(agent)), inf
     age, unseen, walks, length, width = seen.age, seen.unseen, seen.walks, bodies.length, bodies.width
     for since in unseen:
@@ -103,7 +103,7 @@ def _weights(
 
 
 def from_beside(scene: Scene, rows: StBoundaries) -> BoolArray:
-    """Which rows `(n,)` are of (5): of vehicles that are not in the way, but for those ahead that go the same way."""
+    """Which rows `(n,)` are those of (5): of vehicles not in the way now, except those ahead in the ego's direction."""
     agents, along = scene.frame.agents, scene.agents
     aside = (along.s + 0.5 * agents.length < scene.front) | (along.v_s < np.abs(along.v_l))
     return (aside & ~_walks(scene))[rows.agent] & np.isnan(rows.lower[:, 0])
@@ -114,7 +114,7 @@ def _walks(scene: Scene) -> BoolArray:
 
 
 def extend_braking(scene: Scene, rows: StBoundaries) -> StBoundaries:
-    """(6): the rows, in which followed agents that brake come to a stop."""
+    """Apply (6): followed agents that brake come to a stop."""
     accel = scene.frame.agents.accel[rows.agent]
     if not (accel < -ERROR_MPS2).any():
         return rows
@@ -129,6 +129,6 @@ def extend_braking(scene: Scene, rows: StBoundaries) -> StBoundaries:
 
 
 def relax_rows(rows: StBoundaries, which: BoolArray, stop: FloatArray, gap: float) -> StBoundaries:
-    """(4), (5): the rows, those `which` `(n,)` no nearer than a comfortable stop `(k,)` with its gap can keep."""
+    """Apply (4), (5): rows `which` `(n,)` bind only as far as a comfortable stop `(k,)` can keep the gap."""
     lower = np.where(which[:, None], np.maximum(rows.lower, stop + gap), rows.lower)
     return replace(rows, lower=lower, upper=np.maximum(rows.upper, lower))

@@ -5,15 +5,15 @@ the best way to its first node, an acceleration and a jerk (as in Apollo's EM pl
 quite Markov). Cost of an edge:
 
 (1) w_t max(dt - T(s_k) + T(s_j), 0) + w_v (v - v_limit)^2 above the limit + w_a a^2 + w_j jerk^2 + mean over the
-    edge of map(t, s), where T(s) = integral of ds / v_limit: w_t weighs the time that the edge loses
+    edge of map(t, s), where T(s) = integral of ds / v_limit: w_t is the weight of the time that the edge loses
 (2) map = COLLISION within `gap_m` of a blocked interval; w_near (1 - gap / wanted)^2 where the gap before or behind it
     is less than wanted = d_0 + tau v_agent
 (3) cost[i, k] = min over j  cost[i-1, j] + edge(j, k); ties (within `TIE`: time lost early or late costs
     the same) go to the smaller s
 
-A distance to the limit, squared, would have the ego linger before a faster road rather than be slow on it; what time
-is lost in all does not depend on where it is lost. Row spacing and column spacing belong together: a step of one row in
-one column is ds / dt^2 = 0.5 m/s2.
+With the squared distance to the limit as a cost, the ego would linger before a faster road rather than be slow on it;
+the total of the lost time does not depend on where it is lost. Row and column spacing go together: a step of one row
+in one column is ds / dt^2 = 0.5 m/s2.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ import numpy as np
 from logs.kernel import TIE, FloatArray, IntArray, inner_kernel, kernel
 
 COLLISION = 1e5
-"""Cost of a second inside a blocked interval (2): more than all others together."""
+"""Cost of a second inside a blocked interval (2): more than all other costs together."""
 LIKELY = 300.0
-"""The best way rarely costs more than this: dearer ones are followed only if there is none cheaper."""
+"""The best solution rarely costs more than this: dearer ones are searched only if there is no cheaper one."""
 DT_S = 1.0
-"""Between two columns, s."""
+"""Distance between two columns, s."""
 DS_M = 0.5
-"""Between two rows, m."""
+"""Distance between two rows, m."""
 SLOWEST_MPS = 0.5
-"""The time lost is counted against this where the limit is lower, m/s."""
+"""Least speed limit in the computation of lost time, m/s."""
 
 
 class SpeedDpWeights(NamedTuple):
@@ -59,7 +59,7 @@ class SpeedDpConfig:
             nearness.
         gap_m: Smallest gap to a blocked interval.
         standstill_gap_m: Wanted gap to an agent that stands.
-        time_gap_s: Wanted gap per speed of the one ahead.
+        time_gap_s: Wanted gap per speed of the agent.
         max_accel_mps2: Acceleration of an edge; `max_decel_mps2` its deceleration.
     """
 
@@ -77,7 +77,7 @@ class SpeedDpConfig:
 
     @property
     def weights(self) -> SpeedDpWeights:
-        """As the kernel takes them."""
+        """The weights in the form that the kernel takes."""
         return SpeedDpWeights(self.w_t, self.w_v, self.w_a, self.w_j, self.max_accel_mps2, self.max_decel_mps2)
 
     def __post_init__(self) -> None:
@@ -121,7 +121,7 @@ def occupied_rows(
     rows: int, lower: FloatArray, upper: FloatArray, speed: FloatArray, wanted: tuple[float, float], per_column: int,
     columns: int,
 ) -> IntArray:  # fmt: skip
-    """First and last row where the map (2) is not zero while an edge goes to the next column `(columns, 2)`."""
+    """First and last row where the map (2) is not 0 during the edge to each next column `(columns, 2)`."""
     found = np.empty((columns, 2), np.int64)
     for column in range(columns):
         found[column, 0], found[column, 1] = rows, -1
@@ -145,12 +145,12 @@ def speed_dp(
     Args:
         occupancy: The map (2) `(k, rows)`, `per_column` time samples to a column, the first at t = 0.
         occupied: First and last row where it is not zero, for each column after the start `(columns, 2)`.
-        per_column: See there.
+        per_column: Time samples of `occupancy` per column.
         limit: Speed limit at the rows `(rows,)`, m/s.
         start: Speed and acceleration of the ego.
-        weights: Of (1), and the limits of an edge.
-        worth: No way is followed that costs as much. Costs do not fall along a way, so that the way that is chosen is
-            the same with any that is by more than the ties above what it costs.
+        weights: Weights of (1), and the limits of an edge.
+        worth: Nodes that cost this or more are not continued. Costs do not fall along a solution, so any value that
+            exceeds the cost of the best one by more than the ties gives the same result.
     """
     rows, columns = len(limit), len(occupied)
     needed = np.zeros(rows)
@@ -168,7 +168,7 @@ def speed_dp(
             v0 = speed[i, j]
             low = max(0, int(np.ceil((v0 - weights.max_decel * DT_S) * DT_S / DS_M - TIE)))
             high = min(max(low, int((v0 + weights.max_accel * DT_S) * DT_S / DS_M + TIE)), rows - 1 - j)
-            for k in range(j + low, j + high + 1):  # without the map: no branch, so quick
+            for k in range(j + low, j + high + 1):  # without the map: no branch, which is fast
                 v = (k - j) * DS_M / DT_S
                 a = (v - v0) / DT_S
                 lost, over = max(DT_S - needed[k] + needed[j], 0.0), max(v - limit[k], 0.0)

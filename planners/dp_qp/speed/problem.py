@@ -1,13 +1,13 @@
 """The speed QP's problem: the limit ahead, the speed DP where it decides, references and bounds.
 
-(1) Limit: that of the path with its caps, 0 from `standstill_gap` before the first that stands in the way on, with
-    curves and comfortable braking in it (`profiles.limit_profile`)
+(1) Limit: that of the path with its caps, 0 from `standstill_gap` before the first standing agent in the way, including
+    curves and comfortable braking (`profiles.limit_profile`)
 (2) References: driving at the limit (`profiles.cruising`), not ahead of the speed DP where an agent moves
-(3) Bounds of s: `gap` below those that the ego yields to, `gap` above those that it overtakes, before the stops
-(4) Bound of v: the limit at the reference with some room, but at least the braking that leads there
+(3) Bounds of s: `gap` below agents that the ego yields to, `gap` above those that it overtakes, and before the stops
+(4) Bound of v: the limit at the reference plus `SPEED_ROOM_MPS`, but at least the braking that leads there
 
-The speed DP is left out where it decides nothing: where all who are in the way stand there from now on, so that the ego
-cannot be past them at t = 0, and no stop is known to end.
+The speed DP is left out where it decides nothing: where all agents in the way stand and are there at t = 0, ahead of
+the ego, and no stop is known to end.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from planners.frenet.scene import STANDING_MPS
 from planners.frenet.st_boundaries import OVERTAKE, YIELD, decide
 
 SPEED_ROOM_MPS = 0.8
-"""Room above the limit, m/s, but not above a cap that is a bound: it makes the profile smooth."""
+"""Excess of the bound of v over the limit, m/s, so that the profile is smooth; a cap that is a bound has none."""
 TILT_MPS2 = 4.0
-"""Lateral acceleration for which a curve is braked for as hard as comfort allows, instead of with `ease_mps2`, m/s2."""
+"""Lateral acceleration above which the ego brakes for a curve with comfort's limits, not with `ease_mps2`, m/s2."""
 STAY_M = 0.05
-"""Least upper bound of s: to stand still is always allowed, m."""
+"""Least upper bound of s, so that standing still is always allowed, m."""
 
 
 class PathLimits(NamedTuple):
@@ -37,8 +37,8 @@ class PathLimits(NamedTuple):
 
     Attributes:
         sigma: Arc lengths, m; `kappa` of the path, 1/m.
-        own: Speed limit on an empty road, m/s; `limit` for the sake of others, too, where it `is_lowered`.
-        is_bound: Where that is kept exactly.
+        own: Speed limit on an empty road, m/s; `limit` is that with all road users.
+        is_bound: Where the profile keeps `limit` exactly.
         is_lowered: Whether `limit` may differ from `own`.
     """
 
@@ -51,13 +51,13 @@ class PathLimits(NamedTuple):
 
 
 class Taken(NamedTuple):
-    """When agents take the path, and what stops the ego.
+    """When agents take the path, and the stops of the ego.
 
     Attributes:
         t: Times of the boundaries `(k,)`, s; `lower`, `upper` `(n, k)`, `speed` `(n,)` as in `StBoundaries`.
         pace: Speeds of their agents `(n,)`, m/s.
-        may_overtake: `(n,)`, False: the ego yields to an agent instead of overtaking it.
-        stops: Columns station, time until which it holds, of the stops on the path `(stops, 2)`, m, s.
+        may_overtake: `(n,)`; False: the ego yields to the agent instead of overtaking it.
+        stops: Columns station, m, and end time, s, of the stops on the path `(stops, 2)`.
     """
 
     t: FloatArray
@@ -70,12 +70,12 @@ class Taken(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Of the speed stage, for the kernel: as in `SpeedQpConfig` and `SpeedDpConfig`.
+    """Settings of the speed stage for the kernel, as in `SpeedQpConfig` and `SpeedDpConfig`.
 
     Attributes:
-        knots: Of the profile; `curve_accel` m/s2, `ease` m/s2.
+        knots: Number of knots of the profile; `curve_accel` and `ease`, m/s2.
         soft: Limits of comfort.
-        columns: Of the speed DP; `weights`, `gap` m, `standstill_gap` m, `w_near` likewise.
+        columns: Columns of the speed DP; `weights`, `gap` m, `standstill_gap` m, `w_near` likewise.
     """
 
     knots: int
@@ -90,15 +90,15 @@ class Settings(NamedTuple):
 
 
 class BuiltProblem(NamedTuple):
-    """A problem and what it came from.
+    """A problem and the data that it was built from.
 
     Attributes:
-        problem: For the ladder.
+        problem: The problem for the ladder.
         kinds: Codes of the decisions about the boundaries `(n,)` (`st_boundaries`, (4)).
-        free_m: How far the ego would come with no other road user in the way, m.
-        cost: Of the speed DP's grid `(columns + 1, rows)`, whole where it `is_drawn`; empty where it was not run.
-        chosen: Its rows `(columns + 1,)`.
-        s_dp: Its stations at the profile's knots `(knots,)`, zeros where it was not run, m.
+        free_m: Distance that the ego would drive with no road user in the way, m.
+        cost: Cost of the speed DP's grid `(columns + 1, rows)`, complete if `is_drawn`; empty where the DP did not run.
+        chosen: The DP's rows `(columns + 1,)`.
+        s_dp: The DP's stations at the profile's knots `(knots,)`, m; zeros where it did not run.
     """
 
     problem: SpeedProblem
@@ -113,13 +113,13 @@ class BuiltProblem(NamedTuple):
 def build_problem(
     path: PathLimits, taken: Taken, start: tuple[float, float], time_gap: float, is_drawn: bool, settings: Settings
 ) -> BuiltProblem:
-    """The problem on a path that is taken, from a speed and an acceleration; `time_gap`: per speed of the one ahead, s.
+    """Build the problem on a path from `start` (speed, acceleration); `time_gap`: wanted gap per speed of an agent, s.
 
-    `is_drawn`: whether the speed DP is wanted even where it decides nothing, and all of its costs.
+    `is_drawn`: whether the speed DP also runs where it decides nothing, with all of its costs.
     """
     sigma, kappa, ease = path.sigma, path.kappa, settings.ease
     lower, upper, stops, n = taken.lower, taken.upper, taken.stops, len(taken.pace)
-    first, moves, waits = inf, False, True  # station of the first who stands; whether all are there at t = 0
+    first, moves, waits = inf, False, True  # station of the first standing agent; whether all are there at t = 0
     for i in range(n):
         stands = taken.pace[i] < STANDING_MPS
         moves |= not stands
@@ -166,7 +166,7 @@ def build_problem(
 
 @inner_kernel
 def _free(sigma: FloatArray, v_limit: FloatArray, start: tuple[float, float], settings: Settings) -> FloatArray:
-    """Rows s, v `(2, knots)` of driving at a limit."""
+    """Rows s, v `(2, knots)` of driving at a limit on a free road."""
     soft = settings.soft
     return cruising(sigma, v_limit, start[0], start[1], soft.accel, soft.decel, soft.jerk, STEP_S, settings.knots)
 
@@ -185,7 +185,7 @@ def _search(
     v_limit: FloatArray, sigma: FloatArray, taken: Taken, start: tuple[float, float], time_gap: float,
     settings: Settings, worth: float,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
-    """Cost of the speed DP's grid and its solution: no gap is wanted beyond that of the stops."""
+    """Cost of the speed DP's grid, and its solution; stops have no gap beyond their own."""
     t, lower, upper, speed, stops = taken.t, taken.lower, taken.upper, taken.speed, taken.stops
     rows = int(sigma[-1] / DS_M + 1e-6) + 1
     limit = _resample(DS_M, rows, sigma, v_limit)
@@ -227,7 +227,7 @@ def _speed_bound(
 
 @inner_kernel
 def _station_bounds(taken: Taken, kinds: IntArray, length: float, settings: Settings) -> tuple[FloatArray, FloatArray]:
-    """Bounds of s `(knots,)` (3); of two samples that are as near to a knot, the stricter one counts."""
+    """Bounds of s `(knots,)` (3); of two samples equally near to a knot it takes the stricter one."""
     t, lower, upper, stops = taken.t, taken.lower, taken.upper, taken.stops
     low, high = np.zeros(settings.knots), np.full(settings.knots, length)
     reach = (0.5 * (t[1] - t[0]) if len(t) > 1 else inf) + 1e-9

@@ -7,8 +7,8 @@ Unknown s, v, a at knots every 0.1 s, piecewise-constant jerk (`planners.piecewi
 subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit (`planners.frenet.profiles`, (1)), a and
 jerk limits, and the start.
 
-(2) Which limits of acceleration and jerk: `braking` takes the mildest with which braking keeps s_upper, so that the
-    problem has a solution. Braking that is harder than comfort may be let go with `RELEASE_MPS3`, down to comfort.
+(2) `braking` takes the mildest limits of acceleration and jerk with which braking keeps s_upper, so that the problem
+    has a solution. Braking that is harder than comfort may be released with `RELEASE_MPS3`, down to comfort.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.qp import QPResult
 
 Rows = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""As from `rows_of`."""
+"""The result of `rows_of`."""
 NO_LEADS = np.empty(0)
 """A speed profile has no points ahead of the rear axle."""
 LIMIT_ROOM_MPS = 0.05
-"""Room that the bound of the speed leaves above the braking that it must hold, m/s."""
+"""Distance of the speed's bound above the braking profile that must stay below it, m/s."""
 REST_MPS = 1e-3
 """Speed below which a profile rests, m/s ..."""
 REST_MPS2 = 0.02
 """... and acceleration, m/s2."""
 TOLERANCE = 0.05
-"""By which a solution may violate a bound, in the units of the row."""
+"""Largest violation of a bound in a solution, in the units of the row."""
 RELEASE_MPS3 = 15.0
-"""Jerk with which braking that is harder than comfort may be let go, m/s3."""
+"""Jerk with which braking that is harder than comfort may be released, m/s3."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class SpeedQpConfig:
 
     Attributes:
         knots: Number of knots, 0.1 s apart.
-        w_s: Weights of (1); `w_v`, `w_a`, `w_j` likewise.
-        comfort: Limits that are tried first.
+        w_s: Weight of (1); `w_v`, `w_a`, `w_j` likewise.
+        comfort: Limits to try first.
         emergency: Limits where comfort cannot keep a bound.
         curve_accel_mps2: Lateral acceleration in curves.
         ease_mps2: Deceleration b of `planners.frenet.profiles`, (1).
@@ -73,7 +73,7 @@ class SpeedQpConfig:
             raise ValueError("speed QP needs at least 11 knots and positive limits")
 
     def ladder(self) -> tuple[SpeedLimits, ...]:
-        """From comfort to emergency, so that the ego brakes no harder than is needed; jerk rises later than braking."""
+        """From comfort to emergency, so that braking is no harder than needed; jerk rises later than braking."""
         low, high = self.comfort, self.emergency
         decel, jerk = high.decel_mps2 - low.decel_mps2, high.jerk_mps3 - low.jerk_mps3
         between = (
@@ -109,7 +109,7 @@ class SpeedProblem(NamedTuple):
 
     @property
     def overtakes(self) -> bool:
-        """Whether an agent is to be overtaken: what one deceleration cannot, another cannot either."""
+        """Whether an agent is to be overtaken: then another deceleration does not help."""
         return bool((self.lower > 0.0).any())
 
 
@@ -126,7 +126,7 @@ class SpeedQp:
         return solve(stated, self._solver, stage="speed QP", tolerance=TOLERANCE)
 
     def costs(self, x: FloatArray, problem: SpeedProblem) -> CostTerms:
-        """(1) of a profile, by term."""
+        """The terms of (1) of a profile."""
         s, v, a = x.reshape(3, self._config.knots)
         c = self._config
         values = {
@@ -142,8 +142,8 @@ class SpeedQp:
 def rows_of(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> Rows:
     """Start s, v, a `(3,)`, references of s and v `(2, n)`, lower and upper bounds of s, v, a, jerk `(4, n)`.
 
-    Bounds of the acceleration hold the start's as far as half of the jerk leads back from it. `comfort`: deceleration,
-    m/s2; harder braking may be let go (2).
+    The bounds of the acceleration contain that of the start, and return from it with half of the jerk. `comfort`:
+    deceleration, m/s2; harder braking may be released (2).
     """
     n, a0 = len(problem.upper), problem.start[1]
     lower, upper, references = np.zeros((4, n)), np.empty((4, n)), np.empty((2, n))
@@ -167,8 +167,8 @@ def ease_problem(
 ) -> tuple[bool, SpeedProblem, Rows]:
     """Whether braking with a share of the limits keeps the bounds, and the QP for it.
 
-    The gap may shrink by `given` m; the path's end stays. The start is one from which the jerk can stop before
-    reversing, the bounds hold the braking.
+    The gap may shrink by `given` m, but not beyond the path's end. The start's deceleration is reduced until the jerk
+    can release it before the ego would reverse; the bounds contain the braking profile.
     """
     v0 = problem.start[0]
     a0 = max(problem.start[1], -sqrt(2.0 * 0.9 * limits.jerk * v0))
@@ -182,9 +182,9 @@ def ease_problem(
 
 @kernel
 def tidy_profile(x: FloatArray) -> FloatArray:
-    """A profile x = (s, v, a) `(3 n,)` without the solver's last micrometres, rows `(3, n)`.
+    """Remove the solver's residual motion from a profile x = (s, v, a) `(3 n,)`; returns rows `(3, n)`.
 
-    Never backwards, exactly at rest where it rests.
+    The result never moves backwards, and is exactly at rest where it rests.
     """
     out = x.copy().reshape(3, len(x) // 3)
     furthest = 0.0

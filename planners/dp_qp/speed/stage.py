@@ -1,7 +1,7 @@
-"""Speed stage: S-T boundaries, caps -> speed DP (order of passing) -> bounds -> speed QP (how hard), and the S-T graph.
+"""Speed stage: S-T boundaries, caps -> speed DP (order of passing) -> bounds -> speed QP (profile), and the S-T graph.
 
-How far a prediction binds is decided in `doubt`. An agent that was let go first stays first, unless the ego could be
-first with `CHANGE_S` to spare.
+`doubt` decides how far a prediction binds. An agent that the ego yielded to stays first, unless the ego could be first
+with `CHANGE_S` to spare.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ from planners.frenet.st_boundaries import (
 from planners.piecewise_jerk.solvers import DEFAULT
 
 CHANGE_S = 0.5
-"""How much later the ego could still be first where it now waits, s."""
+"""Delay with which the ego must still be first to overtake an agent that it yielded to, s."""
 DOUBTED = "that is doubted: comfortable braking is all that is done"
 
 
 ORDERS = {DecisionKind.YIELD: ("yielding", 1e6), DecisionKind.OVERTAKE: ("going first", -1e6)}
-"""The orders of passing between which the speed DP decides: the name, and the bound (m) that leaves it alone."""
+"""The orders of passing between which the speed DP decides: name, and the bound (m) that leaves only this order."""
 COLLIDES = 0.01 * COLLISION
-"""A way of the DP that costs more is inside a blocked interval."""
+"""A solution of the DP that costs more is inside a blocked interval."""
 NO_STOPS = np.empty((0, 2))
-"""Where the rules demand none."""
+"""No stops."""
 DRAWN_ROWS = 4
-"""Step between the grid's rows that are drawn: a picture does not need more."""
+"""Step between the grid's rows in the S-T graph: a picture does not need more."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class SpeedConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SpeedMemory:
-    """What the speed stage remembers: whether it braked fully, who came to the path when, s, who was let go first."""
+    """Memory of the speed stage: whether it braked fully, when agents came to the path, s, and those it yielded to."""
 
     braked_fully: bool = False
     came: Mapping[str, float] = field(default_factory=dict)
@@ -82,10 +82,10 @@ class SpeedMemory:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ChosenSpeed:
-    """What the speed stage found: rows s, v, a `(3, knots)` every 0.1 s, or None and why; or what it could not keep.
+    """The result of the speed stage: rows s, v, a `(3, knots)` every 0.1 s, or None; the reason if not comfortable.
 
-    Whether even the hardest braking would meet an agent; the station at the horizon's end on a free road, m;
-    `artefacts` are made when they are read.
+    `unavoidable`: whether even the hardest braking would meet an agent; `free_m`: the station at the horizon's end on a
+    free road, m; `artefacts` makes them when it is called.
     """
 
     profile: FloatArray | None
@@ -100,7 +100,7 @@ class ChosenSpeed:
 class _Way:
     """The input of a plan: the scene on its path, the limits there and decisions of the caps, the stops, the memory.
 
-    `taken` gives the boundaries of some agents with other margins, stops included.
+    `taken` returns the boundaries of some agents with other margins, stops included.
     """
 
     view: PathView
@@ -113,7 +113,7 @@ class _Way:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Planned:
-    """A solved speed and what it came from."""
+    """A solved speed and the data that it was made from."""
 
     solved: SolvedSpeed
     built: BuiltProblem
@@ -138,7 +138,7 @@ class SpeedStage:
         )  # fmt: skip
 
     def choose(self, scene: Scene, path: Path, task: SpeedTask, memory: SpeedMemory) -> tuple[ChosenSpeed, SpeedMemory]:
-        """The speed along a path; and what is remembered."""
+        """Choose the speed along a path; and the new memory."""
         config = self._config
         found = doubt.extend_braking(scene, st_boundaries(scene, path, task.skip, task.passed, config.graph))
         self._lap("S-T graph")
@@ -152,7 +152,7 @@ class SpeedStage:
         limit = lower_limit(path.sigma, own, [cap for caps in OTHERS for cap in caps(view)])
 
         def taken(who: IntArray, margins: StGraphConfig) -> StBoundaries:
-            """The boundaries with other margins: of these agents."""
+            """The boundaries of these agents with other margins."""
             skip = np.ones(len(task.skip), np.bool_)
             skip[who] = False
             rows = doubt.extend_braking(scene, st_boundaries(scene, path, skip, task.passed, margins))
@@ -171,7 +171,7 @@ class SpeedStage:
         return chosen, SpeedMemory(solved.is_full, came, waits)
 
     def _plan_with_doubt(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries]:
-        """The speed that keeps to the rows as far as they are believed (`doubt`), and the rows that do not bind."""
+        """The speed that keeps the rows as far as they bind (`doubt`), and the rows that do not bind."""
         if not len(found):
             return self._plan_within(way, found), found
         scene = way.view.scene
@@ -201,10 +201,10 @@ class SpeedStage:
         return planned, replace(found, probability=p).only(~binds)
 
     def _plan_within(self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None) -> _Planned:
-        """The speed that keeps to these boundaries; those of the agents `sure` (None: all) with other margins, too.
+        """The speed that keeps these boundaries; those of the agents `sure` (None: all) with other margins, too.
 
-        Who would be overtaken by a profile that does not stay clear of them is yielded to: the DP knows nothing of
-        jerk.
+        Where a profile overtakes an agent without staying clear of it, the ego yields to it instead: the DP has only a
+        coarse jerk.
         """
         who, ids = blocks.agent if sure is None else sure, way.view.scene.frame.agents.ids
         may, solved = np.ones(len(blocks), np.bool_), SolvedSpeed(None, "")
@@ -235,7 +235,7 @@ class SpeedStage:
         return build_problem(way.limits, taken, (scene.v, scene.start.a), gap, is_drawn, self._settings)
 
     def _artefacts(self, way: _Way, planned: _Planned, unlikely: StBoundaries) -> tuple[Artefact, ...]:
-        """Graph (with the DP where it was run), decisions, costs and reports."""
+        """Graph (with the DP where it ran), decisions, costs and reports."""
         scene, path, stops = way.view.scene, way.view.path, way.view.task.stops
         blocks, solved, problem = planned.blocks, planned.solved, planned.built.problem
         drawn, decisions = self._build(way, blocks, planned.may_overtake, is_drawn=True), []
@@ -252,7 +252,7 @@ class SpeedStage:
             decisions.append(replace(decision, kind=kind, reason=reason))
         profile, was_run = solved.profile, len(drawn.cost) > 0
         grid = None
-        if was_run:  # every so many rows are enough to be drawn
+        if was_run:  # every fourth row is enough for a picture
             times, stations = DT_S * np.arange(len(drawn.cost)), DS_M * np.arange(0, len(drawn.cost[0]), DRAWN_ROWS)
             grid = GridCost(times, stations, drawn.cost[:, ::DRAWN_ROWS], drawn.chosen // DRAWN_ROWS)
         graph = StGraph(
@@ -274,7 +274,7 @@ class SpeedStage:
     def _orders(
         self, way: _Way, planned: _Planned, i: int, kind: DecisionKind, known: Mapping[DecisionKind, float]
     ) -> str:
-        """By how much the solution stays clear of a boundary, and what each order costs in the speed DP."""
+        """The distance by which the solution clears a boundary, and the cost of each order in the speed DP."""
         blocks, profile, costs = planned.blocks, planned.solved.profile, dict(known)
         took = np.isfinite(blocks.lower[i])
         for order, (_, bound) in ORDERS.items():

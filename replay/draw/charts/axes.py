@@ -14,11 +14,11 @@ from replay.draw.model import ticks
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 46.0, 10.0, 38.0, 30.0
 """Margins of a plot area: for y ticks, for the last x tick, for title and legend, for x ticks and their title."""
 TICK_PX = 62.0, 30.0
-"""Ticks are not nearer than this, in x and in y, if there are more than two."""
+"""Smallest distance between ticks in x and in y if there are more than two ticks, pixels."""
 
 
 def number(value: float) -> str:
-    """A tick as text; rounding errors are zero."""
+    """A tick as text; values below 1e-12 are shown as 0."""
     return f"{0.0 if abs(value) < 1e-12 else value:.6g}".replace("-", "\u2212")
 
 

@@ -92,7 +92,7 @@ RULES = """
 
 
 def roles(theme: Theme) -> str:
-    """The custom properties; "auto" follows the system of the reader. Empty for a fixed theme."""
+    """The CSS custom properties of the theme "auto", which follows the reader's system; empty for a fixed theme."""
     if theme != "auto":
         return ""
     light, dark = (";".join(f"--{name}:{value}" for name, value in some.items()) for some in (LIGHT, DARK))
@@ -117,7 +117,7 @@ KEPT_PX = 0.4
 LETTER_PX = 5.9
 """Mean width of a letter at the font size of charts."""
 FAR_PX = 4000.0
-"""Coordinates are clipped at this: farther out nothing is visible, and renderers lose digits."""
+"""Coordinates are clipped to +- this value: nothing beyond it is visible, and renderers lose digits there."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +126,8 @@ class Chart:
 
     Attributes:
         name: One word; the last part of the file name.
-        title: What is shown, with units where they are one.
-        says: The same in a sentence, for screen readers.
+        title: What the chart shows, with the unit if there is only one.
+        says: A description in one sentence, for screen readers.
         width: Pixels; `height` likewise.
         body: SVG elements.
     """
@@ -140,14 +140,14 @@ class Chart:
     body: str
 
     def inline(self) -> str:
-        """As a part of an HTML page, which has the style sheet."""
+        """The chart as an SVG element for an HTML page that contains the style sheet."""
         return (
             f'<svg class="chart" viewBox="0 0 {px(self.width)} {px(self.height)}" role="img" '
             f'aria-label="{escape(printable(self.says))}">{self.body}</svg>'
         )
 
     def alone(self, theme: Theme, width: float | None = None) -> str:
-        """As a file, in its own width or another."""
+        """The chart as the text of an SVG file, with its own width or with `width` pixels."""
         wide = width or self.width
         size = f'width="{px(wide)}" height="{px(wide * self.height / self.width)}"'
         return (
@@ -199,7 +199,7 @@ def _path(moves: str, kind: str) -> str:
 
 
 def _moves(points: FloatArray, closed: bool) -> str:
-    """The commands of a path: begin, then steps, each from one rounded point to the next, so that errors do not add."""
+    """The commands of a path: a start, then steps between rounded points, so that rounding errors do not accumulate."""
     shown = np.clip(points, -FAR_PX, FAR_PX)
     tenths = np.rint(10.0 * shown[simplified(shown)]).astype(np.int64)
     first, steps = tenths[0].tolist(), np.diff(tenths, axis=0)
@@ -211,7 +211,7 @@ def _moves(points: FloatArray, closed: bool) -> str:
 
 
 def _after(tenths: int) -> str:
-    """A second number: its minus parts it from the first."""
+    """The second number of a pair, after a space unless its minus sign separates it from the first."""
     return _tenths(tenths) if tenths < 0 else f" {_tenths(tenths)}"
 
 
@@ -268,7 +268,7 @@ def cut_outline(points: FloatArray, width: float, height: float) -> FloatArray:
 
 
 def rect(x: float, y: float, width: float, height: float, kind: str, about: str = "") -> str:
-    """A box; `about` shows where it is pointed at."""
+    """A box; `about` is its tooltip."""
     inner = f"><title>{escape(about)}</title></rect>" if about else "/>"
     place = f'x="{px(x)}" y="{px(y)}" width="{px(max(width, 0.0))}" height="{px(height)}"'
     return f'<rect class="{kind}" {place}{inner}'
@@ -280,13 +280,13 @@ def line(x0: float, y0: float, x1: float, y1: float, kind: str) -> str:
 
 
 def dot(x: float, y: float, radius: float, kind: str, about: str = "") -> str:
-    """A dot; `about` shows where it is pointed at."""
+    """A dot; `about` is its tooltip."""
     inner = f"><title>{escape(about)}</title></circle>" if about else "/>"
     return f'<circle class="{kind}" cx="{px(x)}" cy="{px(y)}" r="{px(radius)}"{inner}'
 
 
 def text(x: float, y: float, words: str, kind: str = "", *, about: str = "") -> str:
-    """Words that begin at x (class "end": that end there, "mid": that have their middle there)."""
+    """Words that begin at x (class "end": words that end at x; "mid": words that are centred at x)."""
     title = f"<title>{escape(about)}</title>" if about else ""
     style = f' class="{kind}"' if kind else ""
     return f'<text{style} x="{px(x)}" y="{px(y)}">{escape(printable(words))}{title}</text>'
@@ -304,18 +304,18 @@ def shortened(words: str, width: float) -> str:
 
 
 def window(x: float, y: float, width: float, height: float, inside: str) -> str:
-    """Elements with an origin of their own, cut off at a box."""
+    """Elements with their own origin, clipped to a box."""
     place = f'x="{px(x)}" y="{px(y)}" width="{px(width)}" height="{px(height)}"'
     return f'<svg {place} overflow="hidden">{inside}</svg>'
 
 
 def group(x: float, y: float, inside: str) -> str:
-    """Elements with an origin of their own."""
+    """Elements with their own origin."""
     return f'<g transform="translate({px(x)} {px(y)})">{inside}</g>'
 
 
 def legend(x: float, y: float, entries: Sequence[tuple[str, str, str]], most: float) -> str:
-    """Samples in a row: element ("line", "area", "dot"), class and word each; what has no room is left out."""
+    """Samples in a row, each with element ("line", "area", "dot"), class and word; it omits those that do not fit."""
     out, at = [], x
     for element, kind, word in entries:
         needed = 24.0 + LETTER_PX * len(word) + 8.0

@@ -1,4 +1,4 @@
-"""Charts over time: panels of curves, with the times shaded at which gates fail; and decisions as rows.
+"""Charts over time: panels of curves, in which the times of failed gates are shaded, and decisions as rows.
 
 The rows are the plan's status, each road user with a decision, and each broken gate.
 """
@@ -22,7 +22,7 @@ KINDS = ("a", "b", "c")
 """Classes of the first, second and third curve of a panel: solid, long dashes, dots."""
 LEAST_PX = 3.0
 BOLD_PX = 6.8
-"""Width of a letter of a warning."""
+"""Width of a letter of a warning, pixels."""
 
 
 def curves(subject: Subject) -> list[Chart]:
@@ -62,7 +62,7 @@ def curves(subject: Subject) -> list[Chart]:
 
 
 def now_line(plane: Plane, t: float) -> str:
-    """The moment of the subject."""
+    """A vertical line at the moment of the subject."""
     x = min(max(float(plane.at_x(t)), 1.0), plane.inner[0] - 1.0)
     return line(x, 0.0, x, plane.inner[1], "now")
 
@@ -70,9 +70,9 @@ def now_line(plane: Plane, t: float) -> str:
 ROWS_PX, ROW_PX, TOP_PX = 900.0, 20.0, 22.0
 LABEL_PX = 210.0
 MAX_ROWS = 12
-"""Rows of road users; the list of events beside the picture has all of them."""
+"""Largest number of rows of road users; the list of events beside the picture has all of them."""
 CALM = tuple(STATUS_WORDS[status] for status in (PlanStatus.PLANNED, PlanStatus.CORRECTED))
-"""Statuses that are no alarm."""
+"""Statuses that are not drawn as alarms."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Row:
 
 
 def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str]) -> list[Row]:
-    """The decisions about each agent that is not only ignored, in the order of the first decision.
+    """The decisions other than "ignore" about each agent, in the order of the first decision.
 
     A decision holds until the next frame; consecutive frames with the same decision are one span with the first reason.
     `short` shortens the names of agents.

@@ -1,4 +1,4 @@
-"""S-T and S-L graph of a plan as charts: what its stages searched, the obstacles, and the solutions."""
+"""S-T and S-L graph of a plan as charts: the corridor, the obstacles and the solutions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from replay.draw.model import DrawnGraph, widened
 WIDTH_PX, HEIGHT_PX = 440.0, 250.0
 MAX_LABELS = 6
 LABEL_PX = 12.0
-"""Labels are not nearer to each other than this."""
+"""Smallest vertical distance between two labels."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def _graph(subject: Subject, kind: _Kind) -> Chart:
 
 
 def _plane(graph: DrawnGraph, kind: _Kind) -> Plane:
-    """All of the solutions and the near ends of obstacles; far bounds of the corridor may be cut off."""
+    """A plot area with all solutions and the near ends of obstacles; it may cut off far bounds of the corridor."""
     outlines = [some.outline for some in graph.obstacles]
     points = np.vstack([graph.qp, graph.dp])
     if not len(points):
@@ -110,7 +110,7 @@ def _plane(graph: DrawnGraph, kind: _Kind) -> Plane:
 
 
 def _labels(plane: Plane, graph: DrawnGraph, short: ShortNames) -> str:
-    """Agent and decision at the visible part of each outline, the decided ones first, moved down where they crowd."""
+    """Labels with agent and decision at the visible part of each outline, ignored agents last; overlaps move down."""
     wide, high = plane.inner
     out, taken = [], list[float]()
     for some in sorted(graph.obstacles, key=lambda one: one.is_ignored)[:MAX_LABELS]:

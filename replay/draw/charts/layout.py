@@ -1,4 +1,4 @@
-"""The charts of a drive by name, where each stands in its page, those of users ("module:NAME"); several as a picture.
+"""The charts of a drive by name, their places in its page, and charts of users ("module:NAME").
 
 A chart is a function: `draw(subject) -> Chart`, or several. Charts of users come after the pictures. A chart that
 raises is replaced by its error, and nothing else is affected. Several charts are written as one SVG or PNG.
@@ -23,15 +23,15 @@ Draw = Callable[[Subject], "Chart | Sequence[Chart]"]
 
 CHARTS: dict[str, Draw] = {"scene": scenes, "st": st_graph, "sl": sl_graph, "curves": curves, "decisions": decisions}
 CHART: Kind[Draw] = Kind("chart", "charts", CHARTS, besides=("all",))
-"""Finds these charts, and those of users."""
+"""Finds charts by name: the built-in ones and those of users."""
 LAYOUT: Mapping[str, tuple[str, ...]] = {
     "pictures": ("scene", "st", "sl"),
     "decided": ("decisions",),
     "curves": ("curves",),
 }
-"""By place in the page of a drive, from top to bottom, the charts that stand there."""
+"""Names of charts by their place in the page of a drive, from top to bottom."""
 OWN = "pictures"
-"""The place of charts of users."""
+"""The place in the page for charts of users."""
 BROKEN, BROKEN_PX = "broken", (440.0, 40.0)
 """Name and size of the placeholder of a chart that could not be drawn."""
 
@@ -41,11 +41,11 @@ def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
 
     Args:
         subject: The drive.
-        own: Of users ("module:NAME"), beside those of entry points.
+        own: Charts of users ("module:NAME"), in addition to those of entry points.
 
     Raises:
-        ConfigError: One of users' own cannot be loaded.
-        ValueError: A chart of ours has no place: it would not be seen.
+        ConfigError: A chart of users cannot be loaded.
+        ValueError: A built-in chart has no place in `LAYOUT`, so that it would not be shown.
     """
     nowhere = set(CHARTS) - {name for names in LAYOUT.values() for name in names}
     if nowhere:
@@ -56,7 +56,7 @@ def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
 
 
 def drawn(subject: Subject, name: str) -> list[Chart]:
-    """The charts of a name; one that fails is a placeholder with the error. ConfigError as `Kind.find`."""
+    """Draw the charts of a name; a failed chart becomes a placeholder with its error. ConfigError as `Kind.find`."""
     draw = CHART.find(name)
     try:
         charts: Any = draw(subject)
@@ -79,7 +79,7 @@ ALL = "all"
 
 
 def charts_of(subject: Subject, kind: str, width: float) -> list[Chart]:
-    """The charts of a name (`replay.draw.charts.layout.CHART`), or `ALL`, for a picture with this width, pixels."""
+    """The charts of one name (see `CHART`), or of all names (`ALL`), for a picture of this width in pixels."""
     names = CHART.names() if kind == ALL else (kind,)
     wide = row_width(width)
     found = [[decisions(subject, wide)] if name == "decisions" else drawn(subject, name) for name in names]
@@ -109,7 +109,7 @@ def together(charts: Sequence[Chart], title: str, says: str, width: float) -> Ch
 
 
 def save(chart: Chart, path: Path, *, theme: Theme, width: int) -> None:
-    """Write a picture; format by the ending. The same drive gives the same bytes.
+    """Write a picture in the format of the path's suffix. The same drive gives the same bytes.
 
     Args:
         chart: The picture.
@@ -118,8 +118,8 @@ def save(chart: Chart, path: Path, *, theme: Theme, width: int) -> None:
         width: Pixels.
 
     Raises:
-        ConfigError: Another ending.
-        OutputError: It cannot be written.
+        ConfigError: The suffix is neither .png nor .svg.
+        OutputError: The file cannot be written.
     """
     if path.suffix not in FORMATS:
         raise ConfigError(f"{path}: a picture ends with .png or .svg")

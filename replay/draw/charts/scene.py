@@ -1,4 +1,4 @@
-"""The scene from above at an instant, ahead to the right: road, ego, the others, driven path and plan.
+"""The scene from above at an instant, ahead to the right: road, ego, other road users, driven path and plan.
 
 (1) p' = R(-yaw) (p - p_ego),  yaw and p_ego those of the ego's rear axle at the instant: x' ahead, y' to the left, m
 """
@@ -34,7 +34,7 @@ from replay.world import box_center
 
 WIDTH_PX, HEIGHT_PX = 440.0, 226.0
 BEHIND_M, AHEAD_M, AHEAD_S, MOST_M = 14.0, 46.0, 3.0, 130.0
-"""The visible part: this far behind the ego, and ahead as far as it drives in `AHEAD_S`, within these bounds."""
+"""The visible part: `BEHIND_M` behind the ego, and `AHEAD_S` times its speed ahead, from `AHEAD_M` to `MOST_M`."""
 ARROW_S = 1.0
 SLOW_MPS = 0.3
 SMALL_PX = 3.2
@@ -44,7 +44,7 @@ NAME_M = 60.0
 
 
 def scene(subject: Subject, t: float, word: str) -> Chart:
-    """The scene at a time; `word` says which time that is ("start", "worst moment", "end")."""
+    """The scene at a time; `word` names that time ("start", "worst moment", "end")."""
     ego = subject.trace.ego.at(t)
     ahead = min(max(AHEAD_M, AHEAD_S * abs(ego.v)), MOST_M)
     plane = Plane((-BEHIND_M, ahead), (-1.0, 1.0), WIDTH_PX, HEIGHT_PX)
@@ -55,7 +55,7 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
     agents = subject.trace.agents.truth(t)
     driven, frame, car = subject.trace.ego, subject.frame, subject.scenario.vehicle
     inside = _road(view, subject) + polylines(view.lines([np.column_stack([driven.x, driven.y])]), "driven")
-    if frame is not None and planned:  # the plan with a dot a second, and the others' futures
+    if frame is not None and planned:  # the plan with a dot per second, and the predictions of other road users
         plan, futures = frame.plan.trajectory, frame.predictions
         if futures is not None:
             paths = map(np.column_stack, zip(futures.x, futures.y, strict=True))
@@ -86,7 +86,7 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
 
 
 def scenes(subject: Subject) -> list[Chart]:
-    """Start, the moment, and end; instants that coincide are drawn once."""
+    """The scenes at the start, the moment and the end; instants that coincide are drawn once."""
     first, last = float(subject.trace.ego.t[0]), float(subject.trace.ego.t[-1])
     instants = [(subject.moment.t, "this moment" if subject.moment.why == "as asked" else "worst moment")]
     if subject.moment.t - first > 0.05:
@@ -97,7 +97,7 @@ def scenes(subject: Subject) -> list[Chart]:
 
 
 class _View:
-    """Points of the world in the picture, (1)."""
+    """Converts points of the world to pixels of the picture, (1)."""
 
     def __init__(self, plane: Plane, ego: EgoState) -> None:
         self.plane, self.ego = plane, ego
@@ -109,7 +109,7 @@ class _View:
         return np.column_stack([self.plane.at_x(local[:, 0]), self.plane.at_y(local[:, 1])])
 
     def sees(self, pixels: FloatArray) -> bool:
-        """Whether some of the box around points `(n, 2)` is in the plot area."""
+        """Whether the bounding box of points `(n, 2)` overlaps the plot area."""
         wide, high = self.plane.inner
         low, top = pixels.min(axis=0), pixels.max(axis=0)
         return bool(low[0] <= wide and top[0] >= 0.0 and low[1] <= high and top[1] >= 0.0)
@@ -120,7 +120,7 @@ class _View:
         return [cut_outline(ring, *self.plane.inner) for ring in shown if self.sees(ring)]
 
     def lines(self, some: Iterable[FloatArray]) -> list[FloatArray]:
-        """Lines of the world as pixels, likewise."""
+        """Lines of the world as pixels: the parts in and around the plot area."""
         shown = (self.of(line) for line in some)
         return [piece for line in shown if self.sees(line) for piece in cut_line(line, *self.plane.inner)]
 
@@ -146,7 +146,7 @@ def _road(view: _View, subject: Subject) -> str:
 
 
 def _other(view: _View, agents: Agents, i: int) -> str:
-    """A box, or a dot if that would be too small; a line to the position in one second."""
+    """A box, or a dot for pedestrians and small boxes; a moving agent has a line to its position in one second."""
     box = view.of(corners(*(float(c[i]) for c in (agents.x, agents.y, agents.yaw, agents.length, agents.width))))
     if not view.sees(box):
         return ""
@@ -162,7 +162,7 @@ def _other(view: _View, agents: Agents, i: int) -> str:
 
 
 def _names(view: _View, agents: Agents, subject: Subject, *, planned: bool) -> str:
-    """Ids of the agents with a decision and of the nearest, with the decision; left out where they would overlap."""
+    """Ids of agents, those with a decision first, then the nearest; names that would overlap another are omitted."""
     wide, high = view.plane.inner
     about = decided(subject.frame.plan) if planned and subject.frame is not None else {}
     at = view.of(np.column_stack([agents.x, agents.y]))

@@ -1,4 +1,4 @@
-"""The subject of a drive's pictures: its tables, its trace, and one moment in it; and when it broke which gate.
+"""The subject of a drive's pictures: its tables, its trace, one moment in it, and the times at which it broke gates.
 
 The moment and the broken gates are found in the tables of the run, without its trace.
 """
@@ -25,7 +25,7 @@ from replay.results.load import DriveResult
 GRAVE = ("collision_at_fault", "safety", "rules", "progress")
 """Metrics and groups of metrics, the gravest first: their failed gates come before all others."""
 NEAREST = (("ttc.min", "least time to a collision"), ("gap.min", "least distance to another road user"))
-"""Metrics that give the moment if no gate failed."""
+"""Metrics that give the moment if no gate failed at a known time."""
 _GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
 _RULE = re.compile(r"(?:(?P<low>\S+) <= )?(?P<metric>\S.*?) (?P<sign><=|>=) (?P<bound>\S+)")
 
@@ -45,7 +45,7 @@ class Violation:
     Attributes:
         gate: The rule.
         series: The series of its metric ("lon_accel").
-        spans: From when to when its steps are out of bounds, s; without steps, the instant of its value.
+        spans: Intervals in which its steps are out of bounds, s; without steps, the time of its value.
     """
 
     gate: str
@@ -88,7 +88,7 @@ def measured_by(gate: str) -> str:
 
 
 def violations(drive: DriveResult) -> list[Violation]:
-    """The failed gates of a drive, and when."""
+    """The failed gates of a drive, and the times at which it broke them."""
     found = list[Violation]()
     failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
     for gate, time_s in zip(failed["gate"].astype(str), failed["time_s"].astype(float), strict=True):
@@ -122,8 +122,8 @@ class Subject:
 
     Attributes:
         drive: The drive in the results.
-        moment: When to look, and why.
-        trace: The trace; of the plans only the newest one at the moment.
+        moment: The time to look at, and the reason.
+        trace: The trace, with only the newest plan at the moment.
         scenario: Road, goal, vehicle, lights.
         plans: The summaries of all plans.
     """
@@ -136,12 +136,12 @@ class Subject:
 
     @cached_property
     def violations(self) -> list[Violation]:
-        """The gates that this drive broke, and when."""
+        """The gates that this drive broke, and the times at which it broke them."""
         return violations(self.drive)
 
     @cached_property
     def because(self) -> tuple[str, ...]:
-        """What the plan does at the moment, and why, in sentences; empty if there is no plan."""
+        """The action of the plan at the moment, and its causes, in sentences; empty if there is no plan."""
         if self.frame is None:
             return ()
         earlier = [one.t for one in self.plans if one.t < self.frame.t]
@@ -157,7 +157,7 @@ class Subject:
 
     @property
     def frame(self) -> PlannedFrame | None:
-        """The newest plan at the moment; None: there was none yet."""
+        """The newest plan at the moment; None if there is no plan yet."""
         return self.trace.frames[0] if self.trace.frames else None
 
 
@@ -165,8 +165,8 @@ def subject(drive: DriveResult, at: float | None = None) -> Subject:
     """A drive at a time, or at its worst moment.
 
     Raises:
-        ConfigError: The drive was over by then, or had not begun.
-        LogError: Its trace is damaged.
+        ConfigError: `at` is outside the time span of the drive.
+        LogError: The trace is damaged.
     """
     moment = worst_moment(drive) if at is None else Moment(at, "as asked")
     trace, scenario, plans = read_moment(drive.trace_file, moment.t)

@@ -85,7 +85,7 @@ def write_recording(
         plots.draw_lanes(tape, lanes, frames)
         pages.draw_events(tape, events(trace), planned)
         pages.draw_summary(tape, pages.summary(whole, scenario, table))
-        if table is not None:  # properties of the recording: a column each in a table of recordings
+        if table is not None:  # properties of the recording, each a column in a table of recordings
             shown = table[table["available"] & np.isfinite(table["value"].to_numpy(dtype=float))]
             values = {field_name(name): float(v) for name, v in zip(shown["metric"], shown["value"], strict=True)}
             if values:
@@ -100,7 +100,7 @@ def _draw_part(
     planned: Instants,
     axes: Mapping[type[Graph], Axes | None],
 ) -> None:
-    """Agents, plans and graphs in some frames: for a long drive, no more than these are in memory."""
+    """Draw agents, plans and graphs of some frames, so that only these frames of a long drive are in memory."""
     frames = whole.frames[int(planned.frame[0]) : int(planned.frame[-1]) + 1]
     begin = min([float(instants.t[0]), *(frame.t for frame in frames[:1])])
     end = max([float(instants.t[-1]), *(float(frame.plan.trajectory.t[-1]) for frame in frames)])
@@ -138,7 +138,7 @@ def write_log_recording(path: Path, scenario: Scenario) -> None:
 
 
 def scene_times(trace: Trace, end: float) -> FloatArray:
-    """When the scene is drawn: at every frame, every `SCENE_STEP_S` where frames are rarer, and at the end."""
+    """Times at which the scene is drawn: every frame, every `SCENE_STEP_S` where frames are rarer, and the end."""
     start = float(trace.ego.t[0])
     frames = np.array([frame.t for frame in trace.frames])
     grid = start + SCENE_STEP_S * np.arange(int(np.floor((end - start) / SCENE_STEP_S + 1e-9)) + 1)

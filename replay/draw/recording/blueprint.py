@@ -1,4 +1,4 @@
-"""The layouts of a recording: its views, without those that have nothing to show."""
+"""The layouts of a recording: its views, without empty ones."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def blueprint(contents: Contents) -> rrb.Blueprint:
     """The layouts as tabs.
 
     Raises:
-        ValueError: A panel is in no row of `ROWS`: it would not be seen.
+        ValueError: A panel is in no row of `ROWS`, so that it would not be shown.
     """
     panels = {panel.name: panel for panel in contents.panels}
     nowhere = set(panels) - {name for rows in ROWS.values() for names, _ in rows for name in names}
@@ -126,7 +126,7 @@ def _overview(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
 
 
 def scene_behind(name: str = "Scene", under: str = "") -> rrb.Spatial3DView:
-    """The scene from behind the ego; `under`: where the recording's entities are ("/A")."""
+    """The scene from behind the ego; `under`: the entity that contains the recording ("/A")."""
     eye = rrb.EyeControls3D(position=[-18.0, 0.0, 13.0], look_target=[14.0, 0.0, 0.0], eye_up=[0.0, 0.0, 1.0])
     return _scene(name, f"{under}/world/ego", [f"+ {under}/world/**"], eye, under)
 
@@ -181,7 +181,7 @@ def _decisions(contents: Contents) -> rrb.Container:
 
 
 def state_view(name: str, lanes: Sequence[str], under: str = "") -> rrb.StateTimelineView:
-    """Rows of states; `under`: where the recording's entities are ("/A")."""
+    """Rows of states; `under`: the entity that contains the recording ("/A")."""
     shown = [f"{under}/{lane}" for lane in lanes]
     return rrb.StateTimelineView(origin=under or "/", contents=shown, name=name, time_view=time_axis())
 

@@ -39,7 +39,7 @@ MARKING = 0xB4B4B4FF
 OPPOSITE = 0xE6BE3CFF
 GOAL = 0x50D278FF
 WORDS_LUMINANCE = 0.22
-"""The largest luminance of text: a contrast of 3 (WCAG: least for large text) to the plates, 0.012 and 0.81."""
+"""The largest luminance of text: its contrast to plates of 0.012 and 0.81 is above 3 (WCAG's least for large text)."""
 GAMMA = 2.2
 
 KINDS = {
@@ -75,13 +75,13 @@ _SPEED_RAMP = np.array([[255, 70, 60], [255, 190, 60], [120, 220, 90], [60, 230,
 
 
 def luminance(colour: int) -> float:
-    """(2)."""
+    """The relative luminance of a colour, (2)."""
     linear = [(((colour >> shift) & 255) / 255.0) ** GAMMA for shift in (24, 16, 8)]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
 def of_words(colour: int) -> int:
-    """The colour for a label, whose plate is dark or light with the theme: no lighter than text may be."""
+    """The colour, darkened to at most `WORDS_LUMINANCE`, for a label on a plate that is dark or light by theme."""
     share = min(1.0, (WORDS_LUMINANCE / max(luminance(colour), 1e-9)) ** (1.0 / GAMMA))
     red, green, blue = (round(share * ((colour >> shift) & 255)) for shift in (24, 16, 8))
     return (red << 24) | (green << 16) | (blue << 8) | (colour & 255)

@@ -1,4 +1,4 @@
-"""S-T and S-L graphs: what a stage searched and what it found, frame by frame.
+"""S-T and S-L graphs, frame by frame: the space that a stage searched, and its solutions.
 
 The viewer has no x-y plot, but it has 2D views: the data keep their units (s, m), and a transform above them scales an
 axis range to a plot area of `WIDTH` x `HEIGHT` view units with y up. The determinant of that scale has size 1, so that
@@ -47,9 +47,9 @@ class Axes:
         entity: The entity of the graph.
         x: Range, relative to the begin of the graph.
         y: Range.
-        x_title: With the unit.
-        y_title: With the unit.
-        scrolls: Whether the graph begins elsewhere in each frame (then x ticks move).
+        x_title: Title of the x axis, with the unit.
+        y_title: Title of the y axis, with the unit.
+        scrolls: Whether the graph begins at another x in each frame, so that x ticks move.
     """
 
     entity: str
@@ -103,7 +103,7 @@ def _solutions(graphs: Sequence[DrawnGraph]) -> FloatArray:
 
 
 def draw_graph(tape: Tape, instants: Instants, graphs: Sequence[DrawnGraph | None], axes: Axes) -> None:
-    """A kind of graph, one row per frame; a frame without it shows empty axes."""
+    """Draw one kind of graph, one row per frame; a frame without it shows empty axes."""
     kx, ky = axes.scale
     scale = rr.Transform3D(translation=[-kx * axes.x[0], ky * axes.y[0], 0.0], scale=[kx, -ky, 1.0 / (kx * ky)])
     tape.static(axes.entity, scale)
@@ -202,8 +202,8 @@ class _Sheet:
     def draw_grid(self) -> None:
         """The reached and visible nodes, coloured by relative cost, 0 to 1.
 
-        It is c / (c + median) of the cost c above the cheapest node of the same column: a ranking of alternatives,
-        which a few huge costs do not flatten.
+        The relative cost is c / (c + median), where c is the cost above that of the cheapest node of the same column: a
+        ranking of alternatives, which a few huge costs do not flatten.
         """
         axes = self.axes
         nodes, costs = [NO_POINTS] * len(self.graphs), [np.empty(0)]
@@ -247,7 +247,7 @@ class _Sheet:
         self._draw_labels(shown, filled, owner)
 
     def _draw_labels(self, shown: Sequence[tuple[int, DrawnObstacle]], filled: FloatArray, owner: IntArray) -> None:
-        """A label beside each visible obstacle, moved apart where they crowd; for ignored ones if there are few."""
+        """Label each visible obstacle, ignored ones only as `FEW_LABELS` allows; overlapping labels are moved apart."""
         begins = np.searchsorted(owner, np.arange(len(shown) + 1))
         rows: list[list[tuple[FloatArray, str, int]]] = [[] for _ in range(len(self.instants))]
         for k, (i, obstacle) in enumerate(shown):
@@ -287,14 +287,14 @@ class _Sheet:
     def _draw_fill(
         self, entity: str, filled: FloatArray, frame: IntArray, colour: colours.PackedArray, *, wide: float = 1.0
     ) -> None:
-        """Strokes `(k, 2, 2)` in a colour each, 1.5 times as wide as their distance: soft edges leave no gaps."""
+        """Draw strokes `(k, 2, 2)`, each in its colour, 1.5 times as wide as their distance, so that no gaps show."""
         counts, pairs = np.bincount(frame, minlength=len(self.instants)), np.full(len(filled), 2)
         style = dict[str, Any](radii=[0.75 * wide * STROKE], draw_order=-5.0)
         self.tape.lines(entity, self.instants, filled.reshape(-1, 2), pairs, counts, colour, **style)
 
 
 def draw_occupancy(tape: Tape, instants: Instants, outlines: Sequence[Sequence[FloatArray]], axes: Axes) -> None:
-    """Outlines of the agents in the S-T graphs as they really drove, a list per frame."""
+    """Draw the outlines of the agents in the S-T graphs as they really drove; `outlines` has a list per frame."""
     flat = [outline for some in outlines for outline in some]
     frame = np.repeat(np.arange(len(outlines)), [len(some) for some in outlines])
     points, lengths = joined(flat, 2)
@@ -315,7 +315,7 @@ def label_position(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
     """The position of a label that does not cover its obstacle: above its left end, otherwise below it.
 
     Args:
-        strokes: `(k, 2, 2)` its visible part, from left to right, x from the begin of the graph.
+        strokes: Visible part `(k, 2, 2)` of the obstacle, from left to right, x relative to the begin of the graph.
         letters: Length of the label.
         axes: The axes of the graph.
     """
@@ -335,7 +335,7 @@ def spread_labels(points: FloatArray, lengths: Sequence[int], axes: Axes) -> Flo
     Args:
         points: The preferred positions, in units of the graph.
         lengths: The numbers of characters of the labels.
-        axes: For the scale and the upper border.
+        axes: The axes, which give the scale and the upper border.
     """
     kx, ky = axes.scale
     out, order = points.copy(), np.argsort(points[:, 1], kind="stable")

@@ -1,4 +1,4 @@
-"""The pages of a recording: why each plan is what it is, its costs, recent events, and a summary of the drive."""
+"""The pages of a recording: the reasons for each plan, its costs, recent events, and a summary of the drive."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 MAX_LINES = 15
-"""Further lines of a section are only counted."""
+"""Largest number of lines of a section; the page gives the number of further lines."""
 MAX_MISSING = 6
 SAME_MPS = 0.05
 HEADINGS = {"decisions": "Decisions (s from now, m along the path)", "costs": "Cost terms"}
-"""Headings of sections that are not called by their titles."""
+"""Headings of sections whose heading differs from their title."""
 NUMBERS = ("costs", "solvers")
 """Sections of the second page, which is only needed if a plan looks odd."""
 MOST_RECENT = 6
@@ -95,16 +95,16 @@ def _sections(explained: Explanation, chosen: Callable[[Section], bool]) -> list
     for title, rows in filter(chosen, explained.sections()):
         lines += ["", f"#### {HEADINGS.get(title, title.capitalize())}", ""]
         for name, rest in rows[:MAX_LINES]:
-            space = " " if rest.startswith(" ") else ""  # which `cell` removes
+            space = " " if rest.startswith(" ") else ""  # `cell` removes it
             lines.append(f"- **{cell(name)}**{space}{cell(rest)}" if name else f"- {cell(rest)}")
         lines += [f"- and {len(rows) - MAX_LINES} more"] if len(rows) > MAX_LINES else []
     return lines
 
 
 def draw_events(tape: Tape, found: Sequence[Event], frames: Instants) -> None:
-    """One line of the log view for each event, and at each of their times a page of the recent ones.
+    """Draw one line of the log view per event, and at the time of each event a page of recent events.
 
-    A page has the newest event first; grave ones are bold.
+    A page has the newest event first; grave events are bold.
     """
     found = [replace(event, words=tape.short(event.words)) for event in found]
     tape.static("recent", rr.TextDocument.from_fields(media_type=MARKDOWN))
@@ -126,7 +126,7 @@ def draw_events(tape: Tape, found: Sequence[Event], frames: Instants) -> None:
 
 
 def draw_summary(tape: Tape, lines: Iterable[str]) -> None:
-    """The page that does not change."""
+    """Write the summary, which is the same at all times."""
     tape.static("summary", rr.TextDocument(document(map(tape.short, lines)), media_type=MARKDOWN))
 
 
@@ -178,14 +178,14 @@ def log_facts(scenario: Scenario) -> list[str]:
 
 
 def legend(trace: Trace) -> list[str]:
-    """How to read the pictures."""
+    """The lines that explain the pictures."""
     graphs = any(isinstance(artefact, Graph) for frame in trace.frames for artefact in frame.plan.internals)
     scene = [
         "- Scene: the ego and its driven path are blue; the plan is red (standing) to green (fastest), with a dot per "
         "second",
         "- Agents: cars are orange, trucks and buses dark orange, pedestrians pink, riders violet, objects grey; "
-        "an arrow shows the way of one second",
-        "- Thin lines from agents: their predictions as shown to the planner, the likelier the brighter",
+        "an arrow shows the displacement in one second",
+        "- Thin lines from agents: their predictions as shown to the planner, likelier ones brighter",
         "- Teal boxes: agents where the planner saw them (through a sensor model, or carried on after the end of their "
         "log); teal rim: the range of the sensor; violet lines: hidden ground",
     ]

@@ -1,7 +1,7 @@
 """Two drives of one log in one window: both scenes and graphs, their curves together, and their first difference.
 
 The chunks of both recordings go under `A` and `B`; the curves of the difference (B minus A while both drive) and the
-page about the first difference (`replay.explain.first_difference`) are new.
+page about the first difference (`replay.explain.first_difference`) are added.
 
 (1) gap   = sqrt((x_B - x_A)^2 + (y_B - y_A)^2)      between the reference points, m
 (2) v, a  = v_B - v_A, a_B - a_A                     m/s, m/s2
@@ -49,16 +49,16 @@ def write_pair(path: Path, recordings: tuple[Path, Path], traces: tuple[Trace, T
     Args:
         path: The .rrd file.
         recordings: A and B.
-        traces: Of these drives.
-        names: As the window calls them.
+        traces: The traces of A and B.
+        names: The names of A and B in the window.
 
     Raises:
-        ConfigError: They are not drives of one log.
+        ConfigError: The drives are of different logs.
         OutputError: The file cannot be written.
     """
     one, two = traces
     if one.scenario != two.scenario:
-        raise ConfigError(f"two drives of one log are compared, not of {one.scenario} and {two.scenario}")
+        raise ConfigError(f"both drives must be of the same log, not of {one.scenario} and {two.scenario}")
     chunks = [
         [
             chunk.with_entity_path(f"/{side}{chunk.entity_path}")

@@ -1,15 +1,17 @@
 """The Rerun viewer: how it is started, and pictures and videos of a recording without a display.
 
-It listens on this machine only, and sends nothing to another. Version 0.41 asks two servers for newer versions, and no
+The viewer listens on this machine only, and sends nothing to
+another. Version 0.41 asks two servers for newer versions, and no
 setting prevents it. Its HTTP client obeys the usual proxy variables, so they name a proxy that refuses every
 connection: the viewer does not even look up the servers' names.
 
-For pictures the real viewer runs headless on a local port and is asked for screenshots. It draws asynchronously: a
-picture is taken when two in a row are equal. It needs a Vulkan driver; a software one is enough (Mesa's lavapipe).
+Pictures are screenshots of the real viewer, which runs headless on a local port. It draws asynchronously: a picture is
+complete when two screenshots in a row are equal. It needs a Vulkan driver; a software one is enough (Mesa's lavapipe).
 
 A picture has no header (menu, warnings about the driver) and no time panel; the tabs that hold its contents are open.
-A headless viewer reads no theme from its settings, and its client has no call for it: the viewer's own server for
-agents (MCP: one JSON message per line on stdin and stdout) clicks on it. Videos are made of pictures, by Pillow (.gif,
+A headless viewer reads no theme from its settings, and its client cannot set one: the viewer's own
+server for agents (MCP: one JSON message per line on stdin and stdout) clicks on the theme in the
+settings. Videos are made of pictures, by Pillow (.gif,
 .png) or by ffmpeg if it is installed.
 """
 
@@ -81,7 +83,7 @@ def free_port() -> int:
 def in_use(port: int) -> bool:
     """Whether a port of this machine is in use, or may not be used."""
     with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # one that has just been closed is free
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a port that has just been closed is free
         try:
             probe.bind((LOOPBACK, port))
         except OSError:
@@ -93,16 +95,16 @@ PAUSE_S = 0.3
 HEADER_PX = 36
 """Height of the viewer's header."""
 AWAY = (1, 1)
-"""Where the pointer is left: in the header, which is cut off."""
+"""Final position of the pointer: in the header, which is cut off."""
 FRAMES_PER_S = 10.0
 """The usual planning rate."""
 BY_PILLOW = (".gif", ".png")
-"""Endings of animations; any other needs ffmpeg."""
+"""Suffixes of videos that Pillow writes; any other suffix needs ffmpeg."""
 EVEN = "pad=ceil(iw/2)*2:ceil(ih/2)*2"
-"""ffmpeg: even width and height, since most players want colours with half the resolution."""
+"""Filter of ffmpeg for even width and height: most players need colours with half the resolution."""
 
 Blueprint = dict[str, dict[str, dict[str, Any]]]
-"""As the viewer reports it: entity, archetype, field."""
+"""A blueprint as the viewer reports it: values by entity, archetype and field."""
 
 
 class ScreenshotError(ReplanError):
@@ -138,16 +140,16 @@ def take_pictures(
 
     Args:
         recording: The .rrd file.
-        pictures: What to take, in this order.
-        size: Of a picture of the whole window, pixels: WIDTHxHEIGHT.
-        theme: Of the viewer.
-        timeout: For starting, loading and each picture, s.
+        pictures: The pictures to take, in this order.
+        size: Size of a picture of the whole window, pixels: WIDTHxHEIGHT.
+        theme: Theme of the viewer.
+        timeout: Time limit for the start, for loading, and for each picture, s.
 
     Returns:
-        What the viewer reports about its views after the last picture, a line each; empty for a healthy recording.
+        The viewer's reports about its views after the last picture, one line each; empty for a healthy recording.
 
     Raises:
-        ConfigError: There is no such layout or view, or the size is none.
+        ConfigError: There is no such layout or view, or the size is invalid.
         ScreenshotError: No graphics driver, the viewer died, or a picture never settled.
         OutputError: A picture cannot be written.
     """
@@ -174,9 +176,9 @@ def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint,
     """A blueprint without header and time panel, in which the tabs that hold a layout or a view of it are open.
 
     Args:
-        kept: As the viewer reports it: fields by entity and archetype.
+        kept: The blueprint as the viewer reports it: fields by entity and archetype.
         layout: One of `LAYOUTS`.
-        view: Name of a view; of several the one in the layout, otherwise the first.
+        view: Name of a view; if several have it, the one in the layout, otherwise the first.
 
     Returns:
         The blueprint, and the view's id.
@@ -296,14 +298,14 @@ def _connect(port: int, timeout: float, alive: Callable[[], None]) -> Any:
 
 
 def click_theme(theme: Theme, binary: Path, port: int, variables: Mapping[str, str], timeout: float) -> str:
-    """Click a theme in the settings, which must be shown; gives the error, "" if there is none.
+    """Click a theme in the settings, which must be visible; returns the error, "" if there is none.
 
     Args:
         theme: The theme.
         binary: The executable of the viewer.
         port: The port of the running viewer.
         variables: The environment.
-        timeout: s.
+        timeout: Time limit, s.
     """
     actions = [
         {"name": "wait_for", "args": {"label_contains": theme.title()}},
@@ -333,7 +335,7 @@ def click_theme(theme: Theme, binary: Path, port: int, variables: Mapping[str, s
 
 
 def span(recording: Path) -> tuple[float, float]:
-    """The first and the last time of a recording, s; ConfigError if nothing in it has a time."""
+    """The first and the last time of a recording, s; raises ConfigError if no data in it have a time."""
     batches = [
         chunk.to_record_batch() for chunk in RrdReader(str(recording)).stream().to_chunks() if not chunk.is_static
     ]
@@ -354,7 +356,7 @@ def film(
 
     Args:
         recording: The .rrd file.
-        out: The video; its ending is the format.
+        out: The video file; its suffix gives the format.
         begin: Start, s; None: that of the recording.
         end: End, s; None: that of the recording.
         layout: One of `LAYOUTS`.

@@ -1,4 +1,4 @@
-"""What a recording shows over time: panels of curves with their axes and legends, and rows of states.
+"""The parts of a recording over time: panels of curves with their axes and legends, and rows of states.
 
 The rows are the plan's status, decisions, the choice of lane, the lane under the ego, and the end.
 """
@@ -38,7 +38,7 @@ CORNERS: tuple[Corner, ...] = ("RightTop", "RightBottom", "LeftTop", "LeftBottom
 LEGEND = 0.16, 0.14
 """Width of a legend, and height of one of its rows, as shares of a panel of usual size."""
 MOST_NUMBERS = 8.0
-"""The viewer writes multiples of a power of ten along an axis, as many as fit: no more than this."""
+"""Largest number of labels along an axis; the viewer writes multiples of a power of ten."""
 
 
 def draw_panels(tape: Tape, panels: Iterable[Panel], frames: FloatArray) -> None:
@@ -56,10 +56,10 @@ def draw_panels(tape: Tape, panels: Iterable[Panel], frames: FloatArray) -> None
 
 
 def plot(panel: Panel, **more: Any) -> rrb.TimeSeriesView:
-    """A panel as a view; `more` if its curves are not those below its entity.
+    """A panel as a view; `more` replaces arguments of the view if the curves are not below the panel's entity.
 
-    Its axis holds all finite values (of spiky curves 96 in 100), with a margin, and at least two numbers. Its legend is
-    in the corner of `CORNERS` in which it hides least of the curves, the first of the best.
+    The axis shows all finite values (the middle 96 % of spiky curves), with a margin, and at least two numbers. The
+    legend is in the corner in which it hides the least of the curves; ties go to the first in `CORNERS`.
     """
     spans = [np.percentile(curve.known, (2.0, 98.0) if curve.spiky else (0.0, 100.0)) for curve in panel.curves]
     low, high = float(np.min(spans)), float(np.max(spans))
@@ -96,7 +96,7 @@ def with_two_numbers(low: float, high: float) -> tuple[float, float]:
     if last > first:
         return low, high
     margin = 0.08 * step
-    if last < first:  # none
+    if last < first:  # no number in the range
         return float(last - margin), float(first + margin)
     above, below = first + step - high, low - (first - step)
     return (low, float(first + step + margin)) if above <= below else (float(first - step - margin), high)
@@ -107,7 +107,7 @@ LANES = (PLAN, ALONG, ACROSS, CHOICE, LANE, DRIVE) = (
 )  # fmt: skip
 """Entities of the rows, at the root: the viewer labels a row with the whole path of its entity."""
 NAMED = (0x5A6478FF, 0x46505FFF)
-"""Colours of states that are only names."""
+"""Alternating colours of states that are not in `STATE_COLOURS`."""
 OFF_LANES = "off the lanes"
 NOT_COMPARED, COMPARED = "keep", "keep: others compared"
 LETTER, MARGIN = 0.0125, 0.015
@@ -135,7 +135,7 @@ class Lane:
 
     @classmethod
     def of(cls, name: str, t: Sequence[float], values: Sequence[str]) -> Lane:
-        """The values that differ from the one before."""
+        """A row with only the values that differ from the one before."""
         kept = [i for i in range(len(values)) if i == 0 or values[i] != values[i - 1]]
         return cls(name, tuple(t[i] for i in kept), tuple(values[i] for i in kept))
 
@@ -158,7 +158,7 @@ def state_lanes(trace: Trace, road: Road) -> list[Lane]:
 
 
 def draw_lanes(tape: Tape, lanes: Sequence[Lane], frames: FloatArray) -> None:
-    """Coloured rows of states; a state too short for its label gets a space behind it, and is drawn without one."""
+    """Draw coloured rows of states; a state too short for its label has no label, and a space after its value."""
     end = max((lane.t[-1] for lane in lanes), default=0.0)
     tape.static(SPACER, rr.TextDocument(" "))
     for lane in lanes:
@@ -179,7 +179,7 @@ def draw_lanes(tape: Tape, lanes: Sequence[Lane], frames: FloatArray) -> None:
 
 @dataclass(frozen=True)
 class Change:
-    """A lane change that is under way: the option that was taken, when, and why."""
+    """A lane change that is under way: the option that was taken, its time, and the reason."""
 
     name: str
     t: float
@@ -214,7 +214,7 @@ def choices(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list
 
 
 def lanes_driven(trace: Trace, road: Road) -> list[int | None]:
-    """The drivable lane under the ego's reference point at each frame; if lanes overlap, the one that it came along."""
+    """The drivable lane under the ego's reference point at each frame; if lanes overlap, its last or a successor."""
     if road.source is not RoadSource.LANES:
         return [None] * len(trace.frames)
     out = list[int | None]()

@@ -27,7 +27,7 @@ LIGHTS = {
 STOP_SIGN = 0xFF6E64FF
 LAMP_M, LAMP_HEIGHT_M = 0.45, 1.2
 GOAL_NAME_M = 8.0
-"""Height at which a name is above its region, as seen from behind the ego."""
+"""Height of the goal's name: it appears above the region, as seen from behind the ego."""
 
 
 def at_height(points: FloatArray, z: float) -> FloatArray:
@@ -59,7 +59,7 @@ def dashes(line: FloatArray) -> list[FloatArray]:
 def draw_road(tape: Tape, road: Road) -> None:
     """Surfaces, edges (white), markings between lanes (broken if they may be crossed), lines to opposite lanes.
 
-    If lanes overlap, as in a junction, their edges are no edges of the road: they are drawn faint. Stop lines are
+    If lanes overlap, as in a junction, their edges are not edges of the road, and are drawn faint. Stop lines are
     white, those of a stop sign red; crosswalks are hatched.
     """
     lanes = tuple(road.lanes.values())
@@ -160,7 +160,7 @@ def covered(
 
     Args:
         points: m.
-        owner: `(n,)` index of the polygon that does not count.
+        owner: `(n,)` index of the polygon that is ignored for each point.
         corners: `(m, 2)` of all polygons; polygon k owns `offsets[k] : offsets[k + 1]`.
         offsets: `(k + 1,)`.
         boxes: `(k, 4)` lower x, lower y, upper x, upper y of each polygon.

@@ -1,6 +1,6 @@
 """The scene: ego, agents, plan and log over time, in the world frame, and the agents from the planner's point of view.
 
-The camera follows without help: a view whose origin is the entity `world/ego` moves with it. Agents are drawn at their
+The camera follows the ego: a view whose origin is the entity `world/ego` moves with it. Agents are drawn at their
 true positions (`Tracks.truth`), the ego as it drove. Logs have no heights: each kind has a typical one.
 
 world/predictions     the predicted path of each hypothesis, the likelier the brighter, to the horizon
@@ -46,7 +46,7 @@ PLAN_POINTS = 60
 NEAR_M = 90.0
 """For agents farther from the ego than this, neither predictions nor missing detections are shown."""
 SHORTEST_M = 0.5
-"""A shorter predicted path is that of a standing agent."""
+"""A shorter predicted path is not drawn: the agent stands."""
 SHADOW_STEP = 0.03
 """Angle between two lines of the hatching of hidden ground, rad."""
 ARC_STEP = 0.1
@@ -91,7 +91,7 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants)
 
 
 def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants: Instants, frames: Instants) -> None:
-    """The agents at some instants, and the plans of some frames, which are in force then: `trace.frames`.
+    """Draw the agents at some instants, and the plans that are in force then (`trace.frames`).
 
     `kinds` are the kinds of all agents of the drive.
     """
@@ -133,7 +133,7 @@ def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants
 
 
 def _poses_at(ego: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions `(n, 2)` and headings `(n,)` at times; the ends hold outside the span."""
+    """Positions `(n, 2)` and headings `(n,)` at times; outside the span, those of the nearest end."""
     x, y, yaw = (np.interp(t, ego.t, column) for column in (ego.x, ego.y, ego.yaw))
     return np.column_stack([x, y]), yaw
 
@@ -209,8 +209,8 @@ def _draw_names(
 ) -> None:
     """Ids of the agents that are drawn in full, with the decision in its colour; `ego` `(n, 3)` x, y, yaw.
 
-    A name is where it hides no part of its agent: beyond it, as seen from the ego. A label hangs below its point: the
-    point is raised by its height, as seen from above and from behind the ego.
+    A name is beyond its agent, as seen from the ego, so that it hides no part of it. A label hangs below its point, so
+    the point is raised by the height of the label, as seen from above and from behind the ego.
     """
     points, words, colour = list[tuple[float, float, float]](), list[str](), list[int]()
     for some, rows, about, (x, y, yaw) in zip(agents, full, here, ego.tolist(), strict=True):
@@ -232,7 +232,7 @@ def _draw_names(
 
 
 def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
-    """Predictions, perceived agents and the sensor, as far as the trace holds them, a row per frame."""
+    """Draw predictions, perceived agents and the sensor, if the trace has them, one row per frame."""
     if any(frame.predictions is not None for frame in trace.frames):
         known = [trace.agents] if trace.perceived is None else [trace.perceived, trace.agents]
         kinds = {name: kind for each in known for name, kind in zip(each.ids, each.kinds, strict=True)}
@@ -242,7 +242,7 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
         for frame, (x, y) in zip(trace.frames, places(trace).tolist(), strict=True):
             some = futures(frame, x, y)
             paths += [path for _, _, path in some]
-            for name, p, _ in some:  # visible however unlikely
+            for name, p, _ in some:  # unlikely hypotheses stay visible
                 shade = colours.with_alpha(colours.KINDS[kinds[name]], round(50 + 150 * min(max(p, 0.0), 1.0)))
                 shades.append(shade)
             per_frame.append(len(some))
@@ -250,7 +250,7 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
         drawn, colour_of = at_height(points, LOW), np.array(shades, dtype=np.uint32)
         tape.lines("world/predictions", frames, drawn, lengths, per_frame, colour_of, radii=[pixels(1.2)])
     if trace.frames and (len(trace.agents) or trace.perceived is not None):
-        # with a sensor model: all agents that it showed; without: the agents that are carried on after their log ended
+        # with a sensor model: all agents that it shows; without one: agents that are extrapolated after their log ended
         shown = [perceived_only(trace, float(t)) for t in frames.t]
         labels = [plain(f"{tape.short(name)} as perceived") for some in shown for name in some.ids]
         if labels:
@@ -299,7 +299,7 @@ def unseen(trace: Trace, t: float) -> list[tuple[str, float]]:
 
 
 def rim(seen: Visibility) -> list[FloatArray]:
-    """The rim of the sensor's range within its field of view; with two sides if that is less than all round."""
+    """The rim of the sensor's range within its field of view; with two sides if that is less than a circle."""
     half = min(0.5 * seen.field_of_view, pi)
     angles = seen.yaw + np.linspace(-half, half, 2 + ceil(2.0 * half / ARC_STEP))
     edge = np.column_stack([seen.x + seen.range * np.cos(angles), seen.y + seen.range * np.sin(angles)])

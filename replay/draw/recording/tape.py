@@ -4,7 +4,7 @@ A row may hold any number of instances, 0 included (then the entity is empty at 
 must add up to the number of instances: a wrong sum would lose rows silently, so it is an error here.
 
 A glyph that the viewer's font lacks terminates the headless viewer, so every text goes through `plain` (one line),
-`cell` (one line inside Markdown) or `document` (our own Markdown). Many names come from users.
+`cell` (one line inside Markdown) or `document` (Markdown that replan wrote). Many names come from users.
 
 The viewer's 2D views draw lines, not areas: an outline is filled with strokes. It is cut by vertical lines of equal
 distance; between its first and second crossing, third and fourth, and so on, the line is inside (even-odd rule).
@@ -55,7 +55,7 @@ def cell(text: object) -> str:
 
 
 def document(lines: Iterable[str]) -> str:
-    """Our own Markdown, made drawable; names of users in it must have been escaped by `cell`."""
+    """Markdown that replan wrote, made drawable; names from users in it must have been escaped by `cell`."""
     return "\n".join(map(_drawable, lines))
 
 
@@ -64,7 +64,7 @@ def _drawable(text: str) -> str:
 
 
 class Marked(str):
-    """A cell of a table that is our own Markdown."""
+    """A cell of a table that is Markdown already, and is not escaped."""
 
 
 def link(words: object, file: Path) -> Marked:
@@ -118,7 +118,7 @@ CHUNK_BYTES = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class Instants:
-    """When rows hold: `t` `(n,)` s since the scenario's start, and the index `(n,)` of the frame then in force."""
+    """Instants of rows: `t` `(n,)` s since the scenario's start, and the index `(n,)` of the frame then in force."""
 
     t: FloatArray
     frame: IntArray
@@ -161,7 +161,7 @@ class Tape:
         columns: Iterable[rr.ComponentColumn],
         counts: Sequence[int] | IntArray | None = None,
     ) -> None:
-        """One row per instant; `counts` `(n,)` instances each, None for one each.
+        """Write one row per instant, with `counts` `(n,)` instances (None: one instance per row).
 
         Raises:
             ValueError: The counts do not add up to the instances of a column.
@@ -186,7 +186,7 @@ class Tape:
         shades: PackedArray | None = None,
         **style: Any,
     ) -> None:
-        """Rows of line strips: runs of `lengths` points `(m, 2)` or `(m, 3)`, `shades` one each; `style` of all."""
+        """Write rows of line strips: runs of `lengths` points `(m, 2)` or `(m, 3)`, with `shades`, all in `style`."""
         kind = rr.LineStrips2D if points.shape[1] == 2 else rr.LineStrips3D
         self.static(entity, kind.from_fields(**style))
         self.rows(entity, instants, kind.columns(strips=strips(points, lengths), colors=shades), counts)
@@ -203,7 +203,7 @@ def strips(points: FloatArray, lengths: Sequence[int] | IntArray) -> pa.Array:
 
 
 def pixels(radius: float) -> float:
-    """A radius that does not zoom: the viewer takes negative ones as pixels."""
+    """A radius in pixels that does not zoom: the viewer takes negative radii as pixels."""
     return -radius
 
 
@@ -247,7 +247,7 @@ def recording_file(
 
 @contextmanager
 def _outlet(file: Path) -> Iterator[Path]:
-    """The path to which the library writes, whose stream must be disconnected inside; then all is in `file`.
+    """The path to which the library writes; its stream must be disconnected inside, then `file` holds all data.
 
     The library itself raises nothing if a disk is full: it leaves a truncated file, or waits forever. Here it writes to
     a pipe, which is always read to its end, and an OSError from writing the file is raised. Without pipes in the file
@@ -260,7 +260,7 @@ def _outlet(file: Path) -> Iterator[Path]:
         pipe = Path(folder) / file.name
         os.mkfifo(pipe)
         reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-        writer = os.open(pipe, os.O_WRONLY)  # our end: the pipe ends when both the library and we have closed it
+        writer = os.open(pipe, os.O_WRONLY)  # the pipe ends when both the library and this process have closed it
         os.set_blocking(reader, True)
         errors: list[OSError] = []
         thread = Thread(target=_drain, args=(reader, file, errors))
@@ -309,7 +309,7 @@ def strokes(points: FloatArray, lengths: IntArray, window: Window, spacing: floa
     Args:
         points: `(m, 2)` corners, outline after outline.
         lengths: `(n,)` corners of each outline, at least 1.
-        window: What is visible; strokes lie on its vertical lines and end at its borders.
+        window: The visible part; strokes lie on its vertical lines and end at its borders.
         spacing: Distance of the lines, in units of x.
 
     Returns:
@@ -341,7 +341,7 @@ def outline_segments(points: FloatArray, lengths: IntArray, window: Window) -> t
     enter, leave = np.zeros(len(start)), np.ones(len(start))
     outside = np.zeros(len(start), dtype=bool)
     for axis, (low, high) in ((0, window.x), (1, window.y)):
-        moving = np.abs(delta[:, axis]) > 1e-9  # a step too small to divide by stands still
+        moving = np.abs(delta[:, axis]) > 1e-9  # a step too small to divide by is taken as zero
         outside |= ~moving & ((start[:, axis] < low) | (start[:, axis] > high))
         step = np.where(moving, delta[:, axis], 1.0)
         at = np.sort(np.stack([(low - start[:, axis]) / step, (high - start[:, axis]) / step]), axis=0)

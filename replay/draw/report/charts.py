@@ -1,4 +1,4 @@
-"""Charts of a run and of a comparison: pass shares, distributions over the logs, what moved."""
+"""Charts of a run and of a comparison: pass shares, distributions over the logs, and changes of metrics."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
 
 
 def distributions(columns: Sequence[Column], drives: Sequence[DriveRow]) -> list[Chart]:
-    """One chart per column of the table of drives that has several values and is no yes or no.
+    """One chart per column of the table of drives that has at least three different values.
 
     A row per planner: a dot per log, and the box of the quartiles with the median.
     """
@@ -103,7 +103,7 @@ def moved(pairs: pd.DataFrame, title: str) -> Chart:
 
     Args:
         pairs: Rows of `Comparison.pairs` of one metric, with both values.
-        title: Of the chart.
+        title: Title of the chart.
     """
     shown = pairs.sort_values(["worse", "log"], ascending=[False, True], kind="stable").head(MAX_PAIRS)
     names = [str(log) for log in shown["log"]]

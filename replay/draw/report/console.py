@@ -23,7 +23,7 @@ _TABLE = {code: sign for code, sign in VISIBLE.items() if chr(code) not in "\n\t
 
 
 def visible(text: object) -> str:
-    """The text with visible characters instead of control characters; lines and tabs stay."""
+    """The text with visible characters instead of control characters; line ends and tabs stay."""
     return str(text).translate(_TABLE)
 
 
@@ -31,16 +31,16 @@ class SafeConsole(Console):
     """A console that applies only its own styles: texts are made `visible`."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """As Console's; sequences of rich's own are segments of control, and stay."""
+        """Render as Console does; the control sequences of rich itself are kept."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else segment._replace(text=visible(segment.text))
 
 
 class LastingFile(io.FileIO):
-    """An open descriptor; data are discarded after its reader has exited, or it was closed."""
+    """An open descriptor that discards data after its reader has exited, or after it was closed."""
 
     def write(self, data: Any, /) -> int:
-        """As FileIO's, but EPIPE and EBADF are not raised: from then on the descriptor is the null device."""
+        """Write as FileIO does, but do not raise EPIPE and EBADF: from then on, the descriptor is the null device."""
         try:
             return super().write(data)
         except OSError as error:

@@ -1,4 +1,4 @@
-"""The figures of the paper: each function draws its arguments, and computes nothing of the drive.
+"""The figures of the paper: each function only draws its arguments.
 
 matplotlib is imported when the first figure is made, with the Agg canvas: no display, no global state.
 """
@@ -44,7 +44,7 @@ BEHIND_M, AHEAD_M, BESIDE_M = 8.0, 42.0, 8.0
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write the picture (format by the path's ending); the same figure gives the same bytes."""
+    """Write the picture in the format of the path's suffix; the same figure gives the same bytes."""
     write_file(path, lambda partial: figure.savefig(partial, dpi=DPI, metadata={"Software": None}))
 
 
@@ -65,10 +65,10 @@ def empty_figure(width: float, height: float) -> Figure:
 
 
 def path_figure(traces: Sequence[tuple[str, Trace]], planned: FloatArray, scenario: Scenario) -> Figure:
-    """Fig. 9: planned and driven path, and since they coincide the lateral error over station below.
+    """Fig. 9: planned and driven path, and below them the lateral error over station, because the paths coincide.
 
     Args:
-        traces: Controller and drive; the first one's path is drawn, the errors of all.
+        traces: Controllers and drives; the path of the first drive and the errors of all drives are drawn.
         planned: Points `(n, 2)` of the plans of the first drive.
         scenario: The road.
     """
@@ -157,9 +157,9 @@ def pedals_figure(
 
     Args:
         trace: A closed loop.
-        braking: From when to when, s.
-        clear: When the walker has left the path, s.
-        limits: Of the time axis, s.
+        braking: Begin and end of each braking interval, s.
+        clear: Time at which the walker has left the path, s.
+        limits: Limits of the time axis, s.
     """
     import matplotlib as mpl
 
@@ -214,7 +214,7 @@ MARK_STYLE: dict[str, Any] = {
 
 
 def grid_figure(table: pd.DataFrame) -> Figure:
-    """The pedestrian grid as heat maps: a row per quantity, a column per speed of the ego; letters mark what failed."""
+    """The pedestrian grid as heat maps: a row per quantity, a column per speed of the ego; letters are verdicts."""
     import matplotlib as mpl
 
     speeds = sorted(table["ego_kmh"].unique())

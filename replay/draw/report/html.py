@@ -1,7 +1,7 @@
 """The report as one HTML file: it opens from disk, makes no request to any network, and is readable without script.
 
 It has an overview, a comparison if there is a baseline, and a page per drive. The page, its style and its script are in
-templates/ (jinja2, everything escaped). An error in one part costs that part, never the report.
+templates/ (jinja2, everything escaped). An error in one part removes that part, never the report.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ from replay.results.tables import safe_name, write_text
 T = TypeVar("T")
 
 MOST_REGRESSIONS, MOST_IMPROVEMENTS, MOST_GROUPS, MOST_MOVED = 60, 20, 80, 6
-"""Numbers of rows in the tables of a comparison, and of metrics that are drawn."""
+"""Largest numbers of rows in the tables of a comparison, and of metrics that are drawn."""
 _ORDER = {"fail": 0, "inconclusive": 1}
-"""Of pages; within a verdict, the drive with most trouble is first."""
+"""Order of the pages by verdict; within a verdict, the drive with most trouble is first."""
 MOST_EVENTS = 60
-"""Further events are only counted."""
+"""Largest number of events that are listed; the page gives the number of the others."""
 _WEIGHT = {outcome.value: weight for weight, outcome in enumerate(Outcome)}
 
 
@@ -62,7 +62,7 @@ class Attempts:
 
         Raises:
             ConfigError: As `make`: the user named something that does not exist.
-            OutputError: Likewise: nothing can be written.
+            OutputError: As `make`: nothing can be written.
         """
         try:
             return make()
@@ -84,10 +84,10 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
         drives: The number of drives with a page, the worst first; the table has all of them.
 
     Returns:
-        Charts that could not be drawn, a sentence each, with how many pages it concerns.
+        A sentence for each chart that could not be drawn, with the number of drives.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: The file cannot be written.
     """
     broken = Counter[str]()
 
@@ -101,7 +101,7 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
 
     paged = sorted(overview.drives, key=lambda row: (_ORDER.get(row.verdict, 2), -row.trouble))[:drives]
     anchors, shares = dict[tuple[str, str], str](), [*overview.whole, *overview.grouped]
-    for row in paged:  # an id for each page, made of the names; a number where two would be the same
+    for row in paged:  # an id for each page, made of the names, with a number if it would not be unique
         name = f"drive/{safe_name(row.log)}/{safe_name(row.planner)}"
         names = (name, *(f"{name}-{k}" for k in range(2, len(paged) + 2)))
         anchors[row.log, row.planner] = next(one for one in names if one not in anchors.values())
@@ -118,7 +118,7 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
         pages=pages(),
         paged=paged,
         comparison=None if overview.comparison is None else _comparison_rows(overview.comparison),
-        style=Markup(_read("style.css") + roles("auto") + filled(RULES, "auto")),  # our own files
+        style=Markup(_read("style.css") + roles("auto") + filled(RULES, "auto")),  # files of replan: no escaping
         script=Markup(_read("script.js")),
     )  # fmt: skip
     with writing(path):
@@ -139,7 +139,7 @@ def _comparison_rows(comparison: Comparison) -> dict[str, Any]:
     shown = groups[groups["significant"].astype(bool) | asked & (groups["kind"] == "suite")]
     moving = shown[shown["delta"].abs() > 0.0]
     order = moving.assign(rank=~moving["significant"].astype(bool)).sort_values("rank", kind="stable")
-    # the metrics that moved most, those that a gate asks of first; one chart per metric, planner and loop
+    # the metrics with the largest changes, those of gates first; one chart per metric, planner and loop
     pairs = comparison.pairs
     both = pairs[pairs["baseline"].notna() & pairs["candidate"].notna() & (pairs["delta"] != 0.0)]
     both = both[both["worse"].notna()]
@@ -187,7 +187,7 @@ def _environment() -> Environment:
         return "" if name in ("", "1", "count") else f" {name}"
 
     def sorts(value: float) -> str:
-        """The sort key of a cell; empty: last."""
+        """The sort key of a cell; an empty key is last."""
         return f"{value:.9g}" if isfinite(value) else ""
 
     found.filters |= {"number": number, "seconds": seconds, "unit": unit, "line": printable, "sorts": sorts}
@@ -217,15 +217,15 @@ class DrivePage:
         mode: The loop of the pictures.
         tags: Tags of the log.
         time_s: The moment of the pictures; NaN if there are none.
-        why: Why this moment; if there are no pictures, why not.
-        because: What the plan does then, and why, in sentences.
+        why: The reason for this moment; if there are no pictures, the reason for that.
+        because: The action of the plan at this moment, and its reasons, in sentences.
         end: How the drive ended.
         verdicts: The rows of `DriveResult.verdicts` of both loops, failed ones first.
-        pictures: Scenes and graphs; then `decided`, and `curves`.
-        events: What changed, when.
+        pictures: Charts of scenes and graphs; `decided` and `curves` follow them.
+        events: The changes, with their times.
         more_events: The number of events that are left out.
-        metrics: By loop, the rows of the available metrics.
-        missing: Reason, and the metrics that are not available for it.
+        metrics: The rows of the available metrics of each loop.
+        missing: Each reason, and the metrics that are not available because of it.
         files: Recordings, otherwise traces.
         plot: The command that draws the same pictures.
         broken: Charts that could not be drawn, a sentence each.
@@ -264,7 +264,7 @@ class DrivePage:
 
     @property
     def not_asked(self) -> tuple[Any, ...]:
-        """Gates that were not asked of this drive."""
+        """Verdicts of gates that do not apply to this drive."""
         return tuple(line for line in self.verdicts if line.outcome == Outcome.NOT_ASKED.value)
 
 

@@ -21,13 +21,13 @@ from metrics.judge.gates import Outcome
 from replay.draw.report.model import BROKEN, NOTHING, Overview, PassShare, legend
 
 STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
-"""Names the file that CI shows as the summary of a step."""
+"""The environment variable with the path of the file that CI shows as the summary of a step."""
 STEP_BYTES = 1 << 20
-"""The limit of GitHub, which shows nothing of a longer one."""
+"""GitHub's limit for a step summary; it shows nothing of a longer one."""
 MAX_OPEN = 25
-"""Longer lists are folded."""
+"""Longest list that is not folded."""
 MAX_COMPARED = 50
-"""Further regressions or groups of a comparison are not listed."""
+"""Largest number of listed regressions or groups of a comparison."""
 WEIGHT = {Outcome.FAIL.value: 0, Outcome.INCONCLUSIVE.value: 1, "": 2, Outcome.PASS.value: 3}
 
 
@@ -85,7 +85,7 @@ def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
 
 
 def append_step_summary(over: Overview, environment: Mapping[str, str] = os.environ) -> None:
-    """Append the report to the summary of the CI step, where there is one; shortened to what is shown."""
+    """Append the report to the summary of the CI step, if there is one; shortened to GitHub's limit."""
     name = environment.get(STEP_SUMMARY)
     if name:
         path = Path(name)
@@ -95,7 +95,7 @@ def append_step_summary(over: Overview, environment: Mapping[str, str] = os.envi
 
 
 def shortened(text: str, most: int) -> str:
-    """The text, if it has no more than `most` bytes; else what fits, up to the end of a line, and a sentence."""
+    """The text, if it has no more than `most` bytes; otherwise the lines that fit, and a sentence about the rest."""
     if len(text.encode()) <= most:
         return text
     end = "\n\nThis report is shortened: all of it is in report.md of the result folder.\n"
@@ -191,7 +191,7 @@ def _frame(title: str, rows: pd.DataFrame, names: Sequence[str]) -> str:
 
 
 def _text(words: str) -> str:
-    """Any text as itself, on one line."""
+    """Any text on one line, escaped so that Markdown shows it unchanged."""
     shown = "".join(c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in words)
     line = re.sub(r"\s+", " ", shown)
     return _SPECIAL.sub(lambda found: f"&amp;{found[0][1:]}" if found[0][0] == "&" else f"\\{found[0]}", line)
@@ -201,7 +201,7 @@ _SPECIAL = re.compile(
     r"[\\`*|~$]"  # anywhere
     r"|(?<![^\W_])_|_(?![^\W_])"  # an underscore that is not within a word
     r"|<(?=[A-Za-z/!?])|](?=[(\[:])|&(?=#?\w+;)"  # tags, links, entities
-    r"|^[-+=#>\[]|(?<=^\d)[.)](?=\s)|(?<=^\d\d)[.)](?=\s)"  # what begins a block
+    r"|^[-+=#>\[]|(?<=^\d)[.)](?=\s)|(?<=^\d\d)[.)](?=\s)"  # marks that begin a block
 )
 
 
@@ -217,7 +217,7 @@ def _raw_table(head: Sequence[str], rows: Iterable[Sequence[str]], right: Iterab
 
 
 def _list(title: str, lines: Sequence[str], level: int = 2) -> str:
-    """A heading and a list, folded where it is long; "" where it has no line."""
+    """A heading and a list, folded if it is long; "" if it has no lines."""
     if not lines:
         return ""
     text = "\n".join(f"- {_text(line)}" for line in lines)

@@ -25,8 +25,8 @@ class Column:
     """One metric of the table of drives.
 
     Attributes:
-        title: With the unit, in short lines.
-        metric: Row of the metric table.
+        title: The title with the unit, in short lines.
+        metric: Name of the metric.
         mode: Loop in which it was measured.
         show: Formats a value.
         bad: Whether a value is marked.
@@ -62,7 +62,7 @@ COLUMNS = (
     Column("jerk\n[s]", JERK_S, "closed", "{:.1f}".format, lambda value: value > 2.0),
     Column("fall\nback", "fallback.rate", "closed", percent, lambda value: value > 0.0),
 )
-"""Open loop first; the columns of the closed loop follow the end of its drive."""
+"""Columns of the open loop first; the end of the closed loop is shown before the columns of the closed loop."""
 
 LEGEND = (
     ("open", "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s."),
@@ -74,11 +74,11 @@ LEGEND = (
     ("", "verdict: the worst outcome of the gates, and how many of them were asked; inconclusive: no evidence."),
     ("", "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv)."),
 )
-"""Loop ("": either) and line."""
+"""The loop ("": either) and the text of each line."""
 
 
 def legend(columns: Sequence[Column]) -> list[str]:
-    """The meaning of some columns, and of those beside them."""
+    """The lines that explain some columns, and the columns beside them."""
     loops = {"", *(column.mode for column in columns)}
     return [line for loop, line in LEGEND if loop in loops]
 
@@ -126,7 +126,7 @@ class DriveRow:
         end: How the closed loop ended.
         cells: One per column of `Overview.columns`.
         files: Traces and recordings, relative to the result folder.
-        folder: Of the log, relative likewise.
+        folder: Folder of the log, relative to the result folder.
     """
 
     log: str
@@ -157,11 +157,11 @@ class GateRow:
     Attributes:
         outcome: "pass", "fail" or "inconclusive".
         rule: "gap.min >= 0.5 [closed]".
-        over: What must pass: "worst" (every log), or an aggregate of the logs.
+        over: The values that must pass: "worst" (every log), or an aggregate of the logs.
         found: In short: if it passes, the value nearest to the bound, otherwise the reason.
         reason: The whole sentence.
         why: The reason for the gate.
-        planner, mode: "" if there was none to judge.
+        planner, mode: "" if there was no drive to judge.
         group: The group of logs, for a gate over groups; otherwise "".
         log: The worst log; "" if there is none.
         value: The judged value; NaN if there is none.
@@ -189,9 +189,9 @@ class PassShare:
     """The number of logs of a group that pass, with the 95 % interval of the share (`metrics.judge.aggregate`).
 
     Attributes:
-        kind: "suite", "family", "tag" or "dataset"; `group` is its name, "" of the suite.
+        kind: "suite", "family", "tag" or "dataset"; `group` is its name, "" for the suite.
         mode: "open", "closed", or "both" together.
-        missing: Logs that could not be evaluated; they count as not passed, as inconclusive ones do.
+        missing: Logs that could not be evaluated; like inconclusive logs, they do not pass.
     """
 
     kind: str
@@ -240,7 +240,7 @@ class Coverage:
 
 
 def worst_flips(comparison: Comparison) -> pd.DataFrame:
-    """The verdicts that changed: new failures first, then those that fail no more; the closed loop first."""
+    """The verdicts that changed: new failures first, then gates that no longer fail; the closed loop first."""
     flips = comparison.flips
     rank = 4 - 4 * (flips["after"] == "fail") - 2 * (flips["before"] == "fail") + (flips["mode"] == "open")
     return flips.loc[rank.sort_values(kind="stable").index]
@@ -263,26 +263,26 @@ class Overview:
     """The contents of a report, in its order.
 
     Attributes:
-        outcome, exit_code: As `replan evaluate` ends.
+        outcome, exit_code: Those of `replan evaluate`.
         shard: "2/5": the part of a run that this is, which is not judged; otherwise "".
-        replan: Version that drove.
+        replan: Version of replan that ran the drives.
         config: First 12 hex digits of the SHA-256 of the resolved configuration.
         logs: The number of requested logs.
-        drives: In the order of the run; `columns` are those of its table.
-        planners: Names with marks.
+        drives: The drives in the order of the run; `columns` are the columns of their table.
+        planners: Names of the planners, with marks.
         compared: A label, and a text per planner.
         frames: The number of plans behind the latencies.
-        latency: By planner and stage, the whole plan last.
+        latency: Stage times by planner and stage, the whole plan last.
         gates: Failed and inconclusive gates first, without gates that apply to no log.
         not_asked: The gates that do not apply to some logs, with the commonest reason, a line each.
-        shares: Of suite, families, tags, datasets.
+        shares: Pass shares of the suite, families, tags and datasets.
         ensembles: The number of verdicts that were tested with perturbed runs.
         fragile: The verdicts that changed, a sentence each.
         notes: Assumptions, with the number of logs, the commonest first.
         failures: Logs and planners that could not be evaluated.
         worst: The drive to look at first.
-        comparison: With a baseline, if there is one.
-        diagnosis: Why drives fail, where `replan diagnose` was run: what its diagnosis.json holds.
+        comparison: The comparison with a baseline, if there is one.
+        diagnosis: The contents of diagnosis.json, if `replan diagnose` was run.
         broken: Charts that could not be drawn, a sentence each; known after the page is written.
     """
 

@@ -3,8 +3,8 @@
 result = load("results/run-001")
 print_report(overview(result), Console(), result.path)
 
-It holds no clock but the planning times of the run itself, and no path outside of the result folder: the reports of a
-folder are the same, byte for byte, wherever it is.
+It contains no times of day, only the planning times of the run, and no path outside of the result folder: the reports
+of a folder are the same, byte for byte, wherever the folder is.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from replay.results.tables import OUTCOMES
 ORDER = (Outcome.FAIL.value, Outcome.INCONCLUSIVE.value, Outcome.PASS.value)
 """Outcomes as reports list them."""
 EXIT_WEIGHT = (2, 3, 1, 4, 0)
-"""Of several exit codes the first in this order is that of all: 3 beats 1 beats 4."""
+"""Exit codes by priority: several codes are combined into the first in this order (3 beats 1 beats 4)."""
 
 Key = tuple[str, str]
 """Log and planner."""
@@ -60,9 +60,9 @@ def overview(
     """The overview of a finished run.
 
     Args:
-        results: Of `replay.results.load.load`.
-        comparison: With a baseline: outcome and exit code are then the worst of both.
-        diagnosis: Of the run, as its diagnosis.json has it.
+        results: The results, from `replay.results.load.load`.
+        comparison: The comparison with a baseline; outcome and exit code are then the worse of both.
+        diagnosis: The contents of diagnosis.json of the run.
     """
     code = combined((results.exit_code, comparison.exit_code if comparison else 0))
     found = results.metrics[results.metrics["available"].astype(bool)]
@@ -161,7 +161,7 @@ def marked(drives: Sequence[Any]) -> str:
 
 
 Values = Mapping[tuple[str, str, str, str], float]
-"""By log, planner, mode and metric."""
+"""Values by log, planner, mode and metric."""
 OverLogs = Mapping[tuple[str, str, str], list[float]]
 """The values of all logs by planner, mode and metric."""
 
@@ -211,7 +211,7 @@ SHORT = {
 def _of_planners(
     results: Results, over_logs: OverLogs, planners: Sequence[str]
 ) -> tuple[list[tuple[str, tuple[str, ...]]], list[StageTime], list[Coverage]]:
-    """All drives of each planner: the metrics of `COMPARED`, the times of the stages, and what the verdicts rest on."""
+    """All drives of each planner: the metrics of `COMPARED`, the times of the stages, and the coverage."""
     compared = [
         (label, tuple(combine(some) if (some := over_logs.get((p, loop, metric))) else NOTHING for p in planners))
         for label, loop, metric, combine in COMPARED
@@ -238,7 +238,7 @@ def _of_planners(
 
 
 def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[tuple[GateRow, ...], list[str]]:
-    """The verdicts, and the gates not asked in some drives: those of most drives first, with the commonest reason."""
+    """The verdicts, and the gates that do not apply to some drives, most drives first, with the commonest reason."""
     units = dict(zip(results.metrics["metric"], results.metrics["unit"], strict=True))
     found: dict[tuple[str, str, str], dict[str, str]] = {}
     names = ["gate", "log", "planner", "mode", "outcome"]
@@ -281,7 +281,7 @@ def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[tuple[GateRow, ...
 
 
 def _notes(logs: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Every note once, with the number of logs; notes that differ only in numbers are one."""
+    """Every note once, with the number of logs; notes that differ only in numbers are merged."""
     count: Counter[str] = Counter()
     texts: dict[str, set[str]] = {}
     for log in logs:

@@ -25,18 +25,18 @@ from replay.draw.report.console import grid, titled
 from replay.draw.report.model import BROKEN, NOTHING, Overview, legend, worst_flips
 
 MAX_ROWS = 30
-"""Further drives are not listed; those with marked values come first."""
+"""Largest number of listed drives; drives with most marked values come first."""
 
 MAX_NOTES = 12
 MAX_GROUPS = 12
 SAYS = {"pass": "pass", "fail": "FAIL", "inconclusive": "inconcl."}
 OUTCOMES = {0: "pass", 1: "fail", 4: "inconclusive"}
-"""Of a comparison, by exit code."""
+"""Outcomes of a comparison by exit code."""
 STYLES = {Outcome.PASS.value: "green", Outcome.FAIL.value: "bold red", Outcome.INCONCLUSIVE.value: "yellow"}
 
 
 def print_report(over: Overview, console: Console, folder: Path, *, ending: bool = True) -> None:
-    """The whole report on the results in a folder; without its `ending` if something else is printed before it."""
+    """Print the report on the results in a folder; `ending=False` leaves its last lines to `print_ending`."""
     parts: list[RenderableType] = []
     if over.drives:
         parts += _drives(over)
@@ -81,7 +81,7 @@ def print_report(over: Overview, console: Console, folder: Path, *, ending: bool
 
 
 def print_ending(over: Overview, console: Console, folder: Path, place: str = "") -> None:
-    """The place of the results (`place`: where those of the folder go), and the outcome: the last line of a run."""
+    """Print the place of the results (`place`, or the folder), and as the last line the outcome."""
     place = place or str(folder)
     there = [name for name in ("report.html", "metrics.csv", "summary.json") if (folder / name).is_file()]
     lines = [Text(f"Results: {place}  ({', '.join((*there, 'a folder per log'))})")]
@@ -149,15 +149,15 @@ def _shares(over: Overview) -> Iterator[RenderableType]:
 
 
 MOST_FLIPS, MOST_PAIRS, MOST_GROUPS, MOST_LINES = 20, 8, 14, 10
-"""Further rows are only counted; --json has all."""
+"""Largest numbers of rows; --json has all rows."""
 Watch = Callable[[str, str, str], str]
-"""Log, planner and mode to the command that shows the drive; "" if it is not available."""
+"""Maps log, planner and mode to the command that shows the drive; "" if it is not available."""
 
 
 def print_comparison(
     comparison: Comparison, console: Console, watch: Watch = lambda log, planner, mode: "", *, alone: bool = True
 ) -> None:
-    """The whole comparison; with the exit code if it is that of the command (`alone`)."""
+    """Print the comparison; `alone`: with the exit code, which is then that of the command."""
     parts: list[RenderableType] = []
     worst = comparison.regressions(1)
     command = watch(*worst.iloc[0][DRIVE]) if len(worst) else ""
@@ -240,7 +240,7 @@ def _extremes(title: str, pairs: pd.DataFrame, command: str) -> Iterator[Rendera
 def _groups(comparison: Comparison) -> Iterator[RenderableType]:
     """Metrics with a gate or a significant change over the suite, and those with both over groups of logs.
 
-    Of the reductions of one metric, the one that changed most is shown.
+    For each metric, only the reduction that changed most is shown.
     """
     groups = comparison.groups[comparison.groups["delta"] != 0.0]
     asked = set(comparison.pairs.loc[comparison.pairs["asked"], "metric"])
@@ -289,7 +289,7 @@ def _unit(unit: str) -> str:
 
 
 def document(comparison: Comparison) -> dict[str, Any]:
-    """The whole comparison for JSON; of the pairs only those that differ."""
+    """The whole comparison for JSON, with only those pairs that differ."""
     changed = comparison.pairs[comparison.pairs["delta"] != 0.0]
     content = {item.name: getattr(comparison, item.name) for item in fields(comparison)}
     head = {"outcome": OUTCOMES[comparison.exit_code], "exit_code": comparison.exit_code}

@@ -1,18 +1,19 @@
 """The reports of a result folder, as files: report.md, junit.xml, report.html; and the verdicts as JUnit XML.
 
-They are made from the results on disk, so that they can be made for any folder, and hold no path outside of the folder
-and no clock: the same results give the same bytes, wherever the folder is.
+They are made from the results on disk, so that they can be made for any folder, and contain no path outside of the
+folder and no time of day: the same results give the same bytes, wherever the folder is.
 
 JUnit, which CI systems show: a test per log and gate, a suite per planner and loop. In it, `classname` is
 PLANNER.LOOP.LOG and `name` the rule of the gate:
 
     failure     the log breaks the gate's bound
     skipped     it is inconclusive
-    error       the log could not be driven to the end, or not at all: one test "evaluated" per log, whose time is that
-                of the drive, simulated
+    error       the log could not be driven to the end, or not at all: one test "evaluated" per log, whose time is the
+                simulated time of the drive
 
 A verdict on all logs together (a mean, a share of passes, too little evidence) is a test of the class PLANNER.LOOP.all
-logs, or of its group; a single log does not fail such a gate. There is also a suite "run" for what belongs to no
+logs, or of its group; a single log does not fail such a gate. There
+is also a suite "run" for failures and gates without a
 planner, and with a baseline a suite "compare" for its rules. So a test fails if `replan` ends with 1, and has an error
 if it ends with 3. Ant's schema requires a timestamp and a host, which are `TIMESTAMP` and "localhost". Elements and
 attributes are those that the schemas of Ant and Jenkins have in common.
@@ -57,7 +58,7 @@ class Case:
 
 
 def junit(results: Results, over: Overview) -> str:
-    """The XML.
+    """The JUnit XML of a run.
 
     Args:
         results: The run.
@@ -147,12 +148,12 @@ MARKDOWN, JUNIT, HTML = REPORTS
 
 
 def write_reports(results: Results, over: Overview, out: Path) -> Overview:
-    """Write the reports of a run, and the summary of the CI step where there is one.
+    """Write the reports of a run, and the summary of the CI step if there is one.
 
     Args:
         results: The run.
         over: The overview of the run.
-        out: Folder for them; created if needed. report.md has links only if it is the result folder.
+        out: Folder for the reports; created if needed. report.md has links only if it is the result folder.
 
     Returns:
         The overview, with the charts and files that could not be made: an error in one affects no other.

@@ -74,7 +74,7 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
     assert reader is not None and [topic.messages for topic in reader.contents(folder).topics] == [len(T)] * 5
     for name, content, words in (
         ("frame_times", np.arange(7.0), "the arrays have 100, 100, 100, 7, 100 rows"),
-        ("frame_positions", np.zeros((100, 3)), "no place on the earth"),
+        ("frame_positions", np.zeros((100, 3)), "not on the earth"),
         ("frame_velocities", np.full((100, 3), np.nan), "a value is not finite"),
         ("frame_velocities", np.zeros((100, 2)), "expected \\(n, 3\\) numbers"),
     ):

@@ -226,7 +226,7 @@ def test_convert_names_what_it_cannot_take_or_write(folder: Path, tmp_path: Path
     (tmp_path / "in" / "free.mcap").write_bytes((folder / "free.mcap").read_bytes())
     result = replan("convert", tmp_path / "in", "-o", tmp_path / "out")
     assert result.exit_code == 0
-    assert result.stdout.startswith(f"left out {tmp_path / 'in' / 'cut.bag'}: no reader claims it\n")
+    assert result.stdout.startswith(f"left out {tmp_path / 'in' / 'cut.bag'}: no reader recognises it\n")
     (tmp_path / "file").touch()
     result = replan("convert", folder / "free.mcap", "-o", tmp_path / "file")
     assert result.exit_code == 3
@@ -351,7 +351,7 @@ def test_view_of_two_drives_writes_them_as_one(recorded: Path, tmp_path: Path) -
     assert both.is_file()
     assert "2 recordings are in both" in one_error(replan("view", recorded, recorded, "--log", "free"))
     other = next(recorded.glob("test_blocked*/closed.rrd"))
-    assert "two drives of one log" in one_error(replan("view", one, other, "--save", both))
+    assert "both drives must be of the same log" in one_error(replan("view", one, other, "--save", both))
     assert "two folders" in one_error(replan("view", one, recorded, "--save", both))
 
 

@@ -149,7 +149,7 @@ def test_the_command_reports_stages_sizes_and_residuals(results: Results, tmp_pa
 @pytest.mark.parametrize("content", [b"", b"\x80", b"no dump at all"])
 def test_what_is_no_dump_is_a_clean_error(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "frame.msgpack").write_bytes(content)
-    with pytest.raises(LogError, match="is no dump of a frame"):
+    with pytest.raises(LogError, match="is not a dump of a frame"):
         load(tmp_path / "frame.msgpack")
 
 

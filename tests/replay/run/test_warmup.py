@@ -19,7 +19,8 @@ if os.environ.get("READ_ONLY"):  # stands for a file system that is read-only: r
         raise OSError("read-only file system")
     os.makedirs = os.mkdir = tempfile.TemporaryFile = refused
 import logs.kernel as kernel, logs.shapes as shapes, gc
-print(kernel.cold(), shapes.corners(1.0, 2.0, 0.5, 4.0, 2.0).tolist(), kernel.compiled_here() > 0, kernel.cold())
+empty, corners = kernel.is_cache_empty(), shapes.corners(1.0, 2.0, 0.5, 4.0, 2.0).tolist()
+print(empty, corners, kernel.compiled_count() > 0, kernel.is_cache_empty())
 print(gc.isenabled())
 """
 

@@ -129,7 +129,7 @@ def test_a_planner_that_never_fails_alone_is_not_falsified(folder: Path, tmp_pat
         (("--budget", 3), "a search takes 16 drives at least"),
         (("--resolution", 0), "must be positive"),
         (("--agent", "18"), "no agent is called '18'"),
-        (("--resume",), "holds no study to resume"),
+        (("--resume",), "contains no study to resume"),
     ],
 )
 def test_wrong_words_are_one_line_and_leave_nothing(

@@ -46,7 +46,7 @@ def test_the_chosen_settings_are_a_file_of_a_run_with_nothing_else_in_it(tmp_pat
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "holds no setting"),
+        ("", "contains no setting"),
         ("planner.idm.time_gap = { low = 1, high = 2 }", "did you mean 'planner.idm.time_gap_s'"),
         ("planer.idm.time_gap_s = { low = 1, high = 2 }", "did you mean 'planner'"),
         ("planner.dp_qp.stitch_m = { low = 1, high = 2 }", "no setting is called 'planner.dp_qp'"),

@@ -28,11 +28,11 @@ def test_trials_are_known_again_and_another_head_is_refused(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("name", "text", "resume", "said"),
     [
-        ("diary.txt", "", False, "holds no study of `replan tune`"),
-        (FILE, '{"study": "falsify"}\n', False, "holds no study of `replan tune`"),
+        ("diary.txt", "", False, "contains no study of `replan tune`"),
+        (FILE, '{"study": "falsify"}\n', False, "contains no study of `replan tune`"),
         (FILE, "no json", False, "cannot be read as a study"),
         (FILE, '{"study": "tune"}\n{"value": 1}\n', True, "contains no study"),
-        (None, "", True, "holds no study to resume"),
+        (None, "", True, "contains no study to resume"),
     ],
 )
 def test_what_is_no_study_is_not_touched(tmp_path: Path, name: str | None, text: str, resume: bool, said: str) -> None:

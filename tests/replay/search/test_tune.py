@@ -151,7 +151,7 @@ def test_without_optuna_or_cmaes_one_line_says_how_to_install_them(
         (("--objective", "noise.men"), "did you mean 'noise.mean'"),
         (("--held-out", 0.0), "holds out 0, and on fewer than 6 no difference is more than chance"),
         (("--held-out", 1.0), "leaves none to search on"),
-        (("--resume",), "holds no study to resume"),
+        (("--resume",), "contains no study to resume"),
         (("--space", "nowhere.toml"), "nowhere.toml"),
     ],
 )

@@ -170,7 +170,7 @@ def named_suite(name: str) -> Selection:
 
 
 def suite_file(path: Path) -> list[Path | str]:
-    """The logs that a suite's file names: TOML with one key, `logs`, a list of paths, URLs or names of the catalogue.
+    """The logs that a suite's file names: TOML with one key, `logs`, a list of paths (relative to the file) or URLs.
 
     Raises:
         ConfigError: It cannot be read, or has other keys.

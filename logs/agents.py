@@ -23,7 +23,7 @@ _UNCODED = frozen(np.empty(0), np.int64)
 
 
 class AgentKind(Enum):
-    """The kind of a road user."""
+    """What a road user is."""
 
     CAR = "car"
     TRUCK = "truck"

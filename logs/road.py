@@ -27,7 +27,7 @@ from logs.rules import Crosswalk, StopLine
 
 
 class RoadSource(Enum):
-    """The source of a road."""
+    """Where the road came from."""
 
     LANES = "lanes of the log"
     DRIVEN_PATH = "the log has no lanes: one lane along the driven path"

@@ -15,7 +15,7 @@ from logs.kernel import FloatArray, Points, frozen
 
 
 class Colour(Enum):
-    """The colours that a traffic light shows."""
+    """What a traffic light shows."""
 
     RED = "red"
     RED_YELLOW = "red and yellow"

@@ -26,7 +26,7 @@ KEPT_STEP_S = 0.5
 
 
 class PlanStatus(Enum):
-    """The origin of a plan; the value is the sentence shown to the user."""
+    """How a plan came about; the value is the sentence that the user reads."""
 
     PLANNED = "planned"
     CORRECTED = "planned; columns that contradicted its positions were computed anew from them"
@@ -42,14 +42,14 @@ class PlanStatus(Enum):
 
 
 class PlanStart(Enum):
-    """The state at which a plan begins."""
+    """Where a plan begins."""
 
     EGO = "at the ego"
     PREVIOUS_PLAN = "on the previous plan"
 
 
 class DecisionKind(Enum):
-    """The manoeuvre with respect to an agent."""
+    """What is to be done about an agent."""
 
     IGNORE = "ignore"
     NUDGE_LEFT = "nudge left"
@@ -282,14 +282,14 @@ class PlanSummary:
 
 
 class Mode(Enum):
-    """Open loop: the ego follows the log. Closed loop: the ego follows the planner."""
+    """Open loop: the ego is the log's. Closed loop: the ego is driven."""
 
     OPEN = "open"
     CLOSED = "closed"
 
 
 class EndReason(Enum):
-    """The reason for which a drive ended; the value is the sentence shown to the user."""
+    """Why a drive ended; the value is the sentence that the user reads."""
 
     END_OF_LOG = "end of the log"
     GOAL = "goal reached"

@@ -350,5 +350,5 @@ def test_both_recordings_are_in_one_with_the_place_where_they_part(tmp_path: Pat
     assert "se\\_cond" in page and "First difference: t = 3.0" in page and "apart from t = 3.0" in page
     assert both.times("/parts") == pytest.approx([3.01], abs=0.02)
     assert span(tmp_path / "pair.rrd") == (0.0, pytest.approx(float(trace.ego.t[-1])))
-    with pytest.raises(ConfigError, match="one log"):
+    with pytest.raises(ConfigError, match="the same log"):
         write_pair(tmp_path / "no.rrd", files, (done.trace, replace(trace, scenario="other")), ("a", "b"))

@@ -266,8 +266,8 @@ def test_the_list_names_every_metric_under_its_group() -> None:
 def test_a_metrics_page_says_all_about_it(metric: Metric) -> None:
     text = said(metric.name)
     assert metric.formula and metric.meaning.endswith(".") and metric.unit
-    for told in (metric.formula, metric.meaning, metric.unit, metric.source, *metric.parameters, metric.needs):
-        assert told in text
+    for detail in (metric.formula, metric.meaning, metric.unit, metric.source, *metric.parameters, metric.needs):
+        assert detail in text
     for reduction in metric.reductions:
         assert reduction.name in text
     assert not any(mark in metric.formula for mark in "`\n")

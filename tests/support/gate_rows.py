@@ -13,7 +13,7 @@ def row(log: str, value: float, **changes: object) -> dict[str, object]:
     known = not np.isnan(value)
     return {
         "log": log, "planner": "dp_qp", "mode": "closed", "oracle": False, "metric": "gap.min", "value": value,
-        "unit": "m", "direction": "higher", "available": known, "reason": "car 7" if known else "nobody there",
+        "unit": "m", "direction": "higher", "available": known, "reason": "car 7" if known else "no agent there",
         "time_s": 3.2 if known else np.nan, "version": 1, "source": "",
     } | changes  # fmt: skip
 

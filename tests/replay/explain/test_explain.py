@@ -1,4 +1,4 @@
-"""A drive in words, one frame planned again, and where the agents really were: what is said is what the run did."""
+"""A drive in words, one frame planned again, and where the agents really were: the words match the run."""
 
 from __future__ import annotations
 

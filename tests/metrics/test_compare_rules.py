@@ -131,7 +131,7 @@ def test_a_value_that_is_gone_is_named_and_no_delta() -> None:
     found = of({"a1": 1.0, "a2": np.nan}, {"a1": np.nan, "a2": 0.1}, replace(GAP, optional=True))
     reasons = dict(zip(found.pairs["log"], found.pairs["reason"], strict=True))
     assert reasons == {
-        "a1": "only in the baseline; candidate: nobody there", "a2": "only in the candidate; baseline: nobody there"
+        "a1": "only in the baseline; candidate: no agent there", "a2": "only in the candidate; baseline: no agent there"
     }  # fmt: skip
     assert found.pairs["delta"].isna().all()
     assert [tuple(flip) for flip in found.flips[["log", "before", "after"]].to_numpy()] == [

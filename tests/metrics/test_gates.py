@@ -84,7 +84,7 @@ def test_a_bound_of_zero_is_a_bound() -> None:
 def test_nothing_to_judge_is_not_a_pass() -> None:
     nothing = verdict(AT_LEAST, table(row("a", np.nan), row("b", np.nan)))
     assert nothing.outcome is INCONCLUSIVE
-    assert nothing.reason == "dp_qp, closed loop: nothing to judge; no evidence in 2 of 2 logs (nobody there)"
+    assert nothing.reason == "dp_qp, closed loop: nothing to judge; no evidence in 2 of 2 logs (no agent there)"
     assert verdict(Gate("gap.min", min=0, mode="open"), table(row("a", 1.0))).outcome is INCONCLUSIVE
     assert verdict(Gate("ttc.min", min=0), table(row("a", 1.0))).outcome is INCONCLUSIVE
     assert verdict(AT_LEAST, table(), tags={}).outcome is INCONCLUSIVE
@@ -96,7 +96,7 @@ def test_missing_values_are_said_and_bounded() -> None:
     rows = table(*(row(f"log{i}", np.nan if i < 2 else 1.0) for i in range(20)))
     found = verdict(AT_LEAST, rows)
     assert found.outcome is PASS
-    assert found.reason.endswith("; no evidence in 2 of 20 logs (nobody there)")
+    assert found.reason.endswith("; no evidence in 2 of 20 logs (no agent there)")
     assert verdict(replace(AT_LEAST, max_missing=0.05), rows).outcome is INCONCLUSIVE
     assert verdict(AT_LEAST, rows[:19].iloc[:10]).outcome is INCONCLUSIVE  # 2 of 10
     short = verdict(replace(AT_LEAST, min_logs=19), rows)
@@ -260,7 +260,7 @@ def test_what_is_not_asked_is_counted_and_can_be_gated() -> None:
     filled = with_asked(rows, gates, {"a": LogLabels()})
     found = judge(gates, filled, {"a": LogLabels()})
     assert [v.outcome for v in found] == [PASS, Outcome.NOT_ASKED, FAIL]
-    assert found[1].logs[0].why == "nobody there"
+    assert found[1].logs[0].why == "no agent there"
     assert (found[2].value, found[2].logs[0].why) == (0.5, "not asked: ttc.min >= 1")
     assert worst(v.outcome for v in found[:2]) is PASS
     assert worst([Outcome.NOT_ASKED]) is INCONCLUSIVE
@@ -269,7 +269,7 @@ def test_what_is_not_asked_is_counted_and_can_be_gated() -> None:
 def test_what_each_log_says_is_a_table() -> None:
     found = outcomes(verdicts(AT_LEAST, table(row("a", 0.7), row("b", 0.1), row("c", np.nan))))
     assert found[["log", "outcome", "reason"]].values.tolist() == [
-        ["a", "pass", "car 7"], ["b", "fail", "car 7"], ["c", "inconclusive", "nobody there"],
+        ["a", "pass", "car 7"], ["b", "fail", "car 7"], ["c", "inconclusive", "no agent there"],
     ]  # fmt: skip
     assert worst([Outcome(o) for o in found["outcome"]]) is FAIL
     assert worst([PASS, INCONCLUSIVE]) is INCONCLUSIVE

@@ -8,8 +8,9 @@ The ego, between samples k and k + 1, dt apart, d apart, with the speeds v and v
 (2) jump      d - max(|v|, |v'|) dt - b dt^2 / 2 > `EGO_JUMP_M`,  b = `BRAKING_MPS2`
 (3) speed     sum d / sum (|v| + |v'|) dt / 2  off 1 by more than `EGO_SPEED_OFF`, over a way of `EGO_WAY_M` at least
 (4) units     the same near a factor of `FACTORS`, within `NEAR`
-(5) heading   yaw off the direction of d (or its opposite, in reverse) by more than `TURNED_RAD` in the median, where d
-              is at least `STEP_M`;  a step of the yaw of more than `EGO_FLIP_RAD` within `EGO_GAP_S`
+(5) heading   the chords of `logs.conventions`, about 1 m each, are more than `TURNED_RAD` off the axis of the car in
+              the median, or over a way of `ASKEW_M`; or opposite to heading and speed over a way of `AGAINST_M`;
+              a step of the yaw of more than `EGO_FLIP_RAD` within `EGO_GAP_S`
 
 The other road users, between samples of a track:
 
@@ -24,6 +25,9 @@ The other road users, between samples of a track:
 (13) units        (9) by the same factor for most moving road users
 (17) not recorded more than `logs.observed.MAX_AGE_S` of the log without observed traffic
 (18) across       a vehicle goes a step of more than `ACROSS_M` more than `ACROSS_RAD` off the axis of its box
+(20) heading      the chords of a vehicle are more than `TURNED_RAD` off the axis of its box in the median, or opposite
+    to its heading at more than `BACKWARD_MPS` over a way of `WAY_M` at least
+(21) velocity     the chords of a road user are more than `TURNED_RAD` off its velocity in the median
 (19) short tracks more than `SHORT_SHARE` of the tracks of vehicles have fewer than `SHORT` samples
 
 The map and the lights:
@@ -40,13 +44,15 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import pairwise, starmap
 from math import isfinite
 
 import numpy as np
 import pandas as pd
 
 from logs.agents import among
-from logs.kernel import FloatArray
+from logs.conventions import ENOUGH, ENOUGH_M, MOVES_MPS, TURNED_RAD, Chords
+from logs.kernel import BoolArray, FloatArray
 from logs.observed import MAX_AGE_S, clipped
 from logs.road import RoadSource
 from logs.scenario import AgentKind, Scenario, Tracks
@@ -69,12 +75,14 @@ FACTORS = {
 }
 """Distance by speed over distance by positions, if one of them has a wrong unit."""
 NEAR = 0.04  # Tolerance of a factor, as a share
-STEP_M, TURNED_RAD = 0.3, 0.5  # Least distance that has a direction, m; more than a car slips, rad
+CLOSE_S = 0.09  # Speeds and positions are compared at 10 Hz at most
+AGAINST_M, ASKEW_M = 2.0, 10.0  # Longer than a jump of a localisation; than a tight turn about another point, m
 EGO_FLIP_RAD = 1.0  # No car turns by more between two samples, rad
 
 SWITCH_S, SWITCH_M = 0.6, 2.0  # A tracker that loses an agent finds it again within this time, s, and this distance, m
 FASTEST_MPS = 70.0  # No road user is faster, m/s
 JUMP_M = 1.5  # Perceived boxes move by this between two samples when another part of the car is visible, m
+BACKWARD_MPS = 5.0  # Vehicles reverse more slowly
 SPEED_OFF, WAY_M = 0.25, 20.0  # Largest error of estimated speeds, as a share, over a track of at least this length, m
 FLIP_RAD, FLIP_S = 2.0, 1.0  # A reversed box turns by about pi, rad
 TWIN_M, TWIN_S, GRID_S = 0.4, 0.5, 0.25  # Two centres cannot be so near for so long; tested every `GRID_S`
@@ -113,6 +121,8 @@ class Kind(Enum):
     TELEPORT = "teleport", "time to collision, predictions and contacts are wrong around the jump"
     AGENT_SPEED = "agent speed", "predictions, times to collision and RSS use a speed that contradicts the positions"
     HEADING_FLIP = "heading flip", "their box turns on the spot: contacts and predictions are wrong for a moment"
+    AGENT_HEADING = "agent heading", "predictions, lanes, gaps and contacts of these boxes rest on a wrong heading"
+    VELOCITY = "velocity direction", "predictions and times to collision go where no road user went"
     ACROSS = "motion across the axis", "predictions cross the ego's way where no road user went"
     SHORT = "short tracks", "the motion of briefly visible road users is unknown; many may be false detections"
     TWIN = "twin boxes", "one road user is counted twice in gaps and in the number of road users"
@@ -237,8 +247,7 @@ def ego_jumps(scenario: Scenario) -> Iterator[Finding]:
 def ego_speed(scenario: Scenario) -> Iterator[Finding]:
     """Find speeds of the ego that do not match its positions, or match by a factor of units (3), (4)."""
     ego = scenario.ego
-    positions, speeds = _ways(ego.t, ego.x, ego.y, np.abs(ego.v))
-    way, by_speed = float(positions.sum()), float(speeds.sum())
+    way, by_speed = _ways(ego.t, ego.x, ego.y, np.abs(ego.v), np.zeros(len(ego), np.bool_))
     if max(way, by_speed) < EGO_WAY_M or abs(way - by_speed) <= EGO_SPEED_OFF * max(way, by_speed):
         return
     factor = by_speed / way if way > 0.0 else np.inf
@@ -251,23 +260,46 @@ def ego_speed(scenario: Scenario) -> Iterator[Finding]:
 def ego_heading(scenario: Scenario) -> Iterator[Finding]:
     """Find headings of the ego that do not match its motion (5)."""
     ego = scenario.ego
-    dx, dy = np.diff(ego.x), np.diff(ego.y)
-    moved = np.hypot(dx, dy) >= STEP_M
-    if moved.any():
-        way = np.arctan2(dy[moved], dx[moved]) + np.where(ego.v[1:][moved] < 0.0, np.pi, 0.0)
-        off = float(np.median(np.abs(wrapped(ego.yaw[1:][moved] - way))))
-        if off > TURNED_RAD:
-            text = f"the ego's heading is {off:.2f} rad off the way it goes, in the median"
-            yield Finding(Kind.EGO_HEADING, "ego", "", ego.t[0], ego.t[-1], off, "rad", text)
+    chords = Chords.of_ego(ego)
+    v = chords.mean(ego.v)
+    off = np.abs(wrapped(chords.off(ego.yaw) + np.where(v < 0.0, np.pi, 0.0)))
+    askew = np.minimum(off, np.pi - off)  # off the axis of the car
+    runs = [(run, AGAINST_M) for run in _runs(off >= np.pi - TURNED_RAD)]
+    runs += [(run, ASKEW_M) for run in _runs(askew > TURNED_RAD)]
+    if chords.shows and np.median(askew) > TURNED_RAD:
+        runs = [(slice(0, len(off)), ENOUGH_M)]
+    for run, least in runs:
+        if run.stop - run.start < 2 or chords.way[run].sum() < least:  # one chord may be a jump
+            continue
+        by = float(np.median(off[run]))
+        begin, end = float(ego.t[chords.first[run][0]]), float(ego.t[chords.last[run][-1]])
+        text = f"the ego's heading is {by:.2f} rad off the way it goes, in the median"
+        if least == AGAINST_M:
+            sign = "reverse gear without a signed speed?" if np.median(v[run]) >= 0.0 else "is the speed's sign wrong?"
+            text = f"the ego's heading and speed point against the way it goes for {end - begin:.1f} s: {sign}"
+        yield Finding(Kind.EGO_HEADING, "ego", "", begin, end, by, "rad", text)
     turn, dt = np.abs(wrapped(np.diff(ego.yaw))), np.diff(ego.t)
     for k in np.flatnonzero((turn > EGO_FLIP_RAD) & (dt < EGO_GAP_S)):
         text = f"the ego's heading turns by {turn[k]:.2f} rad in {dt[k]:.2f} s"
         yield Finding(Kind.EGO_HEADING, "ego", "", ego.t[k], ego.t[k + 1], turn[k], "rad", text)
 
 
-def _ways(t: FloatArray, x: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the distances between samples `(n - 1,)` by positions, and by the speeds `v` `(n,)` >= 0, m."""
-    return np.hypot(np.diff(x), np.diff(y)), 0.5 * np.diff(t) * (v[1:] + v[:-1])
+def _runs(mask: BoolArray) -> list[slice]:
+    """Return the stretches in which a mask is true."""
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).tolist()
+    return list(map(slice, edges[::2], edges[1::2]))
+
+
+def _ways(t: FloatArray, x: FloatArray, y: FloatArray, v: FloatArray, gap_after: BoolArray) -> tuple[float, float]:
+    """Return the way by positions and by the speeds `v` `(n,)` >= 0, m, without the steps with a gap.
+
+    Samples closer than `CLOSE_S` are left out: their steps are noise.
+    """
+    at = np.unique(np.append(np.unique((t - t[0]) // CLOSE_S, return_index=True)[1], len(t) - 1))
+    seen = ~np.logical_or.reduceat(gap_after, at[:-1]) if len(at) > 1 else np.empty(0, np.bool_)
+    t, x, y, v = t[at], x[at], y[at], v[at]
+    way, by_speed = np.hypot(np.diff(x), np.diff(y)), 0.5 * np.diff(t) * (v[1:] + v[:-1])
+    return float(way[seen].sum()), float(by_speed[seen].sum())
 
 
 def _of_track(tracks: Tracks, i: int, kind: Kind, a: float, b: float, value: float, unit: str, text: str) -> Finding:
@@ -333,8 +365,7 @@ def speeds(scenario: Scenario) -> Iterator[Finding]:
         v = np.hypot(tracks.vx[mine], tracks.vy[mine])
         if len(v) < 2 or not np.isfinite(v).all():
             continue
-        seen = ~tracks.gap_after[mine][:-1]
-        way, by_speed = (float(by[seen].sum()) for by in _ways(t, tracks.x[mine], tracks.y[mine], v))
+        way, by_speed = _ways(t, tracks.x[mine], tracks.y[mine], v, tracks.gap_after[mine])
         if max(way, by_speed) < WAY_M:
             continue
         ratios.append(by_speed / way if way > 0.0 else np.inf)
@@ -360,6 +391,54 @@ def heading_flips(scenario: Scenario) -> Iterator[Finding]:
             k, times = flips[0], "" if len(flips) == 1 else f", {len(flips)} times"
             text = f"turns by {turn[k]:.1f} rad in {t[k + 1] - t[k]:.2f} s{times}"
             yield _of_track(tracks, i, Kind.HEADING_FLIP, t[k], t[k + 1], turn[k], "rad", text)
+
+
+def agent_headings(scenario: Scenario) -> Iterator[Finding]:
+    """Find vehicles that do not go along the axis of their box, or fast against their heading (20)."""
+    tracks = scenario.tracks
+    chords = Chords.of_tracks(tracks)
+    chords = chords.taken(among(*LONG)[tracks.codes][chords.owner])
+    off, speed = np.abs(chords.off(tracks.yaw)), chords.way / chords.dt
+
+    def amount(mine: slice) -> float:
+        by = float(np.median(off[mine]))
+        backward = np.median(speed[mine]) > BACKWARD_MPS and chords.way[mine].sum() > WAY_M
+        return by if backward else float(np.median(np.minimum(off[mine], np.pi - off[mine])))
+
+    yield from _directions(scenario, Kind.AGENT_HEADING, "heading", chords, amount)
+
+
+def velocity_directions(scenario: Scenario) -> Iterator[Finding]:
+    """Find velocities of road users that point off the way they go (21)."""
+    tracks = scenario.tracks
+    chords = Chords.of_tracks(tracks)
+    vx, vy = chords.mean(np.stack([tracks.vx, tracks.vy]))
+    known = np.hypot(vx, vy) > MOVES_MPS
+    chords = chords.taken(known)
+    off = np.abs(wrapped(np.arctan2(vy, vx)[known] - chords.direction))
+    yield from _directions(scenario, Kind.VELOCITY, "velocity", chords, lambda mine: float(np.median(off[mine])))
+
+
+def _directions(
+    scenario: Scenario, kind: Kind, word: str, chords: Chords, amount: Callable[[slice], float]
+) -> Iterator[Finding]:
+    """Make a finding of each track whose chords are off by an `amount` above `TURNED_RAD`; one, if most tracks are."""
+    tracks, found = scenario.tracks, []
+    owners, first = np.unique(chords.owner, return_index=True)
+    asked = 0
+    for i, mine in zip(owners.tolist(), starmap(slice, pairwise([*first.tolist(), len(chords.owner)])), strict=True):
+        if mine.stop - mine.start < ENOUGH or chords.way[mine].sum() < ENOUGH_M:
+            continue
+        asked += 1
+        if (by := amount(mine)) > TURNED_RAD:
+            a, b = tracks.t[chords.first[mine][0]], tracks.t[chords.last[mine][-1]]
+            text = f"has a {word} {by:.2f} rad off the way it goes, {chords.way[mine].sum():.1f} m, in the median"
+            found.append(_of_track(tracks, i, kind, a, b, by, "rad", text))
+    if len(found) > max(1.0, MOST * asked):
+        by = float(np.median([one.value for one in found]))
+        text = f"{len(found)} of {asked} moving agents have a {word} off the way they go, by {by:.2f} rad in the median"
+        found = [Finding(kind, "agents", "", 0.0, scenario.duration, by, "rad", text)]
+    yield from found
 
 
 def across(scenario: Scenario) -> Iterator[Finding]:
@@ -494,6 +573,6 @@ def lights(scenario: Scenario) -> Iterator[Finding]:
 
 CHECKS: tuple[Callable[[Scenario], Iterable[Finding]], ...] = (
     ghosts, ego_gaps, ego_jumps, ego_speed, ego_heading, flickering, id_switches, teleports, speeds, heading_flips,
-    across, short_tracks, twins, sizes, unrecorded, off_map, lane_graph, lights,
+    agent_headings, velocity_directions, across, short_tracks, twins, sizes, unrecorded, off_map, lane_graph, lights,
 )  # fmt: skip
 """All checks, in the order of the report."""

@@ -32,6 +32,7 @@ from pathlib import Path
 
 import numpy as np
 
+from logs.conventions import checked
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.extension import Kind, an_instance
 from logs.files import WRITE_A_FILE, check_regular, special_kind
@@ -127,7 +128,7 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
                 raise LogError(what, topic="[log]", remedy=f"leave {key} out")
         check_regular(*(reader.files(path) if path.exists() else ()))
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
-            whole = reader.read(path, settings)
+            whole = checked(reader.read(path, settings))
             scenario = repaired(whole, settings.repair)
             if not reader.cuts or settings.between(0.0, inf) == settings:
                 scenario = check_clocks(scenario)
@@ -154,7 +155,8 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
 
 
 def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
-    """Make tracks from the detections of a scenario without a file, as `settings.repair` says."""
+    """Check a scenario without a file (`logs.conventions`), and make tracks from its detections."""
+    scenario = checked(scenario)
     made = repaired(scenario, settings.repair)
     return made if made.repair is scenario.repair else named(made)
 

@@ -52,7 +52,9 @@ def both(one: Tracks, other: Tracks) -> Tracks:
 def scenario(ego: Trajectory | None = None, tracks: Tracks | None = None, **more: object) -> Scenario:
     ego = ego or drive()
     road = Road.along(np.column_stack([drive().x, drive().y]), speed_limit=14.0)
-    return Scenario("made", ego, tracks or track(), road, 8.0, tags=("recorded",), **more)  # type: ignore[arg-type]
+    return Scenario(
+        "made", ego, track() if tracks is None else tracks, road, max(8.0, float(ego.t[-1])), tags=("recorded",), **more
+    )  # type: ignore[arg-type]
 
 
 def moved(tracks: Tracks, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Tracks:
@@ -131,6 +133,57 @@ def test_wrong_headings_are_found() -> None:
     assert Kind.HEADING_FLIP in kinds(scenario(tracks=moved(track(), "yaw", later(3.0))))
     backwards = replace(ego, yaw=ego.yaw + np.pi, v=-ego.v)
     assert Kind.EGO_HEADING not in kinds(scenario(backwards))
+
+
+@pytest.mark.parametrize("rate", [2.0, 10.0, 50.0, 200.0])
+def test_directions_are_found_at_any_rate(rate: float) -> None:
+    t = np.arange(0.0, 8.01, 1.0 / rate)
+    zero = np.zeros_like(t)
+    ego = Trajectory(t, 10.0 * t, zero, zero, zero + 10.0, zero, zero)
+    other = replace(handmade.tracks(handmade.track("7", t, 20.0 + 8.0 * t, zero + 3.5, vx=8.0, vy=0.0)))
+    assert findings(scenario(ego, other)) == ()
+    (found,) = findings(scenario(replace(ego, yaw=zero + 1.2), other))
+    assert (found.kind, found.topic) == (Kind.EGO_HEADING, "ego") and found.value == pytest.approx(1.2)
+    (found,) = findings(scenario(ego, replace(other, yaw=zero + 1.2)))[:1]
+    assert (found.kind, found.who) == (Kind.AGENT_HEADING, "7") and found.value == pytest.approx(1.2)
+    (found,) = findings(scenario(ego, replace(other, yaw=zero + np.pi)))
+    assert found.kind is Kind.AGENT_HEADING and found.value == pytest.approx(np.pi), "8 m/s is too fast for reverse"
+    (found,) = findings(scenario(ego, replace(other, vx=zero, vy=zero + 8.0)))
+    assert (found.kind, found.who) == (Kind.VELOCITY, "7") and found.value == pytest.approx(0.5 * np.pi)
+    slow = replace(other, x=20.0 + 2.0 * t, vx=zero + 2.0, yaw=zero + np.pi)
+    assert findings(scenario(ego, slow)) == (), "it reverses"
+    walker = replace(other, kinds=(AgentKind.PEDESTRIAN,), length=np.array([0.6]), width=np.array([0.6]))
+    assert findings(scenario(ego, replace(walker, yaw=zero + 1.2))) == (), "people go sideways"
+
+
+@pytest.mark.parametrize("rate", [5.0, 10.0, 100.0])
+def test_reverse_gear_without_a_signed_speed_is_found_where_it_is(rate: float) -> None:
+    t = np.arange(0.0, 12.01, 1.0 / rate)
+    x, zero = np.where(t < 6.0, 3.0 * t, 36.0 - 3.0 * t), np.zeros_like(t)
+    unsigned = Trajectory(t, x, zero, zero, zero + 3.0, zero, zero)
+    (found,) = (one for one in findings(scenario(unsigned)) if one.kind is Kind.EGO_HEADING)
+    assert "reverse gear" in found.text
+    assert found.t_from == pytest.approx(6.0, abs=0.5) and found.t_to == pytest.approx(12.0, abs=0.5)
+    signed = replace(unsigned, v=np.where(t < 6.0, 3.0, -3.0))
+    assert Kind.EGO_HEADING not in kinds(scenario(signed))
+    wrong = [one for one in findings(scenario(replace(signed, v=-signed.v))) if one.kind is Kind.EGO_HEADING]
+    assert sum(one.t_to - one.t_from for one in wrong) > 10.0, "the sign is wrong all along, but where it changes"
+
+
+def test_most_headings_are_one_finding() -> None:
+    two = both(track(), track("8", y=8.0))
+    (found,) = (
+        one for one in findings(scenario(tracks=replace(two, yaw=two.yaw + 1.2))) if one.kind is Kind.AGENT_HEADING
+    )
+    assert found.who == "" and found.text.startswith("2 of 2 moving agents")
+
+
+@pytest.mark.parametrize("rate", [10.0, 100.0, 200.0])
+def test_noise_of_positions_is_no_way(rate: float) -> None:
+    t, rng = np.arange(0.0, 20.0, 1.0 / rate), np.random.default_rng(5)
+    noise, zero = 0.02 * rng.normal(size=(2, len(t))), np.zeros_like(t)
+    shaken = Trajectory(t, 5.0 * t + noise[0], noise[1], zero, zero + 5.0, zero, zero)
+    assert kinds(replace(scenario(shaken, Tracks.empty()), traffic=((0.0, 20.0),))) == set()
 
 
 def test_an_agent_who_goes_on_under_another_name_is_found() -> None:

@@ -2,8 +2,8 @@
 
 (1) p_map = T_map,frame(t) p_frame with the transform at the time of the message; heading that of the rotated x axis
 (2) velocity: rotated from the object's frame or the message's into the map. If the type does not define the frame, or
-    the data contradict it, the frame that fits the displacement over `MOTION_S` is used; if neither fits, no velocity
-    is
+    the data contradict it, the frame that fits the displacement (`logs.conventions`) is used; if neither fits, no
+    velocity is
 
 An outline without a box (cluster, polygon) becomes the smallest rectangle around it, one side of which lies along an
 edge of its hull.
@@ -17,16 +17,15 @@ from typing import Any
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.conventions import Chords
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers.recorded import heading, rotated, unit_or_identity
 from logs.readers.ros import Bag, Topic, schemas
-from logs.readers.ros.ego import POSITION, Part, rates
+from logs.readers.ros.ego import POSITION, Part
 from logs.readers.ros.frames import BETWEEN, Frames, Poses, composed
 from logs.readers.ros.schemas import ObjectSchema
-from logs.readers.ros.tracks import MOVES_MPS, Samples, firsts, identified
+from logs.readers.ros.tracks import Samples, identified
 
-MOTION_S = 0.5
-"""Displacement over at most this is compared with the velocity."""
 MISFIT = 0.5
 """Logged velocities whose median difference exceeds this share of the speed are not used."""
 LEAST_SIZE_M = 0.1
@@ -226,18 +225,14 @@ def _frame_of_twist(
     codes = np.unique(np.array(samples.names, dtype=object).astype(str), return_inverse=True)[1]
     seconds = (t - t[0])[samples.message] / 1e9
     order = np.lexsort((seconds, codes))
-    first = firsts(codes[order])
-    window = np.full(len(order), MOTION_S)
-    moved = rates(seconds[order], np.array([samples.x, samples.y])[:, order], first, window, parabola=False)[0]
+    offsets = np.flatnonzero(np.diff(codes[order], prepend=-1, append=codes.max() + 1))
+    chords = Chords.of(offsets, seconds[order], samples.x[order], samples.y[order])
     logged = {"object": np.array([samples.vx, samples.vy])[:, order], "frame": in_frame[order].T}
-    fits = {}
-    for name, velocity in logged.items():
-        asked = np.isfinite(moved).all(axis=0) & (np.hypot(*velocity) > MOVES_MPS) & (np.arange(len(order)) > first + 2)
-        if asked.sum() < 10:
-            return "object" if schema.twist_frame in ("object", "log") else "frame"
-        apart = np.hypot(*(velocity - moved)[:, asked])
-        fits[name] = float(np.median(apart / np.hypot(*velocity[:, asked])))
+    fits = chords.misfits(logged)
+    if fits is None:
+        return "object" if schema.twist_frame in ("object", "log") else "frame"
     best = min(fits, key=lambda name: (round(fits[name], 2), name != schema.twist_frame))
+    fits = chords.misfits({best: logged[best]}) or fits  # with the chords that do not show the frame
     words = {"object": "object's own frame", "frame": "message's frame"}
     if fits[best] > MISFIT:
         notes.append(

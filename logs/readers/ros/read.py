@@ -33,7 +33,7 @@ from logs.readers.ros.ego import POSITION, EgoLog, Part, at_poses, begin_of, rea
 from logs.readers.ros.frames import HELD, Poses, composed, describe_timing, times_of
 from logs.readers.ros.objects import read_messages, samples_of
 from logs.readers.ros.schemas import STAMP
-from logs.readers.ros.tracks import identified, tracks_of, without_ego
+from logs.readers.ros.tracks import identified, tracks_of
 from logs.road import Goal
 from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario, Tracks
@@ -96,7 +96,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     t = (ego.poses.t[first:] - start) / 1e9
     x, y, yaw, speed, accel, kappa = (columns[name][first:] for name in ("x", "y", "yaw", "v", "a", "kappa"))
     trajectory = Trajectory(t, x - origin[0], y - origin[1], yaw, speed, accel, kappa)
-    tracks, detections, traffic = _tracks(part, ego, start, origin, trajectory, vehicle)
+    tracks, detections, traffic = _tracks(part, ego, start, origin)
     synthetic = any(topic.kind == schemas.CLOCK and topic.count for topic in bag.topics)
     if synthetic:
         notes.append("The bag has a /clock: its drive is taken for a simulated one.")
@@ -158,9 +158,7 @@ def _logged_motion(part: Part, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
     return v, at_poses(found, ego.poses.t, "acceleration", notes)
 
 
-def _tracks(
-    part: Part, ego: EgoLog, start: int, origin: FloatArray, driven: Trajectory, vehicle: VehicleParameters
-) -> tuple[Tracks, Detections | None, Spans]:
+def _tracks(part: Part, ego: EgoLog, start: int, origin: FloatArray) -> tuple[Tracks, Detections | None, Spans]:
     """The others, or detections that are to be made into tracks, and when their topic had messages.
 
     The topic: tracked before predicted before detected, then most messages, then name.
@@ -199,11 +197,7 @@ def _tracks(
         return Tracks.empty(), found, of_stream(since)
     samples = identified(samples, t, id_notes)
     notes += id_notes
-    tracks = tracks_of(replace(samples, x=x, y=y), since, notes)
-    ahead = vehicle.axle_to_center
-    x = driven.x + ahead * np.array([cos(yaw) for yaw in driven.yaw])
-    y = driven.y + ahead * np.array([sin(yaw) for yaw in driven.yaw])
-    return without_ego(tracks, driven.t, x, y, notes), None, of_stream(since)
+    return tracks_of(replace(samples, x=x, y=y), since, notes), None, of_stream(since)
 
 
 GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0

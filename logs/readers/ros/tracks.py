@@ -34,9 +34,7 @@ NOISE_OTHERS_M, NOISES = 0.1, 2.0
 """Noise of box centres (root mean square in the 13 drives of Tartu); a derived velocity counts from `NOISES` times the
 standard deviation that follows on: an object that was seen twice 0.1 s apart is not yet known to move."""
 MOVES_MPS = 1.0
-"""Only faster objects show their front and the frame of their velocities, m/s."""
-EGO_WITHIN_M, EGO_LEAST_S = 1.0, 1.0
-"""A track whose centre stays within this distance of the ego's for this time while the ego drives is the ego."""
+"""Only faster objects show their front, m/s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,25 +190,6 @@ def _fill_velocities(
         " noise of positions counts as standing."
     )
     return np.where(missing, found[0], samples.vx), np.where(missing, found[1], samples.vy)
-
-
-def without_ego(tracks: Tracks, t: FloatArray, x: FloatArray, y: FloatArray, notes: list[str]) -> Tracks:
-    """Drop tracks that are the ego's own box; x, y `(n,)` are the ego's box centre at t, s."""
-    if not len(tracks) or np.hypot(x - x[0], y - y[0]).max() < 10.0 * EGO_WITHIN_M:
-        return tracks
-    keep = np.ones(len(tracks.t), np.bool_)
-    for i in range(len(tracks)):
-        part = tracks.samples(i)
-        own = tracks.t[part]
-        inside = (own >= t[0]) & (own <= t[-1])
-        if not inside.any() or np.ptp(own[inside]) < EGO_LEAST_S:
-            continue
-        away = np.hypot(np.interp(own, t, x) - tracks.x[part], np.interp(own, t, y) - tracks.y[part])[inside]
-        travelled = np.ptp(np.interp(own[inside], t, x)) + np.ptp(np.interp(own[inside], t, y))
-        if away.max() < EGO_WITHIN_M and travelled > 5.0 * EGO_WITHIN_M:
-            keep[part] = False
-            notes.append(f"Object {tracks.ids[i]} is the ego itself and is left out.")
-    return tracks if keep.all() else tracks.taken(keep)
 
 
 REACH_M = {AgentKind.PEDESTRIAN: 1.0, AgentKind.OBJECT: 1.5}

@@ -232,18 +232,16 @@ def _frame_of_twist(
     if fits is None:
         return "object" if schema.twist_frame in ("object", "log") else "frame"
     best = min(fits, key=lambda name: (round(fits[name], 2), name != schema.twist_frame))
-    fits = chords.misfits({best: logged[best]}) or fits  # with the chords that do not show the frame
+    misfit = (chords.misfits({best: logged[best]}) or fits)[best]  # also of the chords that do not show the frame
     words = {"object": "object's own frame", "frame": "message's frame"}
-    if fits[best] > MISFIT:
+    if misfit > MISFIT:
         notes.append(
-            f"The logged velocities of objects do not fit their displacement (median difference {fits[best]:.0%} of the"
+            f"The logged velocities of objects do not fit their displacement (median difference {misfit:.0%} of the"
             " speed) and are not used."
         )
         return None
     if schema.twist_frame == "log" or best != schema.twist_frame:
-        notes.append(
-            f"Velocities of objects are in the {words[best]}: they fit the displacement within {fits[best]:.0%}."
-        )
+        notes.append(f"Velocities of objects are in the {words[best]}: they fit the displacement within {misfit:.0%}.")
     return best
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from copy import deepcopy
 from importlib.resources import files
 from math import cos, sin
 from pathlib import Path
@@ -157,6 +158,35 @@ def _shape(shape: int, length: float, width: float) -> dict[str, Any]:
         return {"type": 1, "dimensions": {"x": length, "y": length, "z": 1.5}}
     corners = [(a * length / 2, b * width / 2) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
     return {"type": 2, "footprint": {"points": [{"x": x, "y": y} for x, y in corners]}, "dimensions": {"z": 1.5}}
+
+
+def later(rows: Iterable[Row], log_s: float, stamp_s: float) -> list[Row]:
+    """The messages recorded `log_s` later, with stamps `stamp_s` later (transforms: each its own)."""
+    out = []
+    for topic, kind, time, each in rows:
+        each = deepcopy(each)
+        for one in getattr(each, "transforms", [each]):
+            of = getattr(one, "header", one)
+            told = of.clock if hasattr(of, "clock") else of.stamp
+            ns = told.sec * 1_000_000_000 + told.nanosec + round(1e9 * stamp_s)
+            told.sec, told.nanosec = divmod(ns, 1_000_000_000)
+        out.append((topic, kind, time + round(1e9 * log_s), each))
+    return out
+
+
+def values_of(some: Any) -> dict[str, Any]:
+    """A message as keywords of `message`."""
+    out = {}
+    for name in some.__dataclass_fields__:
+        value = getattr(some, name)
+        if name == "__msgtype__":
+            continue
+        if hasattr(value, "__dataclass_fields__"):
+            value = values_of(value)
+        elif isinstance(value, list):
+            value = [values_of(each) if hasattr(each, "__dataclass_fields__") else each for each in value]
+        out[name] = value
+    return out
 
 
 def write_ros2(

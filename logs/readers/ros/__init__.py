@@ -4,6 +4,7 @@ Only this module uses rosbags: it gives a bag's topics, and selected fields of t
 `metadata.yaml` is one bag, split over its files; `.mcap` and `.db3` alone are bags of ROS 2, `.bag` of ROS 1. Message
 definitions come from the file; if it has none, from `definitions.msg` (Autoware and other packages) and from those of
 the distribution in rosbags. If the file has an index, only the chunks of the requested times and topics are read.
+A SQLite bag whose recorder did not close it has messages in a journal beside it: both are read, through a copy.
 
 Modules:
     fields.py    some fields of a serialised message, without objects for the others
@@ -18,12 +19,15 @@ Modules:
 from __future__ import annotations
 
 import os
+import sqlite3
 import struct
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
+from shutil import copyfile
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -37,6 +41,8 @@ from logs.scenario import Scenario
 
 MAGIC = {".bag": b"#ROSBAG V", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
 METADATA = "metadata.yaml"
+JOURNALS = ("-wal", "-journal")
+"""Suffixes of the files beside a SQLite file that hold what was not yet written into it."""
 BAG = b"rosbag2_bagfile_information"
 LISTED_BYTES = 1 << 28
 """Largest bag for which `contents` gives times, bytes: the index does not contain them."""
@@ -77,6 +83,7 @@ class Bag:
         topics: Its topics, sorted by name.
         start_ns: Log time of the first message; `end_ns` of the last.
         is_ros2: Whether its messages are CDR.
+        notes: How it was opened, one sentence each.
     """
 
     topics: tuple[Topic, ...]
@@ -84,6 +91,7 @@ class Bag:
     end_ns: int
     is_ros2: bool
     _messages: Callable[..., Iterator[tuple[Any, int, bytes]]]
+    notes: tuple[str, ...] = ()
     _types: dict[str, Types] = field(default_factory=dict)
 
     def types_of(self, topic: Topic) -> Types:
@@ -175,10 +183,14 @@ def opened(path: Path) -> Iterator[Bag]:
     from rosbags.rosbag2 import Reader as Reader2
 
     is_ros2 = path.suffix.lower() != ".bag" or path.is_dir()
+    scratch = ExitStack()
     try:
-        reader: Any = Reader2(path) if is_ros2 else Reader1(path)
+        unclosed = _unclosed(path)
+        near = _closed_copy(path, unclosed, Path(scratch.enter_context(TemporaryDirectory()))) if unclosed else path
+        reader: Any = Reader2(near) if is_ros2 else Reader1(near)
         reader.open()
     except DAMAGE as error:
+        scratch.close()
         raise LogError(f"the bag cannot be opened ({_describe(error)})", file=path, remedy=COPY_AGAIN) from None
     try:
         storage = getattr(reader, "storage", None)
@@ -202,9 +214,32 @@ def opened(path: Path) -> Iterator[Bag]:
         # of one topic and several types, the type with most messages
         most = {topic.name: topic for topic in sorted(topics, key=lambda each: (each.count, each.kind))}
         sorted_topics = tuple(most[name] for name in sorted(most))
-        yield Bag(sorted_topics, reader.start_time, reader.end_time - 1, is_ros2, reader.messages)
+        notes = tuple(f"{file.name} was not closed: its journal beside it is read too, in a copy." for file in unclosed)
+        yield Bag(sorted_topics, reader.start_time, reader.end_time - 1, is_ros2, reader.messages, notes)
     finally:
-        reader.close()
+        with scratch:
+            reader.close()
+
+
+def _unclosed(path: Path) -> tuple[Path, ...]:
+    """Return the SQLite files of a bag that have a journal beside them which is not empty."""
+    journals = ((file, Path(f"{file}{suffix}")) for file in _files(path) for suffix in JOURNALS)
+    return tuple(file for file, beside in journals if beside.is_file() and beside.stat().st_size)
+
+
+def _closed_copy(path: Path, unclosed: tuple[Path, ...], folder: Path) -> Path:
+    """Copy a bag into a folder, and write the journals of its SQLite files into them."""
+    for file in _files(path):
+        near = folder / file.name
+        if file not in unclosed:
+            near.symlink_to(file.absolute())
+            continue
+        for suffix in ("", *JOURNALS):
+            if Path(f"{file}{suffix}").is_file():
+                copyfile(f"{file}{suffix}", f"{near}{suffix}")
+        with closing(sqlite3.connect(near)) as database:
+            database.execute("PRAGMA journal_mode = DELETE")  # reads the journal, and leaves one file
+    return folder if path.is_dir() else folder / path.name
 
 
 def _describe(error: BaseException) -> str:
@@ -239,10 +274,10 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
 
 def _files(path: Path) -> tuple[Path, ...]:
     """Return the files of a bag: the file itself, or a folder's metadata and all its bag files."""
-    if path.is_file():
-        return (path,)
-    kinds = (".mcap", ".db3", ".zstd")
-    return (path / METADATA, *sorted(each for each in path.iterdir() if each.suffix in kinds))
+    kinds = (".mcap", ".db3", ".zstd", *(f".db3{suffix}" for suffix in JOURNALS))
+    if path.is_dir():
+        return (path / METADATA, *sorted(each for each in path.iterdir() if each.suffix in kinds))
+    return (path, *(beside for suffix in JOURNALS if (beside := Path(f"{path}{suffix}")).is_file()))
 
 
 def _span(path: Path) -> tuple[float, float] | None:

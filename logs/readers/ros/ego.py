@@ -16,12 +16,18 @@ acceleration 0.2 m/s2. Where the window holds fewer than `PARABOLA` samples, a s
 noise of a position, the rate of a straight line has the standard deviation
 
 (2) sigma_z' = sigma / sqrt(sum (u_i - mean u)^2)
+
+Odometry of a sensor's frame (child_frame_id) becomes that of the base where the bag's transforms lead there. With p, q
+the base in the sensor's frame, P, Q the sensor's pose, v, w the velocity and turn rate in its axes
+
+(3) P_base = P + Q p Q*,  Q_base = Q q,  v_base = q* (v + w x p) q
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -29,16 +35,28 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
 from logs.readers.base import LogSettings
-from logs.readers.recorded import held_curvature, stands, unit_or_identity
+from logs.readers.recorded import held_curvature, rotated, stands, unit_or_identity
 from logs.readers.ros import Bag, Topic, schemas
 from logs.readers.ros.fields import Wanted
-from logs.readers.ros.frames import HELD, Clock, Frames, Poses, clock_of, describe_timing, times_of
+from logs.readers.ros.frames import (
+    HELD,
+    Clock,
+    Frames,
+    Poses,
+    clock_of,
+    composed,
+    describe_timing,
+    inverse,
+    restarts,
+    times_of,
+)
 from logs.readers.ros.schemas import STAMP
 
 NONE = "-"
 """Name of a topic in the settings that means: use no topic."""
 MAP_NAMES = ("map", "world", "odom", "earth")
 BASE_NAMES = ("base_link", "base_footprint", "ego_vehicle", "hero", "ego")
+RIGID_M = 1.0
 LEAST_POSES = 2
 COVERS_S = 0.5
 WARM_UP_S = 0.3
@@ -52,6 +70,7 @@ class Part:
 
     Attributes:
         notes: List to which assumptions and omissions are added, one sentence each.
+        drive: Whether the bounds are those of one of several drives in the bag.
     """
 
     bag: Bag
@@ -59,6 +78,7 @@ class Part:
     begin: int | None = None
     end: int | None = None
     notes: list[str] = field(default_factory=list)
+    drive: bool = False
 
     def topics(self, kinds: Mapping[str, object] | tuple[str, ...], role: str) -> list[Topic]:
         """Return the topics of these types that have messages, most messages first; or the topic in the settings.
@@ -102,7 +122,10 @@ Edges = Mapping[tuple[str, str], Edge]
 
 @dataclass(frozen=True, eq=False)
 class EgoLog:
-    """The logged ego: source, clock, frames, poses and speed `(n,)`; the speed is NaN where it must be derived."""
+    """The logged ego: source, clock, frames, poses and speed `(n,)`; the speed is NaN where it must be derived.
+
+    `restarts` are the log times, ns, at which another drive begins, because the clock of the topic `restarted` does.
+    """
 
     source: str
     clock: Clock
@@ -111,6 +134,8 @@ class EgoLog:
     frames: Frames
     poses: Poses
     v: FloatArray
+    restarts: IntArray
+    restarted: str
 
 
 def read_edges(part: Part) -> dict[tuple[str, str], Edge]:
@@ -194,12 +219,27 @@ def read_ego(part: Part) -> EgoLog:
     t = frames.times(map_frame, base)
     if len(t) < LEAST_POSES:
         raise _no_ego(part.bag)
-    return EgoLog(
-        source, clock, map_frame, base, frames, frames.poses(map_frame, base, t, HELD), np.full(len(t), np.nan)
-    )
+    poses, v = frames.poses(map_frame, base, t, HELD), np.full(len(t), np.nan)
+    return EgoLog(source, clock, map_frame, base, frames, poses, v, *_restarts(part, source, fastest))
+
+
+def _restarts(part: Part, source: str, edge: Edge) -> tuple[IntArray, str]:
+    """Return when another drive begins in the bag, log times in ns: by the ego's stamps, else by /clock; the topic."""
+    found = {source: restarts(edge.log, edge.stamps)}
+    for topic in part.bag.topics:
+        if topic.kind == schemas.CLOCK and topic.count and not len(found[source]):
+            log, rows = part.bag.read(topic, ("clock.sec", "clock.nanosec"), part.begin, part.end)
+            told = np.array([row[0] * 1_000_000_000 + row[1] for row in rows], dtype=np.int64)
+            found[topic.name] = restarts(log[told > 0], told[told > 0])  # 0: not yet known
+    topic_name = max(found, key=lambda name: len(found[name]))
+    return found[topic_name], topic_name
 
 
 _Found = tuple[Topic, str, str, Edge, FloatArray]
+
+
+def _six(path: str) -> tuple[str, ...]:
+    return tuple(f"{path}{part}.{axis}" for part in ("linear", "angular") for axis in "xyz")
 
 
 def _odometry(part: Part, edges: Edges) -> _Found | None:
@@ -213,7 +253,7 @@ def _odometry(part: Part, edges: Edges) -> _Found | None:
     transforms = any(not edge.static and len(edge.log) >= LEAST_POSES for edge in edges.values())
     for topic in ordered:
         odometry = topic.kind in schemas.ODOMETRY
-        more = ("child_frame_id", "twist.twist.linear.x") if odometry else ()
+        more = ("child_frame_id", *_six("twist.twist.")) if odometry else ()
         pose = (f"{kinds[topic.kind]}.{name}" for name in POSITION)
         log, _, rows = part.read(topic, ("header.frame_id", *pose, *more))
         if not rows:
@@ -222,28 +262,34 @@ def _odometry(part: Part, edges: Edges) -> _Found | None:
         stamped = zip(log.tolist(), rows, strict=True)
         edge = _edge([(time, row[0] * 1_000_000_000 + row[1], *row[3:10]) for time, row in stamped], False)
         good = np.isfinite([row[3:10] for row in rows]).all(axis=1)
-        speed = np.array([row[11] if odometry else np.nan for row in rows])[good]
+        twist = np.array([row[11:17] if odometry else (np.nan,) * 6 for row in rows])[good]
         frame, child = rows[0][2].lstrip("/"), rows[0][10].lstrip("/") if odometry else ""
         at_once = odometry and frame == _map_frame(edges, frame, settings)
         if len(edge.log) >= LEAST_POSES and ("ego" in settings.topics or at_once or not transforms):
-            return topic, frame, child, edge, speed
+            return topic, frame, child, edge, twist
     return None
 
 
 def _from_topic(part: Part, found: _Found, edges: Edges) -> EgoLog:
-    (topic, frame, child, edge, speed), settings, notes = found, part.settings, part.notes
+    (topic, frame, child, edge, twist), settings, notes = found, part.settings, part.notes
     others = [each for each in part.bag.topics if each.kind == topic.kind and each.count]
     several = f" (of {len(others)} such topics the one with most messages)" if len(others) > 1 else ""
     notes.append(f"The ego's pose is that of {topic.name}{several}, frame '{frame}'.")
     clock = clock_of(edge.log, edge.stamps, settings.clock)
     notes += describe_timing(topic.name, edge.log, edge.stamps, int(edge.log[0]))
     t, keep = times_of(topic.name, edge.log, edge.stamps, clock, notes)
-    poses, speed = Poses(t, edge.p[keep], edge.q[keep]), speed[keep]
-    base = settings.frames.get("base", child or "base_link")
-    others_edges = {pair: each for pair, each in edges.items() if pair[1] != base}
-    frames = _frames(others_edges, clock, notes)
+    poses, twist = Poses(t, edge.p[keep], edge.q[keep]), twist[keep]
     map_frame = _map_frame(edges, frame, settings)
-    known = frames.edges | {(frame, base): poses}
+    own = _own_frames(_frames(edges, clock, []), {frame, map_frame, *MAP_NAMES})
+    base = _base_of(topic.name, child, own, settings, notes)
+    if base != child and own.connects(child, base):
+        at = own.poses(child, base, t, HELD)
+        poses, twist = composed(poses, at), _moved(twist, at)  # (3)
+    above = own.path(base)  # the car's own frames hang below its base
+    turned = {pair: inverse(own.edges[pair[::-1]]) for pair in pairwise(above)}
+    frames = _frames({pair: each for pair, each in edges.items() if pair[1] not in above}, clock, notes)
+    speed = twist[:, 0]
+    known = frames.edges | turned | {(frame, base): poses}
     frames = Frames((parent, name, each) for (parent, name), each in known.items())
     if map_frame != frame and map_frame in frames.path(frame):
         poses = frames.poses(map_frame, base, t, HELD)
@@ -251,7 +297,49 @@ def _from_topic(part: Part, found: _Found, edges: Edges) -> EgoLog:
         map_frame = frame
     if np.ptp(np.nan_to_num(speed)) == 0.0:
         speed = np.full(len(t), np.nan)  # a constant speed is not a measurement
-    return EgoLog(topic.name, clock, map_frame, base, frames, poses, speed)
+    return EgoLog(topic.name, clock, map_frame, base, frames, poses, speed, *_restarts(part, topic.name, edge))
+
+
+def _own_frames(frames: Frames, world: Set[str]) -> Frames:
+    """Return the car's own frames: each stays within `RIGID_M` of one place in its parent, and none is the world's."""
+    own = [(*pair, poses) for pair, poses in frames.edges.items() if not world & set(pair)]
+    return Frames(each for each in own if np.ptp(each[2].p, axis=0).max() < RIGID_M)
+
+
+def _base_of(topic: str, child: str, own: Frames, settings: LogSettings, notes: list[str]) -> str:
+    """Return the frame of the rear axle: as set, or the first of `BASE_NAMES` that leads to `child`, that of the poses.
+
+    Raises:
+        LogError: The one that is set is another frame than that of the poses, and no transform leads there.
+    """
+    asked = settings.frames.get("base", "")
+    if not child:
+        if asked:
+            notes.append(f"{topic} does not name the frame of its poses: they are taken as those of '{asked}', as set.")
+        return asked or "base_link"
+    base = next((name for name in ((asked,) if asked else BASE_NAMES) if own.connects(child, name)), "")
+    if asked and not base:
+        what = f"the poses are those of frame {child!r}, and no transform leads from there to {asked!r}"
+        raise LogError(what, topic=topic, remedy="record /tf_static, or leave base out: then they are the rear axle's")
+    if not base:
+        notes.append(
+            f"{topic} has the poses of frame '{child}', which is taken as the rear axle: no transform leads on."
+        )
+    elif base != child:
+        notes.append(f"{topic} has the poses of frame '{child}': transforms of the bag move them to '{base}'.")
+    return base or child
+
+
+def _moved(twist: FloatArray, at: Poses) -> FloatArray:
+    """Return velocities and turn rates `(n, 6)` at another place of a body, in its axes; NaN if they are constant.
+
+    Accelerations too, without their centripetal part.
+    """
+    if not np.ptp(np.nan_to_num(twist[:, :3]), axis=0).any():
+        return np.full(twist.shape, np.nan)  # a constant velocity is not a measurement
+    back = at.q * np.array([-1.0, -1.0, -1.0, 1.0])
+    moved = twist[:, :3] + np.cross(twist[:, 3:], at.p)  # (3)
+    return np.column_stack([rotated(back, moved), rotated(back, twist[:, 3:])])
 
 
 def _frames(edges: Edges, clock: Clock, notes: list[str]) -> Frames:
@@ -283,19 +371,30 @@ class Signal:
     values: FloatArray
 
 
-def signal(part: Part, kinds: Mapping[str, str], role: str, clock: Clock) -> Signal | None:
-    """Read the topic of a role as numbers; None if no topic has at least two messages."""
+def signal(part: Part, kinds: Mapping[str, str], role: str, ego: EgoLog) -> Signal | None:
+    """Read the topic of a role as numbers; None if no topic has at least two messages.
+
+    A twist or acceleration in the frame of a sensor becomes that of the ego's base where transforms lead there.
+    """
     for topic in part.topics(kinds, role):
         if topic.count < LEAST_POSES and role not in part.settings.topics:
             continue
         stamp = STAMP if part.bag.has(topic, "header.stamp") else ("stamp.sec", "stamp.nanosec")
-        log, stamps, rows = part.read(topic, (kinds[topic.kind],), stamp)
-        rows = [row if np.isfinite(row[2]) else (*row[:2], np.nan) for row in rows]
-        good = np.array([np.isfinite(row[2]) for row in rows], np.bool_)
-        values = np.array([row[2] for row in rows], dtype=np.float64)
+        path, vector = kinds[topic.kind], kinds[topic.kind].removesuffix("linear.x")
+        fields = ("header.frame_id", *_six(vector)) if vector != path else (path,)
+        log, stamps, rows = part.read(topic, fields, stamp)
+        if not rows:
+            continue
+        frame, own = str(rows[0][2]).lstrip("/"), _own_frames(ego.frames, {ego.map, *MAP_NAMES})
+        values: FloatArray = np.array([row[-1] if vector == path else row[3] for row in rows], dtype=np.float64)
+        if vector != path and frame != ego.base and frame in own.names and own.connects(frame, ego.base):
+            at = own.poses(frame, ego.base, log, HELD)
+            values = _moved(np.array([row[3:] for row in rows], dtype=np.float64), at)[:, 0]
+            part.notes.append(f"{topic.name} is of frame '{frame}': transforms of the bag move it to '{ego.base}'.")
+        good = np.isfinite(values)
         if not good.any():
             continue
-        t, keep = times_of(topic.name, log[good], stamps[good], clock, part.notes)
+        t, keep = times_of(topic.name, log[good], stamps[good], ego.clock, part.notes)
         if len(t):
             return Signal(topic.name, t, values[good][keep])
     return None
@@ -327,6 +426,8 @@ def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[
     window = np.full(len(seconds), max(EGO_WINDOW_S, LEAST * usual))
     values = np.array([x - x[0], y - y[0], yaw])
     rate, change = rates(seconds, values, np.zeros(len(seconds), np.int64), window, parabola=True)
+    lone = 1 + np.flatnonzero(np.isnan(rate[0, 1:]))  # the first after a gap: the way over the gap
+    rate[:, lone], change[:, lone] = (values[:, lone] - values[:, lone - 1]) / (seconds[lone] - seconds[lone - 1]), 0.0
     cos, sin = np.cos(yaw), np.sin(yaw)
     derived_v, derived_a = (each[0] * cos + each[1] * sin for each in (rate, change))
     if len(seconds) > 1:

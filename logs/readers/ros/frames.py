@@ -13,6 +13,9 @@ of the measurement. Log times are later by the time of computation, and jitter: 
 useless if several messages are written at once. So stamps are used if all messages of a topic have one. A topic whose
 stamps are from another clock than the ego's is read by log time.
 
+A sender's clock restarts where stamps go back while log times go on, and do not come back to where they were: a
+simulator that began anew, or a bag that was played in a loop. Stale messages go back too, but newer ones follow.
+
 (2) t_stamp(log) = the ego's stamp, interpolated over the ego's log time: for messages without a stamp
 """
 
@@ -101,6 +104,10 @@ class Frames:
             out.append(self.parents[out[-1]])
         return out
 
+    def connects(self, one: str, other: str) -> bool:
+        """Return whether transforms lead from a frame to another, or both are the same."""
+        return bool(set(self.path(one)) & set(self.path(other)))
+
     def chain(self, above: str, below: str) -> list[tuple[str, str, bool]]:
         """Return the edges from a frame to another: (parent, child, whether the path goes down to the child).
 
@@ -137,6 +144,10 @@ class Frames:
 OTHER_CLOCK_S = 1.0
 """Topics with a larger median offset from the ego's clock are stamped by another clock; messages that differ by more
 from their topic's median are stale, s."""
+LASTS_S = 0.2
+"""A restarted clock goes on for this time at least, s; fewer messages at a log's end are stale."""
+RETURNS_S = 10.0
+"""Stamps that come back to the newest one within this time were stale and not restarted, s."""
 REPORTED_S = 0.1
 """Larger offsets are reported, s."""
 DROPOUT_S, DROPOUT_INTERVALS = 0.3, 5.0
@@ -169,6 +180,21 @@ def stamped(stamps: IntArray) -> bool:
     return bool(len(stamps) and (stamps > 0).all())
 
 
+def restarts(log: IntArray, stamps: IntArray) -> IntArray:
+    """Return the log times, ns, rising, at which the clock of a topic's stamps begins anew; `log` is sorted."""
+    out, begin, much = list[int](), 0, round(1e9 * OTHER_CLOCK_S)
+    if not stamped(stamps) or log[-1] - log[0] < 1e9 * LASTS_S:
+        return np.empty(0, np.int64)
+    for k in (np.flatnonzero(np.diff(stamps) < -much) + 1).tolist():
+        newest, end = stamps[begin:k].max(), np.searchsorted(log, log[k] + round(1e9 * RETURNS_S))
+        leaps = np.diff(stamps[k:end]) > np.diff(log[k:end]) + much
+        returns = leaps & (stamps[k + 1 : end] > newest - much)
+        if not returns.any() and log[-1] - log[k] >= 1e9 * LASTS_S:
+            out.append(int(log[k]))
+            begin = k
+    return np.array(out, dtype=np.int64)
+
+
 def clock_of(log: IntArray, stamps: IntArray, choice: str) -> Clock:
     """Return the scenario's clock: the stamps of the ego's messages, or the log times by choice or without stamps."""
     if choice == "log" or not stamped(stamps):
@@ -190,10 +216,12 @@ def times_of(topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: l
         late = (clock(log) - stamps) / 1e9  # delay of the record after the stamp, s
         usual = float(np.median(late))
         near = np.flatnonzero(np.abs(late - usual) <= OTHER_CLOCK_S)
-        if abs(usual) > OTHER_CLOCK_S or not len(near):
-            notes.append(
-                f"The stamps of {topic} are of another clock than the ego's ({usual:+.1f} s): its log times count."
-            )
+        again = restarts(log, stamps)
+        if abs(usual) > OTHER_CLOCK_S or not len(near) or len(again):
+            what = f"The stamps of {topic} are of another clock than the ego's ({usual:+.1f} s)"
+            if len(again):
+                what = f"The clock of {topic} restarts {(again[0] - clock.log[0]) / 1e9:.2f} s after the first pose"
+            notes.append(f"{what}: its log times count.")
             times = clock(log)
         else:
             keep = near

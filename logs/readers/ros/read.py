@@ -5,6 +5,9 @@ detections that may be repaired, else from `HISTORY_S` before it, which show who
 and the first seconds of the log, which define t = 0 and the origin. Where the log's clock is faster or slower than the
 senders' (a simulation slower than real time), log times do not define a part, and all messages are read.
 
+A bag in which the ego's clock restarts holds several drives, of which one is read: that to which the part between
+`begin` and `end` belongs, which then are seconds of the bag's recording.
+
 On-board plans whose points have no times (Autoware leaves `time_from_start` at 0) are timed by their speeds:
 
 (1) t_(i+1) = t_i + 2 d_i / (v_i + v_(i+1)),  d_i the distance of two points; where both are below `CREEPS_MPS` the plan
@@ -14,6 +17,7 @@ On-board plans whose points have no times (Autoware leaves `time_from_start` at 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from math import cos, inf, sin
 from pathlib import Path
 
@@ -30,7 +34,17 @@ from logs.readers.cut import DETECTED_S, HISTORY_S
 from logs.readers.recorded import car_of, unit_or_identity
 from logs.readers.ros import Bag, opened, schemas
 from logs.readers.ros.ego import POSITION, EgoLog, Part, at_poses, begin_of, read_ego, signal, states
-from logs.readers.ros.frames import HELD, Poses, composed, describe_timing, times_of
+from logs.readers.ros.frames import (
+    HELD,
+    LASTS_S,
+    LOG_CLOCK,
+    OTHER_CLOCK_S,
+    Clock,
+    Poses,
+    composed,
+    describe_timing,
+    times_of,
+)
 from logs.readers.ros.objects import read_messages, samples_of
 from logs.readers.ros.schemas import STAMP
 from logs.readers.ros.tracks import identified, tracks_of
@@ -74,25 +88,28 @@ ROLES = {
 def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     if not any(topic.count for topic in bag.topics):
         raise LogError("the bag holds no messages", remedy="record or copy it again")
-    part, start, origin = _part_to_read(bag, settings)
-    notes = part.notes
+    about_car = list(bag.notes)
     vehicle = VehicleParameters()
     if settings.car:
-        vehicle = car_of(settings.car, notes)
+        vehicle = car_of(settings.car, about_car)
     else:
-        notes.append(f"{VEHICLE_ASSUMED} (set log.car).")
-    ego = read_ego(part)
+        about_car.append(f"{VEHICLE_ASSUMED} (set log.car).")
+    part, ego, start, origin = _part_to_read(bag, settings)
+    notes = part.notes
+    notes[:0] = about_car
     v, a = _logged_motion(part, ego)
     columns = states(ego, v, a, notes)
     if start is None:
         first = begin_of(ego, v)
         start, origin = int(ego.poses.t[first]), np.round(ego.poses.p[first, :2])
+        if part.drive:
+            asked = np.array([bag.start_ns + round(1e9 * settings.begin)])
+            start = max(start, int(ego.clock(asked)[0])) - round(1e9 * settings.begin)
     else:
         first = 0
     if first:
-        notes.append(
-            f"The first {(start - ego.poses.t[0]) / 1e9:.2f} s, {first} poses, only serve to derive the speed."
-        )
+        since = (ego.poses.t[first] - ego.poses.t[0]) / 1e9
+        notes.append(f"The first {since:.2f} s, {first} poses, only serve to derive the speed.")
     t = (ego.poses.t[first:] - start) / 1e9
     x, y, yaw, speed, accel, kappa = (columns[name][first:] for name in ("x", "y", "yaw", "v", "a", "kappa"))
     trajectory = Trajectory(t, x - origin[0], y - origin[1], yaw, speed, accel, kappa)
@@ -122,29 +139,77 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     return replace(scenario, notes=tuple(dict.fromkeys(notes)))
 
 
-def _part_to_read(bag: Bag, settings: LogSettings) -> tuple[Part, int | None, FloatArray]:
-    """What is read of a bag; where that begins later than the log, also the time of t = 0, ns, and the origin, m."""
-    whole = Part(bag, settings)
-    if settings.begin <= 0.0 and settings.end == inf:
-        return whole, None, np.zeros(2)
+def _part_to_read(bag: Bag, settings: LogSettings) -> tuple[Part, EgoLog, int | None, FloatArray]:
+    """What is read of a bag, and its ego; if it begins later than the log, also the time of t = 0, ns, and the origin.
+
+    Raises:
+        LogError: The part holds several drives, or no pose of the ego.
+    """
+    whole = part = Part(bag, settings)
+    start: int | None = None
+    origin: FloatArray = np.zeros(2)
+    clock = LOG_CLOCK
+    if settings.begin > 0.0 or settings.end < inf:
+        part, start, origin, clock = _part_by_log_time(whole)
+    ego = read_ego(part)
+    log, stamp = ego.clock.log[:1], ego.clock.stamp[:1]
+    if part is not whole and (len(ego.restarts) or (np.abs(clock(log) - stamp) > 1e9 * OTHER_CLOCK_S).any()):
+        part, start, origin = whole, None, np.zeros(2)  # the clock at the log's begin is not that of the part
+        ego = read_ego(whole)
+    if len(ego.restarts):
+        part = _drive_to_read(whole, ego)
+        ego = ego if part is whole else read_ego(part)
+    return part, ego, start, origin
+
+
+def _drive_to_read(whole: Part, ego: EgoLog) -> Part:
+    """Of a bag whose clock restarts, the drive between the settings' begin and end; all of it by log time, if so set.
+
+    Raises:
+        LogError: Several drives are between them.
+    """
+    bag, settings = whole.bag, whole.settings
+    at = ((ego.restarts - bag.start_ns) / 1e9).tolist()
+    count = {2: "two", 3: "three", 4: "four"}.get(len(at) + 1, str(len(at) + 1))
+    times = ", ".join(f"{t:.1f} s" for t in at)
+    what = f"the clock of {ego.restarted} restarts at {times} of the bag: {count} drives"
+    if settings.clock == "log":
+        whole.notes.append(f"T{what[1:]}, which are joined, because clock = log is set.")
+        return whole
+    bounds = pairwise([0.0, *at, (bag.end_ns - bag.start_ns) / 1e9])
+    shared = [min(end, settings.end) - max(begin, settings.begin) for begin, end in bounds]
+    if sum(each > LASTS_S for each in shared) > 1:
+        raise LogError(what, remedy="--from/--to chooses one, and clock = log in [log] joins them")
+    chosen = int(np.argmax(shared))
+    begin, end = [bag.start_ns, *ego.restarts.tolist(), bag.end_ns + 1][chosen : chosen + 2]
+    if settings.end < inf:
+        end = min(end, bag.start_ns + round(1e9 * settings.end))
+    note = f"T{what[1:]}; this is number {chosen + 1}, and --from and --to are seconds of the bag."
+    return Part(bag, settings, begin, end - 1, [note], drive=True)
+
+
+def _part_by_log_time(whole: Part) -> tuple[Part, int | None, FloatArray, Clock]:
+    """The messages around the settings' begin and end, the time of t = 0, the origin, and the log's first clock."""
+    bag, settings, unknown = whole.bag, whole.settings, (whole, None, np.zeros(2), LOG_CLOCK)
     head = Part(bag, settings, None, bag.start_ns + round(1e9 * HEAD_S))
     try:
         ego = read_ego(head)
     except LogError:
-        return whole, None, np.zeros(2)
+        return unknown
     clock = ego.clock
     if len(clock.log) > 1:
         pace = float(clock.stamp[-1] - clock.stamp[0]) / float(clock.log[-1] - clock.log[0])
         if not 0.8 < pace < 1.25:
-            return whole, None, np.zeros(2)  # a part cannot be found by log time
+            return unknown  # a part cannot be found by log time
     first = begin_of(ego, _logged_motion(head, ego)[0])
     detected = settings.repair != "off" and whole.topics(schemas.OBJECTS, "agents")
     log0, around = bag.start_ns, (DETECTED_S if detected else HISTORY_S) + MARGIN_S
     end = None if settings.end == inf else log0 + round(1e9 * (settings.end + around))
     if settings.begin <= 0.0:
-        return Part(bag, settings, None, end), None, np.zeros(2)
+        return Part(bag, settings, None, end), None, np.zeros(2), clock
     begin = log0 + round(1e9 * (settings.begin - around))
-    return Part(bag, settings, max(begin, log0), end), int(ego.poses.t[first]), np.round(ego.poses.p[first, :2])
+    origin = np.round(ego.poses.p[first, :2])
+    return Part(bag, settings, max(begin, log0), end), int(ego.poses.t[first]), origin, clock
 
 
 def _logged_motion(part: Part, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
@@ -153,8 +218,8 @@ def _logged_motion(part: Part, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
     if np.isfinite(v).all() and "speed" not in part.settings.topics:
         notes.append(f"The ego's speed is that of {ego.source}.")
     else:
-        v = at_poses(signal(part, schemas.SPEEDS, "speed", ego.clock), ego.poses.t, "speed", notes)
-    found = signal(part, schemas.ACCELERATIONS, "acceleration", ego.clock)
+        v = at_poses(signal(part, schemas.SPEEDS, "speed", ego), ego.poses.t, "speed", notes)
+    found = signal(part, schemas.ACCELERATIONS, "acceleration", ego)
     return v, at_poses(found, ego.poses.t, "acceleration", notes)
 
 
@@ -272,7 +337,8 @@ def goal(part: Part, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle: Ve
         return None
     topic = topics[0]
     path = schemas.GOALS[topic.kind]
-    log, rows = part.bag.read(topic, (*STAMP, "header.frame_id", *(f"{path}.{name}" for name in POSITION)))
+    fields = (*STAMP, "header.frame_id", *(f"{path}.{name}" for name in POSITION))
+    log, rows = part.bag.read(topic, fields, *((part.begin, part.end) if part.drive else ()))
     good = [k for k, row in enumerate(rows) if np.isfinite(row[3:]).all()]
     if not good:
         return None
@@ -299,10 +365,10 @@ def goal(part: Part, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle: Ve
 
 def controls(part: Part, ego: EgoLog, t0: int) -> Controls | None:
     """Read the front wheel angle: the measured one, else the commanded one."""
-    found = signal(part, schemas.STEERING, "steering", ego.clock)
+    found = signal(part, schemas.STEERING, "steering", ego)
     word = "measured"
     if found is None and "steering" not in part.settings.topics:
-        found = signal(part, schemas.COMMANDED_STEERING, "steering", ego.clock)
+        found = signal(part, schemas.COMMANDED_STEERING, "steering", ego)
         word = "commanded"
     if found is None:
         return None

@@ -640,25 +640,10 @@ def test_sqlite_without_definitions_and_a_bare_file_are_the_same_log(plain: Path
 
 def test_a_ros1_bag_is_the_same_log(tmp_path: Path) -> None:
     types = bags.store(ros1=True)
-    rows = [(t, k, n, message(k, types, **_values(m))) for t, k, n, m in bags.transforms() + indexed()]
+    rows = [(t, k, n, message(k, types, **bags.values_of(m))) for t, k, n, m in bags.transforms() + indexed()]
     one = read_log(bags.write_ros1(tmp_path / "bag.bag", rows, types))
     two = read_log(bags.write_ros2(tmp_path / "bag", bags.transforms() + indexed()))
     assert differences(replace(one, source=two.source), two) == []
-
-
-def _values(some: Any) -> dict[str, Any]:
-    """A message as keywords of `message`."""
-    out = {}
-    for name in some.__dataclass_fields__:
-        value = getattr(some, name)
-        if name == "__msgtype__":
-            continue
-        if hasattr(value, "__dataclass_fields__"):
-            value = _values(value)
-        elif isinstance(value, list):
-            value = [_values(each) if hasattr(each, "__dataclass_fields__") else each for each in value]
-        out[name] = value
-    return out
 
 
 def test_round_trip(plain: Path, tmp_path: Path) -> None:
@@ -733,7 +718,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("small")
     rows = [row for row in with_everything() + bags.transforms(1.0) if row[2] < START_NS + 1_000_000_000]
     types = bags.store(ros1=True)
-    old = [(t, k, n, message(k, types, **_values(m))) for t, k, n, m in bags.transforms(1.0) + indexed()[:10]]
+    old = [(t, k, n, message(k, types, **bags.values_of(m))) for t, k, n, m in bags.transforms(1.0) + indexed()[:10]]
     files = {
         "zstd.mcap": next(bags.write_ros2(folder / "zstd", rows).glob("*.mcap")),
         "plain.mcap": next(bags.write_ros2(folder / "raw", rows, compressed=False).glob("*.mcap")),

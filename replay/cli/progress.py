@@ -134,6 +134,8 @@ def progress(
                 say("compiling kernels (once, about a minute); replan warmup does it beforehand")
 
         def on_log(result: LogResult) -> None:
+            if result.twin:
+                say(f"left out: {result.source}: the same log as {result.name}")
             for failure in result.failures:
                 say(f"error: {failure.line}", always=True)
             pace = begun[0][1]

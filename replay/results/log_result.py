@@ -96,6 +96,7 @@ class LogResult:
         failures: Drives that failed.
         seconds: Its duration, for display only; NaN if the result is from an earlier run.
         stopped: The reason why the result could not be written, which stops the run; empty if it was written.
+        twin: Whether the folder is that of another log of the run with the same content; this one was not driven.
     """
 
     source: str
@@ -110,6 +111,7 @@ class LogResult:
     failures: tuple[Failure, ...] = ()
     seconds: float = nan
     stopped: str = ""
+    twin: bool = False
 
     def record(self) -> dict[str, Any]:
         """The record in summary.json and log.json, without failures."""

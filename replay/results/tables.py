@@ -20,6 +20,7 @@ under a temporary name and renamed.
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 import shutil
@@ -87,6 +88,18 @@ def write_file(path: Path, write: Callable[[Path], object]) -> None:
             partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def finish_folder(partial: Path, folder: Path) -> bool:
+    """Rename a finished folder; False if `folder` is there: that of another log with the same content (OutputError)."""
+    with writing(folder):
+        try:
+            partial.rename(folder)
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+            return False
+    return True
 
 
 def write_text(path: Path, text: str) -> None:

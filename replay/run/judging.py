@@ -33,7 +33,7 @@ from replay.results.tables import (
 )
 from replay.results.version import replan_version
 from replay.run.one_log import all_metrics
-from replay.run.sources import Selection
+from replay.run.sources import LogSource, Selection
 
 
 def gates_of(run: RunConfig, path: Path | None) -> Gates:
@@ -65,6 +65,7 @@ def judge_and_write(
         resumed: Number of logs whose results are from an interrupted run.
         shard: The part of the run; "" for the whole run.
     """
+    selection, results = _without_twins(selection, results)
     names, distinct = Counter(result.name for result in results), list[LogResult]()
     for result in results:  # the hash of its content is appended to a name that several logs share
         if names[result.name] > 1 and result.digest:
@@ -102,6 +103,23 @@ def judge_and_write(
     write_parquet(out / "groups.parquet", groups(table, stand, labels))
     _write_summary(out, selection, results, verdicts, errors, shard)
     return replace(load(out), resumed=resumed)
+
+
+def _without_twins(selection: Selection, results: Sequence[LogResult]) -> tuple[Selection, tuple[LogResult, ...]]:
+    """Leave out logs whose folder is that of an earlier one: their content is the same, and one was driven for both."""
+    driven = {result.folder: result for result in results if not result.twin}
+    first: dict[str, str] = {}
+    kept, sources, dropped = list[LogResult](), list[LogSource](), list(selection.dropped)
+    for source, result in zip(selection.sources, results, strict=True):
+        if result.folder in first:
+            dropped.append(f"{source.label}: the same log as {first[result.folder]}")
+            continue
+        if result.folder:
+            first[result.folder] = source.label
+            result = replace(driven.get(result.folder, result), source=source.label)
+        kept.append(result)
+        sources.append(source)
+    return Selection(tuple(sources), tuple(dropped)), tuple(kept)
 
 
 def _write_summary(

@@ -32,7 +32,7 @@ from logs.readers.base import LogSettings
 from replay.config import LoopConfig, RunConfig
 from replay.planner_process.connection import command_of
 from replay.results.log_result import Failure, LogResult, Stamp
-from replay.results.tables import PARTIAL
+from replay.results.tables import PARTIAL, finish_folder
 from replay.run.checks import KINDS
 from replay.run.engine import Job, longest_first
 from replay.run.pool import WorkerLost, freeze_gc
@@ -95,7 +95,7 @@ class OnRay:
                             partial.mkdir()
                             for file, content in files.items():
                                 (partial / Path(file).name).write_bytes(content)
-                            partial.rename(out / result.folder)
+                        result = replace(result, twin=not finish_folder(partial, out / result.folder))
                     finally:
                         shutil.rmtree(partial, ignore_errors=True)
                 yield index, result

@@ -38,7 +38,7 @@ from replay.loop.planning import Planning, with_probe
 from replay.loop.reference_drives import late_follower, with_avoidability, with_references
 from replay.planner_process.planner_config import is_apart, is_built_in, planner_keywords
 from replay.results.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, Steps, StepsFile, write_result
-from replay.results.tables import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name
+from replay.results.tables import KEYS, PARTIAL, TIMING_COLUMNS, finish_folder, joined, safe_name
 from replay.run.perturb import perturbed
 from replay.run.sources import LogSource, file_hash
 
@@ -93,7 +93,8 @@ class _Progress:
 def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> LogResult:
     """Drive one log with each planner in each mode, measure, and write the log's folder into `out`.
 
-    If it cannot be written (full disk), `LogResult.stopped` gives the error, and the partial folder is removed.
+    If it cannot be written (full disk), `LogResult.stopped` gives the error, and the partial folder is removed. If
+    another log has the same content, the result is its twin (`LogResult.twin`).
     """
     progress, begin = _Progress(source.label), perf_counter()
     partial = out / f"{PARTIAL}{sha256(source.label.encode()).hexdigest()[:16]}-{os.getpid()}"
@@ -106,6 +107,8 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
             scenario = near.read()
             result, found = _describe_log(near, scenario, partial, run)
             progress.log = scenario.name
+            if (out / result.folder).exists():
+                return replace(result, twin=True, seconds=perf_counter() - begin)
             driven = with_avoidability(scenario.in_vehicle(run.driven(scenario.vehicle)))
             _drive_all(driven, run, partial, result.folder, progress)
             for member in range(1, run.ensemble + 1):
@@ -118,9 +121,7 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
                 timings=joined(progress.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS),
             )
             write_result(partial, result, tables, identity, stamp)
-            with writing(out / result.folder):
-                partial.rename(out / result.folder)
-            done = result
+            done = replace(result, twin=not finish_folder(partial, out / result.folder))
     except OutputError as error:
         return LogResult(source.label, progress.log, stopped=str(error))
     finally:

@@ -32,7 +32,7 @@ from replay.planner_process.planner_config import planner_factory
 from replay.results.load import Results
 from replay.results.log_result import Failure, LogResult, Stamp, load_result
 from replay.results.schema import SCHEMA_VERSION
-from replay.results.tables import PARTIAL, SHARD_CARD, clear_folder, write_json, write_text
+from replay.results.tables import PARTIAL, SHARD_CARD, clear_folder, finish_folder, write_json, write_text
 from replay.run.judging import gates_of, judge_and_write
 from replay.run.output import begun_in, held, write_origin
 from replay.run.resume import changes, identity_of, stamp_of
@@ -166,7 +166,7 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
                 try:
                     with writing(out / folder):
                         shutil.copytree(part.folder / folder, partial, copy_function=_link_or_copy)
-                        partial.rename(out / folder)
+                    finish_folder(partial, out / folder)  # twins in two shards: the first counts
                 finally:
                     shutil.rmtree(partial, ignore_errors=True)
         results = tuple(placed[place] for place in range(len(placed)))

@@ -18,6 +18,7 @@ from logs.catalogue import CATALOGUE, FAMILY, scenario, suite
 from logs.errors import ConfigError, LogError
 from logs.files import RemoteFile, check_regular, fetch, heads, listed, local_path, ranged, read_toml, url_of
 from logs.maps import map_files
+from logs.mcap import write_scenario
 from logs.readers import (
     FORMATS,
     LogSettings,
@@ -185,8 +186,9 @@ def suite_file(path: Path) -> list[Path | str]:
 def select(paths: Sequence[Path | str], settings: LogSettings | None = None, window: float | None = None) -> Selection:
     """The logs in files and folders, of all formats in `logs.readers`.
 
-    A folder that is not a log is searched for logs. Results of earlier runs, hidden files and second copies of the
-    same bytes are left out. With `window`, each log is split into windows of this length, s.
+    A folder that is not a log is searched for logs. Results of earlier runs, hidden files and second copies of a log
+    are left out: the same bytes, or the same drive in another container or under another name, if the reader knows
+    its span without reading it. With `window`, each log is split into windows of this length, s.
 
     Raises:
         ConfigError: A path does not exist, no reader knows its format, or no log is left.
@@ -194,6 +196,7 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
     settings = settings or LogSettings()
     kept: dict[str, LogSource] = {}
     dropped: list[str] = []
+    drives = _Drives()
     for place in paths:
         url = url_of(place)
         if url:
@@ -210,8 +213,8 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
                 with suppress(LogError):  # the evaluation will say why
                     source = replace(log, digest=log_hash(log.path, settings))
             key = _version(log.remote) or source.digest or (os.path.realpath(log.path) if log.path else log.label)
-            twin = kept.get(key)
-            reason = reason or (f"the same bytes as {twin.label}" if twin else "")
+            if not reason and (twin := kept.get(key) or drives.twin_of(source)):
+                reason = f"the same log as {twin.label}"
             if reason:
                 dropped.append(f"{log.label}: {reason}")
             else:
@@ -230,6 +233,35 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
     if not kept:
         raise ConfigError(f"no logs to evaluate: {selection}")
     return selection
+
+
+@dataclass
+class _Drives:
+    """The drives of logs, whatever their names and containers. Only logs with the same span (ns) are read."""
+
+    by_span: dict[tuple[float, float], list[LogSource]] = field(default_factory=dict)
+    contents: dict[str, str] = field(default_factory=dict)
+
+    def twin_of(self, source: LogSource) -> LogSource | None:
+        """Return the earlier log with the same drive; if there is none, this log is kept for later ones."""
+        reader = None if source.path is None else reader_of(source.path, source.settings)
+        span = None if reader is None or source.path is None else reader.span(source.path)
+        if span is None:
+            return None
+        others = self.by_span.setdefault(span, [])
+        twin = next((other for other in others if self._content(other) == self._content(source)), None)
+        if twin is None:
+            others.append(source)
+        return twin
+
+    def _content(self, source: LogSource) -> str:
+        """Hash of what the log holds; its label if it cannot be read, for which the evaluation gives the reason."""
+        if source.label not in self.contents:
+            self.contents[source.label] = source.label
+            with suppress(LogError), tempfile.TemporaryDirectory(prefix="replan-") as scratch:
+                write_scenario(Path(scratch, "log.mcap"), replace(source.read(), name="log", source="", notes=()))
+                self.contents[source.label] = file_hash(Path(scratch, "log.mcap"))
+        return self.contents[source.label]
 
 
 def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:

@@ -248,7 +248,7 @@ def test_folders_are_searched_and_what_is_left_out_is_said(logs: Path, tmp_path:
     (tmp_path / "results" / "closed.mcap").write_bytes(b"")
     selection = select([tmp_path])
     assert [source.path for source in selection.sources] == [deep / "a.mcap"]
-    for word in ("same bytes", "hidden", "no reader recognises", "earlier run"):
+    for word in ("same log", "hidden", "no reader recognises", "earlier run"):
         assert any(word in reason for reason in selection.dropped)
     assert "5 found, 1 kept" in str(selection)
 

@@ -78,7 +78,7 @@ def test_logs_by_url_give_the_bytes_of_the_same_logs_here(bucket: Any, logs: Pat
     there = replan("evaluate", "s3://fleet/logs", *QUICK, "-o", "there")
     assert here.exit_code == there.exit_code
     assert files_of(tmp_path / "here") == files_of(tmp_path / "there")
-    assert "left out: s3://fleet/logs/copy.mcap: the same bytes as s3://fleet/logs/a.mcap" in there.stderr
+    assert "left out: s3://fleet/logs/copy.mcap: the same log as s3://fleet/logs/a.mcap" in there.stderr
     summary = json.loads((tmp_path / "there" / "summary.json").read_text(encoding="utf-8"))
     assert [log["source"] for log in summary["logs"]] == [
         f"s3://fleet/logs/{name}" for name in ("a.mcap", "b.mcap", "deep/tables")

@@ -36,6 +36,8 @@ SPECIAL = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
+POINTER, MOST_POINTER_BYTES = b"version https://git-lfs.github.com/spec/", 1024
+"""First bytes and largest size of a Git LFS pointer (its specification)."""
 WRITE_A_FILE = "write its content to a file and name that"
 _URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.IGNORECASE | re.DOTALL)  # not a Windows drive: one letter
 _VERSIONS = ("ETag", "etag", "md5Hash", "LastModified", "last_modified", "mtime", "created")
@@ -52,11 +54,24 @@ def special_kind(path: Path) -> str:
 
 
 def check_regular(*paths: Path) -> None:
-    """Raise LogError for pipes, sockets and devices, which may block or never end, and for broken links."""
+    """Raise LogError for pipes, sockets and devices, which may block or never end, broken links, Git LFS pointers."""
     for path in paths:
         kind = special_kind(path)
         if kind:
             raise LogError(f"is {kind}, not a file", file=path, remedy=WRITE_A_FILE)
+        if _is_pointer(path):
+            raise LogError("is a Git LFS pointer, not the file", file=path, remedy="fetch the file with `git lfs pull`")
+
+
+def _is_pointer(path: Path) -> bool:
+    """Return whether a file stands for one that Git LFS has not fetched; False if it cannot be read."""
+    try:
+        if not path.is_file() or path.stat().st_size > MOST_POINTER_BYTES:
+            return False
+        with path.open("rb") as stream:
+            return stream.read(len(POINTER)) == POINTER
+    except OSError:
+        return False
 
 
 def check_named(path: Path) -> None:

@@ -12,7 +12,10 @@ Modules:
     cut.py          a part of a scenario by time, and times in whole nanoseconds
     commonroad/     CommonRoad XML
     comma2k19.py    segments of comma2k19
+    foreign.py      formats that are not read, and what to do with them
     table.py        pandas frames, CSV and Parquet
+    track_table.py  tables of tracks without an ego
+    csv_table.py, columns.py, clocks.py   shared by tables: files, names and units, times
     ros/            ROS 2 and ROS 1 bags
     arrow123d.py    123D's Arrow logs; arrow123d_map.py their maps
     argoverse2.py   Argoverse 2: sensor logs, motion-forecasting scenarios
@@ -35,11 +38,12 @@ import numpy as np
 from logs.conventions import checked
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.extension import Kind, an_instance
-from logs.files import WRITE_A_FILE, check_regular, special_kind
+from logs.files import check_regular, local_path, special_kind
 from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, ros, table
 from logs.readers.admission import admitted, check_clocks, check_road, named, repaired
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut, in_nanoseconds
+from logs.readers.foreign import FORMATS, foreign
 from logs.scenario import Scenario
 
 BUILTIN = (
@@ -57,8 +61,6 @@ READER: Kind[Reader] = Kind(
     "reader", "readers", {one.name: one for one in BUILTIN}, an_instance(Reader, "replan.Reader")
 )
 """Finds readers by name: the built-in ones and those of users."""
-FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"
-_SHOWN = 8
 LONGEST_S = 7 * 86400.0
 """Longest duration of a log, s: times beyond a week have another unit (and time grids would fill the memory)."""
 
@@ -68,6 +70,7 @@ __all__ = [
     "READER",
     "LogSettings",
     "Reader",
+    "foreign",
     "logs_in",
     "read_log",
     "reader_called",
@@ -107,22 +110,25 @@ def reader_of(path: Path, settings: LogSettings | None = None) -> Reader | None:
     """Return the reader that claims a file or folder, or None; pipes, sockets and devices have no reader."""
     if special_kind(path):
         return None
-    return next((reader for reader in readers(settings.reader if settings else "") if reader.claims(path)), None)
+    known = readers(settings.reader if settings else "")
+    found = next((reader for reader in known if reader.claims(path)), None)
+    return found or next((reader for reader in known if settings and reader.claims_with(path, settings)), None)
 
 
-def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | None = None) -> Scenario:
-    """Read the scenario in a log of any format; `reader` None: the one that claims it.
+def read_log(path: Path | str, settings: LogSettings | None = None, reader: Reader | None = None) -> Scenario:
+    """Read the scenario in a log of any format; `path` is local, `reader` None is the one that claims it.
 
     Raises:
         LogError: The log is damaged, unknown, or lacks required data; no other exception is raised for any bytes.
     """
-    settings = settings or LogSettings()
+    path, settings = local_path(path), settings or LogSettings()
     check_regular(path)
     reader = reader or reader_of(path, settings)
     if reader is None:
         raise foreign(path)
     try:
-        for key, asked in (("ego", settings.ego), ("problem", settings.problem)):
+        for key in ("ego", "problem", "ego_point"):
+            asked = getattr(settings, key)
             if asked and key not in reader.settings:
                 what = f"{key} {asked} is asked for, but the format {reader.name} has no choice of it"
                 raise LogError(what, topic="[log]", remedy=f"leave {key} out")
@@ -159,29 +165,6 @@ def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
     scenario = checked(scenario)
     made = repaired(scenario, settings.repair)
     return made if made.repair is scenario.repair else named(made)
-
-
-def foreign(path: Path) -> LogError:
-    """Return the error for a path that no reader claims: what it contains, and how to convert it."""
-    if not path.exists():
-        return LogError("no such file or folder", file=path)
-    if path.is_dir():
-        names = sorted(entry.name for entry in path.iterdir())
-        held = ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
-        return LogError(f"not a log that replan reads; the folder holds {held or 'nothing'}", file=path, remedy=FORMATS)
-    kind = special_kind(path)
-    if kind:
-        return LogError(f"is {kind}, not a file", file=path, remedy=WRITE_A_FILE)
-    try:
-        check_regular(path)
-        with path.open("rb") as stream:
-            begin = stream.read(8)
-    except LogError as error:
-        return error.at(path)
-    except OSError as error:
-        return LogError(f"cannot be read: {error.strerror or error}", file=path)
-    what = f"not a log that replan reads; a {path.suffix or 'nameless'} file that begins with {begin!r}"
-    return LogError(what, file=path, remedy=FORMATS)
 
 
 def logs_in(folder: Path, settings: LogSettings | None = None) -> Iterator[tuple[Path, Reader | None]]:

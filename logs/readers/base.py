@@ -15,6 +15,7 @@ from logs.vehicle import VehicleParameters
 
 SIZES = ("length", "width", "wheelbase", "rear_overhang")
 """Keys of `[log.car]`."""
+EGO_POINTS = ("", "rear_axle", "centre")
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class LogSettings:
 
     Attributes:
         ego: Id of the road user to use as the ego; "": the log's ego.
+        ego_point: Point of the ego whose positions a table has: "rear_axle" or "centre" of its box; "": the rear axle,
+            for a road user of a table of tracks the centre.
         problem: Planning problem of a CommonRoad file, by id or by number from 1; 0: the first.
         reader: The reader to try first: a format's name, or "module:NAME" of a reader of your own.
         map: Path of a map that replaces the log's (Lanelet2 .osm, 123D map.arrow, OpenDRIVE .xodr); "": the log's own.
@@ -52,12 +55,15 @@ class LogSettings:
     columns: Mapping[str, str] = field(default_factory=dict)
     car: Mapping[str, float] = field(default_factory=dict)
     repair: str = "auto"
+    ego_point: str = ""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.begin < self.end:
             raise ValueError(f"a log from {self.begin} s to {self.end} s is empty: end must be after begin, both >= 0")
         if self.clock not in ("", "log", "header"):
             raise ValueError(f"clock is {self.clock!r}: log or header")
+        if self.ego_point not in EGO_POINTS:
+            raise ValueError(f"ego_point is {self.ego_point!r}: rear_axle or centre")
         if self.repair not in ("auto", "on", "off"):
             raise ValueError(f"repair is {self.repair!r}: auto, on or off")
         if not set(self.car) <= set(SIZES):
@@ -150,6 +156,10 @@ def itself(path: Path) -> tuple[Path, ...]:
     return (path,)
 
 
+def _never(path: Path, settings: LogSettings) -> bool:
+    return False
+
+
 def _unknown_span(path: Path) -> tuple[float, float] | None:
     return None
 
@@ -170,6 +180,7 @@ class Reader:
         contents: The topics that can be read; raises nothing.
         settings: The keys of `LogSettings` that it uses, besides `begin`, `end` and `repair`, which apply to all.
         cuts: Whether it reads only the surroundings of the part from `begin` to `end`, in times of the whole log.
+        claims_with: Whether a path that it does not claim is a log of this format by the settings (names of columns).
     """
 
     name: str
@@ -183,3 +194,4 @@ class Reader:
     contents: Callable[[Path], Contents] = _nothing
     settings: tuple[str, ...] = ()
     cuts: bool = False
+    claims_with: Callable[[Path, LogSettings], bool] = _never

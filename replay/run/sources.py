@@ -46,7 +46,7 @@ BYTES_PER_S: Mapping[str, float] = {
 """Bytes per second of drive by format, medians of logs that we have; only for the order in which logs are driven."""
 _OTHER_BYTES_PER_S = 50e3
 
-LOOKED_INTO = (".xml", ".bag", ".db3", ".yaml", ".mcap")
+LOOKED_INTO = (".xml", ".bag", ".db3", ".yaml", ".mcap", ".csv")
 """Suffixes of files whose first bytes readers check to recognise a log; other files are recognised by name."""
 HEAD_BYTES = 4096
 SUITE_HEADER = "# A suite of logs, written by `replan suite`; give it to --suite. Paths are relative to this file."

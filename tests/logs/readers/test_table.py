@@ -20,7 +20,8 @@ import replan
 from logs import AgentKind, LogError
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log, reader_of
-from logs.readers.table import DIMENSIONS, UNITS, from_frames
+from logs.readers.columns import DIMENSIONS, UNITS
+from logs.readers.table import from_frames
 from logs.summary import summarise
 from logs.vehicle import VehicleParameters
 from replay.config import RunConfig

@@ -1,0 +1,155 @@
+"""Loads CSV and Parquet tables as pandas frames, and refuses rows that do not fit the header.
+
+The columns of a CSV file are separated by commas, semicolons, tabs, or (if the header has none of these) spaces; the
+first three may be followed by spaces. With all but the comma, numbers may have decimal commas. The header is the first
+line that does not begin with "#". If that line holds only numbers, the header is the last "#" line before it that has
+as many names, as numpy.savetxt writes it. Other "#" lines are comments.
+
+An empty last field of the header or of the rows belongs to a separator at the end of the line, and is left out. Any
+other row whose number of fields is not that of the header is refused.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, TextIO
+
+import pandas as pd
+
+from logs.errors import LogError
+
+SUFFIXES = (".csv", ".parquet")
+SEPARATORS = (",", ";", "\t")
+_NUMBER = r"\s*[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?\s*"
+FIRST_LINE = 1 << 20
+"""Number of characters of the first line that are searched for the separator."""
+WRITE_NAMES = "write the names of the columns in the first line"
+
+
+class _Layout(NamedTuple):
+    """Names of the columns, their separator, the lines that are no rows (from 0), and whether rows end in one."""
+
+    names: list[str]
+    mark: str
+    skipped: list[int]
+    is_longer: bool
+
+
+def load_table(path: Path) -> pd.DataFrame:
+    """Load a table; its values and names have no spaces around them.
+
+    Raises:
+        LogError: The file cannot be read, is no such table, has no header, or has rows that do not fit the header.
+    """
+    import pyarrow as pa
+
+    try:
+        if path.suffix == ".parquet":
+            return pd.read_parquet(path)
+        layout = _layout(path)
+        names = [*layout.names, *(["(trailing)"] if layout.is_longer else [])]
+        table = pd.read_csv(
+            path, sep=r"\s+" if layout.mark == " " else layout.mark, encoding="utf-8-sig", header=None, names=names,
+            skiprows=layout.skipped, index_col=False, skipinitialspace=True, low_memory=False,
+        )  # fmt: skip
+        table = table[layout.names]
+        for name in table.columns:
+            if table[name].dtype.kind in "OTU" or isinstance(table[name].dtype, pd.StringDtype):
+                table[name] = table[name].str.strip() if layout.mark == "," else _decimals(table[name])
+        return table
+    except UnicodeDecodeError as error:
+        raise LogError(f"the table is no UTF-8: {error}", topic=path.name, remedy="write it as UTF-8") from None
+    except (OSError, ValueError, LookupError, TypeError, csv.Error, pa.ArrowException, OverflowError) as error:
+        what = " ".join(str(error).split())[:200]
+        raise LogError(f"the table cannot be read: {what}", topic=path.name, remedy="write it again") from None
+
+
+def header_of(path: Path) -> list[str]:
+    """Return the names of a table's columns; empty if the file has none or cannot be read."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        if path.suffix == ".parquet":
+            return list(pq.read_schema(path).names)
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            return _header(stream, path.name)[0]
+    except (OSError, ValueError, csv.Error, pa.ArrowException, LogError):
+        return []
+
+
+def _decimals(column: pd.Series[Any]) -> pd.Series[Any]:
+    """Return a column of texts without spaces around, and with decimal points if all are numbers."""
+    words = column.dropna().astype(str)
+    if words.str.fullmatch(_NUMBER).all() and words.str.contains(",", regex=False).any():
+        return pd.to_numeric(column.astype(str).str.replace(",", ".", regex=False))
+    return column.str.strip()
+
+
+def _fields(stream: TextIO, mark: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the number of each line that is not blank (from 0) and its fields."""
+    if mark == " ":
+        yield from ((k, line.split()) for k, line in enumerate(stream) if line.strip())
+        return
+    rows = csv.reader(stream, delimiter=mark, skipinitialspace=True)
+    yield from ((rows.line_num - 1, row) for row in rows if len(row) > 1 or (row and row[0].strip()))
+
+
+def _split(line: str) -> tuple[str, list[str]]:
+    """Return the separator of a header, and its names."""
+    parts = {mark: next(csv.reader([line], delimiter=mark, skipinitialspace=True), []) for mark in SEPARATORS}
+    mark = max(SEPARATORS, key=lambda each: len(parts[each]))
+    if len(parts[mark]) < 2 and len(line.split()) > 1:
+        return " ", line.split()
+    return mark, [name.strip() for name in parts[mark]]
+
+
+def _header(stream: TextIO, topic: str) -> tuple[list[str], str, int]:
+    """Return the names of the columns, their separator, and the number of the first row's line, or later."""
+    above: list[str] = []
+    for k, line in enumerate(iter(lambda: stream.readline(FIRST_LINE), "")):
+        if not line.strip():
+            continue
+        if line.lstrip().startswith("#"):
+            above.append(line.lstrip().lstrip("#").strip())
+            continue
+        mark, names = _split(line.rstrip("\r\n"))
+        are_numbers = [re.fullmatch(_NUMBER, name) is not None for name in names if name]
+        if any(are_numbers):
+            named = (each for each in map(_split, reversed(above)) if abs(len(each[1]) - len(names)) <= (not names[-1]))
+            found = next(named, None)
+            if found is not None:
+                return found[1], mark, k
+            if all(are_numbers):
+                what = f"there is no header: the first line is {', '.join(names[:6])}"[:120]
+                raise LogError(what, topic=topic, remedy=WRITE_NAMES)
+        return names, mark, k + 1
+    raise LogError("the table has no header", topic=topic, remedy=WRITE_NAMES)
+
+
+def _layout(path: Path) -> _Layout:
+    """Find the layout of a CSV file, and check that its rows have as many fields as its header."""
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        names, mark, begin = _header(stream, path.name)
+        stream.seek(0)
+        count, skipped, is_longer = len(names), list(range(begin)), False
+        for line, row in _fields(stream, mark):
+            if line < begin:
+                continue
+            if row[0].startswith("#") and len(row) != count:
+                skipped.append(line)
+                continue
+            more, less = len(row) == count + 1 and not row[-1].strip(), len(row) == count - 1 and not names[-1]
+            is_longer = is_longer or more
+            if len(row) != count and not (more or less):
+                what = f"rows have {len(row)} fields, the header {count}: line {line + 1}"
+                remedy = "write as many values as names; texts that hold the separator need quotes"
+                raise LogError(what, topic=path.name, remedy=remedy)
+    seen: dict[str, int] = {}
+    for k, name in enumerate(names):  # as pandas names them
+        seen[name] = seen.get(name, -1) + 1
+        names[k] = (name or f"Unnamed: {k}") + (f".{seen[name]}" if seen[name] and name else "")
+    return _Layout(names, mark, skipped, is_longer)

@@ -1,0 +1,362 @@
+"""Tables of tracks without an ego: one of the road users becomes the ego, the others are the agents.
+
+`DATA_SETS` has one row per public data set that is published as such tables: names and units of its columns, the point
+of a vehicle whose position it has, and where its frame rate is. Other tables have replan's names of columns, or those
+of `[log.columns]`, and positions of box centres.
+
+(1) upper left corner (highD: x right, y down): centre = (x + length / 2, -(y + width / 2))
+(2) front centre (NGSIM):                       centre = p - length / 2 (cos yaw, sin yaw)
+(3) without headings: the direction of the way come over at least `HEADED_M`
+
+The ego's rear axle is behind the centre of its box as in the default car, in proportion to its length. Its
+acceleration, its curvature and, where the table has none, its speed come from parabolas through its positions
+(`recorded.driven`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from logs.agents import USUAL_SIZE_M, AgentKind
+from logs.errors import LogError
+from logs.kernel import FloatArray
+from logs.observed import Spans, of_stream
+from logs.readers.base import beside
+from logs.readers.clocks import check_restart, continued
+from logs.readers.columns import NAMES, TIMES, Table, check_names, holds
+from logs.readers.csv_table import SUFFIXES, header_of, load_table
+from logs.readers.recorded import car_of, driven
+from logs.vehicle import VehicleParameters
+
+
+class DataSet(NamedTuple):
+    """How a data set writes its tables of tracks.
+
+    Attributes:
+        name: Its name.
+        columns: Its column, with the unit, by replan's name; all must be there for a table to be of this data set.
+        point: Point of the position: "centre", "front" (2) or "corner" (1).
+        sides: Part of the table's name, and what replaces it in that of a file beside it; `META`: frame rate and kinds.
+        recording: Column that tells recordings apart if a table holds several.
+        ego: The road user that is the ego if no other is named.
+        kinds: Kinds by its words, where these are not known from elsewhere; "car" is assumed for "".
+    """
+
+    name: str
+    columns: Mapping[str, str]
+    point: str = "centre"
+    sides: tuple[tuple[str, str], ...] = ()
+    recording: str = ""
+    ego: str = ""
+    kinds: Mapping[str, str] = {}
+
+
+META = (("_tracks", "_recordingMeta"), ("_tracks", "_tracksMeta"))
+_OURS = {"x": "x", "y": "y", "vx": "vx", "vy": "vy", "length": "length", "width": "width"}
+DATA_SETS = (
+    DataSet(
+        "highD",
+        {
+            "t": "frame", "id": "id", "x": "x", "y": "y", "length": "width", "width": "height", "vx": "xVelocity",
+            "vy": "yVelocity",
+        },
+        point="corner", sides=META,
+    ),
+    DataSet(
+        "inD, rounD, exiD or uniD",
+        {
+            "t": "frame", "id": "trackId", "x": "xCenter", "y": "yCenter", "yaw": "heading [deg]", "length": "length",
+            "width": "width", "vx": "xVelocity", "vy": "yVelocity",
+        },
+        sides=META, recording="recordingId",
+    ),
+    DataSet(
+        "INTERACTION",
+        {**_OURS, "t": "timestamp_ms [ms]", "id": "track_id", "kind": "agent_type", "yaw": "psi_rad [rad]"},
+        sides=(("vehicle_tracks", "pedestrian_tracks"),), recording="case_id",
+    ),
+    DataSet(
+        "NGSIM",
+        {
+            "t": "Global_Time [ms]", "id": "Vehicle_ID", "x": "Local_X [ft]", "y": "Local_Y [ft]", "v": "v_Vel [ft/s]",
+            "length": "v_Length [ft]", "width": "v_Width [ft]", "kind": "v_Class",
+        },
+        point="front", recording="Location", kinds={"1": "motorcycle", "2": "car", "3": "truck"},
+    ),
+    DataSet(
+        "Argoverse 1",
+        {"t": "TIMESTAMP [s]", "id": "TRACK_ID", "x": "X [m]", "y": "Y [m]", "kind": "OBJECT_TYPE"},
+        ego="AV", kinds=dict.fromkeys(("av", "agent", "others"), "car"),
+    ),
+)  # fmt: skip
+"""The data sets: NGSIM's positions are of the front centre, in feet (FHWA-HRT-06-137); Argoverse 1's have no sizes."""
+ALIASES = {
+    "vehicle": "car", "person": "pedestrian", "cyclist": "bicycle", "motorcyclist": "motorcycle", "van": "car",
+    "bike": "bicycle", "motorbike": "motorcycle", "unknown": "object", "static": "object", "trailer": "truck",
+    "truck_bus": "truck", "pedestrian/bicycle": "pedestrian",
+}  # fmt: skip
+"""Kinds by other common words."""
+HEADED_M = 1.0
+"""Constant of (3), m: positions from images are uncertain by 0.1 m, 6 degrees over it."""
+BEFORE_S = 2.0
+"""The others are read from this time before the ego's first row, s."""
+_NO_DRIVERS = (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
+_SHOWN = 8
+
+
+class TakenEgo(NamedTuple):
+    """The ego that was taken from a table of tracks; both tables have replan's names and units, and box centres."""
+
+    ego: pd.DataFrame
+    agents: pd.DataFrame
+    vehicle: VehicleParameters | None
+    notes: tuple[str, ...]
+    traffic: Spans
+    id: str
+    data_set: str
+
+
+def taken_ego(
+    frame: pd.DataFrame | None, ego: str, given: Mapping[str, str], vehicle: VehicleParameters | None
+) -> TakenEgo:
+    """Take a road user out of a table of tracks.
+
+    Args:
+        frame: The table.
+        ego: Id of the road user, or its word for the kind if only one road user has it; "": that of the data set.
+        given: Columns of the table by replan's name; they win over those of the data set.
+        vehicle: The ego's vehicle; None: one of the road user's size.
+
+    Raises:
+        LogError: As in `from_frames`; the error on a missing id names the road users that drove farthest.
+    """
+    if frame is None or not len(frame):
+        raise LogError("the table has no rows", topic="agents", remedy="give a table of tracks")
+    data = data_set_of(map(str, frame.columns)) or DataSet("", {})
+    known = {column.partition(" [")[0].lower(): column.partition(" [")[0] for column in data.columns.values()}
+    frame = frame.rename(columns={name: known.get(str(name).lower(), name) for name in frame.columns})
+    check_names(given, {"agents": frame})
+    if data.recording in frame and frame[data.recording].nunique() > 1:
+        what = f"the table holds {frame[data.recording].nunique()} recordings, whose ids differ ({data.recording})"
+        raise LogError(what, topic="agents", remedy=f"keep the rows of one {data.recording}")
+    table = Table(frame, "agents", {**data.columns, **{key.rpartition(".")[2]: name for key, name in given.items()}})
+    names, notes = names_of(table), list[str]()
+    ns, is_text = table.times()
+    ns, _ = continued(ns, np.empty(0, np.int64), is_text=is_text, notes=notes)
+    check_restart(ns, table.numbers("x"), table.numbers("y"), "agents", names)
+    order = np.lexsort((ns, names))
+    names, ns = names[order], ns[order]
+    first = np.flatnonzero(np.r_[True, names[1:] != names[:-1]])
+    offsets = np.r_[first, len(names)]
+    words = _texts(table.column("kind")[0])[order] if table.has("kind") else np.full(len(names), "car")
+    kinds = [kind_of(data.kinds.get(str(word).lower(), word)) for word in words[first]]
+    state = _states(table, data, order, offsets, kinds, notes)
+    ego = _id(ego or data.ego, names, words, first, kinds, state)
+    its = np.flatnonzero(names == ego)
+    t = (ns - ns[its[0]]) / 1e9
+    if len(its) < 2 or (np.diff(t[its]) <= 0.0).any():
+        what = f"agent {ego} has {'one row' if len(its) < 2 else 'two rows of one time'}"
+        raise LogError(what, topic="agents", remedy="name another one with --ego")
+    if not table.has("kind"):
+        notes.append("The log does not say what the agents are: they are taken for cars.")
+    length, width = (float(np.median(state[name][its])) for name in ("length", "width"))
+    if vehicle is None and np.isfinite(length + width):
+        vehicle = car_of({"length": length, "width": width}, notes)
+        notes.append(
+            f"The ego is agent {ego}, {length:.2f} x {width:.2f} m. Its wheelbase of {vehicle.wheelbase:.2f} m and its"
+            " rear axle are assumed: as in the default car, in proportion to the length."
+        )
+    shown = (t >= -BEFORE_S) & (t <= t[its[-1]])
+    if not shown.all():
+        notes.append(f"The table lasts {np.ptp(t):.1f} s: the {t[its[-1]]:.1f} s of agent {ego} are read.")
+    others = np.flatnonzero(shown & (names != ego))
+    kind = np.array(kinds, dtype=object)[np.searchsorted(first, np.arange(len(names)), side="right") - 1]
+    agents = pd.DataFrame({name: column[others] for name, column in state.items()} | {
+        "t_ns": ns[others], "id": names[others], "kind": kind[others]})  # fmt: skip
+    return TakenEgo(
+        _ego_states(table, ns[its], t[its], {name: column[its] for name, column in state.items()}, notes),
+        agents, vehicle, tuple(notes), of_stream(t[shown]), ego, data.name,
+    )  # fmt: skip
+
+
+def _states(
+    table: Table, data: DataSet, order: Any, offsets: Any, kinds: list[AgentKind], notes: list[str]
+) -> dict[str, FloatArray]:
+    """Return position of the box centre, heading, velocity and size of each row, `(n,)`; NaN where unknown."""
+    unknown = np.full(len(order), np.nan)
+    names = ("x", "y", "vx", "vy", "length", "width")
+    state = {name: table.numbers(name)[order] if table.has(name) else unknown.copy() for name in names}
+    for name in ("length", "width"):
+        state[name][state[name] == 0.0] = np.nan  # inD: people and riders
+    usual = np.repeat([USUAL_SIZE_M[kind] for kind in kinds], np.diff(offsets), axis=0)
+    length, width = (np.where(np.isfinite(state[k]), state[k], usual[:, i]) for i, k in enumerate(("length", "width")))
+    if data.point == "corner":  # (1)
+        state["x"] = state["x"] + 0.5 * length
+        state["y"], state["vy"] = -(state["y"] + 0.5 * width), -state["vy"]
+        notes.append("Positions are the upper left corners of boxes in image axes: x stays, y is turned up.")
+    yaw = table.yaw()
+    state["yaw"] = unknown if yaw is None else yaw[order]
+    lacking = ~np.isfinite(state["yaw"])
+    if lacking.any():  # (3)
+        notes.append(f"Headings that the table lacks are the direction of the last {HEADED_M:g} m of the way.")
+        state["yaw"] = np.where(lacking, headings(offsets, state["x"], state["y"], HEADED_M), state["yaw"])
+    cos, sin = np.cos(state["yaw"]), np.sin(state["yaw"])
+    if data.point == "front":  # (2)
+        state["x"], state["y"] = state["x"] - 0.5 * length * cos, state["y"] - 0.5 * length * sin
+        notes.append("Positions are the middles of the front bumpers: they are moved back to the centres of the boxes.")
+    if table.has("v") and not (table.has("vx") and table.has("vy")):
+        v = table.numbers("v")[order]
+        state["vx"], state["vy"] = v * cos, v * sin
+    return state
+
+
+def _ego_states(table: Table, ns: Any, t: FloatArray, state: dict[str, FloatArray], notes: list[str]) -> pd.DataFrame:
+    """Return the table of the ego; what is not stated comes from parabolas through its positions."""
+    if table.yaw() is None and np.hypot(np.ptp(state["x"]), np.ptp(state["y"])) < HEADED_M:
+        what = f"the ego moves less than {HEADED_M:g} m and has no heading"
+        raise LogError(what, topic="agents", remedy="name another agent with --ego")
+    finite = [name for name in ("x", "y", "yaw") if not np.isfinite(state[name]).all()]
+    if finite:
+        what = f"{finite[0]} of the ego is not finite in every row"
+        raise LogError(what, topic="agents", remedy="leave such rows out")
+    fit = driven(t, state["x"], state["y"], state["yaw"], [])
+    v = state["vx"] * np.cos(state["yaw"]) + state["vy"] * np.sin(state["yaw"])
+    notes.append(
+        f"The ego's {'' if np.isfinite(v).all() else 'speed, '}acceleration and curvature are derived: parabolas fitted"
+        " to its positions before each state."
+    )
+    return pd.DataFrame({
+        "t_ns": ns, "x": state["x"], "y": state["y"], "yaw": state["yaw"], "v": np.where(np.isfinite(v), v, fit.v),
+        "a": fit.a, "kappa": fit.kappa,
+    })  # fmt: skip
+
+
+def _id(ego: str, names: Any, words: Any, first: Any, kinds: list[AgentKind], state: dict[str, FloatArray]) -> str:
+    """Return the id of the road user that `ego` names; LogError lists those who drove farthest."""
+    ids, can = names[first], np.array([kind not in _NO_DRIVERS for kind in kinds])
+    by_word = np.flatnonzero(words[first] == ego)
+    if ego and len(by_word) == 1 and ego not in ids:
+        ego = ids[by_word[0]]
+    at = np.flatnonzero(ids == ego)
+    if len(at) and can[at[0]]:
+        return str(ego)
+    step = np.hypot(np.diff(state["x"], append=np.nan), np.diff(state["y"], append=np.nan))
+    step[np.r_[first[1:] - 1, len(step) - 1]] = 0.0
+    way = np.add.reduceat(np.nan_to_num(step), first)
+    best = [i for i in np.lexsort((ids, -way)) if can[i]][:_SHOWN]
+    drove = ", ".join(f"{ids[i]} ({way[i]:.0f} m)" for i in best) or "no vehicle"
+    what = f"there is no agent {ego}" if ego else f"the table has {len(ids)} road users and no ego"
+    if len(at):
+        what = f"agent {ego} is a {kinds[at[0]].value}, which is no ego"
+    raise LogError(what, topic="agents", remedy=f"name the ego with --ego ID; these drove farthest: {drove}")
+
+
+def _texts(column: pd.Series[Any]) -> Any:
+    """Return the values of a column as texts `(n,)`, whole numbers without a point."""
+    if pd.api.types.is_float_dtype(column) and (column.dropna() % 1.0 == 0.0).all():
+        column = column.astype("Int64")
+    return np.array([word.value if isinstance(word, AgentKind) else str(word) for word in column], dtype=str)
+
+
+def names_of(table: Table) -> Any:
+    """Return the id of each row `(n,)`, as text; LogError if a row has none."""
+    column = table.column("id")[0]
+    if column.isna().any():
+        what = f"row {int(column.isna().to_numpy().argmax())} has no id"
+        raise LogError(what, topic=table.name, remedy="name every agent")
+    return _texts(column)
+
+
+def headings(offsets: Any, x: FloatArray, y: FloatArray, least: float) -> FloatArray:
+    """Return each agent's direction of motion over at least `least` m; first samples get the first known direction."""
+    yaw = np.zeros(len(x))
+    for first, end in pairwise(offsets):
+        at, known = first, False
+        for k in range(first + 1, end):
+            yaw[k] = yaw[k - 1]
+            if np.hypot(x[k] - x[at], y[k] - y[at]) >= least:
+                yaw[k] = np.arctan2(y[k] - y[at], x[k] - x[at])
+                if not known:
+                    yaw[first:k] = yaw[k]
+                at, known = k, True
+    return yaw
+
+
+def kind_of(word: Any) -> AgentKind:
+    """Return the kind that a word of a table names; LogError if it is unknown."""
+    if isinstance(word, AgentKind):
+        return word
+    name = str(word).strip().lower()
+    try:
+        return AgentKind(ALIASES.get(name, name))
+    except ValueError:
+        known = ", ".join(kind.value for kind in AgentKind)
+        raise LogError(f"an agent is a {word!r}", topic="agents", remedy=f"known kinds: {known}") from None
+
+
+# Files
+
+
+def data_set_of(header: Iterable[str]) -> DataSet | None:
+    """Return the data set whose columns a table has; None if there is none."""
+    held = {name.strip().lower() for name in header}
+    needed = ((data, {column.partition(" [")[0].lower() for column in data.columns.values()}) for data in DATA_SETS)
+    return next((data for data, columns in needed if columns <= held), None)
+
+
+def claims(path: Path, columns: Mapping[str, str] | None = None) -> bool:
+    """Return whether a path is a table of tracks: a file with known columns, or a folder with only agents."""
+    if path.is_dir():
+        held = [any((path / f"{name}{suffix}").is_file() for suffix in SUFFIXES) for name in NAMES]
+        return held == [False, True]
+    if path.suffix not in SUFFIXES or not path.is_file():
+        return False
+    header = header_of(path)
+    return data_set_of(header) is not None or (holds(header, ("id", "x", "y"), columns or {})
+        and any(holds(header, (name,), columns or {}) for name in TIMES))  # fmt: skip
+
+
+def _side_file(path: Path, old: str, new: str) -> Path | None:
+    """Return the file beside `path` whose name has `new` for `old`; None if there is none."""
+    return beside(path.parent, [path.name.replace(old, new)]) if old in path.name else None
+
+
+def files(path: Path) -> tuple[Path, ...]:
+    """Return a table of tracks and the files beside it that are read with it."""
+    data = data_set_of(header_of(path))
+    sides = (_side_file(path, *pair) for pair in (data.sides if data else ()))
+    return (path, *(file for file in sides if file is not None))
+
+
+def load(path: Path, columns: Mapping[str, str]) -> tuple[pd.DataFrame, dict[str, str]]:
+    """Load a table of tracks with the files beside it; return it and `columns`, with the time of a frame.
+
+    Raises:
+        LogError: A file cannot be read, or the frame rate is not known.
+    """
+    frame, columns = load_table(path), dict(columns)
+    data = data_set_of(map(str, frame.columns))
+    if data is None:
+        return frame, columns
+    sides = [load_table(file) if (file := _side_file(path, *pair)) else pd.DataFrame() for pair in data.sides]
+    if data.sides != META:
+        return pd.concat([frame, *sides], ignore_index=True), columns
+    rates, kinds = sides
+    key = data.columns["id"] if data.columns["id"] in kinds else "id"
+    if {key, "class"} <= {*kinds}:
+        frame["class"] = frame[data.columns["id"]].map(kinds.drop_duplicates(key).set_index(key)["class"])
+        columns.setdefault("kind", "class")
+    if not {"t", *(f"{name}.t" for name in NAMES)} & {*columns}:
+        rate = pd.to_numeric(rates["frameRate"], errors="coerce").iloc[0] if "frameRate" in rates else np.nan
+        if not rate > 0.0:
+            what = f"the frame rate of {data.name} is in ..._recordingMeta.csv beside the table, which does not have it"
+            remedy = 'copy that file there, or name the rate: [log.columns] t = "frame [25 Hz]"'
+            raise LogError(what, topic=path.name, remedy=remedy)
+        columns["t"] = f"frame [{rate} Hz]"
+    return frame, columns

@@ -43,7 +43,7 @@ from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, r
 from logs.readers.admission import admitted, check_clocks, check_road, named, repaired
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut, in_nanoseconds
-from logs.readers.foreign import FORMATS, foreign
+from logs.readers.foreign import FORMATS, foreign, known_format
 from logs.scenario import Scenario
 
 BUILTIN = (
@@ -71,6 +71,7 @@ __all__ = [
     "LogSettings",
     "Reader",
     "foreign",
+    "known_format",
     "logs_in",
     "read_log",
     "reader_called",

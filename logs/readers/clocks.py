@@ -11,8 +11,11 @@ Rows may be in any order. If times go back in the order of the file, either the 
 again, and rows of two drives would interleave. With W the way through the rows, m, in the order of the file, and S the
 way through them in order of time:
 
-(3) the clock started again if S - W > `SHUFFLED` W, and, if fewer than `FEW` of the steps go back, if S > W, or
-    if S - W > -`UNCLEAR` W and a step goes back by more than `STEPS` median steps
+(3) the clock started again if S - W > `SHUFFLED` W, and, if fewer than `FEW` of the steps go back, if S > W, or if one
+    goes back by more than `STEPS` median steps and every road user is, after it, where it was before it: within `NEAR`
+    times the way that 95 % of the steps do not exceed
+(4) it also did if, in order of time, more than `BETWEEN` of the rows come alone between two rows that follow each other
+    in the file, and are farther than `OFF` of the way between these two from the line between them (medians)
 """
 
 from __future__ import annotations
@@ -30,8 +33,9 @@ LAST_S = 9e9
 """Greatest time, s: about the greatest that fits into 64 bits of nanoseconds."""
 PERIODS_S = {"midnight": 86400, "the end of the week": 7 * 86400}
 """Periods of clocks that start again, by the name of their end."""
-SHUFFLED, FEW, UNCLEAR, STEPS = 0.5, 0.1, 0.05, 5.0
-"""Constants of (3)."""
+SHUFFLED, FEW, STEPS, NEAR = 0.5, 0.1, 5.0, 3.0
+BETWEEN, OFF = 0.25, 0.1
+"""Constants of (3) and (4)."""
 _TIME_OF_DAY = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?"
 
 
@@ -111,7 +115,7 @@ def continued(ego: IntArray, agents: IntArray, *, is_text: bool, notes: list[str
 
 
 def check_restart(ns: IntArray, x: FloatArray, y: FloatArray, topic: str, names: Any = None) -> None:
-    """Check that the rows of a table are of one clock (3).
+    """Check that the rows of a table are of one clock (3), (4).
 
     Args:
         ns: Times in the order of the file `(n,)`, ns.
@@ -130,15 +134,31 @@ def check_restart(ns: IntArray, x: FloatArray, y: FloatArray, topic: str, names:
     back = steps < 0.0
     if not back.any():
         return
-    in_file, in_time = (float(np.nansum(np.hypot(np.diff(x[at]), np.diff(y[at]))[same])) for at in (filed, timed))
+    ways = [np.hypot(np.diff(x[at]), np.diff(y[at]))[same] for at in (filed, timed)]
+    in_file, in_time = (float(np.nansum(way)) for way in ways)
     more, rounding = in_time - in_file, 1e-9 * (1.0 + in_file)
     is_few = back.mean() < FEW or back.sum() == 1
     is_far = -steps.min() > STEPS * float(np.median(np.abs(steps)))
-    if more > SHUFFLED * in_file + rounding or (
-        is_few and (more > rounding or (is_far and more >= -UNCLEAR * in_file - rounding))
-    ):
+    is_near = bool((ways[0][back] <= NEAR * np.nanpercentile(ways[0], 95.0) + rounding).all())
+    is_split = is_few and (more > rounding or (is_far and is_near))
+    if more > SHUFFLED * in_file + rounding or is_split or _interleaves(ns, x, y, of, filed, timed):
         k = int(np.flatnonzero(same)[back.argmax()])
         before, row = int(filed[k]), int(filed[k + 1])
-        who = "" if names is None else f" of {names[row]}"
+        who = "" if names is None else f" of agent {names[row]}"
         what = f"t goes back at row {row}{who} ({ns[before] / 1e9:.12g} to {ns[row] / 1e9:.12g} s): the clock restarts"
         raise LogError(what, topic=topic, remedy="split the file there")
+
+
+def _interleaves(ns: IntArray, x: FloatArray, y: FloatArray, of: IntArray, filed: IntArray, timed: IntArray) -> bool:
+    """Return whether the rows, in order of time, alternate between two drives (4)."""
+    run = np.empty(len(ns), np.int64)
+    run[filed] = np.cumsum(np.r_[True, (np.diff(ns[filed]) < 0) | (np.diff(of[filed]) != 0)])
+    before, at, after = timed[:-2], timed[1:-1], timed[2:]
+    alone = (run[before] == run[after]) & (run[at] != run[before]) & (of[at] == of[before]) & (ns[after] > ns[before])
+    if np.count_nonzero(alone) <= BETWEEN * len(ns):
+        return False
+    before, at, after = before[alone], at[alone], after[alone]
+    share = (ns[at] - ns[before]) / (ns[after] - ns[before])
+    off = np.hypot(*(z[at] - z[before] - share * (z[after] - z[before]) for z in (x, y)))
+    way = np.hypot(x[after] - x[before], y[after] - y[before])
+    return bool(np.nanmedian(off) > OFF * np.nanmedian(way) + 1e-6)

@@ -12,6 +12,7 @@ other row whose number of fields is not that of the header is refused.
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -119,10 +120,10 @@ def _header(stream: TextIO, topic: str) -> tuple[list[str], str, int]:
         mark, names = _split(line.rstrip("\r\n"))
         are_numbers = [re.fullmatch(_NUMBER, name) is not None for name in names if name]
         if any(are_numbers):
-            named = (each for each in map(_split, reversed(above)) if abs(len(each[1]) - len(names)) <= (not names[-1]))
-            found = next(named, None)
-            if found is not None:
-                return found[1], mark, k
+            for sign, found in map(_split, reversed(above)):
+                row = next(_fields(io.StringIO(line), sign))[1]
+                if len(row) - (not row[-1].strip()) == len(found) - (not found[-1]):
+                    return found, sign, k
             if all(are_numbers):
                 what = f"there is no header: the first line is {', '.join(names[:6])}"[:120]
                 raise LogError(what, topic=topic, remedy=WRITE_NAMES)
@@ -148,8 +149,8 @@ def _layout(path: Path) -> _Layout:
                 what = f"rows have {len(row)} fields, the header {count}: line {line + 1}"
                 remedy = "write as many values as names; texts that hold the separator need quotes"
                 raise LogError(what, topic=path.name, remedy=remedy)
-    seen: dict[str, int] = {}
-    for k, name in enumerate(names):  # as pandas names them
-        seen[name] = seen.get(name, -1) + 1
-        names[k] = (name or f"Unnamed: {k}") + (f".{seen[name]}" if seen[name] and name else "")
+    twice = sorted({name for name in names if name and names.count(name) > 1})
+    if twice:
+        raise LogError(f"two columns are called {twice[0]}", topic=path.name, remedy="rename one of them")
+    names = [name or f"Unnamed: {k}" for k, name in enumerate(names)]  # as pandas names them
     return _Layout(names, mark, skipped, is_longer)

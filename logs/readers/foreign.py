@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from logs.errors import LogError
-from logs.files import WRITE_A_FILE, check_regular, special_kind
+from logs.files import check_regular
 from logs.readers.csv_table import SUFFIXES, header_of
 
 FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"
@@ -35,6 +35,8 @@ class _Sign(NamedTuple):
 
 def _tables(path: Path) -> set[str]:
     """Return the names of the tables of an SQLite file; empty if it cannot be read."""
+    if not path.is_file():
+        return set()
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as file:
             return {str(row[0]) for row in file.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
@@ -43,12 +45,12 @@ def _tables(path: Path) -> set[str]:
 
 
 def _named(pattern: str) -> Callable[[Path, bytes, Sequence[str]], bool]:
-    """Return a test for files whose name has a part that matches `pattern`, and folders that hold only such files."""
+    """Return a test for files whose name has a part that matches `pattern`, and folders that hold such files."""
     part = re.compile(pattern, re.IGNORECASE)
 
     def fits(path: Path, begin: bytes, names: Sequence[str]) -> bool:
         held = names or [path.name]
-        return all(part.search(name) is not None for name in held)
+        return any(part.search(name) is not None for name in held)
 
     return fits
 
@@ -56,7 +58,8 @@ def _named(pattern: str) -> Callable[[Path, bytes, Sequence[str]], bool]:
 SIGNS = (
     _Sign("a nuPlan database", lambda path, begin, names: begin.startswith(_SQLITE) and bool(_tables(path) & _NUPLAN),
           CONVERT),
-    _Sign("a folder of nuPlan databases", _named(r"\.db$"), CONVERT),
+    _Sign("a folder of nuPlan databases", lambda path, begin, names: bool(
+          _tables(path / next((name for name in names if name.endswith(".db")), "")) & _NUPLAN), CONVERT),
     _Sign("nuScenes", lambda path, begin, names: bool({*_NUSCENES} & {*names})
           or any(re.fullmatch(r"v1\.0-\w+", name) for name in names) or path.name in _NUSCENES, CONVERT),
     _Sign("Waymo Open Dataset records", _named(r"\.tfrecord(\W|$)"), CONVERT),
@@ -71,31 +74,40 @@ SIGNS = (
 """The formats that are known and not read; the first that fits is named."""
 
 
-def foreign(path: Path) -> LogError:
-    """Return the error for a path that no reader claims: what it contains, and how to convert it."""
-    if not path.exists():
-        return LogError("no such file or folder", file=path)
-    kind = special_kind(path)
-    if kind:
-        return LogError(f"is {kind}, not a file", file=path, remedy=WRITE_A_FILE)
+def known_format(path: Path) -> LogError | None:
+    """Return the error for a path of a format in `SIGNS`; None if it is of none of them, or cannot be read."""
     names, begin = list[str](), b""
     try:
         if path.is_dir():
             names = sorted(entry.name for entry in path.iterdir())
         else:
-            check_regular(path)
             with path.open("rb") as stream:
                 begin = stream.read(len(_SQLITE))
+    except OSError:
+        return None
+    found = next((sign for sign in SIGNS if (names or begin) and sign.fits(path, begin, names)), None)
+    return found and LogError(f"{found.what}, which replan does not read", file=path, remedy=found.remedy)
+
+
+def foreign(path: Path) -> LogError:
+    """Return the error for a path that no reader claims: what it contains, and how to convert it."""
+    if not path.exists():
+        return LogError("no such file or folder", file=path)
+    try:
+        check_regular(path)
+        if (known := known_format(path)) is not None:
+            return known
+        if path.is_dir():
+            names = sorted(entry.name for entry in path.iterdir())
+            held = ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
+            what = f"not a log that replan reads; the folder holds {held or 'nothing'}"
+            return LogError(what, file=path, remedy=FORMATS)
+        with path.open("rb") as stream:
+            begin = stream.read(8)
     except LogError as error:
         return error.at(path)
     except OSError as error:
         return LogError(f"cannot be read: {error.strerror or error}", file=path)
-    for sign in SIGNS if names or begin else ():
-        if sign.fits(path, begin, names):
-            return LogError(f"{sign.what} is not a log that replan reads", file=path, remedy=sign.remedy)
-    if path.is_dir():
-        held = ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
-        return LogError(f"not a log that replan reads; the folder holds {held or 'nothing'}", file=path, remedy=FORMATS)
     if path.suffix in SUFFIXES:
         what = f"a table with the columns {', '.join(header_of(path)[:12]) or '(none)'} is not a log by itself"
         remedy = (
@@ -103,5 +115,5 @@ def foreign(path: Path) -> LogError:
             " [log.columns]"
         )
         return LogError(what, file=path, remedy=remedy)
-    what = f"not a log that replan reads; a {path.suffix or 'nameless'} file that begins with {begin[:8]!r}"
+    what = f"not a log that replan reads; a {path.suffix or 'nameless'} file that begins with {begin!r}"
     return LogError(what, file=path, remedy=FORMATS)

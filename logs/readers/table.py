@@ -277,6 +277,6 @@ def _contents(path: Path) -> Contents:
 
 READER = Reader(
     "table", "tables of ego and agents, or of tracks (highD, inD, INTERACTION, NGSIM ...), CSV or Parquet",
-    "folders with ego.csv or ego.parquet; tables with t, id, x, y or the columns of a data set", (), _claims, _read,
+    "folders with ego.csv or ego.parquet, tables of tracks", (), _claims, _read,
     files=_files, contents=_contents, settings=("ego", "ego_point", "columns", "car"), claims_with=_claims_with,
 )  # fmt: skip

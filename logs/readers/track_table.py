@@ -26,6 +26,7 @@ import pandas as pd
 from logs.agents import USUAL_SIZE_M, AgentKind
 from logs.errors import LogError
 from logs.kernel import FloatArray
+from logs.names import counted
 from logs.observed import Spans, of_stream
 from logs.readers.base import beside
 from logs.readers.clocks import check_restart, continued
@@ -251,7 +252,7 @@ def _id(ego: str, names: Any, words: Any, first: Any, kinds: list[AgentKind], st
     way = np.add.reduceat(np.nan_to_num(step), first)
     best = [i for i in np.lexsort((ids, -way)) if can[i]][:_SHOWN]
     drove = ", ".join(f"{ids[i]} ({way[i]:.0f} m)" for i in best) or "no vehicle"
-    what = f"there is no agent {ego}" if ego else f"the table has {len(ids)} road users and no ego"
+    what = f"there is no agent {ego}" if ego else f"the table has no ego, but {counted(len(ids), 'road user')}"
     if len(at):
         what = f"agent {ego} is a {kinds[at[0]].value}, which is no ego"
     raise LogError(what, topic="agents", remedy=f"name the ego with --ego ID; these drove farthest: {drove}")
@@ -297,7 +298,7 @@ def kind_of(word: Any) -> AgentKind:
         return AgentKind(ALIASES.get(name, name))
     except ValueError:
         known = ", ".join(kind.value for kind in AgentKind)
-        raise LogError(f"an agent is a {word!r}", topic="agents", remedy=f"known kinds: {known}") from None
+        raise LogError(f"an agent is a {str(word)!r}", topic="agents", remedy=f"known kinds: {known}") from None
 
 
 # Files

@@ -23,6 +23,7 @@ from logs.readers import (
     FORMATS,
     LogSettings,
     foreign,
+    known_format,
     logs_in,
     read_log,
     reader_of,
@@ -205,6 +206,8 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
             found = _logs(local_path(place), settings)
             candidates = [(LogSource(str(log), log, settings), reason) for log, reason in found]
         if not candidates:
+            if not url and (known := known_format(local_path(place))) is not None:
+                raise ConfigError(str(known))
             looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers(settings.reader)))
             raise ConfigError(f"{url or place}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}")
         for log, reason in candidates:

@@ -19,6 +19,7 @@ from logs.trace import Mode, SolverReport, Trace
 from metrics import metric
 from metrics.boxes import phantoms
 from metrics.comfort import WINDOW_S
+from metrics.lanes import not_followed
 from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
 from metrics.plans import NO_PLANS, frame_times
 
@@ -78,8 +79,8 @@ def _unsolved_frames(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _fallback(trace: Trace, scenario: Scenario) -> Measured:
-    if not trace.frames:
-        return NO_PLANS
+    if not trace.frames or not_followed(scenario):
+        return not_followed(scenario) or NO_PLANS
     t, plans = frame_times(trace), [frame.plan for frame in trace.frames]
     labels = [f"{p.status.value}: {p.reason}" if p.status.is_fallback else "" for p in plans]
     fallbacks = np.array([float(p.status.is_fallback) for p in plans])
@@ -134,7 +135,8 @@ EFFORT = (
     Metric(
         "fallback", "1", "lower", _BOTH, _fallback, (replace(metric.RATE, empty=None),),
         "Share of the frames whose plan is a fallback; fallbacks while the log shows a phantom do not count.",
-        formula="1 where the status is a fallback, else 0", needs="plans",
+        formula="1 where the status is a fallback, else 0",
+        needs="plans, and lanes or a path that the vehicle can follow",
     ),
 )  # fmt: skip
 TRACKING = tuple(

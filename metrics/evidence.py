@@ -38,7 +38,7 @@ from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
 from metrics import metric
 from metrics.boxes import each, ego_boxes, name_of, phantoms, some_at
-from metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes
+from metrics.lanes import limits_at, mapped_lanes, not_followed, off_lanes, points_inside, stated_lanes
 from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
 from metrics.plans import NO_PLANS, frame_times
 
@@ -124,8 +124,8 @@ def _replay_contact(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _by_status(status: PlanStatus, trace: Trace, scenario: Scenario) -> Measured:
-    if not trace.frames:
-        return NO_PLANS
+    if not trace.frames or not_followed(scenario):
+        return not_followed(scenario) or NO_PLANS
     plans = [frame.plan for frame in trace.frames]
     flags = np.array([float(plan.status is status) for plan in plans])
     return Series(frame_times(trace), flags, tuple(p.reason if p.status is status else "" for p in plans))
@@ -215,13 +215,15 @@ REPLAY_CONTACT = Metric(
 PLAN_REFUSED = Metric(
     "plan_refused", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_by_status, PlanStatus.REFUSED), (metric.RATE,),
     "Share of the frames whose plan does not start at the ego, or is impossible for a road car: it is not driven.",
-    formula="refused plans / plans; bounds: replay/loop/plan_check.py", needs="a plan",
+    formula="refused plans / plans; bounds: replay/loop/plan_check.py",
+    needs="a plan, and lanes or a path that the vehicle can follow",
 )  # fmt: skip
 PLAN_CORRECTED = Metric(
     "plan_corrected", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_by_status, PlanStatus.CORRECTED),
     (metric.RATE,),
     "Share of the frames whose plan says another speed, heading, curvature or acceleration than its positions have.",
-    formula="corrected plans / plans; bounds: replay/loop/plan_check.py", needs="a plan",
+    formula="corrected plans / plans; bounds: replay/loop/plan_check.py",
+    needs="a plan, and lanes or a path that the vehicle can follow",
 )  # fmt: skip
 _MEMBERS: tuple[tuple[str, Direction], ...] = (("pass_share", "higher"), ("fragile", "lower"))
 ENSEMBLE = Metric(

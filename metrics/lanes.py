@@ -12,10 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from logs.forward import tighter_than_vehicle
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.road import Road, RoadSource, inside
+from logs.scenario import Scenario
 from logs.shapes import point_segment
-from metrics.metric import once
+from metrics.metric import Unavailable, once
 
 BEYOND_M = 10.0
 SURE_M = 1e-6  # Tolerance of the test that skips boxes, m: rounding must not change results
@@ -69,6 +71,13 @@ def points_inside(polygon: FloatArray, x: FloatArray, y: FloatArray) -> BoolArra
 def mapped_lanes(road: Road) -> LaneArrays | None:
     """Return the lanes of the log's own map that a car may drive on; None if it has none."""
     return None if road.source is RoadSource.DRIVEN_PATH else drivable_lanes(road)
+
+
+@once
+def not_followed(scenario: Scenario) -> Unavailable | None:
+    """Return why no planner can follow the path that is the road of a log without lanes; None if one can."""
+    why = tighter_than_vehicle(scenario)
+    return Unavailable(why) if why else None
 
 
 @once

@@ -4,19 +4,22 @@ The route, and the gain of a drive along it:
 
 (a) route = the path of the log's driver, then the lanes from its end towards the goal, else straight on; a smooth line.
     A log with one state has no path: its route begins with the lanes.
-(b) station(t) = foot of the rear axle on the route, searched within 30 m of the previous foot
-(c) gain(t) = sum over the steps of station_k - station_(k-1); a difference above reach + 0.1 m is cut to reach,
-    reach = 2 max(|v_k|, |v_(k-1)|) dt
+(b) station(t) = foot of the rear axle on the route, searched within 30 m of the previous foot; within less where the
+    route comes back to itself in short laps: half of the way between two stations that are at most `BESIDE_M` apart,
+    the least of those that are longer than the circle of that diameter
+(c) gain(t) = sum over the steps of station_k - station_(k-1); a difference of more than reach + 0.1 m, forward or back,
+    is cut to reach, reach = 2 max(|v_k|, |v_(k-1)|) dt
 
-Circles and driving back gain nothing. A position that jumps forward gains no more than the ego could have driven. The
-factor 2 allows for the inside of bends (station' = v / (1 - kappa l), kappa l up to 0.5), the 0.1 m for noise in
-recorded positions.
+Circles and driving back gain nothing. A position that jumps, or a foot that jumps between two arms of a route that
+comes near itself, gains or loses no more than the ego could have driven. The factor 2 allows for the inside of
+bends (station' = v / (1 - kappa l), kappa l up to 0.5), the 0.1 m for noise in recorded positions.
 
 With the gain of a drive along the route; the yardstick is the whole log, even if the drive was shorter:
 
 (1) route_progress(t) = gain(t) / gain of the log's driver at the log's end
     where the log has no drive: over the gain of the route follower (metadata `FOLLOWER_M`);
-    unavailable if that yardstick is below 2 m: then it is unknown how far a planner should drive
+    unavailable if that yardstick is below 2 m: then it is unknown how far a planner should drive; below 5 m where the
+    log has no lanes: its lane is then not what was driven (`logs.mcap.complete`)
 (2) progress = min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c;  c = 2 m      (nuPlan)
 (3) completion = gain / length of the route, in 0 .. 1                                                   (CARLA)
     all three: at least 1 if the drive ended in the goal's region, unless more than 2 m of its gain were cut
@@ -33,13 +36,14 @@ With the gain of a drive along the route; the yardstick is the whole log, even i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
-from math import cos, sin
+from functools import cached_property, partial
+from math import cos, pi, sin
 
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.road import Goal, ReferenceLine, Road, inside, line_project_many, thinned
+from logs.mcap.complete import MIN_PATH
+from logs.road import Goal, ReferenceLine, Road, RoadSource, inside, line_project_many, thinned
 from logs.route import find_route, straight_on
 from logs.scenario import Scenario
 from logs.shapes import point_segment
@@ -47,10 +51,10 @@ from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import metric
 from metrics.boxes import ego_boxes
-from metrics.lanes import drivable_lanes, limits_at, stated_lanes
+from metrics.lanes import drivable_lanes, limits_at, not_followed, stated_lanes
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable, last
 
-SPACING_M, WINDOW_M = 1.0, 30.0
+SPACING_M, WINDOW_M, BESIDE_M = 1.0, 30.0, 3.0
 STRETCH, SLACK_M = 2.0, 0.1
 JOIN_M, CHANGE_M = 10.0, 20.0  # Length of the transition to a lane, and to a neighbouring lane
 BEYOND_M = 200.0  # The line follows lanes for this distance beyond the path or goal, then goes straight
@@ -67,10 +71,19 @@ class Route:
     line: ReferenceLine
     length: float
 
+    @cached_property
+    def window(self) -> float:
+        """Greatest distance of a foot from the previous one (b), m."""
+        from scipy.spatial import cKDTree  # imported here: slow to load
+
+        pairs = cKDTree(self.line.xy).query_pairs(BESIDE_M, output_type="ndarray")
+        apart = np.abs(np.diff(self.line.s[pairs], axis=1))
+        return 0.5 * float(np.min(apart, where=apart > pi * BESIDE_M, initial=2.0 * WINDOW_M))
+
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """Gain (c) of a drive at its steps `(n,)`, negative if it drove back, and `cut`, the distance not counted; m."""
+    """Gain (c) of a drive at its steps `(n,)`, negative if it drove back, and `cut`, the way forward not counted; m."""
 
     metres: FloatArray
     cut: float
@@ -113,11 +126,11 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
 @last(2)  # the log's drive and the one that is judged
 def gain_along(route: Route, drive: Trajectory) -> Gain:
     """Return the gain (c) of a drive along a route."""
-    station = line_project_many(route.line.s, route.line.coef, drive.x, drive.y, 0.0, WINDOW_M)[:, 0]  # (b)
+    station = line_project_many(route.line.s, route.line.coef, drive.x, drive.y, 0.0, route.window)[:, 0]  # (b)
     step = np.diff(station)
     reach = STRETCH * np.maximum(np.abs(drive.v[1:]), np.abs(drive.v[:-1])) * np.diff(drive.t)
-    counted = np.where(step > reach + SLACK_M, reach, step)
-    return Gain(np.r_[0.0, np.cumsum(counted)], float((step - counted).sum()))
+    counted = np.where(np.abs(step) > reach + SLACK_M, np.copysign(reach, step), step)
+    return Gain(np.r_[0.0, np.cumsum(counted)], float(np.maximum(step - counted, 0.0).sum()))
 
 
 FLOOR_M = 2.0
@@ -134,6 +147,8 @@ def _distance(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
+    if tight := not_followed(scenario):
+        return tight
     route = route_of(scenario)
     if len(scenario.ego) > 1:
         in_time = trace.end is EndReason.GOAL and _is_time_only(scenario.goal)  # compare over the same time
@@ -146,7 +161,7 @@ def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
         yardstick, who = float(scenario.metadata[FOLLOWER_M]), "the route follower"
     else:
         return Unavailable("the log holds one ego state only, and no route follower was driven")
-    if yardstick < FLOOR_M:
+    if yardstick < (FLOOR_M if scenario.road.source is RoadSource.LANES else MIN_PATH):
         return Unavailable(f"{who} gets {yardstick:.1f} m along the route: no yardstick for progress")
     gain = gain_along(route, trace.ego)
     return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, gain.metres / yardstick))
@@ -268,8 +283,8 @@ ROUTE_PROGRESS = Metric(
     "Gain along the route over that of the log's driver in the whole log, else of the route follower; not capped.",
     version=2,
     formula="gain(t) / gain of the log's driver at the log's end, else of the route follower; 1 at the goal",
-    parameters=("floor 2 m", "a step counts at most 2 |v| dt, where it is more than 0.1 m above"),
-    needs="a logged drive, else the route follower's, of 2 m",
+    parameters=("floor 2 m", "5 m without lanes", "a step counts at most 2 |v| dt, where it is more than 0.1 m above"),
+    needs="a logged drive, else the route follower's, of 2 m; without lanes 5 m, on a path that the vehicle can follow",
 )  # fmt: skip
 PROGRESS = Metric(
     "progress", "1", "higher", _CLOSED, _progress, (metric.FINAL,),

@@ -2,13 +2,13 @@
 
 (1) a_k = (v_k - v_(k-1)) / (t_k - t_(k-1))                     a_0 = 0: a derived value never uses a later sample
 (2) kappa_k = (yaw_k - yaw_(k-1)) / d,  d = +-|p_k - p_(k-1)|   negative in reverse; below `MIN_STEP` the value before
-(3) no road: one lane along the driven path, from 10 m behind the start; a path that stays within `MIN_PATH` of its
-    start has no direction, so the heading gives it
+(3) no road: one lane along the driven path, from 10 m behind the start. It follows the part that is driven forward
+    (`logs.forward`). A drive of less than `MIN_PATH` that stays within as much has no direction: the heading gives it
 (4) no speed limit on lanes: the speed at the start rounded up to 10 km/h, at least `Road.default_speed_limit`. Later
     speeds are not used: otherwise the planner would know how fast the log's driver will be
 (5) no lanes: `MARGIN` x the speed below which `SHARE` of the way was driven, rounded up to `STEP`; at least the speed
-    at the start and `LEAST`; (4) for a log that hardly moves. Real limits are set by the 85th percentile of the driven
-    speeds, so the drive is an estimate where nothing else is known. One number for a drive reveals little of its course
+    at the start and `LEAST`; (4) for a drive of less than `MIN_PATH`. Real limits are set by the 85th percentile of
+    the driven speeds, so the drive is an estimate where nothing else is known. One number reveals little of its course
 (6) no lanes, but agents drive beside the driven path: the next lane's middle is one lane's width away. The lane's width
     is the median of their distances, within `WIDTHS_M`, if they are at least `LEAST_USERS`; else 3.5 m (`Road.along`).
     Used are vehicles, and clusters as wide as one, that are at `BESIDE_M` in `LEAST_SAMPLES` samples, faster than
@@ -23,10 +23,11 @@ from math import ceil
 import numpy as np
 
 from logs.errors import LogError
+from logs.forward import described, forward_part, reversals
 from logs.kernel import TIE, FloatArray
-from logs.road import Road
+from logs.road import Road, thinned
 from logs.scenario import Tracks
-from logs.states import Trajectory
+from logs.states import TRAJECTORY_COLUMNS, Trajectory
 
 MIN_STEP = 0.05
 MIN_PATH = 5.0
@@ -39,6 +40,8 @@ DRIVES_MPS, ALONG_RAD, VEHICLE_M = 2.0, np.radians(20.0), 1.2
 BEHIND = 10.0
 ASSUMED = "as fast as at the start, at least 50 km/h"
 NO_LANES = "The log has no lanes"
+ONE_LANE, REVERSES = f"{NO_LANES}: one lane", f"{NO_LANES}, and reverses"
+"""Begins of the notes on a lane (3)."""
 
 
 def derived_acceleration(t: FloatArray, v: FloatArray) -> FloatArray:
@@ -79,42 +82,60 @@ def assumed_limit(ego: Trajectory) -> float:
     return max(Road.default_speed_limit, steps * LIMIT_STEP)
 
 
-def driven_limit(ego: Trajectory) -> float:
-    """The speed limit (5) of a road that is known by one drive only, m/s."""
+def driven_limit(ego: Trajectory) -> tuple[float, str]:
+    """The speed limit (5) of a road that is known by one drive only, m/s, and the rule that sets it."""
     v = np.abs(ego.v)
     pace, way = 0.5 * (v[1:] + v[:-1]), 0.5 * (v[1:] + v[:-1]) * np.diff(ego.t)
     if way.sum() < MIN_PATH:
-        return assumed_limit(ego)
+        return assumed_limit(ego), f"{ASSUMED}, for less than {MIN_PATH:g} m of way"
     order = np.argsort(pace, kind="stable")
-    usual = pace[order][np.searchsorted(np.cumsum(way[order]), SHARE * way.sum())]
-    return max(ceil(max(MARGIN * float(usual), float(v[0])) / STEP - TIE) * STEP, LEAST)
+    usual = MARGIN * float(pace[order][np.searchsorted(np.cumsum(way[order]), SHARE * way.sum())])
+    limit = ceil(max(usual, float(v[0])) / STEP - TIE) * STEP
+    if limit < LEAST:
+        return LEAST, f"the least that is assumed, as {SHARE:.0%} of the way was driven at {usual / MARGIN:.1f} m/s"
+    rule = f"{MARGIN - 1.0:.0%} above what {SHARE:.0%} of the way was driven at"
+    return limit, rule if usual >= v[0] else "the speed at the start"
 
 
-def road_along(ego: Trajectory, notes: list[str]) -> Road:
-    """The road of a log without lanes (3), with its note.
+def road_along(ego: Trajectory, notes: list[str], width: float = 3.5) -> Road:
+    """The road of a log without lanes (3), `width` m wide, with its notes.
 
     Raises:
         LogError: The driven path turns back on itself, so that no lane follows it.
     """
-    path = np.column_stack([ego.x, ego.y])
-    ahead = np.array([np.cos(ego.yaw[0]), np.sin(ego.yaw[0])])
-    stands = bool(np.hypot(*(path - path[0]).T).max() < MIN_PATH)
+    backward = reversals(ego)
+    first, last = forward_part(ego, backward) or (0, 0)
+    part = Trajectory(*(getattr(ego, name)[first : last + 1] for name in TRAJECTORY_COLUMNS)) if backward else ego
+    path = np.column_stack([part.x, part.y])
+    ahead = np.array([np.cos(part.yaw[0]), np.sin(part.yaw[0])])
+    stands = bool(np.hypot(*(path - path[0]).T).max() < MIN_PATH) and way_driven(part) < MIN_PATH
     if stands:
         path = path[0] + np.array([[0.0], [MIN_PATH]]) * ahead
     path = np.vstack([path[0] - np.arange(BEHIND, 0.0, -2.0)[:, None] * ahead, path])
-    limit = driven_limit(ego)
+    limit, rule = driven_limit(part)
     way = "its heading, as it hardly moves" if stands else "the driven path"
-    notes.append(
-        f"{NO_LANES}: one lane along {way}. Its speed limit is assumed: {limit:.1f} m/s,"
-        f" {MARGIN - 1.0:.0%} above what {SHARE:.0%} of the way was driven at."
-    )
+    way = way if last or not backward else "its heading, as it does not drive forward"
+    notes.append(f"{ONE_LANE} along {way}. Its speed limit is assumed: {limit:.1f} m/s, {rule}.")
+    if backward:
+        unsigned = " (at a speed that is not negative)" if min(ego.v[a:b].mean() for a, b in backward) > 0.0 else ""
+        driven = f"only the part from {part.t[0]:.1f} to {part.t[-1]:.1f} s has a lane and" if last else "no part"
+        notes.append(
+            f"{REVERSES} from {described(ego, backward)}{unsigned}. Planners drive forward only: {driven} is driven."
+        )
     try:
         with np.errstate(all="ignore"):
-            road = Road.along(path, speed_limit=limit)
+            road = Road.along(path, width=width, speed_limit=limit)
             return replace(road, assumed_limits=frozenset(road.lanes))
     except ValueError as error:
         remedy = "give the log a road"
         raise LogError(f"no road can be made along the driven path: {error}", topic="/ego", remedy=remedy) from None
+
+
+def way_driven(ego: Trajectory) -> float:
+    """The way that positions and speeds agree on, m: noise at rest adds steps to neither."""
+    points = thinned(np.column_stack([ego.x, ego.y]), 1.0)
+    speeds = 0.5 * (np.abs(ego.v[1:]) + np.abs(ego.v[:-1])) * np.diff(ego.t)
+    return min(float(np.hypot(*np.diff(points, axis=0).T).sum()), float(speeds.sum()))
 
 
 def passed_width(road: Road, tracks: Tracks, notes: list[str]) -> Road:

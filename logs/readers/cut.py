@@ -3,7 +3,8 @@
 The begin of a part becomes t = 0, and data outside are left out. The ego's first and last state are interpolated at the
 begin and end. Tracks keep the samples from `HISTORY_S` before the begin, which show who is present and how they move,
 to the first after the end, if that is at most `HISTORY_S` later. Lights keep their colour at the begin. Detections are
-kept from `DETECTED_S` before the begin, longer than the memory of a tracker.
+kept from `DETECTED_S` before the begin, longer than the memory of a tracker. A lane along the driven path is made anew
+from the states of the part.
 
 Native MCAP holds whole nanoseconds. Every scenario has such times, so that a log and its conversion are the same bit
 for bit:
@@ -22,7 +23,9 @@ import numpy as np
 from logs.agents import Detections, Repair
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
+from logs.mcap.complete import ONE_LANE, REVERSES, road_along
 from logs.observed import clipped
+from logs.road import RoadSource
 from logs.rules import TrafficLight
 from logs.scenario import Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
@@ -77,16 +80,22 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         shown = shown[shown >= before]
         if len(shown):
             lights.append(TrafficLight(light.id, light.t[shown] - begin, tuple(light.colours[i] for i in shown)))
+    driven, notes, road = Trajectory(t - begin, *columns), list(scenario.notes), scenario.road
+    if road.source is RoadSource.DRIVEN_PATH:  # a lane of the part alone, as wide as that of the log
+        notes = [note for note in notes if not note.startswith((ONE_LANE, REVERSES))]
+        lane = next(iter(road.lanes.values()))
+        road = road_along(driven, notes, round(float(np.hypot(*(lane.left[0] - lane.right[0]))), 6))
     return replace(
         scenario,
         name=f"{scenario.name}@{begin:g}",
-        ego=Trajectory(t - begin, *columns),
+        ego=driven,
+        road=road,
         tracks=tracks,
         duration=min(end, scenario.duration) - begin,
         goal=goal,
         controls=controls,
         start_ns=scenario.start_ns + round(1e9 * begin),
-        notes=(*scenario.notes, f"This is the part from {begin:g} s to {min(end, scenario.duration):g} s of the log."),
+        notes=(*notes, f"This is the part from {begin:g} s to {min(end, scenario.duration):g} s of the log."),
         onboard=tuple(onboard),
         lights=tuple(lights),
         traffic=clipped(scenario.traffic_spans, begin, min(end, scenario.duration)),

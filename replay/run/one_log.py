@@ -22,6 +22,7 @@ import pandas as pd
 
 import metrics
 from logs.errors import ConfigError, OutputError, PlannerError, ReplanError, of_users, raised, writing
+from logs.forward import drivable_part
 from logs.mcap import write_scenario, write_trace
 from logs.mcap.writer import Entry
 from logs.memory import FrameStore, trim_memory
@@ -109,7 +110,7 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
             progress.log = scenario.name
             if (out / result.folder).exists():
                 return replace(result, twin=True, seconds=perf_counter() - begin)
-            driven = with_avoidability(scenario.in_vehicle(run.driven(scenario.vehicle)))
+            driven = with_avoidability(drivable_part(scenario).in_vehicle(run.driven(scenario.vehicle)))
             _drive_all(driven, run, partial, result.folder, progress)
             for member in range(1, run.ensemble + 1):
                 _drive_member(driven, run, member, progress)

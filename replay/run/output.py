@@ -36,6 +36,7 @@ from typing import Any
 
 from logs.errors import ConfigError, ReplanError, writing
 from logs.files import content, fetch, listed, local_path, put, put_new, remove, url_of
+from logs.forward import drivable_part
 from logs.mcap import read_scenario
 from logs.readers import LogSettings
 from logs.scenario import Scenario
@@ -274,7 +275,7 @@ def begun_in(out: Path, sources: Iterable[str]) -> Path:
 
 
 def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Scenario:
-    """The log of a row of `Results.logs`: the copy in the results if there is one, otherwise the original.
+    """The driven part of the log of a row of `Results.logs`: of the copy in the results, otherwise of the original.
 
     Raises:
         ConfigError: The log was moved or changed.
@@ -282,10 +283,10 @@ def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Sce
     """
     folder = str(row.get("folder", ""))
     if folder and (out / folder / "log.mcap").is_file():
-        return read_scenario(out / folder / "log.mcap")
+        return drivable_part(read_scenario(out / folder / "log.mcap"))
     if not str(row["sha256"]):
         return LogSource(str(row["source"])).read()
-    return log_of(out, str(row["source"]), str(row["sha256"]), settings)
+    return drivable_part(log_of(out, str(row["source"]), str(row["sha256"]), settings))
 
 
 def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenario:

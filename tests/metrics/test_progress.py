@@ -76,6 +76,52 @@ def test_hops_of_every_plan_gain_little() -> None:
     assert judged(log, hopping).loc["route_progress.final", "value"] < 1.11
 
 
+def test_a_jump_back_loses_no_more_than_the_car_could_drive() -> None:
+    """As a jump forward: 40 m back at 10 m/s cost 2 m in that step, and what follows counts again."""
+    t = grid(10.0, 0.1)
+    ego = along(t, 10.0)
+    back = replace(ego, x=ego.x - np.where(np.arange(101) >= 60, 25.0, 0.0))
+    found = judged(scenario(along(t, 10.0)), back).loc["route_progress.final", "value"]
+    assert found == pytest.approx(1.0 - 3.0 / 100.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("radius", [1.5, 2.0, 4.0, 6.0, 30.0])
+@pytest.mark.parametrize("step", [0.02, 0.1, 0.2])
+def test_laps_count_in_full_however_short_they_are(radius: float, step: float) -> None:
+    """Three laps: a lap shorter than the search for the foot was taken for another one."""
+    t = np.arange(0.0, 6.0 * np.pi * radius / 2.0, step)
+    w = 2.0 * t / radius
+    laps = Trajectory(
+        t, radius * np.sin(w), radius - radius * np.cos(w), w, 2.0 + 0.0 * t, 0.0 * t, 1.0 / radius + 0.0 * t
+    )
+    log = scenario(laps)
+    assert gain_along(route_of(log), laps).metres[-1] == pytest.approx(2.0 * t[-1], rel=0.02, abs=0.3)
+
+
+def test_what_hardly_moves_without_lanes_is_no_yardstick() -> None:
+    """A planner that drove 400 m where the log's driver went 2 m had done 20801 % of the way."""
+    for way, asked in ((2.5, False), (8.0, True)):
+        log = scenario(along(grid(10.0, 0.1), way / 10.0))
+        bare = replace(log, road=replace(log.road, source=RoadSource.DRIVEN_PATH))
+        assert judged(log, along(grid(10.0), 10.0)).loc["route_progress.final", "available"]
+        found = judged(bare, along(grid(10.0), 10.0)).loc["route_progress.final"]
+        assert found["available"] == asked and (asked or "no yardstick" in found["reason"])
+
+
+def test_a_path_that_the_vehicle_cannot_follow_is_not_asked_of_planners() -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    laps = Trajectory(t, 2.0 * np.sin(t), 2.0 - 2.0 * np.cos(t), t, 2.0 + 0.0 * t, 0.0 * t, 0.5 + 0.0 * t)
+    log = scenario(laps)
+    bare = replace(log, road=replace(log.road, source=RoadSource.DRIVEN_PATH))
+    every = {name: metric for group in GROUPS.values() for name, metric in ((one.name, one) for one in group)}
+    for each, known in ((log, True), (bare, False)):
+        table = evaluate(drive(each, laps), each, metrics=every).set_index("metric")
+        for name in ("fallback.rate", "plan_refused.rate", "plan_corrected.rate", "route_progress.final"):
+            if not known:
+                assert not table.loc[name, "available"] and "turns within 2.0 m" in table.loc[name, "reason"]
+        assert table.loc["route_progress.final", "available"] == known
+
+
 def test_driving_back_is_negative_and_nuplans_score_is_then_zero() -> None:
     ego = along(grid(5.0), -2.0)
     table = judged(LOG, ego)["value"]

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from logs.errors import ConfigError, PlannerError, raised, unknown_name
-from replan.own import PACKAGES, clash, rival
+from replan.own import PACKAGES, clash, is_clash, rival
 
 T = TypeVar("T")
 
@@ -79,9 +79,7 @@ class Kind(Generic[T]):
         try:
             loaded = import_module(module)
         except (Exception, SystemExit) as error:
-            hint = "; install the package, or run from its folder, or set PYTHONPATH"
-            hint = self._clash(error) or (hint if isinstance(error, ModuleNotFoundError) else "")
-            raise self.error(f"{self.name} '{spec}' cannot be loaded: {raised(error)}{hint}") from error
+            raise self.error(f"{self.name} '{spec}' cannot be loaded: {self._cause(error, module)}") from error
         try:
             thing: Any = reduce(getattr, name.split("."), loaded)
         except (AttributeError, ImportError) as error:  # ImportError: `replan.own.missing`
@@ -92,8 +90,8 @@ class Kind(Generic[T]):
                 if (own if public is None else key in public) and not self.wrong(offered):
                     there.append(key)
             nearest = unknown_name(f"{self.name} in {loaded.__name__}", name, there)
-            hint = self._clash(error) if rival(loaded.__name__) else ""
-            raise self.error(f"{self.name} '{spec}': {nearest}{hint}") from None
+            because = f"; {error}{self._apart}" if is_clash(error) else ""
+            raise self.error(f"{self.name} '{spec}': {nearest}{because}") from None
         wrong = self.wrong(thing)
         if wrong:
             raise self.error(f"{self.name} '{spec}' {wrong}")
@@ -141,12 +139,24 @@ class Kind(Generic[T]):
             return None
         return Path(found.origin) if found is not None and found.origin and Path(found.origin).is_file() else None
 
-    def _clash(self, error: BaseException) -> str:
-        """Return a hint if Python found replan's package instead of the user's package of the same name; else ""."""
-        of = error.name if isinstance(error, ImportError) else getattr(getattr(error, "obj", None), "__name__", "")
-        package = str(of).partition(".")[0]
-        program = " (or run the planner as a program of its own: exec:COMMAND)" if self.error is PlannerError else ""
-        return f"; {clash(package, rival(package))}{program}" if package in PACKAGES else ""
+    def _cause(self, error: BaseException, module: str) -> str:
+        """Return why the user's module cannot be imported, and the remedy if a module is missing or has our name."""
+        if is_clash(error):
+            return f"{raised(error)}{self._apart}"
+        if not isinstance(error, ModuleNotFoundError) or not error.name:
+            return raised(error)
+        package, _, member = error.name.partition(".")
+        theirs = rival(package, member) if package in PACKAGES else ""
+        if theirs:
+            return f"{raised(error)}; {clash(package, theirs)}{self._apart}"
+        if f"{module}.".startswith(f"{error.name}."):  # not found by us: no line of theirs is to blame
+            return f"No module named '{error.name}'; run from its folder, or set PYTHONPATH, or install its package"
+        return raised(error) + ("" if member else f"; install '{package}' for {sys.executable}, or set PYTHONPATH")
+
+    @property
+    def _apart(self) -> str:
+        """The way round a clash of names."""
+        return " (or run the planner as a program of its own: exec:COMMAND)" if self.error is PlannerError else ""
 
 
 @cache

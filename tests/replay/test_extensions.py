@@ -13,12 +13,15 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+import metrics
+import planners
 import replan
 from logs import readers
 from logs.errors import ConfigError
 from logs.extension import Kind
 from replay.cli import app
 from replay.config import LoopConfig, RunConfig, dump_run, load_run
+from replay.draw.charts.layout import CHART
 from replay.run import evaluate_logs
 from replay.run.checks import KINDS, checked
 from replay.settings import SETTINGS
@@ -218,6 +221,45 @@ def test_a_module_that_raises_is_named_with_its_line(desk: Path) -> None:
     Path("my_broken.py").write_text("x = 1\ny = x / 0\n", encoding="utf-8")
     with pytest.raises(ConfigError, match=r"cannot be loaded: ZeroDivisionError: .*\(my_broken\.py:2\)$"):
         checked(loop(controller="my_broken:X"))
+
+
+ALL = (planners.PLANNER, metrics.METRIC, readers.READER, CHART, *(kind for kind, _ in KINDS.values()))
+
+
+@pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.name)
+def test_an_import_that_fails_names_the_module_and_the_line(desk: Path, kind: Kind[object]) -> None:
+    """And only a file of the user's that has what is missing is a clash of names."""
+    for folder in ("logs", "my_package"):
+        Path(folder).mkdir()
+    Path("logs", "drive.csv").touch()
+    Path("metrics.py").write_text("MINE = 7\n", encoding="utf-8")
+    Path("my_helper.py").write_text("\n\nimport torchy.nn\n", encoding="utf-8")
+    Path("my_package", "__init__.py").write_text("from my_package.part import x\n", encoding="utf-8")
+    rename = "cannot be imported beside it; rename yours"
+    for k, (text, said, remedy) in enumerate(
+        (
+            ("import os\nimport torchy", "No module named 'torchy' (my_0.py:2)", "install 'torchy'"),
+            ("import my_helper", "No module named 'torchy' (my_helper.py:3)", "install 'torchy'"),
+            ("import my_package", "No module named 'my_package.part' (__init__.py:1)", ""),
+            ("from numpy import nix", "cannot import name 'nix' from 'numpy'", ""),
+            ("import logs.files2", "No module named 'logs.files2' (my_4.py:1)", ""),
+            ("from logs import Fram", "cannot import name 'Fram' from 'logs'", ""),
+            ("from metrics import GROUP", "cannot import name 'GROUP' from 'metrics'", ""),
+            ("from metrics import MINE", "no 'MINE' in 'metrics'", rename),
+            ("import logs.drive", "No module named 'logs.drive' (my_8.py:1)", ""),
+            ("import planners.my_part", "No module named 'planners.my_part' (my_9.py:1)", rename),
+        )
+    ):
+        if k == 9:
+            Path("planners").mkdir()
+            Path("planners", "my_part.py").touch()
+        Path(f"my_{k}.py").write_text(f"{text}\n", encoding="utf-8")
+        with pytest.raises(kind.error) as error:
+            kind.find(f"my_{k}:X")
+        line = str(error.value)
+        assert line.startswith(f"{kind.name} 'my_{k}:X' cannot be loaded: ") and said in line and remedy in line
+        assert (rename in line) == (remedy == rename) and ("install '" in line) == remedy.startswith("install"), line
+        assert line.count("rename yours") < 2 and ("exec:" in line) == (remedy == rename and kind is planners.PLANNER)
 
 
 def test_one_that_raises_in_a_drive_costs_that_drive_and_is_named_with_its_line(desk: Path) -> None:

@@ -24,6 +24,8 @@ from enum import Enum
 from functools import cache
 from glob import escape
 from hashlib import sha256
+from itertools import islice
+from math import ceil
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, ParamSpec, TypeVar, cast
@@ -297,11 +299,44 @@ cast("Any", caching)._CacheLocator.ensure_cache_path = lambda self: _check_folde
 cast("Any", caching).CacheImpl._locator_classes.append(_ShippedLocator)
 
 
-def is_cache_empty() -> bool:
-    """Whether the disk holds no machine code for this processor, for any imported kernel."""
-    return bool(_STORED) and not any(
-        each._cache._cache_file.holds(each.targetctx.codegen().magic_tuple()) for each in _STORED
-    )
+COLD = 0.1
+"""Share of the imported kernels below which the cache counts as cold; the smallest runs need more."""
+
+
+def _is_stored(kernel: Any) -> bool:
+    """Return whether machine code of a kernel for this processor is on disk."""
+    return bool(kernel._cache._cache_file.holds(kernel.targetctx.codegen().magic_tuple()))
+
+
+def is_cache_cold() -> bool:
+    """Return whether the disk holds so little machine code that a run begins with compiling."""
+    enough = ceil(COLD * len(_STORED))
+    return sum(1 for _ in islice(filter(_is_stored, _STORED), enough)) < enough
+
+
+class KernelWatch:
+    """Counts the imported kernels that are on disk, as this and other processes compile them.
+
+    Attributes:
+        known: The number of imported kernels; a run needs a part of them.
+    """
+
+    def __init__(self) -> None:
+        self.known, self._missing = 0, list[Any]()
+        self.look()
+
+    @property
+    def stored(self) -> int:
+        """The number of those whose machine code was on disk at the last look."""
+        return self.known - len(self._missing)
+
+    def look(self) -> int:
+        """Count again, and return how many of the kernels that were missing have been compiled since the last look."""
+        before, self.known = self.known, len(_STORED)
+        left = [each for each in self._missing if not _is_stored(each)]
+        compiled = len(self._missing) - len(left)
+        self._missing = left + [each for each in _STORED[before : self.known] if not _is_stored(each)]
+        return compiled
 
 
 def compiled_count() -> int:

@@ -9,21 +9,23 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from threading import Event, Thread
 from time import monotonic, perf_counter
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from logs.kernel import is_cache_empty
+from logs.kernel import KernelWatch, is_cache_cold
 from logs.names import counted
 from replay.draw.report.console import SafeConsole
 from replay.results.log_result import LogResult
 from replay.run.sources import Selection
 
-QUIET_S = 20.0
-"""Longest time without output, s."""
+QUIET_S, REFRESH_S = 20.0, 2.0
+"""Longest time without output, s; on a terminal, the bar's words are made anew after this time, s."""
+LONGEST_KERNEL_S = 60.0
+"""Kernels are taken to be compiled until this time after the last one, s: one may take that long on a busy machine."""
 LEAST_S, MOST_S = 5.0, 60.0
 """Without a terminal, a line is printed after each tenth of the logs, at least 5 s apart, and at least each minute."""
 
@@ -34,11 +36,12 @@ class Pace:
 
     Attributes:
         total: The number of logs.
-        begin: Time at which the first log was started, s.
+        begin: Time at which the first log was started, s; later by the time in which kernels were compiled.
         done: Number of logs that have ended.
         left: Expected cost of the logs that have not ended, in the unit of `step`'s `cost`; None: 1 per log.
         driven: Number of them that were driven in this run.
         spent: Expected cost of the logs that were driven.
+        ended: Time at which the last log ended, s.
         last: Time at which the last line was printed, s.
         tenth: Number of tenths that were done at that time.
     """
@@ -49,16 +52,23 @@ class Pace:
     done: int = 0
     driven: int = 0
     spent: float = 0.0
+    ended: float = 0.0
     last: float = 0.0
     tenth: int = 0
 
     def __post_init__(self) -> None:
-        self.last = self.begin
+        self.last = self.ended = self.begin
         self.left = float(self.total) if self.left is None else self.left
 
-    def step(self, now: float, *, driven: bool, cost: float = 1.0) -> str | None:
-        """Count a log that ended at `now`, s; return the line to print, if any. The last log has none."""
+    def step(self, now: float, *, driven: bool, cost: float = 1.0, compiled: bool = False) -> str | None:
+        """Count a log that ended at `now`, s; return the line to print, if any. The last log has none.
+
+        The time since the last log counts for nothing if kernels were `compiled` in it: others do not need it again.
+        """
         assert self.left is not None
+        if compiled:
+            self.begin, driven = self.begin + now - self.ended, False
+        self.ended = now
         self.done, self.driven, self.left = self.done + 1, self.driven + driven, max(self.left - cost, 0.0)
         self.spent += cost * driven
         tenth = 10 * self.done // self.total
@@ -97,6 +107,22 @@ def sign_of_life(say: Callable[[str], None], words: Callable[[], str], every_s: 
         thread.join()
 
 
+def with_kernels(words: Callable[[], str]) -> Callable[[], str]:
+    """The words; before them the number of compiled kernels, while kernels are compiled."""
+    watch, grown = KernelWatch(), -inf
+
+    def line() -> str:
+        nonlocal grown
+        now = perf_counter()
+        grown = now if watch.look() else grown
+        compiling = now - grown < LONGEST_KERNEL_S
+        return (
+            f"compiling kernels (once): {watch.stored} of {watch.known} are ready, {words()}" if compiling else words()
+        )
+
+    return line
+
+
 @contextmanager
 def progress(
     *, quiet: bool = False, verbose: bool = False
@@ -111,9 +137,10 @@ def progress(
         KeyboardInterrupt: Re-raised with a message about the finished logs and how to continue.
     """
     rest = TextColumn("{task.fields[rest]}")
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), rest
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), rest
     console = SafeConsole(stderr=True)
     begun: list[tuple[Path, Pace]] = []
+    watches: list[KernelWatch] = []
     costs: dict[str, float] = {}
     on_terminal = sys.stderr.isatty()
     with Progress(*columns, console=console, transient=True, disable=quiet or not on_terminal) as bar:
@@ -130,8 +157,9 @@ def progress(
             for reason in selection.dropped:
                 say(f"left out: {reason}")
             say(f"{counted(len(selection.sources), 'log')} -> {out}")
-            if is_cache_empty():
-                say("compiling kernels (once, about a minute); replan warmup does it beforehand")
+            if is_cache_cold():
+                say("compiling kernels (once, a minute or two); replan warmup does it beforehand")
+            watches.append(KernelWatch())
 
         def on_log(result: LogResult) -> None:
             if result.twin:
@@ -140,7 +168,7 @@ def progress(
                 say(f"error: {failure.line}", always=True)
             pace = begun[0][1]
             now, driven = monotonic(), isfinite(result.seconds) or not result.folder
-            line = pace.step(now, driven=driven, cost=costs[result.source])
+            line = pace.step(now, driven=driven, cost=costs[result.source], compiled=bool(watches[0].look()))
             bar.update(task, advance=1, rest=pace.rest(now))
             if verbose:
                 took = f"{result.seconds:.1f} s" if isfinite(result.seconds) else "finished before"
@@ -155,8 +183,12 @@ def progress(
                 return "looking for logs"
             return f"{begun[0][1].done} of {counted(begun[0][1].total, 'log')}"
 
+        def describe(line: str) -> None:
+            bar.update(task, description=line)
+
+        show, words, every_s = (describe, lambda: "evaluating", REFRESH_S) if on_terminal else (say, state, QUIET_S)
         try:
-            with sign_of_life(lambda line: None if on_terminal else say(line), state):
+            with sign_of_life(show, with_kernels(words), every_s):
                 yield on_start, on_log
         except KeyboardInterrupt:
             if not begun:

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from logs.errors import ConfigError, LogError, PlannerError, ReplanError, of_users, raised
-from logs.kernel import is_cache_empty
+from logs.kernel import is_cache_cold
 from logs.names import counted
 from logs.road import RoadSource
 from metrics import health
@@ -114,7 +114,7 @@ def mine(
     if workers == 0:
         ended: Iterator[tuple[int, MinedLog | WorkerLost]] = ((i, job(one)) for i, one in enumerate(sources))
     else:
-        drive = partial(run_all, job, workers=min(workers, len(sources)), one_first=is_cache_empty())
+        drive = partial(run_all, job, workers=min(workers, len(sources)), one_first=is_cache_cold())
         ended = longest_first(sources, drive, lambda source: source.expected_s)
     found: dict[int, MinedLog] = {}
     for index, one in ended:

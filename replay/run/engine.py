@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 from uuid import uuid4
 
-from logs.kernel import is_cache_empty
+from logs.kernel import is_cache_cold
 from replay.planner_process.batch import in_lockstep
 from replay.planner_process.processes import set_template_run
 from replay.run.one_log import evaluate_log
@@ -68,7 +68,7 @@ class Local:
             finally:
                 set_template_run("")  # this process may do other work afterwards
             return
-        drive = partial(run_all, job, workers=max(1, min(self.workers, len(teams))), one_first=is_cache_empty())
+        drive = partial(run_all, job, workers=max(1, min(self.workers, len(teams))), one_first=is_cache_cold())
         ended = longest_first(teams, drive, lambda team: sum(source.expected_s for source in team))
         for index, results in ended:
             every = [results] * len(teams[index]) if isinstance(results, WorkerLost) else results

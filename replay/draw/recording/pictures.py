@@ -27,7 +27,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.resources import files
 from io import BytesIO
@@ -102,6 +102,14 @@ BY_PILLOW = (".gif", ".png")
 """Suffixes of videos that Pillow writes; any other suffix needs ffmpeg."""
 EVEN = "pad=ceil(iw/2)*2:ceil(ih/2)*2"
 """Filter of ffmpeg for even width and height: most players need colours with half the resolution."""
+
+DRIVERS = (
+    "/usr/share/vulkan/icd.d",
+    "/usr/local/share/vulkan/icd.d",
+    "/etc/vulkan/icd.d",
+    "/run/opengl-driver/share/vulkan/icd.d",
+)
+"""Folders in which Vulkan's loader finds drivers on Linux; the last one is NixOS'."""
 
 Blueprint = dict[str, dict[str, dict[str, Any]]]
 """A blueprint as the viewer reports it: values by entity, archetype and field."""
@@ -264,8 +272,7 @@ def _viewer(size: str, theme: Theme, timeout: float) -> Iterator[tuple[Any, Call
         def alive() -> None:
             if process.poll() is not None:
                 log.seek(0)
-                words = " ".join(log.read()[-400:].split())
-                raise ScreenshotError(f"the viewer ended with code {process.returncode}: {words}")
+                raise ScreenshotError(f"the viewer ended with code {process.returncode}: {_why_ended(log.read())}")
 
         try:
             client = _connect(port, timeout, alive)
@@ -274,6 +281,11 @@ def _viewer(size: str, theme: Theme, timeout: float) -> Iterator[tuple[Any, Call
                 if error := click_theme(theme, binary, port, variables, timeout):
                     raise ScreenshotError(f"the viewer's theme cannot be set: {error}")
             yield client, alive
+        except (OSError, RuntimeError) as error:  # the client lost the viewer
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(PAUSE_S)
+            alive()
+            raise ScreenshotError(f"the viewer does not answer: {error}") from error
         finally:
             process.terminate()
             try:
@@ -281,6 +293,16 @@ def _viewer(size: str, theme: Theme, timeout: float) -> Iterator[tuple[Any, Call
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+
+
+def _why_ended(said: str) -> str:
+    """Describe the end of the viewer: without a Vulkan driver it cannot draw, and its output does not say so."""
+    folders = [Path(place) for place in DRIVERS]
+    if sys.platform == "linux" and not any(next(folder.glob("*.json"), None) for folder in folders):
+        return "it cannot draw, as there is no Vulkan driver; install one (Debian, Ubuntu: mesa-vulkan-drivers)"
+    lines = said.splitlines()
+    first = next((k for k, line in enumerate(lines) if "panicked" in line), max(len(lines) - 5, 0))
+    return " ".join(" ".join(lines[first : first + 5]).split())[:400]
 
 
 def _connect(port: int, timeout: float, alive: Callable[[], None]) -> Any:

@@ -20,13 +20,14 @@ from hypothesis import strategies as st
 import logs
 import replan as public
 from logs.catalogue import FAMILIES, SUITES
+from logs.kernel import is_cache_cold
 from logs.readers import readers
 from logs.vehicle import vehicle_names
 from metrics import METRICS
 from planners import PLANNERS
 from replay.cli.listing import KINDS, entries
 from replay.cli.options import complete_setting, names
-from replay.cli.progress import LEAST_S, Pace, progress, sign_of_life
+from replay.cli.progress import LEAST_S, Pace, progress, sign_of_life, with_kernels
 from replay.control import CONTROLLERS
 from replay.draw.charts.layout import CHARTS
 from replay.loop.perception import PERCEPTIONS, PREDICTIONS
@@ -179,6 +180,30 @@ def test_the_pace_is_that_of_the_logs_that_were_driven() -> None:
     for index in range(50):
         line = pace.step(1.0 + index, driven=True)
     assert line == "150 of 300 logs, 60 logs/min, about 2 min left"
+
+
+@given(st.lists(st.tuples(st.floats(1.0, 300.0), st.booleans()), min_size=1, max_size=30))
+def test_the_time_in_which_kernels_were_compiled_counts_for_nothing(logs_: list[tuple[float, bool]]) -> None:
+    pace, other, now, warm = Pace(100, 0.0), Pace(100, 0.0), 0.0, 0.0
+    for seconds, compiled in logs_:
+        now, warm = now + seconds, warm + seconds * (not compiled)
+        pace.step(now, driven=True, compiled=compiled)
+        other.step(warm, driven=not compiled)
+        assert pace.rest(now) == other.rest(warm)
+
+
+def test_kernels_that_are_compiled_meanwhile_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    stored: set[str] = {"a"}
+    monkeypatch.setattr("logs.kernel._is_stored", stored.__contains__)
+    monkeypatch.setattr("logs.kernel._STORED", list("abcd") + [str(k) for k in range(16)])
+    clock = iter([0.0, 20.0, 40.0, 60.0, 101.0])
+    monkeypatch.setattr("replay.cli.progress.perf_counter", lambda: next(clock))
+    words = with_kernels(lambda: "0 of 9 logs")
+    assert is_cache_cold() and words() == "0 of 9 logs"
+    stored |= {"b", "c"}
+    assert not is_cache_cold() and words() == "compiling kernels (once): 3 of 20 are ready, 0 of 9 logs"
+    stored.add("d")
+    assert "4 of 20" in words() and "4 of 20" in words() and words() == "0 of 9 logs"
 
 
 def test_progress_is_said_on_stderr_as_lines(

@@ -39,7 +39,7 @@ from replay.draw.model import NEAR_M, NEAREST, in_full, multiples, nice_step
 from replay.draw.recording import colours, scene_times, write_log_recording, write_recording
 from replay.draw.recording.graphs import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, spread_labels
 from replay.draw.recording.pages import why
-from replay.draw.recording.pictures import Picture, arranged, click_theme, take_pictures
+from replay.draw.recording.pictures import Picture, ScreenshotError, arranged, click_theme, take_pictures
 from replay.draw.recording.plots import MOST_NUMBERS, with_two_numbers
 from replay.draw.recording.road import covered, dashes
 from replay.draw.recording.tape import (
@@ -514,6 +514,20 @@ DRIVERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")
 def viewer() -> None:
     if not any(list(Path(folder).glob("*.json")) for folder in DRIVERS):
         pytest.skip("no Vulkan driver: the viewer cannot draw (Debian: mesa-vulkan-drivers)")
+
+
+def test_a_viewer_that_cannot_draw_names_the_driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "rerun").write_text("#!/bin/sh\necho begin\necho thread panicked at here\nexit 102\n", encoding="utf-8")
+    (tmp_path / "rerun").chmod(0o755)
+    monkeypatch.setattr("replay.draw.recording.pictures.files", lambda _: tmp_path)
+    for drivers, reason in (
+        ((), "no Vulkan driver; install one .*mesa-vulkan-drivers"),
+        (tmp_path, ": thread panicked"),
+    ):
+        (tmp_path / "lvp.json").touch()
+        monkeypatch.setattr("replay.draw.recording.pictures.DRIVERS", (drivers,) if drivers else ())
+        with pytest.raises(ScreenshotError, match=f"ended with code 102.*{reason}"):
+            take_pictures(tmp_path / "no.rrd", [Picture(tmp_path / "all.png", 0.0)])
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from replay.cli import options as opt
-from replay.cli.app import app, handle_errors, say, say_error, say_json
+from replay.cli.app import app, handle_errors, progress_lines, say, say_error, say_json
 from replay.cli.options import completion, run_config
 
 
@@ -71,9 +71,9 @@ def metrics(
 def warmup(
     planner: Annotated[
         list[str] | None,
-        typer.Option("--planner", "-p", autocompletion=completion("planner"), help="Repeatable. Default: dp_qp."),
+        opt.planner_option(None, "Repeatable. Default: dp_qp."),
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="TOML file of a run, for its kernels.")] = None,
+    config: Annotated[Path | None, opt.config_option("TOML file of a run, for its kernels.")] = None,
     every: Annotated[bool, typer.Option("--all", help="Compile the kernels of all that is built in.")] = False,
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
@@ -89,11 +89,13 @@ def warmup(
     """
     with handle_errors():
         run = run_config(config, {"planners": planner})
+        from replay.cli.progress import sign_of_life, with_kernels
         from replay.run.warmup import everything, warm_up
 
         if not quiet:
             say("compiling kernels (a minute or two; seconds if they were compiled before)", err=True)
-        done = warm_up(run, *(everything() if every else ()))
+        with sign_of_life(progress_lines(quiet=quiet), with_kernels(lambda: "driving built-in logs")):
+            done = warm_up(run, *(everything() if every else ()))
         for failure in done.failures:
             say_error(failure.message)
         where = "nowhere: no folder can be written" if done.folder is None else done.folder

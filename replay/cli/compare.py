@@ -10,7 +10,7 @@ import typer
 from logs.errors import ConfigError
 from replay.cli import options as opt
 from replay.cli.app import app, console_of, handle_errors, say, say_json
-from replay.cli.options import CompareCommand
+from replay.cli.options import RenamingCommand, option
 
 if TYPE_CHECKING:
     from metrics.compare import Comparison
@@ -22,21 +22,20 @@ EXIT_CODES = (
 )
 
 
-@app.command(epilog=EXIT_CODES, cls=CompareCommand)
+@app.command(epilog=EXIT_CODES, cls=RenamingCommand)
 def compare(
     runs: Annotated[
         list[Path], typer.Argument(help="Baseline and candidate: folders of results, or files of `replan baseline`.")
     ],
     planner: Annotated[
         list[str] | None,
-        typer.Option(
-            "--planner",
-            "-p",
-            help="Only this planner; given twice: the first of the baseline, the second of the candidate.",
+        opt.planner_option(
+            None, "Drives of this planner; given twice: the first of the baseline, the second of the candidate."
         ),
     ] = None,
     gates: Annotated[
-        Path | None, typer.Option(help="TOML file of thresholds and \\[\\[compare]] rules. Default: the packaged ones.")
+        Path | None,
+        option(None, "TOML file of thresholds and \\[\\[compare]] rules. Default: the packaged ones.", metavar="FILE"),
     ] = None,
     as_json: opt.Json = False,
     no_first_difference: Annotated[
@@ -81,7 +80,7 @@ def print_tables(comparison: Comparison, candidate: Run, *, alone: bool = True) 
 @app.command()
 def baseline(
     results: Annotated[Path, typer.Argument(help="Folder of results.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The file, for example baseline.parquet.")],
+    out: Annotated[Path, opt.out_option("The file, for example baseline.parquet.")],
 ) -> None:
     """Write what a comparison needs of a run into one small file, for example for git.
 

@@ -13,16 +13,11 @@ from logs.errors import ConfigError, unknown_name
 from logs.names import counted
 from replay.cli import options as opt
 from replay.cli.app import app, handle_errors, say, say_json
-from replay.cli.options import completion, log_table, option, run_config
+from replay.cli.options import RenamingCommand, completion, log_table, option, run_config
 
 if TYPE_CHECKING:
     from logs.readers import LogSettings
     from replay.results.load import DriveResult, Results
-
-Loop = Literal["open", "closed"]
-OfLog = Annotated[str | None, option(None, "Which log. Default: the worst drive.", "--log", metavar="NAME")]
-OfPlanner = Annotated[str | None, option(None, "Which planner. Default: the worst drive.", "--planner", metavar="NAME")]
-OfMode = Annotated[Loop | None, option(None, "Default: the loop with a failed gate, else closed.", "--mode")]
 
 
 class Chosen(NamedTuple):
@@ -37,27 +32,41 @@ class Chosen(NamedTuple):
         return f"{self.drive.log}, {self.drive.planner}, {self.drive.mode} loop"
 
 
-def chosen_drive(results: Results, log: str | None, planner: str | None, mode: Loop | None) -> Chosen:
-    """The worst of the matching drives, as `worst_drive`.
+def matching_drives(results: Results, log: str | None, planner: str | None, mode: opt.Loop | None) -> list[DriveResult]:
+    """The drives of a run that fit some options.
 
     Args:
         results: The run.
-        log: Name of a log; None: any.
+        log: Name of a log, or a part of it (`named_logs`); None: any.
         planner: Name of a planner; None: any.
-        mode: "open" or "closed"; None: either.
+        mode: "open" or "closed"; "both" and None: either.
 
     Raises:
-        ConfigError: No drive matches.
+        ConfigError: None fits.
     """
-    table, asked = results.drives, {"log": log, "planner": planner, "mode": mode}
+    from replay.results.load import named_logs
+
+    table = results.drives
+    asked = {"log": log, "planner": planner, "mode": None if mode == "both" else mode}
     for column, value in asked.items():
-        if value is not None and value not in set(table[column]):
-            raise unknown_name(f"{column} (in the run)", value, list(dict.fromkeys(table[column])))
-        table = table if value is None else table[table[column] == value]
+        if value is not None:
+            if column == "log":
+                allowed = named_logs(value, table["log"])
+            elif value in set(table[column]):
+                allowed = [value]
+            else:
+                raise unknown_name(f"{column} (in the run)", value, list(dict.fromkeys(table[column])))
+            table = table[table[column].isin(allowed)]
     if table.empty:
         raise ConfigError(f"{results.path}: no drive with these options")
-    drives = [results.drive(*key) for key in table[["log", "planner", "mode"]].itertuples(index=False, name=None)]
-    return worst_drive(results, drives, ", ".join(f"--{name}" for name, value in asked.items() if value is None))
+    return [results.drive(*key) for key in table[["log", "planner", "mode"]].itertuples(index=False, name=None)]
+
+
+def chosen_drive(results: Results, log: str | None, planner: str | None, mode: opt.Loop | None) -> Chosen:
+    """The worst of the matching drives (`matching_drives`), as `worst_drive`."""
+    asked = {"log": log, "planner": planner, "mode": mode}
+    others = ", ".join(f"--{name}" for name, value in asked.items() if value is None)
+    return worst_drive(results, matching_drives(results, log, planner, mode), others or "--log")
 
 
 def worst_drive(results: Results, drives: Sequence[DriveResult], options: str) -> Chosen:
@@ -85,9 +94,9 @@ def view(
     targets: Annotated[
         list[Path], typer.Argument(help="A log, a recording (.rrd), or a folder of results; or two drives of one log.")
     ],
-    log: Annotated[
-        str | None, typer.Option("--log", metavar="NAME", help="Of a folder, the recordings of this log: both loops.")
-    ] = None,
+    log: opt.OfLog = None,
+    planner: opt.OfPlanner = None,
+    mode: opt.OfMode = None,
     save: Annotated[
         Path | None, typer.Option(help="Write the recording of the log, or of both drives, and open nothing.")
     ] = None,
@@ -98,7 +107,7 @@ def view(
     video: Annotated[
         Path | None, typer.Option("--video", help="Write a video: FILE.gif, or with ffmpeg FILE.mp4; --from, --to.")
     ] = None,
-    at: Annotated[float, typer.Option(help="Time of the picture, s.")] = 0.0,
+    at: Annotated[float | None, opt.at_option("For --screenshot. Default: 0.")] = None,
     layout: Annotated[str, typer.Option(help="Layout of picture and video: overview, planner, control.")] = "overview",
     tile: Annotated[str | None, typer.Option("--tile", help="A picture of this view only, by its title.")] = None,
     size: Annotated[str, typer.Option(help="Size of picture and video, pixels.")] = "1920x1080",
@@ -123,6 +132,7 @@ def view(
       replan view my_log.mcap --save my_log.rrd
       replan view results/main results/mine --log everyday/cut_in
       replan view results/run-001 --screenshot worst.png
+      replan view results/run-001 -p idm --mode closed
       replan view results/run-001 --log cut_in --screenshot cut_in.png --at 6.5 --layout planner
     """
     with handle_errors():
@@ -134,16 +144,21 @@ def view(
 
         if layout not in LAYOUTS:
             raise ConfigError(f"--layout {layout}: there are {', '.join(LAYOUTS)}")
+        if at is not None and screenshot is None:
+            raise ConfigError(
+                "--at is the time of a picture: give --screenshot FILE.png, too; for a video, --from and --to"
+            )
         drawn = screenshot is not None or video is not None
+        which = (log, planner, None if mode == "both" else mode)
         with tempfile.TemporaryDirectory() as scratch:
             span = (None, None) if video is not None else (begin, end)
             settings = run_config(config, {"log": log_table(ego, road_map, *span, repair)}).log
             copies = [Near(target) for target in targets]
-            files, remark = _files([copy.path for copy in copies], log, Path(scratch), settings, save, one=drawn)
+            files, remark = _files([copy.path for copy in copies], which, Path(scratch), settings, save, one=drawn)
             if save is not None:
                 say(save)
             if screenshot is not None:
-                picture(files[-1], screenshot, at, layout, tile, size, theme)
+                picture(files[-1], screenshot, at or 0.0, layout, tile, size, theme)
                 say(f"{screenshot}{remark}")
             if video is not None:
                 from replay.draw.recording.pictures import film
@@ -154,13 +169,17 @@ def view(
                 show(files, memory_limit, web=web, port=port)
 
 
+Which = tuple[str | None, str | None, opt.Loop | None]
+"""Log, planner and loop that the user named; None: any."""
+
+
 def _files(
-    targets: list[Path], log: str | None, scratch: Path, settings: LogSettings, save: Path | None, *, one: bool
+    targets: list[Path], which: Which, scratch: Path, settings: LogSettings, save: Path | None, *, one: bool
 ) -> tuple[list[Path], str]:
     """The recordings to open, made as `save` or in `scratch`; with `one` only the worst, and a remark that names it."""
     from logs.files import check_named
     from logs.readers import reader_of
-    from replay.draw.view import pair, recordings, save_log, to_open, write_pair
+    from replay.draw.view import pair, save_log, to_open, write_pair
     from replay.results.load import load
 
     for target in targets:
@@ -169,8 +188,11 @@ def _files(
             raise ConfigError(f"{target}: no such file or folder")
     if len(targets) > 2:
         raise ConfigError("name one log, recording or folder, or two drives of one log")
+    if any(which) and all(target.is_file() for target in targets):
+        raise ConfigError("--log, --planner and --mode choose drives of a folder of results")
     if len(targets) == 2:
-        both, recording = pair(targets[0], targets[1], log), _place(save) or scratch / "pair.rrd"
+        both = pair(targets[0], targets[1], *(_recordings(target, which) for target in targets))
+        recording = _place(save) or scratch / "pair.rrd"
         write_pair(recording, both)
         return [recording], ""
     (target,) = targets
@@ -182,18 +204,37 @@ def _files(
         raise ConfigError(f"--save writes the recording of a log or of two drives; {target} has its recordings already")
     if target.is_file():
         return [target], ""
+    found, judged = _recordings(target, which), (target / "summary.json").is_file()
     if not one:
-        return to_open(target, log, scratch), ""
-    found = recordings(target, log)
+        return to_open(target, found, scratch, index=judged and not any(which)), ""
     if len(found) == 1:
         return found, ""
-    if not (target / "summary.json").is_file():
+    if not judged:
         raise ConfigError(f"{target}: {len(found)} recordings; name one, for example {found[0]}")
     results = load(target)
-    drives = [results.drive(*row) for row in results.drives[["log", "planner", "mode"]].itertuples(index=False)]
-    there = [drive for drive in drives if drive.trace_file.with_suffix(".rrd") in found]
-    worst = worst_drive(results, there, "--log, or name a recording")
+    there = [drive for drive in matching_drives(results, *which) if drive.trace_file.with_suffix(".rrd") in found]
+    worst = worst_drive(results, there, "--log, --planner, --mode, or name a recording")
     return [worst.drive.trace_file.with_suffix(".rrd")], f"  {worst.title}{worst.remark}"
+
+
+def _recordings(target: Path, which: Which) -> list[Path]:
+    """The recordings of a folder, of a run only those of the drives that fit; a file is its own."""
+    from replay.draw.view import recordings
+    from replay.results.load import load
+
+    if target.is_file():
+        return [target]
+    if not any(which) or not (target / "summary.json").is_file():
+        if which[1] or which[2]:
+            raise ConfigError(f"--planner and --mode choose drives of a result folder, and {target} is none")
+        return recordings(target, which[0])
+    files = [drive.trace_file.with_suffix(".rrd") for drive in matching_drives(load(target), *which)]
+    found = sorted(file for file in files if file.is_file())
+    if not found:
+        raise ConfigError(
+            f"{target}: these drives have no recording; replan evaluate without --no-recording writes them"
+        )
+    return found
 
 
 def _place(save: Path | None) -> Path | None:
@@ -219,10 +260,10 @@ class Look(StrEnum):
 @app.command()
 def plot(
     result: Annotated[Path, typer.Argument(help="A folder of results.")],
-    log: OfLog = None,
-    planner: OfPlanner = None,
-    mode: OfMode = None,
-    at: Annotated[float | None, typer.Option(help="Time, s. Default: the worst moment.")] = None,
+    log: opt.OfLog = None,
+    planner: opt.OfPlanner = None,
+    mode: opt.OfMode = None,
+    at: Annotated[float | None, opt.at_option("Default: the worst moment.")] = None,
     chart: Annotated[
         str,
         typer.Option(
@@ -230,9 +271,7 @@ def plot(
             help="What is drawn: scene, st, sl, curves, decisions, all, or module:NAME of your own.",
         ),
     ] = "all",
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="FILE.png, FILE.svg, or a folder: each by itself.")
-    ] = None,
+    out: Annotated[Path | None, opt.out_option("FILE.png, FILE.svg, or a folder: each by itself.")] = None,
     theme: Annotated[Look, typer.Option(help="Auto: an SVG follows its reader's system, a PNG is light.")] = Look.auto,
     width: Annotated[int, typer.Option(min=200, max=8000, help="Width of the picture, pixels.")] = 1400,
 ) -> None:
@@ -272,10 +311,10 @@ def plot(
 @app.command()
 def explain(
     result: Annotated[Path, typer.Argument(help="A folder of results.")],
-    log: OfLog = None,
-    planner: OfPlanner = None,
-    mode: OfMode = None,
-    at: Annotated[float | None, typer.Option(help="Time, s. Default: each change of a decision.")] = None,
+    log: opt.OfLog = None,
+    planner: opt.OfPlanner = None,
+    mode: opt.OfMode = None,
+    at: Annotated[float | None, opt.at_option("Default: each change of a decision.")] = None,
     as_json: opt.Json = False,
 ) -> None:
     """Print each decision of a drive: about which agent, why, the alternatives and their costs (docs/why.md).
@@ -302,16 +341,17 @@ def explain(
                 say(drive.scenario.short_names(line))
 
 
-@app.command()
+@app.command(cls=RenamingCommand)
 def frame(
     result: Annotated[Path, typer.Argument(help="A folder of results.")],
-    at: Annotated[float, typer.Option(help="Time, s; the last frame up to it is planned again.")],
-    log: OfLog = None,
-    of: Annotated[str | None, typer.Option("--of", help="The drive of this planner. Default: the worst drive.")] = None,
-    planner: Annotated[
-        str | None, typer.Option(help="Plan the frame with this planner instead; it gets this frame only.")
+    at: Annotated[float, opt.at_option("The last frame up to it is planned again.")],
+    log: opt.OfLog = None,
+    planner: opt.OfPlanner = None,
+    mode: opt.OfMode = None,
+    other: Annotated[
+        str | None,
+        option(None, "Plan the frame with this planner instead.", "--with", metavar="NAME", complete="planner"),
     ] = None,
-    mode: OfMode = None,
     dump: Annotated[Path | None, typer.Option(help="Write frames, plan and QPs to FILE.msgpack.")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Open the debugger before the frame is planned.")] = False,
 ) -> None:
@@ -320,15 +360,20 @@ def frame(
     [bold]Examples[/bold]
 
       replan frame results/run-001 --at 6.5 --dump frame.msgpack
-      replan frame results/run-001 --at 6.5 --planner idm
+      replan frame results/run-001 --at 6.5 --with idm
     """
     with handle_errors():
         from replay.results.load import load
         from replay.run.frame_again import replan_frame, report_of
         from replay.run.frame_dump import dump as write_dump
 
-        chosen = chosen_drive(load(result), log, of, mode)
-        again = replan_frame(chosen.drive, at, planner, debug=debug)
+        results = load(result)
+        if planner is not None and planner not in (there := set(results.drives["planner"])):
+            raise ConfigError(
+                f"no drive of '{planner}' in the run ({', '.join(sorted(there))}); to plan with it: --with"
+            )
+        chosen = chosen_drive(results, log, planner, mode)
+        again = replan_frame(chosen.drive, at, other, debug=debug)
         say(f"{chosen.title}{chosen.remark}")
         for line in report_of(again):
             say(line)

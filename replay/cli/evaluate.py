@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -29,16 +29,9 @@ def evaluate(
     ] = None,
     planner: Annotated[
         list[str] | None,
-        option(
-            LOOP,
-            "A name, module:Class, exec:COMMAND or tcp://HOST:PORT; repeatable. Default: dp_qp.",
-            "--planner",
-            "-p",
-            metavar="NAME",
-            complete="planner",
-        ),
+        opt.planner_option(LOOP, "A name, module:Class, exec:COMMAND or tcp://HOST:PORT; repeatable. Default: dp_qp."),
     ] = None,
-    mode: Annotated[Literal["both", "open", "closed"] | None, option(LOOP, "Loops to run. Default: both.")] = None,
+    mode: Annotated[opt.Loop | None, option(LOOP, "Loops to run. Default: both.")] = None,
     vehicle: Annotated[
         str | None,
         option(LOOP, "kinematic_bicycle, single_track, multibody or perfect.", metavar="NAME", complete="vehicle"),
@@ -172,14 +165,14 @@ def vary(
     agent: Annotated[
         list[str] | None, option(None, "Agent to vary, repeatable. Default: the one in conflict.", "--agent")
     ] = None,
-    planner: Annotated[str | None, option(None, "Default: dp_qp.", "--planner", "-p", complete="planner")] = None,
-    out: Annotated[Path | None, option(None, "Result folder. Default: results/run-NNN.", "--out", "-o")] = None,
+    planner: Annotated[str | None, opt.planner_option(None, "Default: dp_qp.")] = None,
+    out: opt.Out = None,
     resolution: Annotated[
         float | None, option(None, "Width to which edges are bisected. Default: an eighth of a cell.")
     ] = None,
     list_agents: Annotated[bool, option(None, "List the agents, the nearest first.", "--list-agents")] = False,
     listing: Annotated[bool, option(None, "List what can be varied.", "--list")] = False,
-    config: Annotated[Path | None, typer.Option(help="TOML file of a run; options win over it.")] = None,
+    config: opt.Config = None,
     settings: opt.Set = None,
     gates: opt.Gates = None,
     recording: Annotated[bool, typer.Option("--recording", help="Write the .rrd file of each drive.")] = False,
@@ -258,7 +251,7 @@ def engine_of(name: str, address: str | None, workers: int | None) -> Engine:
 
 @app.command()
 def paper(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for figures, recordings and tables.")],
+    out: Annotated[Path, opt.out_option("Folder for figures, recordings and tables.")],
     vehicle: Annotated[
         list[str] | None,
         typer.Option(
@@ -281,12 +274,12 @@ def paper(
 
 @app.command()
 def calibrate(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for calibration.csv and calibration.png.")],
+    out: Annotated[Path, opt.out_option("Folder for calibration.csv and calibration.png.")],
     vehicle: Annotated[str, typer.Option(help="Vehicle model.")] = "single_track",
     car: Annotated[
         str | None, typer.Option(help="Whose numbers: bmw_320i, small_electric, vw_vanagon. Default: the default car.")
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="TOML file of a run: its \\[vehicle].")] = None,
+    config: Annotated[Path | None, opt.config_option("TOML file of a run: its \\[vehicle].")] = None,
 ) -> None:
     """Write and plot the table acceleration x speed -> throttle or brake, from the vehicle's own model."""
     with handle_errors():

@@ -18,7 +18,7 @@ def synth(
     names: Annotated[
         list[str] | None, typer.Argument(help="Families (paper/free_road), groups (paper), or all.")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to write to.")] = None,
+    out: Annotated[Path | None, opt.out_option("Folder to write to.")] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="parameter=number; may be repeated.", metavar="KEY=VALUE")
     ] = None,
@@ -71,7 +71,7 @@ def convert(
     logs: Annotated[
         list[Path] | None, typer.Argument(help="Logs of any format; a format's name before them chooses it.")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="FILE.mcap for one log, else a folder.")] = None,
+    out: Annotated[Path | None, opt.out_option("FILE.mcap for one log, else a folder.")] = None,
     ego: opt.Ego = None,
     problem: Annotated[
         int | None, typer.Option(help="CommonRoad: the planning problem, its id or its place from 1.")
@@ -119,7 +119,7 @@ def convert(
 @app.command()
 def repair(
     log: Annotated[Path, typer.Argument(help="A log of raw detections, of any format.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The FILE.mcap to write.")],
+    out: Annotated[Path, opt.out_option("The FILE.mcap to write.")],
     table: Annotated[Path | None, typer.Option("--table", help="Write the changes as FILE.csv, not to stdout.")] = None,
     ego: opt.Ego = None,
     road_map: opt.Map = None,
@@ -216,9 +216,7 @@ def _export() -> None:
 @export_app.command("commonroad-solution")
 def commonroad_solution(
     run: Annotated[Path, typer.Argument(help="A result folder, or closed.mcap of one drive in it.")],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for the files of a run; of one drive also FILE.xml.")
-    ],
+    out: Annotated[Path, opt.out_option("Folder for the files of a run; of one drive also FILE.xml.")],
     cost: Annotated[str, typer.Option(help="Cost function that the benchmark id names.")] = "JB1",
 ) -> None:
     """Write the closed drives over CommonRoad scenarios as CommonRoad solutions, for CommonRoad's own checker.

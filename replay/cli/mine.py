@@ -21,19 +21,13 @@ Run = Annotated[Path, typer.Argument(help="A folder that replan mine or replan e
 @app.command()
 def mine(
     logs: Annotated[list[Path] | None, typer.Argument(help="Logs of any format, or folders of them.")] = None,
-    out: Annotated[Path | None, option(None, "Result folder. Default: results/run-NNN.", "--out", "-o")] = None,
+    out: opt.Out = None,
     kind: Annotated[
         list[str] | None, option(None, "A kind of your own, module:NAME; repeatable.", "--kind", metavar="NAME")
     ] = None,
     planner: Annotated[
         list[str] | None,
-        option(
-            None,
-            "Also find where this planner's plans differ from the drive, fall back or flip.",
-            "--planner",
-            "-p",
-            complete="planner",
-        ),
+        opt.planner_option(None, "Also find where this planner's plans differ from the drive, fall back or flip."),
     ] = None,
     suite: opt.Suite = None,
     ego: opt.Ego = None,
@@ -41,7 +35,7 @@ def mine(
     begin: opt.Begin = None,
     end: opt.End = None,
     repair: opt.Repair = None,
-    config: Annotated[Path | None, typer.Option(help="TOML file of a run; options win over it.")] = None,
+    config: opt.Config = None,
     settings: opt.Set = None,
     workers: opt.Workers = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print docs/events.md.")] = False,
@@ -65,7 +59,7 @@ def mine(
 
             say(page())
             return
-        from replay.cli.progress import sign_of_life
+        from replay.cli.progress import sign_of_life, with_kernels
         from replay.mine.mine import mine as mine_logs
         from replay.mine.mine import summary, write
         from replay.run.evaluate import selected
@@ -89,7 +83,7 @@ def mine(
             return f"mined {len(done)} of {len(selection.sources)} logs"
 
         kinds, count = tuple(kind or ()), worker_count(workers)
-        with sign_of_life(progress_lines(quiet=quiet), progress):
+        with sign_of_life(progress_lines(quiet=quiet), with_kernels(progress)):
             mined = mine_logs(selection, run, kinds=kinds, planners=planners, workers=count, on_log=ended)
         folder = write(mined, run, kinds, planners, out)
         if as_json:
@@ -103,9 +97,7 @@ def mine(
 def query(
     run: Run,
     sql: Annotated[str, typer.Argument(help="One SELECT.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Write the rows to FILE.csv, .parquet or .json.")
-    ] = None,
+    out: Annotated[Path | None, opt.out_option("Write the rows to FILE.csv, .parquet or .json.")] = None,
     as_json: opt.Json = False,
 ) -> None:
     r"""Ask a result folder in SQL: events, metrics, verdicts, frames, health and more as views, read only.
@@ -135,7 +127,7 @@ def query(
 def cut(
     run: Run,
     where: Annotated[str, typer.Option("--where", help="Condition in SQL over the view's columns.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the logs.")],
+    out: Annotated[Path, opt.out_option("Folder for the logs.")],
     table: Annotated[str, typer.Option("--table", help="The view.")] = "events",
     before: Annotated[float, typer.Option(help="Seconds before each moment.", min=0.0)] = 5.0,
     after: Annotated[float, typer.Option(help="Seconds after it.", min=0.0)] = 8.0,
@@ -155,7 +147,7 @@ def cut(
 
 
 @app.command()
-def suite(run: Mined, out: Annotated[Path, typer.Option("--out", "-o", help="The FILE.toml to write.")]) -> None:
+def suite(run: Mined, out: Annotated[Path, opt.out_option("The FILE.toml to write.")]) -> None:
     """Choose the fewest mined logs that have all kinds of events, roads, road users and speeds found.
 
     [bold]Examples[/bold]

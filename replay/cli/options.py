@@ -98,6 +98,35 @@ def option(panel: str | None, words: str, *names: str, complete: str = "", **mor
     return make(*names, rich_help_panel=panel, help=words, **more)
 
 
+def planner_option(panel: str | None, words: str) -> Any:
+    """The option --planner, -p of a command: planners to drive, or of a run the drives of these planners."""
+    return option(panel, words, "--planner", "-p", metavar="NAME", complete="planner")
+
+
+def log_option(panel: str | None, words: str) -> Any:
+    """The option --log of a command: logs of a run by name or a part of it (`replay.results.load.named_logs`)."""
+    return option(panel, words, "--log", metavar="NAME")
+
+
+def at_option(words: str) -> Any:
+    """The option --at of a command: a time of a drive, s from the begin of its log."""
+    return option(None, f"Time from the begin of the log, s. {words}", "--at", metavar="S")
+
+
+def out_option(words: str) -> Any:
+    """The option --out, -o of a command that writes files of its own."""
+    return option(None, words, "--out", "-o", metavar="PATH")
+
+
+def config_option(words: str) -> Any:
+    """The option --config of a command that takes a part of a run's TOML file."""
+    return option(None, words, "--config", metavar="FILE")
+
+
+Loop = Literal["both", "open", "closed"]
+OfLog = Annotated[str | None, log_option(None, "Drives of this log, or of the logs with this in the name.")]
+OfPlanner = Annotated[str | None, planner_option(None, "Drives of this planner.")]
+OfMode = Annotated[Loop | None, option(None, "Drives in this loop. Default: both.", "--mode")]
 Ego = Annotated[str | None, option(LOGS, "Take this road user of the log as the ego.", "--ego", metavar="ID")]
 Map = Annotated[Path | None, option(LOGS, "A map that replaces that of the log.", "--map", metavar="FILE")]
 Repair = Annotated[
@@ -115,7 +144,7 @@ Suite = Annotated[
 Foxglove = Annotated[bool, option(OUTPUT, "Also write channels that Foxglove can draw.", "--foxglove")]
 Json = Annotated[bool, option(OUTPUT, "Write one JSON document, and nothing else, to stdout.", "--json")]
 Quiet = Annotated[bool, option(OUTPUT, "Print errors and the outcome only.", "--quiet", "-q")]
-Settings = Annotated[Path | None, option(None, "TOML file of a run: its \\[log] table.", "--config", metavar="FILE")]
+Settings = Annotated[Path | None, config_option("TOML file of a run: its \\[log] table.")]
 Set = Annotated[
     list[str] | None,
     option(
@@ -195,8 +224,8 @@ EVALUATE: Mapping[str, str] = {
     "--end-with-evidence": "loop.end_with_evidence=true",
 }
 """Options of `replan evaluate`, and the argument of `--set` that replaces each; {} is the option's value."""
-COMPARE = {"--no-partings": "--no-first-difference"}
-"""Options of `replan compare`, and their new names."""
+RENAMED = {"compare": {"--no-partings": "--no-first-difference"}, "frame": {"--of": "--planner"}}
+"""Options of other commands, and their new names."""
 
 
 class EvaluateCommand(TyperCommand):
@@ -208,14 +237,18 @@ class EvaluateCommand(TyperCommand):
         return left
 
 
-class CompareCommand(TyperCommand):
-    """`replan compare`, which also takes the options in `COMPARE`."""
+class RenamingCommand(TyperCommand):
+    """A command that also takes its options in `RENAMED`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """The words with the old options replaced, parsed."""
-        for old in COMPARE.keys() & set(args):
-            say(f"hint: {old} is now {COMPARE[old]}; the old option goes with the next version", err=True)
-        left: list[str] = super().parse_args(ctx, [COMPARE.get(word, word) for word in args])
+        table, words = RENAMED[str(self.name)], []
+        for word in args:
+            old, equals, value = word.partition("=")
+            if old in table:
+                say(f"hint: {old} is now {table[old]}; the old option goes with the next version", err=True)
+            words.append(f"{table.get(old, old)}{equals}{value}")
+        left: list[str] = super().parse_args(ctx, words)
         return left
 
 

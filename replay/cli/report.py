@@ -10,6 +10,7 @@ import typer
 from logs.errors import ConfigError
 from replay.cli import options as opt
 from replay.cli.app import app, console_of, handle_errors, say, say_json
+from replay.cli.options import option
 
 if TYPE_CHECKING:
     from replay.compare import Run
@@ -86,7 +87,7 @@ def finish_run(
 @app.command(epilog=EXIT_CODES)
 def merge(
     shards: Annotated[list[Path], typer.Argument(help="Result folders of all shards of a run, in any order.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Result folder.")],
+    out: Annotated[Path, opt.out_option("Result folder.")],
     baseline: opt.Baseline = None,
     no_report: opt.NoReport = False,
     as_json: opt.Json = False,
@@ -128,16 +129,13 @@ def merge(
 @app.command()
 def report(
     results: Annotated[Path, typer.Argument(help="Folder of results.")],
-    baseline: Annotated[
-        Path | None, typer.Option(help="Compare with this: a folder of results, or a file of `replan baseline`.")
-    ] = None,
+    baseline: opt.Baseline = None,
     diagnosis: Annotated[Path | None, typer.Option(help="Folder that `replan diagnose` wrote of this run.")] = None,
     gates: Annotated[
-        Path | None, typer.Option(help="TOML file with the \\[\\[compare]] rules. Default: the packaged ones.")
+        Path | None,
+        option(None, "TOML file with the \\[\\[compare]] rules. Default: the packaged ones.", metavar="FILE"),
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for the reports. Default: the results'.")
-    ] = None,
+    out: Annotated[Path | None, opt.out_option("Folder for the reports. Default: the results'.")] = None,
 ) -> None:
     """Write the reports of a finished run: report.html, report.md, and junit.xml (a test per log and gate).
 

@@ -23,9 +23,7 @@ FALSIFY_CODES = (
 @app.command(epilog=FALSIFY_CODES)
 def falsify(
     log: Annotated[str, typer.Argument(help="A log of any format, or a family of the catalogue.")],
-    planner: Annotated[
-        str, option(LOOP, "The planner that is searched.", "--planner", "-p", metavar="NAME", complete="planner")
-    ],
+    planner: Annotated[str, opt.planner_option(LOOP, "The planner that is searched.")],
     against: Annotated[
         str, option(LOOP, "Who must not fail: careful (of UN R157), or a planner.", metavar="NAME", complete="planner")
     ] = "careful",
@@ -103,9 +101,7 @@ TUNE_CODES = (
 
 @app.command(epilog=TUNE_CODES)
 def tune(
-    planner: Annotated[
-        str, option(LOOP, "The planner that is tuned.", "--planner", "-p", metavar="NAME", complete="planner")
-    ],
+    planner: Annotated[str, opt.planner_option(LOOP, "The planner that is tuned.")],
     space: Annotated[Path, option(LOOP, "TOML file: settings with their ranges.", metavar="FILE")],
     logs: Annotated[
         list[Path] | None, typer.Argument(help="Logs of any format, or folders of them. Default: the built-in suite.")
@@ -183,10 +179,10 @@ DIAGNOSE_CODES = (
 @app.command(epilog=DIAGNOSE_CODES)
 def diagnose(
     run: Annotated[Path, typer.Argument(help="A result folder of replan evaluate.", metavar="RUN")],
-    log: Annotated[list[str] | None, option(LOGS, "Only this log; repeatable.", metavar="NAME")] = None,
-    planner: Annotated[
-        str | None, option(LOOP, "Whose drives. Default: the run's only planner.", "--planner", "-p", metavar="NAME")
+    log: Annotated[
+        list[str] | None, opt.log_option(LOGS, "Only this log, or the logs with this in the name; repeatable.")
     ] = None,
+    planner: Annotated[str | None, opt.planner_option(LOOP, "Whose drives. Default: the run's only planner.")] = None,
     changes: Annotated[
         Path | None, option(LOOP, "TOML file of further changes to try (docs/diagnose.md).", metavar="FILE")
     ] = None,

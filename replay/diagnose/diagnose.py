@@ -33,7 +33,7 @@ from replay.diagnose.findings import AS_IT_WAS, Diagnosis, Found
 from replay.diagnose.remedy import Remedy, smallest_change
 from replay.explain.causes import accounts
 from replay.explain.explanation import Explanation
-from replay.results.load import DriveResult, Results, load
+from replay.results.load import DriveResult, Results, load, named_logs
 from replay.results.tables import PARTIAL
 from replay.run.output import held, scenario_of
 from replay.run.perturb import PERTURBATIONS, perturbed
@@ -100,10 +100,8 @@ def question(results: Results, planner: str | None, logs: Sequence[str], changes
         raise unknown_name("planner (in the run)", planner, run.planners)
     if run.mode == "open":
         raise ConfigError(f"{results.path}: has no closed loop; only closed loops are diagnosed")
-    for log in logs:
-        if log not in set(results.logs["log"]):
-            raise unknown_name("log", log, list(results.logs["log"]))
-    return Question(results, planner, tuple(logs), tuple(changes))
+    named = dict.fromkeys(log for name in logs for log in named_logs(name, results.logs["log"]))
+    return Question(results, planner, tuple(named), tuple(changes))
 
 
 def diagnose(

@@ -7,7 +7,6 @@ The index lists the drives, the worst first, each with a link that opens its rec
 from __future__ import annotations
 
 import os
-import re
 import shlex
 import subprocess
 import sys
@@ -26,7 +25,7 @@ from replay.draw.recording import write_log_recording
 from replay.draw.recording.pictures import LOOPBACK, Picture, Theme, environment, free_port, in_use, take_pictures
 from replay.draw.recording.tape import MARKDOWN, cell, document, link, recording_file, table
 from replay.draw.report.overview import ORDER, overview
-from replay.results.load import load
+from replay.results.load import load, named_logs
 
 ELSEWHERE = (
     "copy the .rrd to a machine with one and open it there with `rerun FILE.rrd`, or add --web to see it in a browser"
@@ -86,42 +85,35 @@ def recordings(target: Path, log: str | None = None) -> list[Path]:
     found = sorted(target.rglob("*.rrd"))
     if not found:
         raise ConfigError(f"{target}: no recording (*.rrd) in it; `replan evaluate` without --no-recording writes them")
-    if log is not None:
-
-        def words(text: object) -> str:
-            return re.sub(r"[^0-9A-Za-z]+", "_", str(text))
-
-        found = [file for file in found if words(log) in words(file.relative_to(target))]
-        if not found:
-            raise ConfigError(f"{target}: no recording of a log called {log}")
-    return found
+    named = {file.relative_to(target).as_posix(): file for file in found}
+    return found if log is None else [named[name] for name in named_logs(log, named)]
 
 
-def to_open(target: Path, log: str | None, folder: Path) -> list[Path]:
-    """The files to open: for a result folder the index and the worst recordings, otherwise all, at most `MOST`.
+def to_open(target: Path, found: list[Path], folder: Path, *, index: bool) -> list[Path]:
+    """The files to open: the recordings of a folder, at most `MOST`, or the index and those of the worst drives.
 
     Args:
         target: A folder of results, or any folder with recordings.
-        log: Only the recordings of this log.
+        found: The recordings.
         folder: Folder for the index.
+        index: Whether to write and open the index of a result folder.
 
     Raises:
-        ConfigError: There is no recording, or there are too many, and no results that rank them.
+        ConfigError: There are too many.
     """
-    if log is None and (target / "summary.json").is_file():
-        index, worst = write_index(folder / "index.rrd", target, MOST)
-        return [*worst, index]
-    found = recordings(target, log)
+    if index:
+        page, worst = write_index(folder / "index.rrd", target, MOST)
+        return [*worst, page]
     if len(found) > MOST:
         raise ConfigError(
             f"{target}: {len(found)} recordings are too many to open at once (at most {MOST});"
-            f" name one with --log, or a recording, for example {found[0]}"
+            f" name fewer with --log, --planner, --mode, or a recording, for example {found[0]}"
         )
     return found
 
 
-def pair(one: Path, two: Path, log: str | None) -> tuple[Path, Path]:
-    """The recordings of two drives: two files, or the recordings at the same place in two folders.
+def pair(one: Path, two: Path, found: list[Path], others: list[Path]) -> tuple[Path, Path]:
+    """The recordings of two drives: two files, or those in `found` and `others` at the same place in two folders.
 
     Raises:
         ConfigError: There is no such pair, or there are several.
@@ -130,13 +122,15 @@ def pair(one: Path, two: Path, log: str | None) -> tuple[Path, Path]:
         return one, two
     if one.is_file() or two.is_file():
         raise ConfigError("name two recordings, or two folders of results")
-    first, second = ({file.relative_to(each): file for file in recordings(each, log)} for each in (one, two))
+    first, second = ({file.relative_to(each): file for file in files} for each, files in ((one, found), (two, others)))
     both = sorted(first.keys() & second.keys())
     if not both:
         raise ConfigError(f"{one} and {two} have no recording in common")
     if len(both) > 1:
         some = ", ".join(str(file) for file in both[:4])
-        raise ConfigError(f"{len(both)} recordings are in both ({some} ...): name a log with --log, or two recordings")
+        raise ConfigError(
+            f"{len(both)} recordings are in both ({some} ...): name a drive with --log, --planner and --mode"
+        )
     return first[both[0]], second[both[0]]
 
 

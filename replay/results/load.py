@@ -11,7 +11,8 @@ describes each column. `SCHEMA_VERSION` increases when a column changes its mean
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
@@ -343,3 +344,21 @@ class DriveResult:
 
     def _row(self, table: pd.DataFrame) -> pd.Series[Any]:
         return table[table["log"] == self.log].iloc[0]
+
+
+def named_logs(name: str, logs: Iterable[str]) -> list[str]:
+    """The logs of a run that a name means: the log of this name, otherwise those with it in their names.
+
+    Names are compared as words of letters and digits, so that the name of a log's folder also fits.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    known = list(dict.fromkeys(logs))
+    if name in known:
+        return [name]
+    words = re.compile(r"[^0-9A-Za-z]+")
+    found = [log for log in known if words.sub("_", name) in words.sub("_", log)]
+    if not found:
+        raise unknown_name("log (in the run)", name, known)
+    return found

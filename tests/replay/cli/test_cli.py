@@ -12,10 +12,12 @@ from typing import Any
 import pytest
 from command_line import evaluate, gates, one_error, replan
 from rich.console import Console
+from typer.main import get_command
 
 from logs.errors import ConfigError
 from logs.mcap import read_scenario
-from replay.cli import PANELS
+from replay.cli import PANELS, app
+from replay.cli.drives import matching_drives
 from replay.cli.options import EVALUATE, replaced
 from replay.config import RunConfig, load_run
 from replay.draw.report.overview import overview
@@ -326,8 +328,40 @@ def test_a_log_is_found_by_its_name_as_the_index_has_it(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / "closed.rrd").write_bytes(b"")
     assert recordings(tmp_path, "unece_r157/cut_in@accel_mps2=-3,gap_m=0") == [folder / "closed.rrd"]
-    with pytest.raises(ConfigError, match="called cut_out"):
+    with pytest.raises(ConfigError, match="called 'cut_out'"):
         recordings(tmp_path, "cut_out")
+
+
+def test_log_planner_and_mode_choose_the_same_drives_in_every_command(recorded: Path, tmp_path: Path) -> None:
+    for words in (("--log", "test/free"), ("--log", "free"), ("--log", "test_free")):
+        drives = matching_drives(load(recorded), words[1], "constant_speed", "both")
+        assert sorted((drive.log, drive.mode) for drive in drives) == [("test/free", "closed"), ("test/free", "open")]
+        one = (*words, "-p", "constant_speed", "--mode", "open")
+        for command in (("explain",), ("plot", "--chart", "curves", "-o", tmp_path / "x.svg")):
+            assert "test/free, constant_speed, open loop" in replan(command[0], recorded, *command[1:], *one).stdout
+    for command in (("explain",), ("plot",), ("frame", "--at", 1), ("view", "--screenshot", "x.png")):
+        for word, value, known in (("--log", "fre_", "test/free"), ("-p", "idm", "constant_speed")):
+            said = one_error(replan(command[0], recorded, *command[1:], word, value))
+            assert value in said and known in said, command
+    assert "--screenshot" in one_error(replan("view", recorded, "--at", 3))
+    assert "is none" in one_error(replan("view", next(recorded.glob("test_free*")), "--mode", "open"))
+    assert "of results" in one_error(replan("view", next(recorded.glob("test_free*/open.rrd")), "-p", "idm"))
+
+
+def test_an_option_is_spelled_and_shown_the_same_way_in_every_command() -> None:
+    shapes: dict[str, set[Any]] = {}
+    commands: dict[str, list[str]] = {}
+    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
+        for parameter in command.params:
+            for spelling in parameter.opts if parameter.param_type_name == "option" else ():
+                commands.setdefault(spelling, []).append(name)
+                shapes.setdefault(spelling, set()).add((tuple(parameter.opts), parameter.metavar, parameter.is_flag))
+    assert commands["-p"] == commands["--planner"] and {"evaluate", "view", "plot", "explain", "frame"} <= {
+        *commands["-p"]
+    }
+    assert {*commands["--log"]} >= {"view", "plot", "explain", "frame", "diagnose"} and "--of" not in commands
+    shared = ("--planner", "--log", "--mode", "--at", "--config", "--gates", "--baseline", "--set", "--ego", "--map")
+    assert {option: shapes[option] for option in shared if len(shapes[option]) > 1} == {}
 
 
 def test_a_picture_of_a_run_is_of_the_worst_drive_and_says_so(

@@ -295,7 +295,7 @@ def test_plot_writes_pictures(run: Results, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (("--log", "paper/crossing"), "paper/crossing_pedestrian"),
+        (("--log", "paper/crosing"), "paper/crossing_pedestrian"),
         (("--planner", "idm"), "is called 'idm'"),
         (("--planner", "dp_qp", "--mode", "open"), "is called 'open'; known are: closed"),
         (("--planner", "dp_qp", "--at", 99), "--at 99 is not in its 0 to"),

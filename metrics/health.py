@@ -273,7 +273,7 @@ def ego_heading(scenario: Scenario) -> Iterator[Finding]:
             continue
         by = float(np.median(off[run]))
         begin, end = float(ego.t[chords.first[run][0]]), float(ego.t[chords.last[run][-1]])
-        text = f"the ego's heading is {by:.2f} rad off the way it goes, in the median"
+        text = f"the ego's heading is {by:.2f} rad off the way it goes, in the median{_degrees(ego.yaw)}"
         if least == AGAINST_M:
             sign = "reverse gear without a signed speed?" if np.median(v[run]) >= 0.0 else "is the speed's sign wrong?"
             text = f"the ego's heading and speed point against the way it goes for {end - begin:.1f} s: {sign}"
@@ -282,6 +282,11 @@ def ego_heading(scenario: Scenario) -> Iterator[Finding]:
     for k in np.flatnonzero((turn > EGO_FLIP_RAD) & (dt < EGO_GAP_S)):
         text = f"the ego's heading turns by {turn[k]:.2f} rad in {dt[k]:.2f} s"
         yield Finding(Kind.EGO_HEADING, "ego", "", ego.t[k], ego.t[k + 1], turn[k], "rad", text)
+
+
+def _degrees(yaw: FloatArray) -> str:
+    """Return a question for headings that contradict the motion: those beyond a turn may be degrees."""
+    return "; in degrees?" if np.abs(yaw).max() > 2.0 * np.pi else ""
 
 
 def _runs(mask: BoolArray) -> list[slice]:
@@ -433,6 +438,7 @@ def _directions(
         if (by := amount(mine)) > TURNED_RAD:
             a, b = tracks.t[chords.first[mine][0]], tracks.t[chords.last[mine][-1]]
             text = f"has a {word} {by:.2f} rad off the way it goes, {chords.way[mine].sum():.1f} m, in the median"
+            text += _degrees(tracks.yaw[tracks.samples(i)]) if kind is Kind.AGENT_HEADING else ""
             found.append(_of_track(tracks, i, kind, a, b, by, "rad", text))
     if len(found) > max(1.0, MOST * asked):
         by = float(np.median([one.value for one in found]))

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from logs import Road, Scenario
 from logs.catalogue import CATALOGUE
+from logs.conventions import checked
 from logs.mcap import write_scenario
 from logs.road import Lane, RoadSource
 from logs.rules import Colour, StopLine, TrafficLight
@@ -76,7 +77,8 @@ def test_a_clean_log_has_no_findings() -> None:
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE))
 def test_the_catalogue_is_clean(name: str) -> None:
-    assert findings(CATALOGUE[name].scenario()) == ()
+    made = CATALOGUE[name].scenario()
+    assert findings(made) == () and checked(made) is made
 
 
 @given(st.floats(0.8, 30.0))
@@ -168,6 +170,17 @@ def test_reverse_gear_without_a_signed_speed_is_found_where_it_is(rate: float) -
     assert Kind.EGO_HEADING not in kinds(scenario(signed))
     wrong = [one for one in findings(scenario(replace(signed, v=-signed.v))) if one.kind is Kind.EGO_HEADING]
     assert sum(one.t_to - one.t_from for one in wrong) > 10.0, "the sign is wrong all along, but where it changes"
+
+
+def test_headings_beyond_a_turn_may_be_degrees() -> None:
+    """Between samples of a fast turn, the unwrapped heading loses turns: not refused, but asked."""
+    t = np.arange(0.0, 40.0, 1.25)
+    yaw, zero = 1.0 + 0.1 * t, np.zeros_like(t)
+    ego = Trajectory(t, 100.0 * np.sin(yaw), -100.0 * np.cos(yaw), np.degrees(yaw), zero + 10.0, zero, zero)
+    (found,) = (one for one in findings(scenario(ego, Tracks.empty())) if one.kind is Kind.EGO_HEADING)
+    assert found.text.endswith("in degrees?")
+    off = findings(scenario(replace(ego, yaw=yaw + 1.2), Tracks.empty()))[0]
+    assert off.kind is Kind.EGO_HEADING and "degrees" not in off.text
 
 
 def test_most_headings_are_one_finding() -> None:

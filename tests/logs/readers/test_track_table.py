@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from any_bytes import CHANGES, changed, read_or_refused
+from hypothesis import HealthCheck, given, settings
 
 from logs import AgentKind, LogError, Scenario
 from logs.readers import LogSettings, logs_in, read_log, reader_of
@@ -204,7 +206,7 @@ def test_columns_of_their_own_are_named(tmp_path: Path) -> None:
     assert reader_of(path) is None
     with pytest.raises(LogError, match=r"columns stamp, object, east, .*\[log\.columns\]"):
         read_log(path, LogSettings(ego="1"))
-    scenario = read_log(path, LogSettings(ego="1", columns=names))
+    scenario = read_log(str(path), LogSettings(ego="1", columns=names))  # text names a log, too
     assert scenario.ego.x.tolist() == from_frames("1", truth(10.0).drop(columns="frame")).ego.x.tolist()
 
 
@@ -263,3 +265,17 @@ def test_only_the_time_of_the_ego_is_read(tmp_path: Path) -> None:
     assert scenario.tracks.ids == ("2", "3") and scenario.duration == pytest.approx(11.9)
     assert any("611.9 s" in note for note in scenario.notes)
     assert replace(scenario, notes=()).ego.x.tolist() == from_frames("1", table).ego.x.tolist()
+
+
+@given(CHANGES)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_mutated_tables_are_read_or_refused(tmp_path: Path, changes: list[tuple[int, int]]) -> None:
+    path = in_d(tmp_path)
+    head = b"".join(path.read_bytes().splitlines(keepends=True)[:60])
+    path.write_bytes(changed(head, changes))
+    with_ego = LogSettings(ego="1")
+    try:
+        read_log(path, with_ego)
+    except LogError as error:
+        assert "\n" not in str(error)
+    read_or_refused(path)

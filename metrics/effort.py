@@ -19,7 +19,7 @@ from logs.trace import Mode, SolverReport, Trace
 from metrics import metric
 from metrics.boxes import phantoms
 from metrics.comfort import WINDOW_S
-from metrics.lanes import not_followed
+from metrics.lanes import where_followed
 from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
 from metrics.plans import NO_PLANS, frame_times
 
@@ -78,9 +78,10 @@ def _unsolved_frames(trace: Trace, scenario: Scenario) -> Measured:
     return Series(frame_times(trace), counts, tuple("; ".join(failed) for failed in failures))
 
 
+@where_followed
 def _fallback(trace: Trace, scenario: Scenario) -> Measured:
-    if not trace.frames or not_followed(scenario):
-        return not_followed(scenario) or NO_PLANS
+    if not trace.frames:
+        return NO_PLANS
     t, plans = frame_times(trace), [frame.plan for frame in trace.frames]
     labels = [f"{p.status.value}: {p.reason}" if p.status.is_fallback else "" for p in plans]
     fallbacks = np.array([float(p.status.is_fallback) for p in plans])
@@ -89,6 +90,7 @@ def _fallback(trace: Trace, scenario: Scenario) -> Measured:
     return Series(t, fallbacks, tuple(labels), "the log shows a phantom at each fallback")
 
 
+@where_followed
 def _tracking_error(column: str, trace: Trace, scenario: Scenario) -> Measured:
     if trace.tracking is None or not len(trace.tracking.t):
         return Unavailable("the drive has no tracking errors: no controller was in it")

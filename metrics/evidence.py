@@ -38,7 +38,7 @@ from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
 from metrics import metric
 from metrics.boxes import each, ego_boxes, name_of, phantoms, some_at
-from metrics.lanes import limits_at, mapped_lanes, not_followed, off_lanes, points_inside, stated_lanes
+from metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes, where_followed
 from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
 from metrics.plans import NO_PLANS, frame_times
 
@@ -123,9 +123,10 @@ def _replay_contact(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t[-1:], np.array([float(ran)]), (trace.detail if ran else "",))
 
 
+@where_followed
 def _by_status(status: PlanStatus, trace: Trace, scenario: Scenario) -> Measured:
-    if not trace.frames or not_followed(scenario):
-        return not_followed(scenario) or NO_PLANS
+    if not trace.frames:
+        return NO_PLANS
     plans = [frame.plan for frame in trace.frames]
     flags = np.array([float(plan.status is status) for plan in plans])
     return Series(frame_times(trace), flags, tuple(p.reason if p.status is status else "" for p in plans))

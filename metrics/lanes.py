@@ -6,9 +6,10 @@ cars' lengths), and a lane without a predecessor is extended backwards likewise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
 from math import ceil, cos, hypot, inf, nan, pi, sin, sqrt
-from typing import NamedTuple
+from typing import NamedTuple, ParamSpec
 
 import numpy as np
 
@@ -17,7 +18,9 @@ from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, k
 from logs.road import Road, RoadSource, inside
 from logs.scenario import Scenario
 from logs.shapes import point_segment
-from metrics.metric import Unavailable, once
+from metrics.metric import Measured, Unavailable, once
+
+P = ParamSpec("P")
 
 BEYOND_M = 10.0
 SURE_M = 1e-6  # Tolerance of the test that skips boxes, m: rounding must not change results
@@ -78,6 +81,18 @@ def not_followed(scenario: Scenario) -> Unavailable | None:
     """Return why no planner can follow the path that is the road of a log without lanes; None if one can."""
     why = tighter_than_vehicle(scenario)
     return Unavailable(why) if why else None
+
+
+def where_followed(measure: Callable[P, Measured]) -> Callable[P, Measured]:
+    """Make a measure, whose last argument is the scenario, unavailable where `not_followed`."""
+
+    @wraps(measure)
+    def asked(*args: P.args, **kwargs: P.kwargs) -> Measured:
+        scenario = args[-1]
+        assert isinstance(scenario, Scenario)
+        return not_followed(scenario) or measure(*args, **kwargs)
+
+    return asked
 
 
 @once

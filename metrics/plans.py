@@ -50,6 +50,7 @@ from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, wrapped
 from logs.trace import Mode, Trace
 from metrics import metric
+from metrics.lanes import where_followed
 from metrics.metric import Measured, Metric, Series, Unavailable, last, once
 
 STEP_S = 0.1  # Plans are compared at multiples of this after their frame, s
@@ -124,6 +125,7 @@ def _interpolate(
     return out
 
 
+@where_followed
 def _plan_change(trace: Trace, scenario: Scenario, *, which: int) -> Measured:
     if len(trace.frames) < 2:
         return Unavailable("fewer than two plans")

@@ -51,7 +51,7 @@ from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import metric
 from metrics.boxes import ego_boxes
-from metrics.lanes import drivable_lanes, limits_at, not_followed, stated_lanes
+from metrics.lanes import drivable_lanes, limits_at, stated_lanes, where_followed
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable, last
 
 SPACING_M, WINDOW_M, BESIDE_M = 1.0, 30.0, 3.0
@@ -146,9 +146,8 @@ def _distance(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t, np.r_[0.0, np.cumsum(np.hypot(np.diff(trace.ego.x), np.diff(trace.ego.y)))])
 
 
+@where_followed
 def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
-    if tight := not_followed(scenario):
-        return tight
     route = route_of(scenario)
     if len(scenario.ego) > 1:
         in_time = trace.end is EndReason.GOAL and _is_time_only(scenario.goal)  # compare over the same time

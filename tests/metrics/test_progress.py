@@ -116,7 +116,13 @@ def test_a_path_that_the_vehicle_cannot_follow_is_not_asked_of_planners() -> Non
     every = {name: metric for group in GROUPS.values() for name, metric in ((one.name, one) for one in group)}
     for each, known in ((log, True), (bare, False)):
         table = evaluate(drive(each, laps), each, metrics=every).set_index("metric")
-        for name in ("fallback.rate", "plan_refused.rate", "plan_corrected.rate", "route_progress.final"):
+        for name in (
+            "fallback.rate",
+            "plan_refused.rate",
+            "plan_corrected.rate",
+            "plan_change_lateral.mean",
+            "route_progress.final",
+        ):
             if not known:
                 assert not table.loc[name, "available"] and "turns within 2.0 m" in table.loc[name, "reason"]
         assert table.loc["route_progress.final", "available"] == known

@@ -197,6 +197,7 @@ class Goal:
         yaw: Heading interval, rad; from `yaw[0]` counter-clockwise to `yaw[1]`.
         alternatives: Goals with bounds of their own; the ego has to reach one of them. The other fields are then
             derived from them: all their regions, and intervals from the least to the greatest bound.
+        way: Gain along the route that a drive needs before the goal counts, m (`metrics.arrival`); 0: none.
     """
 
     regions: tuple[Points, ...] = ()
@@ -204,6 +205,7 @@ class Goal:
     v: tuple[float, float] | None = None
     yaw: tuple[float, float] | None = None
     alternatives: tuple[Goal, ...] = ()
+    way: float = 0.0
 
     def __post_init__(self) -> None:
         if self.alternatives:
@@ -230,12 +232,16 @@ class Goal:
         """Return the goal with `change` applied to each alternative, or to itself if it has none."""
         return replace(self, alternatives=tuple(map(change, self.alternatives))) if self.alternatives else change(self)
 
+    def after(self, driven: float) -> Goal:
+        """Return the goal for a drive that begins after `driven` m of the way."""
+        return replace(self, way=max(self.way - driven, 0.0)) if self.way > 0.0 else self
+
     def holds_place(self, x: float, y: float) -> bool:
         """Return whether the point lies in one of the regions; True if there is no region."""
         return not self.regions or any(inside(x, y, region) for region in self.regions)
 
     def reached(self, t: float, x: float, y: float, yaw: float, v: float) -> bool:
-        """Whether a state (box centre) satisfies the goal, or one of its alternatives."""
+        """Whether a state (box centre) satisfies the goal, or one of its alternatives; its `way` is not tested."""
         if self.alternatives:
             return any(one.reached(t, x, y, yaw, v) for one in self.alternatives)
         if self.t is not None and not self.t[0] - 1e-9 <= t <= self.t[1] + 1e-9:

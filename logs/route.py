@@ -1,4 +1,4 @@
-"""Route: the cheapest sequence of lanes from the ego to the goal; and a rule for whether a car is on a lane.
+"""Route: the cheapest sequence of lanes from the ego to the goal; why none leads there; when a car is on a lane.
 
 Dynamic programming over the lane graph (paper, section II-F: "DP for global planning"), in Dijkstra's order, from the
 goal backwards:
@@ -18,6 +18,8 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
+from enum import Enum
+from itertools import pairwise
 from math import atan2, cos, hypot, inf, pi, sin
 
 import numpy as np
@@ -25,7 +27,7 @@ import numpy as np
 from logs.kernel import TIE, BoolArray, FloatArray, kernel
 from logs.road import Goal, Lane, Road, inside, nearest
 from logs.shapes import point_segment
-from logs.states import EgoState, wrap
+from logs.states import EgoState, Trajectory, wrap
 
 LANE_CHANGE_M = 50.0
 """Cost of a lane change, in metres of detour."""
@@ -125,13 +127,129 @@ def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
         for lane in road.lanes.values():
             near = (lane.polygon.max(axis=0) >= region.min(axis=0)) & (lane.polygon.min(axis=0) <= region.max(axis=0))
             if lane.drivable and near.all():
-                chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))]
-                at = np.union1d(chord, np.arange(0.0, chord[-1], 1.0))
-                x, y = (np.interp(at, chord, lane.center[:, k]) for k in (0, 1))
-                through += [lane.id] if _any_within(x, y, region) else []
+                through += [lane.id] if _meets(sampled(lane.center), (region,)) else []
         middle = road.lanes_at(*region.mean(axis=0))
         found.update(through or [lane.id for lane in middle if lane.drivable])
     return frozenset(found)
+
+
+AWAY_M = 5.0
+"""A driver who leaves the goal by less than this and comes back has not been away, m."""
+LAP_M = 1.0
+"""Two laps of a lane that are this far apart, or less, are one place, m."""
+
+
+class GoalFault(Enum):
+    """Why no drive shows whether a planner reaches a goal; the value is the sentence that the user reads."""
+
+    AT_START = "nothing is to be driven: the ego is at the goal when the drive begins"
+    BEHIND = "no route leads to the goal: it lies behind the ego, and no lanes lead back to it"
+    NO_LANE = "no route leads to the goal: it is on no lane"
+    NO_ROUTE = "no route leads to the goal: no lanes lead from the ego to it"
+
+
+def goal_fault(road: Road, drive: Trajectory, goal: Goal, ahead: float) -> GoalFault | None:
+    """Return why a goal cannot be driven to from the first state of a log's drive; None if it can.
+
+    Args:
+        road: The road.
+        drive: The log's drive; if it comes to the goal again after its start, the goal counts from then on.
+        goal: The goal.
+        ahead: Distance from the rear axle to the middle of the ego's box, m.
+    """
+    ego, regions = drive.state(0), goal.regions
+    x, y = ego.x + ahead * cos(ego.yaw), ego.y + ahead * sin(ego.yaw)
+    asks = bool(regions) or any(bound is not None for bound in (goal.t, goal.v, goal.yaw))
+    returns = goal.way > 0.0 or counting_stay(goal, drive, ahead) is not None
+    if asks and not returns and goal.reached(ego.t, x, y, ego.yaw, ego.v):
+        return GoalFault.AT_START
+    if not regions or returns or goal.holds_place(x, y):
+        return None
+    beside, onward = list(start_lanes(road, ego)), set[int]()
+    for lane in (road.lanes[i] for i in beside):  # the list grows: lanes that are side by side with the ego's
+        sides = (lane.left_neighbour, lane.left_crossable), (lane.right_neighbour, lane.right_crossable)
+        near = [i for i, crossable in sides if i is not None and crossable and i in road.lanes and i not in beside]
+        beside += [i for i in near if road.lanes[i].drivable]
+        onward |= set(lane.successors)
+    lanes = goal_lanes(road, goal)
+    if onward & costs_to_go(road, goal).keys():
+        return None
+    for line in (sampled(road.lanes[i].center) for i in beside if i in lanes):
+        here = first_nearest(line, x, y)
+        if _meets(line[here:], regions) or any(nearest(line, *region.mean(axis=0)) > here for region in regions):
+            return None
+    corners = np.vstack(regions) - (ego.x, ego.y)
+    if lanes & set(beside) or (corners @ (cos(ego.yaw), sin(ego.yaw))).max() < 0.0:
+        return GoalFault.BEHIND
+    return GoalFault.NO_ROUTE if lanes else GoalFault.NO_LANE
+
+
+Stay = tuple[int, int, frozenset[int]]
+"""First and last sample of a stay at a goal, and the indices of the regions that hold the ego in it."""
+
+
+def visits(goal: Goal, drive: Trajectory, ahead: float) -> list[Stay]:
+    """Return the stays of a drive at a goal: in its place, all its bounds met once. A goal without a place has none.
+
+    Two stays in a region are one if the drive is never `AWAY_M` away between them.
+    """
+    x, y = drive.x + ahead * np.cos(drive.yaw), drive.y + ahead * np.sin(drive.yaw)
+    found = list[Stay]()
+    for i, region in enumerate(goal.regions):
+        (left, low), (right, high) = region.min(axis=0), region.max(axis=0)
+        near = np.flatnonzero((x >= left) & (x <= right) & (y >= low) & (y <= high)).tolist()
+        within = [k for k in near if inside(float(x[k]), float(y[k]), region)]
+        gone = [np.hypot(x[a:b] - x[a], y[a:b] - y[a]).max() >= AWAY_M for a, b in pairwise(within)]
+        cuts = [0, *(k + 1 for k, away in enumerate(gone) if away), len(within)]
+        stays = (within[a:b] for a, b in pairwise(cuts) if b > a)
+        states = [drive.t, x, y, drive.yaw, drive.v]
+        found += [
+            (stay[0], stay[-1], frozenset({i}))
+            for stay in stays
+            if any(goal.reached(*(float(column[k]) for column in states)) for k in stay)
+        ]
+    joined = list[Stay]()
+    for first, last, held in sorted(found, key=lambda stay: stay[:2]):
+        if joined and first <= joined[-1][1] + 1:
+            joined[-1] = joined[-1][0], max(last, joined[-1][1]), joined[-1][2] | held
+        else:
+            joined.append((first, last, held))
+    return joined
+
+
+def counting_stay(goal: Goal, drive: Trajectory, ahead: float) -> tuple[int, int] | None:
+    """Return when a drive leaves a goal without having arrived, and when it comes to it then: two samples.
+
+    This is before its last stay in a region where it has been before, else after the stay in which it begins. None: its
+    first stay counts, or it has none.
+    """
+    stays = visits(goal, drive, ahead)
+    again = [k for k, (_, _, here) in enumerate(stays) if any(here & before for _, _, before in stays[:k])]
+    begins = [1] if len(stays) > 1 and stays[0][0] == 0 else []
+    k = max((*again, *begins), default=0)
+    return (stays[k - 1][1], stays[k][0]) if k else None
+
+
+def sampled(line: FloatArray) -> FloatArray:
+    """Return a line `(n, 2)` with further points, so that there is one every 1 m."""
+    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    at = np.union1d(chord, np.arange(0.0, chord[-1], 1.0))
+    return np.column_stack([np.interp(at, chord, line[:, k]) for k in (0, 1)])
+
+
+def first_nearest(line: FloatArray, x: float, y: float) -> int:
+    """Return the index of the point of a line `(n, 2)` nearest to (x, y); of several laps, on the first one."""
+    away = np.hypot(line[:, 0] - x, line[:, 1] - y)
+    near = away <= away.min() + LAP_M
+    first = int(np.argmax(near))
+    end = first + int(np.argmin(near[first:])) if not near[first:].all() else len(line)
+    return first + int(np.argmin(away[first:end]))
+
+
+def _meets(line: FloatArray, regions: tuple[FloatArray, ...]) -> bool:
+    """Return whether a point of a line `(n, 2)` lies in one of the regions, not on its edge."""
+    x, y = np.ascontiguousarray(line.T)
+    return any(_any_within(x, y, region) for region in regions)
 
 
 @kernel

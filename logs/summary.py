@@ -19,6 +19,7 @@ from logs.observed import ENOUGH, MAX_AGE_S, Spans, clipped, described
 from logs.readers import LogSettings, read_log, reader_of
 from logs.readers.base import Contents, TopicSummary
 from logs.road import Goal, RoadSource
+from logs.route import goal_fault
 from logs.scenario import Scenario
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
@@ -227,11 +228,14 @@ def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, .
     }
     detail = {"stop line": " with a light", "lane": " giving way"}
     rules = ", ".join(f"{counted(count, name)}{detail.get(name, '')}" for name, count in counts.items() if count)
+    goal = scenario.goal
+    fault = goal and goal_fault(road, ego, goal, scenario.vehicle.axle_to_center)
+    named = "no goal" if goal is None else fault.value if fault else "named in the log"
     return (
         Evaluation("open loop against the driven ego", len(ego) > 1, compared),
         Evaluation("closed loop", scenario.duration > 0.0, lasting),
         Evaluation("collisions, gaps, time to collision", len(tracks) > 0 and met, others),
-        Evaluation("goal reached", scenario.goal is not None, "named in the log" if scenario.goal else "no goal"),
+        Evaluation("goal reached", goal is not None and fault is None, named),
         Evaluation("off road, lane keeping", lanes, road.source.value),
         Evaluation("speed limits", lanes and unlimited < len(road.lanes), limits if lanes else "no lanes"),
         Evaluation("lights, stop signs, crosswalks, right of way", bool(rules), rules or "the log names none"),

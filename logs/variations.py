@@ -192,8 +192,9 @@ def ego_start(scenario: Scenario, agents: Sequence[str], value: float) -> Scenar
         x, y, yaw, kappa = start.x + value * cos(start.yaw), start.y + value * sin(start.yaw), start.yaw, 0.0
     else:
         x, y, yaw, kappa = driven_line(scenario).frame(value)
-    columns = (start.t, x, y, yaw, start.v, 0.0, kappa)
-    return replace(scenario, ego=Trajectory(*(np.array([value]) for value in columns)))  # (4)
+    columns, goal = (start.t, x, y, yaw, start.v, 0.0, kappa), scenario.goal
+    goal = goal and goal.after(value)
+    return replace(scenario, ego=Trajectory(*(np.array([value]) for value in columns)), goal=goal)  # (4)
 
 
 def ego_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:

@@ -24,6 +24,7 @@ from logs.memory import light
 from logs.scenario import Scenario
 from logs.trace import Trace
 from metrics import (
+    arrival,
     comfort,
     cut_in,
     effort,
@@ -93,8 +94,9 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "plans": (proposals.PLAN_SCORE, proposals.PLAN_PROGRESS, proposals.PLAN_KEPT, proposals.PLAN_KEPT_LATERAL),
     "evidence": (
-        evidence.COVERAGE, evidence.EVIDENCE, evidence.AGENT_INTERVAL, evidence.REPLAY_CONTACT,
-        evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED, evidence.PHANTOM,
+        evidence.COVERAGE, progress.COVERED, arrival.GOAL_ROUTE,
+        evidence.EVIDENCE, evidence.AGENT_INTERVAL, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED,
+        evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED, evidence.PHANTOM,
         evidence.DIVERGENCE, evidence.WEAK, evidence.DISPLACED,
     ),
     "reference": reference_drivers.REFERENCE,

@@ -30,12 +30,14 @@ The other road users, between samples of a track:
 (21) velocity     the chords of a road user are more than `TURNED_RAD` off its velocity in the median
 (19) short tracks more than `SHORT_SHARE` of the tracks of vehicles have fewer than `SHORT` samples
 
-The map and the lights:
+The map, the lights and the goal:
 
 (14) off the map  more than `OFF_SHARE` of the ego's states lie on no drivable lane
 (15) lane graph   a lane follows itself, or begins more than `APART_M` from the end of one that it follows; lanes whose
     successors are all missing in the map are its edge, unless they are more than `EDGE` of all lanes
 (16) lights       a light that no stop line names; on a road without stop lines, all lights are one finding
+(22) goal         it cannot be driven to (`logs.route.GoalFault`), or the log's driver passes it almost at once
+    (`metrics.arrival.passed_early`)
 """
 
 from __future__ import annotations
@@ -57,6 +59,7 @@ from logs.observed import MAX_AGE_S, clipped
 from logs.road import RoadSource
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import wrapped
+from metrics.arrival import fault_of, passed_early
 from metrics.boxes import name_of, phantoms, pieces
 
 EGO_GAP_S = 0.5  # As long as a frequently sampled agent may be unobserved (`logs.observed`), s
@@ -131,6 +134,7 @@ class Kind(Enum):
     OFF_MAP = "off the map", "lanes, limits, off road and rules do not fit what was driven"
     LANE_GRAPH = "lane graph", "routes may end early or go in a circle"
     LIGHT = "light without a lane", "no car is asked to stop at it: red lights run are not counted"
+    GOAL = "goal", "a drive shows nothing about the way to it, or almost nothing: the verdict is inconclusive"
     TRAFFIC = "traffic not recorded", "gaps and contacts of what is driven then are no evidence of safety"
 
     def __new__(cls, word: str, effect: str) -> Kind:
@@ -145,7 +149,7 @@ class Finding:
     """One fault of a log, from `t_from` to `t_to`, s since the scenario's start.
 
     Attributes:
-        topic: The part of the scenario: "ego", "agents", "road", "lights".
+        topic: The part of the scenario: "ego", "agents", "road", "lights", "goal".
         who: The agent, lane or light, or "".
         unit: Unit of the value: "m", "s", "rad", "x" (a factor), "1" (a count or a share).
     """
@@ -577,8 +581,19 @@ def lights(scenario: Scenario) -> Iterator[Finding]:
             yield Finding(Kind.LIGHT, "lights", str(light.id), light.t[0], end, 1.0, "1", text)
 
 
+def goals(scenario: Scenario) -> Iterator[Finding]:
+    """Find goals that no drive can show anything about (22)."""
+    begin, end = float(scenario.ego.t[0]), scenario.duration
+    if fault := fault_of(scenario):
+        yield Finding(Kind.GOAL, "goal", "", begin, end, 0.0, "1", fault.value)
+    elif early := passed_early(scenario):
+        text = f"the log's driver passes the goal after {early[0] - begin:.1f} s: {early[1]:.0%} of the log"
+        yield Finding(Kind.GOAL, "goal", "", early[0], end, early[1], "1", text)
+
+
 CHECKS: tuple[Callable[[Scenario], Iterable[Finding]], ...] = (
     ghosts, ego_gaps, ego_jumps, ego_speed, ego_heading, flickering, id_switches, teleports, speeds, heading_flips,
     agent_headings, velocity_directions, across, short_tracks, twins, sizes, unrecorded, off_map, lane_graph, lights,
+    goals,
 )  # fmt: skip
 """All checks, in the order of the report."""

@@ -14,6 +14,9 @@ Circles and driving back gain nothing. A position that jumps, or a foot that jum
 comes near itself, gains or loses no more than the ego could have driven. The factor 2 allows for the inside of
 bends (station' = v / (1 - kappa l), kappa l up to 0.5), the 0.1 m for noise in recorded positions.
 
+(d) way = the gain from which on the goal's place counts: `Goal.way` if it is above 0; else, if the log's driver leaves
+    the place and comes back, the middle between the gains where they leave and come (`counting_stay`); else 0
+
 With the gain of a drive along the route; the yardstick is the whole log, even if the drive was shorter:
 
 (1) route_progress(t) = gain(t) / gain of the log's driver at the log's end
@@ -22,7 +25,8 @@ With the gain of a drive along the route; the yardstick is the whole log, even i
     log has no lanes: its lane is then not what was driven (`logs.mcap.complete`)
 (2) progress = min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c;  c = 2 m      (nuPlan)
 (3) completion = gain / length of the route, in 0 .. 1                                                   (CARLA)
-    all three: at least 1 if the drive ended in the goal's region, unless more than 2 m of its gain were cut
+    all three: at least 1 if the drive ended in the goal's region, unless more than 2 m of its gain were cut, or (8) is
+    below LEAST_COVERED
 (4) distance(t) = length of the path of the rear axle driven since the start
 (5) speed_excess(t) = max(v - max(limit, held(t)), 0),  speed_ratio(t) = v / limit - 1
     held(t) = v_0 - EASE_MPS2 max(t - t_0 - SETTLE_S, 0) if the drive begins above the limit, else 0: an initial excess
@@ -31,6 +35,9 @@ With the gain of a drive along the route; the yardstick is the whole log, even i
     where the log has no limit: the assumed limit may be one step of signs too low, and the driver may have known it
 (6) speed_limit_compliance = max(0, 1 - integral of (5) dt / (2.23 m/s T)),  T the time on lanes with a limit  (nuPlan)
 (7) a goal is unreachable if it is farther than a vehicle drives in the time, accelerating at 9.81 m/s2 up to 70 m/s
+(8) covered = max(duration of the drive / duration of the log, gain / gain of the log's driver, without a logged drive
+    of 2 m: gain / length of the route) of a drive that ended at a goal that is a place; 1 where it ended with the log,
+    or at a goal without a place
 """
 
 from __future__ import annotations
@@ -44,7 +51,7 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.mcap.complete import MIN_PATH
 from logs.road import Goal, ReferenceLine, Road, RoadSource, inside, line_project_many, thinned
-from logs.route import find_route, straight_on
+from logs.route import counting_stay, find_route, first_nearest, straight_on
 from logs.scenario import Scenario
 from logs.shapes import point_segment
 from logs.states import Trajectory
@@ -66,10 +73,12 @@ class Route:
     """The line (a) of a scenario, from its first state.
 
     `length`, m, ends where the line enters the goal, else at the end of the log's drive; NaN if there is neither.
+    `way` is the gain from which on the goal counts (d), m.
     """
 
     line: ReferenceLine
     length: float
+    way: float = 0.0
 
     @cached_property
     def window(self) -> float:
@@ -83,10 +92,14 @@ class Route:
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """Gain (c) of a drive at its steps `(n,)`, negative if it drove back, and `cut`, the way forward not counted; m."""
+    """Gain (c) of a drive at its steps `(n,)`, negative if it drove back; `cut`, the way forward not counted; m.
+
+    `station` is that of the last step, m.
+    """
 
     metres: FloatArray
     cut: float
+    station: float = 0.0
 
 
 def route_of(scenario: Scenario) -> Route:
@@ -110,30 +123,41 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
                 skipped = CHANGE_M
                 continue
             if not begun:
-                center = center[int(np.argmin(np.hypot(center[:, 0] - end.x, center[:, 1] - end.y))) :]
+                away = np.hypot(center[:, 0] - end.x, center[:, 1] - end.y)
+                center = center[int(np.argmin(away)) if len(log) > 1 else first_nearest(center, end.x, end.y) :]
             chord, begun = np.r_[0.0, np.cumsum(np.hypot(*np.diff(center, axis=0).T))], True
             points, skipped = np.vstack([points, center[chord >= skipped]]), max(skipped - float(chord[-1]), 0.0)
         onward = thinned(points, SPACING_M) if len(points) else onward
     line = ReferenceLine.through(np.vstack([path, onward]), SPACING_M)
     driven = float(np.hypot(*np.diff(path, axis=0).T).sum())
     regions = goal.regions if goal else ()
+    way = way_of(goal, log, Route(line, np.nan), axle_to_center) if goal else 0.0
     for s, (x, y) in zip(line.s[1:].tolist(), line.xy[1:].tolist(), strict=True) if regions else ():
-        if any(inside(x, y, region) for region in regions):
-            return Route(line, max(s - axle_to_center, SPACING_M))
-    return Route(line, driven if driven >= SHORTEST_M else np.nan)
+        if s - axle_to_center >= way and any(inside(x, y, region) for region in regions):
+            return Route(line, max(s - axle_to_center, SPACING_M), way)
+    return Route(line, driven if driven >= SHORTEST_M else np.nan, way)
+
+
+def way_of(goal: Goal, log: Trajectory, route: Route, axle_to_center: float) -> float:
+    """Return the gain along a route from which on a goal counts (d), m."""
+    if goal.way > 0.0 or (stay := counting_stay(goal, log, axle_to_center)) is None:
+        return goal.way
+    return max(float(gain_along(route, log).metres[list(stay)].mean()), 0.0)
 
 
 @last(2)  # the log's drive and the one that is judged
-def gain_along(route: Route, drive: Trajectory) -> Gain:
-    """Return the gain (c) of a drive along a route."""
-    station = line_project_many(route.line.s, route.line.coef, drive.x, drive.y, 0.0, route.window)[:, 0]  # (b)
+def gain_along(route: Route, drive: Trajectory, begin: float = 0.0) -> Gain:
+    """Return the gain (c) of a drive along a route; the search for its first station begins at `begin`, m."""
+    station = line_project_many(route.line.s, route.line.coef, drive.x, drive.y, begin, route.window)[:, 0]  # (b)
     step = np.diff(station)
     reach = STRETCH * np.maximum(np.abs(drive.v[1:]), np.abs(drive.v[:-1])) * np.diff(drive.t)
     counted = np.where(np.abs(step) > reach + SLACK_M, np.copysign(reach, step), step)
-    return Gain(np.r_[0.0, np.cumsum(counted)], float(np.maximum(step - counted, 0.0).sum()))
+    cut = float(np.maximum(step - counted, 0.0).sum())
+    return Gain(np.r_[0.0, np.cumsum(counted)], cut, float(station[-1]))
 
 
 FLOOR_M = 2.0
+LEAST_COVERED = 0.2  # A drive that covers less of its log shows almost nothing
 EXCESS_MPS = 2.23  # 5 mph
 OVER_MPS, OVER_RATIO = 1.0, 0.1
 FOLLOWER_M = "reference_follower.gain_m"  # Key of the metadata: gain of the route follower, m
@@ -188,10 +212,32 @@ def _completion(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _full_at_goal(trace: Trace, scenario: Scenario, gain: Gain, share: FloatArray) -> FloatArray:
-    """Raise the last share `(n,)` to 1 if the drive ended in the goal's region and at most 2 m of its gain were cut."""
+    """Raise the last share `(n,)` to 1 if the drive ended in the goal's region, except as the module docstring says."""
     if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M and not _is_time_only(scenario.goal):
-        share[-1] = max(share[-1], 1.0)
+        share[-1] = max(share[-1], 1.0) if covered(trace, scenario) >= LEAST_COVERED else share[-1]
     return share
+
+
+def covered(trace: Trace, scenario: Scenario) -> float:
+    """Return the share (8) of the log that a drive covers; NaN if it ended neither at the goal nor with the log."""
+    if trace.end is not EndReason.GOAL:
+        return 1.0 if trace.end is EndReason.END_OF_LOG else np.nan
+    if scenario.goal is not None and not scenario.goal.regions:
+        return 1.0
+    route, first = route_of(scenario), float(trace.ego.t[0])
+    logged = float(gain_along(route, scenario.ego).metres[-1])
+    whole = logged if logged >= FLOOR_M else route.length
+    time = (float(trace.ego.t[-1]) - first) / max(scenario.duration - first, 1e-9)
+    distance = float(gain_along(route, trace.ego).metres[-1]) / whole
+    return float(np.clip(np.nanmax([time, distance]), 0.0, 1.0))
+
+
+def _covered(trace: Trace, scenario: Scenario) -> Measured:
+    share = covered(trace, scenario)
+    if np.isnan(share):
+        return Unavailable(f"the drive ended early: {trace.end.value}")
+    label = "" if share == 1.0 else f"the goal is reached after {share:.0%} of the log"
+    return Series(trace.ego.t[-1:], np.array([share]), (label,))
 
 
 def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False, all_of_it: bool = False) -> Measured:
@@ -272,6 +318,12 @@ def _goal(trace: Trace, scenario: Scenario) -> Measured:
 
 
 _CLOSED = (Mode.CLOSED,)
+COVERED = Metric(
+    "covered", "1", "higher", _CLOSED, _covered, (metric.FINAL,),
+    "Share of the log that the drive covers, by time or by distance, whichever is more; 1 where it ended with the log.",
+    formula="max(duration / duration of the log, gain / gain of the log's driver, else / length of the route)",
+    needs="a drive that ended at the goal or with the log",
+)  # fmt: skip
 _LIMITS = "lanes with speed limits under the ego"
 DISTANCE = Metric(
     "distance", "m", "none", _CLOSED, _distance, (metric.FINAL,), "Distance driven by the rear axle.",

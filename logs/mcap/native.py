@@ -68,6 +68,7 @@ UNITS = {
     "steer_lag": "s", "max_accel": "mps2", "max_power": "w_per_kg", "max_decel": "mps2", "throttle_lag": "s",
     "brake_lag": "s", "drag": "per_m", "rolling": "mps2", "cog_height": "m", "brake_delay": "s", "wheel_radius": "m",
     "motor_speed": "radps", "motor_torque": "nm", "motor_overrun": "nm", "shift_time": "s", "begin": "s", "end": "s",
+    "way": "m",
 }  # fmt: skip
 """Unit of each name in code; a name that is not here has none."""
 
@@ -231,13 +232,17 @@ class GoalAlternative(msgspec.Struct, rename=serialised):
 
 
 class Goal(msgspec.Struct, rename=serialised):
-    """Where (any region), when, how fast, in which direction to arrive (null, empty: free); or one of alternatives."""
+    """Where (any region), when, how fast, in which direction to arrive (null, empty: free); or one of alternatives.
+
+    It counts from a gain along the route on (way).
+    """
 
     regions: list[Region] = []
     t: Pair | None = None
     v: Pair | None = None
     yaw: Pair | None = None
     alternatives: list[GoalAlternative] = []
+    way: float = 0.0
 
 
 Vehicle = msgspec.defstruct(

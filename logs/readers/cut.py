@@ -62,6 +62,8 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
     goal = scenario.goal
     if goal is not None:
         goal = goal.changed(lambda one: replace(one, t=one.t and (one.t[0] - begin, one.t[1] - begin)))
+        past = ego.between(-inf, first)
+        goal = goal.after(float(np.hypot(np.diff(past.x), np.diff(past.y)).sum()))
     controls = scenario.controls
     if controls is not None:
         keep = (controls.t >= begin) & (controls.t <= end)

@@ -8,6 +8,9 @@ excuses progress, and safety values about that road user. Progress is also excus
 is excused, or if a phantom of the log stops the route follower too. A drive in which the planner failed is never
 excused.
 
+The goal is not asked of a drive to which no lanes lead (`GOAL_ROUTE`), nor progress of a drive that ended at its goal
+after almost nothing (`COVERED`).
+
 The yardsticks of a `reachable` gate are the recorded driver, and the route follower (`REFERENCES`) and all other
 planners of the run if their drives pass the gates on safety and rules. The careful driver is no yardstick, because it
 ignores traffic rules.
@@ -32,6 +35,7 @@ from typing import NamedTuple
 
 from metrics import GROUPS, METRICS
 from metrics.judge.gates import Gate, unit_of
+from metrics.progress import LEAST_COVERED
 
 REFERENCE = "reference"  # Mode of the rows of reference drives
 DRIVER, CAREFUL, FOLLOWER = "driver", "careful", "follower"
@@ -42,6 +46,7 @@ NO_COLLISION = Gate("collision_at_fault.count", max=0.0)  # A collision ends a d
 SAME_S, SLOWER_MPS, WORSE = 2.0, 1.0, 1.5
 """A value at another time (`CC_TTC_S` of the careful driver), or a clearly harder impact, is another event. A value
 that is more than `WORSE` times as far out of bounds as the reference drive's is not explained by the same event."""
+COVERED, GOAL_ROUTE = Gate("covered.final", min=LEAST_COVERED), Gate("goal_route.final", min=1.0)
 REPLAY_CONTACT, IMPACT, PHANTOMS = "replay_contact.final", "collision_severity.impact_speed.max", "phantom.count"
 EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"safety": (DRIVER, CAREFUL), "rules": (DRIVER,), "comfort": (CAREFUL,)}
@@ -134,6 +139,10 @@ def excuse(case: Case) -> str:
     gate, group, row = case.gate, group_of(case.gate), case.row(case.gate.metric)
     if case.crashed:
         return ""
+    for asked, concerns in ((GOAL_ROUTE, gate.reachable), (COVERED, group == "progress")):
+        found = case.row(asked.metric)
+        if concerns and found.known and asked.margin(found.value) < 0.0:
+            return found.reason
     if gate.reachable and not _any_yardstick_holds(case):
         return "no yardstick stays within it: neither the recorded driver, the route follower nor another planner"
     contact, crash, phantom = (case.row(name) for name in (REPLAY_CONTACT, NO_COLLISION.metric, PHANTOMS))

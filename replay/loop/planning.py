@@ -12,17 +12,16 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import zip_longest
-from math import cos, hypot, sin
 
 import numpy as np
 
 from logs.errors import ConfigError, PlannerError, ReplanError, raised
 from logs.frame import Frame, PlannerContext
-from logs.road import Goal, RoadSource
+from logs.road import RoadSource
 from logs.scenario import Scenario
-from logs.shapes import corners
 from logs.states import TRAJECTORY_COLUMNS, EgoState
 from logs.trace import EndReason, Plan, Trace
+from metrics.arrival import goal_of
 from planners.base import Planner
 from replay.config import LoopConfig
 from replay.drive import BATCHED, FIRST, NOT_DETERMINISTIC, TRUSTED, DriveKey, StageTime, Stopwatch
@@ -31,9 +30,6 @@ from replay.oracle import ORACLES
 from replay.planner_process.connection import ApartPlanner, FaultError, current_log
 from replay.planner_process.planner_config import is_apart, is_built_in, planner_factory, prepared
 
-SHORTEST_DRIVE_M = 10.0
-"""The end of a drive becomes the goal only if it is at least this far from the start."""
-GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
 DRIVEN_PATH_NOTE = (
     "the road is the driven path: the planner knows where the log's driver went; open-loop errors across the path say"
     " nothing"
@@ -147,19 +143,6 @@ def _breach(plan: object, frame: Frame) -> str:
     if plan.status.is_fallback and not plan.reason:
         return f"its status is '{plan.status.value}' without a reason"
     return ""
-
-
-def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
-    """Return the scenario's goal, or the place where its drive ended and a note."""
-    if scenario.goal is not None:
-        return scenario.goal, ""
-    first, last = scenario.ego.state(0), scenario.ego.state(len(scenario.ego) - 1)
-    if hypot(last.x - first.x, last.y - first.y) < SHORTEST_DRIVE_M:
-        return None, ""
-    ahead = scenario.vehicle.axle_to_center
-    x, y = last.x + ahead * cos(last.yaw), last.y + ahead * sin(last.yaw)
-    place = corners(x, y, last.yaw, GOAL_LENGTH_M, GOAL_WIDTH_M)
-    return Goal((np.asarray(place),)), "the log names no goal: the place where its drive ended is the goal"
 
 
 def with_probe(trace: Trace, again: Trace, until_s: float) -> Trace:

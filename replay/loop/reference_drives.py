@@ -31,9 +31,10 @@ import metrics
 from logs.road import Goal, ReferenceLine, Road
 from logs.route import find_route
 from logs.scenario import FINDING, Scenario
-from logs.states import EgoState, Trajectory
+from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import GROUPS, METRICS
+from metrics.arrival import Arrival, goal_of
 from metrics.boxes import ego_boxes, name_of, phantoms, without_phantoms
 from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
 from metrics.metric import FINAL, Series, once
@@ -154,15 +155,15 @@ def _end_drive(name: str, ego: Trajectory, scenario: Scenario) -> Trace:
     agents = without_phantoms(scenario.tracks, phantoms(scenario))
     whole = Trace(scenario.name, name, Mode.CLOSED, True, ego, agents, (), EndReason.END_OF_LOG)
     ends: list[tuple[int, EndReason, str]] = []
-    goal = scenario.goal
+    goal = goal_of(scenario)[0] if scenario.goal is not None else None
     if goal is not None:
         x, y = ego_boxes(ego, scenario)[:2]
         near = np.full(len(x), not goal.regions)
         for region in goal.regions:
             (low_x, low_y), (high_x, high_y) = region.min(axis=0), region.max(axis=0)
             near |= (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
-        states = np.column_stack([ego.t, x, y, ego.yaw, ego.v])
-        reached = next((k for k in np.flatnonzero(near).tolist() if goal.reached(*states[k].tolist())), None)
+        rows, arrival = np.column_stack([getattr(ego, name) for name in TRAJECTORY_COLUMNS]), Arrival(scenario, goal)
+        reached = next((k for k in np.flatnonzero(near).tolist() if arrival.at(rows, k)), None)
         if reached is not None:
             ends.append((reached, EndReason.GOAL, ""))
     for contact in contacts(whole, scenario)[:1]:

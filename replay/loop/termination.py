@@ -18,6 +18,7 @@ from logs.scenario import Scenario, Tracks
 from logs.shapes import point_segment
 from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
 from logs.trace import EndReason
+from metrics.arrival import Arrival
 from metrics.boxes import name_of, phantoms, without_phantoms
 from metrics.cut_in import LOOK_BACK_S
 from metrics.safety import classify
@@ -100,7 +101,7 @@ class Termination:
 
     Args:
         scenario: The scenario.
-        goal: Where the drive should end (the scenario's own, or one made for it); None: nowhere.
+        goal: Where the drive should end, and its way (`metrics.arrival.goal_of`); None: nowhere.
         start: The ego at the start, so that it is known whether it begins on the road.
     """
 
@@ -108,7 +109,7 @@ class Termination:
         self._scenario, self._car = scenario, ego_box(scenario.vehicle)
         if goal is not None and not goal.regions and goal.t is None and goal.v is None and goal.yaw is None:
             goal = None  # a goal without conditions is ignored: it would always be reached
-        self._goal = goal
+        self._arrival = None if goal is None else Arrival(scenario, goal)
         self._near = (np.nan,) * 4  # least and greatest x and y at which the goal may be reached; NaN: there is none
         if goal is not None:
             self._near = -inf, inf, -inf, inf
@@ -151,11 +152,10 @@ class Termination:
                     if worst.at_fault:
                         return Ended(k, EndReason.COLLISION, name)
                     return Ended(k, EndReason.REPLAY_CONTACT, f"{name}: {worst.kind.value}")
-            ego = state_at(rows, k)
-            x, y = box_center(ego, self._scenario.vehicle)
-            if self._goal is not None and self._goal.reached(ego.t, x, y, ego.yaw, ego.v):
+            if self._arrival is not None and self._arrival.at(rows, k):
                 return Ended(k, EndReason.GOAL, "")
             if off > CRACK_M:
+                x, y = box_center(state_at(rows, k), self._scenario.vehicle)
                 return Ended(k, EndReason.OFF_ROAD, f"box centre {off:.1f} m off the lanes at ({x:.1f}, {y:.1f})")
             first = k + 1
         return None

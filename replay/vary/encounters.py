@@ -24,9 +24,9 @@ from logs.names import ShortNames
 from logs.readers import LogSettings
 from logs.scenario import Scenario
 from logs.shapes import clearance, time_to_contact
+from metrics.arrival import goal_of
 from metrics.boxes import NO_TTC_MPS, Car, Others, car_of, ego_boxes, others_at, phantoms, without_phantoms
 from metrics.encounters import CROSSING_RAD, encroachment, may_meet
-from replay.loop.planning import goal_of
 from replay.loop.reference_drives import reference_drives
 from replay.run.sources import LogSource
 from replay.vary.axes import Question, question

@@ -22,7 +22,7 @@ FIELDS = {
     " right_crossable kind right_opposite yields_to",
     "stop_lines": "id lane points light must_stop towards",
     "crosswalks": "id polygon",
-    "goal": "regions t v yaw alternatives",
+    "goal": "regions t v yaw alternatives way",
     "start": "t x y yaw v a kappa steer yaw_rate v_lat",
 }
 """Of a context in messages of version 1, in their order."""

@@ -54,6 +54,9 @@ POSITION_FLOOR_M, VELOCITY_FLOOR_MPS = 1e-4, 1e-3
 """Least noise: far below the resolution of logs, far above rounding."""
 POSITION_UNKNOWN_M, VELOCITY_UNKNOWN_MPS = 0.05, 0.2
 """Noise of tracks with too few samples for an estimate: that of a good tracker."""
+TIGHTEST_M = 5.0
+"""Radius of the tightest curve that cars drive. Slow road users seem to turn faster: a small error of the velocity's
+direction is a large one of its rate."""
 _DIFFUSE = np.array([1e6, 1e3])
 """Variances of the first position (relative to the first sample), m2, and velocity, m2/s2: both are unknown."""
 _NEGLIGIBLE = 1e-9
@@ -75,6 +78,14 @@ class Motion:
         speed = np.hypot(self.vx, self.vy)
         along = self.ax * self.vx + self.ay * self.vy
         return np.divide(along, speed, out=np.zeros(len(speed)), where=speed > 0.0)
+
+    @cached_property
+    def turn(self) -> FloatArray:
+        """Rate of the velocity's direction `(m,)`, rad/s, at most that of a circle of `TIGHTEST_M`; 0 at a stand."""
+        square = self.vx**2 + self.vy**2
+        across = self.vx * self.ay - self.vy * self.ax
+        most = np.sqrt(square) / TIGHTEST_M
+        return np.clip(np.divide(across, square, out=np.zeros(len(square)), where=square > 0.0), -most, most)
 
 
 def estimated(

@@ -23,17 +23,18 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.scenario import Scenario, Tracks
-from logs.shapes import overlap, time_to_contact
+from logs.shapes import overlap, time_to_contact_turning
 from logs.states import Trajectory
 from logs.trace import Trace
 from metrics.metric import last, once
 
 GRID_S = 0.1  # Time step of metrics that do not use every step of the drive, s
-MOST_CELLS = 1_000_000  # Most (agent, time) pairs in memory at once: 49 bytes each
+MOST_CELLS = 1_000_000  # Most (agent, time) pairs in memory at once: 57 bytes each
 PIECE_STEPS = 4096  # Steps of a piece of a longer drive, unless that exceeds `MOST_CELLS`
 BEHIND = cos(150.0 / 180.0 * np.pi)
 STANDING_MPS = 0.05  # nuPlan devkit e9241677: a road user at this speed or below stands
 NO_TTC_MPS = 0.005  # Likewise: an ego at this speed or below has no time to collision
+TURN_S = 1.5  # Time for which turning road users go on turning: they end their turns, and 1.5 s is a critical TTC
 AROUND_S = 1.0  # Margin before and after a phantom: above `logs.observed.MAX_GAP_S`, so that every track gets a gap
 FINE_S = 0.05  # Time step of the search for phantoms, s
 DEEP_M = 0.3  # Depth that a phantom reaches into the ego's box on each side; a box that only grazes it is no phantom
@@ -46,12 +47,14 @@ class Others(NamedTuple):
         there: `(n, k)` whether the agent is present.
         pose: `(5, n, k)`: x, y (box centre, m), yaw (rad), vx, vy (m/s); NaN while absent.
         accel: `(n, k)` rate of the speed, m/s2; NaN while absent.
+        turn: `(n, k)` rate of the velocity's direction, rad/s; NaN while absent.
         size: `(n, 2)` length and width, m.
     """
 
     there: BoolArray
     pose: FloatArray
     accel: FloatArray
+    turn: FloatArray
     size: FloatArray
 
 
@@ -78,9 +81,10 @@ def some_at(tracks: Tracks, agents: IntArray, t: FloatArray) -> Others:
     lengths, moved = np.diff(tracks.offsets)[agents], tracks.motion
     offsets = np.r_[0, np.cumsum(lengths)]
     at = np.repeat(tracks.offsets[agents] - offsets[:-1], lengths) + np.arange(offsets[-1])
-    columns = np.stack([some[at] for some in (tracks.x, tracks.y, tracks.yaw, moved.vx, moved.vy, moved.accel)])
+    moves = (moved.vx, moved.vy, moved.accel, moved.turn)
+    columns = np.stack([some[at] for some in (tracks.x, tracks.y, tracks.yaw, *moves)])
     there, found = _on_grid(offsets, tracks.static[agents], tracks.t[at], tracks.gap_after[at], columns, t)
-    return Others(there, found[:5], found[5], np.column_stack([tracks.length, tracks.width])[agents])
+    return Others(there, found[:5], found[5], found[6], np.column_stack([tracks.length, tracks.width])[agents])
 
 
 def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, Others]]:
@@ -155,7 +159,7 @@ def labels_of(trace: Trace, agents: IntArray) -> tuple[str, ...]:
 def _on_grid(
     offsets: IntArray, static: BoolArray, t: FloatArray, gap_after: BoolArray, columns: FloatArray, times: FloatArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Return which agents are present `(n, k)`, and the `columns` `(6, m)` interpolated to `(6, n, k)`, else NaN."""
+    """Return which agents are present `(n, k)`, and the `columns` `(7, m)` interpolated to `(7, n, k)`, else NaN."""
     n, k = len(offsets) - 1, len(times)
     there, out = np.zeros((n, k), np.bool_), np.full((len(columns), n, k), np.nan)
     for i in range(n):
@@ -221,12 +225,14 @@ def touches(x: float, y: float, yaw: float, car: Car, others: Others, i: int, k:
 
 
 @inner_kernel
-def contact_time(ego: tuple[float, float, float, float, float], car: Car, others: Others, i: int, k: int) -> float:
-    """`shapes.time_to_contact` of box i at step k and the ego's box (x, y, yaw, vx, vy), s."""
+def contact_time(
+    ego: tuple[float, float, float, float, float], turn: float, car: Car, others: Others, i: int, k: int, lasts: float
+) -> float:
+    """`shapes.time_to_contact_turning` of box i at step k and the ego's box (x, y, yaw, vx, vy), yaw rate `turn`, s."""
     pose, size = others.pose, others.size
-    return time_to_contact(
-        ego[0], ego[1], ego[2], car.length, car.width, pose[0, i, k], pose[1, i, k], pose[2, i, k],
-        size[i, 0], size[i, 1], pose[3, i, k] - ego[3], pose[4, i, k] - ego[4],
+    return time_to_contact_turning(
+        ego[0], ego[1], ego[2], car.length, car.width, ego[3], ego[4], turn, pose[0, i, k], pose[1, i, k],
+        pose[2, i, k], size[i, 0], size[i, 1], pose[3, i, k], pose[4, i, k], others.turn[i, k], lasts,
     )  # fmt: skip
 
 

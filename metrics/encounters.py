@@ -2,7 +2,7 @@
 
 (1) TTC at constant acceleration: each box moves along its velocity vector with v(t) = max(v + a t, 0) and constant
     heading, until the boxes touch, within `HORIZON_S`. Positions are exact every `PIECE_S`, and linear in between:
-    accurate to a PIECE_S^2 / 8, 6 mm at 5 m/s2. Measured to the same agents as `ttc`.
+    accurate to a PIECE_S^2 / 8, 6 mm at 5 m/s2. Agents behind have none, as in `ttc`.
 (2) DCE = min over 0 <= t <= HORIZON_S of the distance of the boxes at constant velocity vectors, 0 if they touch; TTCE
     = the time of this minimum, the first of equals
 (3) PET = |t_j - t_i|, the least over the ego's boxes i and an agent's boxes j that overlap: the time from one leaving a
@@ -275,7 +275,7 @@ _GRID = f"every {GRID_S:g} s"
 TTC_ACCELERATED = Metric(
     "ttc_accelerated", "s", "higher", (Mode.CLOSED,), _ttc_accelerated, (MIN, time_below(1.5, "time_below_1500ms")),
     "Least time until boxes touch when all go on along their velocity vectors with their accelerations, none into "
-    "reverse; to the same agents as ttc.",
+    "reverse; not to those behind.",
     f"{CATALOGUE}; commonroad-crime asks it of a lead in a lane", formula="v(t) = max(v + a t, 0) of each",
     parameters=(f"horizon {HORIZON_S:g} s", f"pieces of {PIECE_S:g} s", "bound 1.5 s", _GRID),
     needs="another on a course to touch an ego that drives",

@@ -171,7 +171,7 @@ def _meet_agents(
                     break
                 if abs(v) <= NO_TTC_MPS or is_behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
                     continue
-                found = contact_time((x, y, yaw, vx, vy), car, others, i, k)
+                found = contact_time((x, y, yaw, vx, vy), 0.0, car, others, i, k, 0.0)
                 if found < best:
                     best, ttc[f], near[f] = found, found, i
     return step, hit, ttc, near
@@ -244,7 +244,7 @@ PLAN_TTC = Metric(
     "plan_ttc", "s", "higher", _BOTH,
     partial(_series, "ttc", about="ttc_agent", missing="no plan is on a course to touch anyone"),
     (metric.MIN, metric.share_while(lambda ttc: ttc <= safety.CLOSE_S, "share_below_950ms")),
-    "Least time to contact along a plan, as ttc; 0 where the plan has a contact at fault.", _NAVSIM,
+    "Least time to contact along a plan, straight on; 0 where the plan has a contact at fault.", _NAVSIM,
     formula="min over t of the time to contact at constant velocity vectors", parameters=_FOLLOWED, needs="plans",
 )  # fmt: skip
 PLAN_COMFORT = Metric(
@@ -263,7 +263,9 @@ PLAN_KEPT, PLAN_KEPT_LATERAL = (
         f"plan_{name}", "m", "lower", (Mode.CLOSED,), partial(_series, name, missing=_NOT_DRIVEN),
         (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(bound, f"share_beyond_{bound:g}m")),
         f"Greatest {distance} of a plan's states from where the ego then was.", _NAVSIM, formula=formula,
-        parameters=_FOLLOWED, needs="plans",
+        parameters=_FOLLOWED,
+        needs=f"a plan that leads, or is followed by, more than {SHORT_M:g} m within {HORIZON_S:g} s, and a drive that"
+        f" goes on for {PLAN_HORIZON_S:g} s after it",
     )
     for name, bound, distance, formula in (
         ("kept", 5.0, "distance", "max over t of |p_i(t) - p(t)|"),

@@ -19,9 +19,16 @@ The other came from behind if its centre is behind, as in ACTIVE_REAR, and the b
 where it was one step before. Objects without a kind may be following vehicles, and an ego that moves away from a slow
 road user does not drive into it.
 
-Time to collision: both boxes go on with their velocity vectors and headings (`shapes.time_to_contact`), up to 10 s;
-agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, also with agents
-behind. Each step, including the last, has a duration w_k (`metric.durations`):
+Time to collision TTC: the greater of two times until the boxes touch, so neither a course that a turn leaves nor one
+that a turn enters is a danger yet. TTC is never less than the straight time, which the scores of nuPlan and NAVSIM use:
+
+    straight   both go on with their velocity vectors and headings (`shapes.time_to_contact`)
+    turning    both turn as they do now, at constant speed and yaw rate, for `TURN_S`, then go straight on
+               (`shapes.time_to_contact_turning`): the ego at v kappa, the others as estimated (`logs.motion`)
+
+Both up to 10 s; agents behind (as above), agents from their first contact on, and a standing ego (<= 0.005 m/s) have
+none. At a collision at fault TTC is 0, also with agents behind. Each step, including the last, has a duration w_k
+(`metric.durations`):
 
 (1) TET = sum of w_k [TTC_k < tau],  time exposed, s;  TIT = sum of w_k (tau - TTC_k) [TTC_k <= tau],  time integrated,
     s2: the published variant; another variant integrates 1 / TTC - 1 / tau and is infinite at a contact
@@ -60,6 +67,7 @@ from metrics import metric
 from metrics.boxes import (
     NO_TTC_MPS,
     STANDING_MPS,
+    TURN_S,
     Car,
     Others,
     car_of,
@@ -227,25 +235,32 @@ def _gaps(
 
 @kernel
 def _contact_times(
-    ego: FloatArray, car: Car, others: Others, wanted: BoolArray, horizon: float
+    ego: FloatArray, turn: FloatArray, car: Car, others: Others, until: IntArray, horizon: float
 ) -> tuple[FloatArray, IntArray]:
-    """Return for each step the least time to contact of a wanted agent within the horizon (NaN), and its index (-1)."""
+    """Return for each step the least TTC and straight time `(2, k)` within the horizon (NaN), and whose TTC (-1).
+
+    `turn` are the ego's yaw rates `(k,)`, rad/s; agent i counts at the steps before `until[i]`.
+    """
     pose, steps = others.pose, others.there.shape[1]
-    least, nearest = np.full(steps, np.nan), np.full(steps, -1, np.int64)
+    least, nearest = np.full((2, steps), np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
         x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
-        rear_x, rear_y, best = x - car.axle * cos(yaw), y - car.axle * sin(yaw), horizon
+        rear_x, rear_y, best, straight = x - car.axle * cos(yaw), y - car.axle * sin(yaw), horizon, horizon
         if hypot(vx, vy) <= NO_TTC_MPS:
             continue
-        for i in range(len(wanted)):
-            if not (wanted[i] and others.there[i, k]) or is_behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
+        for i in range(len(until)):
+            if k >= until[i] or not others.there[i, k] or is_behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
                 continue
             closing = hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
             if distance_bound(x, y, car, others, i, k) > closing * best:
                 continue
-            found = contact_time((x, y, yaw, vx, vy), car, others, i, k)
+            found = contact_time((x, y, yaw, vx, vy), turn[k], car, others, i, k, 0.0)
+            if found < straight:
+                straight, least[1, k] = found, found
             if found < best:
-                best, least[k], nearest[k] = found, found, i
+                found = max(found, contact_time((x, y, yaw, vx, vy), turn[k], car, others, i, k, TURN_S))
+            if found < best:
+                best, least[0, k], nearest[k] = found, found, i
     return least, nearest
 
 
@@ -333,18 +348,29 @@ def _passing_room(trace: Trace, scenario: Scenario) -> Measured:
     return Series(found.t, found.value - required, found.labels, found.missing)
 
 
-def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
-    ego, car, wanted = ego_boxes(trace.ego, scenario), car_of(scenario), _counted_agents(trace, vulnerable_only)
-    if not wanted.any():
-        return Unavailable(f"no {'pedestrian or rider' if vulnerable_only else 'other road user'} in the scene")
+@once
+def least_contact_times(trace: Trace, scenario: Scenario, vulnerable_only: bool) -> tuple[FloatArray, IntArray]:
+    """Return at each step the least TTC and straight time `(2, k)`, s (NaN: none), and the agent of the first (-1)."""
+    drive, ego, car = trace.ego, ego_boxes(trace.ego, scenario), car_of(scenario)
+    until = np.where(_counted_agents(trace, vulnerable_only), len(drive), 0)
+    met = [contact for contact in contacts(trace, scenario) if until[contact.agent]]
+    until[[contact.agent for contact in met]] = [contact.step for contact in met]
 
     def contact_times(k: slice, seen: IntArray, others: Others) -> tuple[FloatArray, IntArray]:
-        return _contact_times(ego[:, k], car, others, wanted[seen], TTC_HORIZON_S)
+        return _contact_times(ego[:, k], turn[k], car, others, until[seen] - k.start, TTC_HORIZON_S)
 
-    least, agents = nearest(trace.agents, trace.ego.t, contact_times)
-    for contact in contacts(trace, scenario):
-        if contact.at_fault and wanted[contact.agent]:
-            least[contact.step], agents[contact.step] = 0.0, contact.agent
+    turn = drive.v * drive.kappa
+    least, agents = nearest(trace.agents, drive.t, contact_times)
+    for contact in met:
+        if contact.at_fault:
+            least[0, contact.step], agents[contact.step] = 0.0, contact.agent
+    return least, agents
+
+
+def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
+    if not _counted_agents(trace, vulnerable_only).any():
+        return Unavailable(f"no {'pedestrian or rider' if vulnerable_only else 'other road user'} in the scene")
+    (least, _), agents = least_contact_times(trace, scenario, vulnerable_only)
     never = f"never on a course to touch within {TTC_HORIZON_S:g} s"
     return Series(trace.ego.t, least, labels_of(trace, agents), never)
 
@@ -444,9 +470,13 @@ _TTC_TIMES = (metric.MIN, metric.time_below(CLOSE_S, "time_below_950ms"), metric
               Reduction("integrated_1500ms", _integral, "s2", "lower", 0.0))  # fmt: skip
 _TTC_HOW = (
     f"horizon {TTC_HORIZON_S:g} s", "bounds 0.95 s and 1.5 s (tau of TET and TIT)",
-    "not to who is more than 150 degrees off the heading", "0 at a collision at fault",
+    f"turns last {TURN_S} s", "not to who is more than 150 degrees off the heading, nor from their first contact on",
+    "0 at a collision at fault",
 )  # fmt: skip
-_TTC_FORMULA = "least t >= 0 at which the boxes touch; TET = sum w [TTC < tau], TIT = sum w (tau - TTC) [TTC <= tau]"
+_TTC_FORMULA = (
+    "max over straight, turning of the least t >= 0 at which the boxes touch; TET = sum w [TTC < tau], "
+    "TIT = sum w (tau - TTC) [TTC <= tau]"
+)
 _TTC_SOURCE = (
     "bound 0.95 s: nuPlan devkit e9241677, time_to_collision_within_bound; TET and TIT: Minderhoud, Bovy, "
     "Accid. Anal. Prev. 33 (2001) 89"
@@ -458,10 +488,10 @@ TTC, TTC_VULNERABLE = (
         needs=f"{who} on a course to touch an ego that drives",
     )
     for name, who, version, meaning in (
-        ("ttc", "another", 2,
-         "Least time until boxes touch at constant velocity vectors, within 10 s; not to those behind."),
-        ("ttc_vulnerable", _PERSON, 1,
-         "Least time until the ego's box touches a pedestrian or rider at constant velocity vectors, as ttc."),
+        ("ttc", "another", 3,
+         "Least time until boxes touch at constant velocity vectors, or at constant speeds and yaw rates if that is"
+         " later, within 10 s; not to those behind."),
+        ("ttc_vulnerable", _PERSON, 2, "Least time until the ego's box touches a pedestrian or rider, as ttc."),
     )
 )  # fmt: skip
 OFF_ROAD = Metric(

@@ -21,7 +21,7 @@ CARLA leaderboard 2.x, in 0 .. 1:
     drivable          1 unless the ego's outline is 0.3 m off the lanes (the sources look at its corners)
     direction         1, 0.5, 0: less than 2 m, 6 m driven against a lane within 1 s
     making_progress   1 where progress is at least 0.2
-    ttc               1 where it is always above 0.95 s and no collision is at fault
+    ttc               1 where the straight time of `safety` is always above 0.95 s and no collision is at fault
     speed_limit       `speed_excess.compliance`, the excess at the start included
     comfort           1 where all six signals that nuPlan filters are always within their bounds
     lane_keeping      1 where no episode beyond 0.5 m lasts 2 s
@@ -105,8 +105,8 @@ def _collisions(trace: Trace, scenario: Scenario) -> Value:
 def _ttc(trace: Trace, scenario: Scenario) -> Value:
     if any(contact.at_fault for contact in safety.contacts(trace, scenario)):
         return 0.0
-    found = safety.TTC.found(trace, scenario)
-    return float(not (isinstance(found, Series) and (found.value <= safety.CLOSE_S).any()))
+    (_, straight), _ = safety.least_contact_times(trace, scenario, False)
+    return float(not (straight <= safety.CLOSE_S).any())
 
 
 def _direction(series: Series) -> float:

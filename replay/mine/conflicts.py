@@ -151,7 +151,7 @@ def _least_encroachment(
 def _contact_times(
     ego: FloatArray, car: Car, pose: FloatArray, k: IntArray, size: FloatArray, horizon: float
 ) -> FloatArray:
-    """Time to collision `(m,)` with one road user as `metrics.safety` defines it, s; inf beyond the horizon."""
+    """Straight time to collision `(m,)` (`metrics.safety`) with one road user, s; inf beyond the horizon."""
     out = np.full(len(k), inf)
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
     for m in range(len(k)):
@@ -173,7 +173,7 @@ def _contact_times(
 CONFLICTS = (
     EventKind(
         "near_miss_ttc", _near_miss_ttc,
-        f"The time to collision is below {TTC_S} s (as the metric ttc defines it), and until {NEAR_S:g} s later the two"
+        f"The time to collision is below {TTC_S} s at constant velocity vectors, and until {NEAR_S:g} s later the two"
         f" come within {NEAR_M:g} m, or one of them brakes with {HARD_MPS2:g} m/s2 or more.",
         "least TTC", "s",
         "criticality metrics catalogue, Westhofen et al. 2023",

@@ -290,5 +290,5 @@ def test_every_option_of_a_program_of_ours_is_in_its_source() -> None:
 def test_the_page_of_verdicts_names_what_holds_each_row() -> None:
     text = (ROOT / "docs" / "verdict.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \|.*\| ([^|]+) \|$", text, re.MULTILINE)
-    assert [int(number) for number, _ in rows] == list(range(1, 20))
+    assert [int(number) for number, _ in rows] == list(range(1, len(rows) + 1)) and len(rows) > 18
     assert all("`tests/" in held for _, held in rows)

@@ -112,6 +112,20 @@ def test_a_braking_leads_deceleration_is_found(rate: float, sigma: float, error:
     assert others.pose[3, 0] == pytest.approx(made.motion.vx)
 
 
+@pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("sigma", "error"), [(0.0, 0.01), (0.05, 0.12)])
+def test_the_yaw_rate_of_who_drives_a_circle_is_found(rate: float, side: float, sigma: float, error: float) -> None:
+    """8 m/s on 20 m: 0.4 rad/s, half a second away from the track's ends; one that stands in noise hardly turns."""
+    t = times(rate, 6.0)
+    x, y = 20.0 * np.sin(0.4 * t), side * 20.0 * (1.0 - np.cos(0.4 * t))
+    inside = (t > 0.5) & (t < 5.5)
+    made = noisy(tracks(track("a", t, x, y)), sigma, 1)
+    assert made.motion.turn[inside] == pytest.approx(side * 0.4, abs=error)
+    assert others_at(made, t).turn[0] == pytest.approx(made.motion.turn)
+    assert np.abs(noisy(tracks(track("a", t, 0.0 * t, 0.0 * t)), sigma, 1).motion.turn).max() < 0.1
+
+
 @pytest.mark.parametrize(
     ("kind", "v", "decel"),
     [(AgentKind.CAR, 10.0, 6.0), (AgentKind.PEDESTRIAN, 1.5, 3.75), (AgentKind.BICYCLE, 4.0, 3.0)],

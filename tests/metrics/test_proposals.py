@@ -11,8 +11,10 @@ import pytest
 from drives import along, drive, grid, moved, moved_ego, moving, plans, scenario, straight_road
 
 from logs import AgentKind, Mode, PlannedFrame, Scenario, Trajectory
+from logs.frame import PLAN_HORIZON_S
 from metrics import METRICS, evaluate
 from metrics.judge.gates import load_gates
+from metrics.plans import SHORT_M
 
 ASKED = {name: metric for name, metric in METRICS.items() if name.startswith("plan_") or name == "extended_comfort"}
 GATES = [gate for gate in load_gates(None).gates if gate.metric.partition(".")[0] in ASKED]
@@ -112,6 +114,8 @@ def test_what_is_not_driven_yet_is_not_held_against_a_plan() -> None:
     table = judged(made, short)
     assert table.loc["plan_kept.max", "reason"] == "no plan of more than 5 m is followed by 3 s of driving"
     assert table.loc["plan_kept.share_beyond_5m", "value"] == 0.0
+    for name in ("plan_kept", "plan_kept_lateral"):  # what it lacks here is what its page says that it needs
+        assert f"{SHORT_M:g} m" in METRICS[name].needs and f"{PLAN_HORIZON_S:g} s" in METRICS[name].needs
     still = scenario(along(grid(10.0, 0.1), 0.0))
     assert judged(plans(still.ego, grid(5.0, 0.1), 5.0), still).loc["plan_progress.min", "value"] == 1.0
 

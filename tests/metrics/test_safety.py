@@ -18,7 +18,7 @@ from logs.shapes import distance, point_segment, time_to_contact
 from metrics import evaluate, series
 from metrics.boxes import ego_boxes, others_at
 from metrics.lanes import drivable_lanes, limits_at, off_lanes, under
-from metrics.safety import OUTLINE_M, ContactKind, contacts
+from metrics.safety import OUTLINE_M, ContactKind, contacts, least_contact_times
 
 TAIL = -EGO.rear_overhang
 
@@ -165,16 +165,18 @@ def test_gap_and_ttc_are_the_least_over_all_agents(seed: int) -> None:
     rng = np.random.default_rng(seed)
     agents = [(str(i), AgentKind.CAR, CAR, moving(*rng.uniform(-30, 30, 2), *rng.uniform(-9, 9, 2))) for i in range(12)]
     log = scenario(along(grid(1.0, 0.1), 7.0), agents)
-    frames = series(drive(log), log)
+    frames, met = series(drive(log), log), contacts(drive(log), log)
+    until = {contact.agent: contact.step for contact in met}
     gaps, times = (frames.loc[frames["metric"] == name, "value"].to_numpy() for name in ("gap", "ttc"))
     for k, t in enumerate(log.ego.t):
         x, others = 7.0 * t + EGO.axle_to_center, log.tracks.truth(float(t))
-        ego, gap, ttc = (x, 0.0, 0.0, EGO.length, EGO.width), [], [np.inf]
+        ego, gap = (x, 0.0, 0.0, EGO.length, EGO.width), []
+        ttc = [0.0 if any(contact.at_fault and contact.step == k for contact in met) else np.inf]
         for i in range(12):
             box = (others.x[i], others.y[i], others.yaw[i], *CAR)
             gap.append(distance(*ego, *box))
             behind = np.degrees(np.abs(np.arctan2(others.y[i], others.x[i] - 7.0 * t))) > 150.0
-            if not behind:
+            if not behind and k < until.get(i, len(log.ego)):
                 ttc.append(time_to_contact(*ego, *box, others.vx[i] - 7.0, others.vy[i]))
         assert gaps[k] == pytest.approx(min(gap), abs=1e-9)
         assert times[k] == pytest.approx(min(ttc), abs=1e-6) if min(ttc) < 10.0 else np.isnan(times[k])
@@ -243,6 +245,86 @@ def test_a_pedestrian_who_crosses_counts_with_the_velocity_vector() -> None:
 def test_those_behind_and_a_standing_ego_have_no_ttc() -> None:
     assert not judged(world(5.0, car(-20.0, 0.0, 10.0), seconds=1.0)).loc["ttc.min", "available"]
     assert not judged(world(0.0, car(20.0, 0.0, -10.0), seconds=1.0)).loc["ttc.min", "available"]
+
+
+def circling(t: FloatArray, radius: float, v: float, begin: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """x, y, yaw of who drives around (0, radius), from `begin` rad on; a negative v goes the other way round."""
+    angle = begin + v / abs(radius) * t
+    side = np.sign(radius)
+    return abs(radius) * np.sin(angle), side * abs(radius) * (1.0 - np.cos(angle)), side * angle + pi * (v < 0.0)
+
+
+def curve(radius: float, mine: float, theirs: float, aside: float, begin: float, rate: float = 20.0) -> Scenario:
+    """The ego on a circle, and a car on one `aside` m outside, `begin` rad ahead; both rear axles on their circles."""
+    t = grid(1.2, 0.05)
+    x, y, yaw = circling(t, radius, mine)
+    ego = Trajectory(t, x, y, yaw, mine + 0 * t, 0 * t, 1.0 / radius + 0 * t)
+    side = np.sign(radius)
+
+    def motion(at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        u, v, heading = circling(at, radius + side * aside, theirs, begin)
+        return u, v - side * aside, heading
+
+    seen = np.arange(round(1.2 * rate) + 1) / rate
+    log = scenario(ego, [("7", AgentKind.CAR, CAR, motion)])
+    return replace(log, tracks=scenario(along(seen, 1.0), [("7", AgentKind.CAR, CAR, motion)]).tracks)
+
+
+@pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
+@pytest.mark.parametrize("radius", [12.0, -12.0])
+def test_who_turns_is_on_no_course_to_those_in_the_next_lane(radius: float, rate: float) -> None:
+    """6 m/s on 12 m towards a car that comes with 5 m/s in the next lane outside: straight on they touch in less than
+    0.95 s. The turned, shifted and delayed scene has the same times."""
+    log = curve(radius, 6.0, -5.0, 3.3, 0.9, rate)
+    (least, straight), _ = least_contact_times(drive(log), log, False)
+    assert np.nanmin(straight) < 0.95
+    table = judged(log)["value"]
+    assert (table["ttc.time_below_950ms"], table["ttc.time_below_1500ms"]) == (0.0, 0.0)
+    assert table["gap.min"] > 1.0
+    turned = moved(log, 2.0, 300.0, -20.0)
+    later = replace(
+        log, ego=replace(log.ego, t=log.ego.t + 1.0), tracks=replace(log.tracks, t=log.tracks.t + 1.0), duration=2.2
+    )
+    for other in (turned, later):
+        assert least_contact_times(drive(other), other, False)[0] == pytest.approx(
+            np.stack([least, straight]), abs=1e-3, nan_ok=True
+        )
+
+
+@given(st.floats(25.0, 80.0), st.booleans(), st.floats(5.0, 9.0), st.floats(4.0, 6.0))
+@settings(max_examples=20)
+def test_who_stands_on_the_egos_arc_counts(radius: float, left: bool, v: float, gap: float) -> None:
+    """The distance along the circle over the speed, up to the corner that comes first."""
+    begin = (gap + NOSE + 2.25) / radius
+    log = curve(radius if left else -radius, v, 1e-9, 0.0, begin)
+    found = judged(log)["value"]["ttc.min"] if not contacts(drive(log), log) else 0.0
+    (least, straight), _ = least_contact_times(drive(log), log, False)
+    assert least[0] == pytest.approx(gap / v, abs=0.12) and least[0] >= straight[0]
+    assert found <= least[0]
+
+
+@given(st.integers(0, 1000))
+@settings(max_examples=25)
+def test_ttc_is_never_less_than_the_straight_time(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    t, radius, v = grid(1.0, 0.1), rng.choice([-1.0, 1.0]) * rng.uniform(6.0, 60.0), rng.uniform(1.0, 12.0)
+    ego = Trajectory(t, *circling(t, radius, v), v + 0 * t, 0 * t, 1.0 / radius + 0 * t)
+    agents = [(str(i), AgentKind.CAR, CAR, moving(*rng.uniform(-20, 20, 2), *rng.uniform(-9, 9, 2))) for i in range(8)]
+    log = scenario(ego, agents)
+    (least, straight), who = least_contact_times(drive(log), log, False)
+    assert all(least[contact.step] == 0.0 for contact in contacts(drive(log), log) if contact.at_fault)
+    assert (~(least < straight) | (least == 0.0)).all() and (np.isfinite(least) == (who >= 0)).all()
+
+
+def test_who_runs_into_the_ego_has_no_ttc_from_then_on() -> None:
+    """A faster car in the next lane drives into the ego's rear corner, not behind by nuPlan's 150 degrees, and goes on
+    beside it: no fault, no TTC, and none in the score of nuPlan."""
+    log = world(5.0, car(-6.0, 2.6, 9.0, -0.9, yaw=0.0), seconds=3.0, road=straight_road(lanes=2))
+    (contact,) = contacts(drive(log), log)
+    assert not contact.at_fault
+    (least, straight), _ = least_contact_times(drive(log), log, False)
+    assert np.isnan(least[contact.step :]).all() and np.isnan(straight[contact.step :]).all()
+    assert judged(log).loc["nuplan_closed.ttc.final", "value"] == float(not (straight <= 0.95).any())
 
 
 @pytest.mark.parametrize(("bound", "name"), [(0.95, "time_below_950ms"), (1.5, "time_below_1500ms")])

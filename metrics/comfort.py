@@ -23,7 +23,9 @@ UN R79 (lateral jerk of automated lane changes), the drive sampled every 0.01 s:
 (8) B = a_lat through a causal Butterworth low-pass of 4th order at 0.5 Hz, initialised with its first value
 (9) lat_jerk = mean of dB/dt over 0.5 s = (B(t) - B(t - 0.5 s)) / 0.5 s
 
-A drive is judged by its time out of bounds and by the longest such stretch: neither depends on the drive's length.
+A drive is judged by its time out of bounds and by the longest such stretch: neither depends on the drive's length. Each
+bound is asked of the signal that its source filters: (6) along, (9) across. The drive of a recorded human jitters, and
+(2) is beyond the bounds for seconds.
 """
 
 from __future__ import annotations
@@ -45,6 +47,7 @@ from metrics.safety import TTC
 WINDOW_S = 0.1
 CAUSE_S, CAUSE_TTC_S = 2.0, 4.0  # Labels name the road user of the least TTC in the last CAUSE_S, if below CAUSE_TTC_S
 NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4  # With fewer than 5 samples, nuPlan's polynomials are undefined
+NUPLAN_AHEAD_S = 0.7  # Half of the longest of nuPlan's windows
 R79_STEP_S, R79_MEAN_S, R79_CUT_HZ, R79_ORDER = 0.01, 0.5, 0.5, 4
 R79_BOUNDS = ("m/s3", -5.0, 5.0)
 NUPLAN_BOUNDS = {
@@ -103,15 +106,24 @@ def _driven_signal(signal: Signal, trace: Trace, scenario: Scenario) -> Measured
     return Series(trace.ego.t, signal(trace.ego), missing=f"the drive is shorter than {WINDOW_S} s")
 
 
-def _with_cause(signal: Signal, bounds: tuple[str, float, float], trace: Trace, scenario: Scenario) -> Measured:
-    """Measure a signal; label steps out of bounds with the road user of the least TTC in the last `CAUSE_S`."""
-    found, ttc = _driven_signal(signal, trace, scenario), TTC.found(trace, scenario)
+def _with_cause(
+    measure: Callable[[Trace, Scenario], Measured],
+    bounds: tuple[str, float, float],
+    ahead: float,
+    trace: Trace,
+    scenario: Scenario,
+) -> Measured:
+    """Measure; label steps out of bounds with the road user of the least TTC from `CAUSE_S` before to `ahead` s later.
+
+    `ahead` is how far a filter sees ahead, s: a signal that is filtered so changes before its cause.
+    """
+    found, ttc = measure(trace, scenario), TTC.found(trace, scenario)
     if not isinstance(found, Series) or not isinstance(ttc, Series):
         return found
     labels, times = [""] * len(found.t), np.where(ttc.value <= CAUSE_TTC_S, ttc.value, np.inf)
     for k in np.flatnonzero((found.value < bounds[1]) | (found.value > bounds[2])).tolist():
-        first = int(np.searchsorted(found.t, found.t[k] - CAUSE_S))
-        least = first + int(np.argmin(times[first : k + 1]))
+        first, end = np.searchsorted(ttc.t, found.t[k] + np.array([-CAUSE_S, ahead + 1e-9])).tolist()
+        least = first + int(np.argmin(times[first : max(end, first + 1)]))
         labels[k] = ttc.labels[least] if np.isfinite(times[least]) else ""
     return replace(found, labels=tuple(labels))
 
@@ -143,7 +155,8 @@ def _state_metric(
     source: str = "bounds: nuPlan devkit e9241677, ego_is_comfortable", more: tuple[Reduction, ...] = (), *,
     caused: bool = False,
 ) -> Metric:  # fmt: skip
-    measure = partial(_with_cause, signal, bounds) if caused else partial(_driven_signal, signal)
+    driven = partial(_driven_signal, signal)
+    measure = partial(_with_cause, driven, bounds, 0.0) if caused else driven
     return Metric(
         name, bounds[0], "lower", (Mode.CLOSED,), measure, _outside(bounds, metric.P95, metric.P99, *more), meaning,
         source, 2, formula=formula, parameters=(_as_text(bounds), f"W {WINDOW_S} s"), needs=f"a drive of {WINDOW_S} s",
@@ -183,7 +196,8 @@ YAW_ACCEL = _state_metric(
 NUPLAN = tuple(
     Metric(
         f"{kind}_nuplan", NUPLAN_BOUNDS[kind][0], "lower", (Mode.CLOSED,),
-        partial(_filtered_signal, signal, NUPLAN_STEP_S, NUPLAN_LEAST_S), _outside(NUPLAN_BOUNDS[kind]),
+        partial(_with_cause, partial(_filtered_signal, signal, NUPLAN_STEP_S, NUPLAN_LEAST_S), NUPLAN_BOUNDS[kind],
+                NUPLAN_AHEAD_S), _outside(NUPLAN_BOUNDS[kind]),
         f"{what}, as nuPlan filters it{aside}.",
         "nuPlan devkit e9241677, ego_is_comfortable; there at the ego's centre", formula=formula,
         parameters=(_as_text(NUPLAN_BOUNDS[kind]), f"step {NUPLAN_STEP_S} s"), needs=f"a drive of {NUPLAN_LEAST_S} s",

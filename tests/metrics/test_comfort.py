@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,10 +10,13 @@ from drives import along, drive, grid, plans, scenario
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import Mode, Plan, PlannedFrame, Trajectory
+from logs import AgentKind, Mode, Plan, PlannedFrame, Trajectory
+from logs.readers import read_log
 from metrics import GROUPS, evaluate
+from metrics.judge.gates import load_gates
 
 COMFORT = {metric.name: metric for metric in GROUPS["comfort"]}
+JERK_GATES = [gate for gate in load_gates(None).gates if "jerk" in gate.metric]
 
 
 def judged(ego: Trajectory, **changes: object) -> pd.DataFrame:
@@ -132,6 +136,56 @@ def test_the_filtered_signals_do_not_depend_on_the_rate_of_the_drive() -> None:
     one, two = judged(fine)["value"], judged(coarse)["value"]
     for name in ("lon_jerk_nuplan", "lon_accel_nuplan"):
         assert one[f"{name}.max_abs"] == pytest.approx(two[f"{name}.max_abs"], abs=1e-6)
+
+
+def too_abrupt(table: pd.Series) -> set[str]:
+    """The signals whose gates are broken."""
+    return {gate.metric.partition(".")[0] for gate in JERK_GATES if gate.margin(table[gate.metric]) < 0.0}
+
+
+def steered(t: np.ndarray, a: np.ndarray, aside: np.ndarray) -> Trajectory:
+    """15 m/s with a longitudinal and a lateral acceleration."""
+    return replace(along(t, 15.0), a=a, kappa=aside / 15.0**2)
+
+
+@pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_jitter_of_a_recorded_drive_is_not_abrupt(rate: float, seed: float) -> None:
+    """0.5 m/s2 of noise in both accelerations: the unfiltered signals are beyond the bounds for seconds."""
+    t, rng = grid(15.0, 1.0 / rate), np.random.default_rng(seed)
+    calm = 1.5 * np.sin(0.4 * t)
+    table = judged(steered(t, *(calm + 0.5 * rng.standard_normal((2, len(t))))))["value"]
+    assert not too_abrupt(table)
+    if rate >= 10.0:
+        assert min(table[f"{name}_jerk_state.time_out_of_bounds"] for name in ("lon", "lat")) > 2.0
+
+
+@pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
+@pytest.mark.parametrize(("hardest", "lasts", "every"), [(-6.0, 1.0, 5.0), (-8.0, 0.6, 4.0), (-5.0, 1.4, 4.0)])
+def test_hiccups_and_swerves_are_abrupt(rate: float, hardest: float, lasts: float, every: float) -> None:
+    """Braking by steps in the middle of a drive, and swaying by 0.8 m with 0.4 Hz."""
+    t = grid(20.0, 1.0 / rate)
+    braking, calm = np.where((t + 2.0) % every < lasts - 1e-9, hardest, 0.0), 0.0 * t
+    assert too_abrupt(judged(steered(t, braking, calm))["value"]) == {"lon_jerk_nuplan"}
+    sway = 0.8 * (0.8 * np.pi) ** 2 * np.sin(0.8 * np.pi * t)
+    assert too_abrupt(judged(steered(t, calm, sway))["value"]) == {"lat_jerk_r79"}
+
+
+@pytest.mark.parametrize("name", ["3b3570b4-7b0b-3268-a571-b0889dbf40b6", "7fab2350-7eaf-3b7e-a39d-6937a4c1bede"])
+def test_recorded_humans_are_not_abrupt(name: str, shared_data: Path) -> None:
+    log = read_log(shared_data / "argoverse2" / name)
+    table = evaluate(drive(log), log, metrics=COMFORT).set_index("metric")["value"]
+    assert not too_abrupt(table) and table["lon_jerk_state.time_out_of_bounds"] > 1.0
+
+
+def test_the_road_user_that_the_ego_brakes_for_is_named_although_the_filter_is_early() -> None:
+    """A car appears at 2 s, the ego brakes from then on: the filtered jerk is beyond its bound before."""
+    t = grid(6.0, 0.1)
+    ego = along(t, 10.0, a=np.where((t >= 2.0) & (t < 3.2), -8.0, 0.0))
+    log = scenario(ego, [("7", AgentKind.CAR, (4.5, 1.8), lambda at: (45.0 + 0 * at, 0 * at, 0 * at))])
+    seen = replace(log, tracks=log.tracks.taken(log.tracks.t > 1.95))
+    row = evaluate(drive(seen), seen, metrics=COMFORT).set_index("metric").loc["lon_jerk_nuplan.worst_episode"]
+    assert row["time_s"] < 2.0 and row["reason"] == "car 7"
 
 
 def test_r79_reads_half_of_a_short_ramp() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from handmade import crossing_without_a_map
 
 from logs import AgentKind, EndReason, Goal, Mode, PlanStatus, Road, Scenario
 from logs.catalogue import CATALOGUE
+from logs.readers import read_log
 from logs.readers.cut import cut
 from metrics import evaluate
 from metrics.boxes import phantoms
@@ -21,6 +23,7 @@ from metrics.judge import CAREFUL, DRIVER, REFERENCE, Verdict, judge
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Outcome, load_gates
 from metrics.judge.verdicts import judge_deadline
+from metrics.safety import least_contact_times
 from replay.config import LoopConfig
 from replay.drive import Drive
 from replay.loop.closed_loop import run_closed_loop
@@ -220,6 +223,16 @@ def test_a_fallback_before_a_phantom_is_not_held_against_the_planner() -> None:
         assert table.set_index("metric").loc["fallback.rate", "value"] == pytest.approx(rate)
 
 
+@pytest.mark.slow
+def test_turning_right_before_an_oncoming_car_is_no_near_collision(shared_data: Path) -> None:
+    """3.5 m/s, a car in the next lane comes the other way: straight on they would touch in less than 0.95 s."""
+    log = read_log(shared_data / "verdict2" / "ttc_false_alarm_lohmar" / "DEU_Lohmar-40_1_T-1.xml")
+    (drive,), verdicts = driven(log, "dp_qp", Mode.CLOSED)
+    assert np.nanmin(least_contact_times(drive.trace, log, False)[0][1]) < 0.95
+    (found,) = (one for one in verdicts if one.gate.metric == "ttc.time_below_950ms")
+    assert (found.outcome, found.value) == (Outcome.PASS, 0.0)
+
+
 @pytest.mark.parametrize("closing", [True, False])
 def test_hard_braking_is_about_the_road_user_that_it_is_for(closing: bool) -> None:
     """10 m/s towards a car that stands 25 m ahead, -6 m/s2 from 1 s on; or the same on a free road, for nothing."""
@@ -230,5 +243,5 @@ def test_hard_braking_is_about_the_road_user_that_it_is_for(closing: bool) -> No
     ahead = ("7", AgentKind.CAR, (4.5, 1.8), lambda t: (0 * t + 30.0, 0 * t, 0 * t))
     log = scenario(along(t, 10.0), [ahead] if closing else [])
     table = evaluate(drive(log, ego), log).set_index("metric")
-    for metric in ("lon_accel.worst_episode", "lon_jerk_state.worst_episode"):
+    for metric in ("lon_accel.worst_episode", "lon_jerk_nuplan.worst_episode"):
         assert table.loc[metric, "reason"] == ("car 7" if closing else "")

@@ -372,7 +372,7 @@ ADVERSARIES = {
     "straddler": Adversary(Straddler, "paper/free_road", "lane_line"),
     "close_passer": Adversary(Along, walked_along, "passing_room"),
     "red_runner": Adversary(RedRunner, "everyday/traffic_light", "red_light"),
-    "swerver": Adversary(Swerver, "paper/free_road", "lat_jerk_state"),
+    "swerver": Adversary(Swerver, "paper/free_road", "lat_jerk_r79"),
     "speeder": Adversary(Speeder, "paper/free_road", "speed_excess"),
     "liar": Adversary(Liar, "paper/free_road", "plan_corrected"),
     "short": Adversary(Short, "paper/free_road", "plan_complete"),

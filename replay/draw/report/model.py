@@ -49,7 +49,7 @@ def percent(value: float) -> str:
     return f"{100.0 * value:.0f}%" if value == 0.0 or value >= 0.01 else "<1%"
 
 
-JERK_S = "lon_jerk_state.time_out_of_bounds"
+JERK_S = "lon_jerk_nuplan.time_out_of_bounds"
 COLUMNS = (
     Column("ADE\n3 s\n[m]", "ade.3s.mean", "open", "{:.2f}".format),
     Column("fall\nback", "fallback.rate", "open", percent, lambda value: value > 0.0),
@@ -59,7 +59,7 @@ COLUMNS = (
     Column("least\ngap\n[m]", "gap.min", "closed", "{:.2f}".format, lambda value: value < 0.2),
     Column("off\nplan\n[m]", "tracking_lateral.max_abs", "closed", "{:.2f}".format),
     Column("TTC\n[s]", "ttc.min", "closed", "{:.1f}".format, lambda value: value < 0.95),
-    Column("jerk\n[s]", JERK_S, "closed", "{:.1f}".format, lambda value: value > 2.0),
+    Column("jerk\n[s]", JERK_S, "closed", "{:.1f}".format, lambda value: value > 1.0),
     Column("fall\nback", "fallback.rate", "closed", percent, lambda value: value > 0.0),
 )
 """Columns of the open loop first; the end of the closed loop is shown before the columns of the closed loop."""
@@ -70,7 +70,10 @@ LEGEND = (
         "closed",
         "closed loop: the planner drives; route done: of what the log's driver, else the route follower, does in all;",
     ),
-    ("closed", "TTC: least time to a collision; off plan: largest lateral distance; jerk: seconds beyond 4.13 m/s3."),
+    (
+        "closed",
+        "TTC: least time to a collision; off plan: largest lateral distance; jerk: s beyond 4.13 m/s3, filtered.",
+    ),
     ("", "verdict: the worst outcome of the gates, and how many of them were asked; inconclusive: no evidence."),
     ("", "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv)."),
 )

@@ -143,7 +143,7 @@ ANY = Failure("collision_at_fault.count <= 0", "collision_at_fault.count")
         ({"who": "car 23f7", "lane": "left"}, "collides with a car while changing to the left lane"),
         ({"metric": "needless_standing.worst_episode"}, "stands although the road is free"),
         ({"metric": "red_light.count", "difference": LATE, "brakes_for": True}, "brakes late, and runs a red light"),
-        ({"metric": "lon_jerk_state.worst_episode", "who": "pedestrian 7", "difference": LATE, "brakes_for": True},
+        ({"metric": "lon_jerk_nuplan.worst_episode", "who": "pedestrian 7", "difference": LATE, "brakes_for": True},
          "brakes late for a pedestrian, and accelerates or brakes too abruptly"),
         ({"metric": "my.metric", "gate": "my.metric < 3"}, "fails my.metric < 3"),
     ],

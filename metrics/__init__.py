@@ -40,6 +40,7 @@ from metrics import (
     rules,
     safety,
     score,
+    steadiness,
 )
 from metrics.boxes import phantoms, without_phantoms
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
@@ -70,11 +71,11 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
     ),
     "rules": (
-        rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, rules.PRIORITY_GAP, rules.YIELDING,
+        rules.RED_LIGHT, rules.YELLOW_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, rules.PRIORITY_GAP, rules.YIELDING,
         cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
         needless.FALSE_BRAKING, needless.MISSED_BRAKING,
         safety.PASSING_ROOM, rules.WRONG_WAY, rules.LANE_KEEPING, rules.LANE_LINE,
-        progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS,
+        progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS, *steadiness.STEADINESS,
     ),
     "comfort": (
         comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,

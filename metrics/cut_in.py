@@ -23,19 +23,19 @@ For an ego at constant speed, (3) is the bound of UN R157, 5.2.5.2: TTC <= v_rel
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import atan2, cos, inf, pi
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
+from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.road import ReferenceLine, Road, RoadSource, line_project_many, nearest, thinned
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners
 from logs.states import Trajectory, wrap
 from logs.trace import Mode, Trace
-from metrics.boxes import GRID_S, Others, each, ego_boxes, name_of, some_at
+from metrics.boxes import GRID_S, each, ego_boxes, name_of, some_at
 from metrics.metric import MAX, Measured, Metric, Series, Unavailable
 
 SPACING_M, CHORD_M, BEYOND_M = 2.0, 4.0, 10.0
@@ -69,31 +69,67 @@ def forces_hit(drive: Trajectory, agents: Tracks, agent: int, scenario: Scenario
 
 def entries(drive: Trajectory, agents: Tracks, scenario: Scenario) -> list[Entry]:
     """Return the entries of a drive of two or more states, by follower, in order of time."""
+    return [entry for seen in followers(drive, agents, scenario) for entry in _entries(seen, scenario)]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Follower:
+    """The ego on the path of a follower (index of its track), at the k steps at which the follower is present.
+
+    Attributes:
+        ego: The ego's drive and its boxes at these steps; `goes_on`: they end with the drive.
+        u: The follower's speed, m/s; `front`, m, the station of its front.
+        rear: Station of the ego's rear, m; `deep`, m, how far its box is inside the strip; `ahead` whether it is ahead
+            of the front and near.
+    """
+
+    agent: int
+    ego: Trajectory
+    boxes: FloatArray
+    goes_on: bool
+    path: ReferenceLine
+    length: float
+    u: FloatArray
+    front: FloatArray
+    rear: FloatArray
+    deep: FloatArray
+    ahead: BoolArray
+
+    def needed(self, first: int, last: int) -> float:
+        """Return (2) for a stay from step `first` to `last`."""
+        t, g = self.ego.t[first : last + 1] - self.ego.t[first], self.rear[first : last + 1] - self.front[first]
+        if self.goes_on and last == len(self.ego) - 1:
+            more, end = np.arange(GRID_S, HORIZON_S - t[-1], GRID_S), self.ego.state(last)
+            brake = max(-end.a, 0.0)
+            braked = np.minimum(more, end.v / brake) if brake > 0.0 else more
+            t, g = np.r_[t, t[-1] + more], np.r_[g, g[-1] + (end.v * braked - 0.5 * brake * braked**2)]
+        return needed_deceleration(t, g, float(self.u[first]))
+
+
+def followers(drive: Trajectory, agents: Tracks, scenario: Scenario) -> Iterator[Follower]:
+    """Yield the road users that may follow the ego, with the ego on their paths."""
     first, last = float(drive.t[0]), float(drive.t[-1])
     ego = drive.resampled(np.append(np.arange(first, last - 1e-6, GRID_S), last))
     boxes, car = ego_boxes(ego, scenario), scenario.vehicle
     outline = np.stack([corners(x, y, yaw, car.length, car.width) for x, y, yaw in boxes[:3].T], axis=-1)
-    found, c, s = [], np.cos(boxes[2]), np.sin(boxes[2])
+    c, s = np.cos(boxes[2]), np.sin(boxes[2])
     for i, others, row in each(agents, ego.t):
         if agents.static[i] or agents.kinds[i] in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
             continue
-        pose = others.pose[:, row]
+        pose, there = others.pose[:, row], np.flatnonzero(others.there[row])
         dx, dy = pose[:2] - boxes[:2]
         oncoming = pose[3] * c + pose[4] * s <= -0.2 * np.hypot(pose[3], pose[4])
-        if ((np.hypot(dx, dy) < NEAR_M) & (dx * c + dy * s < ALONGSIDE_M) & ~oncoming).any():
-            found += _entries(ego, boxes, outline, others, row, i, scenario)
-    return found
+        points = thinned(pose[:2, there].T, SPACING_M)
+        behind = (np.hypot(dx, dy) < NEAR_M) & (dx * c + dy * s < ALONGSIDE_M) & ~oncoming
+        if len(points) > 1 and behind.any():
+            yield _follow(i, ego, boxes, outline, there, points, pose, others.size[row])
 
 
-def _entries(
-    ego: Trajectory, boxes: FloatArray, outline: FloatArray, others: Others, row: int, agent: int, scenario: Scenario
-) -> list[Entry]:
-    """Return the entries ahead of one follower."""
-    there, pose, (length, width) = np.flatnonzero(others.there[row]), others.pose[:, row], others.size[row]
-    points = thinned(pose[:2, there].T, SPACING_M)
-    if len(points) < 2:
-        return []
-    path = ReferenceLine.through(points, SPACING_M)
+def _follow(
+    agent: int, ego: Trajectory, boxes: FloatArray, outline: FloatArray, there: IntArray, points: FloatArray,
+    pose: FloatArray, size: FloatArray,
+) -> Follower:  # fmt: skip
+    path, (length, width) = ReferenceLine.through(points, SPACING_M), size
     front = _on_path(path, *pose[:2, there])[0] + 0.5 * length
     s, l = np.stack([_on_path(path, *xy) for xy in outline[:, :, there]], axis=1)  # noqa: E741
     deep = 0.5 * width - np.maximum(l.min(axis=0), -l.max(axis=0))
@@ -104,21 +140,24 @@ def _entries(
         with np.errstate(divide="ignore", invalid="ignore"):
             share = (edge - l) / (next_l - l)
             rear = np.minimum(rear, np.where((share >= 0.0) & (share <= 1.0), s + share * (next_s - s), inf))
-    least = rear.min(axis=0)
-    rear, found = np.where(np.isfinite(least), least, s.min(axis=0)), []
-    for first, last in _stays_in_strip(deep, ahead):
-        k, stay = there[first], slice(first, last + 1)
-        heading = _direction(path, rear[first]), _direction(path, front[first] - 0.5 * length)
-        if _crosses_over(scenario.road, boxes[:3, k], *heading):
-            u, goes_on = float(np.hypot(*pose[3:, k])), there[last] == len(ego) - 1
-            t, g = ego.t[there[stay]] - ego.t[k], rear[stay] - front[first]
-            if goes_on:
-                more, end = np.arange(GRID_S, HORIZON_S - t[-1], GRID_S), ego.state(len(ego) - 1)
-                brake = max(-end.a, 0.0)
-                braked = np.minimum(more, end.v / brake) if brake > 0.0 else more
-                t, g = np.r_[t, t[-1] + more], np.r_[g, g[-1] + (end.v * braked - 0.5 * brake * braked**2)]
-            found.append(Entry(float(ego.t[k]), float(ego.t[there[last]]), agent, _needed_deceleration(t, g, u)))
-    return found
+    least, u = rear.min(axis=0), np.hypot(*pose[3:, there])
+    rear = np.where(np.isfinite(least), least, s.min(axis=0))
+    goes_on = bool(there[-1] == len(ego) - 1)
+    return Follower(
+        agent, ego.resampled(ego.t[there]), boxes[:, there], goes_on, path, length, u, front, rear, deep, ahead
+    )
+
+
+def _entries(seen: Follower, scenario: Scenario) -> Iterator[Entry]:
+    """Yield the entries ahead of one follower."""
+    for first, last in _stays_in_strip(seen.deep, seen.ahead):
+        heading = (
+            _direction(seen.path, seen.rear[first]),
+            _direction(seen.path, seen.front[first] - 0.5 * seen.length),
+        )
+        if _crosses_over(scenario.road, seen.boxes[:3, first], *heading):
+            t, until = float(seen.ego.t[first]), float(seen.ego.t[last])
+            yield Entry(t, until, seen.agent, seen.needed(first, last))
 
 
 def _on_path(path: ReferenceLine, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -163,7 +202,7 @@ def _crosses_over(road: Road, box: FloatArray, path: float, follower: float) -> 
     return ego_angle > path_angle
 
 
-def _needed_deceleration(t: FloatArray, g: FloatArray, u: float) -> float:
+def needed_deceleration(t: FloatArray, g: FloatArray, u: float) -> float:
     """Return (2), m/s2, for the ego's rear at the distances g `(k,)`, m, at the times t `(k,)`, s, after the entry."""
     t, g = t[t <= HORIZON_S], g[t <= HORIZON_S]
     braked, room = t - REACT_S, g - u * REACT_S
@@ -175,23 +214,29 @@ def _needed_deceleration(t: FloatArray, g: FloatArray, u: float) -> float:
     return min(float(needed.max(initial=0.0)), MOST_MPS2)
 
 
-def _forced_braking(trace: Trace, scenario: Scenario) -> Measured:
-    if len(trace.ego) < 2:
-        return Unavailable("the drive holds one ego state only")
+def worst_forced(trace: Trace, stays: Iterable[Entry], scenario: Scenario, why: str, missing: str) -> Series:
+    """Return the braking that stays ahead of followers force, at their begins; at least how a follower reacted."""
     t, value, labels = trace.ego.t, np.full(len(trace.ego), np.nan), [""] * len(trace.ego)
     logged = scenario.tracks
-    for entry in entries(trace.ego, trace.agents, scenario):
-        after = np.arange(entry.t, min(entry.until, entry.t + HORIZON_S) + 1e-9, GRID_S)
-        now, name = some_at(trace.agents, np.array([entry.agent]), after), trace.agents.ids[entry.agent]
+    for stay in stays:
+        after = np.arange(stay.t, min(stay.until, stay.t + HORIZON_S) + 1e-9, GRID_S)
+        now, name = some_at(trace.agents, np.array([stay.agent]), after), trace.agents.ids[stay.agent]
         reacts = now.there[0]  # while the follower deviates from the log
         if name in logged.ids:
             then = some_at(logged, np.array([logged.ids.index(name)]), after)
             reacts = reacts & (np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0])) > AS_LOGGED_M)
         reacted = min(float(np.max(-now.accel[0], initial=0.0, where=reacts)), MOST_MPS2)
-        k, forced = int(np.searchsorted(t, entry.t - 1e-9)), max(entry.forced, reacted)
+        k, forced = int(np.searchsorted(t, stay.t - 1e-9)), max(stay.forced, reacted)
         if not value[k] >= forced:
-            value[k], labels[k] = forced, f"{name_of(trace.agents, entry.agent)}: the ego entered its path"
-    return Series(t, value, tuple(labels), "the ego entered no follower's path")
+            value[k], labels[k] = forced, f"{name_of(trace.agents, stay.agent)}: {why}"
+    return Series(t, value, tuple(labels), missing)
+
+
+def _forced_braking(trace: Trace, scenario: Scenario) -> Measured:
+    if len(trace.ego) < 2:
+        return Unavailable("the drive holds one ego state only")
+    found = entries(trace.ego, trace.agents, scenario)
+    return worst_forced(trace, found, scenario, "the ego entered its path", "the ego entered no follower's path")
 
 
 FORCED_BRAKING = Metric(

@@ -62,7 +62,7 @@ SIDE_M, SIDE_VULNERABLE_M, DRIFT_MPS = 1.0, 2.0, 0.3
 ASIDE_M, ACROSS_M = 5.0, 2.0
 CURVE_MPS2, CURVE_RADIUS_M = 2.0, 50.0
 SLACK_MPS, STANDS_MPS = 0.3, 0.5
-SWING_M, CHANGE_M = 0.5, 2.0
+SWING_M, CHANGE_M, FALL_MPS = 0.5, 2.0, 0.5
 HARD_MPS2, APART_S, CAUSE_S, CAUSE_M = 3.5, 0.5, 5.0, 0.3
 SPACING_M = 0.5
 """Distance between the boxes of the ego whose union approximates the strip."""
@@ -77,7 +77,7 @@ class Reasons:
     Attributes:
         slow: Whether it has a reason to be slower.
         stand: Whether it has a reason to stand.
-        steer: Whether it has a reason to change its offset.
+        steer: Whether it has a reason to change its offset; `beside`: a road user is one; `change`: its lane.
     """
 
     t: FloatArray
@@ -86,6 +86,8 @@ class Reasons:
     slow: BoolArray
     stand: BoolArray
     steer: BoolArray
+    beside: BoolArray
+    change: BoolArray
 
 
 @once
@@ -94,7 +96,7 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
     ego, line = grid_of(trace), route_of(scenario).line
     s, l = line_project_many(line.s, line.coef, ego.x, ego.y, 0.0, WINDOW_M).T  # noqa: E741
     front = s + scenario.vehicle.axle_to_front
-    slow, stand, steer = np.zeros((3, len(s)), np.bool_)
+    slow, stand, steer, change = np.zeros((4, len(s)), np.bool_)
     for begin, end, active, near in _places_to_stop(trace, scenario, ego.t, line):
         ahead = (s <= end) & active
         slow |= ahead & (begin - front <= _look_ahead(ego.v, 0.0))
@@ -102,14 +104,14 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
     ghosts = {phantom.agent for phantom in phantoms(scenario)}
     shown = (trace.agents, trace.perceived, scenario.tracks.only(ghosts) if ghosts else None)
     for tracks in filter(None, shown):
-        for brakes, stands, beside in _agents_as_reasons(tracks, ego.t, s, l, ego.v, line, scenario):
-            slow, stand, steer = slow | brakes, stand | stands, steer | beside
+        for brakes, stands, beside, far in _agents_as_reasons(tracks, ego.t, s, l, ego.v, line, scenario):
+            slow, stand, steer, change = slow | brakes, stand | stands, steer | beside, change | far
     goal, early = scenario.goal, np.zeros(len(s), np.bool_)
     if goal is not None and goal.t is not None:  # at its speed it would arrive before the goal's time
         early = s + np.maximum(ego.v, STANDS_MPS) * (goal.t[0] - ego.t) > route_of(scenario).length
-    flags = np.stack([slow | early, stand | early, steer])
+    flags = np.stack([slow | early, stand | early, steer, change])
     since = np.maximum.accumulate(np.where(flags, ego.t, -np.inf), axis=1)
-    slow, stand, steer = ego.t - since <= AFTER_S + 1e-9
+    slow, stand, steer, change = ego.t - since <= AFTER_S + 1e-9
     off = np.abs(l) > ASIDE_M
     lanes, default = drivable_lanes(scenario.road), scenario.road.default_speed_limit
     x, y = np.ascontiguousarray(line.xy[:, 0]), np.ascontiguousarray(line.xy[:, 1])
@@ -119,12 +121,14 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
         logged = scenario.ego
         passed = line_project_many(line.s, line.coef, logged.x, logged.y, 0.0, WINDOW_M)[:, 0]
         np.minimum.at(caps, np.clip(np.searchsorted(line.s, passed), 0, len(caps) - 1), np.abs(logged.v))
-    end = np.searchsorted(line.s, s + _look_ahead(ego.v, 0.0), side="right")
-    first = np.clip(np.searchsorted(line.s, s) - 1, 0, len(caps) - 1)
-    least = np.array([caps[a : max(b, a + 1)].min() for a, b in zip(first, end, strict=True)])
-    slow |= off | (ego.v > least + SLACK_MPS)
+    ease = NEAR_M + HEADWAY_S * ego.v  # and the distance to slow down to a cap with `EASE_MPS2`
+    first, end = np.searchsorted(line.s, [s, s + FARTHEST_M + NEAR_M])
+    for k, v in enumerate(ego.v.tolist()):
+        some = slice(max(int(first[k]) - 1, 0), int(end[k]))
+        far = line.s[some] - s[k] - ease[k] - np.maximum(v**2 - caps[some] ** 2, 0.0) / (2.0 * EASE_MPS2)
+        slow[k] |= off[k] or bool(((v > caps[some] + SLACK_MPS) & (far <= 0.0)).any())
     curved = np.interp(s, line.s, np.abs(line.kappa)) > 1.0 / CURVE_RADIUS_M
-    return Reasons(ego.t, ego.v, l, slow, stand | off, steer | curved)
+    return Reasons(ego.t, ego.v, l, slow, stand | off, steer | curved, steer, change | off)
 
 
 def _look_ahead(v: FloatArray, u: FloatArray | float) -> FloatArray:
@@ -135,15 +139,15 @@ def _look_ahead(v: FloatArray, u: FloatArray | float) -> FloatArray:
 def _agents_as_reasons(
     tracks: Tracks, t: FloatArray, s: FloatArray, l: FloatArray, v: FloatArray, line: ReferenceLine,  # noqa: E741
     scenario: Scenario,
-) -> Iterator[tuple[BoolArray, BoolArray, BoolArray]]:  # fmt: skip
-    """Yield for each road user the steps at which it is a reason to brake, to stand, and to steer."""
+) -> Iterator[BoolArray]:  # fmt: skip
+    """Yield for each road user the steps at which it is a reason to brake, to stand, to steer, to change lanes."""
     car, place = scenario.vehicle, np.stack([np.interp(s, line.s, column) for column in line.xy.T])
     for i, others, row in each(tracks, t):
         x, y, yaw, vx, vy = np.nan_to_num(others.pose[:, row])
         length, width = others.size[row]
         there = others.there[row] & (np.hypot(*(others.pose[:2, row] - place)) < FARTHEST_M)
         steps = np.flatnonzero(there)
-        flags = np.zeros((3, len(t)), np.bool_)
+        flags = np.zeros((4, len(t)), np.bool_)
         if len(steps):
             guess = float(s[steps[0]])
             at, aside = line_project_many(line.s, line.coef, x[steps], y[steps], guess, FARTHEST_M).T
@@ -164,8 +168,9 @@ def _agents_as_reasons(
             look = _look_ahead(v[steps], u)
             flags[0, steps] = near & ahead & ~leaves & (gap <= look)
             flags[1, steps] = near & ahead & (gap <= NEAR_M)
-            flags[2, steps] = near & (gap + 2.0 * along + car.length > -NEAR_M) & (gap <= look)
-        yield flags[0], flags[1], flags[2]
+            beside = near & (gap + 2.0 * along + car.length > -NEAR_M)
+            flags[2, steps], flags[3, steps] = beside & (gap <= look), beside & ~leaves
+        yield flags
 
 
 def _places_to_stop(
@@ -221,6 +226,19 @@ def _steering(trace: Trace, scenario: Scenario) -> Measured:
         if abs(found.l[b] - found.l[a]) < CHANGE_M and not found.steer[a : (a + b) // 2 + 1].any():  # (4)
             counts[b] += 1.0
     return Series(found.t, counts)
+
+
+@once
+def falls(trace: Trace, scenario: Scenario) -> tuple[tuple[float, float], ...]:
+    """Return the falls of the speed by `FALL_MPS` or more without a reason, between two turning points: s from, to."""
+    found, out = reasons(trace, scenario), []
+    for steps in np.split(np.arange(len(found.t)), np.flatnonzero(np.diff(found.slow)) + 1):
+        v = found.v[steps]
+        for a, b in pairwise(turning_points(v, FALL_MPS)) if not found.slow[steps[0]] else ():
+            if v[b] < v[a]:
+                begin = a + np.flatnonzero(v[a : b + 1] >= v[a] - SLACK_MPS)[-1]
+                out.append((float(found.t[steps[begin]]), float(found.t[steps[b]])))
+    return tuple(out)
 
 
 def turning_points(value: FloatArray, least: float) -> list[int]:

@@ -6,6 +6,8 @@ lies longest must be one of those to which the line applies. A drive that begins
 not cross it.
 
     RED_LIGHT      crossings while the line's light shows red, or red and yellow
+    YELLOW_LIGHT   crossings while it shows yellow, if the ego was farther from the line when the yellow began than
+                   (0) v `YELLOW_S` + v^2 / (2 `YELLOW_MPS2`): a reaction and a comfortable stop
     STOP_SIGN      crossings of a stop sign's line without a speed below 0.1 m/s in the last 5 m before it
     CROSSWALK      pedestrians on the ego's half of a crosswalk while the ego drives on it, for each passage: inside its
                    outline, and within `HALF_LANE_M` of the path of the ego's centre; a passage that is under way when
@@ -58,6 +60,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import hypot
 
 import numpy as np
@@ -65,7 +68,7 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.road import inside
 from logs.route import ASIDE_M, BEHIND_M, on_lane
-from logs.rules import RED, StopLine
+from logs.rules import RED, Colour, StopLine
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
@@ -89,6 +92,7 @@ from metrics.metric import COUNT, MIN, Measured, Metric, Reduction, Series, Unav
 from metrics.needless import reasons
 
 REST_MPS, BEFORE_M = 0.1, 5.0
+YELLOW_S, YELLOW_MPS2 = 1.0, 3.05
 HALF_LANE_M = 1.75
 AROUND_S = 1.0
 SERIOUS_S, CRITICAL_S = 1.0, 1.5
@@ -104,21 +108,25 @@ NO_LANES = Unavailable("the log has no lanes")
 _NEVER = "the ego is never on a lane, or only where lanes cross"
 
 
-def _red_light(trace: Trace, scenario: Scenario) -> Measured:
+def _light(trace: Trace, scenario: Scenario, *, yellow: bool) -> Measured:
     lights = {light.id: light for light in scenario.lights}
-    lines = [line for line in scenario.road.stop_lines if line.light in lights]
+    lines = [(line, lights[line.light]) for line in scenario.road.stop_lines if line.light in lights]
     if not lines:
         return Unavailable("the log shows no traffic light with a stop line")
-    events = []
-    for line in lines:
-        light = lights[line.light] if line.light is not None else None
+    ego, events = trace.ego, []
+    for line, light in lines:
         for step in _crossings(line, trace, scenario):
-            now = float(trace.ego.t[step])
-            if light is not None and light.at(now) in RED:
-                since = light.t[max(int(np.searchsorted(light.t, now + 1e-9)) - 1, 0)]
+            now = float(ego.t[step])
+            since = light.t[max(int(np.searchsorted(light.t, now + 1e-9)) - 1, 0)]
+            runs = light.at(now) in RED
+            if yellow:
+                k = min(int(np.searchsorted(ego.t, since - 1e-9)), step)
+                needed = ego.v[k] * YELLOW_S + ego.v[k] ** 2 / (2.0 * YELLOW_MPS2)  # (0)
+                runs = light.at(now) is Colour.YELLOW and -_ahead(line, ego, scenario)[0][k] >= needed
+            if runs:
                 shown = f"light {light.id} {light.at(now).value} since {since:.1f} s"
                 events.append((step, f"stop line {line.id}: {shown}"))
-    return counted(trace.ego.t, events)
+    return counted(ego.t, events)
 
 
 def _stop_sign(trace: Trace, scenario: Scenario) -> Measured:
@@ -378,11 +386,18 @@ def worst_metres(series: Series) -> tuple[float, int]:
 
 _CLOSED = (Mode.CLOSED,)
 RED_LIGHT = Metric(
-    "red_light", "count", "lower", _CLOSED, _red_light, (COUNT,),
+    "red_light", "count", "lower", _CLOSED, partial(_light, yellow=False), (COUNT,),
     "Stop lines that the front came over while their light showed red, or red and yellow.",
     "as CARLA leaderboard 2.x counts red lights; nuPlan has none",
     formula="sum of crossings at red, or red and yellow", parameters=(f"beside the line's ends {ASIDE_M} m",),
     needs="a traffic light with a stop line",
+)  # fmt: skip
+YELLOW_LIGHT = Metric(
+    "yellow_light", "count", "lower", _CLOSED, partial(_light, yellow=True), (COUNT,),
+    "Stop lines that the front came over at a yellow for which the ego could have stopped comfortably.",
+    "StVO 37; ITE, Determining Vehicle Signal Change and Clearance Intervals: 1 s and 3.05 m/s2",
+    formula="sum of crossings at yellow, if it began farther away than v * 1 s + v^2 / (2 * 3.05 m/s2)",
+    parameters=(f"reaction {YELLOW_S:g} s", f"stop {YELLOW_MPS2} m/s2"), needs="a traffic light with a stop line",
 )  # fmt: skip
 STOP_SIGN = Metric(
     "stop_sign", "count", "lower", _CLOSED, _stop_sign, (COUNT,),

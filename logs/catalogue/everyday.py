@@ -10,9 +10,9 @@ logged driver obeys it: they stop `STOP_SHORT_M` before the line, and drive on `
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import copysign, pi, sqrt
+from math import copysign, pi, radians, sqrt
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from logs.catalogue.scene import (
     SPARE_S,
     START_M,
     WAITS,
+    Agent,
     bypass,
     finished,
     grid,
@@ -36,7 +37,9 @@ from logs.catalogue.scene import (
     pedestrian_across,
     straight_path,
     tenths,
+    walked,
 )
+from logs.kernel import FloatArray
 from logs.road import Road
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.scenario import AgentKind, Scenario
@@ -47,6 +50,7 @@ STOP_SHORT_M = 1.5
 BRAKE_MPS2 = 1.2
 """The driver begins to brake where this deceleration stops them at the line, m/s2."""
 RED_YELLOW_S = 1.0
+VAN = (6.0, 2.0)
 
 
 @family(
@@ -180,14 +184,19 @@ def stopping(line: float, speed: float, car: VehicleParameters, s: float) -> Ahe
     {"ego_speed_mps": 13.9, "distance_m": 120.0, "green_s": 18.0, "reaction_s": 0.6, "duration_s": 34.0},
 )  # fmt: skip
 def traffic_light(p: Mapping[str, float]) -> Scenario:
-    v, duration, green, car = p["ego_speed_mps"], p["duration_s"], p["green_s"], VehicleParameters()
+    green = p["green_s"]
+    return _at_light(p, ((0.0, Colour.RED), (green - RED_YELLOW_S, Colour.RED_YELLOW), (green, Colour.GREEN)))
+
+
+def _at_light(p: Mapping[str, float], changes: Sequence[tuple[float, Colour]]) -> Scenario:
+    """A straight road with a light `distance_m` ahead that changes at these times, s; the last colour is green."""
+    v, duration, car = p["ego_speed_mps"], p["duration_s"], VehicleParameters()
     line = START_M + car.axle_to_front + p["distance_m"]
-    changes = ((0.0, Colour.RED), (green - RED_YELLOW_S, Colour.RED_YELLOW), (green, Colour.GREEN))
     shown = {max(t, 0.0): colour for t, colour in changes}
     light = TrafficLight(1, np.array(list(shown)), tuple(shown.values()))
 
     def ahead(time: float, s: float) -> Ahead | None:
-        goes = light.at(time - p["reaction_s"]) is Colour.GREEN
+        goes = light.at(max(time - p["reaction_s"], 0.0)) is Colour.GREEN
         return None if goes else stopping(line, v, car, s)
 
     path = straight_path(v, duration)
@@ -198,7 +207,7 @@ def traffic_light(p: Mapping[str, float]) -> Scenario:
     )
     stop = StopLine(1, 1, np.vstack([before.right[-1], before.left[-1]]), light=light.id)
     road = Road({1: before, 2: behind}, default_speed_limit=v, stop_lines=(stop,))
-    metadata = expects(**{f"stop line {stop.id}": (DecisionKind.STOP,)}) if p["distance_m"] / v < green else {}
+    metadata = expects(**{f"stop line {stop.id}": (DecisionKind.STOP,)}) if p["distance_m"] / v < changes[-1][0] else {}
     return replace(finished(path, driven, [], road, duration, metadata=metadata), lights=(light,))
 
 
@@ -270,5 +279,94 @@ def at_junction(p: Mapping[str, float]) -> Scenario:
     return finished(place.path, driven, cars, place.road, duration, begin=last - 10.0, metadata=metadata)
 
 
-FAMILIES = (follow, cut_in, nudge, cyclist)
-RULES = (traffic_light, crosswalk, at_junction)
+@family(
+    "everyday/yellow_light",
+    "a light turns yellow where the car can just stop comfortably: stop, then drive on at green",
+    ("everyday", "rules", "light"),
+    {
+        "ego_speed_mps": 13.9, "distance_m": 110.0, "yellow_s": 4.2, "yellow_lasts_s": 3.0, "red_lasts_s": 5.0,
+        "reaction_s": 0.6, "duration_s": 26.0,
+    },
+)  # fmt: skip
+def yellow_light(p: Mapping[str, float]) -> Scenario:
+    red = p["yellow_s"] + p["yellow_lasts_s"]
+    green = red + p["red_lasts_s"]
+    changes = ((0.0, Colour.GREEN), (p["yellow_s"], Colour.YELLOW), (red, Colour.RED))
+    return _at_light(p, (*changes, (green - RED_YELLOW_S, Colour.RED_YELLOW), (green, Colour.GREEN)))
+
+
+@family(
+    "everyday/bend",
+    "two tight curves on a fast road of two empty lanes: slow down before them, keep the lane",
+    ("everyday", "curve"),
+    {
+        "ego_speed_mps": 13.9, "distance_m": 60.0, "radius_m": 25.0, "clothoid_m": 16.0, "turn_deg": 90.0,
+        "between_m": 25.0, "lateral_mps2": 1.6, "look_m": 10.0, "duration_s": 27.0,
+    },
+)  # fmt: skip
+def bend(p: Mapping[str, float]) -> Scenario:
+    v, kappa, clothoid = p["ego_speed_mps"], 1.0 / p["radius_m"], p["clothoid_m"]
+    arc = radians(p["turn_deg"]) / kappa - clothoid
+    turn = [(clothoid, 0.0, kappa), (arc, kappa, kappa), (clothoid, kappa, 0.0)]
+    back = [(length, -one, -two) for length, one, two in turn]
+    beyond = v * (p["duration_s"] + SPARE_S)
+    path = curve((START_M + p["distance_m"], 0.0, 0.0), *turn, (p["between_m"], 0.0, 0.0), *back, (beyond, 0.0, 0.0))
+    slow = np.minimum(v, np.sqrt(p["lateral_mps2"] / np.maximum(np.abs(path.kappa), 1e-9)))
+    allowed = np.sqrt(  # it brakes gently towards each curve
+        np.minimum.accumulate((slow**2 + 2.0 * BRAKE_MPS2 * path.s)[::-1])[::-1] - 2.0 * BRAKE_MPS2 * path.s
+    )
+
+    def cruise(s: float) -> float:
+        return float(np.interp([s, s + p["look_m"]], path.s, allowed).min())
+
+    driven = drive(path, start=START_M, speed=v, cruise=cruise, duration=p["duration_s"])
+    last = float(np.hypot(np.diff(driven.x), np.diff(driven.y)).sum()) + START_M
+    road, edges = two_lanes(path, v, ego_on_right=True), (-HALF_LANE, 3.0 * HALF_LANE)
+    return finished(path, driven, [], road, p["duration_s"], begin=last - 10.0, edges=edges)
+
+
+@family(
+    "everyday/pull_outs",
+    "cars pull out before the ego, one after the other, to pass vans that stand on the right lane",
+    ("everyday", "traffic"),
+    {
+        "ego_speed_mps": 13.9, "car_speed_mps": 7.0, "van_m": 110.0, "between_m": 100.0, "gap_m": 55.0,
+        "shift_m": 16.0, "follower_m": 25.0, "duration_s": 36.0,
+    },
+)  # fmt: skip
+def pull_outs(p: Mapping[str, float]) -> Scenario:
+    v, u, duration, car = p["ego_speed_mps"], p["car_speed_mps"], p["duration_s"], VehicleParameters()
+    t, right = grid(duration), -LANE_WIDTH_M
+    path = straight_path(v, duration)
+    agents: list[Agent] = []
+    lanes: list[tuple[FloatArray, FloatArray]] = []
+
+    def ahead(time: float, s: float) -> Ahead | None:
+        gaps = [
+            (float(np.interp(time, t, x)) - 0.5 * CAR[0] - s - car.axle_to_front, u)
+            for x, y in lanes if float(np.interp(time, t, y)) + 0.5 * CAR[1] > -HALF_LANE
+        ]  # fmt: skip
+        return Ahead(*min(gap for gap in gaps if gap[0] > 0.0)) if any(gap > 0.0 for gap, _ in gaps) else None
+
+    for k in range(3):  # each car stands behind its van, and pulls out when the driver is `gap_m` behind it
+        van, shift = START_M + p["van_m"] + k * p["between_m"], p["shift_m"]
+        begin = van - 0.5 * VAN[0] - shift - 0.5 * CAR[0]
+        driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
+        starts = float(np.interp(begin - 0.5 * CAR[0] - p["gap_m"] - car.axle_to_front, driven.x, driven.t))
+        way = 4.0 * shift + VAN[0]
+        x = begin + way * walked(t - starts, way, u, ramp=3.0)
+        out, home = (np.clip((x - begin - far) / shift, 0.0, 1.0) for far in (0.0, 2.0 * shift + VAN[0]))
+        y = right - right * (out**2 * (3.0 - 2.0 * out) - home**2 * (3.0 - 2.0 * home))
+        lanes.append((x, y))
+        agents += [
+            parked(f"van_{k + 1}", van, right, size=VAN), moving(f"car_{k + 1}", AgentKind.CAR, CAR, t, x, y, yaw=0.0)
+        ]  # fmt: skip
+    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
+    behind = np.interp(t, driven.t, driven.x) + np.maximum(t - driven.t[-1], 0.0) * driven.v[-1] - p["follower_m"]
+    agents.append(moving("follower", AgentKind.CAR, CAR, t, behind, np.zeros(len(t)), yaw=0.0))
+    metadata = expects(**{f"car_{k}": (DecisionKind.FOLLOW, *WAITS) for k in (1, 2, 3)})
+    return finished(path, driven, agents, two_lanes(path, v, ego_on_right=False), duration, metadata=metadata)
+
+
+FAMILIES = (follow, cut_in, nudge, cyclist, bend, pull_outs)
+RULES = (traffic_light, crosswalk, at_junction, yellow_light)

@@ -182,16 +182,19 @@ def hesitates(p: Mapping[str, float]) -> Scenario:
     return _waiting_driver(p, [one], x, across.begin)
 
 
+RUNS_OUT: Mapping[str, float] = {
+    "ego_speed_mps": 8.3, "pedestrian_speed_mps": 1.39, "passing_speed_mps": 4.0, "start_lateral_m": 4.0,
+    "walk_start_s": 3.0, "distance_m": 25.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4,
+    "duration_s": 22.0,
+}  # fmt: skip
+
+
 @family(
     "pedestrian/runs_out",
     "a child runs out from behind parked cars (CPNCO): be slow where the view is blocked",
     ("pedestrian", "occlusion"),
-    {
-        "ego_speed_mps": 8.3, "pedestrian_speed_mps": 1.39, "passing_speed_mps": 4.0, "start_lateral_m": 4.0,
-        "walk_start_s": 3.0, "distance_m": 25.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4,
-        "duration_s": 22.0,
-    },
-)  # fmt: skip
+    RUNS_OUT,
+)
 def runs_out(p: Mapping[str, float]) -> Scenario:
     car = VehicleParameters()
     y0, y1 = -p["start_lateral_m"], HALF_LANE + p["rest_distance_m"]
@@ -299,4 +302,8 @@ def both_sides(p: Mapping[str, float]) -> Scenario:
     return _waiting_driver(p, walkers, x, sets_off)
 
 
-FAMILIES = (turns_back, hesitates, runs_out, jaywalker, group, along, both_sides)
+runs_fast = family(
+    "pedestrian/runs_fast", "as runs_out, nearer: who sees them half a second late brakes with 8 m/s2",
+    ("pedestrian", "occlusion"), {**RUNS_OUT, "pedestrian_speed_mps": 1.5, "start_lateral_m": 3.2, "distance_m": 18.0},
+)(runs_out.build)  # fmt: skip
+FAMILIES = (turns_back, hesitates, runs_out, runs_fast, jaywalker, group, along, both_sides)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
 
-from logs.catalogue import CATALOGUE, FAMILY, scenario, suite
+from logs.catalogue import BUILTIN, FAMILY, scenario, suite
 from logs.errors import ConfigError, LogError
 from logs.files import RemoteFile, check_regular, fetch, heads, listed, local_path, ranged, read_toml, url_of
 from logs.maps import map_files
@@ -163,7 +163,7 @@ class Selection:
 
 def builtin_suite() -> Selection:
     """Every family of the catalogue at its defaults."""
-    return Selection(tuple(LogSource(name) for name in CATALOGUE))
+    return Selection(tuple(LogSource(name) for name in BUILTIN))
 
 
 def named_suite(name: str) -> Selection:

@@ -21,7 +21,7 @@ from metrics.judge.gates import Gate, Gates, Outcome, load_gates
 
 LINE_X = 50.0
 PED, CAR = AgentKind.PEDESTRIAN, AgentKind.CAR
-RULES = {name: METRICS[name] for name in ("red_light", "stop_sign", "crosswalk", "priority_gap")}
+RULES = {name: METRICS[name] for name in ("red_light", "yellow_light", "stop_sign", "crosswalk", "priority_gap")}
 NAMES = ("red_light.count", "stop_sign.count", "crosswalk.count", "priority_gap.below_1s")
 
 
@@ -96,6 +96,22 @@ def test_a_red_light_is_run_where_the_front_crosses_after_it_turned_red(v: float
     crosses = (LINE_X - log.vehicle.axle_to_front) / v
     if abs(crosses - change) > 0.02:
         assert value(log, "red_light.count") == float(crosses > change and crosses < 12.0)
+
+
+@given(st.floats(5.0, 15.0), st.floats(-1.0, 6.0), st.sampled_from([Colour.RED, Colour.GREEN]))
+def test_a_yellow_light_is_run_where_a_comfortable_stop_was_possible_when_it_began(
+    v: float, before: float, then: Colour
+) -> None:
+    ahead = LINE_X - scenario(along(grid(1.0), v)).vehicle.axle_to_front
+    crosses, needed = ahead / v, v * 1.0 + v**2 / (2.0 * 3.05)
+    colours = (Colour.GREEN, Colour.YELLOW, then)
+    begins = crosses - before
+    if begins < 0.1 or abs(before * v - needed) < 0.1 or abs(before) < 0.05:
+        return
+    light = TrafficLight(9, np.array([0.0, begins, max(begins, crosses) + 1.0]), colours)
+    log = scenario(along(grid(14.0), v), road=lined(line(light=9)), lights=(light,))
+    assert value(log, "yellow_light.count") == float(before * v > needed and crosses < 14.0)
+    assert value(log, "red_light.count") == 0.0
 
 
 def test_when_and_which_light() -> None:

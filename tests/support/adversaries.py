@@ -21,10 +21,11 @@ from pathlib import Path
 import numpy as np
 from drives import along, grid, moving, scenario, straight_road
 
-from logs import AgentKind, Frame, Plan, PlannerContext, Road, Scenario, Trajectory
-from logs.catalogue import CATALOGUE
+from logs import AgentKind, EgoState, Frame, Plan, PlannerContext, Predictions, Road, Scenario, Trajectory
+from logs.catalogue import BUILTIN, CATALOGUE
 from logs.kernel import FloatArray
-from logs.rules import StopLine
+from logs.road import ReferenceLine
+from logs.rules import Colour, StopLine
 from planners.constant_speed import arc
 from planners.frenet.scene import RouteTracker
 from planners.idm import Idm, IdmConfig
@@ -58,14 +59,22 @@ class Along:
             v.append(max(0.0, v[-1] + change))
         s = s0 + np.r_[0.0, np.cumsum(0.05 * (np.array(v[1:]) + np.array(v[:-1])))]
         times = frame.t + STEPS
-        wish = self.offset(times)
-        way = np.minimum((s - s0) / 20.0, 1.0)
-        l = wish + (l0 - wish[0]) * (1.0 - way * way * (3.0 - 2.0 * way))  # noqa: E741
-        points = np.array([self._tracker.reference.line.point(*each) for each in zip(s, l, strict=True)])
-        rough = Trajectory(times, *points.T, np.full(81, start.yaw), v, np.zeros(81), np.zeros(81))
-        exact = of_positions(rough)
-        yaw = np.r_[start.yaw, exact.yaw[1:]]
-        return Plan(replace(exact, yaw=yaw, kappa=np.r_[start.kappa, exact.kappa[1:]]), start=kind)
+        path = beside(self._tracker.reference.line, s, l0, self.offset(times))
+        return Plan(_driven(replace(start, t=frame.t), times, path, np.array(v)), start=kind)
+
+
+def beside(line: ReferenceLine, s: FloatArray, l0: float, wish: FloatArray) -> FloatArray:
+    """Points `(n, 2)` at stations, from the offset l0 over to the wished offsets within 20 m."""
+    way = np.minimum((s - s[0]) / 20.0, 1.0)
+    l = wish + (l0 - wish[0]) * (1.0 - way * way * (3.0 - 2.0 * way))  # noqa: E741
+    return np.array([line.point(*each) for each in zip(s, l, strict=True)])
+
+
+def _driven(start: EgoState, t: FloatArray, points: FloatArray, v: FloatArray) -> Trajectory:
+    """The drive through points at speeds."""
+    n = len(t)
+    exact = of_positions(Trajectory(t, *points.T, np.full(n, start.yaw), v, np.zeros(n), np.zeros(n)))
+    return replace(exact, yaw=np.r_[start.yaw, exact.yaw[1:]], kappa=np.r_[start.kappa, exact.kappa[1:]])
 
 
 class Park(Along):
@@ -159,8 +168,8 @@ class Capped(Idm):
         super().__init__(context)
         self._free = self._tracker.reference
 
-    def wish(self, t: float) -> float:
-        """The greatest speed that it wishes for at a time, m/s."""
+    def wish(self, t: float) -> float | FloatArray:
+        """The greatest speed that it wishes for at a time, m/s; or that at each station of the line."""
         raise NotImplementedError
 
     def plan(self, frame: Frame) -> Plan:
@@ -180,6 +189,117 @@ class Dawdler(Capped):
 
     def wish(self, t: float) -> float:
         return 0.6 * 13.89
+
+
+class Hiccup(Capped):
+    """Brakes by 2.5 m/s for nothing, every 8 s."""
+
+    def wish(self, t: float) -> FloatArray:
+        return self._free.limit - (2.5 if t % 8.0 > 6.5 else 0.0)
+
+
+class Bent(Idm):
+    """Drives as it should, with an offset from the line and a speed of its own on top."""
+
+    def offset(self, t: FloatArray) -> FloatArray:
+        """The offset wished for, m."""
+        return np.zeros(len(t))
+
+    def extra(self, t: FloatArray) -> FloatArray:
+        """The speed on top, m/s."""
+        return np.zeros(len(t))
+
+    def plan(self, frame: Frame) -> Plan:
+        plan, scene = super().plan(frame), self._tracker.scene(frame)[0]
+        drive = plan.trajectory
+        extra = self.extra(drive.t)
+        v = drive.v + extra - extra[0]
+        if v.min() < 2.0:  # it stands, or is about to
+            return plan
+        s = scene.s + np.r_[0.0, np.cumsum(0.5 * np.diff(drive.t) * (v[1:] + v[:-1]))]
+        points = beside(scene.reference.line, s, scene.l, self.offset(drive.t))
+        return replace(plan, trajectory=_driven(scene.start, drive.t, points, v))
+
+
+class Swings(Bent):
+    """Its speed swings by 0.8 m/s2 at 0.3 Hz."""
+
+    def extra(self, t: FloatArray) -> FloatArray:
+        return 0.8 / (0.6 * np.pi) * np.sin(0.6 * np.pi * t)
+
+
+class Offset(Bent):
+    """Takes the middle of its lane for 0.5 m further left, as with a wrong position."""
+
+    def offset(self, t: FloatArray) -> FloatArray:
+        return np.full(len(t), 0.5)
+
+
+class LaneChanger(Bent):
+    """Changes to the lane beside its own or back every 6 s, where there is one."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        super().__init__(context)
+        own = [lane for lane in context.road.lanes_at(context.start.x, context.start.y) if lane.drivable]
+        left = any(lane.left_neighbour is not None and not lane.left_opposite for lane in own)
+        self._side = 3.5 if left else -3.5 if any(lane.right_neighbour is not None for lane in own) else 0.0
+
+    def offset(self, t: FloatArray) -> FloatArray:
+        u = np.clip(2.0 * (t / 6.0 % 1.0), 0.0, 1.0)
+        share, turn = u * u * (3.0 - 2.0 * u), t // 6.0
+        return self._side * np.where(turn < 1.0, 0.0, np.where(turn % 2.0 == 1.0, share, 1.0 - share))
+
+
+class Late(Idm):
+    """Sees the others 0.5 s late."""
+
+    late_s = 0.5
+
+    def __init__(self, context: PlannerContext) -> None:
+        super().__init__(context)
+        self._seen: list[Frame] = []
+
+    def plan(self, frame: Frame) -> Plan:
+        self._seen = [*(old for old in self._seen if old.t >= frame.t - self.late_s - 1e-6), frame]
+        old = self._seen[0]
+        return super().plan(replace(frame, agents=old.agents, predictions=_since(old.predictions, frame.t)))
+
+
+def _since(predictions: Predictions, t: float) -> Predictions:
+    """What was predicted, taken for what begins at a later time."""
+    return replace(predictions, t=predictions.t - predictions.t[0] + t)
+
+
+class Third(Idm):
+    """Does not see every third of the others."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        super().__init__(context)
+        self._names: list[str] = []
+
+    def plan(self, frame: Frame) -> Plan:
+        self._names += [name for name in frame.agents.ids if name not in self._names]
+        seen = np.array([i for i, name in enumerate(frame.agents.ids) if self._names.index(name) % 3 != 2], np.int64)
+        guess = frame.predictions
+        rows = np.isin(guess.agent, seen)
+        some = {name: getattr(guess, name)[rows] for name in ("probability", "x", "y", "yaw")}
+        kept = replace(guess, agent=np.searchsorted(seen, guess.agent[rows]), **some)
+        return super().plan(replace(frame, agents=frame.agents.some(seen), predictions=kept))
+
+
+class CurveCutter(Idm):
+    """Takes curves at 4.6 m/s2."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        super().__init__(context, IdmConfig(curve_accel_mps2=4.6))
+
+
+class YellowRunner(Idm):
+    """Takes yellow for green."""
+
+    def plan(self, frame: Frame) -> Plan:
+        lights = {i: Colour.GREEN if colour is Colour.YELLOW else colour for i, colour in frame.lights.items()}
+        return super().plan(replace(frame, lights=lights))
 
 
 class ShortStop(Idm):
@@ -357,6 +477,11 @@ def walked_along() -> Scenario:
     return scenario(along(grid(12.0, 0.1), 8.0), [walker], road=straight_road(lanes=2))
 
 
+def two_lanes_alone() -> Scenario:
+    """The logged ego drives 12 m/s on the right one of two empty lanes."""
+    return scenario(along(grid(25.0, 0.1), 12.0), road=straight_road(lanes=2, limit=12.0))
+
+
 ADVERSARIES = {
     "park": Adversary(Park, "paper/free_road", "route_progress"),
     "creep": Adversary(Creep, "paper/free_road", "route_progress"),
@@ -367,6 +492,14 @@ ADVERSARIES = {
     "needless_braker": Adversary(NeedlessBraker, "paper/free_road", "needless_braking"),
     "dawdler": Adversary(Dawdler, "everyday/traffic_light", "needless_braking"),
     "stopper": Adversary(Stopper, "paper/free_road", "needless_standing"),
+    "swings": Adversary(Swings, "paper/free_road", "speed_swing"),
+    "hiccup": Adversary(Hiccup, "paper/free_road", "speed_swing"),
+    "offset": Adversary(Offset, "paper/free_road", "lane_offset"),
+    "lane_changer": Adversary(LaneChanger, two_lanes_alone, "needless_lane_change"),
+    "late": Adversary(Late, "everyday/pull_outs", "speed_swing"),
+    "third": Adversary(Third, "everyday/pull_outs", "collision_at_fault"),
+    "curve_cutter": Adversary(CurveCutter, "everyday/bend", "curve_accel"),
+    "yellow_runner": Adversary(YellowRunner, "everyday/yellow_light", "red_light"),
     "short_stop": Adversary(ShortStop, "everyday/traffic_light", "needless_standing"),
     "weaver": Adversary(Weaver, "paper/free_road", "needless_steering"),
     "straddler": Adversary(Straddler, "paper/free_road", "lane_line"),
@@ -390,7 +523,7 @@ ADVERSARIES = {
 def _written(folder: Path) -> list[Path]:
     from replay.cli.synth import synthesise
 
-    return list(synthesise(list(CATALOGUE.values()), folder / "logs", {}))
+    return list(synthesise([CATALOGUE[name] for name in BUILTIN], folder / "logs", {}))
 
 
 def main() -> None:
@@ -400,7 +533,7 @@ def main() -> None:
 
     rows: dict[str, dict[str, str]] = {}
     with tempfile.TemporaryDirectory() as place:
-        logs = {family.name: path for family, path in zip(CATALOGUE.values(), _written(Path(place)), strict=True)}
+        logs = dict(zip(BUILTIN, _written(Path(place)), strict=True))
         for name, one in ADVERSARIES.items():
             late = one.gate == "deadline"
             run = RunConfig(

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from logs import ConfigError, DecisionKind, Scenario
-from logs.catalogue import CATALOGUE, FAMILIES, SUITES, ordered, scenario, spread, suite
+from logs.catalogue import BUILTIN, CATALOGUE, FAMILIES, SUITES, ordered, scenario, spread, suite
 from logs.catalogue.driver import drive
 from logs.catalogue.family import before_contact, touches
 from logs.catalogue.iso3888 import cones, double_lane_change
@@ -282,7 +282,8 @@ def test_a_family_or_group_is_a_suite_of_all_its_cells() -> None:
 def test_a_source_is_known_by_its_parameters() -> None:
     one, two = named_suite("euro_ncap/ccrb_2023").sources[:2]
     assert one.identity() != two.identity() and one.read().name == one.label
-    assert [source.label for source in builtin_suite().sources] == list(CATALOGUE)
+    assert [source.label for source in builtin_suite().sources] == list(BUILTIN)
+    assert set(BUILTIN) < set(CATALOGUE) and len(BUILTIN) == 18
     with pytest.raises(ConfigError, match="paper/free_road"):
         LogSource("paper/free_raod").read()
 

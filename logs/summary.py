@@ -14,6 +14,8 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.files import check_regular
+from logs.forward import described as described_reversals
+from logs.forward import forward_part, reversals
 from logs.names import counted
 from logs.observed import ENOUGH, MAX_AGE_S, Spans, clipped, described
 from logs.readers import LogSettings, read_log, reader_of
@@ -209,6 +211,11 @@ def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, .
     unlimited = sum(not np.isfinite(lane.speed_limit) for lane in road.lanes.values())
     compared = f"{len(ego)} ego states to compare with" if len(ego) > 1 else "one ego state only: nothing to compare"
     lasting = f"{scenario.duration:.1f} s to drive" if scenario.duration > 0.0 else "the log lasts 0 s"
+    backward = reversals(ego) if road.source is RoadSource.DRIVEN_PATH else ()
+    part = forward_part(ego, backward)
+    if backward:
+        span = f"from {ego.t[part[0]]:.1f} to {ego.t[part[1]]:.1f} s" if part else "nowhere"
+        lasting = f"forward {span}; the log reverses from {described_reversals(ego, backward)}"
     alone = "no other road users in the log: only comfort, progress and lanes"
     recorded = clipped(scenario.traffic_spans, 0.0, scenario.duration)
     others = counted(len(tracks), "other") if len(tracks) else alone
@@ -232,8 +239,8 @@ def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, .
     fault = goal and goal_fault(road, ego, goal, scenario.vehicle.axle_to_center)
     named = "no goal" if goal is None else fault.value if fault else "named in the log"
     return (
-        Evaluation("open loop against the driven ego", len(ego) > 1, compared),
-        Evaluation("closed loop", scenario.duration > 0.0, lasting),
+        Evaluation("open loop against the driven ego", len(ego) > 1 and part is not None, compared),
+        Evaluation("closed loop", scenario.duration > 0.0 and part is not None, lasting),
         Evaluation("collisions, gaps, time to collision", len(tracks) > 0 and met, others),
         Evaluation("goal reached", goal is not None and fault is None, named),
         Evaluation("off road, lane keeping", lanes, road.source.value),

@@ -20,6 +20,7 @@ from logs.readers import LogSettings, read_log
 from logs.readers.table import from_frames
 from logs.road import Road, RoadSource
 from logs.scenario import Scenario
+from logs.summary import evaluations
 
 STAND = (0.0, 0.0, 0.0)
 """A piece: stands for 3 s."""
@@ -127,6 +128,8 @@ def test_a_log_that_only_reverses_is_refused_and_not_driven() -> None:
     with pytest.raises(LogError, match=r"reverses from .* planners drive forward only") as refusal:
         drivable_part(log)
     assert "--from" in str(refusal.value)
+    loops = {one.name: one.possible for one in evaluations(log, has_vehicle=False) if "loop" in one.name}
+    assert len(loops) == 2 and not any(loops.values())
     (note,) = (note for note in log.notes if note.startswith(REVERSES))
     assert "not negative" in note and "not negative" not in " ".join(driven((0.0, 40.0, -2.0)).notes)
 

@@ -117,6 +117,7 @@ class Road:
         stop_lines: Lines at which lights and signs make a car stop.
         crosswalks: Areas in which pedestrians have the right of way.
         assumed_limits: Lanes whose speed limit is assumed, because the log states none.
+        assumed_priority: Lanes that yield by assumption, because neither a sign nor a light says who goes first.
 
     Raises:
         ValueError: A stop line lies across a lane that is not in the road, or two stop lines or two crosswalks have the
@@ -130,6 +131,7 @@ class Road:
     stop_lines: tuple[StopLine, ...] = ()
     crosswalks: tuple[Crosswalk, ...] = ()
     assumed_limits: frozenset[int] = frozenset()
+    assumed_priority: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lanes", MappingProxyType(dict(self.lanes)))

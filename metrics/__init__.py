@@ -71,7 +71,8 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
     ),
     "rules": (
-        rules.RED_LIGHT, rules.YELLOW_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, rules.PRIORITY_GAP, rules.YIELDING,
+        rules.RED_LIGHT, rules.YELLOW_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, rules.PRIORITY_GAP,
+        rules.PRIORITY_GAP_ASSUMED, rules.YIELDING,
         cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
         needless.FALSE_BRAKING, needless.MISSED_BRAKING,
         safety.PASSING_ROOM, rules.WRONG_WAY, rules.LANE_KEEPING, rules.LANE_LINE,
@@ -97,8 +98,8 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "evidence": (
         evidence.COVERAGE, progress.COVERED, arrival.GOAL_ROUTE,
         evidence.EVIDENCE, evidence.AGENT_INTERVAL, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED,
-        evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED, evidence.PHANTOM,
-        evidence.DIVERGENCE, evidence.WEAK, evidence.DISPLACED,
+        evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED, evidence.DISCRIMINATION,
+        evidence.PHANTOM, evidence.DIVERGENCE, evidence.WEAK, evidence.DISPLACED,
     ),
     "reference": reference_drivers.REFERENCE,
     "score": (

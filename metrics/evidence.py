@@ -241,6 +241,13 @@ ASKED = Metric(
     "Share of the gates of this loop that were asked of this log: the others had nothing to judge.",
     formula="gates that pass, fail or are inconclusive / gates of the loop", needs="a run with gates",
 )  # fmt: skip
+DISCRIMINATION = Metric(
+    "discrimination", "1", "higher", (Mode.CLOSED,), lambda trace, scenario: Unavailable("no gates were judged"),
+    tuple(replace(metric.FINAL, name=name) for name in ("parked", "blind")),
+    "Whether the log tells drivers apart: 1 where a gate of the run fails a driver that brakes to a stop and stays"
+    " (parked), and one that drives its route as if the road were empty (blind).",
+    formula="[a gate on safety, rules or progress fails the reference drive]", needs="a run with gates",
+)  # fmt: skip
 PHANTOM = Metric(
     "phantom", "count", "none", (Mode.OPEN, Mode.CLOSED), _phantom, (metric.COUNT,),
     "Boxes in which the recorded ego stood: they are left out of all metrics and end no drive, from 1 s before to 1 s"

@@ -222,11 +222,12 @@ def _over(ego: FloatArray, car: Car, polygon: FloatArray) -> BoolArray:
     return out
 
 
-def _priority_gap(trace: Trace, scenario: Scenario) -> Measured:
-    lanes = scenario.road.lanes
-    pairs = [(lane, lanes[i]) for lane in lanes.values() for i in lane.yields_to if i in lanes]
+def _priority_gap(trace: Trace, scenario: Scenario, *, assumed: bool) -> Measured:
+    lanes, guessed = scenario.road.lanes, scenario.road.assumed_priority
+    yields = (lane for lane in lanes.values() if (lane.id in guessed) is assumed)
+    pairs = [(lane, lanes[i]) for lane in yields for i in lane.yields_to if i in lanes]
     if not pairs:
-        return Unavailable("the log names no right of way")
+        return Unavailable("no right of way is assumed" if assumed else "the log names no right of way")
     if len(trace.ego) < 2:
         return Unavailable("the drive holds one ego state only")
     t = np.arange(float(trace.ego.t[0]), float(trace.ego.t[-1]), GRID_S)
@@ -413,12 +414,19 @@ CROSSWALK = Metric(
     formula="sum over passages of the pedestrians on the ego's half",
     parameters=(f"half a lane {HALF_LANE_M} m", f"drives above {REST_MPS} m/s"), needs="a crosswalk",
 )  # fmt: skip
-PRIORITY_GAP = Metric(
-    "priority_gap", "s", "higher", _CLOSED, _priority_gap, (MIN, _fewer(SERIOUS_S, "below_1s")),
-    "Time between the ego leaving a spot and a road user with priority reaching it (post-encroachment time).",
-    "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. 2023)",
-    formula="least t_j - t_i >= 0 over boxes i of the ego and j of the other that overlap",
-    parameters=(f"grid {GRID_S} s", f"serious {SERIOUS_S:g} s"), needs="lanes that yield, a drive of two states",
+PRIORITY_GAP, PRIORITY_GAP_ASSUMED = (
+    Metric(
+        name, "s", "higher", _CLOSED, partial(_priority_gap, assumed=assumed), (MIN, _fewer(SERIOUS_S, "below_1s")),
+        f"Time between the ego leaving a spot and a road user with {priority} reaching it (post-encroachment time).",
+        "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. 2023)",
+        formula="least t_j - t_i >= 0 over boxes i of the ego and j of the other that overlap",
+        parameters=(f"grid {GRID_S} s", f"serious {SERIOUS_S:g} s"),
+        needs=f"lanes that {yields}, a drive of two states",
+    )
+    for name, assumed, priority, yields in (
+        ("priority_gap", False, "priority", "yield by a sign or a rule of the log"),
+        ("priority_gap_assumed", True, "assumed priority", "yield by assumption"),
+    )
 )  # fmt: skip
 YIELDING = Metric(
     "yielding", "s", "higher", _CLOSED, _yielding,

@@ -15,6 +15,7 @@ import replan.own
 from logs.errors import ConfigError, PlannerError
 from logs.extension import Kind
 from planners.base import Planner
+from planners.blind import Blind, Parked
 from planners.constant_speed import ConstantSpeed
 from planners.dp_qp import DpQp
 from planners.idm import Idm
@@ -30,6 +31,8 @@ PLANNERS: dict[str, PlannerFactory] = {
     "idm": Idm,
     "pdm": Pdm,
     "constant_speed": ConstantSpeed,
+    "blind": Blind,
+    "parked": Parked,
 }
 """The planners by the names that `--planner` takes."""
 

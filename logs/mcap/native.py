@@ -197,7 +197,7 @@ class Crosswalk(msgspec.Struct, rename=serialised):
 
 
 class Road(msgspec.Struct, rename=serialised):
-    """Lanes and rules; source "driven_path": made from the ego's path; the limits of "assumed_limits" are assumed."""
+    """Lanes and rules; source "driven_path": made from the ego's path; "assumed_limits", "assumed_priority": lanes."""
 
     lanes: list[LaneColumns]
     source: Literal["lanes", "driven_path"] = "lanes"
@@ -206,6 +206,7 @@ class Road(msgspec.Struct, rename=serialised):
     stop_lines: list[StopLine] = []
     crosswalks: list[Crosswalk] = []
     assumed_limits: list[int] = []
+    assumed_priority: list[int] = []
 
 
 class LightColumns(msgspec.Struct, rename=serialised):

@@ -3,17 +3,20 @@
 A value out of bounds is excused by a reference drive of `EXCUSED` that breaks the same bound in the same event: the
 values are about the same road user or object, at most `SAME_S` apart, and the planner's is not clearly worse (`WORSE`).
 In comfort an event without a road user excuses nothing. A collision is not excused where the careful driver of UN R157
-collides more slowly by more than `SLOWER_MPS`. A replayed road user that drives into the ego (`replay_contact`) also
-excuses progress, and safety values about that road user. Progress is also excused if the collision that ended the drive
-is excused, or if a phantom of the log stops the route follower too. A drive in which the planner failed is never
-excused.
+collides more slowly by more than `SLOWER_MPS`. The careful driver, who only brakes, excuses nothing that the route
+follower avoids. A fallback is excused where both come too near to a road user (`TOO_NEAR`) at that time. In the first
+`SAME_S` of a drive the route follower excuses, too, since there the log's start state breaks the bound. A replayed road
+user that drives into the ego (`replay_contact`) also excuses progress, and safety values about that road user. Progress
+is also excused if the collision that ended the drive is excused, or if a phantom of the log stops the route follower
+too. A drive in which the planner failed is never excused.
 
 The goal is not asked of a drive to which no lanes lead (`GOAL_ROUTE`), nor progress of a drive that ended at its goal
 after almost nothing (`COVERED`).
 
-The yardsticks of a `reachable` gate are the recorded driver, and the route follower (`REFERENCES`) and all other
-planners of the run if their drives pass the gates on safety and rules. The careful driver is no yardstick, because it
-ignores traffic rules.
+The yardsticks of a `reachable` gate are the recorded driver, and the route follower if its drive passes the gates on
+safety and rules; either only where the traffic was recorded for most of its drive. So a verdict does not depend on the
+other planners of the run. The follower is asked for drives that `needs_follower` names. The careful driver is no
+yardstick, because it ignores traffic rules.
 
 Marginal: could the outcome of a gate change if the road users of the log were sampled at another rate? A sample is up
 to one interval d old when the next one arrives, and a speed from two samples is as old as their midpoint, so values are
@@ -36,6 +39,7 @@ from typing import NamedTuple
 from metrics import GROUPS, METRICS
 from metrics.judge.gates import Gate, unit_of
 from metrics.progress import LEAST_COVERED
+from metrics.safety import CLOSE_S
 
 REFERENCE = "reference"  # Mode of the rows of reference drives
 DRIVER, CAREFUL, FOLLOWER = "driver", "careful", "follower"
@@ -43,11 +47,16 @@ REFERENCES = {DRIVER: "the recorded driver", CAREFUL: "the careful driver", FOLL
 """Planner names of these rows: the log's own driver; the careful driver of UN R157, which only brakes and ignores
 traffic rules; and the route follower, which steers and obeys the rules (`replay.loop.reference_drives`)."""
 NO_COLLISION = Gate("collision_at_fault.count", max=0.0)  # A collision ends a drive: if it is excused, so is progress
+TOO_NEAR = Gate("ttc.min", min=CLOSE_S)
+FALLBACKS = "fallback.rate"
+CLEAN = (NO_COLLISION, TOO_NEAR, Gate(FALLBACKS, max=0.0), Gate("goal.final", min=1.0))
+"""The follower is a reference of the drives that break one of these: it takes time, and others need none."""
 SAME_S, SLOWER_MPS, WORSE = 2.0, 1.0, 1.5
 """A value at another time (`CC_TTC_S` of the careful driver), or a clearly harder impact, is another event. A value
 that is more than `WORSE` times as far out of bounds as the reference drive's is not explained by the same event."""
 COVERED, GOAL_ROUTE = Gate("covered.final", min=LEAST_COVERED), Gate("goal_route.final", min=1.0)
 REPLAY_CONTACT, IMPACT, PHANTOMS = "replay_contact.final", "collision_severity.impact_speed.max", "phantom.count"
+TRAFFIC = "evidence.traffic.share"
 EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"safety": (DRIVER, CAREFUL), "rules": (DRIVER,), "comfort": (CAREFUL,)}
 )
@@ -58,7 +67,16 @@ GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group
 INTERVAL = "agent_interval.final"
 HARD_MPS2 = 8.0
 AGE = 1.5
-OF_OTHERS = ("gap_kept", "gap_kept_vulnerable", "ttc", "ttc_vulnerable", "thw", "priority_gap", "yielding")
+OF_OTHERS = (
+    "gap_kept",
+    "gap_kept_vulnerable",
+    "ttc",
+    "ttc_vulnerable",
+    "thw",
+    "priority_gap",
+    "priority_gap_assumed",
+    "yielding",
+)
 _MARKED = frozenset({*OF_OTHERS, *(metric.name for metric in GROUPS["comfort"])})
 
 
@@ -106,7 +124,9 @@ class Case:
         return self.drives.rows[self.planner, self.mode].get(self.log, {}).get(metric, NOTHING)
 
     def reference(self, planner: str, metric: str) -> Row:
-        """Return a row of a reference drive of the log; `NOTHING` if the table has none."""
+        """Return a row of a reference drive of the log; `NOTHING` if the table has none, or it is not asked for."""
+        if planner == FOLLOWER and not needs_follower({gate.metric: self.value(gate.metric) for gate in CLEAN}):
+            return NOTHING
         return self.drives.rows.get((planner, REFERENCE), {}).get(self.log, {}).get(metric, NOTHING)
 
     def value(self, metric: str) -> float:
@@ -118,6 +138,11 @@ class Case:
     def crashed(self) -> str:
         """The reason why the planner failed in the drive; empty if it did not."""
         return self.drives.crashed.get((self.log, self.planner, self.mode), "")
+
+
+def needs_follower(values: Mapping[str, float]) -> bool:
+    """Return whether the route follower is a reference of a drive with these values; NaN where it has none."""
+    return any(gate.margin(values.get(gate.metric, nan)) < 0.0 for gate in CLEAN)
 
 
 def group_of(gate: Gate) -> str:
@@ -144,11 +169,13 @@ def excuse(case: Case) -> str:
         if concerns and found.known and asked.margin(found.value) < 0.0:
             return found.reason
     if gate.reachable and not _any_yardstick_holds(case):
-        return "no yardstick stays within it: neither the recorded driver, the route follower nor another planner"
+        return "no yardstick stays within it: neither the recorded driver nor the route follower"
     contact, crash, phantom = (case.row(name) for name in (REPLAY_CONTACT, NO_COLLISION.metric, PHANTOMS))
     concerned = group == "progress" or (group == "safety" and row.about == contact.about)
     if concerned and contact.known and contact.value > 0.0:
         return f"the replay ran into the ego ({contact.reason})"
+    if gate.metric == FALLBACKS:
+        return _excuse_fallback(case)
     if group in EXCUSED:
         return _excuse_by_reference(gate, case)
     if group != "progress":
@@ -163,15 +190,13 @@ def excuse(case: Case) -> str:
 
 def _any_yardstick_holds(case: Case) -> bool:
     """Return whether a yardstick stays within the bound in this log (module docstring)."""
-    for planner, mode in case.drives.rows:
-        if (planner, mode) == (case.planner, case.mode) or mode not in (case.mode, REFERENCE) or planner == CAREFUL:
-            continue
-        other = Case(case.gate, case.log, planner, mode, case.drives)
-        rules = () if (planner, mode) == (DRIVER, REFERENCE) else case.drives.lawful
-        values = {rule: other.value(rule.metric) for rule in rules if rule.mode in (None, case.mode)}
+    for planner in (DRIVER, FOLLOWER):
+        rules = () if planner == DRIVER else case.drives.lawful
+        values = {rule: case.reference(planner, rule.metric).value for rule in rules if rule.mode in (None, case.mode)}
         lawful = all(rule.margin(value) >= 0.0 for rule, value in values.items() if isfinite(value))
-        reached = other.value(case.gate.metric)
-        if lawful and isfinite(reached) and case.gate.margin(reached) >= 0.0:
+        traffic, reached = case.reference(planner, TRAFFIC), case.reference(planner, case.gate.metric)
+        seen = not traffic.known or traffic.value >= case.gate.min_evidence
+        if lawful and seen and reached.known and case.gate.margin(reached.value) >= 0.0:
             return True
     return False
 
@@ -181,15 +206,30 @@ def _excuse_by_reference(gate: Gate, case: Case) -> str:
     row, group = case.row(gate.metric), group_of(gate)
     impact, careful = case.row(IMPACT), case.reference(CAREFUL, IMPACT)
     harder = impact.known and not (careful.known and impact.value <= careful.value + SLOWER_MPS)
-    for planner in EXCUSED[group]:
+    avoided = group == "safety" and _holds(gate, case.reference(FOLLOWER, gate.metric))
+    for planner in (*EXCUSED[group], *((FOLLOWER,) if row.time_s <= SAME_S else ())):
         found = case.reference(planner, gate.metric)
-        if not found.known or gate.margin(found.value) >= 0.0 or (harder and planner != DRIVER):
+        if not found.known or gate.margin(found.value) >= 0.0 or (planner != DRIVER and (harder or avoided)):
             continue
         same = row.about == found.about and abs(row.time_s - found.time_s) <= SAME_S
         if same and (row.about or group != "comfort") and gate.margin(row.value) >= WORSE * gate.margin(found.value):
             about = f" ({found.reason})" if found.reason else ""
             return f"{REFERENCES[planner]} breaks {gate} too: {found.value:.4g}{unit_of(found.unit)}{about}"
     return ""
+
+
+def _excuse_fallback(case: Case) -> str:
+    """Return the reason if the careful driver and the route follower come too near to somebody at that time."""
+    when = case.row(FALLBACKS).time_s
+    rows = [case.reference(planner, TOO_NEAR.metric) for planner in (CAREFUL, FOLLOWER)]
+    if all(row.known and TOO_NEAR.margin(row.value) < 0.0 and abs(row.time_s - when) <= SAME_S for row in rows):
+        return f"{REFERENCES[CAREFUL]} and {REFERENCES[FOLLOWER]} break {TOO_NEAR} then, too ({rows[0].reason})"
+    return ""
+
+
+def _holds(gate: Gate, row: Row) -> bool:
+    """Return whether a row is known and within the bounds of the gate."""
+    return row.known and gate.margin(row.value) >= 0.0
 
 
 def marginal(gate: Gate, value_of: Callable[[str], float]) -> str:

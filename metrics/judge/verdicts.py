@@ -8,10 +8,10 @@ The outcome of a gate on a log is the first of these that applies:
                     evidence that the gate names (`evidence.PART.share`): traffic, lights, limit or lane
     PASS            the value is within the bounds, or the gate judges the sum over all logs
     INCONCLUSIVE    the value is out of bounds, the gate is `reachable`, and no yardstick stays within the bound
-    INCONCLUSIVE    the value is out of bounds, but is excused (`excuses`), or `broken = "inconclusive"`
+    INCONCLUSIVE    the value is out of bounds, but excused or marginal (`excuses`), or `broken = "inconclusive"`
     FAIL            the value is out of bounds
 
-The reason of a pass or fail states if it is marginal: another sampling rate of the log might change it (`excuses`).
+The reason of a pass, too, states if it is marginal: another sampling rate of the log might change it.
 
 Over all logs, a gate has a verdict per planner and mode, and per group if it has `per`. A log is judged if it passes or
 fails, inconclusive without evidence (no value, or excused), and missing if it could not be evaluated, crashed or has no
@@ -233,7 +233,8 @@ def _judge_log(case: Case, failed: Mapping[str, str]) -> LogOutcome:
             return LogOutcome(log, Outcome.INCONCLUSIVE, case.crashed, evaluated=False)
         against, outcome = lacking_evidence(case), Outcome.PASS
     else:
-        against, outcome = excuse(case), Outcome(gate.broken)
+        against = excuse(case) or ("" if case.crashed else marginal(gate, case.value))
+        outcome = Outcome(gate.broken)
     why = against or row.reason
     if against or outcome is Outcome.INCONCLUSIVE:
         outcome, why = Outcome.INCONCLUSIVE, why or gate.reason
@@ -348,7 +349,7 @@ def with_ensemble(
         changes = [change for _, change in others if change]
         values[*drive, f"{ENSEMBLE.name}.pass_share"] = passed / (len(others) + 1.0), ""  # (1)
         values[*drive, f"{ENSEMBLE.name}.fragile"] = float(bool(changes)), "; ".join(changes)  # (2)
-    return _fill_rows(table, values)
+    return fill_rows(table, values)
 
 
 def with_asked(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
@@ -359,10 +360,10 @@ def with_asked(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels
         missing = [gate for gate, outcome in found.items() if outcome is Outcome.NOT_ASKED]
         reason = f"not asked: {', '.join(missing)}" if missing else ""
         values[*drive, f"{ASKED.name}.share"] = 1.0 - len(missing) / len(found), reason
-    return _fill_rows(table, values)
+    return fill_rows(table, values)
 
 
-def _fill_rows(table: pd.DataFrame, values: Values) -> pd.DataFrame:
+def fill_rows(table: pd.DataFrame, values: Values) -> pd.DataFrame:
     """Return the table with these values and reasons filled in."""
     keys = list(zip(*(table[name] for name in (*DRIVE, "metric")), strict=True))
     at = table.index[[i for i, key in enumerate(keys) if key in values]]

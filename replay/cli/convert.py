@@ -16,6 +16,10 @@ from logs.mcap import write_scenario
 from logs.mcap.writer import Entry
 from logs.readers import READER, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
 from logs.scenario import Scenario
+from metrics.judge import load_gates
+from metrics.judge.discrimination import Discrimination
+from replay.config import DEFAULT_LOOP
+from replay.loop.reference_drives import discriminate, with_avoidability
 
 CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(Change))
 """Columns of the table: the fields of `logs.agents.Change`."""
@@ -164,6 +168,13 @@ def changes_as_text(scenario: Scenario) -> Iterator[str]:
     width = max((len(change.agent) for change in changes(scenario)), default=0)
     for change in changes(scenario):
         yield f"    {change.what:10} {change.agent:{width}} {change.begin:7.2f} to {change.end:7.2f} s  {change.why}"
+
+
+def told_apart(scenario: Scenario) -> tuple[Discrimination, ...]:
+    """Whether the parked and the blind driver break a packaged gate of a log; nothing for a log without duration."""
+    if scenario.duration < DEFAULT_LOOP.plan_period_s:
+        return ()
+    return discriminate(with_avoidability(scenario), DEFAULT_LOOP, load_gates(None))
 
 
 def unrepaired(log: Path, settings: LogSettings, scenario: Scenario) -> Scenario | None:

@@ -160,7 +160,7 @@ def inspect(
     with handle_errors():
         from logs.files import here
         from logs.summary import summarise
-        from replay.cli.convert import unrepaired
+        from replay.cli.convert import told_apart, unrepaired
         from replay.cli.progress import sign_of_life
 
         with here(log) as near, sign_of_life(progress_lines(), lambda: f"reading {log}"):
@@ -172,10 +172,12 @@ def inspect(
         if as_json:
             from metrics.health import findings
 
+            apart = () if summary.read is None else told_apart(summary.read)
             health = None if summary.read is None else findings(summary.read)
             before = None if raw is None else {"agents": len(raw.tracks), "health": findings(raw)}
             document = {key: value for key, value in vars(summary).items() if key != "read"}
             document |= {"error": summary.error and str(summary.error), "health": health, "before_repair": before}
+            document |= {"discrimination": {one.driver: str(one.breaks or "") for one in apart}}
             say_json(document)
             raise typer.Exit(0 if summary.error is None else 3)
         say("\n".join(summary.lines()))
@@ -186,6 +188,7 @@ def inspect(
 
             with sign_of_life(progress_lines(), lambda: f"checking {log}"):
                 say("\n".join(report(summary.read, raw)))
+                say("\n".join(f"drivers: {one.text}" for one in told_apart(summary.read)))
 
 
 @app.command()

@@ -36,9 +36,14 @@ from logs.trace import EndReason, Mode, Trace
 from metrics import GROUPS, METRICS
 from metrics.arrival import Arrival, goal_of
 from metrics.boxes import ego_boxes, name_of, phantoms, without_phantoms
+from metrics.evidence import EVIDENCE
 from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
-from metrics.metric import FINAL, Series, once
-from metrics.progress import FOLLOWER_M, GOAL, gain_along, route_of
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.discrimination import JUDGED_BY, Discrimination, discrimination
+from metrics.judge.excuses import CLEAN, needs_follower
+from metrics.judge.gates import Gates
+from metrics.metric import Series, once
+from metrics.progress import FOLLOWER_M, gain_along, route_of
 from metrics.reference_drivers import DRIVERS, RETURN_S, STEP_S, careful_drive, metadata_of
 from metrics.safety import CLOSE_S, TTC, contacts
 from planners.frenet.reference_path import make_line
@@ -49,6 +54,10 @@ SHORTEST = 2
 """A log with fewer ego states holds no drive."""
 FOLLOWER_PERIODS_S = 0.5, 0.05
 """Plan and control period of the follower: long, because its plans are smooth and a yardstick should be cheap."""
+
+
+BAD_PERIODS_S = 4.0, 0.1
+"""Those of the parked and the blind driver, who look at nobody: a plan lasts 8 s."""
 
 
 def reference_line(scenario: Scenario) -> ReferenceLine:
@@ -83,16 +92,43 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
         scenario: What is driven.
         loop: Configuration of the run, for its traffic; the car is perfect, and the follower perceives ground truth.
     """
-    traffic = {key: table for key, table in loop.settings.items() if key == "traffic"}
-    same = LoopConfig(*FOLLOWER_PERIODS_S, vehicle="perfect", traffic=loop.traffic, settings=traffic)
-    driven = run_closed_loop(scenario, "idm", config=same, keep_internals=False).trace
-    trace = replace(driven, planner=FOLLOWER, oracle=True, frames=())
+    trace = _drive_in_traffic(scenario, "idm", FOLLOWER, loop)
     ttc = TTC.found(trace, scenario)
     near = np.asarray(ttc.value < CLOSE_S) if isinstance(ttc, Series) else np.zeros(1, np.bool_)
     last = int(np.argmax(near)) if near.any() else -1
     gain = gain_along(route_of(scenario), trace.ego).metres[last]
     scenario = replace(scenario, metadata={**scenario.metadata, FOLLOWER_M: repr(float(gain))})
-    return scenario, _measure_drives([(trace, ("safety", "progress"))], scenario)
+    return scenario, _measure_drives([(trace, ("safety", "rules", "progress", "comfort"))], scenario)
+
+
+def _drive_in_traffic(
+    scenario: Scenario, planner: str, name: str, loop: LoopConfig, periods_s: tuple[float, float] = FOLLOWER_PERIODS_S
+) -> Trace:
+    """Drive a built-in planner in a perfect car among the traffic of the run; the trace has no plans."""
+    traffic = {key: table for key, table in loop.settings.items() if key == "traffic"}
+    same = LoopConfig(*periods_s, vehicle="perfect", traffic=loop.traffic, settings=traffic)
+    driven = run_closed_loop(scenario, planner, config=same, keep_internals=False).trace
+    return replace(driven, planner=name, oracle=True, frames=())
+
+
+def discriminating_table(scenario: Scenario, loop: LoopConfig) -> pd.DataFrame:
+    """Return the rows of the drives that a log should fail (`metrics.judge.discrimination`)."""
+    rows = []
+    for name, judged_by in JUDGED_BY.items():
+        trace = _drive_in_traffic(scenario, name, name, loop, BAD_PERIODS_S)
+        rows += metrics.rows_of(trace, scenario, metrics={metric.name: metric for metric in judged_by})
+    return metrics.as_table(rows).assign(mode=REFERENCE)
+
+
+def discriminate(scenario: Scenario, loop: LoopConfig, gates: Gates) -> tuple[Discrimination, ...]:
+    """Return whether the parked and the blind driver break a gate of a log (`metrics.judge.discrimination`)."""
+    scenario = scenario if len(scenario.ego) >= SHORTEST else with_follower(scenario, loop)[0]
+    table, labels = discriminating_table(scenario, loop), LogLabels(scenario.family, scenario.dataset, scenario.tags)
+    found = []
+    for driver in JUDGED_BY:
+        mine = table[table["planner"] == driver]
+        found.append(discrimination(driver, gates, labels, dict(zip(mine["metric"], mine["value"], strict=True))))
+    return tuple(found)
 
 
 def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, list[pd.DataFrame]]:
@@ -105,22 +141,25 @@ def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, lis
 
 
 def late_follower(tables: Sequence[pd.DataFrame], scenario: Scenario, loop: LoopConfig) -> list[pd.DataFrame]:
-    """Return the rows of the follower, if they are missing and a planner in the tables of a log misses the goal."""
-    goal, missed = f"{GOAL.name}.{FINAL.name}", False
+    """Return the rows of the follower if they are missing, and a closed drive in the tables of a log needs it."""
+    values: dict[str, dict[str, float]] = {}
+    asked = {gate.metric for gate in CLEAN}
     for table in tables:
-        for k in [k for k, name in enumerate(table["metric"].tolist()) if name == goal]:
-            planner, mode, value = table[["planner", "mode", "value"]].iloc[k]
+        columns = (table[name].tolist() for name in ("planner", "mode", "metric", "value"))
+        for planner, mode, metric, value in zip(*columns, strict=True):
             if planner == FOLLOWER:
                 return []
-            missed = missed or (mode == Mode.CLOSED.value and value < 1.0)
-    return [with_follower(scenario, loop)[1]] if missed else []
+            if mode == Mode.CLOSED.value and metric in asked:
+                values.setdefault(planner, {})[metric] = value
+    needed = any(needs_follower(mine) for mine in values.values())
+    return [with_follower(scenario, loop)[1]] if needed else []
 
 
 def _measure_drives(drives: Iterable[tuple[Trace, tuple[str, ...]]], scenario: Scenario) -> pd.DataFrame:
     """Return the rows of drives, each measured by some groups of metrics."""
     rows = []
     for trace, groups in drives:
-        measures = {metric.name: METRICS[metric.name] for group in groups for metric in GROUPS[group]}
+        measures = {metric.name: METRICS[metric.name] for group in groups for metric in (*GROUPS[group], EVIDENCE)}
         rows += metrics.rows_of(trace, scenario, metrics=measures)
     return metrics.as_table(rows).assign(mode=REFERENCE)
 

@@ -5,7 +5,8 @@ gaps of a set are the cells of another set that it lacks, by default those of th
 synthesised: a gap names the family that fills it.
 
 `replan suite` chooses by greedy set cover (Chvatal, Math. Oper. Res. 4, 1979: within ln n + 1 of the smallest): the
-next log is the one with most cells that no chosen log has; of equal ones the shorter, then the first by name.
+next log is the one with most cells that no chosen log has; of equal ones that in which a blind driver fails, then the
+shorter, then the first by name. A log that a parked driver passes is left out, since it tells no drivers apart.
 """
 
 from __future__ import annotations
@@ -115,24 +116,25 @@ Cell = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Chosen:
-    """A log of the suite, and the number of cells that it adds to the logs before it."""
+    """A log of the suite, the number of cells that it adds to the logs before it, and what a blind driver breaks."""
 
     log: str
     source: str
     adds: int
+    blind_breaks: str
 
 
-def smallest_cover(cells: Mapping[str, frozenset[Cell]], seconds: Mapping[str, float]) -> list[str]:
+def smallest_cover(cells: Mapping[str, frozenset[Cell]], cost: Mapping[str, tuple[bool, float]]) -> list[str]:
     """Logs that together have all cells, in the order in which they are chosen.
 
     Args:
         cells: The cells of each log.
-        seconds: Length of each log, s.
+        cost: Of logs that add equally many cells the one with the least is chosen: without interaction, length in s.
     """
     left = set().union(*cells.values()) if cells else set()
     chosen: list[str] = []
     while left:
-        best = min(cells, key=lambda log: (-len(cells[log] & left), seconds[log], log))
+        best = min(cells, key=lambda log: (-len(cells[log] & left), cost[log], log))
         left -= cells[best]
         chosen.append(best)
     return chosen
@@ -142,19 +144,22 @@ def suite_of(mined: Mined) -> list[Chosen]:
     """The suite of mined logs.
 
     Raises:
-        ConfigError: No event was found: there is nothing to cover.
+        ConfigError: No event was found in a log that a parked driver fails: there is nothing to cover.
     """
-    if mined.events.empty:
-        raise ConfigError("no event was found in these logs: there is nothing to choose them by")
-    keys = mined.events[list(CELL)].itertuples(index=False, name=None)
-    rows = pd.DataFrame({"log": mined.events["log"], "cell": list(keys)})
+    of_log = mined.logs.set_index("log")
+    events = mined.events[mined.events["log"].map(of_log["parked_breaks"]).astype(bool)]
+    if events.empty:
+        easy = " that a parked driver fails (parked_breaks in logs.parquet)" if len(mined.events) else ""
+        raise ConfigError(f"no event was found in logs{easy}: there is nothing to choose them by")
+    keys = events[list(CELL)].itertuples(index=False, name=None)
+    rows = pd.DataFrame({"log": events["log"], "cell": list(keys)})
     cells = {str(log): frozenset(group["cell"]) for log, group in rows.groupby("log")}
-    seconds = dict(zip(mined.logs["log"], mined.logs["duration_s"], strict=True))
-    sources = dict(zip(mined.logs["log"], mined.logs["source"], strict=True))
+    blind = {str(log): str(breaks) for log, breaks in of_log["blind_breaks"].items()}
+    cost = {log: (not breaks, float(of_log.loc[log, "duration_s"])) for log, breaks in blind.items()}
     seen: set[Cell] = set()
     found = []
-    for log in smallest_cover(cells, seconds):
-        found.append(Chosen(log, str(sources[log]), len(cells[log] - seen)))
+    for log in smallest_cover(cells, cost):
+        found.append(Chosen(log, str(of_log.loc[log, "source"]), len(cells[log] - seen), blind[log]))
         seen |= cells[log]
     return found
 
@@ -176,6 +181,7 @@ def write_suite(chosen: list[Chosen], out: Path, begun: Path) -> None:
         if path.exists():
             whole, folder = path.resolve(), out.parent.resolve()
             place = whole.relative_to(folder).as_posix() if whole.is_relative_to(folder) else str(whole)
-        rows.append(f'    "{place}",  # {one.log}: {counted(one.adds, "cell")}')
+        what = f"a blind driver breaks {one.blind_breaks}" if one.blind_breaks else "no interaction"
+        rows.append(f'    "{place}",  # {one.log}: {counted(one.adds, "cell")}; {what}')
     out.parent.mkdir(parents=True, exist_ok=True)
     write_text(out, "\n".join([SUITE_HEADER, "logs = [", *rows, "]", ""]))

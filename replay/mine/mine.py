@@ -23,8 +23,10 @@ from logs.kernel import is_cache_cold
 from logs.names import counted
 from logs.road import RoadSource
 from metrics import health
+from metrics.judge import load_gates
 from metrics.metric import Unavailable
 from replay.config import RunConfig, dump_run
+from replay.loop.reference_drives import discriminate, with_avoidability
 from replay.mine.driven_log import DrivenLog, Event, EventKind
 from replay.mine.ego_and_road import crosses_others, in_roundabout, stays
 from replay.mine.kinds import EVENT_KIND, KINDS, PLAN_KINDS, plan_events
@@ -193,7 +195,11 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
             rows += [_row(log, PLAN_KINDS[name], event, planner) for name, event in plan_events(log, planner, run)]
         except PlannerError as error:
             failures.append(f"{scenario.name}: {error} [{planner}]")
-    about = scenario.metadata
+    about, apart = scenario.metadata, dict[str, str]()
+    if log is not None:
+        loop = run.drive_loop
+        breaks = discriminate(with_avoidability(scenario), loop, load_gates(None))
+        apart = {f"{one.driver}_breaks": str(one.breaks or "") for one in breaks}
     row = {
         "log": scenario.name, "source": source.label, "sha256": digest, "duration_s": float(scenario.duration),
         "driven_m": float(np.hypot(np.diff(scenario.ego.x), np.diff(scenario.ego.y)).sum()),
@@ -201,7 +207,7 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
         "family": scenario.family, "dataset": scenario.dataset, "tags": list(scenario.tags),
         "place": next((about[key] for key in PLACES if about.get(key)), ""),
         "weather": next((about[key] for key in WEATHERS if about.get(key)), ""), "not_asked": not_asked,
-        "error": "",
+        "error": "", "parked_breaks": "", "blind_breaks": "", **apart,
     }  # fmt: skip
     findings = health.table(scenario.name, health.findings(scenario))
     return MinedLog(scenario.name, row, pd.DataFrame(rows, columns=names_of(EVENTS)), findings, tuple(failures))
@@ -241,7 +247,7 @@ def _row(log: DrivenLog, kind: EventKind, event: Event, planner: str) -> dict[st
 
 def _not_mined(label: str, line: str) -> MinedLog:
     numbers = dict.fromkeys(("duration_s", "driven_m"), nan)
-    words = dict.fromkeys(("sha256", "family", "dataset", "place", "weather"), "")
+    words = dict.fromkeys(("sha256", "family", "dataset", "place", "weather", "parked_breaks", "blind_breaks"), "")
     lists: dict[str, Any] = {"tags": [], "not_asked": []}
     row = {"log": label, "source": label, "agents": 0, "lanes": False, "error": line, **numbers, **words, **lists}
     return MinedLog(label, row, failures=(line,))
@@ -280,4 +286,8 @@ def read_mined(folder: Path) -> Mined:
         events, logs, findings = (pd.read_parquet(folder / name) for name in (EVENTS, LOGS, HEALTH))
     except (OSError, ValueError) as error:
         raise LogError(f"cannot be read: {error}", file=folder) from None
+    missing = sorted(set(names_of(LOGS)) - set(logs))
+    if missing:
+        what = f"{LOGS} has no column {', '.join(missing)}: another version of replan mined it"
+        raise LogError(what, file=folder, remedy=f"mine again: replan mine LOGS -o {folder}")
     return Mined(events, logs, findings, tuple(line for line in logs["error"] if line))

@@ -172,6 +172,8 @@ TABLES: Mapping[str, Table] = {
             ("tags", "list", "words by which gates and reports group"),
             ("place", "text", "as the log's metadata says; may be empty"),
             ("weather", "text", "as the log's metadata says; may be empty"),
+            ("parked_breaks", "text", "the first packaged gate that a driver breaks who stops; empty: none, too easy"),
+            ("blind_breaks", "text", "that a driver breaks who looks at nobody; empty: none, no interaction"),
             ("not_asked", "list", "kinds of events that were not looked for, with the reason"),
             ("error", "text", "why the log could not be mined; empty: it was"),
         ),

@@ -16,6 +16,7 @@ import pandas as pd
 from metrics import COLUMNS, health
 from metrics.judge import Verdict, judge, outcomes
 from metrics.judge.aggregate import LogLabels, groups, standings
+from metrics.judge.discrimination import with_discrimination
 from metrics.judge.gates import Gates, Outcome, load_gates
 from metrics.judge.verdicts import LATE, judge_deadline, with_asked, with_ensemble
 from replay.config import RunConfig
@@ -80,7 +81,8 @@ def judge_and_write(
     labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in results}
     read = {log.name: labels[log.name] for log in results if log.digest}
     members = joined([table_of(out, results, MEMBERS)], KEYS, COLUMNS)
-    table = with_asked(with_ensemble(table, members, gates, read), gates, read)
+    table = with_discrimination(with_ensemble(table, members, gates, read), gates, read)
+    table = with_asked(table, gates, read)
     sorted_ = sorted((result for result in results if result.folder), key=lambda result: result.name)
     write_timings(out / TIMINGS, (timings_of(out, result) for result in sorted_))
     verdicts: tuple[Verdict, ...] = ()

@@ -176,6 +176,60 @@ def test_a_broken_bound_that_is_no_evidence_is_inconclusive(
     assert found.planner == "dp_qp"
 
 
+def collision(planner: str, count: float, **changes: object) -> dict[str, object]:
+    return reference(planner, count, metric="collision_at_fault.count", unit="count", **changes)
+
+
+def test_the_careful_driver_excuses_nothing_that_the_follower_avoids() -> None:
+    gate = Gate("collision_at_fault.count", max=0.0)
+    mine = row("a", 1.0, metric="collision_at_fault.count", unit="count")
+    assert verdict(gate, table(mine, collision("careful", 1.0))).outcome is INCONCLUSIVE
+    assert verdict(gate, table(mine, collision("careful", 1.0), collision("follower", 1.0))).outcome is INCONCLUSIVE
+    assert verdict(gate, table(mine, collision("careful", 1.0), collision("follower", 0.0))).outcome is FAIL
+
+
+def test_the_follower_excuses_the_start_of_a_log_only() -> None:
+    rule = Gate("lat_accel.max", max=4.0)
+    about = {"metric": "lat_accel.max", "unit": "m/s2"}
+    near = row("a", 0.5, metric="ttc.min", unit="s")  # so that the follower is asked for
+    for time_s, outcome in ((0.3, INCONCLUSIVE), (3.2, FAIL)):
+        both = row("a", 5.0, time_s=time_s, **about), reference("follower", 5.0, time_s=time_s, **about)
+        assert verdict(rule, table(*both, near)).outcome is outcome
+
+
+def test_a_fallback_is_excused_where_careful_driver_and_follower_come_too_near_at_that_time() -> None:
+    mine = row("a", 0.2, metric="fallback.rate", unit="1")
+    near = [reference(name, 0.5, metric="ttc.min", unit="s") for name in ("careful", "follower")]
+    rule = Gate("fallback.rate", max=0.01)
+    assert verdict(rule, table(mine, *near)).outcome is INCONCLUSIVE
+    assert verdict(rule, table(mine, near[0])).outcome is FAIL
+    assert verdict(rule, table(mine, near[0], near[1] | {"time_s": 9.0})).outcome is FAIL
+    assert verdict(rule, table(mine, near[0], near[1] | {"value": 2.0})).outcome is FAIL
+
+
+@given(st.floats(0.6, 0.94), st.sampled_from([0.02, 0.1, 0.2]))
+def test_a_broken_bound_that_another_sampling_rate_could_mend_is_inconclusive(ttc: float, interval: float) -> None:
+    gate = Gate("ttc.min", min=0.95)
+    rows = table(row("a", ttc, metric="ttc.min", unit="s"), row("a", interval, metric="agent_interval.final", unit="s"))
+    late = 1.5 * interval
+    assert verdict(gate, rows).outcome is (INCONCLUSIVE if 0.95 - ttc <= late else FAIL)
+
+
+def test_a_verdict_is_the_same_whichever_other_planners_ran() -> None:
+    def rows(planner: str, **values: float) -> list[dict[str, object]]:
+        return [row("a", value, metric=metric, planner=planner) for metric, value in values.items()]
+
+    gates = Gates((Gate("goal.final", min=1, reachable=True), Gate("gap.min", min=0.5)), "test")
+    known = [reference("follower", 0.0, metric="goal.final"), reference("follower", 0.1), reference("careful", 0.2)]
+    mine = rows("dp_qp", **{"goal.final": 0.0, "gap.min": 0.1})
+    others = rows("idm", **{"goal.final": 1.0, "gap.min": 0.7})
+
+    def judged(*found: dict[str, object]) -> list[Outcome]:
+        return [v.outcome for v in judge(gates, table(*found), {"a": LogLabels()}) if v.planner == "dp_qp"]
+
+    assert judged(*mine, *known) == judged(*mine, *others, *known)
+
+
 def test_what_can_be_excused_and_by_what() -> None:
     def judged(metric: str, *rows: dict[str, object]) -> Outcome:
         mine = [
@@ -221,7 +275,7 @@ def test_hard_braking_for_nothing_is_not_excused(mine: str, careful: str, outcom
     assert verdict(gate, older).outcome is outcome
 
 
-def test_a_goal_is_missed_where_a_reference_drive_or_another_planner_reaches_it() -> None:
+def test_a_goal_is_missed_where_a_reference_drive_reaches_it_whoever_else_ran() -> None:
     gate = Gate("goal.final", min=1, reachable=True, optional=True)
 
     def judged(value: float, *others: dict[str, object], **references: float) -> Outcome:
@@ -231,16 +285,16 @@ def test_a_goal_is_missed_where_a_reference_drive_or_another_planner_reaches_it(
     assert judged(0.0, driver=1.0, careful=0.0) is FAIL
     assert judged(0.0, driver=0.0, careful=1.0) is INCONCLUSIVE  # who knows no rules is no yardstick
     assert judged(0.0, follower=1.0) is FAIL
-    assert judged(0.0, row("a", 1.0, metric="goal.final", planner="idm"), follower=0.0) is FAIL
-    assert judged(0.0, row("b", 1.0, metric="goal.final", planner="idm"), follower=0.0) is INCONCLUSIVE
+    assert judged(0.0, row("a", 1.0, metric="goal.final", planner="idm"), follower=0.0) is INCONCLUSIVE
+    unseen = reference("driver", 0.1, metric="evidence.traffic.share", unit="1")
+    assert judged(0.0, unseen, driver=1.0) is INCONCLUSIVE  # the traffic of its drive was not recorded
     assert judged(0.0, driver=0.0, careful=0.0) is INCONCLUSIVE
     assert judged(0.0) is INCONCLUSIVE
     assert judged(1.0) is PASS
     rules = Gates((gate, Gate("red_light.count", max=0.0)), "test")
-    for lights, outcome in ((0.0, FAIL), (1.0, INCONCLUSIVE)):  # idm reaches the goal, through a red light or not
-        both = [("goal.final", "dp_qp", 0.0), ("goal.final", "idm", 1.0)]
-        both += [("red_light.count", "dp_qp", 0.0), ("red_light.count", "idm", lights)]
-        found = table(*(row("a", value, metric=metric, planner=planner) for metric, planner, value in both))
+    for lights, outcome in ((0.0, FAIL), (1.0, INCONCLUSIVE)):  # the follower goes through a red light or not
+        there = reference("follower", 1.0, metric="goal.final"), reference("follower", lights, metric="red_light.count")
+        found = table(row("a", 0.0, metric="goal.final"), row("a", 0.0, metric="red_light.count"), *there)
         assert judge(rules, found, {"a": LogLabels()})[0].outcome is outcome
     assert judged(np.nan) is Outcome.NOT_ASKED  # its metric says by name why no vehicle reaches it
 

@@ -89,7 +89,7 @@ def with_rules(document: Document, road: Road, origin: tuple[float, float]) -> t
         StopLine(number, line.lane, line.ends, names.get(line.chain), line.must_stop, line.towards)
         for number, line in enumerate(lines, start=1)
     )
-    waits, notes = _right_of_way(document, road, turns)
+    waits, assumed, notes = _right_of_way(document, road, turns)
     lanes = {i: replace(lane, yields_to=tuple(sorted(waits.get(i, ())))) for i, lane in road.lanes.items()}
     crossings = {i for intersection in document.intersections for i in intersection.crossings}
     marked = (lane for lane in road.lanes.values() if lane.id in crossings or "crosswalk" in lane.kind.split("+"))
@@ -104,7 +104,7 @@ def with_rules(document: Document, road: Road, origin: tuple[float, float]) -> t
     lost = {i for lanelet in document.lanelets for i in _lights_at(lanelet)} - known
     if lost:
         notes.append(f"traffic lights {_comma_list(lost)} are named by lanelets, but are not in the file")
-    ruled = replace(road, lanes=lanes, stop_lines=stop_lines, crosswalks=walks)
+    ruled = replace(road, lanes=lanes, stop_lines=stop_lines, crosswalks=walks, assumed_priority=assumed)
     return ruled, {name: chain for chain, name in names.items()}, tuple(notes)
 
 
@@ -201,9 +201,11 @@ def lights_of(document: Document, heads: Heads, start: float, duration: float) -
 # right of way
 
 
-def _right_of_way(document: Document, road: Road, turns: Turns) -> tuple[dict[int, set[int]], list[str]]:
-    """Return the lanes with right of way by inner lane, and notes on assumptions."""
-    waits: dict[int, set[int]] = {}
+def _right_of_way(
+    document: Document, road: Road, turns: Turns
+) -> tuple[dict[int, set[int]], frozenset[int], list[str]]:
+    """Return the lanes with right of way by inner lane, the inner lanes that yield by assumption, and notes."""
+    waits, by_assumption = dict[int, set[int]](), set[int]()
     assumed, total = 0, len(document.intersections)
     across = "left" if road.drives_on_right else "right"
     for intersection in document.intersections:
@@ -231,11 +233,16 @@ def _right_of_way(document: Document, road: Road, turns: Turns) -> tuple[dict[in
                 if waits_here and meet(road.lanes[lane].center, road.lanes[first].center):
                     waits.setdefault(lane, set()).add(first)
                     unsigned = unsigned or by_side
+                    by_assumption |= {lane} if by_side and not signed else set()
         assumed += unsigned and all(approach.rank == UNSIGNED for approach in approaches)
     if not assumed:
-        return waits, []
+        return waits, frozenset(by_assumption), []
     rule = "the road of more lanes goes first" + (", else who comes from the right" if road.drives_on_right else "")
-    return waits, [f"no sign and no light at {assumed} of {total} intersections: it is assumed that {rule}"]
+    return (
+        waits,
+        frozenset(by_assumption),
+        [f"no sign and no light at {assumed} of {total} intersections: it is assumed that {rule}"],
+    )
 
 
 def _approach(

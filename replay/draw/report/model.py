@@ -64,8 +64,11 @@ COLUMNS = (
 )
 """Columns of the open loop first; the end of the closed loop is shown before the columns of the closed loop."""
 
+FREE = "\u00b0"
+"""Mark of a pass without an interaction (`metrics.judge.discrimination`)."""
 LEGEND = (
     ("open", "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s."),
+    ("closed", f"{FREE}: no interaction: a blind driver passes this log, too, as nothing was in the way."),
     (
         "closed",
         "closed loop: the planner drives; route done: of what the log's driver, else the route follower, does in all;",
@@ -125,7 +128,7 @@ class DriveRow:
     Attributes:
         shown: The name of the planner with its marks: oracle, trusted, batched, not deterministic.
         verdict: The worst outcome of the gates on this log; "" if no gate applies.
-        asked: The number of gates that apply, of all: "24/41".
+        asked: The number of gates that apply, of all: "24/41", with a mark where nothing was in the way.
         end: How the closed loop ended.
         cells: One per column of `Overview.columns`.
         files: Traces and recordings, relative to the result folder.
@@ -242,6 +245,23 @@ class Coverage:
         return f"{self.planner}, {self.mode} loop: {seconds} {word} in {counted(self.logs, 'log')}{km}"
 
 
+@dataclass(frozen=True)
+class Interactions:
+    """The logs that a planner passes in the closed loop, and in how many of them something was in its way."""
+
+    planner: str
+    passed: int
+    in_the_way: int
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        return (
+            f"{self.planner}: {self.in_the_way} of {counted(self.passed, 'pass')} rest on an interaction;"
+            " a blind driver passes the others, too"
+        )
+
+
 def worst_flips(comparison: Comparison) -> pd.DataFrame:
     """The verdicts that changed: new failures first, then gates that no longer fail; the closed loop first."""
     flips = comparison.flips
@@ -279,6 +299,8 @@ class Overview:
         gates: Failed and inconclusive gates first, without gates that apply to no log.
         not_asked: The gates that do not apply to some logs, with the commonest reason, a line each.
         shares: Pass shares of the suite, families, tags and datasets.
+        coverage: The time and distance driven, by planner and loop.
+        interactions: The passes that rest on an interaction, by planner; empty without a closed loop.
         ensembles: The number of verdicts that were tested with perturbed runs.
         fragile: The verdicts that changed, a sentence each.
         notes: Assumptions, with the number of logs, the commonest first.
@@ -305,6 +327,7 @@ class Overview:
     not_asked: tuple[str, ...]
     shares: tuple[PassShare, ...]
     coverage: tuple[Coverage, ...]
+    interactions: tuple[Interactions, ...]
     ensembles: int
     fragile: tuple[str, ...]
     notes: tuple[str, ...]

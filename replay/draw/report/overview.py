@@ -21,22 +21,25 @@ from typing import Any
 import pandas as pd
 
 from logs.names import counted
-from logs.trace import EndReason
+from logs.trace import EndReason, Mode
 from metrics.compare import Comparison
 from metrics.judge import outcomes, worst
 from metrics.judge.aggregate import LogLabels, membership, pass_shares, standings
+from metrics.judge.discrimination import BLIND_FAILS
 from metrics.judge.gates import Outcome
 from metrics.judge.verdicts import judge_deadline
 from replay.draw.charts.subject import gravity
 from replay.draw.report.model import (
     COLUMNS,
     COMPARED,
+    FREE,
     NOTHING,
     Cell,
     Column,
     Coverage,
     DriveRow,
     GateRow,
+    Interactions,
     Overview,
     PassShare,
     StageTime,
@@ -110,6 +113,7 @@ def overview(
         not_asked=tuple(not_asked),
         shares=() if "shard" in results.summary else tuple(shares),
         coverage=tuple(coverage),
+        interactions=tuple(_interactions(stand, values)),
         ensembles=len(ensemble),
         fragile=tuple(
             f"{row.log} [{row.planner}, {row.mode} loop]: {row.reason}"
@@ -182,7 +186,10 @@ def _drives(
     rows = []
     for (log, planner), mine in grouped.items():
         each = judged.get((log, planner), [])
+        verdict = worst(each).value if each else ""
         asked = f"{sum(outcome is not Outcome.NOT_ASKED for outcome in each)}/{len(each)}" if each else ""
+        if verdict == Outcome.PASS.value and values.get((log, planner, "closed", BLIND_FAILS), 1.0) == 0.0:
+            asked += FREE
         found = [(column, values.get((log, planner, column.mode, column.metric), nan)) for column in columns]
         cells = (Cell(c.show(value), value, c.bad(value)) if isfinite(value) else Cell() for c, value in found)
         end = Cell()
@@ -191,7 +198,6 @@ def _drives(
                 about = f": {drive.detail}" if drive.end in CONTACTS else ""
                 end = Cell(f"{SHORT.get(drive.end, drive.end)}{about}", float(drive.t_end_s), drive.end not in GOOD)
         files = tuple(file for drive in mine for file in drive.files)
-        verdict = worst(each).value if each else ""
         row = DriveRow(log, planner, marked(mine), verdict, asked, end, tuple(cells), files, folders[log])
         rows.append(row)
     return tuple(rows)
@@ -232,6 +238,15 @@ def _of_planners(
             km = sum(metres) / 1e3 if metres else nan
             coverage.append(Coverage(planner, mode, len(logged), sum(driven), sum(logged), km))
     return compared, latency, coverage
+
+
+def _interactions(stand: pd.DataFrame, values: Values) -> Iterator[Interactions]:
+    """The passes of each planner in the closed loop, and those of logs that the blind driver fails."""
+    closed = stand[stand["mode"] == Mode.CLOSED.value]
+    for planner, mine in closed.groupby("planner", sort=False):
+        passed = [str(log) for log in mine.loc[mine["standing"] == "passed", "log"]]
+        kept = [log for log in passed if values.get((log, str(planner), "closed", BLIND_FAILS), nan) == 1.0]
+        yield Interactions(str(planner), len(passed), len(kept))
 
 
 # gates ----------------------------------------------------------------------------------------------------------------

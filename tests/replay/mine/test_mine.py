@@ -180,13 +180,13 @@ CELLS = st.frozensets(st.tuples(st.sampled_from("abcd"), st.sampled_from("xyz"))
 
 @given(st.dictionaries(st.sampled_from("pqrstu"), CELLS, min_size=1))
 def test_a_cover_has_all_cells_and_each_log_of_it_adds_one(sets: dict[str, frozenset[tuple[str, ...]]]) -> None:
-    chosen = smallest_cover(sets, dict.fromkeys(sets, 1.0))
+    chosen = smallest_cover(sets, dict.fromkeys(sets, (False, 1.0)))
     seen: set[tuple[str, ...]] = set()
     for log in chosen:
         assert sets[log] - seen
         seen |= sets[log]
     assert seen == set().union(*sets.values())
-    assert chosen == smallest_cover(dict(reversed(sets.items())), dict.fromkeys(sets, 1.0))
+    assert chosen == smallest_cover(dict(reversed(sets.items())), dict.fromkeys(sets, (False, 1.0)))
 
 
 @given(st.lists(st.tuples(*(st.sampled_from("ab") for _ in CELL), st.sampled_from("pq")), max_size=12))

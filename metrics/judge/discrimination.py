@@ -1,0 +1,95 @@
+"""Whether a log tells drivers apart: the parked and the blind reference drive, judged by the gates of the run.
+
+A planner that passes a log has shown something only if a bad driver fails it. `replay.loop.reference_drives` drives two
+in the traffic of each run: `PARKED` brakes to a stop and stays, `BLIND` drives its route as if the road were empty.
+With the gates of the run on the metrics `JUDGED_BY`, without excuses, since a planner that passes needs none:
+
+(1) discrimination.parked = 1 if the parked drive breaks a bound, else 0: the log is too easy, and a pass says nothing
+(2) discrimination.blind  = 1 if the blind drive breaks a bound, else 0: nothing was in the way, no road user, light or
+    sign; a pass says that the planner drives a free road
+
+Gates can ask for both like for any metric. A share of logs with an interaction is a gate on (2) with
+`over = "pass_share"`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import nan
+from types import MappingProxyType
+
+import pandas as pd
+
+from logs.trace import Mode
+from metrics.cut_in import FORCED_BRAKING
+from metrics.evidence import DISCRIMINATION
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.excuses import REFERENCE
+from metrics.judge.gates import Gate, Gates
+from metrics.judge.verdicts import Values, fill_rows
+from metrics.metric import Metric
+from metrics.needless import NEEDLESS_BRAKING, NEEDLESS_STANDING
+from metrics.progress import COMPLETED, GOAL, ROUTE_PROGRESS
+from metrics.rules import CROSSWALK, PRIORITY_GAP, RED_LIGHT, STOP_SIGN, YIELDING
+from metrics.safety import COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, PASSING_ROOM, TTC, TTC_VULNERABLE
+
+PARKED, BLIND = "parked", "blind"
+PARKED_FAILS, BLIND_FAILS = (f"{DISCRIMINATION.name}.{driver}" for driver in (PARKED, BLIND))
+JUDGED_BY: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
+    PARKED: (COMPLETED, GOAL, ROUTE_PROGRESS, NEEDLESS_BRAKING, NEEDLESS_STANDING),
+    BLIND: (
+        COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, TTC, TTC_VULNERABLE, PASSING_ROOM, FORCED_BRAKING,
+        RED_LIGHT, STOP_SIGN, CROSSWALK, PRIORITY_GAP, YIELDING,
+    ),
+})  # fmt: skip
+"""Parked: what asks for driving. Blind: what asks for looking at road users, lights and signs."""
+_EASY = {PARKED: "too easy: a parked driver", BLIND: "no interaction: a blind driver"}
+
+
+@dataclass(frozen=True, slots=True)
+class Discrimination:
+    """The first gate whose bound a reference driver breaks in a log; None: it breaks none."""
+
+    driver: str
+    breaks: Gate | None
+
+    @property
+    def text(self) -> str:
+        """One line: "a parked driver breaks goal.final >= 1 [closed]"."""
+        if self.breaks is None:
+            return f"{_EASY[self.driver]} breaks no gate"
+        return f"a {self.driver} driver breaks {self.breaks}"
+
+
+def discrimination(driver: str, gates: Gates, labels: LogLabels, values: Mapping[str, float]) -> Discrimination:
+    """Judge the drive of a reference driver by its values of metrics; NaN where it has none."""
+    names = {metric.name for metric in JUDGED_BY[driver]}
+    asked = (
+        gate for gate in gates.gates
+        if gate.planner is None and gate.mode in (None, Mode.CLOSED.value) and gate.selects(labels)
+        and gate.metric.partition(".")[0] in names
+    )  # fmt: skip
+    return Discrimination(
+        driver, next((gate for gate in asked if gate.margin(values.get(gate.metric, nan)) < 0.0), None)
+    )
+
+
+def with_discrimination(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
+    """Fill in (1) and (2) of each closed drive of the table, from the reference drives in it."""
+    bad = table[(table["mode"] == REFERENCE) & table["planner"].isin(list(JUDGED_BY))]
+    known: dict[tuple[str, str], dict[str, float]] = {}
+    for log, driver, metric, value in zip(*(bad[name] for name in ("log", "planner", "metric", "value")), strict=True):
+        known.setdefault((log, driver), {})[metric] = value
+    found: dict[str, list[Discrimination]] = {}
+    for (log, driver), of in known.items():
+        if log in labels:
+            found.setdefault(log, []).append(discrimination(driver, gates, labels[log], of))
+    drives = table.loc[table["mode"] == Mode.CLOSED.value, ["log", "planner"]].drop_duplicates()
+    closed, name = Mode.CLOSED.value, DISCRIMINATION.name
+    values: Values = {
+        (log, planner, closed, f"{name}.{one.driver}"): (float(one.breaks is not None), one.text)
+        for log, planner in drives.itertuples(index=False)
+        for one in found.get(log, ())
+    }
+    return fill_rows(table, values)

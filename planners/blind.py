@@ -1,0 +1,76 @@
+"""Two drivers that a log should fail: `blind` looks at nothing but the road, `parked` does not drive.
+
+A log that a parked driver passes cannot tell drivers apart. In a log that a blind driver passes, nothing was in the
+way. `replay.loop.reference_drives` drives both in every log, and `metrics.judge.discrimination` judges them.
+
+`blind` is the Intelligent Driver Model (`planners.idm`) on the same route, within the limits and curves of its lanes,
+without road users, lights, stop lines, crosswalks, and right of way. `parked` follows the same path: with its speed v,
+the wished speed u and t from the frame on,
+
+(1) v(t) = u + the comfortable braking profile of v - u       where v > u
+(2) v(t) = min(u, v + `GAIN_MPS2` t)                          else
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from logs.frame import Frame, PlannerContext, Predictions
+from logs.states import EgoState
+from logs.trace import Plan
+from planners.frenet.fallback import trajectory_along
+from planners.frenet.path import path_through
+from planners.frenet.profiles import COMFORT, HORIZON_KNOTS, STEP_S, braking
+from planners.idm import Idm, IdmConfig
+
+GAIN_MPS2 = 1.0
+NOBODY = np.zeros(0, np.int64)
+
+
+class Blind:
+    """Drives the route as if the road were empty: (1) to (3) of `planners.idm` without a leader."""
+
+    def __init__(self, context: PlannerContext, config: IdmConfig | None = None) -> None:
+        lanes = {name: replace(lane, yields_to=()) for name, lane in context.road.lanes.items()}
+        self._idm = Idm(replace(context, road=replace(context.road, lanes=lanes, stop_lines=(), crosswalks=())), config)
+
+    def plan(self, frame: Frame) -> Plan:
+        """Return the plan of `idm` for the frame without road users and lights."""
+        seen, t = frame.predictions, frame.predictions.t
+        empty = np.empty((0, len(t)))
+        nothing = Predictions(t, NOBODY, np.empty(0), empty, empty, empty, seen.method)
+        return self._idm.plan(replace(frame, agents=frame.agents.some(NOBODY), predictions=nothing, lights={}))
+
+
+class Parked:
+    """Brakes to a stop and stays, or with `speed_mps` creeps along, on the path of `blind`.
+
+    Args:
+        context: As every planner's.
+        speed_mps: The wished speed, m/s; not negative.
+    """
+
+    def __init__(self, context: PlannerContext, *, speed_mps: float = 0.0) -> None:
+        if not speed_mps >= 0.0:
+            raise ValueError(f"speed_mps is {speed_mps:g}, below 0")
+        self._blind, self._wish = Blind(context), speed_mps
+
+    def plan(self, frame: Frame) -> Plan:
+        """Return the path of `blind` at the speeds (1), (2), in its frame."""
+        plan = self._blind.plan(frame)
+        way, t = plan.trajectory, STEP_S * np.arange(HORIZON_KNOTS)
+        start: EgoState = way.state(0)
+        excess = start.v - self._wish
+        if excess > 0.0:
+            slower = braking(excess, start.a, COMFORT.decel_mps2, COMFORT.jerk_mps3, STEP_S, HORIZON_KNOTS)
+            profile = slower + np.stack([self._wish * t, np.full(len(t), self._wish), np.zeros(len(t))])  # (1)
+        else:
+            v = np.minimum(self._wish, max(start.v, 0.0) + GAIN_MPS2 * t)  # (2)
+            s = np.r_[0.0, np.cumsum(0.5 * STEP_S * (v[1:] + v[:-1]))]
+            profile = np.stack([s, v, np.where(v < self._wish, GAIN_MPS2, 0.0)])
+        path = path_through(way.x, way.y, way.yaw, way.kappa)
+        if len(path.sigma) < 2:  # `blind` stands: so does the parked driver
+            return plan
+        return replace(plan, trajectory=trajectory_along(path, profile, frame.t))

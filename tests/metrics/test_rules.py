@@ -21,7 +21,8 @@ from metrics.judge.gates import Gate, Gates, Outcome, load_gates
 
 LINE_X = 50.0
 PED, CAR = AgentKind.PEDESTRIAN, AgentKind.CAR
-RULES = {name: METRICS[name] for name in ("red_light", "yellow_light", "stop_sign", "crosswalk", "priority_gap")}
+NAMES_OF_RULES = "red_light", "yellow_light", "stop_sign", "crosswalk", "priority_gap", "priority_gap_assumed"
+RULES = {name: METRICS[name] for name in NAMES_OF_RULES}
 NAMES = ("red_light.count", "stop_sign.count", "crosswalk.count", "priority_gap.below_1s")
 
 
@@ -265,6 +266,16 @@ def test_who_need_not_yield_may_go_first() -> None:
     log = met(1.0)
     lanes = {i: replace(each, yields_to=()) for i, each in log.road.lanes.items()}
     assert not rows(replace(log, road=replace(log.road, lanes=lanes))).available["priority_gap.min"]
+
+
+def test_an_assumed_right_of_way_is_a_metric_of_its_own() -> None:
+    log = met(1.0)
+    waits = frozenset(i for i, each in log.road.lanes.items() if each.yields_to)
+    guessed = replace(log, road=replace(log.road, assumed_priority=waits))
+    found = rows(guessed)
+    assert not found.available["priority_gap.min"]
+    assert found.value["priority_gap_assumed.min"] == rows(log).value["priority_gap.min"]
+    assert not rows(log).available["priority_gap_assumed.min"]
 
 
 # all of them ------------------------------------------------------------------------------------------------------

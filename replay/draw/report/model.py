@@ -64,7 +64,7 @@ COLUMNS = (
 )
 """Columns of the open loop first; the end of the closed loop is shown before the columns of the closed loop."""
 
-FREE = "\u00b0"
+FREE = "*"
 """Mark of a pass without an interaction (`metrics.judge.discrimination`)."""
 LEGEND = (
     ("open", "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s."),

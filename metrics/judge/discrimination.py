@@ -31,7 +31,7 @@ from metrics.judge.verdicts import Values, fill_rows
 from metrics.metric import Metric
 from metrics.needless import NEEDLESS_BRAKING, NEEDLESS_STANDING
 from metrics.progress import COMPLETED, GOAL, ROUTE_PROGRESS
-from metrics.rules import CROSSWALK, PRIORITY_GAP, RED_LIGHT, STOP_SIGN, YIELDING
+from metrics.rules import CROSSWALK, PRIORITY_GAP, RED_LIGHT, STOP_SIGN, YELLOW_LIGHT, YIELDING
 from metrics.safety import COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, PASSING_ROOM, TTC, TTC_VULNERABLE
 
 PARKED, BLIND = "parked", "blind"
@@ -40,7 +40,7 @@ JUDGED_BY: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     PARKED: (COMPLETED, GOAL, ROUTE_PROGRESS, NEEDLESS_BRAKING, NEEDLESS_STANDING),
     BLIND: (
         COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, TTC, TTC_VULNERABLE, PASSING_ROOM, FORCED_BRAKING,
-        RED_LIGHT, STOP_SIGN, CROSSWALK, PRIORITY_GAP, YIELDING,
+        RED_LIGHT, YELLOW_LIGHT, STOP_SIGN, CROSSWALK, PRIORITY_GAP, YIELDING,
     ),
 })  # fmt: skip
 """Parked: what asks for driving. Blind: what asks for looking at road users, lights and signs."""

@@ -155,7 +155,8 @@ def suite_of(mined: Mined) -> list[Chosen]:
     rows = pd.DataFrame({"log": events["log"], "cell": list(keys)})
     cells = {str(log): frozenset(group["cell"]) for log, group in rows.groupby("log")}
     blind = {str(log): str(breaks) for log, breaks in of_log["blind_breaks"].items()}
-    cost = {log: (not breaks, float(of_log.loc[log, "duration_s"])) for log, breaks in blind.items()}
+    seconds = dict(zip(blind, of_log["duration_s"].tolist(), strict=True))
+    cost = {log: (not breaks, seconds[log]) for log, breaks in blind.items()}
     seen: set[Cell] = set()
     found = []
     for log in smallest_cover(cells, cost):

@@ -69,7 +69,7 @@ def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
     if len(over.planners) > 1:
         each = [(label, *texts) for label, texts in over.compared]
         parts.append(f"## Planners\n\n{_table(('over all logs', *over.planners), each)}")
-    parts.append(_list("Driven", [each.text for each in (*over.coverage, *over.interactions)]))
+    parts.append(_list("Driven", over.driven))
     parts.append(_list(f"Ensemble: {len(over.fragile)} of {over.ensembles} verdicts are fragile", over.fragile))
     parts += [_list(BROKEN, over.broken), _list("Notes", over.notes)]
     times = [

@@ -338,6 +338,11 @@ class Overview:
     broken: tuple[str, ...] = ()
 
     @property
+    def driven(self) -> tuple[str, ...]:
+        """The time and distance driven, and the passes that rest on an interaction, a line each."""
+        return (*(each.text for each in self.coverage), *(each.text for each in self.interactions))
+
+    @property
     def first_closed(self) -> int:
         """The index of the first column of the closed loop; the end of its drive comes before it."""
         return next((i for i, column in enumerate(self.columns) if column.mode == "closed"), len(self.columns))

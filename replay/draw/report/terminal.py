@@ -66,7 +66,7 @@ def print_report(over: Overview, console: Console, folder: Path, *, ending: bool
         for row in over.gates:
             loop = f" [{row.mode}]" if row.mode and f"[{row.mode}]" not in row.rule else ""
             table.add_row(Text(row.outcome.upper(), style=STYLES[row.outcome]), Text(row.rule + loop), Text(row.found))
-    parts += titled("Gates", judged, *(Text(each.text, style="dim") for each in (*over.coverage, *over.interactions)))
+    parts += titled("Gates", judged, *(Text(line, style="dim") for line in over.driven))
     parts += _list("Gates that were not asked", over.not_asked, MAX_NOTES, "report.html")
     parts += _shares(over)
     if over.ensembles:

@@ -114,9 +114,9 @@ def followers(drive: Trajectory, agents: Tracks, scenario: Scenario) -> Iterator
     outline = np.stack([corners(x, y, yaw, car.length, car.width) for x, y, yaw in boxes[:3].T], axis=-1)
     c, s = np.cos(boxes[2]), np.sin(boxes[2])
     for i, others, row in each(agents, ego.t):
-        if agents.static[i] or agents.kinds[i] in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
-            continue
         pose, there = others.pose[:, row], np.flatnonzero(others.there[row])
+        if not len(there) or agents.static[i] or agents.kinds[i] in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
+            continue
         dx, dy = pose[:2] - boxes[:2]
         oncoming = pose[3] * c + pose[4] * s <= -0.2 * np.hypot(pose[3], pose[4])
         points = thinned(pose[:2, there].T, SPACING_M)

@@ -145,7 +145,8 @@ def judge(
     for planner, mode, log, metric, *rest in zip(*(table[name] for name in columns), strict=True):
         rows.setdefault((planner, mode), {}).setdefault(log, {})[metric] = Row(*rest)
     lawful = tuple(gate for gate in gates.gates if gate.over == "worst" and group_of(gate) in LAWFUL)
-    drives = Drives(rows, frozenset(table.loc[table["oracle"].astype(bool), "planner"]), crashed, lawful)
+    oracles = frozenset(table.loc[table["oracle"].astype(bool) & (table["mode"] != REFERENCE), "planner"])
+    drives = Drives(rows, oracles, crashed, lawful)
     known = list(dict.fromkeys([*labels, *table["log"], *failed]))
     return tuple(verdict for gate in gates.gates for verdict in _judge_gate(gate, drives, known, labels, failed))
 

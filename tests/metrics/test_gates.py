@@ -338,6 +338,11 @@ def test_tags_select_logs() -> None:
     assert verdict(Gate("gap.min", min=0.5, tags=("rain", "pedestrian")), rows, tags=tags).outcome is PASS
 
 
+def test_a_planner_is_judged_though_a_reference_drive_has_its_name() -> None:
+    rows = table(row("a", 0.7, planner="parked"), row("a", 0.1, planner="parked", mode="reference", oracle=True))
+    assert [(found.planner, found.outcome) for found in verdicts(AT_LEAST, rows)] == [("parked", PASS)]
+
+
 def test_each_planner_and_mode_is_judged_but_oracles_only_if_named() -> None:
     rows = table(
         row("a", 1.0),

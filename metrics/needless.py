@@ -12,7 +12,8 @@ The reasons are those that a careful driver could have:
                  those that were present, phantoms included, and those that the planner perceived
     rules        a stop line with a sign, or a light that is not green; a crosswalk with a pedestrian or rider
                  within 10 m of it;
-                 a lane that yields; the goal; the end of the route
+                 a lane that yields; the far end of the goal, its near end where it asks for a speed; a goal's time,
+                 where the ego would leave the goal before it; the end of the route
     caps         v exceeds the limit, the speed with 2 m/s2 of lateral acceleration in a curve, or the speed of the
                  recorded driver at that place
 
@@ -107,8 +108,8 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
         for brakes, stands, beside, far in _agents_as_reasons(tracks, ego.t, s, l, ego.v, line, scenario):
             slow, stand, steer, change = slow | brakes, stand | stands, steer | beside, change | far
     goal, early = scenario.goal, np.zeros(len(s), np.bool_)
-    if goal is not None and goal.t is not None:  # at its speed it would arrive before the goal's time
-        early = s + np.maximum(ego.v, STANDS_MPS) * (goal.t[0] - ego.t) > route_of(scenario).length
+    if goal is not None and goal.t is not None:  # at its speed it would leave the goal before the goal's time
+        early = s + np.maximum(ego.v, STANDS_MPS) * (goal.t[0] - ego.t) > route_of(scenario).far
     flags = np.stack([slow | early, stand | early, steer, change])
     since = np.maximum.accumulate(np.where(flags, ego.t, -np.inf), axis=1)
     slow, stand, steer, change = ego.t - since <= AFTER_S + 1e-9
@@ -200,8 +201,8 @@ def _places_to_stop(
         if len(on):
             yield float(on[0]), float(on[-1]), active, NEAR_M
     yield line.length, np.inf, always, NEAR_M
-    if goal is not None and np.isfinite(route.length):
-        yield route.length, np.inf, always, NEAR_M
+    if goal is not None and np.isfinite(route.length):  # a goal that asks for no speed is driven through
+        yield (route.far if goal.v is None else route.length), np.inf, always, NEAR_M
     elif scenario.is_recorded:
         yield float(line.project(scenario.ego.x[-1], scenario.ego.y[-1], route.length)[0]), np.inf, always, NEAR_M
 

@@ -73,12 +73,13 @@ class Route:
     """The line (a) of a scenario, from its first state.
 
     `length`, m, ends where the line enters the goal, else at the end of the log's drive; NaN if there is neither.
-    `way` is the gain from which on the goal counts (d), m.
+    `way` is the gain from which on the goal counts (d), m. `far` ends where the line leaves the goal; inf: nowhere.
     """
 
     line: ReferenceLine
     length: float
     way: float = 0.0
+    far: float = np.inf
 
     @cached_property
     def window(self) -> float:
@@ -132,10 +133,17 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
     driven = float(np.hypot(*np.diff(path, axis=0).T).sum())
     regions = goal.regions if goal else ()
     way = way_of(goal, log, Route(line, np.nan), axle_to_center) if goal else 0.0
-    for s, (x, y) in zip(line.s[1:].tolist(), line.xy[1:].tolist(), strict=True) if regions else ():
-        if s - axle_to_center >= way and any(inside(x, y, region) for region in regions):
-            return Route(line, max(s - axle_to_center, SPACING_M), way)
-    return Route(line, driven if driven >= SHORTEST_M else np.nan, way)
+    enters = np.nan
+    for s, (x, y) in zip((line.s[1:] - axle_to_center).tolist(), line.xy[1:].tolist(), strict=True) if regions else ():
+        within = any(inside(x, y, region) for region in regions)
+        if np.isnan(enters):
+            enters = s if within and s >= way else enters
+        elif not within:
+            return Route(line, max(enters, SPACING_M), way, s)
+    if np.isfinite(enters):
+        return Route(line, max(enters, SPACING_M), way)
+    length = driven if driven >= SHORTEST_M else np.nan
+    return Route(line, length, way, length)
 
 
 def way_of(goal: Goal, log: Trajectory, route: Route, axle_to_center: float) -> float:

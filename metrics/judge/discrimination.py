@@ -22,7 +22,6 @@ from types import MappingProxyType
 import pandas as pd
 
 from logs.trace import Mode
-from metrics.cut_in import FORCED_BRAKING
 from metrics.evidence import DISCRIMINATION
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.excuses import REFERENCE
@@ -39,7 +38,7 @@ PARKED_FAILS, BLIND_FAILS = (f"{DISCRIMINATION.name}.{driver}" for driver in (PA
 JUDGED_BY: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     PARKED: (COMPLETED, GOAL, ROUTE_PROGRESS, NEEDLESS_BRAKING, NEEDLESS_STANDING),
     BLIND: (
-        COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, TTC, TTC_VULNERABLE, PASSING_ROOM, FORCED_BRAKING,
+        COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, TTC, TTC_VULNERABLE, PASSING_ROOM,
         RED_LIGHT, YELLOW_LIGHT, STOP_SIGN, CROSSWALK, PRIORITY_GAP, YIELDING,
     ),
 })  # fmt: skip

@@ -61,12 +61,28 @@ STOP_LINE = replace(ROAD, stop_lines=(StopLine(1, 0, np.array([[111.0, 1.75], [1
 FAR_LINE = replace(ROAD, stop_lines=(StopLine(1, 0, np.array([[134.0, 1.75], [134.0, -1.75]]), light=1),))
 RED = (TrafficLight(1, np.array([0.0, 20.0]), (Colour.RED, Colour.GREEN)),)
 GREEN = (TrafficLight(1, np.array([0.0]), (Colour.GREEN,)),)
+
+
+def goal_from(x: float, to: float, **more: tuple[float, float]) -> Goal:
+    return Goal((np.array([[x, -2.0], [to, -2.0], [to, 2.0], [x, 2.0]]),), **more)
+
+
 CALLED_FOR = {
     "a car that stands ahead": scenario(LOG.ego, [box(AgentKind.CAR, 116.0, 0.0)], road=ROAD),
     "a pedestrian beside the road ahead": scenario(LOG.ego, [box(AgentKind.PEDESTRIAN, 113.0, 3.0)], road=ROAD),
     "a red light": replace(LOG, road=STOP_LINE, lights=RED),
-    "the goal": replace(LOG, goal=Goal((np.array([[112.0, -2.0], [120.0, -2.0], [120.0, 2.0], [112.0, 2.0]]),))),
+    "the far end of the goal": replace(LOG, goal=goal_from(90.0, 115.0)),
+    "a goal that asks for a speed": replace(LOG, goal=goal_from(112.0, 160.0, v=(0.0, 1.0))),
+    "the goal's time": replace(LOG, goal=goal_from(90.0, 115.0, t=(28.0, 30.0))),
 }
+
+
+@pytest.mark.parametrize("time", [None, (12.0, 30.0)])
+def test_a_goal_that_can_be_driven_through_is_no_reason_to_stop(time: tuple[float, float] | None) -> None:
+    """Its near end is at the stop, its far end 150 m ahead; by its time the ego could be 20 m farther."""
+    lost, stood, _ = measured(replace(LOG, goal=goal_from(112.0, 260.0, **({"t": time} if time else {}))), STOP)
+    assert lost == pytest.approx(10.0, abs=0.1)
+    assert stood > 3.0
 
 
 @pytest.mark.parametrize("what", CALLED_FOR)

@@ -244,17 +244,22 @@ class Goal:
 
     def reached(self, t: float, x: float, y: float, yaw: float, v: float) -> bool:
         """Whether a state (box centre) satisfies the goal, or one of its alternatives; its `way` is not tested."""
+        return not self.unmet(t, x, y, yaw, v)
+
+    def unmet(self, t: float, x: float, y: float, yaw: float, v: float) -> tuple[str, ...]:
+        """Return which of "time", "speed", "heading", "place" a state misses; of alternatives, the fewest."""
         if self.alternatives:
-            return any(one.reached(t, x, y, yaw, v) for one in self.alternatives)
-        if self.t is not None and not self.t[0] - 1e-9 <= t <= self.t[1] + 1e-9:
-            return False
-        if self.v is not None and not self.v[0] <= v <= self.v[1]:
-            return False
-        if self.yaw is not None and self.yaw[1] - self.yaw[0] < 2.0 * np.pi - 1e-9:  # 2 pi and more is any heading
-            arc = (self.yaw[1] - self.yaw[0]) % (2.0 * np.pi)
-            if not (yaw - self.yaw[0] + 1e-9) % (2.0 * np.pi) <= arc + 2.0 * 1e-9:
-                return False
-        return self.holds_place(x, y)
+            return min((one.unmet(t, x, y, yaw, v) for one in self.alternatives), key=len)
+        arc = np.inf if self.yaw is None else self.yaw[1] - self.yaw[0]
+        turned = 0.0 if self.yaw is None else (yaw - self.yaw[0] + 1e-9) % (2.0 * np.pi)
+        met = {
+            "time": self.t is None or self.t[0] - 1e-9 <= t <= self.t[1] + 1e-9,
+            "speed": self.v is None or self.v[0] <= v <= self.v[1],
+            # 2 pi and more is any heading
+            "heading": arc >= 2.0 * np.pi - 1e-9 or turned <= arc % (2.0 * np.pi) + 2.0 * 1e-9,
+            "place": self.holds_place(x, y),
+        }
+        return tuple(name for name, holds in met.items() if not holds)
 
 
 def nearest(points: FloatArray, x: float, y: float) -> int:

@@ -165,6 +165,7 @@ def gain_along(route: Route, drive: Trajectory, begin: float = 0.0) -> Gain:
 
 
 FLOOR_M = 2.0
+MISSED_STEPS = 500  # Steps of a drive that are looked at for what it missed
 LEAST_COVERED = 0.2  # A drive that covers less of its log shows almost nothing
 EXCESS_MPS = 2.23  # 5 mph
 OVER_MPS, OVER_RATIO = 1.0, 0.1
@@ -300,6 +301,16 @@ def _at_end(trace: Trace, *, good: bool) -> Series:
     return Series(trace.ego.t[-1:], np.array([float(good)]), (label,))
 
 
+def _missed(trace: Trace, scenario: Scenario, goal: Goal) -> Series:
+    """Return 0, and what the drive missed of the goal at the step at which it missed the fewest conditions."""
+    x, y = ego_boxes(trace.ego, scenario)[:2]
+    steps = np.unique(np.linspace(0, len(x) - 1, MISSED_STEPS).round().astype(int))
+    states = np.stack([trace.ego.t, x, y, trace.ego.yaw, trace.ego.v], axis=1)[steps]
+    missed = min((goal.unmet(*state) for state in states.tolist()), key=lambda names: (len(names), "place" in names))
+    label = f"{trace.end.value}: {' and '.join(missed) or 'the way to it'} of the goal missed"
+    return Series(trace.ego.t[-1:], np.zeros(1), (label,))
+
+
 def _goal(trace: Trace, scenario: Scenario) -> Measured:
     if scenario.goal is None:
         return Unavailable("the log names no goal")
@@ -314,14 +325,14 @@ def _goal(trace: Trace, scenario: Scenario) -> Measured:
     ahead = scenario.vehicle.axle_to_center
     x, y = start.x + ahead * cos(start.yaw), start.y + ahead * sin(start.yaw)
     if not goal.regions or goal.holds_place(x, y):
-        return _at_end(trace, good=False)
+        return _missed(trace, scenario, goal)
     edges = [(a, b) for region in goal.regions for a, b in zip(region, np.roll(region, -1, axis=0), strict=True)]
     away = min(point_segment(x, y, *a, *b) for a, b in edges)
     top, time = max(start.v, REACH_MPS), last - first
     faster = min(time, (top - start.v) / REACH_MPS2)
     reach = start.v * faster + 0.5 * REACH_MPS2 * faster**2 + top * (time - faster)  # (7)
     if away <= reach:
-        return _at_end(trace, good=False)
+        return _missed(trace, scenario, goal)
     return Unavailable(f"no vehicle reaches the goal: {away:.0f} m in {time:.1f} s from {start.v:.1f} m/s")
 
 

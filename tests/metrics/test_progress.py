@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from logs import EndReason, Goal, Lane, RoadSource, Scenario, TrackingErrors, Trajectory
 from metrics import GROUPS, evaluate
-from metrics.progress import FOLLOWER_M, gain_along, route_of
+from metrics.metric import Series
+from metrics.progress import FOLLOWER_M, GOAL, gain_along, route_of
 
 ASKED = {metric.name: metric for group in ("progress", "rules", "tracking") for metric in GROUPS[group]}
 
@@ -321,3 +322,23 @@ def test_tracking_errors() -> None:
     assert table.loc["tracking_station.max_abs", "time_s"] == pytest.approx(5.0)
     assert table.loc["tracking_heading.max_abs", "unit"] == "rad"
     assert judged(LOG).loc["tracking_lateral.rms", "reason"].startswith("the drive has no tracking errors")
+
+
+AHEAD = np.array([[40.0, -2.0], [50.0, -2.0], [50.0, 2.0], [40.0, 2.0]])
+
+
+@pytest.mark.parametrize(
+    ("goal", "missed"),
+    [
+        (Goal((np.array([[80.0, 5.0], [90.0, 5.0], [90.0, 9.0], [80.0, 9.0]]),)), "place"),
+        (Goal((AHEAD,), yaw=(1.0, 2.0)), "heading"),
+        (Goal((AHEAD,), v=(0.0, 5.0)), "speed"),
+        (Goal((AHEAD,), t=(0.0, 3.0)), "time"),
+        (Goal((AHEAD,), v=(0.0, 5.0), yaw=(1.0, 2.0)), "speed and heading"),
+    ],
+)
+def test_a_missed_goal_tells_what_was_missed(goal: Goal, missed: str) -> None:
+    log = replace(scenario(along(grid(12.0, 0.1), 10.0), road=straight_road()), goal=goal)
+    found = GOAL.measure(drive(log), log)
+    assert isinstance(found, Series)
+    assert (found.value[-1], found.labels[-1]) == (0.0, f"end of the log: {missed} of the goal missed")

@@ -265,6 +265,9 @@ def test_modules_that_cannot_be_imported_become_one_line(own_module: Path) -> No
 
 
 def test_a_clash_of_names_is_explained(own_module: Path) -> None:
+    for package, name in (("planners", "mine"), ("metrics", "my_metric"), ("logs", "my_reader")):
+        (own_module / package).mkdir()  # a package of the user's that has the name of one of ours
+        (own_module / package / f"{name}.py").write_text("score = 1.0\n")
     (own_module / "mine_d.py").write_text("from metrics.my_metric import score\n")
     (own_module / "mine_e.py").write_text("from logs import my_reader\n")
     for spec, package in (("planners.mine:P", "planners"), ("mine_d:P", "metrics"), ("mine_e:P", "logs")):

@@ -30,6 +30,7 @@ from replay.run.one_log import Failure
 from replay.run.pool import WorkerLost, run_all
 from replay.run.sources import builtin_suite, select
 
+REFERENCES = "driver", "careful", "parked", "blind"
 PLANNERS = '''
 import os, signal
 from planners.constant_speed import ConstantSpeed
@@ -89,7 +90,7 @@ def test_tables_hold_every_log_planner_and_mode_sorted(logs: Path, tmp_path: Pat
     assert {key[:3] for key in keys} == {
         (f"test/{log}", planner, mode)
         for log in "abc" for planner in ("logged", "constant_speed") for mode in ("open", "closed")
-    } | {(f"test/{log}", planner, "reference") for log in "abc" for planner in ("driver", "careful")}  # fmt: skip
+    } | {(f"test/{log}", planner, "reference") for log in "abc" for planner in REFERENCES}  # fmt: skip
     assert rows.loc[rows["planner"] == "logged", "oracle"].all()
     assert (rows.loc[(rows["planner"] == "logged") & (rows["metric"] == "ade.1s.mean"), "value"] == 0.0).all()
     csv = pd.read_csv(result.path / "metrics.csv")

@@ -26,7 +26,7 @@ from planners.frenet.profiles import COMFORT, HORIZON_KNOTS, STEP_S, braking
 from planners.idm import Idm, IdmConfig
 
 GAIN_MPS2 = 1.0
-NOBODY = np.zeros(0, np.int64)
+NO_AGENTS = np.zeros(0, np.int64)
 
 
 class Blind:
@@ -40,8 +40,8 @@ class Blind:
         """Return the plan of `idm` for the frame without road users and lights."""
         seen, t = frame.predictions, frame.predictions.t
         empty = np.empty((0, len(t)))
-        nothing = Predictions(t, NOBODY, np.empty(0), empty, empty, empty, seen.method)
-        return self._idm.plan(replace(frame, agents=frame.agents.some(NOBODY), predictions=nothing, lights={}))
+        nothing = Predictions(t, NO_AGENTS, np.empty(0), empty, empty, empty, seen.method)
+        return self._idm.plan(replace(frame, agents=frame.agents.some(NO_AGENTS), predictions=nothing, lights={}))
 
 
 class Parked:

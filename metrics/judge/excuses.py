@@ -219,7 +219,7 @@ def _excuse_by_reference(gate: Gate, case: Case) -> str:
 
 
 def _excuse_fallback(case: Case) -> str:
-    """Return the reason if the careful driver and the route follower come too near to somebody at that time."""
+    """Return the reason if the careful driver and the route follower come too near to a road user at that time."""
     when = case.row(FALLBACKS).time_s
     rows = [case.reference(planner, TOO_NEAR.metric) for planner in (CAREFUL, FOLLOWER)]
     if all(row.known and TOO_NEAR.margin(row.value) < 0.0 and abs(row.time_s - when) <= SAME_S for row in rows):

@@ -57,7 +57,7 @@ FOLLOWER_PERIODS_S = 0.5, 0.05
 
 
 BAD_PERIODS_S = 4.0, 0.1
-"""Those of the parked and the blind driver, who look at nobody: a plan lasts 8 s."""
+"""Those of the parked and the blind driver, who react to no road user: a plan lasts 8 s."""
 
 
 def reference_line(scenario: Scenario) -> ReferenceLine:

@@ -26,9 +26,10 @@ SCENES = (
     "everyday/crosswalk",
     "everyday/traffic_light",
     "everyday/junction",
+    "everyday/pull_outs",
     "raw/crossing",
 )
-"""Scenes with walkers, cyclists, cars, obstacles, junctions, lights, raw detections: as in the built-in suite."""
+"""Scenes with walkers, cyclists, cars that pull out, obstacles, junctions, lights, raw detections: as in the suite."""
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ SUITE = "smoke"
 ITEMS = 200
 JUDGING = (
     (metrics, "evaluate"), (health, "findings"), (one_log, "with_avoidability"), (one_log, "with_references"),
-    (one_log, "discriminating_table"), (one_log, "late_follower"), (reference_drives, "with_follower"),
+    (one_log, "discriminating_tables"), (one_log, "late_follower"), (reference_drives, "with_follower"),
 )  # fmt: skip
 
 

@@ -10,7 +10,7 @@
 (4) a drive without lanes is tighter than the vehicle if the curvature of its path, between chords of 1 m that are
     `BENDS` apart, is above `ABOVE_LOCK` times that at full lock on more than `TIGHT_SHARE` of the way
 
-The sign of the speed is not used, because many logs have none. The conditions of (2) leave out what is no reverse gear:
+The sign of the speed is not used, because many logs have none. The conditions of (2) leave out other motion backward:
 corrections of the localisation at speed, its drift at rest, and headings that are not the ego's. (4) finds robots that
 turn on the spot where the vehicle is assumed to be a car: no planner follows that path with that vehicle.
 """

@@ -254,7 +254,7 @@ def _id(ego: str, names: Any, words: Any, first: Any, kinds: list[AgentKind], st
     drove = ", ".join(f"{ids[i]} ({way[i]:.0f} m)" for i in best) or "no vehicle"
     what = f"there is no agent {ego}" if ego else f"the table has no ego, but {counted(len(ids), 'road user')}"
     if len(at):
-        what = f"agent {ego} is a {kinds[at[0]].value}, which is no ego"
+        what = f"agent {ego} is a {kinds[at[0]].value}, and cannot be the ego"
     raise LogError(what, topic="agents", remedy=f"name the ego with --ego ID; these drove farthest: {drove}")
 
 

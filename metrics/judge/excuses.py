@@ -206,7 +206,8 @@ def _excuse_by_reference(gate: Gate, case: Case) -> str:
     row, group = case.row(gate.metric), group_of(gate)
     impact, careful = case.row(IMPACT), case.reference(CAREFUL, IMPACT)
     harder = impact.known and not (careful.known and impact.value <= careful.value + SLOWER_MPS)
-    avoided = group == "safety" and _holds(gate, case.reference(FOLLOWER, gate.metric))
+    follower = case.reference(FOLLOWER, gate.metric)
+    avoided = group == "safety" and follower.known and gate.margin(follower.value) >= 0.0
     for planner in (*EXCUSED[group], *((FOLLOWER,) if row.time_s <= SAME_S else ())):
         found = case.reference(planner, gate.metric)
         if not found.known or gate.margin(found.value) >= 0.0 or (planner != DRIVER and (harder or avoided)):
@@ -225,11 +226,6 @@ def _excuse_fallback(case: Case) -> str:
     if all(row.known and TOO_NEAR.margin(row.value) < 0.0 and abs(row.time_s - when) <= SAME_S for row in rows):
         return f"{REFERENCES[CAREFUL]} and {REFERENCES[FOLLOWER]} break {TOO_NEAR} then, too ({rows[0].reason})"
     return ""
-
-
-def _holds(gate: Gate, row: Row) -> bool:
-    """Return whether a row is known and within the bounds of the gate."""
-    return row.known and gate.margin(row.value) >= 0.0
 
 
 def marginal(gate: Gate, value_of: Callable[[str], float]) -> str:

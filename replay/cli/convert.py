@@ -19,7 +19,7 @@ from logs.scenario import Scenario
 from metrics.judge import load_gates
 from metrics.judge.discrimination import Discrimination
 from replay.config import DEFAULT_LOOP
-from replay.loop.reference_drives import discriminate, with_avoidability
+from replay.loop.reference_drives import discriminate
 
 CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(Change))
 """Columns of the table: the fields of `logs.agents.Change`."""
@@ -171,10 +171,8 @@ def changes_as_text(scenario: Scenario) -> Iterator[str]:
 
 
 def told_apart(scenario: Scenario) -> tuple[Discrimination, ...]:
-    """Whether the parked and the blind driver break a packaged gate of a log; nothing for a log without duration."""
-    if scenario.duration < DEFAULT_LOOP.plan_period_s:
-        return ()
-    return discriminate(with_avoidability(scenario), DEFAULT_LOOP, load_gates(None))
+    """Whether the parked and the blind driver break a packaged gate of a log (`discriminate`)."""
+    return discriminate(scenario, DEFAULT_LOOP, load_gates(None))
 
 
 def unrepaired(log: Path, settings: LogSettings, scenario: Scenario) -> Scenario | None:

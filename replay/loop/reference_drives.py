@@ -28,6 +28,8 @@ import numpy as np
 import pandas as pd
 
 import metrics
+from logs.errors import LogError
+from logs.forward import drivable_part
 from logs.road import Goal, ReferenceLine, Road
 from logs.route import find_route
 from logs.scenario import FINDING, Scenario
@@ -111,24 +113,36 @@ def _drive_in_traffic(
     return replace(driven, planner=name, oracle=True, frames=())
 
 
-def discriminating_table(scenario: Scenario, loop: LoopConfig) -> pd.DataFrame:
-    """Return the rows of the drives that a log should fail (`metrics.judge.discrimination`)."""
-    rows = []
+def discriminating_tables(scenario: Scenario, loop: LoopConfig) -> list[pd.DataFrame]:
+    """Return the rows of the drives that a log should fail (`metrics.judge.discrimination`), as `JUDGED_BY` has them.
+
+    A log that is shorter than their control period has none.
+    """
+    if scenario.duration - float(scenario.ego.t[0]) < BAD_PERIODS_S[1]:
+        return []
+    tables = []
     for name, judged_by in JUDGED_BY.items():
         trace = _drive_in_traffic(scenario, name, name, loop, BAD_PERIODS_S)
-        rows += metrics.rows_of(trace, scenario, metrics={metric.name: metric for metric in judged_by})
-    return metrics.as_table(rows).assign(mode=REFERENCE)
+        rows = metrics.rows_of(trace, scenario, metrics={metric.name: metric for metric in judged_by})
+        tables.append(metrics.as_table(rows).assign(mode=REFERENCE))
+    return tables
 
 
 def discriminate(scenario: Scenario, loop: LoopConfig, gates: Gates) -> tuple[Discrimination, ...]:
-    """Return whether the parked and the blind driver break a gate of a log (`metrics.judge.discrimination`)."""
-    scenario = scenario if len(scenario.ego) >= SHORTEST else with_follower(scenario, loop)[0]
-    table, labels = discriminating_table(scenario, loop), LogLabels(scenario.family, scenario.dataset, scenario.tags)
-    found = []
-    for driver in JUDGED_BY:
-        mine = table[table["planner"] == driver]
-        found.append(discrimination(driver, gates, labels, dict(zip(mine["metric"], mine["value"], strict=True))))
-    return tuple(found)
+    """Return whether the parked and the blind driver break a gate of a log, in the part of it that is driven.
+
+    Nothing is returned for a log that only reverses, or that is too short to be driven.
+    """
+    try:
+        scenario = with_avoidability(drivable_part(scenario))
+    except LogError:  # nothing of it is driven, and `replan inspect` states why
+        return ()
+    if scenario.duration - float(scenario.ego.t[0]) >= BAD_PERIODS_S[1] and len(scenario.ego) < SHORTEST:
+        scenario = with_follower(scenario, loop)[0]
+    labels = LogLabels(scenario.family, scenario.dataset, scenario.tags)
+    tables = discriminating_tables(scenario, loop)
+    values = [dict(zip(table["metric"], table["value"], strict=True)) for table in tables]
+    return tuple(discrimination(driver, gates, labels, each) for driver, each in zip(JUDGED_BY, values, strict=False))
 
 
 def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, list[pd.DataFrame]]:

@@ -26,7 +26,7 @@ from metrics import health
 from metrics.judge import load_gates
 from metrics.metric import Unavailable
 from replay.config import RunConfig, dump_run
-from replay.loop.reference_drives import discriminate, with_avoidability
+from replay.loop.reference_drives import discriminate
 from replay.mine.driven_log import DrivenLog, Event, EventKind
 from replay.mine.ego_and_road import crosses_others, in_roundabout, stays
 from replay.mine.kinds import EVENT_KIND, KINDS, PLAN_KINDS, plan_events
@@ -197,8 +197,7 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
             failures.append(f"{scenario.name}: {error} [{planner}]")
     about, apart = scenario.metadata, dict[str, str]()
     if log is not None:
-        loop = run.drive_loop
-        breaks = discriminate(with_avoidability(scenario), loop, load_gates(None))
+        breaks = discriminate(scenario, run.drive_loop, load_gates(None))
         apart = {f"{one.driver}_breaks": str(one.breaks or "") for one in breaks}
     row = {
         "log": scenario.name, "source": source.label, "sha256": digest, "duration_s": float(scenario.duration),

@@ -36,7 +36,7 @@ from replay.drive import NOT_DETERMINISTIC, Drive, DriveKey
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
 from replay.loop.planning import Planning, with_probe
-from replay.loop.reference_drives import discriminating_table, late_follower, with_avoidability, with_references
+from replay.loop.reference_drives import discriminating_tables, late_follower, with_avoidability, with_references
 from replay.planner_process.planner_config import is_apart, is_built_in, planner_keywords
 from replay.results.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, Steps, StepsFile, write_result
 from replay.results.tables import KEYS, PARTIAL, TIMING_COLUMNS, finish_folder, joined, safe_name
@@ -173,7 +173,7 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
     if Mode.CLOSED in run.modes:
         with progress.attempt():
             scenario, tables = with_references(scenario, run.drive_loop)
-            progress.tables += [*tables, discriminating_table(scenario, run.drive_loop)]
+            progress.tables += [*tables, *discriminating_tables(scenario, run.drive_loop)]
     with closing(StepsFile(folder)) as steps:
         for place in _places(run):
             with progress.attempt(place.planner, place.mode):

@@ -10,7 +10,7 @@ from gate_rows import row, table
 from hypothesis import given
 from hypothesis import strategies as st
 
-from logs import AgentKind
+from logs import AgentKind, RoadSource
 from metrics.judge import judge, load_gates, worst
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.discrimination import BLIND, BLIND_FAILS, PARKED, PARKED_FAILS, with_discrimination
@@ -75,6 +75,18 @@ def test_a_standing_car_is_an_interaction_and_a_free_road_is_none(ahead: float |
     found = {one.driver: one.breaks for one in discriminate(log, DEFAULT_LOOP, load_gates(None))}
     assert found[PARKED] is not None
     assert (found[BLIND] is not None) is (ahead is not None)
+
+
+@pytest.mark.parametrize("seconds", [0.02, 0.08])
+def test_a_log_too_short_for_the_reference_drives_has_none(seconds: float) -> None:
+    log = scenario(along(grid(seconds), 5.0), [], road=straight_road(limit=13.9))
+    assert discriminate(log, DEFAULT_LOOP, load_gates(None)) == ()
+
+
+def test_a_log_that_only_reverses_tells_nothing() -> None:
+    t = grid(10.0, 0.1)
+    log = scenario(along(t, -2.0), [], road=replace(straight_road(), source=RoadSource.DRIVEN_PATH))
+    assert discriminate(log, DEFAULT_LOOP, load_gates(None)) == ()
 
 
 def test_a_log_in_which_the_driver_stands_does_not_tell_drivers_apart() -> None:

@@ -44,8 +44,9 @@ LONGEST_S = 5.0
 """Longest duration of a chord, s: slower motion is the drift of a standing localisation or box."""
 STEP_S = 2.0
 """Longest step within a chord, s: the way within a longer one is not known."""
-TURNED_RAD = 0.5
-"""More than a car slips, rad."""
+SLIPS_RAD, TURNED_RAD = 0.1, 0.5
+"""A heading contradicts the motion where it is off by more than the spread of the directions, within these: a mirrored
+one is off by twice that spread on average; a car slips by less, rad."""
 MOVES_MPS = 1.0
 """Slower agents do not show the frame of their velocities, m/s."""
 DIFFER = 0.2
@@ -166,11 +167,13 @@ def reading_of(yaw: FloatArray, chords: Chords, reverse: BoolArray) -> str:
     degrees; other readings must follow the directions as these change.
     """
     turned = np.where(reverse, np.pi, 0.0)
-    against = np.abs(wrapped(chords.off(yaw) + turned)) > TURNED_RAD
-    if not chords.shows or against.mean() < DENIED:
+    if not chords.shows:
         return ""
     middle = np.arctan2(np.sin(chords.direction).sum(), np.cos(chords.direction).sum())
     spread = float(np.sqrt(np.mean(wrapped(chords.direction - middle) ** 2)))
+    against = np.abs(wrapped(chords.off(yaw) + turned)) > np.clip(spread, SLIPS_RAD, TURNED_RAD)
+    if against.mean() < DENIED:
+        return ""
     beyond = float(np.median(np.abs(yaw[chords.first]))) > 2.0 * np.pi
     for name, (factor, offset) in READINGS.items():
         sure = beyond and abs(factor) != 1.0

@@ -243,9 +243,9 @@ ASKED = Metric(
 )  # fmt: skip
 DISCRIMINATION = Metric(
     "discrimination", "1", "higher", (Mode.CLOSED,), lambda trace, scenario: Unavailable("no gates were judged"),
-    tuple(replace(metric.FINAL, name=name) for name in ("parked", "blind")),
+    tuple(replace(metric.FINAL, name=name) for name in ("parked", "creeping", "blind")),
     "Whether the log tells drivers apart: 1 where a gate of the run fails a driver that brakes to a stop and stays"
-    " (parked), and one that drives its route as if the road were empty (blind).",
+    " (parked), one that goes on at 2 m/s (creeping), and one that drives its route as if the road were empty (blind).",
     formula="[a gate on safety, rules or progress fails the reference drive]", needs="a run with gates",
 )  # fmt: skip
 PHANTOM = Metric(

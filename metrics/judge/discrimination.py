@@ -1,14 +1,16 @@
-"""Whether a log tells drivers apart: the parked and the blind reference drive, judged by the gates of the run.
+"""Whether a log tells drivers apart: bad reference drives, judged by the gates of the run.
 
-A planner that passes a log has shown something only if a bad driver fails it. `replay.loop.reference_drives` drives two
-in the traffic of each run: `PARKED` brakes to a stop and stays, `BLIND` drives its route as if the road were empty.
-With the gates of the run on the metrics `JUDGED_BY`, without excuses, since a planner that passes needs none:
+A planner that passes a log has shown something only if a bad driver fails it. `replay.loop.reference_drives` drives
+three in the traffic of each run: `PARKED` brakes to a stop and stays, `CREEPING` goes on at `CREEPS_MPS`, `BLIND`
+drives its route as if the road were empty. With the gates of the run on the metrics of `BAD_DRIVERS`, without excuses,
+since a planner that passes needs none:
 
-(1) discrimination.parked = 1 if the parked drive breaks a bound, else 0: the log is too easy, and a pass says nothing
+(1) discrimination.parked = 1 if the parked drive breaks a bound, else 0: the log is too easy, and a pass says nothing;
+    discrimination.creeping is the same of the creeping drive
 (2) discrimination.blind  = 1 if the blind drive breaks a bound, else 0: nothing was in the way, no road user, light or
     sign; a pass says that the planner drives a free road
 
-Gates can ask for both like for any metric. A share of logs with an interaction is a gate on (2) with
+Gates can ask for them like for any metric. A share of logs with an interaction is a gate on (2) with
 `over = "pass_share"`.
 """
 
@@ -33,17 +35,31 @@ from metrics.progress import COMPLETED, GOAL, ROUTE_PROGRESS
 from metrics.rules import CROSSWALK, PRIORITY_GAP, RED_LIGHT, STOP_SIGN, YELLOW_LIGHT, YIELDING
 from metrics.safety import COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, PASSING_ROOM, TTC, TTC_VULNERABLE
 
-PARKED, BLIND = "parked", "blind"
+PARKED, CREEPING, BLIND = "parked", "creeping", "blind"
 PARKED_FAILS, BLIND_FAILS = (f"{DISCRIMINATION.name}.{driver}" for driver in (PARKED, BLIND))
-JUDGED_BY: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
-    PARKED: (COMPLETED, GOAL, ROUTE_PROGRESS, NEEDLESS_BRAKING, NEEDLESS_STANDING),
-    BLIND: (
-        COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, TTC, TTC_VULNERABLE, PASSING_ROOM,
-        RED_LIGHT, YELLOW_LIGHT, STOP_SIGN, CROSSWALK, PRIORITY_GAP, YIELDING,
-    ),
+CREEPS_MPS = 2.0
+
+
+@dataclass(frozen=True)
+class BadDriver:
+    """A planner that a log should fail, its settings, the metrics that judge it, and what a log is that it passes."""
+
+    planner: str
+    settings: Mapping[str, object]
+    judged_by: tuple[Metric, ...]
+    passes: str
+
+
+_DRIVES = (COMPLETED, GOAL, ROUTE_PROGRESS, NEEDLESS_BRAKING, NEEDLESS_STANDING)
+_LOOKS = (
+    COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, TTC, TTC_VULNERABLE, PASSING_ROOM,
+    RED_LIGHT, YELLOW_LIGHT, STOP_SIGN, CROSSWALK, PRIORITY_GAP, YIELDING,
+)  # fmt: skip
+BAD_DRIVERS: Mapping[str, BadDriver] = MappingProxyType({
+    PARKED: BadDriver("parked", {}, _DRIVES, "too easy"),
+    CREEPING: BadDriver("parked", {"speed_mps": CREEPS_MPS}, _DRIVES, "too easy"),
+    BLIND: BadDriver("blind", {}, _LOOKS, "no interaction"),
 })  # fmt: skip
-"""Parked: what asks for driving. Blind: what asks for looking at road users, lights and signs."""
-_EASY = {PARKED: "too easy: a parked driver", BLIND: "no interaction: a blind driver"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +73,13 @@ class Discrimination:
     def text(self) -> str:
         """One line: "a parked driver breaks goal.final >= 1 [closed]"."""
         if self.breaks is None:
-            return f"{_EASY[self.driver]} breaks no gate"
+            return f"{BAD_DRIVERS[self.driver].passes}: a {self.driver} driver breaks no gate"
         return f"a {self.driver} driver breaks {self.breaks}"
 
 
 def discrimination(driver: str, gates: Gates, labels: LogLabels, values: Mapping[str, float]) -> Discrimination:
     """Judge the drive of a reference driver by its values of metrics; NaN where it has none."""
-    names = {metric.name for metric in JUDGED_BY[driver]}
+    names = {metric.name for metric in BAD_DRIVERS[driver].judged_by}
     asked = (
         gate for gate in gates.gates
         if gate.planner is None and gate.mode in (None, Mode.CLOSED.value) and gate.selects(labels)
@@ -76,7 +92,7 @@ def discrimination(driver: str, gates: Gates, labels: LogLabels, values: Mapping
 
 def with_discrimination(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
     """Fill in (1) and (2) of each closed drive of the table, from the reference drives in it."""
-    bad = table[(table["mode"] == REFERENCE) & table["planner"].isin(list(JUDGED_BY))]
+    bad = table[(table["mode"] == REFERENCE) & table["planner"].isin(list(BAD_DRIVERS))]
     known: dict[tuple[str, str], dict[str, float]] = {}
     for log, driver, metric, value in zip(*(bad[name] for name in ("log", "planner", "metric", "value")), strict=True):
         known.setdefault((log, driver), {})[metric] = value

@@ -171,7 +171,7 @@ def changes_as_text(scenario: Scenario) -> Iterator[str]:
 
 
 def told_apart(scenario: Scenario) -> tuple[Discrimination, ...]:
-    """Whether the parked and the blind driver break a packaged gate of a log (`discriminate`)."""
+    """Whether the bad drivers break a packaged gate of a log (`discriminate`)."""
     return discriminate(scenario, DEFAULT_LOOP, load_gates(None))
 
 

@@ -20,9 +20,10 @@ UN R157.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -41,7 +42,7 @@ from metrics.boxes import ego_boxes, name_of, phantoms, without_phantoms
 from metrics.evidence import EVIDENCE
 from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
 from metrics.judge.aggregate import LogLabels
-from metrics.judge.discrimination import JUDGED_BY, Discrimination, discrimination
+from metrics.judge.discrimination import BAD_DRIVERS, Discrimination, discrimination
 from metrics.judge.excuses import CLEAN, needs_follower
 from metrics.judge.gates import Gates
 from metrics.metric import Series, once
@@ -59,7 +60,7 @@ FOLLOWER_PERIODS_S = 0.5, 0.05
 
 
 BAD_PERIODS_S = 4.0, 0.1
-"""Those of the parked and the blind driver, who react to no road user: a plan lasts 8 s."""
+"""Those of the bad drivers, who react to no road user: a plan lasts 8 s."""
 
 
 def reference_line(scenario: Scenario) -> ReferenceLine:
@@ -104,32 +105,37 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
 
 
 def _drive_in_traffic(
-    scenario: Scenario, planner: str, name: str, loop: LoopConfig, periods_s: tuple[float, float] = FOLLOWER_PERIODS_S
+    scenario: Scenario,
+    planner: str,
+    name: str,
+    loop: LoopConfig,
+    periods_s: tuple[float, float] = FOLLOWER_PERIODS_S,
+    settings: Mapping[str, object] = MappingProxyType({}),
 ) -> Trace:
     """Drive a built-in planner in a perfect car among the traffic of the run; the trace has no plans."""
     traffic = {key: table for key, table in loop.settings.items() if key == "traffic"}
     same = LoopConfig(*periods_s, vehicle="perfect", traffic=loop.traffic, settings=traffic)
-    driven = run_closed_loop(scenario, planner, config=same, keep_internals=False).trace
+    driven = run_closed_loop(scenario, planner, planner_config=settings, config=same, keep_internals=False).trace
     return replace(driven, planner=name, oracle=True, frames=())
 
 
 def discriminating_tables(scenario: Scenario, loop: LoopConfig) -> list[pd.DataFrame]:
-    """Return the rows of the drives that a log should fail (`metrics.judge.discrimination`), as `JUDGED_BY` has them.
+    """Return the rows of the drives that a log should fail (`metrics.judge.discrimination.BAD_DRIVERS`), in order.
 
     A log that is shorter than their control period has none.
     """
     if scenario.duration - float(scenario.ego.t[0]) < BAD_PERIODS_S[1]:
         return []
     tables = []
-    for name, judged_by in JUDGED_BY.items():
-        trace = _drive_in_traffic(scenario, name, name, loop, BAD_PERIODS_S)
-        rows = metrics.rows_of(trace, scenario, metrics={metric.name: metric for metric in judged_by})
+    for name, bad in BAD_DRIVERS.items():
+        trace = _drive_in_traffic(scenario, bad.planner, name, loop, BAD_PERIODS_S, bad.settings)
+        rows = metrics.rows_of(trace, scenario, metrics={metric.name: metric for metric in bad.judged_by})
         tables.append(metrics.as_table(rows).assign(mode=REFERENCE))
     return tables
 
 
 def discriminate(scenario: Scenario, loop: LoopConfig, gates: Gates) -> tuple[Discrimination, ...]:
-    """Return whether the parked and the blind driver break a gate of a log, in the part of it that is driven.
+    """Return whether the bad drivers break a gate of a log, in the part of it that is driven.
 
     Nothing is returned for a log that only reverses, or that is too short to be driven.
     """
@@ -142,7 +148,7 @@ def discriminate(scenario: Scenario, loop: LoopConfig, gates: Gates) -> tuple[Di
     labels = LogLabels(scenario.family, scenario.dataset, scenario.tags)
     tables = discriminating_tables(scenario, loop)
     values = [dict(zip(table["metric"], table["value"], strict=True)) for table in tables]
-    return tuple(discrimination(driver, gates, labels, each) for driver, each in zip(JUDGED_BY, values, strict=False))
+    return tuple(discrimination(driver, gates, labels, each) for driver, each in zip(BAD_DRIVERS, values, strict=False))
 
 
 def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, list[pd.DataFrame]]:

@@ -144,12 +144,14 @@ def suite_of(mined: Mined) -> list[Chosen]:
     """The suite of mined logs.
 
     Raises:
-        ConfigError: No event was found in a log that a parked driver fails: there is nothing to cover.
+        ConfigError: No event was found in a log that tells drivers apart: there is nothing to cover.
     """
     of_log = mined.logs.set_index("log")
-    events = mined.events[mined.events["log"].map(of_log["parked_breaks"]).astype(bool)]
+    apart = (of_log["parked_breaks"] != "") & (of_log["creeping_breaks"] != "")
+    events = mined.events[mined.events["log"].map(apart).astype(bool)]
     if events.empty:
-        easy = " that a parked driver fails (parked_breaks in logs.parquet)" if len(mined.events) else ""
+        columns = "parked_breaks, creeping_breaks in logs.parquet"
+        easy = f" that parked and creeping drivers fail ({columns})" if len(mined.events) else ""
         raise ConfigError(f"no event was found in logs{easy}: there is nothing to choose them by")
     keys = events[list(CELL)].itertuples(index=False, name=None)
     rows = pd.DataFrame({"log": events["log"], "cell": list(keys)})

@@ -24,6 +24,7 @@ from logs.names import counted
 from logs.road import RoadSource
 from metrics import health
 from metrics.judge import load_gates
+from metrics.judge.discrimination import BAD_DRIVERS
 from metrics.metric import Unavailable
 from replay.config import RunConfig, dump_run
 from replay.loop.reference_drives import discriminate
@@ -39,6 +40,7 @@ from replay.run.pool import WorkerLost, run_all
 from replay.run.sources import LogSource, Selection, log_hash
 
 EVENTS, LOGS, HEALTH, CARD = "events.parquet", "logs.parquet", "health.parquet", "mined.json"
+BREAKS = tuple(f"{driver}_breaks" for driver in BAD_DRIVERS)
 CURVE_KAPPA = 1.0 / 150.0
 """A road with more curvature than this is a curve, 1/m."""
 JUNCTION_M = 8.0
@@ -206,7 +208,7 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
         "family": scenario.family, "dataset": scenario.dataset, "tags": list(scenario.tags),
         "place": next((about[key] for key in PLACES if about.get(key)), ""),
         "weather": next((about[key] for key in WEATHERS if about.get(key)), ""), "not_asked": not_asked,
-        "error": "", "parked_breaks": "", "blind_breaks": "", **apart,
+        "error": "", **dict.fromkeys(BREAKS, ""), **apart,
     }  # fmt: skip
     findings = health.table(scenario.name, health.findings(scenario))
     return MinedLog(scenario.name, row, pd.DataFrame(rows, columns=names_of(EVENTS)), findings, tuple(failures))
@@ -246,7 +248,7 @@ def _row(log: DrivenLog, kind: EventKind, event: Event, planner: str) -> dict[st
 
 def _not_mined(label: str, line: str) -> MinedLog:
     numbers = dict.fromkeys(("duration_s", "driven_m"), nan)
-    words = dict.fromkeys(("sha256", "family", "dataset", "place", "weather", "parked_breaks", "blind_breaks"), "")
+    words = dict.fromkeys(("sha256", "family", "dataset", "place", "weather", *BREAKS), "")
     lists: dict[str, Any] = {"tags": [], "not_asked": []}
     row = {"log": label, "source": label, "agents": 0, "lanes": False, "error": line, **numbers, **words, **lists}
     return MinedLog(label, row, failures=(line,))

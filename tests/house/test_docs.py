@@ -69,8 +69,13 @@ def named(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
 
-def with_commands() -> list[Path]:
-    return [page for page in PAGES if any(commands(page))]
+FIRST = ("README.md", "docs/start.md", "docs/bring_planner.md", "docs/bring_metric.md", "docs/bring_log.md")
+"""The pages that a newcomer follows: their commands run on every change, those of the others at night."""
+
+
+def with_commands() -> list[Any]:
+    found = [page for page in PAGES if any(commands(page))]
+    return [page if named(page) in FIRST else pytest.param(page, marks=pytest.mark.nightly) for page in found]
 
 
 @pytest.fixture

@@ -90,6 +90,6 @@ def test_the_changelog_names_the_version() -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="file modes")
-@pytest.mark.parametrize("name", ["dev", ".ci/run"])
+@pytest.mark.parametrize("name", ["dev", ".ci/run", ".ci/nightly"])
 def test_scripts_are_executable(name: str) -> None:
     assert (ROOT / name).stat().st_mode & 0o111

@@ -202,6 +202,7 @@ def test_evaluate_counts_the_rules_against_its_baseline(runs: tuple[Path, Path],
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_planted_regressions_are_caught_and_named(tmp_path: Path) -> None:
     """On four logs no mean can be significant: the delay is inconclusive; all name their stage."""
     logs = ("paper/crossing_pedestrian", "everyday/follow", "everyday/cut_in", "pedestrian/jaywalker")

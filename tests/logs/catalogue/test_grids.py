@@ -68,6 +68,7 @@ def test_cells_build_are_clean_and_are_found_again_by_name(name: str, tmp_path: 
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @everywhere
 def test_every_cell_builds(name: str) -> None:
     for cell in FAMILIES[name].cells():

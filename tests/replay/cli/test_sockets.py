@@ -97,6 +97,7 @@ def test_the_watch_sees_what_it_looks_for() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_no_command_opens_a_socket(logs: Path, tmp_path: Path) -> None:
     log, out = str(logs / "a.mcap"), "out"
     for words in (

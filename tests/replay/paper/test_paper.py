@@ -219,6 +219,7 @@ def test_figures_9_10_and_12_are_drawn(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_the_whole_command(tmp_path: Path) -> None:
     said: list[str] = []
     config = reproduce.PaperConfig(roads=1, cells=CELLS[:2])

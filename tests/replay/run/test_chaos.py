@@ -22,7 +22,11 @@ SEED = 5
 BLOWS = ("worker", "run", "interrupt", "disk", "worker", "run", "interrupt")
 COMMAND = (sys.executable, "-m", "replan", "evaluate", "logs", "-p", "constant_speed", "-p", "idm", "--workers", "2")
 TABLES = ("metrics.parquet", "metrics.csv", "verdicts.parquet", "groups.parquet", "health.parquet", "junit.xml")
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform != "linux", reason="children are read from /proc")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.nightly,
+    pytest.mark.skipif(sys.platform != "linux", reason="children are read from /proc"),
+]
 
 
 @pytest.fixture

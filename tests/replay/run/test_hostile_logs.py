@@ -13,7 +13,9 @@ import pytest
     ("names", "count"),
     [
         (("table",), 3),
-        pytest.param(("table", "native", "ROS 2, not", "ROS 2, messages", "Argoverse 2 f"), 24, marks=pytest.mark.slow),
+        pytest.param(
+            ("table", "native", "ROS 2, not", "ROS 2, messages", "Argoverse 2 f"), 24, marks=pytest.mark.nightly
+        ),
     ],
 )
 def test_hostile_logs_are_judged_or_refused(tmp_path: Path, names: tuple[str, ...], count: int) -> None:

@@ -18,7 +18,7 @@ from replay.results.load import Results
 from replay.run import evaluate_logs
 from replay.run.on_ray import OnRay, code_of
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]  # Ray leaves sockets and files open
+pytestmark = [pytest.mark.slow, pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]  # Ray leaves files open
 ray: Any = pytest.importorskip("ray", reason="the extra ray is not installed: pip install 'replan[ray]'")
 
 PLANNER = '''

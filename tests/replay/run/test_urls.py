@@ -18,7 +18,7 @@ from logs.mcap import write_scenario
 from replay.results.load import load
 from replay.run.sources import select
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]  # botocore and the server leave sockets open
+pytestmark = [pytest.mark.slow, pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]  # open sockets
 moto: Any = pytest.importorskip("moto.server", reason="moto is not installed: pip install moto[s3] flask flask-cors")
 pytest.importorskip("s3fs", reason="the extra s3 is not installed: pip install 'replan[s3]'")
 QUICK = ("-p", "constant_speed", "--no-recording", "--set", "internals=none", "--workers", "0", "--no-report")

@@ -48,6 +48,8 @@ BEFORE_S = 2.0
 GRAZE_M, LEAST_SIDE, MOMENT = 0.3, 0.5, 0.2
 """A box is too large by at most `GRAZE_M`, and no side shrinks below the share `LEAST_SIDE`; a track that overlaps the
 ego in more than the share `MOMENT` of its samples is not a road user."""
+ROOM_M, PASSING_S = 0.2, 0.02
+"""The recorded driver keeps at least this from what stands, m; it is looked at every `PASSING_S`, s."""
 RANGE_M, RANGE_SIDE_M, EXTEND_S, EXTEND_STILL_MPS = 42.0, 20.0, 10.0, 0.2
 """Sight ends about 50 m ahead and 25 m to the side. A user who stands at the first (last) sight beyond `RANGE_M` ahead
 or `RANGE_SIDE_M` aside is assumed to stand there before (after), for `EXTEND_S` at most."""
@@ -234,15 +236,21 @@ def _trouble(user: User, boxes: Boxes) -> str | None:
     return f"A {user.kind.value} that moves {np.degrees(median):.0f} degrees off its axis: parts of several objects."
 
 
-def _depths(t: FloatArray, boxes: FloatArray, ego: Trajectory, vehicle: VehicleParameters) -> FloatArray:
-    """Return how deep boxes `(k, 5)` overlap the ego's at t `(k,)`, m; 0 if apart, or if the log has no ego then."""
+def _depths(
+    t: FloatArray, boxes: FloatArray, ego: Trajectory, vehicle: VehicleParameters, room: float = 0.0
+) -> FloatArray:
+    """Return how deep boxes `(k, 5)` overlap the ego's, larger by `room` on all sides, at t `(k,)`, m.
+
+    It is 0 if they are apart, or if the log has no ego then.
+    """
     x, y, yaw = (np.interp(t, ego.t, column) for column in (ego.x, ego.y, ego.yaw))
     x, y = x + vehicle.axle_to_center * np.cos(yaw), y + vehicle.axle_to_center * np.sin(yaw)
-    reach = 0.5 * (np.hypot(vehicle.length, vehicle.width) + np.hypot(boxes[:, 3], boxes[:, 4]))
+    long, wide = vehicle.length + 2.0 * room, vehicle.width + 2.0 * room
+    reach = 0.5 * (np.hypot(long, wide) + np.hypot(boxes[:, 3], boxes[:, 4]))
     near = (t >= ego.t[0]) & (t <= ego.t[-1]) & (np.hypot(x - boxes[:, 0], y - boxes[:, 1]) <= reach)
     out = np.zeros(len(t))
     for i in np.flatnonzero(near).tolist():
-        out[i] = max(0.0, -clearance(x[i], y[i], yaw[i], vehicle.length, vehicle.width, *boxes[i]))
+        out[i] = max(0.0, -clearance(x[i], y[i], yaw[i], long, wide, *boxes[i]))
     return out
 
 
@@ -250,15 +258,18 @@ def _beside_ego(user: User, ego: Trajectory, vehicle: VehicleParameters) -> tupl
     """Check a road user against the ego's drive: return it, shrunk or cut, or None, and the reason."""
     t, boxes = user.t, user.poses
     if user.piece.still:
-        near = (ego.t >= t[0] - BEFORE_S) & (ego.t <= t[-1] + BEFORE_S)
-        t, boxes = ego.t[near], np.repeat(boxes[:1], near.sum(), axis=0)
+        t = np.arange(max(t[0] - BEFORE_S, ego.t[0]), min(t[-1] + BEFORE_S, ego.t[-1]), PASSING_S)
+        boxes = np.repeat(boxes[:1], len(t), axis=0)
     depth = _depths(t, boxes, ego, vehicle)
     deepest = float(depth.max(initial=0.0))
-    if deepest == 0.0:
+    short = float(_depths(t, boxes, ego, vehicle, ROOM_M).max(initial=0.0)) if user.piece.still else deepest
+    if short == 0.0:
         return user, ""
-    length, width = user.length - 2.0 * deepest, user.width - 2.0 * deepest
-    if deepest <= GRAZE_M and length >= LEAST_SIDE * user.length and width >= LEAST_SIDE * user.width:
-        return replace(user, length=length, width=width), f"Its box reached {deepest:.2f} m into the ego's."
+    most = 0.5 * (1.0 - LEAST_SIDE) * min(user.length, user.width)
+    if deepest <= min(GRAZE_M, most):
+        by = min(short, most)
+        near = f"reached {deepest:.2f} m into the ego's" if deepest > 0.0 else f"came within {ROOM_M:g} m of the ego's"
+        return replace(user, length=user.length - 2.0 * by, width=user.width - 2.0 * by), f"Its box {near}."
     share = float((depth > 0.0).mean())
     if user.piece.still or share > MOMENT:
         return None, f"The ego drove through it: their boxes overlap by {deepest:.2f} m."

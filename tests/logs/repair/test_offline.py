@@ -176,7 +176,7 @@ def test_nothing_stood_where_the_ego_drove() -> None:
 
 def test_a_box_that_grazes_the_ego_is_smaller() -> None:
     tracks, done = fixed(box(EGO.t[:100], 30.0, 0.5 * (VEHICLE.width + 1.8) - 0.2, AgentKind.CAR))
-    assert tracks.width[0] == pytest.approx(1.8 - 0.4)
+    assert tracks.width[0] == pytest.approx(1.8 - 2.0 * (0.2 + 0.2)), "the driver kept 0.2 m from it"
     assert any(change.what == "shrunk" and "0.20 m" in change.why for change in done.changes)
 
 
@@ -296,3 +296,27 @@ def test_the_driver_of_the_log_meets_no_track(shared_data: Path, name: str) -> N
         x, y = own.x + vehicle.axle_to_center * np.cos(own.yaw), own.y + vehicle.axle_to_center * np.sin(own.yaw)
         for box in zip(agents.x, agents.y, agents.yaw, agents.length, agents.width, strict=True):
             assert not overlap(x, y, own.yaw, vehicle.length, vehicle.width, *box), t
+
+
+@given(st.floats(0.01, 0.6), st.sampled_from([(4.5, 1.8), (0.5, 0.5), (2.4, 0.8)]), st.sampled_from([-1.0, 1.0]))
+@settings(max_examples=20)
+def test_what_stands_leaves_the_recorded_driver_room_and_is_not_lost_for_it(
+    gap: float, size: tuple[float, float], side: float
+) -> None:
+    y = side * (0.5 * VEHICLE.width + gap + 0.5 * size[1])
+    found = box(EGO.t[:100], 30.0, y, AgentKind.OBJECT)
+    tracks, done = fixed(replace(found, length=0.0 * found.x + size[0], width=0.0 * found.x + size[1]))
+    assert len(tracks) == 1 and not len(done.removed)
+    assert tracks.width[0] >= 0.5 * size[1] - 1e-9 and tracks.length[0] >= 0.5 * size[0] - 1e-9
+    left = abs(y) - 0.5 * VEHICLE.width - 0.5 * tracks.width[0]
+    assert left >= 0.2 - 1e-6 or tracks.width[0] == pytest.approx(size[1] - 0.5 * min(size))
+    if gap >= 0.2:
+        assert tracks.width[0] == pytest.approx(size[1])
+
+
+@pytest.mark.parametrize("speed", [5.0, 12.0])
+def test_a_cluster_that_rides_heads_along_its_way(speed: float) -> None:
+    found = box(EGO.t[:60], 0.0, 8.0, AgentKind.OBJECT)
+    tracks, _ = fixed(replace(found, x=speed * found.t, yaw=found.yaw + 0.37))
+    assert len(tracks) == 1
+    assert np.abs(tracks.yaw).max() < 0.02

@@ -15,6 +15,8 @@ Over a group of n logs with a value in both runs:
     a log are drawn together (paired percentile bootstrap: Efron and Tibshirani, An Introduction to the Bootstrap, 1993,
     ch. 13)
 (6) significant = 0 is outside of (5), and n >= MIN_SIGNIFICANT
+(7) windows of a recording depend on each other: with windows, (5) and (6) are over the m recordings instead of n logs,
+    with m/n sum_i delta_i of the windows of each, whose mean is (4)
 
 The draws are seeded, so equal tables give equal intervals. Unlike BCa, the percentile method has finite bounds where
 most differences are exactly 0.
@@ -335,13 +337,29 @@ def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Dat
             better=("better", "sum"), worse=("worse", "sum"),
         )  # fmt: skip
         deltas = mine.pivot_table(index=SCORE, columns="log", values="delta", sort=True).loc[table.index]
+        deltas = by_recording(deltas)
         low, high = intervals(deltas.to_numpy(float))
-        clear = significant(low, high, table["logs"].to_numpy())
+        clear = significant(low, high, deltas.notna().sum(axis=1).to_numpy())
         table = table.assign(low=low, high=high, significant=clear).reset_index()
         parts.append(table.assign(kind=kind, group=name or "all"))
     numbers = dict.fromkeys(("baseline", "candidate", "delta", "low", "high"), float)
     empty = pd.DataFrame(columns=list(GROUP_COLUMNS)).astype({**numbers, "significant": bool})
     return pd.concat(parts, ignore_index=True)[list(GROUP_COLUMNS)] if parts else empty
+
+
+def recording_of(log: str) -> str:
+    """Return the log that a window was cut of ("drive@12" begins at 12 s of "drive"); else the log itself."""
+    name, _, begin = log.rpartition("@")
+    return name if name and begin.replace(".", "", 1).isdecimal() else log
+
+
+def by_recording(deltas: pd.DataFrame) -> pd.DataFrame:
+    """Return a column per recording for the columns of logs, with the same mean of each row: (7).
+
+    The windows of a recording depend on each other, so that recordings are resampled.
+    """
+    summed = deltas.T.groupby(recording_of, sort=True).sum(min_count=1).T
+    return summed.mul(summed.notna().sum(axis=1) / deltas.notna().sum(axis=1), axis=0)
 
 
 def intervals(deltas: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -461,16 +479,17 @@ def _judge_change(rule: Rule, drives: str, rows: pd.DataFrame) -> tuple[float, O
     else:  # the mean or median change over the logs that have both values
         delta = rows["delta"].to_numpy(float)
         value = float(np.median(delta) if rule.over == "median" else np.mean(delta))
-        low, high = intervals(delta[None, :]) if rule.over == "mean" else np.full((2, 1), np.nan)
+        of = by_recording(pd.DataFrame([delta], columns=rows["log"])).to_numpy(float)
+        low, high = intervals(of) if rule.over == "mean" else np.full((2, 1), np.nan)
         inside = f" [{low[0]:+.4g}, {high[0]:+.4g}]" if isfinite(low[0]) else ""
         means = " -> ".join(f"{rows[side].agg(rule.over):.4g}" for side in ("baseline", "candidate"))
         reason = f"{rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over {count_logs(len(delta))}"
         over = rule.sign * value - rule.limit
         if over <= 0.0:
             outcome = Outcome.PASS
-        elif not rule.significant or significant(low, high, np.array([len(delta)]))[0]:
+        elif not rule.significant or significant(low, high, np.array([of.shape[1]]))[0]:
             outcome = Outcome.FAIL
-        elif len(delta) < MIN_SIGNIFICANT:
+        elif of.shape[1] < MIN_SIGNIFICANT:
             outcome, reason = Outcome.INCONCLUSIVE, f"{reason}: too few logs to decide whether this is chance"
         else:
             outcome, reason = Outcome.PASS, f"{reason}: not significant"

@@ -31,6 +31,7 @@ def evaluate(
     config: RunConfig | Path | str | None = None,
     suite: str | None = None,
     window: float | None = None,
+    every: float | None = None,
     workers: int = 0,
     resume: bool = False,
     loop: dict[str, Any] | None = None,
@@ -52,6 +53,7 @@ def evaluate(
         config: All settings of a run, or a TOML file of them.
         suite: Instead of logs: a suite of the catalogue, or a family or group of it.
         window: Split each log into windows of this length, s.
+        every: Begin a window every so many seconds; None: where the one before ends.
         workers: Child processes; 0 evaluates in this one. Results do not depend on it. With any, a script needs
             `if __name__ == "__main__":`.
         resume: Continue the interrupted run in `out`.
@@ -77,7 +79,7 @@ def evaluate(
     }
     run = _over(run, {key: value for key, value in given.items() if value is not None})
     places = [logs] if isinstance(logs, (str, Path)) else list(logs)
-    return evaluate_logs(places, run, out, workers=workers, resume=resume, window=window, suite=suite)
+    return evaluate_logs(places, run, out, workers=workers, resume=resume, window=window, every=every, suite=suite)
 
 
 def compare(

@@ -182,8 +182,10 @@ def logs_in(folder: Path, settings: LogSettings | None = None) -> Iterator[tuple
                 yield path, found[path]
 
 
-def windows(path: Path, settings: LogSettings, length: float) -> tuple[LogSettings, ...]:
-    """Split a log between `begin` and `end` into parts of `length` s; a last part shorter than half of it is left out.
+def windows(path: Path, settings: LogSettings, length: float, every: float | None = None) -> tuple[LogSettings, ...]:
+    """Split a log between `begin` and `end` into parts of `length` s; parts shorter than half of it are left out.
+
+    A part begins every `every` s (by default `length`): if that is less, parts overlap.
 
     Raises:
         LogError: The log cannot be read.
@@ -196,7 +198,8 @@ def windows(path: Path, settings: LogSettings, length: float) -> tuple[LogSettin
         scenario = read_log(path, settings)
         span = settings.begin, settings.begin + scenario.duration
     end = settings.end if span is None else min(settings.end, span[1])
-    count = max(1, int((end - settings.begin) / length + 0.5))
-    starts = [settings.begin + k * length for k in range(count)]
-    ends = [min(settings.begin + (k + 1) * length, end) for k in range(count)]
+    every = length if every is None else every
+    count = max(1, int((end - settings.begin - 0.5 * length) / every) + 1)
+    starts = [settings.begin + k * every for k in range(count)]
+    ends = [min(settings.begin + k * every + length, end) for k in range(count)]
     return tuple(map(settings.between, starts, ends))

@@ -63,6 +63,9 @@ def evaluate(
     window: Annotated[
         float | None, option(LOGS, "Split each log into windows of S seconds.", min=1.0, metavar="S")
     ] = None,
+    every: Annotated[
+        float | None, option(LOGS, "Begin a window every S seconds: they may overlap.", min=0.1, metavar="S")
+    ] = None,
     gates: opt.Gates = None,
     baseline: opt.Baseline = None,
     ensemble: Annotated[
@@ -127,6 +130,8 @@ def evaluate(
             "loop": loop,
         }
         run = run_config(config, options, settings or ())
+        if every is not None and window is None:
+            raise ConfigError("--every is about windows: give their length, --window S")
         if baseline is not None and shard is not None:
             raise ConfigError("--shard drives a part of the logs only: give --baseline to replan merge")
         before = None if baseline is None else load_baseline(baseline, run, run.gates_path, out)
@@ -146,7 +151,7 @@ def evaluate(
 
                 result = evaluate_logs(
                     logs or [], run, location.folder, engine=driven_on, resume=resume, shard=part, window=window,
-                    suite=suite, on_start=check_and_start, on_log=log_and_send,
+                    every=every, suite=suite, on_start=check_and_start, on_log=log_and_send,
                 )  # fmt: skip
             show = {"as_json": as_json, "quiet": quiet, "report": not no_report}
             code = finish_run(result, before, location.url, run.gates_path, **show)

@@ -33,6 +33,7 @@ def evaluate_logs(
     engine: Engine | None = None,
     resume: bool = False,
     window: float | None = None,
+    every: float | None = None,
     suite: str | None = None,
     shard: Shard | None = None,
     on_start: Callable[[Selection, Path], None] = lambda selection, out: None,
@@ -49,6 +50,7 @@ def evaluate_logs(
         resume: Keep the results of logs that an interrupted run into `out` has finished (`replay.run.resume`); the
             tables are the same, byte for byte, as those of a run that was never interrupted.
         window: Split each log into windows of this length, s; each is a log of its own.
+        every: Begin a window every so many seconds; None: where the one before ends.
         suite: Instead of logs: a suite of the catalogue, or a family or group of it with all its cells.
         shard: Drive this part of the logs only; `replay.run.shards` judges all parts together.
         on_start: Called once with the selection and the result folder.
@@ -61,7 +63,7 @@ def evaluate_logs(
         OutputError: The disk is full; finished logs are kept for `resume`.
     """
     run, engine = run or RunConfig(), engine or Local(workers)
-    whole = selected(logs, run, window, suite)
+    whole = selected(logs, run, window, suite, every)
     selection = whole if shard is None else shard.part(whole)
     gates = gates_of(run, run.gates_path)
     if run.loop.apart.batch:
@@ -117,14 +119,16 @@ def _check_batch(engine: Engine, window: float | None, shard: Shard | None) -> N
         )
 
 
-def selected(logs: Sequence[Path | str], run: RunConfig, window: float | None, suite: str | None) -> Selection:
+def selected(
+    logs: Sequence[Path | str], run: RunConfig, window: float | None, suite: str | None, every: float | None = None
+) -> Selection:
     """The logs of a run, from arguments of `evaluate_logs`; ConfigError if there are none, or arguments conflict."""
     if run.log.map and not Path(run.log.map).is_file():
         raise ConfigError(f"{run.log.map}: no such map")
     if suite is not None and suite.endswith(".toml") and not logs:
         logs, suite = suite_file(Path(suite)), None
     if suite is None and logs:
-        return select(logs, run.log, window)
+        return select(logs, run.log, window, every)
     if window is not None or run.log != LogSettings():
         raise ConfigError("[log] settings and --window are not for the built-in suites; name logs, or leave them out")
     if suite is None:

@@ -184,12 +184,18 @@ def suite_file(path: Path) -> list[Path | str]:
     return [log if url_of(log) else path.parent / log for log in logs]
 
 
-def select(paths: Sequence[Path | str], settings: LogSettings | None = None, window: float | None = None) -> Selection:
+def select(
+    paths: Sequence[Path | str],
+    settings: LogSettings | None = None,
+    window: float | None = None,
+    every: float | None = None,
+) -> Selection:
     """The logs in files and folders, of all formats in `logs.readers`.
 
     A folder that is not a log is searched for logs. Results of earlier runs, hidden files and second copies of a log
     are left out: the same bytes, or the same drive in another container or under another name, if the reader knows
-    its span without reading it. With `window`, each log is split into windows of this length, s.
+    its span without reading it. With `window`, each log is split into windows of this length, s, that begin every
+    `every` s (by default, one at the end of the other).
 
     Raises:
         ConfigError: A path does not exist, no reader knows its format, or no log is left.
@@ -230,7 +236,7 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
             continue
         with suppress(LogError), source.fetched() as near:  # the evaluation will say why it cannot be read
             assert near.path is not None
-            parts = windows(near.path, source.settings, window)
+            parts = windows(near.path, source.settings, window, every)
         sources += [replace(source, label=f"{source.label} from {part.begin:g} s", settings=part) for part in parts]
     selection = Selection(tuple(sources), tuple(dropped))
     if not kept:

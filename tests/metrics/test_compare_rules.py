@@ -13,7 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import ConfigError
-from metrics.compare import MIN_PAIRS, MIN_SIGNIFICANT, Comparison, Side, compare, intervals, judge_rules, noise
+from metrics.compare import (
+    MIN_PAIRS,
+    MIN_SIGNIFICANT,
+    Comparison,
+    Side,
+    by_recording,
+    compare,
+    intervals,
+    judge_rules,
+    noise,
+)
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Gate, Gates, Outcome, Rule, load_gates, load_rules
 
@@ -89,6 +99,17 @@ def test_the_interval_holds_the_mean_and_is_the_same_twice(deltas: list[float]) 
 def test_noise_is_what_rounding_makes(value: float, share: float) -> None:
     assert noise(np.array([value]), np.array([value + share * 0.9e-9 + share * 0.9e-6 * value])).all()
     assert not noise(np.array([value]), np.array([value + 1e-8 + 1e-5 * abs(value)])).any()
+
+
+@given(st.lists(st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=4), min_size=1, max_size=5))
+def test_windows_of_a_recording_count_together_and_the_mean_is_that_of_all(recordings: list[list[float]]) -> None:
+    names = [f"drive {i}@{10 * k}" for i, windows in enumerate(recordings) for k in range(len(windows))]
+    rows = pd.DataFrame([[delta for windows in recordings for delta in windows]], columns=names)
+    found = by_recording(rows)
+    assert list(found.columns) == [f"drive {i}" for i in range(len(recordings))]
+    assert found.mean(axis=1)[0] == pytest.approx(rows.mean(axis=1)[0], abs=1e-9)
+    apart = rows.set_axis([f"raw/queue@seed={k}" for k in range(rows.shape[1])], axis=1)
+    assert by_recording(apart).to_numpy().tolist() == apart[sorted(apart.columns)].to_numpy().tolist()
 
 
 def test_intervals_cover_the_mean_as_often_as_they_say() -> None:

@@ -98,6 +98,17 @@ def test_windows_cover_the_log(tmp_path: Path) -> None:
     assert identities == [source.identity() for source in sources]  # a long log is hashed once, not once a part
 
 
+@given(st.floats(1.0, 9.0), st.floats(0.3, 9.0))
+@settings(max_examples=20)
+def test_windows_begin_every_so_many_seconds_and_have_half_their_length_at_least(length: float, every: float) -> None:
+    whole = LogSettings(begin=1.0, end=21.0)
+    parts = windows(Path("there_is_no_such_log"), whole, length, every)
+    assert [part.begin for part in parts] == pytest.approx([1.0 + k * every for k in range(len(parts))])
+    spans = np.array([part.end - part.begin for part in parts])
+    assert (spans <= length + 1e-9).all() and (spans >= 0.5 * length - 1e-9).all() and parts[-1].end <= 21.0
+    assert 21.0 - (parts[-1].begin + every) < 0.5 * length + 1e-9, "none is missing"
+
+
 def test_the_settings_are_part_of_what_a_log_is(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     write_scenario(path, SCENARIO)

@@ -16,8 +16,8 @@ A fold is a fifth of the recordings of each kind. Develop on some folds (`--fold
     OUT/worse.csv       the drives in which the first planner costs more than the best other one, most costly first
 
 (1) cost = 30 [contact at fault] + 5 hard_s + 3 false + stands_s + delay_s + 0.2 jerk_s     weights are seconds of delay
-(2) delay = T - t_h(s), s the station at the drive's end, t_h(s) the time at which the person passed it; the person's
-    delay is 0, and who is ahead has none
+(2) delay = T - t_h(s + `NEAR_M`), s the station at the drive's end, t_h(s) the time at which the person passed it;
+    who is ahead, or not farther behind than that, has none (the person may stand there)
 (3) intervals hold 90 %, by resampling recordings (`RESAMPLES`), as the windows of a recording depend on each other
 
 `--against` compares with rows of an earlier version, fold by fold: change of each column, and its interval.
@@ -55,7 +55,7 @@ from replay.results.tables import safe_name, write_file
 from replay.run.pool import WorkerLost, run_all
 from replay.run.sources import LogSource, select
 
-WINDOW_S, EVERY_S, LEAST_S, LEAST_M = 10.0, 2.0, 4.0, 5.0
+WINDOW_S, EVERY_S, LEAST_S, LEAST_M, NEAR_M = 10.0, 2.0, 4.0, 5.0, 1.0
 """Length and distance of windows; less time, or less way of the person, is no drive."""
 EGOS, SCENES, FOLDS = 3, 20, 5
 HARD_MPS2, STANDS_MPS, GOES_MPS = 3.5, 0.2, 1.0
@@ -272,7 +272,7 @@ def drive(planner: str, task: Task) -> Row | str:
     ego, person, route = trace.ego, scenario.ego, route_of(scenario)
     hers, its = (gain_along(route, one).metres for one in (person, ego))
     way, until = float(np.interp(ego.t[-1], person.t, hers)), min(float(ego.t[-1]), float(person.t[-1]))
-    passed = np.flatnonzero(np.maximum.accumulate(hers) >= its[-1])
+    passed = np.flatnonzero(np.maximum.accumulate(hers) >= its[-1] + NEAR_M)
     delay = max(until - float(person.t[passed[0]]), 0.0) if len(passed) else 0.0
     step = np.diff(ego.t, append=ego.t[-1])
     waits = (np.abs(ego.v) < STANDS_MPS) & (np.interp(ego.t, person.t, np.abs(person.v)) > GOES_MPS)

@@ -15,7 +15,8 @@ an agent that walks away or is in the strip; (2) and (3) are 1 for one that take
     them, or the planned profile clears them. The rest, above `NEGLIGIBLE`, binds only as far as comfortable braking can
     keep it.
 (5) The same holds for vehicles from behind, from the side or from ahead that are not in the way now, where comfortable
-    braking does not keep the bounds, and either p < `SURE` or full braking would not avoid them.
+    braking does not keep the bounds, and either p_turn < `SURE` or full braking would not avoid them. p_turn is p with
+    (`TURN_MPS2` t^2 / 2)^2 more under the root of (3): until then they may turn, as roads bend and drivers yield.
 (6) An agent that is followed and brakes is assumed to brake to a stop, with a deceleration less by `ERROR_MPS2`.
 """
 
@@ -38,7 +39,7 @@ CERTAIN, NEGLIGIBLE, SURE = 0.5, 0.05, 0.8
 AGE_S, UNSEEN_S = 0.8, 0.3
 LEAST = 0.1
 """p_exist of a road user that is seen for the first time: its weight is low, but not 0."""
-PLACE_M, DRIFT_MPS = 0.3, 0.5
+PLACE_M, DRIFT_MPS, TURN_MPS2 = 0.3, 0.5, 1.5
 WALK_MPS = 3.0
 """A pedestrian or object faster than this does not walk: it is a rider, or an error of the detector."""
 SHARED_MPS2, SHARED_S = 3.0, 0.5
@@ -58,7 +59,7 @@ class Seen(NamedTuple):
 
 
 def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
-    """The weights p of the rows `(n,)`."""
+    """The weights p and p_turn of the rows `(2, n)`."""
     agents, line, car = scene.frame.agents, scene.reference.line, scene.vehicle
     seen = Seen(agents.age, agents.unseen, agents.velocity_sigma, _walks(scene))
     way, ego = Way(path.sigma, path.x, path.y, path.yaw), (car.axle_to_front, car.width)
@@ -74,13 +75,13 @@ def _weights(
     bodies: Bodies, knots: FloatArray, coef: FloatArray, way: Way, stations: FloatArray, ego: tuple[float, float],
 ) -> FloatArray:  # fmt: skip
     """`weights`; `t` to `said` belong to the rows, `knots` and `coef` to the reference; `ego`: front and width, m."""
-    out, last = np.empty(len(agent)), inf
+    out, last = np.empty((2, len(agent))), inf
     age, unseen, walks, length, width = seen.age, seen.unseen, seen.walks, bodies.length, bodies.width
     for since in unseen:
         last = min(last, inf if isnan(since) else since)
     for i in range(len(agent)):
         who = agent[i]
-        out[i] = min(said[i] / (2.0 * UNLIKELY), 1.0)  # (1)
+        out[:, i] = min(said[i] / (2.0 * UNLIKELY), 1.0)  # (1)
         taken = np.flatnonzero(np.isfinite(lower[i]))
         if taken[0] == 0:
             continue
@@ -91,14 +92,15 @@ def _weights(
         d = abs(aside) - 0.5 * (ego[1] + c * width[who] + s * length[who])
         w = -along.v_l[who] if aside > 0.0 else along.v_l[who]
         if not (walks[who] and w > 0.0):
-            out[i] *= 1.0 if isnan(age[who]) else min(max(age[who] / AGE_S, LEAST), 1.0)  # (2)
-        out[i] *= 1.0 if isnan(unseen[who]) else exp((last - unseen[who]) / UNSEEN_S)
+            out[:, i] *= 1.0 if isnan(age[who]) else min(max(age[who] / AGE_S, LEAST), 1.0)  # (2)
+        out[:, i] *= 1.0 if isnan(unseen[who]) else exp((last - unseen[who]) / UNSEEN_S)
         if d > 0.0 and not walks[who]:
             leaves = t[taken[-1]]
             sigma_v = seen.velocity_sigma[who]
             drift = sigma_v if sigma_v > DRIFT_MPS else DRIFT_MPS
-            z = (w * leaves - d) / sqrt(PLACE_M**2 + (drift * leaves) ** 2) - 1.0
-            out[i] *= 0.5 * (1.0 + erf(z / sqrt(2.0)))  # (3)
+            for k, turn in enumerate((0.0, 0.5 * TURN_MPS2 * leaves**2)):
+                z = (w * leaves - d) / sqrt(PLACE_M**2 + (drift * leaves) ** 2 + turn**2) - 1.0
+                out[k, i] *= 0.5 * (1.0 + erf(z / sqrt(2.0)))  # (3)
     return out
 
 

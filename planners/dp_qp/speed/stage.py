@@ -175,7 +175,7 @@ class SpeedStage:
         if not len(found):
             return self._plan_within(way, found), found
         scene = way.view.scene
-        p = doubt.weights(scene, way.view.path, found)
+        p, p_turn = doubt.weights(scene, way.view.path, found)
         binds = p >= doubt.CERTAIN
         is_sure = bool(binds.all())
         planned = self._plan_within(way, found if is_sure else found.only(binds))
@@ -191,7 +191,7 @@ class SpeedStage:
             met = ((driven > found.lower) & (driven < found.upper)).any(axis=1)
             eased &= met & (stopped > found.lower).any(axis=1)
         if solved.reason:
-            eased |= binds & doubt.from_beside(scene, found) & ((p < doubt.SURE) | solved.unavoidable)
+            eased |= binds & doubt.from_beside(scene, found) & ((p_turn < doubt.SURE) | solved.unavoidable)
         if eased.any():
             qp, gap = self._config.qp, self._config.dp.gap_m + TOLERANCE
             stop = qp.comfort.braking((scene.v, scene.start.a), qp.knots, share=RESERVE)[0]

@@ -12,7 +12,17 @@ from worlds import Other, along_x, driving, lanes, path_of, planner, reference, 
 from worlds import frame as frame_of
 
 from logs import AgentKind, EgoState, Frame
-from planners.dp_qp.speed.doubt import CERTAIN, ERROR_MPS2, NEGLIGIBLE, extend_braking, from_beside, relax_rows, weights
+from planners.dp_qp.speed.doubt import (
+    CERTAIN,
+    ERROR_MPS2,
+    NEGLIGIBLE,
+    SURE,
+    extend_braking,
+    from_beside,
+    relax_rows,
+    weights,
+)
+from planners.frenet.path import Path
 from planners.frenet.scene import Scene, behind
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, st_boundaries
 
@@ -30,7 +40,7 @@ def seen(other: Other, **known: float) -> tuple[Scene, StBoundaries]:
 
 def weight(other: Other, **known: float) -> float:
     now, rows = seen(other, **known)
-    return float(weights(now, PATH, rows)[0])
+    return float(weights(now, PATH, rows)[0, 0])
 
 
 def walker(v: float, ahead: float = 30.0, away: float = 6.0) -> Other:
@@ -51,8 +61,22 @@ def test_who_was_seen_later_than_others_is_doubted_and_the_frames_own_delay_is_n
     rows = st_boundaries(now, PATH, np.zeros(2, np.bool_), frozenset(), StGraphConfig())
     for unseen, certain in (((0.4, 0.4), True), ((0.0, 0.4), True), ((0.4, 0.0), False)):
         agents = replace(now.frame.agents, unseen=np.array(unseen))
-        (p,) = weights(replace(now, frame=replace(now.frame, agents=agents)), PATH, rows)
+        ((p,), _) = weights(replace(now, frame=replace(now.frame, agents=agents)), PATH, rows)
         assert bool(p >= CERTAIN) is certain, unseen
+
+
+@given(st.floats(5.0, 15.0), st.floats(0.0, 3.0), st.floats(0.1, 1.0))
+def test_who_comes_from_the_side_may_turn_before_it_is_near(v: float, to: float, more: float) -> None:
+    near, far = (weights(*crossing(v, left))[:, 0] for left in (to, to + more))
+    assert far[1] <= near[1] <= near[0] == pytest.approx(1.0, abs=1e-3)
+    assert near[1] >= SURE or to > 0.5, "soon"
+    assert near[1] < SURE or to < 3.0, "in some seconds"
+
+
+def crossing(v: float, left: float) -> tuple[Scene, Path, StBoundaries]:
+    """Who comes from the right and enters the path after this time, s."""
+    now, rows = seen(driving("it", 30.0, -(6.0 + v * left), 0.0, v))
+    return now, PATH, rows
 
 
 @given(st.floats(0.3, 2.9), st.floats(0.0, 0.3))

@@ -59,7 +59,7 @@ FOLLOWER_PERIODS_S = 0.5, 0.05
 """Plan and control period of the follower: long, because its plans are smooth and a yardstick should be cheap."""
 
 
-BAD_PERIODS_S = 4.0, 0.1
+BAD_PERIODS_S = 4.0, 0.2
 """Those of the bad drivers, who react to no road user: a plan lasts 8 s."""
 
 

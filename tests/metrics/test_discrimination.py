@@ -77,7 +77,7 @@ def test_a_standing_car_is_an_interaction_and_a_free_road_is_none(ahead: float |
     assert (found[BLIND] is not None) is (ahead is not None)
 
 
-@pytest.mark.parametrize("seconds", [0.02, 0.08])
+@pytest.mark.parametrize("seconds", [0.02, 0.12])
 def test_a_log_too_short_for_the_reference_drives_has_none(seconds: float) -> None:
     log = scenario(along(grid(seconds), 5.0), [], road=straight_road(limit=13.9))
     assert discriminate(log, DEFAULT_LOOP, load_gates(None)) == ()

@@ -33,6 +33,7 @@ from functools import partial
 from itertools import count
 from math import nan
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -43,7 +44,8 @@ from logs.catalogue.raw import FAMILIES as RAW
 from logs.errors import LogError, ReplanError
 from logs.kernel import FloatArray
 from logs.mcap import read_scenario, write_scenario
-from logs.readers import LogSettings, cut, read_log
+from logs.readers import LogSettings, read_log
+from logs.readers.cut import cut
 from logs.scenario import Scenario
 from logs.trace import EndReason
 from logs.transform import mirrored
@@ -241,11 +243,13 @@ def tasks(data: Sequence[Path], out: Path) -> list[Task]:
                 path = out / "logs" / f"{safe_name(part.name)}.mcap"
                 write_scenario(path, part)
                 rows.append({"path": path.name, "recording": name, "kind": kind, "fold": fold})
-        write_file(index, lambda path: pd.DataFrame(rows).to_csv(path, index=False))
-    found, starts = [], list(STARTS)
-    for k, row in enumerate(pd.read_csv(index).itertuples(index=False)):
-        variants = ["as recorded", "mirrored", starts[k % len(starts)]] if row.kind != "raw scenes" else ["as recorded"]
-        found += [Task(out / "logs" / row.path, row.recording, row.kind, row.fold, variant) for variant in variants]
+        write_file(index, partial(pd.DataFrame(rows).to_csv, index=False))
+    table = pd.read_csv(index)
+    found, starts = list[Task](), list(STARTS)
+    columns = (table[name].tolist() for name in ("path", "recording", "kind", "fold"))
+    for k, (file, name, kind, fold) in enumerate(zip(*columns, strict=True)):
+        variants = ["as recorded"] if kind == "raw scenes" else ["as recorded", "mirrored", starts[k % len(starts)]]
+        found += [Task(out / "logs" / file, name, kind, fold, variant) for variant in variants]
     return found
 
 
@@ -276,7 +280,7 @@ def drive(planner: str, task: Task) -> Row | str:
     delay = max(until - float(person.t[passed[0]]), 0.0) if len(passed) else 0.0
     step = np.diff(ego.t, append=ego.t[-1])
     waits = (np.abs(ego.v) < STANDS_MPS) & (np.interp(ego.t, person.t, np.abs(person.v)) > GOES_MPS)
-    found: dict[str, float] = {
+    found: dict[str, Any] = {
         "progress": min(max(float(its[-1]) / way, 0.0), 1.0) if way > LEAST_M else nan,
         "touched": float(trace.end in (EndReason.COLLISION, EndReason.REPLAY_CONTACT)),
         "at_fault": float(table.get("collision_at_fault.count", 0.0) > 0.0),
@@ -359,7 +363,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         asked = [task for task in tasks(told.data, told.out) if task.fold in told.fold]
         for planner in told.planner:
             rows = driven(planner, asked, told.workers)
-            write_file(told.out / f"{safe_name(planner)}.csv", lambda path, rows=rows: rows.to_csv(path, index=False))
+            write_file(told.out / f"{safe_name(planner)}.csv", partial(rows.to_csv, index=False))
     except ReplanError as error:
         sys.exit(f"error: {error}")
     there = pd.concat(
@@ -369,7 +373,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     print(markdown(summary(there, ["planner"])))
     print(markdown(summary(there[there["planner"] == told.planner[0]], ["kind"])))
     costly = worse(there, told.planner[0])
-    write_file(told.out / "worse.csv", lambda path: costly.to_csv(path, index=False))
+    write_file(told.out / "worse.csv", partial(costly.to_csv, index=False))
     print(markdown(costly.head(30)[["log", "variant", "end", "more", "planner_best", *COST]]))
     if told.against is not None:
         print(markdown(changes(pd.read_csv(told.against), there[there["planner"] == told.planner[0]])))

@@ -135,7 +135,7 @@ class Reactive:
             needed, gone = self._rule.only_needed, self._gone
             if advance(agents, states, box, held, room, now, self._longest, needed, gone, *sampled):
                 self._enter(self._next, box, sampled)
-            self._tracks = self._replay.tracks(self._coming.all.since)
+        self._tracks = self._replay.tracks(self._coming.all.since)
         return self._tracks
 
     @property

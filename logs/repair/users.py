@@ -228,16 +228,19 @@ def _headings(piece: Piece, path: FloatArray, yaw: FloatArray, weight: FloatArra
         return np.full(len(path), front), int((np.cos(yaw - front) < 0.0).sum())
     nearest = np.abs(np.arange(len(path))[:, None] - fast).argmin(axis=1)
     goes = np.unwrap(np.arctan2(path[fast, 3], path[fast, 2]))[nearest]
-    if piece.group == PERSON or (piece.group == CLUSTER and np.median(speed[fast]) > RIDES_MPS):
+    if piece.group == PERSON:
         return goes, 0
+    rides = piece.group == CLUSTER and np.median(speed[fast]) > RIDES_MPS
     # the front is the same end of the box at all times, although the object may reverse
-    axis = np.unwrap(goes, period=np.pi) if piece.group == VEHICLE else np.full(len(path), middle)
+    axis = np.unwrap(goes, period=np.pi) if rides or piece.group == VEHICLE else np.full(len(path), middle)
     ahead = np.cos(axis[fast] - goes[fast]).sum() >= 0.0
     agree = float(np.average(np.cos(yaw - axis[piece.seen]) >= 0.0, weights=weight))
     if speed.max() < REVERSE_MPS and max(agree, 1.0 - agree) >= HEADINGS_AGREE:
         ahead = agree >= 0.5
     if not ahead:
         axis = axis + np.pi
+    if rides:
+        return axis, 0
     off = yaw - axis[piece.seen]
     turned = int((np.cos(off) < 0.0).sum())
     off -= np.pi * np.round(off / np.pi)

@@ -30,7 +30,7 @@ from replay.run.one_log import Failure
 from replay.run.pool import WorkerLost, run_all
 from replay.run.sources import builtin_suite, select
 
-REFERENCES = "driver", "careful", "parked", "blind"
+REFERENCES = "driver", "careful", "parked", "creeping", "blind"
 PLANNERS = '''
 import os, signal
 from planners.constant_speed import ConstantSpeed

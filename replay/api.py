@@ -53,7 +53,7 @@ def evaluate(
         config: All settings of a run, or a TOML file of them.
         suite: Instead of logs: a suite of the catalogue, or a family or group of it.
         window: Split each log into windows of this length, s.
-        every: Begin a window every so many seconds; None: where the one before ends.
+        every: Time between the begins of two windows, s; None: `window`.
         workers: Child processes; 0 evaluates in this one. Results do not depend on it. With any, a script needs
             `if __name__ == "__main__":`.
         resume: Continue the interrupted run in `out`.

@@ -1,4 +1,4 @@
-"""Recorded roads in windows: planners beside the person who drove, in folds by recording, so that nobody fits to one.
+"""Windows of recorded drives: planners compared with the recorded driver, in folds by recording, against overfitting.
 
 python -m studies.roads DATA ... -o OUT [-p dp_qp ...] [--fold K ...] [--workers N] [--against FILE]
 
@@ -86,26 +86,26 @@ CLUSTERS = "clusters"
 
 @dataclass(frozen=True)
 class Row:
-    """One drive; s, m, m/s2.
+    """The measures of one drive.
 
     Attributes:
-        log: The window's file.
-        recording: What it was cut of; `kind` and `fold` of it.
-        kind: See there.
-        fold: See there.
-        variant: What was changed.
-        planner: Who drove.
-        end: Why the drive ended.
-        progress: Part of the person's way, at most 1.
-        touched: Whether a road user touched the ego; `at_fault`: by its fault.
-        at_fault: See there.
-        hard_s: Seconds of braking beyond `HARD_MPS2`; `hardest` the hardest.
-        hardest: See there.
-        false: Hard braking for road users that did not come into the way.
-        stands_s: Seconds in which it stands while the person goes.
-        delay_s: (2)
-        jerk_s: Seconds of jerk out of bounds.
-        gap_people_m: Least gap to pedestrians and riders.
+        log: File of the window.
+        recording: Recording that the window was cut from.
+        kind: Kind of the recording (`KINDS`).
+        fold: Fold of the recording.
+        variant: Change of the window (`VARIANTS`).
+        planner: Name of the planner.
+        end: Reason for the end of the drive.
+        progress: Share of the recorded driver's way, at most 1.
+        touched: 1 if a road user touched the ego.
+        at_fault: 1 if that was the planner's fault.
+        hard_s: Time of braking beyond `HARD_MPS2`, s.
+        hardest: Least acceleration, m/s2.
+        false: Number of hard brakings for road users that did not come into the way.
+        stands_s: Time in which the ego stands while the recorded driver moves, s.
+        delay_s: (2), s
+        jerk_s: Time of jerk out of bounds, s.
+        gap_people_m: Least gap to pedestrians and riders, m.
         cost: (1)
     """
 
@@ -129,7 +129,8 @@ class Row:
     cost: float
 
 
-SHOWN = ("progress", "touched", "at_fault", "hard_s", "hardest", "false", "stands_s", "delay_s", "jerk_s", "cost")
+SHOWN = ("progress", "touched", "at_fault", "hard_s", "hardest", "false", "stands_s", "delay_s", "jerk_s",
+         "gap_people_m", "cost")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -358,25 +359,25 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--fold", nargs="*", type=int, default=list(range(FOLDS)), help="these folds only")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--against", type=Path, help="rows of an earlier version of the first planner")
-    told = parser.parse_args(argv)
+    options = parser.parse_args(argv)
     try:
-        asked = [task for task in tasks(told.data, told.out) if task.fold in told.fold]
-        for planner in told.planner:
-            rows = driven(planner, asked, told.workers)
-            write_file(told.out / f"{safe_name(planner)}.csv", partial(rows.to_csv, index=False))
+        asked = [task for task in tasks(options.data, options.out) if task.fold in options.fold]
+        for planner in options.planner:
+            rows = driven(planner, asked, options.workers)
+            write_file(options.out / f"{safe_name(planner)}.csv", partial(rows.to_csv, index=False))
     except ReplanError as error:
         sys.exit(f"error: {error}")
     there = pd.concat(
-        [pd.read_csv(file) for file in sorted(told.out.glob("*.csv")) if file.stem not in ("logs", "worse")]
+        [pd.read_csv(file) for file in sorted(options.out.glob("*.csv")) if file.stem not in ("logs", "worse")]
     )
-    there = there[there["fold"].isin(told.fold)]
+    there = there[there["fold"].isin(options.fold)]
     print(markdown(summary(there, ["planner"])))
-    print(markdown(summary(there[there["planner"] == told.planner[0]], ["kind"])))
-    costly = worse(there, told.planner[0])
-    write_file(told.out / "worse.csv", partial(costly.to_csv, index=False))
+    print(markdown(summary(there[there["planner"] == options.planner[0]], ["kind"])))
+    costly = worse(there, options.planner[0])
+    write_file(options.out / "worse.csv", partial(costly.to_csv, index=False))
     print(markdown(costly.head(30)[["log", "variant", "end", "more", "planner_best", *COST]]))
-    if told.against is not None:
-        print(markdown(changes(pd.read_csv(told.against), there[there["planner"] == told.planner[0]])))
+    if options.against is not None:
+        print(markdown(changes(pd.read_csv(options.against), there[there["planner"] == options.planner[0]])))
 
 
 if __name__ == "__main__":

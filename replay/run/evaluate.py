@@ -50,7 +50,7 @@ def evaluate_logs(
         resume: Keep the results of logs that an interrupted run into `out` has finished (`replay.run.resume`); the
             tables are the same, byte for byte, as those of a run that was never interrupted.
         window: Split each log into windows of this length, s; each is a log of its own.
-        every: Begin a window every so many seconds; None: where the one before ends.
+        every: Time between the begins of two windows, s; None: `window`.
         suite: Instead of logs: a suite of the catalogue, or a family or group of it with all its cells.
         shard: Drive this part of the logs only; `replay.run.shards` judges all parts together.
         on_start: Called once with the selection and the result folder.

@@ -195,7 +195,7 @@ def select(
     A folder that is not a log is searched for logs. Results of earlier runs, hidden files and second copies of a log
     are left out: the same bytes, or the same drive in another container or under another name, if the reader knows
     its span without reading it. With `window`, each log is split into windows of this length, s, that begin every
-    `every` s (by default, one at the end of the other).
+    `every` s (by default `window`).
 
     Raises:
         ConfigError: A path does not exist, no reader knows its format, or no log is left.

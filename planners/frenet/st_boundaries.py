@@ -14,13 +14,15 @@ Where no prediction comes near the path, no boxes are computed.
 (3) The agent's speed along the path is the component of its velocity along the path's heading where it enters the path.
 (4) Decision for a profile s(t): overtake where it passes above the middle of all intervals; else stop for agents that
     stand, follow those that move along the path with more than the share `ALONG` of their speed, yield to all others.
+(5) Braking gives a vehicle that comes towards the ego no more room beside it, so that it needs only the margin of what
+    the path passes on purpose.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from math import cos, hypot, inf, isnan, sin
+from math import cos, hypot, inf, isnan, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +38,8 @@ NO_ONE = np.zeros(0, np.bool_)
 """No agent (see `Roles`)."""
 ALONG = 0.8
 """An agent with this share of its speed along the path is followed, not yielded to; at 45 degrees it crosses."""
+ONCOMING_RAD = 0.75 * pi
+"""A vehicle that is turned against the lane by more than this comes towards the ego, rad."""
 HALVINGS = 4
 """Halvings of the path's spacing, about 0.4 m, in the search for the edge of an interval."""
 JUMP = 0.999
@@ -137,11 +141,13 @@ def st_boundaries(
 ) -> StBoundaries:
     """The intervals (1) of all predictions except those of agents to `skip` `(agents,)`.
 
-    Agents that the path passes on purpose (`passed`, their ids) have the smallest margin.
+    Agents that the path passes on purpose (`passed`, their ids) have the smallest margin, and oncoming vehicles (5).
     """
     agents, futures, car = scene.frame.agents, scene.futures, scene.vehicle
     stride = max(1, round(config.step_s / float(futures.t[1] - futures.t[0]))) if len(futures.t) > 1 else 1
-    is_passed = np.array([name in passed for name in agents.ids], np.bool_) if passed else NO_ONE
+    is_passed = (np.abs(scene.agents.turn) > ONCOMING_RAD) & ~scene.standing & ~scene.vulnerable  # (5)
+    if passed:
+        is_passed |= np.array([name in passed for name in agents.ids], np.bool_)
     margins = config.margin_m, config.vulnerable_margin_m, config.passed_margin_m
     ego = Swept(car.axle_to_center, car.length, car.width, *margins, config.early_s, config.late_s)
     way = Way(path.sigma, path.x, path.y, path.yaw)

@@ -45,12 +45,13 @@ RESTING_MPS = 0.5
 class SolvedSpeed:
     """The speed found: rows s, v, a `(3, knots)`, or None; the reason why it is not comfortable, or is None.
 
-    Whether no profile avoids a contact, whether it brakes as hard as it can, and the QPs that were tried, with their
-    results.
+    Whether it keeps the bounds by (1) or (2), whether no profile avoids a contact, whether it brakes as hard as it can,
+    and the QPs that were tried, with their results.
     """
 
     profile: FloatArray | None
     reason: str
+    keeps: bool = False
     unavoidable: bool = False
     is_full: bool = False
     attempts: tuple[tuple[SpeedProblem, QPResult], ...] = ()
@@ -112,7 +113,7 @@ class BrakingLadder:
                 result = self.program.solve(rows)
                 tried.append((posed, result))
                 if result.report.solved:
-                    return SolvedSpeed(tidy_profile(result.x), rung.reason, attempts=tuple(tried))
+                    return SolvedSpeed(tidy_profile(result.x), rung.reason, keeps=True, attempts=tuple(tried))
             if tried and problem.overtakes:
                 break
         if tried:

@@ -4,12 +4,13 @@ A row of the S-T boundaries has the weight p = p_said p_exist p_enter, with
 
 (1) p_said = min(q / (2 UNLIKELY), 1)                     q: probability of the predicted hypothesis
 (2) p_exist = min(age / `AGE_S`, 1) exp(-(unseen - u0) / `UNSEEN_S`)     u0: that of the agent seen most recently
-(3) p_enter = Phi((w t - d) / sqrt(`PLACE_M`^2 + (sigma t)^2) - 1)
+(3) p_enter = Phi((w m - d) / sqrt(`PLACE_M`^2 + (sigma t)^2) - 1),  m = u - u^2 / 2 t_b,  u = min(t, t_b),  t_b = v / b
 
 d is the distance between the agent's side and the strip of the path that it enters, w its velocity towards the strip, t
-the time when it leaves it, sigma the standard deviation of the velocity, at least `DRIFT_MPS`. For an agent that walks
-towards the path, (3) and the factor of the age in (2) are 1, so that being new or slow is no doubt. (3) is also 1 for
-an agent that walks away or is in the strip; (2) and (3) are 1 for one that takes the path now.
+the time when it leaves it, sigma the standard deviation of the velocity, at least `DRIFT_MPS`. An agent of speed v that
+brakes with b, as in (6), stands after t_b: who brakes before the path lets the ego go. For an agent that walks towards
+the path, (3) and the factor of the age in (2) are 1, so that being new or slow is no doubt. (3) is also 1 for an agent
+that walks away or is in the strip; (2) and (3) are 1 for one that takes the path now.
 
 (4) Rows of p >= `CERTAIN` bind. Other rows are safe where a stop with `SHARED_MPS2`, `SHARED_S` from now, stays behind
     them, or the planned profile clears them. The rest, above `NEGLIGIBLE`, binds only as far as comfortable braking can
@@ -23,13 +24,13 @@ an agent that walks away or is in the strip; (2) and (3) are 1 for one that take
 from __future__ import annotations
 
 from dataclasses import replace
-from math import cos, erf, exp, inf, isnan, sin, sqrt
+from math import cos, erf, exp, hypot, inf, isnan, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from logs.agents import AgentKind, among
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import TIE, BoolArray, FloatArray, IntArray, kernel
 from logs.road import line_frame
 from planners.frenet.path import Path
 from planners.frenet.scene import STANDING_MPS, UNLIKELY, AgentsAlong, Bodies, Scene
@@ -55,13 +56,14 @@ class Seen(NamedTuple):
     age: FloatArray
     unseen: FloatArray
     velocity_sigma: FloatArray
+    brakes: FloatArray
     walks: BoolArray
 
 
 def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
     """The weights p and p_turn of the rows `(2, n)`."""
     agents, line, car = scene.frame.agents, scene.reference.line, scene.vehicle
-    seen = Seen(agents.age, agents.unseen, agents.velocity_sigma, _walks(scene))
+    seen = Seen(agents.age, agents.unseen, agents.velocity_sigma, _brakes(agents.accel), _walks(scene))
     way, ego = Way(path.sigma, path.x, path.y, path.yaw), (car.axle_to_front, car.width)
     return _weights(
         rows.t, rows.agent, rows.lower, rows.probability, seen, scene.agents, scene.bodies, line.s, line.coef, way,
@@ -95,11 +97,14 @@ def _weights(
             out[:, i] *= 1.0 if isnan(age[who]) else min(max(age[who] / AGE_S, LEAST), 1.0)  # (2)
         out[:, i] *= 1.0 if isnan(unseen[who]) else exp((last - unseen[who]) / UNSEEN_S)
         if d > 0.0 and not walks[who]:
-            leaves = t[taken[-1]]
+            leaves, v, b = t[taken[-1]], hypot(along.v_s[who], along.v_l[who]), seen.brakes[who]
+            stands = max(v, TIE) / b if b > 0.0 else inf
+            until = min(leaves, stands)
+            moves = w * (until - 0.5 * until**2 / stands)
             sigma_v = seen.velocity_sigma[who]
             drift = sigma_v if sigma_v > DRIFT_MPS else DRIFT_MPS
             for k, turn in enumerate((0.0, 0.5 * TURN_MPS2 * leaves**2)):
-                z = (w * leaves - d) / sqrt(PLACE_M**2 + (drift * leaves) ** 2 + turn**2) - 1.0
+                z = (moves - d) / sqrt(PLACE_M**2 + (drift * leaves) ** 2 + turn**2) - 1.0
                 out[k, i] *= 0.5 * (1.0 + erf(z / sqrt(2.0)))  # (3)
     return out
 
@@ -115,12 +120,16 @@ def _walks(scene: Scene) -> BoolArray:
     return np.asarray(WALKERS[scene.frame.agents.codes] & (scene.speed < WALK_MPS))
 
 
+def _brakes(accel: FloatArray) -> FloatArray:
+    """Decelerations that are relied on, 0 where an agent does not brake, m/s2."""
+    return np.clip(-accel - ERROR_MPS2, 0.0, MOST_MPS2)
+
+
 def extend_braking(scene: Scene, rows: StBoundaries) -> StBoundaries:
     """Apply (6): followed agents that brake come to a stop."""
-    accel = scene.frame.agents.accel[rows.agent]
-    if not (accel < -ERROR_MPS2).any():
+    b = _brakes(scene.frame.agents.accel[rows.agent])
+    if not b.any():
         return rows
-    b = np.minimum(-accel - ERROR_MPS2, MOST_MPS2)
     v, total = rows.speed, scene.speed[rows.agent]
     led = (b > 0.0) & (v > ALONG * total) & (total > STANDING_MPS) & np.isfinite(rows.lower[:, 0])
     until = np.minimum(rows.t, (v[led] / b[led])[:, None])

@@ -33,8 +33,9 @@ from planners.dp_qp.speed.problem import BuiltProblem, PathLimits, Settings, Tak
 from planners.dp_qp.speed.qp import TOLERANCE, SpeedQpConfig
 from planners.frenet.path import Path
 from planners.frenet.profiles import STEP_S
-from planners.frenet.scene import Scene
+from planners.frenet.scene import STANDING_MPS, Scene
 from planners.frenet.st_boundaries import (
+    ALONG,
     OVERTAKE,
     YIELD,
     StBoundaries,
@@ -47,7 +48,11 @@ from planners.frenet.st_boundaries import (
 from planners.piecewise_jerk.solvers import DEFAULT
 
 CHANGE_S = 0.5
-"""Delay with which the ego must still be first to overtake an agent that it yielded to, s."""
+"""Delay with which the ego must still be first to overtake an agent that it yielded to, s ..."""
+FIRST_S = 1.0
+"""... and one that crosses, where braking with `LETS_MPS2` is enough to yield: predictions of when it comes err, s."""
+LETS_MPS2 = 3.0, 4.5
+"""Deceleration with which the ego lets a vehicle go first, and a pedestrian or rider, m/s2."""
 DOUBTED = "that is doubted: comfortable braking is all that is done"
 
 
@@ -203,9 +208,21 @@ class SpeedStage:
     def _plan_within(self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None) -> _Planned:
         """The speed that keeps these boundaries; those of the agents `sure` (None: all) with other margins, too.
 
-        Where a profile overtakes an agent without staying clear of it, the ego yields to it instead: the DP has only a
-        coarse jerk.
+        The ego is first by `FIRST_S` before agents that cross, or it yields if `LETS_MPS2` are enough for that.
         """
+        scene = way.view.scene
+        total = scene.speed[blocks.agent]
+        crosses = (blocks.speed < ALONG * total) & (total > STANDING_MPS)
+        planned = self._plan_in_order(way, blocks, sure, np.where(crosses, FIRST_S, 0.0))
+        lets, solved = crosses & ~planned.may_overtake, planned.solved
+        if not lets.any():
+            return planned
+        most = LETS_MPS2[bool(scene.vulnerable[blocks.agent[lets]].any())]
+        is_gentle = solved.keeps and solved.profile is not None and solved.profile[2].min() >= -most
+        return planned if is_gentle else self._plan_in_order(way, blocks, sure, np.zeros(len(blocks)))
+
+    def _plan_in_order(self, way: _Way, blocks: StBoundaries, sure: IntArray | None, first_s: FloatArray) -> _Planned:
+        """The speed that overtakes only where it still stays clear `first_s` `(n,)` later: the DP has a coarse jerk."""
         who, ids = blocks.agent if sure is None else sure, way.view.scene.frame.agents.ids
         may, solved = np.ones(len(blocks), np.bool_), SolvedSpeed(None, "")
         while True:
@@ -215,8 +232,9 @@ class SpeedStage:
             solved = replace(solved, attempts=(*tried, *solved.attempts)) if tried else solved
             refused = built.kinds == OVERTAKE
             if solved.profile is not None and refused.any():
-                late = np.array([CHANGE_S if ids[each] in way.memory.waits else 0.0 for each in blocks.agent])
-                s = np.interp(blocks.t - late[:, None], self._times, solved.profile[0])
+                waited = [CHANGE_S if ids[each] in way.memory.waits else 0.0 for each in blocks.agent]
+                at = blocks.t - np.maximum(first_s, waited)[:, None]
+                s = np.interp(at, self._times, solved.profile[0])
                 refused &= ((s > blocks.lower) & (s < blocks.upper)).any(axis=1)
             if not refused.any():
                 break

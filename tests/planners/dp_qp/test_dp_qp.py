@@ -287,6 +287,24 @@ def test_an_agent_that_the_ego_cannot_pass_first_is_let_go() -> None:
     assert decided(plan, "it", "speed") is DecisionKind.YIELD
 
 
+@pytest.mark.parametrize(("x", "spare", "expected"), [
+    (45.0, 0.6, DecisionKind.YIELD), (45.0, 3.0, DecisionKind.OVERTAKE),
+    (12.0, 1.2, DecisionKind.OVERTAKE),  # nothing but full braking would stop before the walker
+])  # fmt: skip
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_ego_goes_first_before_a_walker_only_with_time_to_spare(
+    x: float, spare: float, expected: DecisionKind, side: float
+) -> None:
+    """`spare`: when the walker takes the ego's strip, s after the ego has left the place at its speed."""
+    walks, margins = 1.4, 0.5 * CAR.width + 0.6 + 0.3
+    ego = replace(EGO, v=13.0)
+    leaves = (x + CAR.rear_overhang + 0.3) / ego.v
+    walker = driving("it", x, side * (walks * (leaves + spare) + margins), 0.0, -side * walks, length=0.6, width=0.6)
+    plan = planner(ONE, ego).plan(frame(ego, [replace(walker, kind=AgentKind.PEDESTRIAN)]))
+    assert plan.status is PlanStatus.PLANNED and decided(plan, "it", "speed") is expected
+    assert expected is DecisionKind.YIELD or column(plan, "a").min() > -0.5
+
+
 @pytest.mark.parametrize("v", [5.0, 12.0])
 def test_the_ego_stops_behind_a_standing_car_and_stays(v: float) -> None:
     drive = followed(ONE, replace(EGO, v=v), [standing("wall", 70.0, 0.0)], seconds=22.0)

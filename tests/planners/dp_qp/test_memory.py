@@ -136,7 +136,7 @@ def test_a_drive_at_which_no_one_looks_builds_nothing(counted: Counter[int]) -> 
     drive = driven()
     reports = [plan.recorded(keep=False).internals for _, plan in drive]
     assert not counted
-    assert all(item.solved for some in reports for item in some if isinstance(item, SolverReport)) and all(reports)
+    assert all([item.solved for item in some if isinstance(item, SolverReport)][-1] for some in reports)
     for _, plan in drive:
         for _ in range(2):
             assert len(plan.recorded(keep=True).internals) == len(plan.internals) > len(plan.internals[:1])

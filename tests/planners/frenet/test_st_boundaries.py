@@ -15,8 +15,8 @@ from logs.kernel import FloatArray
 from logs.shapes import overlap
 from planners.dp_qp.speed.braking import BARE, TOUCHING
 from planners.frenet.path import Path
-from planners.frenet.scene import Occupancy, Scene, behind
-from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, decide_speed, st_boundaries
+from planners.frenet.scene import STANDING_MPS, Occupancy, Scene, behind
+from planners.frenet.st_boundaries import ONCOMING_RAD, StBoundaries, StGraphConfig, decide_speed, st_boundaries
 
 SEED = st.integers(0, 2**32 - 1)
 
@@ -38,6 +38,13 @@ ROAD = reference(along_x())
 def blocks_of(path: Path, other: Other, config: StGraphConfig = AS_PREDICTED, *, passed: bool = False) -> StBoundaries:
     names = frozenset({other.id} if passed else ())
     return st_boundaries(scene(ROAD, EGO, [other]), path, np.zeros(1, np.bool_), names, config)
+
+
+def margin_of(other: Other) -> float:
+    """The margin to a vehicle: an oncoming one has that of what is passed."""
+    _, _, yaw, vx, vy = other.at(0.0)
+    comes = abs(yaw) > ONCOMING_RAD and np.hypot(vx, vy) >= STANDING_MPS
+    return AS_PREDICTED.passed_margin_m if comes else AS_PREDICTED.margin_m
 
 
 def met(path: Path, other: Other, t: float, margin: float) -> FloatArray:
@@ -74,7 +81,7 @@ def test_blocked_intervals_are_where_the_boxes_overlap(crossing: tuple[Path, Oth
     path, other = crossing
     blocks = blocks_of(path, other)
     for k, t in enumerate(0.1 * np.arange(81)):
-        stations = met(path, other, float(t), AS_PREDICTED.margin_m)
+        stations = met(path, other, float(t), margin_of(other))
         if not len(stations):
             assert not len(blocks) or np.isnan(blocks.lower[0, k])
             continue
@@ -117,6 +124,8 @@ def test_margins_depend_on_who_it_is() -> None:
     assert len(blocks_of(STRAIGHT, standing("car", 30.0, beside + 0.11), passed=True)) == 0
     walker = Other("ped", lambda t: (30.0, beside + 0.59, 0.0, 0.0, 0.0), AgentKind.PEDESTRIAN)
     assert len(blocks_of(STRAIGHT, walker)) == 1
+    for v, width, blocks in ((8.0, 0.29, 1), (-8.0, 0.11, 0), (-8.0, 0.09, 1)):  # braking gives an oncoming car no room
+        assert len(blocks_of(STRAIGHT, driving("car", 30.0, beside + width, v))) == blocks
 
 
 def test_the_speed_along_the_path_is_the_projection_of_the_velocity() -> None:

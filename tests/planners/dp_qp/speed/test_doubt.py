@@ -95,6 +95,15 @@ def test_an_oncoming_car_beside_the_lane_is_doubted_while_it_hardly_drifts(drift
     assert weight(driving("it", 60.0, 3.5, -8.0, -drift), velocity_sigma=3.0) < CERTAIN
 
 
+@given(st.floats(3.0, 12.0), st.floats(0.0, 6.0), st.floats(0.0, 2.0))
+def test_who_brakes_before_the_path_is_doubted_and_the_more_the_harder(v: float, brakes: float, more: float) -> None:
+    crossing = driving("it", 30.0, -4.0 * v, 0.0, v)
+    assert weight(crossing, accel=-brakes - more) <= weight(crossing, accel=-brakes) + 1e-12 <= weight(crossing) + 2e-12
+    stop = v**2 / (2.0 * max(brakes - ERROR_MPS2, 1e-9))
+    if stop < 4.0 * v - 4.0:  # it stands before the lane, which it reaches with its front
+        assert weight(crossing, accel=-brakes) < CERTAIN
+
+
 @given(st.floats(6.0, 14.0), st.floats(-12.0, 12.0).filter(lambda vy: abs(vy) > 3.0))
 def test_mirrored_weights_are_the_same(vx: float, vy: float) -> None:
     one, other = (driving("it", 20.0, -2.0 * side * vy, vx, side * vy) for side in (1.0, -1.0))

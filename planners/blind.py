@@ -18,11 +18,11 @@ from dataclasses import replace
 import numpy as np
 
 from logs.frame import Frame, PlannerContext, Predictions
-from logs.states import EgoState
 from logs.trace import Plan
 from planners.frenet.fallback import trajectory_along
 from planners.frenet.path import path_through
 from planners.frenet.profiles import COMFORT, HORIZON_KNOTS, STEP_S, braking
+from planners.frenet.scene import start_of
 from planners.idm import Idm, IdmConfig
 
 GAIN_MPS2 = 1.0
@@ -61,7 +61,7 @@ class Parked:
         """Return the path of `blind` at the speeds (1), (2), in its frame."""
         plan = self._blind.plan(frame)
         way, t = plan.trajectory, STEP_S * np.arange(HORIZON_KNOTS)
-        start: EgoState = way.state(0)
+        start = start_of(frame)[0]  # `blind` begins with an acceleration of its own
         excess = start.v - self._wish
         if excess > 0.0:
             slower = braking(excess, start.a, COMFORT.decel_mps2, COMFORT.jerk_mps3, STEP_S, HORIZON_KNOTS)

@@ -231,20 +231,23 @@ def start_of(frame: Frame, stitch_m: float = STITCH_M, stitch_mps: float = STITC
 
 
 class RouteTracker:
-    """The reference path of one scenario's route, and the last station on it, from which the next search starts."""
+    """The reference path of one scenario's route, and the last start on it: the next is as far on as the ego moved."""
 
     def __init__(self, context: PlannerContext) -> None:
         self._vehicle = context.vehicle
         route = find_route(context.road, context.start, context.goal)
         self.reference: ReferencePath = make_reference_path(context.road, route, context.start)
-        self._station: float | None = None
+        self._last: tuple[EgoState, float] | None = None
 
     def scene(self, frame: Frame) -> tuple[Scene, PlanStart]:
         """The scene of a frame along the route, and the kind of start of its plan."""
         start, kind = start_of(frame)
-        near = None if frame.previous is None else self._station
+        near = None
+        if frame.previous is not None and self._last is not None:
+            before, s = self._last
+            near = s + hypot(start.x - before.x, start.y - before.y)
         scene = scene_of(frame, start, self.reference, self._vehicle, near)
-        self._station = scene.s
+        self._last = start, scene.s
         return scene, kind
 
 

@@ -5,6 +5,7 @@ import pytest
 from drives import along, grid, moving, scenario, straight_road
 
 from logs import AgentKind, EndReason
+from logs.trace import PlanStatus
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.reference_drives import BAD_PERIODS_S
@@ -35,3 +36,17 @@ def test_the_parked_driver_stops_comfortably_and_stays(v: float) -> None:
 @pytest.mark.parametrize("v", [0.0, 10.0])
 def test_a_creeping_driver_comes_to_its_speed(v: float) -> None:
     assert driven("parked", v, speed_mps=2.0).ego.v[-1] == pytest.approx(2.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("v", [0.0, 12.0, 25.0])
+@pytest.mark.parametrize("wish", [0.0, 2.0])
+def test_a_drive_does_not_depend_on_how_often_it_is_planned(v: float, wish: float) -> None:
+    """Plans follow each other without a jump, however far the ego drives on one of them."""
+    log = scenario(along(grid(12.0), v), [], road=straight_road(limit=30.0))
+    ends = []
+    for period in (0.1, 4.0):
+        loop = LoopConfig(period, 0.1, vehicle="perfect")
+        trace = run_closed_loop(log, "parked", planner_config={"speed_mps": wish}, config=loop).trace
+        assert all(frame.plan.status is PlanStatus.PLANNED for frame in trace.frames)
+        ends.append(trace.ego.x[-1])
+    assert ends[0] == pytest.approx(ends[1], abs=0.2)

@@ -116,6 +116,8 @@ class Road:
         default_speed_limit: Speed limit of lanes that have none, m/s.
         stop_lines: Lines at which lights and signs make a car stop.
         crosswalks: Areas in which pedestrians have the right of way.
+        areas: Other ground on which a car may drive (drivable areas, car parks), polygons `(k, 2)`; only the scores of
+            `metrics.nuplan` and `replay.score` use it.
         assumed_limits: Lanes whose speed limit is assumed, because the log states none.
         assumed_priority: Lanes that yield by assumption, because neither a sign nor a light says who goes first.
 
@@ -130,11 +132,13 @@ class Road:
     default_speed_limit: float = 13.89
     stop_lines: tuple[StopLine, ...] = ()
     crosswalks: tuple[Crosswalk, ...] = ()
+    areas: tuple[Points, ...] = ()
     assumed_limits: frozenset[int] = frozenset()
     assumed_priority: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lanes", MappingProxyType(dict(self.lanes)))
+        object.__setattr__(self, "areas", tuple(frozen(area) for area in self.areas))
         for line in self.stop_lines:
             if line.lane not in self.lanes:
                 raise ValueError(f"stop line {line.id} lies across lane {line.lane}, which is not in the road")

@@ -165,6 +165,7 @@ def mirrored(scenario: Scenario) -> Scenario:
         drives_on_right=not road.drives_on_right,
         stop_lines=tuple(replace(line, points=line.points[::-1] * _FLIP) for line in road.stop_lines),
         crosswalks=tuple(replace(each, polygon=each.polygon[::-1] * _FLIP) for each in road.crosswalks),
+        areas=tuple(area[::-1] * _FLIP for area in road.areas),
     )
     metadata = dict(scenario.metadata)
     if "expected_decisions" in metadata:
@@ -242,4 +243,5 @@ def placed_road(road: Road, points: _Points) -> Road:
         lanes={i: replace(lane, left=points(lane.left), right=points(lane.right)) for i, lane in road.lanes.items()},
         stop_lines=tuple(replace(line, points=points(line.points)) for line in road.stop_lines),
         crosswalks=tuple(replace(each, polygon=points(each.polygon)) for each in road.crosswalks),
+        areas=tuple(map(points, road.areas)),
     )

@@ -103,7 +103,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "reference": reference_drivers.REFERENCE,
     "score": (
-        score.NUPLAN_CLOSED_SCORE, score.NUPLAN_OPEN_SCORE, score.PDMS_SCORE, score.EPDMS_SCORE, score.CARLA_SCORE,
+        score.NUPLAN_CLOSED_SCORE, score.NUPLAN_OPEN_SCORE, score.CARLA_SCORE,
     ),
 })  # fmt: skip
 """The metrics by topic, in the order of the table."""

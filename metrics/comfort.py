@@ -81,7 +81,7 @@ def yaw_accel(drive: Trajectory) -> FloatArray:
     return np.where(known, (drive.yaw - 2.0 * before + start) / WINDOW_S**2, np.nan)
 
 
-def _savgol(value: FloatArray, window: int, degree: int, order: int = 0, step: float = 1.0) -> FloatArray:
+def savgol(value: FloatArray, window: int, degree: int, order: int = 0, step: float = 1.0) -> FloatArray:
     """Return SG, SG' or SG'' (`order` 0, 1, 2) of samples `step` s apart."""
     from scipy.signal import savgol_filter  # imported here: it takes longer to import than all metrics
 
@@ -90,7 +90,7 @@ def _savgol(value: FloatArray, window: int, degree: int, order: int = 0, step: f
 
 def _derivative(value: FloatArray, window: int, degree: int, order: int, drive: Trajectory) -> FloatArray:
     """Return SG' or SG'' of a signal of a drive."""
-    return _savgol(value, window, degree, order, float(np.mean(np.diff(drive.t))))
+    return savgol(value, window, degree, order, float(np.mean(np.diff(drive.t))))
 
 
 def r79_jerk(drive: Trajectory) -> FloatArray:
@@ -203,13 +203,13 @@ NUPLAN = tuple(
         parameters=(_as_text(NUPLAN_BOUNDS[kind]), f"step {NUPLAN_STEP_S} s"), needs=f"a drive of {NUPLAN_LEAST_S} s",
     )
     for kind, what, aside, signal, formula in (
-        ("lon_accel", "Acceleration along the body", "", lambda drive: _savgol(drive.a, 8, 2), "SG(8, 2) of a"),
-        ("lat_accel", "Lateral acceleration", "", lambda drive: _savgol(lat_accel(drive), 8, 2),
+        ("lon_accel", "Acceleration along the body", "", lambda drive: savgol(drive.a, 8, 2), "SG(8, 2) of a"),
+        ("lat_accel", "Lateral acceleration", "", lambda drive: savgol(lat_accel(drive), 8, 2),
          "SG(8, 2) of v^2 kappa"),
         ("lon_jerk", "Longitudinal jerk", ": a cascade of 2.2 s",
-         lambda drive: _derivative(_savgol(drive.a, 8, 2), 15, 2, 1, drive), "SG'(15, 2) of SG(8, 2) of a"),
+         lambda drive: _derivative(savgol(drive.a, 8, 2), 15, 2, 1, drive), "SG'(15, 2) of SG(8, 2) of a"),
         ("jerk", "Rate of the size of the acceleration", ": turning it counts nothing",
-         lambda drive: _derivative(_savgol(np.hypot(drive.a, lat_accel(drive)), 8, 2), 15, 2, 1, drive),
+         lambda drive: _derivative(savgol(np.hypot(drive.a, lat_accel(drive)), 8, 2), 15, 2, 1, drive),
          "SG'(15, 2) of SG(8, 2) of hypot(a, v^2 kappa)"),
         ("yaw_rate", "Yaw rate", "", lambda drive: _derivative(drive.yaw, 5, 2, 1, drive), "SG'(5, 2) of yaw"),
         ("yaw_accel", "Yaw acceleration", "", lambda drive: _derivative(drive.yaw, 5, 3, 2, drive),

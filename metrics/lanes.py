@@ -104,9 +104,14 @@ def stated_lanes(road: Road) -> LaneArrays | None:
     return lanes._replace(limit=np.array(stated))
 
 
-@once
 def drivable_lanes(road: Road) -> LaneArrays | None:
-    """Return the lanes that a car may drive on; None if there are none."""
+    """Return the lanes that a car may drive on, extended where the map ends; None if there are none."""
+    return lane_arrays(road, BEYOND_M)
+
+
+@once
+def lane_arrays(road: Road, beyond: float) -> LaneArrays | None:
+    """Return the lanes that a car may drive on, `beyond` m longer where the map ends; None if there are none."""
     lanes = [lane for lane in road.lanes.values() if lane.drivable]
     if not lanes:
         return None
@@ -117,7 +122,7 @@ def drivable_lanes(road: Road) -> LaneArrays | None:
         ends, begins = road.lanes.keys().isdisjoint(lane.successors), lane.id not in entered
         for longer, way in ((ends, forth), (begins, back)):
             length = float(np.hypot(*way[0]))
-            way *= BEYOND_M / length if longer and length > 0.0 else 0.0
+            way *= beyond / length if longer and length > 0.0 else 0.0
         sides = [np.vstack([side[:1] + back, side, side[-1:] + forth]) for side in (lane.left, lane.right)]
         outlines.append(np.vstack([sides[0], sides[1][::-1]]))
     box = [(*outline.min(axis=0), *outline.max(axis=0)) for outline in outlines]
@@ -180,7 +185,7 @@ def _gap(box: FloatArray, g: int, x: float, y: float) -> float:
 
 
 @kernel
-def _on_lane(lanes: LaneArrays, i: int, x: float, y: float) -> bool:
+def on_lane(lanes: LaneArrays, i: int, x: float, y: float) -> bool:
     """Return whether a point lies in lane i: `logs.road.inside` with only the edges that a ray from it could cross."""
     polygon, boxes = lanes.points[lanes.offsets[i] : lanes.offsets[i + 1]], lanes.outline
     found = False
@@ -224,7 +229,7 @@ def under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> U
     for k in range(len(x)):
         first_x, first_y, crossing = 0.0, 0.0, False
         for i in range(len(lanes.box)):
-            if _gap(lanes.box, i, x[k], y[k]) > 0.0 or not _on_lane(lanes, i, x[k], y[k]):
+            if _gap(lanes.box, i, x[k], y[k]) > 0.0 or not on_lane(lanes, i, x[k], y[k]):
                 continue
             cx, cy, aside, wide = _on_center(lanes, i, x[k], y[k])
             if not np.isfinite(along[k]):
@@ -241,7 +246,7 @@ def under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> U
 
 
 @inner_kernel
-def _edge_distance(lanes: LaneArrays, i: int, x: float, y: float, best: float) -> float:
+def edge_distance(lanes: LaneArrays, i: int, x: float, y: float, best: float) -> float:
     """Return the distance of a point from lane i's outline, m, or `best` if that is smaller."""
     polygon, boxes = lanes.points[lanes.offsets[i] : lanes.offsets[i + 1]], lanes.outline
     for g in range(boxes.first[i], boxes.first[i + 1]):
@@ -266,7 +271,7 @@ def off_lanes(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
             i = (start + turn) % n
             if _gap(lanes.box, i, x[k], y[k]) >= best:
                 continue
-            found = 0.0 if _on_lane(lanes, i, x[k], y[k]) else _edge_distance(lanes, i, x[k], y[k], best)
+            found = 0.0 if on_lane(lanes, i, x[k], y[k]) else edge_distance(lanes, i, x[k], y[k], best)
             if found < best:
                 best, recent = found, i
             if best == 0.0:
@@ -283,6 +288,6 @@ def limits_at(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
         for i in range(len(lanes.box)):
             if _gap(lanes.box, i, x[k], y[k]) > 0.0 or lanes.limit[i] <= out[k]:
                 continue
-            if np.isfinite(lanes.limit[i]) and _on_lane(lanes, i, x[k], y[k]):
+            if np.isfinite(lanes.limit[i]) and on_lane(lanes, i, x[k], y[k]):
                 out[k] = lanes.limit[i]
     return out

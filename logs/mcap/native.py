@@ -197,7 +197,10 @@ class Crosswalk(msgspec.Struct, rename=serialised):
 
 
 class Road(msgspec.Struct, rename=serialised):
-    """Lanes and rules; source "driven_path": made from the ego's path; "assumed_limits", "assumed_priority": lanes."""
+    """Lanes and rules; source "driven_path": made from the ego's path; "assumed_limits", "assumed_priority": lanes.
+
+    "areas": more drivable ground.
+    """
 
     lanes: list[LaneColumns]
     source: Literal["lanes", "driven_path"] = "lanes"
@@ -207,6 +210,7 @@ class Road(msgspec.Struct, rename=serialised):
     crosswalks: list[Crosswalk] = []
     assumed_limits: list[int] = []
     assumed_priority: list[int] = []
+    areas: list[Region] = []
 
 
 class LightColumns(msgspec.Struct, rename=serialised):

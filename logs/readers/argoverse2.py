@@ -284,7 +284,7 @@ def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list
                     _points(lane["right_lane_boundary"]) - origin,
                     successors=tuple(dict.fromkeys(int(i) for i in lane["successors"])),
                     beside=(lane["left_neighbor_id"], lane["right_neighbor_id"]),
-                    kind=kind,
+                    kind=f"{kind}+intersection" if lane.get("is_intersection") else kind,
                     marks=(str(lane["left_lane_mark_type"]), str(lane["right_lane_mark_type"])),
                     drivable=kind not in ("bike_lane", "bus_lane"),
                 )
@@ -299,7 +299,9 @@ def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list
             if (other[-1] - other[0]) @ (one[-1] - one[0]) > 0.0:
                 other = other[::-1]
             walks.append(Crosswalk(int(walk["id"]), np.vstack([one, other])))
-        road = Road(lanes, drives_on_right=keeps_right, crosswalks=tuple(walks))
+        rings = [_points(area["area_boundary"]) - origin for area in found.get("drivable_areas", {}).values()]
+        areas = tuple(ring for ring in rings if len(ring) >= 3 and (np.abs(ring) < LARGEST_M).all())
+        road = Road(lanes, drives_on_right=keeps_right, crosswalks=tuple(walks), areas=areas)
     notes.append("The map has no right of way, stop lines or traffic lights: priority is not known.")
     limit = assumed_limit(ego)
     notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed ({ASSUMED}).")

@@ -1,7 +1,8 @@
 """Reads the road of a 123D log (map.arrow) and its traffic lights over time.
 
-Layers of a map: lanes (0) with successors, neighbours and speed limits; crosswalks (3); stop zones (7); road lines (9).
-Intersections, walkways, car parks, drivable areas and speed bumps are not read.
+Layers of a map: lanes (0) with successors, neighbours and speed limits; of their groups (1) whether they are in an
+intersection; crosswalks (3); car parks (5) and other drivable areas (6); stop zones (7); road lines (9). Walkways,
+speed bumps and the outlines of intersections are not read.
 
 Markings. If the road lines are the boundaries of the lanes themselves, as in Argoverse 2, a boundary has the type of
 its line; else the type of the road lines within `MARK_M` of it.
@@ -38,7 +39,7 @@ from logs.road import Lane, Road, inside
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.states import Trajectory
 
-LANE, LANE_GROUP, CROSSWALK, STOP_ZONE, ROAD_LINE = 0, 1, 3, 7, 9
+LANE, LANE_GROUP, CROSSWALK, CAR_PARK, DRIVABLE, STOP_ZONE, ROAD_LINE = 0, 1, 3, 5, 6, 7, 9
 LANE_TYPES = ("undefined", "freeway", "surface_street", "bike_lane", "bus_lane")
 NOT_DRIVABLE = ("bike_lane", "bus_lane")
 MARKS = (
@@ -101,6 +102,7 @@ def road_of_map(
             notes.append(
                 "Lanes inside crossings have predecessors and successors swapped before py123d 0.5.0: put right."
             )
+        crossing = {i for i, group, _ in objects.of(LANE_GROUP) if _id(group.get("intersection_id")) is not None}
         strips = []
         for i, f in chosen:
             kind, limit = f.get("lane_type"), f.get("speed_limit_mps")
@@ -114,7 +116,7 @@ def road_of_map(
                     right - zero,
                     successors=tuple(dict.fromkeys(_ids(onward))),
                     beside=(_id(f.get("left_lane_id")), _id(f.get("right_lane_id"))),
-                    kind=word,
+                    kind=f"{word}+intersection" if f.get("lane_group_id") in crossing else word,
                     marks=(marks.get((i, "left"), ""), marks.get((i, "right"), "")),
                     drivable=word not in NOT_DRIVABLE,
                     speed_limit=float(limit) if isinstance(limit, int | float) else float("nan"),
@@ -128,11 +130,14 @@ def road_of_map(
             notes.append("Traffic drives on the left in Singapore.")
         outlines = ((i, _ring(f, zero)) for i, f, _ in objects.of(CROSSWALK) if _is_near(f.get("outline"), near))
         walks = tuple(Crosswalk(i, ring) for i, ring in outlines if len(ring) >= 3)
+        ground = (_ring(f, zero) for layer in (CAR_PARK, DRIVABLE) for _, f, _ in objects.of(layer)
+                  if _is_near(f.get("outline"), near))  # fmt: skip
+        areas = tuple(ring for ring in ground if len(ring) >= 3)
         zones = [(f, _ring(f, zero)) for _, f, _ in objects.of(STOP_ZONE) if _is_near(f.get("outline"), near)]
         lines = stop_lines(zones, lanes, notes)
         if any(len(lane.successors) > 1 for lane in lanes.values()):
             notes.append("The map has no right of way: priority where lanes meet is not known.")
-        return Road(lanes, drives_on_right=keeps_right, stop_lines=lines, crosswalks=walks)
+        return Road(lanes, drives_on_right=keeps_right, stop_lines=lines, crosswalks=walks, areas=areas)
 
 
 def read_objects(path: Path) -> MapObjects:

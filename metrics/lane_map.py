@@ -130,7 +130,9 @@ class LaneMap:
 
     def route(self, x: FloatArray, y: FloatArray) -> Route:
         """Return the lane or connectors of each of the points `(k,)` of a drive (module docstring)."""
-        away, out, now = lane_distances(self.arrays, x, y, NEAR_M), [], ()
+        away = lane_distances(self.arrays, x, y, NEAR_M)
+        out: Route = []
+        now: tuple[int, ...] = ()
         for k in range(len(x)):
             under = away[:, k] == 0.0
             now = self.continued(now, under) if now else ()

@@ -250,14 +250,17 @@ def _signals(ego: Trajectory, ahead: float) -> Mapping[str, FloatArray]:
 
 
 def comfort_signals(
-    lon: FloatArray, lat: FloatArray, size: FloatArray, yaw: FloatArray, step: float
+    lon: FloatArray, lat: FloatArray, size: FloatArray, yaw: FloatArray, step: float, windows: tuple[int, int] = (8, 15)
 ) -> Mapping[str, FloatArray]:
-    """Return the six signals of nuPlan's comfort from accelerations along, across and as a whole, and the yaw."""
-    smooth, whole = savgol(lon, 8, 2), savgol(size, 8, 2)
+    """Return the six signals of nuPlan's comfort from accelerations along, across and as a whole, and the yaw.
+
+    `windows` are those of the filters of accelerations and of jerks.
+    """
+    accel, jerk = windows
     return {
-        "lon_accel": smooth, "lat_accel": savgol(lat, 8, 2), "jerk": savgol(whole, 15, 2, 1, step),
-        "lon_jerk": savgol(smooth, 15, 2, 1, step), "yaw_rate": savgol(yaw, 5, 2, 1, step),
-        "yaw_accel": savgol(yaw, 5, 3, 2, step),
+        "lon_accel": savgol(lon, accel, 2), "lat_accel": savgol(lat, accel, 2),
+        "jerk": savgol(savgol(size, 8, 2), jerk, 2, 1, step), "lon_jerk": savgol(savgol(lon, 8, 2), jerk, 2, 1, step),
+        "yaw_rate": savgol(yaw, 5, 2, 1, step), "yaw_accel": savgol(yaw, 5, 3, 2, step),
     }  # fmt: skip
 
 

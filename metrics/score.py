@@ -162,8 +162,9 @@ def _scores(formula: Formula, trace: Trace, scenario: Scenario) -> Mapping[str, 
 
 def _nuplan_closed(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     found = nuplan.closed_loop_parts(trace, scenario)
-    missing = isinstance(found, Unavailable)
-    return _rows(NUPLAN_CLOSED, trace, {name: found if missing else found[name] for name in NUPLAN_CLOSED.names})
+    names = NUPLAN_CLOSED.names
+    parts: Mapping[str, Value] = dict.fromkeys(names, found) if isinstance(found, Unavailable) else found
+    return _rows(NUPLAN_CLOSED, trace, {name: parts[name] for name in names})
 
 
 def _rows(formula: Formula, trace: Trace, parts: Mapping[str, Value]) -> Mapping[str, Measured]:

@@ -8,21 +8,22 @@ report.py      the end of a run, reports, shards put together: merge, report
 logs.py        read and write logs: synth, convert, repair, inspect, salvage, export
 compare.py     run against run: compare, baseline
 drives.py      look at one drive: view, plot, explain, frame
+score.py       the scores of nuPlan and NAVSIM: score
 mine.py        what happened in logs: mine, query, cut, suite, coverage
 about.py       what replan knows: list, metrics; kernels compiled beforehand: warmup
 options.py     options of several commands, shell completion, old spellings
 app.py         what the commands share
 """
 
-from replay.cli import about, compare, drives, evaluate, logs, mine, report, search
+from replay.cli import about, compare, drives, evaluate, logs, mine, report, score, search
 from replay.cli.app import app, bug, group_commands
 from replay.interruption import end_at_once
 
-__all__ = ["about", "app", "compare", "drives", "evaluate", "logs", "main", "mine", "report", "search"]
+__all__ = ["about", "app", "compare", "drives", "evaluate", "logs", "main", "mine", "report", "score", "search"]
 
 PANELS = {
     "Drive and judge": ("evaluate", "vary", "paper", "calibrate"),
-    "Look, explain, compare": ("view", "plot", "explain", "frame", "report", "compare", "baseline"),
+    "Look, explain, compare": ("view", "plot", "explain", "frame", "report", "compare", "baseline", "score"),
     "Find failures and improve": ("diagnose", "falsify", "tune"),
     "Find moments in logs": ("mine", "query", "cut", "coverage", "suite"),
     "Logs": ("inspect", "synth", "convert", "repair", "salvage", "export"),

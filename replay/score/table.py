@@ -1,0 +1,150 @@
+"""The tables of `replan score`: a row for each scene or drive, with the original's columns, and a summary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pandas as pd
+
+from logs.errors import ConfigError
+from logs.scenario import Scenario
+from logs.trace import EndReason
+from metrics.lane_map import IN_JUNCTION
+from replay.results.load import Results
+from replay.score.navsim import NUPLAN_CAR, PAST_S, POSE_S, VERSIONS, Scored, scored, window
+from replay.score.trajectories import Asked
+
+NUPLAN_CLS = "nuplan-cls"
+NAMES = (NUPLAN_CLS, *VERSIONS)
+"""The scores by the name of `--as`."""
+CLS_COLUMNS: Mapping[str, str] = MappingProxyType({
+    "collisions": "no_ego_at_fault_collisions", "drivable": "drivable_area_compliance",
+    "direction": "driving_direction_compliance", "making_progress": "ego_is_making_progress",
+    "progress": "ego_progress_along_expert_route", "ttc": "time_to_collision_within_bound",
+    "speed_limit": "speed_limit_compliance", "comfort": "ego_is_comfortable", "score": "score",
+})  # fmt: skip
+"""nuPlan's column of each part of `nuplan_closed`."""
+AVERAGE, FINAL = "average_all_frames", "final_score"
+"""Names of the summary's row in NAVSIM's and in nuPlan's tables."""
+TIME_ONLY = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreTable:
+    """Rows by scene or drive, a summary row for each agent, and what cannot be exact for these logs and why."""
+
+    rows: pd.DataFrame
+    inexact: tuple[str, ...]
+
+
+def nuplan_table(results: Results) -> ScoreTable:
+    """Return nuPlan's closed-loop scores of the drives of a run.
+
+    Raises:
+        ConfigError: The run has no closed loop, or was made without the metric.
+    """
+    found = results.metrics
+    found = found[found["metric"].str.match(r"nuplan_closed\.\w+\.final") & (found["mode"] == "closed")]
+    if found.empty:
+        raise ConfigError(f"{results.path}: no closed drive with the metric nuplan_closed; evaluate with --mode closed")
+    part = found["metric"].str.split(".").str[1]
+    wide = found.assign(part=part).pivot_table("value", ["log", "planner"], "part", dropna=False, sort=False)
+    rows = wide.reindex(columns=list(CLS_COLUMNS)).rename(columns=CLS_COLUMNS).reset_index()
+    rows = rows.rename(columns={"log": "scenario", "planner": "planner_name"})
+    missing = found[found["value"].isna() & found["metric"].eq("nuplan_closed.score.final")]
+    ends = results.drives.loc[results.drives["mode"] == "closed", "end"]
+    early = int((~ends.isin([EndReason.END_OF_LOG.value, EndReason.END_OF_LOG.name.lower()])).sum())
+    traffic = results.run.loop.traffic
+    reactive = "as logged: CLS-NR" if traffic == "time" else f"{traffic}, not nuPlan's IDM: comparable with CLS-R"
+    notes = [f"traffic: {reactive}", "vehicle and controller: those of the run, not nuPlan's LQR and bicycle at 10 Hz"]
+    notes += [f"{early} of {len(ends)} drives ended before the log: nuPlan drives on to its end"] if early else []
+    notes += [f"{row.log} ({row.planner}): no score: {row.reason}" for row in missing.itertuples()]
+    return ScoreTable(_with_means(rows, "scenario", "planner_name", FINAL), tuple(notes))
+
+
+def navsim_table(
+    name: str, asked: Sequence[Asked], logs: Mapping[str, Scenario], on_plan: Callable[[], None] = lambda: None
+) -> ScoreTable:
+    """Return NAVSIM's scores of plans.
+
+    Args:
+        name: A name of `VERSIONS`.
+        asked: The plans.
+        logs: Their logs by name.
+        on_plan: Called after each plan.
+
+    Raises:
+        ConfigError: There are no plans; a window does not fit its log.
+    """
+    if not asked:
+        raise ConfigError("no plans to score: a window needs a plan of 4 s, and 4 s of the log after its begin")
+    version, done, rows = VERSIONS[name], dict[tuple[str, str, int], Scored](), []
+    for one in sorted(asked, key=lambda one: (one.log, one.drive, one.t)):
+        at = round(one.t / POSE_S * 100)
+        before = done.get((one.log, one.drive, at - 100)) if "EC" in version.columns else None
+        now = scored(window(logs[one.log], one.t), one.poses, version, before)
+        done[one.log, one.drive, at] = now
+        columns = {column: now.parts[part] for part, column in version.columns.items()}
+        rows.append({"token": one.token or f"{one.log}@{one.t:g}", "log_name": one.log, "agent": one.drive,
+                     "start_time": one.t, **columns, "score": now.score})  # fmt: skip
+        on_plan()
+    table = pd.DataFrame(rows)
+    return ScoreTable(_with_means(table, "token", "agent", AVERAGE), tuple(_navsim_notes(table, asked, logs, name)))
+
+
+def _with_means(rows: pd.DataFrame, name: str, agent: str, word: str) -> pd.DataFrame:
+    """Return the rows with one more for each agent: the means of the columns over rows that have a value."""
+    parts = [column for column in rows.columns if rows[column].dtype == np.float64 and column != "start_time"]
+    means = rows.groupby(agent, sort=False)[parts].mean().reset_index()
+    return pd.concat([rows, means.assign(**{name: word})], ignore_index=True)[list(rows.columns)]
+
+
+def _navsim_notes(rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str, Scenario], name: str) -> Iterable[str]:
+    """Yield what cannot be exact, with the part and the number of windows that it concerns."""
+    used = {one.log: logs[one.log] for one in asked}
+    roads = [scenario.road for scenario in used.values()]
+    past = sum(one.t < logs[one.log].ego.t[0] + PAST_S - TIME_ONLY for one in asked)
+    car = [
+        key for key, one in used.items()
+        if abs(one.vehicle.length - NUPLAN_CAR.length) + abs(one.vehicle.width - NUPLAN_CAR.width) > 1e-3
+    ]  # fmt: skip
+    lights = sum(not scenario.lights for scenario in used.values())
+    limits = sum(not any(np.isfinite(road.stated_limit(i)) for i in road.lanes) for road in roads)
+    areas = sum(not road.areas for road in roads)
+    marked = sum(not any(IN_JUNCTION in lane.kind.split("+") for lane in road.lanes.values()) for road in roads)
+    yield "one stage: navhard's second stage needs its synthetic scenes, which no log holds"
+    yield "route: the lanes that the log's driver comes through, not the roadblocks that nuPlan names"
+    if car:
+        yield f"vehicle: the ego of {len(car)} of {len(used)} logs is not nuPlan's Pacifica, whose box NAVSIM judges"
+    if lights and name != "navsim-v1":
+        yield f"traffic_light_compliance: {lights} of {len(used)} logs have no traffic lights: it is 1"
+    if limits:
+        yield f"ego_progress: {limits} of {len(used)} logs state no speed limit: PDM-Closed drives up to 15 m/s"
+    if areas:
+        yield f"drivable_area_compliance: {areas} of {len(used)} logs have no drivable ground beside their lanes"
+    if marked:
+        yield f"intersections: {marked} of {len(used)} logs mark none: lanes that cross others are taken for them"
+    if past and name != "navsim-v1":
+        yield f"history_comfort: {past} of {len(asked)} windows have less than {PAST_S:g} s of recorded past"
+    alone = int(rows["two_frame_extended_comfort"].isna().sum()) if "two_frame_extended_comfort" in rows else 0
+    if alone:
+        yield f"two_frame_extended_comfort: {alone} of {len(asked)} windows have no plan 0.5 s earlier: no weight"
+
+
+def write_table(table: ScoreTable, out: Path) -> None:
+    """Write the rows to FILE.csv or FILE.parquet.
+
+    Raises:
+        ConfigError: The file has another suffix.
+    """
+    if out.suffix not in (".csv", ".parquet"):
+        raise ConfigError(f"--out {out}: write to a file with the suffix .csv or .parquet")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if out.suffix == ".csv":
+        table.rows.to_csv(out, index=False)
+    else:
+        table.rows.to_parquet(out, index=False)

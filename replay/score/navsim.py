@@ -310,28 +310,49 @@ class Scored:
     states: FloatArray
 
 
-def scored(at: Window, poses: FloatArray, version: Version, before: Scored | None = None) -> Scored:
-    """Score a plan: eight poses x, y, yaw of the rear axle `(8, 3)`, every 0.5 s from the window's begin.
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """What the plans of a window are compared with.
 
-    `before` is the plan of 0.5 s earlier.
+    Attributes:
+        others: The road users as logged.
+        best: PDM-Closed's way along its centre line times its multipliers, m.
+        human: The parts of the log's driver; empty without the human filter.
     """
+
+    others: Others
+    best: float
+    human: Mapping[str, float]
+
+
+def yardstick(at: Window, version: Version) -> Yardstick:
+    """Return what all plans of a window are compared with."""
     from replay.score.pdm_closed import plan_of  # it judges its proposals with this module
 
     car = at.scenario.vehicle
     x, y = at.start[X] + car.axle_to_center * cos(at.start[YAW]), at.start[Y] + car.axle_to_center * sin(at.start[YAW])
-    own_car = Car(car.axle_to_center, car.length, car.width, car.axle_to_front)
+    own = Car(car.axle_to_center, car.length, car.width, car.axle_to_front)
     others = logged_others(at.scenario, at.t, version.seen_s)
-    others = others.apart(x, y, at.start[YAW], own_car) if version.drops else others
+    others = others.apart(x, y, at.start[YAW], own) if version.drops else others
+    rival, way = judged(simulated(plan_of(at, version), at.start, car.wheelbase), others, at.ground, version)
+    human = judged(driven(at, human_poses(at)), others, at.ground, version)[0] if version.filters else {}
+    return Yardstick(others, multiplied(rival, version) * way, human)
+
+
+def scored(
+    at: Window, poses: FloatArray, version: Version, before: Scored | None = None, beside: Yardstick | None = None
+) -> Scored:
+    """Score a plan: eight poses x, y, yaw of the rear axle `(8, 3)`, every 0.5 s from the window's begin.
+
+    `before` is the plan of 0.5 s earlier; `beside` is `yardstick(at, version)`, if it is known.
+    """
+    beside = beside or yardstick(at, version)
     states = driven(at, poses)
-    parts, way = judged(states, others, at.ground, version)
-    rival, rival_way = judged(simulated(plan_of(at, version), at.start, car.wheelbase), others, at.ground, version)
+    parts, way = judged(states, beside.others, at.ground, version)
     product = multiplied(parts, version)
-    best = max(product * way, multiplied(rival, version) * rival_way)
+    best = max(product * way, beside.best)
     parts["EP"] = progress(way, best, multiplier=product, masks=version.masks)
     parts["HC"] = history_comfort(at, states, version)
     parts["EC"] = nan if before is None else extended_comfort(states, before.states, round(POSE_S / STEP_S))
-    raw = dict(parts)
-    if version.filters:
-        human, _ = judged(driven(at, human_poses(at)), others, at.ground, version)
-        parts |= {name: 1.0 for name, value in human.items() if value == 0.0}
-    return Scored(parts, total(parts if version.scores_filtered else raw, version), states)
+    filtered = parts | {name: 1.0 for name, value in beside.human.items() if value == 0.0}
+    return Scored(filtered, total(filtered if version.scores_filtered else parts, version), states)

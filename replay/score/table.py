@@ -15,7 +15,18 @@ from logs.scenario import Scenario
 from logs.trace import EndReason
 from metrics.lane_map import IN_JUNCTION
 from replay.results.load import Results
-from replay.score.navsim import NUPLAN_CAR, PAST_S, POSE_S, VERSIONS, Scored, scored, window
+from replay.score.navsim import (
+    NUPLAN_CAR,
+    PAST_S,
+    POSE_S,
+    VERSIONS,
+    Scored,
+    Window,
+    Yardstick,
+    scored,
+    window,
+    yardstick,
+)
 from replay.score.trajectories import Asked
 
 NUPLAN_CLS = "nuplan-cls"
@@ -83,16 +94,20 @@ def navsim_table(
     if not asked:
         raise ConfigError("no plans to score: a window needs a plan of 4 s, and 4 s of the log after its begin")
     version, done, rows = VERSIONS[name], dict[tuple[str, str, int], Scored](), []
-    for one in sorted(asked, key=lambda one: (one.log, one.drive, one.t)):
+    here: tuple[tuple[str, float], Window, Yardstick] | None = None
+    for one in sorted(asked, key=lambda one: (one.log, one.t, one.drive)):
+        if here is None or here[0] != (one.log, one.t):
+            begin = window(logs[one.log], one.t)
+            here = (one.log, one.t), begin, yardstick(begin, version)
         at = round(one.t / POSE_S * 100)
         before = done.get((one.log, one.drive, at - 100)) if "EC" in version.columns else None
-        now = scored(window(logs[one.log], one.t), one.poses, version, before)
+        now = scored(here[1], one.poses, version, before, here[2])
         done[one.log, one.drive, at] = now
         columns = {column: now.parts[part] for part, column in version.columns.items()}
         rows.append({"token": one.token or f"{one.log}@{one.t:g}", "log_name": one.log, "agent": one.drive,
                      "start_time": one.t, **columns, "score": now.score})  # fmt: skip
         on_plan()
-    table = pd.DataFrame(rows)
+    table = pd.DataFrame(rows).sort_values(["log_name", "agent", "start_time"], kind="stable", ignore_index=True)
     return ScoreTable(_with_means(table, "token", "agent", AVERAGE), tuple(_navsim_notes(table, asked, logs, name)))
 
 

@@ -152,6 +152,8 @@ class LoopConfig:
         prediction_horizon_s: How far the others are predicted.
         prediction_step_s: Time between two samples of a prediction.
         end_with_evidence: A closed drive ends when the recording of the log's traffic ends (`Scenario.traffic_spans`).
+        drives_on: A closed drive goes on to the end of the log's drive, through contacts, goals and off the road, as in
+            nuPlan (`replan score`).
         apart: How planners that are not built in are isolated.
         settings: Keywords of the named parts, by key; not a key of the file: `RunConfig.drive_loop` fills it in.
 
@@ -172,6 +174,7 @@ class LoopConfig:
     perception: str = "ground_truth"
     sensor: SensorConfig = field(default_factory=SensorConfig)
     end_with_evidence: bool = False
+    drives_on: bool = False
     apart: PlannerProcessConfig = field(default_factory=PlannerProcessConfig)
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, metadata={"key": False})
 

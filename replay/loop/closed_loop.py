@@ -7,7 +7,8 @@ from math import inf
 from types import MappingProxyType
 
 from logs.errors import PlannerError
-from logs.scenario import Scenario
+from logs.kernel import FloatArray
+from logs.scenario import Scenario, Tracks
 from logs.trace import EndReason, Mode, Plan, Trace
 from replay.config import DEFAULT_LOOP, LoopConfig
 from replay.drive import Drive
@@ -43,7 +44,7 @@ def run_closed_loop(
     world, latency = setup.world(), Latency(config.plan_delay_steps)
     planning = seat(scenario, planner, planner_config, config, world.ego, keep_internals=keep_internals)
     perception = Perception(scenario, config)
-    termination = Termination(scenario, planning.goal, world.ego)
+    ended = _never_ends if config.drives_on else Termination(scenario, planning.goal, world.ego).first
     recorder, period = TraceRecorder(setup.steps, setup.vehicle), setup.plan_period()
     plan: Plan | None = None
     end: Ended | None = None
@@ -62,10 +63,10 @@ def run_closed_loop(
         plan = latency.at(step)
         until = min(setup.horizon(step, period.most_steps), latency.changes(step))
         period.run(plan, recorder.rows, step, until - step)
-        end = termination.first(recorder.rows, step + 1, until, world.tracks)
+        end = ended(recorder.rows, step + 1, until, world.tracks)
         if end is None:
             world = setup.world()
-            end = termination.first(recorder.rows, until, until + 1, world.tracks)
+            end = ended(recorder.rows, until, until + 1, world.tracks)
         step = until
 
     recorder.close(end.row if end else step, plan)
@@ -86,3 +87,8 @@ def run_closed_loop(
         perceived=perception.shown,
     )
     return Drive(trace, planning.timings)
+
+
+def _never_ends(_rows: FloatArray, _first: int, _end: int, _tracks: Tracks) -> Ended | None:
+    """`Termination.first` of a drive that goes on whatever happens (`LoopConfig.drives_on`)."""
+    return None

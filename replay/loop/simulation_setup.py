@@ -71,6 +71,8 @@ class SimulationSetup:
         if until_s < scenario.duration:
             steps = min(steps, max(0, floor((until_s - start_ns / 1e9) / period + ROUNDING)) + 1)
         known = observed_until(scenario.traffic_spans, start.t) if config.end_with_evidence else scenario.duration
+        if config.drives_on:
+            steps = min(steps, max(1, floor((scenario.ego.t[-1] - start.t) / period + ROUNDING)))
         if floor((known - start.t) / period + ROUNDING) < steps:
             steps = max(1, floor((known - start.t) / period + ROUNDING))
             end = f"traffic is recorded until {known:.1f} s of {scenario.duration:.1f} s, and the drive ends with it"

@@ -72,7 +72,8 @@ def nuplan_table(results: Results) -> ScoreTable:
     traffic = results.run.loop.traffic
     reactive = "as logged: CLS-NR" if traffic == "time" else f"{traffic}, not nuPlan's IDM: comparable with CLS-R"
     notes = [f"traffic: {reactive}", "vehicle and controller: those of the run, not nuPlan's LQR and bicycle at 10 Hz"]
-    notes += [f"{early} of {len(ends)} drives ended before the log: nuPlan drives on to its end"] if early else []
+    again = "evaluate with --set loop.drives_on=true"
+    notes += [f"{early} of {len(ends)} drives ended before the log, where nuPlan drives on: {again}"] if early else []
     notes += [f"{row.log} ({row.planner}): no score: {row.reason}" for row in missing.itertuples()]
     return ScoreTable(_with_means(rows, "scenario", "planner_name", FINAL), tuple(notes))
 

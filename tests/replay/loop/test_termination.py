@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from logs import EndReason
 from logs.road import Goal
+from replay.config import LoopConfig
+from replay.loop.closed_loop import run_closed_loop
 from replay.loop.termination import Ended, Termination
 from replay.vehicle.base import COLUMNS, state_at
 from replay.world import World, box_center, contact
@@ -64,3 +66,17 @@ def test_all_ends_occur() -> None:
         end.reason for end in (found_in(rows_of(a, v), []) for a in (0.0, -0.12, 0.09) for v in (6.0, 14.0)) if end
     }
     assert {EndReason.GOAL, EndReason.OFF_ROAD, EndReason.COLLISION} <= reasons
+
+
+def test_a_drive_may_go_on_to_the_end_of_the_logs_drive() -> None:
+    """Into a wall and through it, past the goal, and no further than the log's driver, though the log lasts longer."""
+    wall = tracks(track("wall", [0.0], [30.0], [0.0], static=True))
+    log = replace(scenario(WAY, agents=wall, road=lanes_along(WAY)), goal=Goal((square(40.0, 0.0, 3.0),)), duration=9.0)
+    short = run_closed_loop(log, "constant_speed").trace
+    assert short.end is EndReason.COLLISION
+    whole = run_closed_loop(log, "constant_speed", config=LoopConfig(drives_on=True)).trace
+    assert whole.end is EndReason.END_OF_LOG
+    assert whole.ego.t[-1] == WAY.t[-1]
+    assert whole.ego.x[-1] > 45.0
+    steps = len(short.ego)
+    assert (whole.ego.x[:steps] == short.ego.x).all()

@@ -249,8 +249,8 @@ def _covered(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t[-1:], np.array([share]), (label,))
 
 
-def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False, all_of_it: bool = False) -> Measured:
-    """Measure (5); with `all_of_it`, including the initial excess."""
+def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False) -> Measured:
+    """Measure (5)."""
     lanes = stated_lanes(scenario.road)
     if lanes is None or not np.isfinite(lanes.limit).any():
         return Unavailable("the log has no speed limits")
@@ -259,7 +259,7 @@ def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False, all_of_it: 
         value = np.where(limit > 0.0, speed / np.where(limit > 0.0, limit, 1.0) - 1.0, np.nan)
     else:
         held = 0.0 * limit
-        if speed[0] > limit[0] and not all_of_it:
+        if speed[0] > limit[0]:
             held = speed[0] - EASE_MPS2 * np.maximum(trace.ego.t - trace.ego.t[0] - SETTLE_S, 0.0)
         value = np.maximum(speed - np.maximum(limit, held), 0.0) + 0.0 * limit
     return Series(trace.ego.t, value, missing="the ego is never on a lane with a speed limit")
@@ -382,7 +382,7 @@ SPEED_EXCESS = Metric(
         Reduction("compliance", compliance, unit="1", direction="higher"),
     ),
     "Speed above the limit of the lane under the ego's centre, the larger one where lanes overlap, less what the drive"
-    " began with and brings down; compliance is as nuPlan's score, share that of the time on lanes with a limit.",
+    " began with and brings down; compliance is like nuPlan's, share that of the time on lanes with a limit.",
     "compliance: nuPlan devkit e9241677, speed_limit_compliance", 3,
     formula="max(|v| - max(limit, held), 0), held = v_0 - 1 m/s2 (t - t_0 - 1 s) after a start above the limit, else 0;"
     " compliance = max(0, 1 - integral / (2.23 m/s T))",

@@ -17,7 +17,8 @@ have to change when a road user does something unexpected. Gates therefore bound
     contact is 0 with (1), 1/2 for an object; drivable: (2) <= 0.3 m; ttc: (3) > 0.95 s; comfort: (4) <= 1;
     extended_comfort: that of `plans` <= 1. A part without a value is left out with its weight.
 
-(7) is the EPDMS of NAVSIM 0a380a90 without direction, lights and lane keeping: other metrics judge the drive by these.
+(7) is made after the EPDMS of NAVSIM 0a380a90, and is not comparable with it: a plan is judged by its own columns, and
+its progress by what was driven. `replan score` computes EPDMS.
 """
 
 from __future__ import annotations
@@ -274,7 +275,7 @@ PLAN_KEPT, PLAN_KEPT_LATERAL = (
 )  # fmt: skip
 PLAN_SCORE = Metric(
     "plan_score", "1", "higher", _BOTH, _score, (metric.MEAN, metric.MIN),
-    "NAVSIM's EPDMS of each plan, without direction, lights and lane keeping.", _NAVSIM,
+    "A score of each plan's own columns, made after NAVSIM's EPDMS; EPDMS itself: replan score.", _NAVSIM,
     formula="contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14",
     parameters=_FOLLOWED, needs="plans",
 )  # fmt: skip

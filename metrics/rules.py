@@ -101,9 +101,8 @@ WITHIN_S = 3.0  # A road user that arrives later has no encounter with the ego: 
 MOVES_MPS = 0.5
 SEEN_S = 0.3
 WRONG_WAY_S = 1.0
-COMPLIANT_M, HALF_M = 2.0, 6.0
 AGAINST_MPS = 0.1  # Slower motion is not driving against a lane: equal to the speed of a stop
-KEEPING_M, KEEPING_S, OVER_M = 0.5, 2.0, 0.3
+KEEPING_M, OVER_M = 0.5, 0.3
 NO_LANES = Unavailable("the log has no lanes")
 _NEVER = "the ego is never on a lane, or only where lanes cross"
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
 from logs.road import inside
+from logs.route import straight_on
 from logs.rules import RED
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import distance, overlap
@@ -19,12 +20,12 @@ from metrics.lane_map import LaneMap, along_line
 from metrics.metric import once
 from metrics.nuplan import route_lanes
 
-STEP_S, SAMPLE_S, NEAR_M = 0.1, 0.5, 100.0
+STEP_S, SAMPLE_S, NEAR_M, BEYOND_M = 0.1, 0.5, 100.0, 100.0
 
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """The roadblocks that the log's driver comes through, in order, and their lanes (indices of the map)."""
+    """The roadblocks that the log's driver comes through and those beyond, in order, and their lanes (by index)."""
 
     blocks: tuple[int, ...]
     lanes: frozenset[int]
@@ -32,10 +33,16 @@ class Route:
 
 @once
 def route_of(scenario: Scenario, lanes: LaneMap) -> Route:
-    """Return the route of the whole log: what a window sees of the log beyond its 4 s."""
-    boxes = ego_boxes(scenario.ego, scenario)
-    blocks = tuple(dict.fromkeys(lanes.block[i] for i in route_lanes(lanes, boxes[0], boxes[1])))
-    return Route(blocks, frozenset(i for i, block in enumerate(lanes.block) if block in blocks))
+    """Return the route of the whole log, and on straight for `BEYOND_M`: nuPlan's routes do not end with a log."""
+    boxes, index = ego_boxes(scenario.ego, scenario), {lane.id: i for i, lane in enumerate(lanes.lanes)}
+    first = route_lanes(lanes, boxes[0], boxes[1])
+    blocks = list(dict.fromkeys(lanes.block[i] for i in first))
+    after, beyond = straight_on(scenario.road, lanes.lanes[first[-1]].id) if first else None, 0.0
+    while after is not None and beyond < BEYOND_M and lanes.block[index[after]] not in blocks:
+        blocks.append(lanes.block[index[after]])
+        beyond += lanes.lanes[index[after]].length
+        after = straight_on(scenario.road, after)
+    return Route(tuple(blocks), frozenset(i for i, block in enumerate(lanes.block) if block in blocks))
 
 
 @dataclass(frozen=True, eq=False)

@@ -133,7 +133,7 @@ def _navsim_notes(rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str,
     areas = sum(not road.areas for road in roads)
     marked = sum(not any(IN_JUNCTION in lane.kind.split("+") for lane in road.lanes.values()) for road in roads)
     yield "one stage: navhard's second stage needs its synthetic scenes, which no log holds"
-    yield "route: the lanes that the log's driver comes through, not the roadblocks that nuPlan names"
+    yield "route: lanes that the log's driver comes through, and straight on; not the roadblocks that nuPlan names"
     if car:
         yield f"vehicle: the ego of {len(car)} of {len(used)} logs is not nuPlan's Pacifica, whose box NAVSIM judges"
     if lights and name != "navsim-v1":

@@ -72,7 +72,16 @@ class ConfigError(ReplanError):
 
 
 class OutputError(ReplanError):
-    """A file cannot be written: the disk is full, or the folder is not writable."""
+    """A file cannot be written: the disk is full, or the folder is not writable.
+
+    Args:
+        what: The file and the problem.
+        remedy: What the user can do; set by the outermost folder that is claimed (`replay.run.claim`).
+    """
+
+    def __init__(self, what: str, remedy: str = "") -> None:
+        self.what = what
+        super().__init__(f"{what}; {remedy}" if remedy else what)
 
 
 @contextmanager

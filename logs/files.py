@@ -147,6 +147,14 @@ def local_path(place: Path | str) -> Path:
     return Path(f"/{found[2]}") if found and found[1].lower() == "file" else Path(place)
 
 
+def on_this_machine(place: Path | str) -> Path:
+    """Return the local path to which a command writes; ConfigError if it is a URL."""
+    if url := url_of(place):
+        here = "only `replan evaluate` and `replan merge` write to a URL"
+        raise ConfigError(f"{url}: {here}; give a path on this machine, and copy it there")
+    return local_path(place)
+
+
 def listed(url: str) -> tuple[RemoteFile, ...]:
     """Return the file at a URL, or all files under it, sorted; empty if nothing exists.
 

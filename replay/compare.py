@@ -117,6 +117,11 @@ def side_of(run: Run) -> Side:
 # the file ---------------------------------------------------------------------------------------------------------
 
 
+def is_baseline(path: Path) -> bool:
+    """Return whether a file is a baseline; ValueError or OSError if it is no Parquet file."""
+    return BASELINE in (pq.read_schema(path).metadata or {})
+
+
 def write_baseline(run: Run, path: Path) -> None:
     """Write a run as one file; equal results give equal bytes."""
     side = side_of(run)

@@ -35,13 +35,18 @@ def end_at_once() -> None:
 def as_exception() -> Iterator[None]:
     """Raise `Interrupted` for a signal in the body; afterwards, ignore signals: the exit code is that of the body.
 
+    Compiled code of a library may turn `Interrupted` into an error of its own: that is an interruption, too.
     Does nothing where `end_at_once` was not called.
     """
-    ours = [name for name in _SIGNALS if signal.getsignal(name) is _end]
+    ours, begin = [name for name in _SIGNALS if signal.getsignal(name) is _end], monotonic()
     try:
         for name in ours:
             signal.signal(name, _raise)
         yield
+    except Exception as error:
+        if _raised_s > begin and not hasattr(error, "exit_code"):  # `typer.Exit`
+            raise Interrupted from error
+        raise
     finally:
         for name in ours:
             signal.signal(name, signal.SIG_IGN)

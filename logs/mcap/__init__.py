@@ -11,6 +11,6 @@ Modules:
 
 from logs.mcap.reader import read_scenario
 from logs.mcap.trace import read_moment, read_trace, write_trace
-from logs.mcap.writer import write_scenario
+from logs.mcap.writer import is_written_here, write_scenario
 
-__all__ = ["read_moment", "read_scenario", "read_trace", "write_scenario", "write_trace"]
+__all__ = ["is_written_here", "read_moment", "read_scenario", "read_trace", "write_scenario", "write_trace"]

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
-from mcap.writer import CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from logs.agents import Detections
 from logs.codec import message_of, scalar_as_number
@@ -31,6 +31,7 @@ from logs.mcap import native
 from logs.rules import Colour
 from logs.scenario import Scenario, Tracks
 
+PROFILE = "replan"
 CHUNK_BYTES = 128 * 1024
 SPOOL_BYTES = 16 * 2**20
 """The greatest number of bytes of messages in memory; more wait in a file."""
@@ -55,6 +56,13 @@ def write_scenario(path: Path, scenario: Scenario, *, beside: Iterable[Entry] = 
         raise error.at(path) from None
 
 
+def is_written_here(path: Path) -> bool:
+    """Return whether a file is an MCAP file that replan wrote; OSError if it cannot be read."""
+    profile = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
+    with path.open("rb") as stream:
+        return stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC and stream.read(9 + len(profile))[9:] == profile
+
+
 def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Iterable[Entry]) -> None:
     """Write metadata records and messages, in order of time, then of `native.TOPICS`, then of first occurrence.
 
@@ -65,7 +73,7 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
     try:
         with writing(path), part.open("wb") as file, SpooledTemporaryFile(SPOOL_BYTES, dir=str(path.parent)) as spool:
             writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
-            writer.start(profile="replan", library="replan")
+            writer.start(profile=PROFILE, library="replan")
             for name, record in records.items():
                 writer.add_metadata(name, dict(record))
             encoder = msgspec.json.Encoder(enc_hook=scalar_as_number)

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from math import isfinite
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
@@ -168,17 +167,3 @@ def worker_count(workers: int | None) -> int:
     if workers is not None:
         return workers
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextmanager
-def resumable_folder(out: Path | None, *, resume: bool) -> Iterator[Path]:
-    """The result folder of a search, the next free one by default; an interruption says how to continue."""
-    from replay.results.tables import next_free
-
-    if resume and out is None:
-        raise ConfigError("name the folder of the search to be resumed with --out")
-    try:
-        yield next_free() if out is None else out
-    except KeyboardInterrupt:
-        how = "" if out is None else f"; to continue, give the same command with --out {out} --resume"
-        raise KeyboardInterrupt(f"interrupted: finished trials are kept{how}") from None

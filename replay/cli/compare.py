@@ -89,9 +89,9 @@ def baseline(
       replan baseline results/run-001 -o baseline.parquet
     """
     with handle_errors():
-        from replay.compare import read_run, write_baseline
+        from replay.compare import is_baseline, read_run, write_baseline
+        from replay.run.claim import claimed_file
 
-        if not out.parent.is_dir():
-            raise ConfigError(f"{out}: no such folder")
-        write_baseline(read_run(results), out)
+        with claimed_file(out, (".parquet",), is_baseline):
+            write_baseline(read_run(results), out)
         say(f"{out}: {out.stat().st_size / 1e3:.0f} kB")

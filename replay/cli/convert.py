@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import astuple, fields, replace
 from io import StringIO
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 
 from logs.agents import Change
 from logs.errors import ConfigError, LogError, writing
-from logs.mcap import write_scenario
+from logs.mcap import is_written_here, write_scenario
 from logs.mcap.writer import Entry
 from logs.readers import READER, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
 from logs.scenario import Scenario
@@ -20,9 +21,12 @@ from metrics.judge import load_gates
 from metrics.judge.discrimination import Discrimination
 from replay.config import DEFAULT_LOOP
 from replay.loop.reference_drives import discriminate
+from replay.results.tables import write_text
+from replay.run.claim import check_file, claimed_file
 
 CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(Change))
 """Columns of the table: the fields of `logs.agents.Change`."""
+CHANGES_HEADER = ",".join(CHANGE_COLUMNS) + "\n"
 
 
 def listing() -> Iterator[str]:
@@ -110,6 +114,9 @@ def _check_targets(logs: Sequence[Path], targets: Sequence[Path], settings: LogS
     readers_of = ((log, reader_of(log, settings)) for log in logs)
     files = (file for log, reader in readers_of for file in ((log,) if reader is None else reader.files(log)))
     inputs = {Path(os.path.realpath(file)) for file in files}
+    for target in targets:
+        if target.resolve() not in inputs:
+            check_file(target, (".mcap",), is_written_here)
     taken: dict[Path, Path] = {}
     for log, target in zip(logs, targets, strict=True):
         place = target.resolve()
@@ -138,21 +145,18 @@ def repair_log(log: Path, target: Path, table: Path | None, settings: LogSetting
             raise ConfigError(f"{place} is the log itself and would be overwritten; give another place")
     if len({place.resolve() for place in places}) < len(places):
         raise ConfigError(f"{target} is to be the log and the table: give two places")
-    scenario = read_log(log, settings, reader)
-    for place in places:
-        with writing(place):
-            place.parent.mkdir(parents=True, exist_ok=True)
-    write_scenario(target, scenario)
-    if table is not None:
-        from replay.results.tables import write_text
-
-        text = StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(CHANGE_COLUMNS)
-        for change in changes(scenario):
-            *values, sources = astuple(change)
-            writer.writerow((*values, " ".join(sources)))
-        write_text(table, text.getvalue())
+    with ExitStack() as claims:
+        claims.enter_context(claimed_file(target, (".mcap",), is_written_here))
+        if table is not None:
+            claims.enter_context(claimed_file(table, (".csv",), lambda file: file.open().readline() == CHANGES_HEADER))
+        scenario = read_log(log, settings, reader)
+        write_scenario(target, scenario)
+        if table is not None:
+            rows = (astuple(change) for change in changes(scenario))
+            text = StringIO(CHANGES_HEADER)
+            text.seek(0, 2)
+            csv.writer(text, lineterminator="\n").writerows((*values, " ".join(sources)) for *values, sources in rows)
+            write_text(table, text.getvalue())
     return scenario
 
 

@@ -172,6 +172,7 @@ def vary(
     ] = None,
     planner: Annotated[str | None, opt.planner_option(None, "Default: dp_qp.")] = None,
     out: opt.Out = None,
+    resume: opt.Resume = False,
     resolution: Annotated[
         float | None, option(None, "Width to which edges are bisected. Default: an eighth of a cell.")
     ] = None,
@@ -200,7 +201,6 @@ def vary(
       replan vary my_log.mcap --vary standing_car=20:80:7 --vary ego_speed=0.5:1.5:5
     """
     with handle_errors():
-        from replay.results.tables import next_free
         from replay.vary.axes import variation_table, variations
         from replay.vary.encounters import encounters, lines, opened, question_about
         from replay.vary.surface import vary as evaluate_surface
@@ -224,10 +224,12 @@ def vary(
             say_json(found) if as_json else say("\n".join(lines(found, scenario.short_names)))
             return
         asked = question_about(scenario, variation or [], agent or [], resolution)
-        out, say_progress = next_free() if out is None else out, progress_lines(quiet=quiet)
+        say_progress = progress_lines(quiet=quiet)
         if asked.agents:
             say_progress(f"varied: {', '.join(map(scenario.short_names, asked.agents))}")
-        result = evaluate_surface(scenario, asked, run, out, workers=worker_count(workers), say=say_progress)
+        result = evaluate_surface(
+            scenario, asked, run, out, workers=worker_count(workers), resume=resume, say=say_progress
+        )
         if as_json:
             say_json(
                 {"results": result.out, "exit_code": result.exit_code, "edges": result.edges, "table": result.table}

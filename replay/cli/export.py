@@ -25,7 +25,7 @@ from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import EndReason
 from logs.vehicle import vehicle_parameters
 from replay.results.load import load
-from replay.results.tables import safe_name
+from replay.results.tables import safe_names
 
 TYPES = {"bmw_320i": 2, "vw_vanagon": 3}
 """Vehicle type in a benchmark id, by the vehicle's name in replan."""
@@ -58,14 +58,14 @@ def solutions(run: Path, cost: str = COSTS[0]) -> tuple[dict[str, str], list[str
         ConfigError: The path is not a result folder.
     """
     results, found, skipped = load(run), dict[str, str](), list[str]()
-    for log, planner in results.drives.loc[results.drives["mode"] == "closed", ["log", "planner"]].itertuples(
-        index=False
-    ):
-        drive = results.drive(log, planner, "closed")
-        several = len(results.run.planners) > 1
+    closed = results.drives.loc[results.drives["mode"] == "closed", ["log", "planner"]]
+    several = closed["planner"].nunique() > 1
+    labels = {key: ".".join(key if several else key[:1]) for key in closed.itertuples(index=False, name=None)}
+    names = safe_names(labels.values())
+    for (log, planner), label in labels.items():
         try:
-            name = f"{safe_name(log)}{f'.{safe_name(planner)}' if several else ''}.xml"
-            found[name] = commonroad_solution(drive.trace_file, cost)
+            drive = results.drive(log, planner, "closed")
+            found[f"{names[label]}.xml"] = commonroad_solution(drive.trace_file, cost)
         except LogError as error:
             skipped.append(str(error))
     return found, skipped

@@ -120,7 +120,10 @@ def convert(
 def repair(
     log: Annotated[Path, typer.Argument(help="A log of raw detections, of any format.")],
     out: Annotated[Path, opt.out_option("The FILE.mcap to write.")],
-    table: Annotated[Path | None, typer.Option("--table", help="Write the changes as FILE.csv, not to stdout.")] = None,
+    table: Annotated[
+        Path | None,
+        typer.Option("--table", help="Write the changes as FILE.csv, not to stdout.", callback=opt.local_path),
+    ] = None,
     ego: opt.Ego = None,
     road_map: opt.Map = None,
     begin: opt.Begin = None,
@@ -194,7 +197,7 @@ def inspect(
 @app.command()
 def salvage(
     damaged: Annotated[Path, typer.Argument(help="A damaged MCAP file, of any kind.")],
-    out: Annotated[Path, typer.Argument(help="The MCAP file to write.")],
+    out: Annotated[Path, typer.Argument(help="The MCAP file to write.", callback=opt.local_path)],
 ) -> None:
     """Keep every intact chunk of a damaged MCAP file, and name what was lost."""
     with handle_errors():

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from logs.errors import ConfigError
 from replay.cli import options as opt
 from replay.cli.app import app, handle_errors, progress_lines, say, say_error, say_json, worker_count
 from replay.cli.options import log_table, option, run_config
@@ -38,6 +39,7 @@ def mine(
     config: opt.Config = None,
     settings: opt.Set = None,
     workers: opt.Workers = None,
+    resume: opt.Resume = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print docs/events.md.")] = False,
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
@@ -60,9 +62,11 @@ def mine(
             say(page())
             return
         from replay.cli.progress import sign_of_life, with_kernels
-        from replay.mine.mine import mine as mine_logs
-        from replay.mine.mine import summary, write
+        from replay.mine.mine import mine_into, summary
         from replay.run.evaluate import selected
+
+        if not logs and suite is None:
+            raise ConfigError("name logs, or logs of the catalogue with --suite: replan mine my_bags/ -o results/mined")
 
         planners = list(dict.fromkeys(planner or []))
         options = {"log": log_table(ego, road_map, begin, end, repair), "planners": planners or None}
@@ -84,8 +88,9 @@ def mine(
 
         kinds, count = tuple(kind or ()), worker_count(workers)
         with sign_of_life(progress_lines(quiet=quiet), with_kernels(progress)):
-            mined = mine_logs(selection, run, kinds=kinds, planners=planners, workers=count, on_log=ended)
-        folder = write(mined, run, kinds, planners, out)
+            folder, mined = mine_into(
+                out, selection, run, kinds=kinds, planners=planners, workers=count, resume=resume, on_log=ended
+            )
         if as_json:
             say_json({"folder": str(folder), "logs": mined.logs, "events": mined.events, "failures": mined.failures})
         elif not quiet:
@@ -111,13 +116,15 @@ def query(
     """
     with handle_errors():
         from replay.mine.query import query as ask
-        from replay.mine.query import write_rows
+        from replay.mine.query import rows_file
 
-        rows = ask(run, sql)
         if out is not None:
-            write_rows(rows, out)
+            with rows_file(out) as write:
+                write(ask(run, sql))
             say(out)
-        elif as_json:
+            return
+        rows = ask(run, sql)
+        if as_json:
             say_json(rows)
         else:
             say(rows.to_string(index=False, max_colwidth=80) if len(rows) else "no rows")
@@ -131,6 +138,7 @@ def cut(
     table: Annotated[str, typer.Option("--table", help="The view.")] = "events",
     before: Annotated[float, typer.Option(help="Seconds before each moment.", min=0.0)] = 5.0,
     after: Annotated[float, typer.Option(help="Seconds after it.", min=0.0)] = 8.0,
+    resume: opt.Resume = False,
 ) -> None:
     """Write a log of its own of each moment that a condition selects, ready for replan evaluate.
 
@@ -142,7 +150,7 @@ def cut(
     with handle_errors():
         from replay.mine.query import cut_logs, moments
 
-        for file in cut_logs(run, moments(run, where, table, before, after), out):
+        for file in cut_logs(run, moments(run, where, table, before, after), out, resume=resume):
             say(file)
 
 
@@ -157,13 +165,14 @@ def suite(run: Mined, out: Annotated[Path, opt.out_option("The FILE.toml to writ
     """
     with handle_errors():
         from logs.names import counted
-        from replay.mine.coverage import suite_of, write_suite
+        from replay.mine.coverage import suite_of, suite_writer
         from replay.mine.mine import read_mined
         from replay.run.output import begun_in
 
-        mined = read_mined(run)
-        chosen = suite_of(mined)
-        write_suite(chosen, out, begun_in(run, [one.source for one in chosen]))
+        with suite_writer(out) as write:
+            mined = read_mined(run)
+            chosen = suite_of(mined)
+            write(chosen, begun_in(run, [one.source for one in chosen]))
         cells = sum(one.adds for one in chosen)
         say(f"{out}: {counted(len(chosen), 'log')} of {len(mined.logs)} with all {counted(cells, 'cell')}")
 
@@ -187,19 +196,21 @@ def coverage(
         from replay.mine.coverage import cells, gaps, lines, table, write_coverage
         from replay.mine.mine import mine as mine_logs
         from replay.mine.mine import read_mined
+        from replay.run.output import held
 
         mined = read_mined(run)
-        if against is None:
-            from replay.config import RunConfig
-            from replay.mine.coverage import catalogue
+        with held(run):
+            if against is None:
+                from replay.config import RunConfig
+                from replay.mine.coverage import catalogue
 
-            with sign_of_life(progress_lines(), lambda: "mining the catalogue"):
-                other = mine_logs(catalogue(), RunConfig(), workers=worker_count(workers)).events
-        else:
-            other = read_mined(against).events
-        have = cells(mined.events)
-        missing = gaps(have, cells(other))
-        write_coverage(run, mined.events, table(have, missing))
+                with sign_of_life(progress_lines(), lambda: "mining the catalogue"):
+                    other = mine_logs(catalogue(), RunConfig(), workers=worker_count(workers)).events
+            else:
+                other = read_mined(against).events
+            have = cells(mined.events)
+            missing = gaps(have, cells(other))
+            write_coverage(run, mined.events, table(have, missing))
         if as_json:
             say_json(table(have, missing))
         else:

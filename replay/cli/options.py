@@ -11,7 +11,8 @@ import typer
 from typer.core import TyperCommand
 
 from logs.errors import unknown_name
-from replay.cli.app import say
+from logs.files import on_this_machine
+from replay.cli.app import handle_errors, say
 
 if TYPE_CHECKING:
     from replay.config import RunConfig
@@ -113,9 +114,15 @@ def at_option(words: str) -> Any:
     return option(None, f"Time from the begin of the log, s. {words}", "--at", metavar="S")
 
 
+def local_path(place: Path | None) -> Path | None:
+    """The callback of an option or argument that names what a command writes: a URL ends the command."""
+    with handle_errors():
+        return None if place is None else on_this_machine(place)
+
+
 def out_option(words: str) -> Any:
-    """The option --out, -o of a command that writes files of its own."""
-    return option(None, words, "--out", "-o", metavar="PATH")
+    """The option --out, -o of a command that writes files of its own, on this machine."""
+    return option(None, words, "--out", "-o", metavar="PATH", callback=local_path)
 
 
 def config_option(words: str) -> Any:

@@ -87,7 +87,7 @@ def finish_run(
 @app.command(epilog=EXIT_CODES)
 def merge(
     shards: Annotated[list[Path], typer.Argument(help="Result folders of all shards of a run, in any order.")],
-    out: Annotated[Path, opt.out_option("Result folder.")],
+    out: Annotated[Path, option(None, "Result folder.", "--out", "-o", metavar="PATH")],
     baseline: opt.Baseline = None,
     no_report: opt.NoReport = False,
     as_json: opt.Json = False,
@@ -157,14 +157,20 @@ def report(
         from replay.draw.report.write import write_reports
         from replay.results.load import load
         from replay.results.tables import REPORTS
+        from replay.run.claim import Contents, claimed_folder
+        from replay.run.output import held
 
         if url_of(results) and out is None:
             raise ConfigError(f"{url_of(results)}: name a folder for its reports with --out")
+        if gates is not None and baseline is None:
+            raise ConfigError("--gates names rules of comparison: give what to compare with, --baseline RUN, too")
         found = load(results)
-        comparison = None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
         folder = out or found.path
-        why = None if diagnosis is None else read_diagnosis(diagnosis, found)
-        written = write_reports(found, overview(found, comparison, why), folder)
+        beside = folder.resolve() == found.path.resolve()
+        with held(folder) if beside else claimed_folder(folder, Contents("report", REPORTS, resumes=False)):
+            comparison = None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
+            why = None if diagnosis is None else read_diagnosis(diagnosis, found)
+            written = write_reports(found, overview(found, comparison, why), folder)
         for name in REPORTS:
             say(folder / name)
         for line in written.broken:

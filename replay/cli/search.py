@@ -9,7 +9,7 @@ import typer
 
 from logs.errors import ConfigError
 from replay.cli import options as opt
-from replay.cli.app import app, handle_errors, progress_lines, resumable_folder, say, say_json, worker_count
+from replay.cli.app import app, handle_errors, progress_lines, say, say_json, worker_count
 from replay.cli.options import JUDGE, LOGS, LOOP, RUNNING, log_table, option, run_config
 
 SHOWN = 20
@@ -80,11 +80,9 @@ def falsify(
         axes = search_axes(axis or [], scale or [], subject.family, with_agents=len(subject.scenario.tracks) > 0)
         agents = agents_of(subject, axes, agent or [])
         question = Question(subject.of(agents), axes, run, against, budget, seed, resolution)
-        with resumable_folder(out, resume=resume) as folder:
-            whose = ", ".join(question.subject.short_agents)
-            say_progress = progress_lines(quiet=quiet)
-            say_progress(f"varied: {', '.join(axis.name for axis in axes)}{f' of {whose}' if whose else ''}")
-            result = falsified(question, folder, workers=worker_count(workers), resume=resume, say=say_progress)
+        whose, say_progress = ", ".join(question.subject.short_agents), progress_lines(quiet=quiet)
+        say_progress(f"varied: {', '.join(axis.name for axis in axes)}{f' of {whose}' if whose else ''}")
+        result = falsified(question, out, workers=worker_count(workers), resume=resume, say=say_progress)
         if as_json:
             say_json({"results": result.out, "exit_code": result.exit_code, "distance": result.found.distance,
                       "case": result.case, "said": result.lines()})  # fmt: skip
@@ -153,9 +151,7 @@ def tune(
         plan = Plan(run, load_space(space, run), asked, trials, seed, held_out)
         selection = selected(logs or [], run, None, suite)
         driven_on = engine_of(engine, address, workers)
-        with resumable_folder(out, resume=resume) as folder:
-            say_progress = progress_lines(quiet=quiet)
-            result = tuned(plan, selection, folder, engine=driven_on, resume=resume, say=say_progress)
+        result = tuned(plan, selection, out, engine=driven_on, resume=resume, say=progress_lines(quiet=quiet))
         if as_json:
             say_json({"results": result.out, "exit_code": result.exit_code, "chosen": result.chosen,
                       "said": result.lines()})  # fmt: skip
@@ -213,9 +209,8 @@ def diagnose(
 
         asked = question(load(run), planner, log or (), load_changes(changes))
         settings = () if space is None else load_space(space, asked.run)
-        with resumable_folder(out, resume=resume) as folder:
-            count, say_progress = worker_count(workers), progress_lines(quiet=quiet)
-            result = diagnosed(asked, folder, settings, workers=count, resume=resume, say=say_progress)
+        count, say_progress = worker_count(workers), progress_lines(quiet=quiet)
+        result = diagnosed(asked, out, settings, workers=count, resume=resume, say=say_progress)
         if as_json:
             say_json({**result.document(), "results": str(result.out)})
         else:

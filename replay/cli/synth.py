@@ -11,11 +11,12 @@ from typing import Any
 
 from logs.catalogue import FAMILY, SEED, SUITES, Family, families, groups, scenario, suite
 from logs.errors import unknown_name
-from logs.mcap import write_scenario
+from logs.mcap import is_written_here, write_scenario
 from logs.names import counted
 from logs.scenario import Scenario
 from replay.loop.reference_drives import with_avoidability
 from replay.results.tables import safe_name, write_text
+from replay.run.claim import check_file
 
 TABLE = "suite.csv"
 NATIVE, ROS2 = "native", "ros2"
@@ -88,6 +89,7 @@ def _written(one: Scenario, out: Path, form: str) -> Path:
         write_bag(path, one)
         return path
     path = path.with_name(f"{path.name}.mcap")
+    check_file(path, (".mcap",), is_written_here)
     write_scenario(path, with_avoidability(one))
     return path
 

@@ -35,13 +35,15 @@ from replay.explain.causes import accounts
 from replay.explain.explanation import Explanation
 from replay.results.load import DriveResult, Results, load, named_logs
 from replay.results.tables import PARTIAL
-from replay.run.output import held, scenario_of
+from replay.run.claim import Contents, claimed_folder
+from replay.run.output import scenario_of
 from replay.run.perturb import PERTURBATIONS, perturbed
 from replay.run.resume import stamp_of
 from replay.search.space import Setting, Value, shown, with_values
 from replay.search.study import Study
 
 KIND = "diagnose"
+CONTENTS = Contents(KIND, ("diagnosis.*", "changes.csv", "changes", "logs"))
 CONTROLS = ("tiny", "start", "noise")
 """Perturbations (`replay.run.perturb`) with which a drive must also fail, so that a change is conclusive."""
 
@@ -106,7 +108,7 @@ def question(results: Results, planner: str | None, logs: Sequence[str], changes
 
 def diagnose(
     asked: Question,
-    out: Path,
+    out: Path | None,
     settings: Sequence[Setting] = (),
     *,
     workers: int = 0,
@@ -119,7 +121,8 @@ def diagnose(
 
     Args:
         asked: The inputs.
-        out: A folder that is new, empty, or holds an earlier diagnosis, which is replaced or resumed.
+        out: A folder that is new, empty, or holds an earlier diagnosis, which is replaced or resumed; None: the next
+            free one.
         settings: For the first drive of each cluster, the smallest change of one of these with which it passes.
         workers: Number of processes; 0: this process.
         resume: Continue the diagnosis in `out`.
@@ -130,7 +133,7 @@ def diagnose(
         PlannerError: The planner cannot be loaded.
     """
     runs, refused = changed_runs(asked.changes, asked.run)
-    with held(out):
+    with claimed_folder(out, CONTENTS, resume=resume) as out:
         trials = _Trials(asked, out, Study(out, asked.head(), resume=resume), workers)
         lost = f", {len(trials.not_driven)} more cannot be driven again" if trials.not_driven else ""
         failing = trials.failing

@@ -11,18 +11,24 @@ shorter, then the first by name. A log that a parked driver passes is left out, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
+import tomli_w
 
 from logs.catalogue import families
 from logs.errors import ConfigError
-from logs.names import counted
+from logs.files import local_path, url_of
+from logs.names import counted, visible_name
 from replay.mine.mine import ALONE, FASTER, ROADS, SPEEDS, Mined
 from replay.results.tables import write_file, write_text
+from replay.run.claim import claimed_file
 from replay.run.sources import SUITE_HEADER, LogSource, Selection
 
 if TYPE_CHECKING:
@@ -167,24 +173,39 @@ def suite_of(mined: Mined) -> list[Chosen]:
     return found
 
 
-def write_suite(chosen: list[Chosen], out: Path, begun: Path) -> None:
-    """Write the suite as TOML; paths are relative to its folder if possible.
+@contextmanager
+def suite_writer(out: Path) -> Iterator[Callable[[Sequence[Chosen], Path], None]]:
+    """The function that writes a suite as TOML into a claimed file, with paths relative to the file.
 
-    Args:
-        chosen: The logs.
-        out: The file.
-        begun: The directory to which relative sources refer.
+    It takes the logs, and the directory to which relative sources refer.
 
     Raises:
+        ConfigError: The file must not be written, or a log is not there.
         OutputError: The file cannot be written.
     """
-    rows = []
-    for one in chosen:
-        path, place = begun / one.source, one.source
-        if path.exists():
-            whole, folder = path.resolve(), out.parent.resolve()
-            place = whole.relative_to(folder).as_posix() if whole.is_relative_to(folder) else str(whole)
-        what = f"a blind driver breaks {one.blind_breaks}" if one.blind_breaks else "no interaction"
-        rows.append(f'    "{place}",  # {one.log}: {counted(one.adds, "cell")}; {what}')
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_text(out, "\n".join([SUITE_HEADER, "logs = [", *rows, "]", ""]))
+    header = f"{SUITE_HEADER}\n".encode()
+    with claimed_file(out, (".toml",), lambda file: file.read_bytes().startswith(header)) as out:
+
+        def write(chosen: Sequence[Chosen], begun: Path) -> None:
+            lines, places = [SUITE_HEADER], list[str]()
+            for one in chosen:
+                places.append(_place(one.source, begun, out.parent))
+                what = f"a blind driver breaks {one.blind_breaks}" if one.blind_breaks else "no interaction"
+                lines.append(f"# {visible_name(one.log, inf)}: {counted(one.adds, 'cell')}; {visible_name(what, inf)}")
+            write_text(out, "\n".join([*lines, tomli_w.dumps({"logs": places})]))
+
+        yield write
+
+
+def _place(source: str, begun: Path, folder: Path) -> str:
+    """The path of a log relative to a folder, or its URL."""
+    if url_of(source):
+        return source
+    if (family := source.partition("@")[0]) in families():
+        remedy = f"write the logs first, and mine those: replan synth {family} -o my_logs"
+        raise ConfigError(f"{source}: is a log of the catalogue, and not a file; {remedy}")
+    path = begun / local_path(source)
+    if not path.exists():
+        remedy = "put it there, or mine again where the logs are"
+        raise ConfigError(f"{source}: the log of these results is not at {path}; {remedy}")
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()

@@ -23,6 +23,7 @@ from replay.mine.conflicts import CONFLICTS
 from replay.mine.driven_log import DrivenLog, Event, EventKind, runs
 from replay.mine.ego_and_road import EGO_AND_ROAD
 from replay.mine.road_users import ROAD_USERS
+from replay.planner_process.planner_config import drive_keywords
 
 KINDS: Mapping[str, EventKind] = MappingProxyType(
     {each.name: each for each in (*ROAD_USERS, *EGO_AND_ROAD, *CONFLICTS)}
@@ -60,9 +61,9 @@ def plan_events(log: DrivenLog, planner: str, run: RunConfig) -> Iterator[tuple[
     """The kinds and events of a planner over a log.
 
     Raises:
-        PlannerError: The planner failed.
+        ReplanError: The planner failed, or cannot be built.
     """
-    keywords = run.planner.get(planner, {})
+    keywords = drive_keywords(planner, run)
     drive = run_open_loop(log.scenario, planner, planner_config=keywords, config=run.drive_loop, keep_internals=False)
     trace = drive.trace
     if trace.end is EndReason.PLANNER_FAILURE:

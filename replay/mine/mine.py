@@ -2,23 +2,24 @@
 
 A log that cannot be read is left out: its row of logs.parquet has the reason. If the log has no drive, or lacks data
 that a kind needs (lanes, crosswalks, lights), the kind is not searched, and logs.parquet names it, because "not found"
-differs from "not searched". The tables do not depend on the number of workers.
+differs from "not searched". The tables do not depend on the number of workers. What is found in a log is added to
+study.jsonl as the log ends, so that `--resume` mines the others only.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
-from math import isfinite, nan
+from math import isfinite, isinf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from logs.errors import ConfigError, LogError, PlannerError, ReplanError, of_users, raised
+from logs.errors import ConfigError, LogError, ReplanError, of_users, raised
 from logs.kernel import is_cache_cold
 from logs.names import counted
 from logs.road import RoadSource
@@ -31,15 +32,19 @@ from replay.loop.reference_drives import discriminate
 from replay.mine.driven_log import DrivenLog, Event, EventKind
 from replay.mine.ego_and_road import crosses_others, in_roundabout, stays
 from replay.mine.kinds import EVENT_KIND, KINDS, PLAN_KINDS, plan_events
-from replay.results.schema import names_of
-from replay.results.tables import clear_folder, joined, next_free, write_json, write_parquet, write_text
+from replay.results.schema import names_of, typed
+from replay.results.tables import write_json, write_parquet, write_text
 from replay.results.version import replan_version
+from replay.run.claim import Contents, claimed_folder
 from replay.run.engine import longest_first
-from replay.run.output import held, write_origin
+from replay.run.output import write_origin
 from replay.run.pool import WorkerLost, run_all
+from replay.run.resume import identity_of, stamp_of
 from replay.run.sources import LogSource, Selection, log_hash
+from replay.search.study import Study
 
 EVENTS, LOGS, HEALTH, CARD = "events.parquet", "logs.parquet", "health.parquet", "mined.json"
+CONTENTS = Contents("mine", ("run.toml", "origin.json", EVENTS, LOGS, HEALTH, CARD, "coverage.csv", "coverage.png"))
 BREAKS = tuple(f"{driver}_breaks" for driver in BAD_DRIVERS)
 CURVE_KAPPA = 1.0 / 150.0
 """A road with more curvature than this is a curve, 1/m."""
@@ -61,15 +66,15 @@ class MinedLog:
 
     Attributes:
         name: Name of the log; the label of its source if it could not be read.
-        row: Its row of logs.parquet.
+        row: Its row of logs.parquet, as JSON types; a number that there is not is None.
         events: Its rows of events.parquet; `health` are its rows of health.parquet.
         failures: The failures, one line each.
     """
 
     name: str
     row: dict[str, Any]
-    events: pd.DataFrame = field(default_factory=pd.DataFrame)
-    health: pd.DataFrame = field(default_factory=pd.DataFrame)
+    events: Sequence[dict[str, Any]] = ()
+    health: Sequence[dict[str, Any]] = ()
     failures: tuple[str, ...] = ()
 
 
@@ -97,6 +102,7 @@ def mine(
     kinds: Sequence[str] = (),
     planners: Sequence[str] = (),
     workers: int = 0,
+    study: Study | None = None,
     on_log: Callable[[MinedLog], None] = lambda log: None,
 ) -> Mined:
     """Find events in logs.
@@ -107,6 +113,7 @@ def mine(
         kinds: "module:NAME" of kinds of your own, beside the built-in ones.
         planners: Planners that plan open loop over each log: the kinds of `replay.mine.kinds`.
         workers: Number of child processes; 0: this process.
+        study: Has what is found in logs that need not be mined again, and gets what is found in the others.
         on_log: Called when each log ends, in order of ending.
 
     Raises:
@@ -114,52 +121,85 @@ def mine(
     """
     _load_kinds(kinds)
     job = partial(mine_log, run=run, kinds=tuple(kinds), planners=tuple(planners))
-    sources = selection.sources
+    keys = [] if study is None else [identity_of(source) for source in selection.sources]
+    rows = {} if study is None else {index: study.known(key) for index, key in enumerate(keys)}
+    found = {index: MinedLog(**row["mined"]) for index, row in rows.items() if row is not None}
+    for one in found.values():
+        on_log(one)
+    left = [index for index in range(len(selection.sources)) if index not in found]
+    sources = [selection.sources[index] for index in left]
     if workers == 0:
         ended: Iterator[tuple[int, MinedLog | WorkerLost]] = ((i, job(one)) for i, one in enumerate(sources))
     else:
-        drive = partial(run_all, job, workers=min(workers, len(sources)), one_first=is_cache_cold())
+        drive = partial(run_all, job, workers=max(1, min(workers, len(sources))), one_first=is_cache_cold())
         ended = longest_first(sources, drive, lambda source: source.expected_s)
-    found: dict[int, MinedLog] = {}
-    for index, one in ended:
-        label = sources[index].label
-        found[index] = _not_mined(label, f"{label}: not mined: {one.reason}") if isinstance(one, WorkerLost) else one
+    for place, outcome in ended:
+        index, label = left[place], sources[place].label
+        if isinstance(outcome, WorkerLost):
+            outcome = _not_mined(label, f"{label}: not mined: {outcome.reason}")
+        found[index] = outcome
+        if study is not None and not found[index].failures:
+            study.add([{"key": keys[index], "mined": asdict(found[index])}])
         on_log(found[index])
     logs = [found[index] for index in sorted(found)]
     names = Counter(log.name for log in logs)
     for place, log in enumerate(logs, 1):  # logs that share a name get the hash of their content, or their index
         if names[log.name] > 1:
             name = f"{log.name}@{str(log.row['sha256'])[:8] or place}"
-            events, findings = (table.assign(log=name) if len(table) else table for table in (log.events, log.health))
-            logs[place - 1] = MinedLog(name, {**log.row, "log": name}, events, findings, log.failures)
-    rows = pd.DataFrame([log.row for log in logs], columns=names_of(LOGS)).sort_values("log", ignore_index=True)
-    events = joined([log.events for log in logs], ["log", "t_from_s", "kind", "t_to_s"], names_of(EVENTS))
-    findings = joined([log.health for log in logs], ["log", "t_from_s", "kind"], names_of(HEALTH))
-    return Mined(events, rows, findings, tuple(line for log in logs for line in log.failures))
+            row, *both = [{**each, "log": name} for each in (log.row, *log.events, *log.health)]
+            logs[place - 1] = MinedLog(name, row, both[: len(log.events)], both[len(log.events) :], log.failures)
+    if study is not None:
+        study.keep(key for key in keys if study.known(key) is not None)
+    events = [row for log in logs for row in log.events]
+    findings = [row for log in logs for row in log.health]
+    return Mined(
+        _table(EVENTS, events, ["log", "t_from_s", "kind", "t_to_s"]), _table(LOGS, [log.row for log in logs], ["log"]),
+        _table(HEALTH, findings, ["log", "t_from_s", "kind"]), tuple(line for log in logs for line in log.failures),
+    )  # fmt: skip
 
 
-def write(mined: Mined, run: RunConfig, kinds: Sequence[str], planners: Sequence[str], out: Path | None) -> Path:
-    """Write the tables into a result folder, which is emptied first; the folder (None: the next free one).
+def _table(name: str, rows: Sequence[dict[str, Any]], keys: list[str]) -> pd.DataFrame:
+    """The rows of a table, sorted."""
+    return typed(name, pd.DataFrame(list(rows), columns=names_of(name))).sort_values(
+        keys, kind="stable", ignore_index=True
+    )
+
+
+def mine_into(
+    out: Path | None,
+    selection: Selection,
+    run: RunConfig,
+    *,
+    kinds: Sequence[str] = (),
+    planners: Sequence[str] = (),
+    workers: int = 0,
+    resume: bool = False,
+    on_log: Callable[[MinedLog], None] = lambda log: None,
+) -> tuple[Path, Mined]:
+    """Find events in logs, as `mine`, and write the tables into a folder of their own (None: the next free one).
 
     Raises:
-        ConfigError: The folder contains other files, or another run writes into it.
+        ConfigError: A kind or planner is unknown, the folder must not be written, or there is nothing to resume.
         OutputError: The disk is full.
     """
-    out = next_free() if out is None else out
-    with held(out):
-        clear_folder(out)
-        write_text(out / "run.toml", dump_run(run))
-        write_origin(out)
-        write_parquet(out / EVENTS, mined.events)
-        write_parquet(out / LOGS, mined.logs)
-        write_parquet(out / HEALTH, mined.health)
-        counts = Counter(mined.events["kind"])
+    stamp = stamp_of(run, [(EVENT_KIND, name) for name in kinds])
+    head = {
+        "study": CONTENTS.command, "replan": stamp.replan, "code": stamp.code[:12], "kinds": list(kinds),
+        "planners": list(planners), "run": dump_run(run),
+    }  # fmt: skip
+    with claimed_folder(out, CONTENTS, resume=resume) as folder:
+        study = Study(folder, head, resume=resume)
+        write_text(folder / "run.toml", dump_run(run))
+        write_origin(folder)
+        mined = mine(selection, run, kinds=kinds, planners=planners, workers=workers, study=study, on_log=on_log)
+        for name, table in ((EVENTS, mined.events), (LOGS, mined.logs), (HEALTH, mined.health)):
+            write_parquet(folder / name, table)
         card = {
-            "replan": replan_version(), "kinds": [*KINDS, *kinds], "planners": list(planners),
-            "logs": len(mined.logs), "events": dict(sorted(counts.items())), "failures": list(mined.failures),
+            "replan": replan_version(), "kinds": [*KINDS, *kinds], "planners": list(planners), "logs": len(mined.logs),
+            "events": dict(sorted(Counter(mined.events["kind"]).items())), "failures": list(mined.failures),
         }  # fmt: skip
-        write_json(out / CARD, card)
-    return out
+        write_json(folder / CARD, card)
+    return folder, mined
 
 
 def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners: tuple[str, ...]) -> MinedLog:
@@ -172,7 +212,7 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
         return _not_mined(source.label, str(error))
     except Exception as error:
         return _not_mined(source.label, f"{source.label}: a bug in replan: {raised(error)}")
-    not_asked, failures, rows = [], [], []
+    not_asked, failures, rows = list[str](), list[str](), list[dict[str, Any]]()
     log = DrivenLog(scenario) if len(scenario.ego) > 1 else None
     for kind in _load_kinds(kinds):
         if log is None:
@@ -182,8 +222,9 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
             found = kind.find(log)
             events = [] if isinstance(found, Unavailable) else list(found)
             for event in events:
-                if not (isinstance(event, Event) and isfinite(event.begin) and event.begin <= event.end < np.inf):
-                    raise ValueError(f"{event!r} is not an Event that begins before it ends")
+                times = isinstance(event, Event) and isfinite(event.begin) and event.begin <= event.end < np.inf
+                if not times or isinf(event.value):
+                    raise ValueError(f"{event!r} is not an Event with a finite value that begins before it ends")
         except Exception as error:
             whose = "raised by code that the run names" if of_users(error) else "a bug in replan"
             failures.append(f"{scenario.name}: event kind '{kind.name}': {whose}: {raised(error, of=kind.find)}")
@@ -195,7 +236,7 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
         try:
             assert log is not None
             rows += [_row(log, PLAN_KINDS[name], event, planner) for name, event in plan_events(log, planner, run)]
-        except PlannerError as error:
+        except ReplanError as error:
             failures.append(f"{scenario.name}: {error} [{planner}]")
     about, apart = scenario.metadata, dict[str, str]()
     if log is not None:
@@ -210,8 +251,13 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
         "weather": next((about[key] for key in WEATHERS if about.get(key)), ""), "not_asked": not_asked,
         "error": "", **dict.fromkeys(BREAKS, ""), **apart,
     }  # fmt: skip
-    findings = health.table(scenario.name, health.findings(scenario))
-    return MinedLog(scenario.name, row, pd.DataFrame(rows, columns=names_of(EVENTS)), findings, tuple(failures))
+    findings = health.table(scenario.name, health.findings(scenario)).to_dict("records")
+    return MinedLog(scenario.name, _plain(row), [*map(_plain, rows)], [*map(_plain, findings)], tuple(failures))
+
+
+def _plain(row: Mapping[Any, Any]) -> dict[str, Any]:
+    """A row as JSON types."""
+    return {str(key): None if isinstance(cell, float) and not isfinite(cell) else cell for key, cell in row.items()}
 
 
 def _load_kinds(kinds: Sequence[str]) -> tuple[EventKind, ...]:
@@ -247,7 +293,7 @@ def _row(log: DrivenLog, kind: EventKind, event: Event, planner: str) -> dict[st
 
 
 def _not_mined(label: str, line: str) -> MinedLog:
-    numbers = dict.fromkeys(("duration_s", "driven_m"), nan)
+    numbers = dict.fromkeys(("duration_s", "driven_m"))
     words = dict.fromkeys(("sha256", "family", "dataset", "place", "weather", *BREAKS), "")
     lists: dict[str, Any] = {"tags": [], "not_asked": []}
     row = {"log": label, "source": label, "agents": 0, "lanes": False, "error": line, **numbers, **words, **lists}

@@ -3,7 +3,8 @@
 The views are the tables of docs/results.md under their names without suffix: for a run `metrics`, `verdicts`, `groups`,
 `health`, `timings`, `frames`, `logs`, `drives`, `gates`, `failures`, `decisions`; for mined logs `events`, `logs`,
 `health`. Only those whose names are in the query are read. DuckDB runs one SELECT in memory, with its access to files,
-networks and extensions locked: a query can read only these views.
+networks and extensions locked: a query can read only these views. Memory, the space of its own temporary folder, time
+and the size of the result are limited.
 
 A row of a query gives a log and a moment: its columns `t_from_s` and `t_to_s`, or `time_s`, or `t_s`. Moments
 of one log that overlap after `before` and `after` are added are
@@ -13,15 +14,22 @@ its origin in its metadata ("cut.of", "cut.from_s", "cut.to_s", and the kinds of
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass, replace
+from hashlib import sha256
 from math import isfinite
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Timer
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
-from logs.errors import ConfigError, LogError, unknown_name, writing
+from logs.errors import ConfigError, LogError, unknown_name
 from logs.mcap import write_scenario
 from logs.readers.cut import cut as cut_scenario
 from logs.readers.cut import in_nanoseconds
@@ -29,8 +37,11 @@ from logs.scenario import Scenario
 from metrics.boxes import ego_boxes
 from replay.config import load_run
 from replay.mine.mine import CARD, EVENTS, HEALTH, LOGS, read_mined
-from replay.results.tables import safe_name, write_file
+from replay.results.tables import safe_names, write_file
+from replay.results.version import replan_version
+from replay.run.claim import Contents, claimed_file, claimed_folder
 from replay.run.output import scenario_of
+from replay.search.study import Study
 
 RUN_VIEWS = (
     "metrics", "verdicts", "groups", "health", "timings", "frames", "logs", "drives", "gates", "failures", "decisions",
@@ -44,7 +55,13 @@ LOCKED = (
     "SET threads = 1",  # a fixed order of rows without ORDER BY
     "SET lock_configuration = true",
 )
+MEMORY_GB, SPILLED_GB, RESULT_GB, TIME_S = 2, 20, 1, 300.0
+"""Limits of a query: memory of DuckDB, disk space where that is not enough, memory of the result, time."""
+SMALLER = "ask for less, or open the Parquet files with DuckDB itself"
+ROWS = 50
+"""Chunks of rows that are fetched at once; a chunk has 2048 rows."""
 TIMES = (("t_from_s", "t_to_s"), ("time_s", "time_s"), ("t_s", "t_s"))
+CUTS = Contents("cut", ("*.mcap",))
 LEAST_S = 0.5
 """A cut with less of the log than this is an error."""
 WRITERS: Mapping[str, Callable[[pd.DataFrame, Path], object]] = {
@@ -86,36 +103,81 @@ def query(folder: Path, sql: str) -> pd.DataFrame:
         import duckdb
     except ImportError:
         raise ConfigError("queries need DuckDB: pip install 'replan[improve]'") from None
-    known = views(folder)
-    with duckdb.connect(":memory:") as connection:
+    if not sql.strip():
+        raise ConfigError("the query is empty: give one SELECT, for example SELECT * FROM logs")
+    known, late = views(folder), False
+
+    def stop() -> None:
+        nonlocal late
+        late = True
+        connection.interrupt()
+
+    timer = Timer(TIME_S, stop)
+    with TemporaryDirectory(prefix="replan-") as spilled, duckdb.connect(":memory:") as connection:
+        limits = {"memory_limit": f"{MEMORY_GB}GB", "max_temp_directory_size": f"{SPILLED_GB}GB"}
+        for name, value in (*limits.items(), ("temp_directory", spilled.replace("'", "''"))):
+            connection.execute(f"SET {name} = '{value}'")
         for line in LOCKED:
             connection.execute(line)
         try:
+            timer.start()
             statements = connection.extract_statements(sql)
             if len(statements) != 1 or statements[0].type != duckdb.StatementType.SELECT:
                 raise ConfigError("the query has to be one SELECT: results are read only")
             for name in sorted(set(re.findall(r"\w+", sql.lower())) & known.keys()):
                 connection.register(name, known[name]())
-            result: pd.DataFrame = connection.execute(statements[0]).df()
+            connection.execute(statements[0])
+            parts, size = [connection.fetch_df_chunk(ROWS)], 0
+            while len(parts[-1]):
+                size += int(parts[-1].memory_usage(deep=True).sum())
+                if size > RESULT_GB * 1e9:
+                    raise ConfigError(f"the query gives more than {RESULT_GB} GB: add LIMIT, or {SMALLER}")
+                parts.append(connection.fetch_df_chunk(ROWS))
         except duckdb.Error as error:
-            words = " ".join(str(error).split("\n\n")[0].split())
-            if isinstance(error, duckdb.CatalogException):
+            words = " ".join(str(error).split("\n\n")[0].split("\nThis limit")[0].split())
+            if late:
+                words = f"it takes more than {TIME_S:g} s; {SMALLER}"
+            elif isinstance(error, duckdb.OutOfMemoryException):
+                words = f"it needs more than {MEMORY_GB} GB of memory and {SPILLED_GB} GB of disk: {SMALLER} ({words})"
+            elif isinstance(error, duckdb.CatalogException):
                 words = f"{words.partition(' Did you mean')[0]} The views are {', '.join(known)}"
             raise ConfigError(f"the query cannot be run: {words}") from None
-    return result
+        finally:
+            timer.cancel()
+    return pd.concat(parts[:-1] or parts, ignore_index=True)
 
 
-def write_rows(table: pd.DataFrame, path: Path) -> None:
-    """Write rows as .csv, .parquet or .json, by the suffix.
+@contextmanager
+def rows_file(path: Path) -> Iterator[Callable[[pd.DataFrame], None]]:
+    """The function that writes rows as .csv, .parquet or .json, by the suffix of a claimed file.
+
+    An earlier file is replaced if it has the same columns.
 
     Raises:
-        ConfigError: The suffix is another.
-        OutputError: The file cannot be written.
+        ConfigError: The file must not be written.
+        OutputError: It cannot be written.
     """
-    if path.suffix not in WRITERS:
-        raise ConfigError(f"{path}: name a file that ends in {', '.join(WRITERS)}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_file(path, lambda partial: WRITERS[path.suffix](table, partial))
+    with claimed_file(path, tuple(WRITERS), lambda file: True) as file:
+
+        def write(table: pd.DataFrame) -> None:
+            if file.exists() and _columns_of(file) != table.columns.tolist():
+                raise ConfigError(f"{file}: exists, and has other columns than this query; name another file")
+            write_file(file, lambda partial: WRITERS[file.suffix](table, partial))
+
+        yield write
+
+
+def _columns_of(file: Path) -> list[str] | None:
+    """The columns of a file of rows; None if it is none."""
+    try:
+        if file.suffix == ".parquet":
+            return list(pq.read_schema(file).names)
+        if file.suffix == ".csv":
+            return pd.read_csv(file, nrows=0).columns.tolist()
+        rows = json.loads(file.read_text(encoding="utf-8"))
+        return list(rows[0])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError, pa.ArrowException):
+        return None
 
 
 # moments as logs ----------------------------------------------------------------------------------------------------
@@ -153,6 +215,8 @@ def moments(folder: Path, where: str, table: str = "events", before: float = 5.0
     known = views(folder)
     if table not in known:
         raise unknown_name("view", table, known)
+    if not where.strip():
+        raise ConfigError("--where is empty: give a condition, for example \"kind = 'cut_in'\"; true takes all rows")
     rows = query(folder, f'SELECT * FROM "{table}" WHERE ({where})')
     times = next((pair for pair in TIMES if set(pair) <= set(rows.columns)), None)
     if times is None or "log" not in rows:
@@ -174,43 +238,61 @@ def moments(folder: Path, where: str, table: str = "events", before: float = 5.0
     return found
 
 
-def cut_logs(folder: Path, found: Sequence[Moment], out: Path) -> Iterator[Path]:
+def cut_logs(folder: Path, found: Sequence[Moment], out: Path, *, resume: bool = False) -> Iterator[Path]:
     """Write a native log per moment into a folder; yields each file when it is written.
 
+    Args:
+        folder: The results that name the logs.
+        found: The moments.
+        out: A folder that is new, empty, or has earlier cuts, which are replaced or resumed.
+        resume: Keep the logs that an interrupted cut of these moments has written.
+
     Raises:
-        ConfigError: A log was moved, or the folder contains a file of this name.
+        ConfigError: A log was moved, the folder must not be written, or there is nothing to resume.
         LogError: A log cannot be read.
         OutputError: A file cannot be written.
     """
     settings = load_run(folder / "run.toml").log
-    logs = views(folder)["logs"]().set_index("log")
-    names = [f"{safe_name(one.log)}_{max(one.begin, 0.0):.1f}s.mcap" for one in found]
-    taken = [name for name in names if (out / name).exists()]
-    if taken:
-        raise ConfigError(f"{out / taken[0]}: exists already; give a new or empty folder with --out")
-    with writing(out):
-        out.mkdir(parents=True, exist_ok=True)
-    scenario: Scenario | None = None
-    for last, one, name in zip([None, *found], found, names, strict=False):
-        if scenario is None or last is None or last.log != one.log:
-            scenario = scenario_of(folder, logs.loc[one.log].to_dict(), settings)
-        begin = max(one.begin, float(scenario.ego.t[0]))
-        end = min(one.end, scenario.duration)
-        if not (isfinite(begin) and end - begin >= LEAST_S):
-            much = f"from {one.begin:.1f} to {one.end:.1f} s there is less than {LEAST_S} s of the log"
-            raise LogError(f"{one.log}: {much}")
-        part = in_nanoseconds(cut_scenario(scenario, begin, end))
-        origin = {"cut.of": scenario.name, "cut.from_s": repr(begin), "cut.to_s": repr(end)}
-        origin["cut.kinds"] = " ".join(one.kinds)
-        tags = tuple(dict.fromkeys((*scenario.tags, *one.kinds)))
-        notes = [f"Cut from {scenario.name}, from {begin:.1f} to {end:.1f} s."]
-        x, y = ego_boxes(part.ego, part)[:2]
-        if part.goal is not None and not any(map(part.goal.reached, part.ego.t, x, y, part.ego.yaw, part.ego.v)):
-            part = replace(part, goal=None)
-            notes.append("The goal of the whole log is beyond this part and is left out.")
-        part = replace(
-            part, name=f"{scenario.name}@{begin:.1f}s", metadata={**part.metadata, **origin}, tags=tags,
-            notes=(*part.notes, *notes),
-        )  # fmt: skip
-        write_scenario(out / name, part)
-        yield out / name
+    logs = views(folder)["logs"]().drop_duplicates("log").set_index("log")
+    unknown = [one.log for one in found if one.log not in logs.index]
+    if unknown:
+        raise LogError(f"no log is called '{unknown[0]}' in its logs", file=folder, remedy="make these results again")
+    labels = {one: f"{one.log}_{max(one.begin, 0.0):.1f}s" for one in found}
+    names = safe_names(labels.values())
+    asked = [[*astuple(one), str(logs.loc[one.log, "sha256"])] for one in found]
+    head = {"study": CUTS.command, "replan": replan_version(), "moments": sha256(repr(asked).encode()).hexdigest()}
+    with claimed_folder(out, CUTS, resume=resume) as out:
+        study = Study(out, head, resume=resume)
+        scenario: Scenario | None = None
+        for last, one in zip([None, *found], found, strict=False):
+            name = f"{names[labels[one]]}.mcap"
+            if last is None or last.log != one.log:
+                scenario = None
+            if study.known(name) is None:
+                if scenario is None:
+                    scenario = scenario_of(folder, logs.loc[one.log].to_dict(), settings)
+                write_scenario(out / name, _part(scenario, one))
+                study.add([{"key": name}])
+            yield out / name
+
+
+def _part(scenario: Scenario, one: Moment) -> Scenario:
+    """The part of a log that a moment is, with its origin; LogError if it is too short."""
+    begin = max(one.begin, float(scenario.ego.t[0]))
+    end = min(one.end, scenario.duration)
+    if not (isfinite(begin) and end - begin >= LEAST_S):
+        much = f"from {one.begin:.1f} to {one.end:.1f} s there is less than {LEAST_S} s of the log"
+        raise LogError(f"{one.log}: {much}")
+    part = in_nanoseconds(cut_scenario(scenario, begin, end))
+    origin = {"cut.of": scenario.name, "cut.from_s": repr(begin), "cut.to_s": repr(end)}
+    origin["cut.kinds"] = " ".join(one.kinds)
+    tags = tuple(dict.fromkeys((*scenario.tags, *one.kinds)))
+    notes = [f"Cut from {scenario.name}, from {begin:.1f} to {end:.1f} s."]
+    x, y = ego_boxes(part.ego, part)[:2]
+    if part.goal is not None and not any(map(part.goal.reached, part.ego.t, x, y, part.ego.yaw, part.ego.v)):
+        part = replace(part, goal=None)
+        notes.append("The goal of the whole log is beyond this part and is left out.")
+    return replace(
+        part, name=f"{scenario.name}@{begin:.1f}s", metadata={**part.metadata, **origin}, tags=tags,
+        notes=(*part.notes, *notes),
+    )  # fmt: skip

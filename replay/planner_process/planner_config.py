@@ -7,7 +7,7 @@ from inspect import getattr_static
 from typing import Any
 
 from planners import PLANNER, PLANNERS, load_planner
-from replay.config import PlannerProcessConfig
+from replay.config import PlannerProcessConfig, RunConfig
 from replay.oracle import ORACLES
 from replay.settings import dotted, keywords_of, resolved
 
@@ -66,6 +66,12 @@ def prepared(spec: str, keywords: Mapping[str, Any]) -> Factory:
 def planner_keywords(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:
     """The keywords of a planner's table; ConfigError if it is wrong (`replay.settings`)."""
     return keywords_of(planner_factory(spec), table, dotted("planner", spec))
+
+
+def drive_keywords(spec: str, run: RunConfig) -> Mapping[str, Any]:
+    """The keywords with which a loop builds a planner of a run: its table, where it runs in a process of its own."""
+    table = run.planner.get(spec, {})
+    return table if is_apart(spec, run.loop.apart) else planner_keywords(spec, table)
 
 
 def resolved_table(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:

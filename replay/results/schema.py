@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
@@ -306,6 +307,12 @@ def arrow(file: str, table: pd.DataFrame) -> pa.Table:
     kinds = {column.name: _TYPES[column.kind] for column in TABLES[file].columns}
     fields = pa.schema([(name, kinds[name]) for name in table.columns])
     return pa.Table.from_pandas(table, fields, preserve_index=False)
+
+
+def typed(file: str, table: pd.DataFrame) -> pd.DataFrame:
+    """The table with the types of pandas that it has when it is read back."""
+    kinds: dict[str, Any] = {"text": object, "number": float, "count": "int64", "yes/no": bool, "list": object}
+    return table.astype({column.name: kinds[column.kind] for column in TABLES[file].columns if column.name in table})
 
 
 def markdown() -> str:

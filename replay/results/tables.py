@@ -24,7 +24,10 @@ import errno
 import json
 import re
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from hashlib import sha256
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -64,19 +67,32 @@ TABLES = (
     "run.toml",
     ORIGIN,
 )
-MINED = ("events.parquet", "logs.parquet", "mined.json", "coverage.csv", "coverage.png")
-"""Files that `replan mine` and `replan coverage` write."""
 REPORTS = ("report.md", "junit.xml", "report.html")
-FILES = (*TABLES, *MINED, *REPORTS)
+FILES = (*TABLES, *REPORTS)
 """The files in a result folder beside the folders of the logs."""
 KEYS = ["log", "planner", "mode", "metric"]
 TIMING_COLUMNS = ["log", "planner", "mode", "t_s", "stage", "seconds"]
 
 
+LONGEST_SAFE = 80
+"""Longest name of a file that is made of the name of a log, without the hash."""
+
+
 def safe_name(name: str, digest: str = "") -> str:
     """A folder or file name: letters, digits, dot, dash and underscore, at most 80, then `-` and 8 of the digest."""
-    safe = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "log"
-    return f"{safe[:80]}-{digest[:8]}" if digest else safe[:80]
+    safe = (re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "log")[:LONGEST_SAFE]
+    return f"{safe}-{digest[:8]}" if digest else safe
+
+
+def safe_names(names: Iterable[str]) -> dict[str, str]:
+    """A `safe_name` for each of some names, no two equal: names that would be get a hash of the whole name."""
+    names = list(dict.fromkeys(names))
+    counts = Counter(safe_name(name).lower() for name in names)  # some file systems ignore case
+    short = {name: safe_name(name) for name in names}
+    return {
+        name: safe if counts[safe.lower()] == 1 else safe_name(name, sha256(name.encode()).hexdigest())
+        for name, safe in short.items()
+    }
 
 
 def write_file(path: Path, write: Callable[[Path], object]) -> None:
@@ -87,7 +103,8 @@ def write_file(path: Path, write: Callable[[Path], object]) -> None:
             write(partial)
             partial.replace(path)
     finally:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):  # it is not there, or the folder has become read-only, which `writing` reports
+            partial.unlink()
 
 
 def finish_folder(partial: Path, folder: Path) -> bool:
@@ -171,21 +188,6 @@ def next_free(parent: Path = Path("results")) -> Path:
             raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}; name one with --out") from None
         return out
     raise AssertionError
-
-
-def clear_folder(out: Path) -> None:
-    """Empty a folder that is locked (`replay.run.output`); ConfigError as `check_ours`."""
-    check_ours(out)
-    for entry in out.iterdir():
-        if entry.name != LOCK:
-            shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
-
-
-def check_ours(out: Path) -> None:
-    """Raise ConfigError if a folder contains anything that a run did not write."""
-    foreign = [entry.name for entry in sorted(out.iterdir()) if not is_ours(entry)]
-    if foreign:
-        raise ConfigError(f"{out}: contains {foreign[0]}, not a replan result; give --out a new or empty folder")
 
 
 def clear_partial(out: Path) -> None:

@@ -13,11 +13,12 @@ from logs.readers import LogSettings
 from replay.config import RunConfig, dump_run
 from replay.results.load import Results
 from replay.results.log_result import Failure, LogResult
-from replay.results.tables import clear_folder, clear_partial, next_free, write_text
+from replay.results.tables import clear_partial, write_text
 from replay.run.checks import checked
+from replay.run.claim import RUN, claimed_folder, emptied
 from replay.run.engine import Engine, Local, teams_of
 from replay.run.judging import gates_of, judge_and_write
-from replay.run.output import held, write_origin
+from replay.run.output import write_origin
 from replay.run.pool import WorkerLost
 from replay.run.resume import finished, stamp_of
 from replay.run.shards import Shard, write_card
@@ -69,11 +70,8 @@ def evaluate_logs(
     if run.loop.apart.batch:
         _check_batch(engine, window, shard)
     run, failures = checked(run)
-    if resume and out is None:
-        raise ConfigError("name the folder of the run to be resumed with --out")
-    out = next_free() if out is None else Path(out)
     stamp = stamp_of(run)
-    with held(out):
+    with claimed_folder(out, RUN, resume=resume) as out:
         done = finished(out, selection.sources, run, stamp) if resume else {}
         for team in teams_of(len(selection.sources), run.loop.apart.batch):
             if any(index not in done for index in team):  # logs in lock step are evaluated together
@@ -86,23 +84,19 @@ def evaluate_logs(
                 if Path(os.path.realpath(path)).is_relative_to(out.resolve()):
                     remedy = "which is cleared; give --out another folder"
                     raise ConfigError(f"{path}: lies in the result folder {out}, {remedy}")
-            clear_folder(out)
+            emptied(out)
+        write_text(out / "run.toml", dump_run(run))
+        write_origin(out)
+        on_start(selection, out)
+        evaluate = partial(engine.evaluate, run=run, out=out, stamp=stamp)
         try:
-            write_text(out / "run.toml", dump_run(run))
-            write_origin(out)
-            on_start(selection, out)
-            evaluate = partial(engine.evaluate, run=run, out=out, stamp=stamp)
-            try:
-                results = _evaluate_rest(selection.sources, evaluate, done, on_log)
-            finally:
-                clear_partial(out)
-            if shard is not None:
-                write_card(out, shard, whole, run, stamp, failures, results)
-            part = "" if shard is None else str(shard)
-            return judge_and_write(out, run, selection, results, gates, failures, resumed=len(done), shard=part)
-        except OutputError as error:
-            how = f"what is finished is kept: make room, and give the same command with --out {out} --resume"
-            raise OutputError(f"{error}; {how}") from error
+            results = _evaluate_rest(selection.sources, evaluate, done, on_log)
+        finally:
+            clear_partial(out)
+        if shard is not None:
+            write_card(out, shard, whole, run, stamp, failures, results)
+        part = "" if shard is None else str(shard)
+        return judge_and_write(out, run, selection, results, gates, failures, resumed=len(done), shard=part)
 
 
 def _check_batch(engine: Engine, window: float | None, shard: Shard | None) -> None:

@@ -37,7 +37,7 @@ from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
 from replay.loop.planning import Planning, with_probe
 from replay.loop.reference_drives import discriminating_tables, late_follower, with_avoidability, with_references
-from replay.planner_process.planner_config import is_apart, is_built_in, planner_keywords
+from replay.planner_process.planner_config import drive_keywords, is_built_in
 from replay.results.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, Steps, StepsFile, write_result
 from replay.results.tables import KEYS, PARTIAL, TIMING_COLUMNS, finish_folder, joined, safe_name
 from replay.run.perturb import perturbed
@@ -261,12 +261,10 @@ def _free_memory(trace: Trace) -> None:
 
 
 def _drive_log(scenario: Scenario, place: _DriveSpec, run: RunConfig, *, keep: bool, until_s: float = inf) -> Drive:
-    table = run.planner.get(place.planner, {})
-    keywords = table if is_apart(place.planner, run.loop.apart) else planner_keywords(place.planner, table)
     return LOOPS[place.mode](
         scenario,
         place.planner,
-        planner_config=keywords,
+        planner_config=drive_keywords(place.planner, run),
         config=run.drive_loop,
         keep_internals=keep,
         until_s=until_s,

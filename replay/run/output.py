@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError, ReplanError, writing
-from logs.files import content, fetch, listed, local_path, put, put_new, remove, url_of
+from logs.files import content, fetch, listed, local_path, on_this_machine, put, put_new, remove, url_of
 from logs.forward import drivable_part
 from logs.mcap import read_scenario
 from logs.readers import LogSettings
@@ -55,14 +55,31 @@ def held(out: Path) -> Iterator[None]:
     """Lock the folder, and create it if needed; the lock file is removed afterwards.
 
     Raises:
-        ConfigError: Another run has locked it (with process, host and time), or it cannot be created or written to.
+        ConfigError: Another run has locked it (with process, host and time), it cannot be created or written to, or it
+            is a URL.
     """
-    made, path = not out.exists(), out / LOCK
+    on_this_machine(out)
+    made = not out.exists()
     try:
         out.mkdir(parents=True, exist_ok=True)
-        handle = _lock(path)
     except OSError as error:
         raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
+    try:
+        with locked(out / LOCK, out):
+            yield
+    finally:
+        if made:
+            with suppress(OSError):  # it has contents, as it should have
+                out.rmdir()
+
+
+@contextmanager
+def locked(path: Path, what: Path) -> Iterator[None]:
+    """Lock a folder or file `what` by the lock file at `path`, which is removed afterwards; ConfigError as `held`."""
+    try:
+        handle = _lock(path, what)
+    except OSError as error:
+        raise ConfigError(f"{what}: cannot be written: {error.strerror}; give --out another place") from None
     try:
         with writing(path):
             os.ftruncate(handle, 0)
@@ -72,16 +89,13 @@ def held(out: Path) -> Iterator[None]:
     finally:
         if sys.platform == "win32":  # an open file cannot be removed
             os.close(handle)
-            path.unlink(missing_ok=True)
-        else:
-            path.unlink(missing_ok=True)
+        with suppress(OSError):  # the folder is gone, or has become read-only
+            path.unlink()
+        if sys.platform != "win32":
             os.close(handle)
-        if made:
-            with suppress(OSError):  # it has contents, as it should have
-                out.rmdir()
 
 
-def _lock(path: Path) -> int:
+def _lock(path: Path, what: Path) -> int:
     """The lock file, open and locked; ConfigError if another run has locked it."""
     while True:
         try:
@@ -96,11 +110,11 @@ def _lock(path: Path) -> int:
             card = {}
         if not (locked or (locked is None and (is_new or has_ended(card)))):
             os.close(handle)
-            wait = "wait for it, or give --out another folder"
+            wait = "wait for it, or give --out another place"
             if not card:
-                raise ConfigError(f"{path.parent}: another run writes into it just now; {wait}")
+                raise ConfigError(f"{what}: another run writes it just now; {wait}")
             who = f"process {card['pid']} on {card['host']} since {card['since']}"
-            raise ConfigError(f"{path.parent}: another run writes into it ({who}); {wait}; if it has ended: rm {path}")
+            raise ConfigError(f"{what}: another run writes it ({who}); {wait}; if it has ended: rm {path}")
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(handle), path.stat()):
                 return handle

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import shutil
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -27,7 +27,7 @@ from replay.config import RunConfig, dump_run
 from replay.oracle import ORACLES
 from replay.planner_process.connection import command_of
 from replay.results.log_result import LogResult, Stamp, load_result
-from replay.results.tables import FILES, LOG_CARD, PARTIAL, check_ours, clear_partial
+from replay.results.tables import FILES, LOG_CARD, PARTIAL, clear_partial
 from replay.results.version import replan_version
 from replay.run.checks import KINDS
 from replay.run.sources import LogSource
@@ -36,8 +36,8 @@ from replay.settings import flat
 START_OVER = "leave out --resume to start over"
 
 
-def stamp_of(run: RunConfig) -> Stamp:
-    """Version, and hash of the source files of replan and of the modules that the run names."""
+def stamp_of(run: RunConfig, also: Iterable[tuple[Kind[Any], str]] = ()) -> Stamp:
+    """Version, and hash of the source files of replan and of the modules that the run names, and `also` these names."""
     root = Path(__file__).parents[2]
     files = [file for package in PACKAGES for file in sorted((root / package).rglob("*.py"))]
     digest = sha256()
@@ -54,7 +54,7 @@ def stamp_of(run: RunConfig) -> Stamp:
     named: list[tuple[Kind[Any], str]] = [(METRIC, name) for name in run.metrics]
     named += [(READER, name) for name in (*READER.entries(), run.log.reader) if name]
     named += [(kind, getattr(run.loop, key)) for key, (kind, _) in KINDS.items()]
-    for kind, name in named:
+    for kind, name in (*named, *also):
         if name not in kind.besides and (source := kind.file(name)) is not None:
             own.append(source)
     for file in own:
@@ -68,7 +68,6 @@ def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Sta
     Raises:
         ConfigError: `out` is not an interrupted run of these logs with this configuration and this code.
     """
-    check_ours(out)
     folders = [folder for folder in sorted(out.iterdir()) if (folder / LOG_CARD).is_file()]
     if folders or (out / "run.toml").is_file():
         changed = changes(read_toml(out / "run.toml"), tomllib.loads(dump_run(run)), besides="gates")

@@ -32,9 +32,10 @@ from replay.planner_process.planner_config import planner_factory
 from replay.results.load import Results
 from replay.results.log_result import Failure, LogResult, Stamp, load_result
 from replay.results.schema import SCHEMA_VERSION
-from replay.results.tables import PARTIAL, SHARD_CARD, clear_folder, finish_folder, write_json, write_text
+from replay.results.tables import PARTIAL, SHARD_CARD, finish_folder, write_json, write_text
+from replay.run.claim import MERGED, claimed_folder, emptied
 from replay.run.judging import gates_of, judge_and_write
-from replay.run.output import begun_in, held, write_origin
+from replay.run.output import begun_in, write_origin
 from replay.run.resume import changes, identity_of, stamp_of
 from replay.run.sources import LogSource, Selection
 
@@ -154,8 +155,8 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
     run = replace(load_run(found[0].folder / "run.toml"), gates=str(read_toml(found[0].folder / "run.toml")["gates"]))
     with gates_in(found[0].folder) as path:
         gates = gates_of(run, path)
-    with held(out):
-        clear_folder(out)
+    with claimed_folder(out, MERGED):
+        emptied(out)
         write_text(out / "run.toml", text)
         write_origin(out, begun_in(found[0].folder, (result.source for result in found[0].results)))
         placed: dict[int, LogResult] = {}

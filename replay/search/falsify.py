@@ -53,8 +53,8 @@ from replay.results.tables import PARTIAL, write_file, write_json, write_parquet
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
 from replay.run.checks import checked
+from replay.run.claim import Contents, claimed_folder
 from replay.run.judging import gates_of
-from replay.run.output import held
 from replay.run.resume import stamp_of
 from replay.search.axes import SearchAxis, Subject, box_of, values_at
 from replay.search.figures import falsify_figure
@@ -62,6 +62,7 @@ from replay.search.mildest import Mildest, Point, Scored, cma_class, norm, searc
 from replay.search.study import Study
 
 KIND = "falsify"
+CONTENTS = Contents(KIND, ("falsify.*", "trials.*", "case", "case.mcap"))
 RESOLUTION = 0.02
 """Default resolution of the distance: a fiftieth of a scale."""
 BUDGET = 200
@@ -263,7 +264,7 @@ def asked_of(against: str) -> str:
 
 def falsify(
     question: Question,
-    out: Path,
+    out: Path | None,
     *,
     workers: int = 0,
     resume: bool = False,
@@ -273,7 +274,8 @@ def falsify(
 
     Args:
         question: The inputs.
-        out: A folder that is new, empty, or holds an earlier falsification, which is replaced or resumed.
+        out: A folder that is new, empty, or holds an earlier falsification, which is replaced or resumed; None: the
+            next free one.
         workers: Number of processes; 0: this process.
         resume: Continue the falsification in `out`.
         say: Called with a line after each batch.
@@ -291,7 +293,7 @@ def falsify(
     _, failures = checked(question.driven)
     if failures:
         raise ConfigError(failures[0].message)
-    with held(out):
+    with claimed_folder(out, CONTENTS, resume=resume) as out:
         study = Study(out, question.head(), resume=resume)
         trials = Drives(question, out, study, workers, say)
         found = search(

@@ -38,8 +38,8 @@ from replay.results.tables import PARTIAL, write_file, write_json, write_parquet
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
 from replay.run.checks import checked
+from replay.run.claim import Contents, claimed_folder
 from replay.run.engine import Engine, Local
-from replay.run.output import held
 from replay.run.resume import identity_of
 from replay.run.sources import Selection
 from replay.search.figures import pareto_figure
@@ -57,7 +57,12 @@ from replay.search.gains import (
 )  # fmt: skip
 from replay.search.space import chosen_table, listed, with_values
 from replay.search.study import Study
-from replay.search.trials import Plan, Trials, Values, key_of, optuna_module
+from replay.search.trials import KIND, Plan, Trials, Values, key_of, optuna_module
+
+CONTENTS = Contents(
+    KIND,
+    ("tune.json", "trials.*", "pareto.*", "best.toml", "training", "held_out", "logs"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +153,7 @@ class Tuned:
 def tune(
     plan: Plan,
     selection: Selection,
-    out: Path,
+    out: Path | None,
     *,
     engine: Engine | None = None,
     resume: bool = False,
@@ -159,7 +164,8 @@ def tune(
     Args:
         plan: The inputs.
         selection: The logs.
-        out: A folder that is new, empty, or holds an earlier tuning, which is replaced or resumed.
+        out: A folder that is new, empty, or holds an earlier tuning, which is replaced or resumed; None: the next free
+            one.
         engine: The engine that drives the logs; None: this process.
         resume: Continue the tuning in `out`.
         say: Called with a line after each trial.
@@ -175,7 +181,7 @@ def tune(
     optuna_module()
     checked(plan.driven)
     engine = engine or Local()
-    with held(out):
+    with claimed_folder(out, CONTENTS, resume=resume) as out:
         logs = _sorted_logs(selection, out, plan.share)
         study = Study(out, plan.head(logs.identities), resume=resume)
         for source in selection.sources:  # logs of the catalogue as files

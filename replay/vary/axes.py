@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from math import isfinite
+from math import isfinite, prod
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from logs.variations import VARIATIONS
 
 FINER = 8
 """Default resolution of edges: the distance of two cells divided by this."""
-MOST_AXES = 2
+MOST_AXES, MOST_CELLS = 2, 10_000
 FORM = "write it as NAME=LOW:HIGH:COUNT, or NAME=VALUE for all cells"
 
 
@@ -98,6 +98,8 @@ def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float
         if len(numbers) == 1:
             values: tuple[float, ...] = (numbers[0],)
         elif len(numbers) == 3 and numbers[0] < numbers[1] and numbers[2] >= 2 and numbers[2] == int(numbers[2]):
+            if numbers[2] > MOST_CELLS:
+                raise ConfigError(f"--vary {word}: a surface has at most {MOST_CELLS} cells; lower COUNT")
             values = tuple(np.linspace(numbers[0], numbers[1], int(numbers[2])).round(12).tolist())
         else:
             raise ConfigError(f"--vary {word}: {FORM}; LOW below HIGH, COUNT 2 or more")
@@ -111,6 +113,8 @@ def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float
             fixed[name] = values[0]
     if not 1 <= len(axes) <= MOST_AXES:
         raise ConfigError(f"a surface has one or two axes, got {len(axes)}: --vary NAME=LOW:HIGH:COUNT")
+    if (count := prod(len(axis.values) for axis in axes)) > MOST_CELLS:
+        raise ConfigError(f"--vary: {count} cells, a surface has at most {MOST_CELLS}; lower COUNT")
     if resolution is not None and not resolution > 0.0:
         raise ConfigError(f"--resolution must be positive, got {resolution:g}")
     return Question(tuple(axes), fixed, tuple(agents), resolution or axes[0].spacing / FINER)

@@ -16,9 +16,9 @@ the points of a round are evaluated in parallel.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
 from itertools import pairwise
 from math import nan
 from pathlib import Path
@@ -36,19 +36,21 @@ from logs.variations import VARIATIONS, varied
 from metrics.judge import worst
 from metrics.judge.gates import Outcome
 from metrics.reference_drivers import APPLIES, AVOIDS, MARGIN, Avoidability
-from replay.config import RunConfig
+from replay.config import RunConfig, dump_run
 from replay.draw.report.figures import save
 from replay.results.load import Results
-from replay.results.tables import LOCK, safe_name, write_file, write_json, write_parquet
+from replay.results.tables import LONGEST_SAFE, safe_name, write_file, write_json, write_parquet
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
-from replay.run.output import held
+from replay.run.claim import Contents, claimed_folder
+from replay.run.resume import stamp_of
+from replay.search.study import Study
 from replay.vary.axes import Question
 from replay.vary.surface_figure import surface_figure
 
 PASS, ERROR, UNAVOIDABLE = "pass", "error", "unavoidable"
 CARD = "vary.json"
-TABLES = ("surface.parquet", "surface.csv", "edges.csv", "surface.png")
+CONTENTS = Contents("vary", (CARD, "logs", "grid", "edge-*", "surface.*", "edges.csv"))
 _CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
 
 Cell = tuple[float, ...]
@@ -156,9 +158,10 @@ def vary(
     scenario: Scenario,
     question: Question,
     run: RunConfig,
-    out: Path,
+    out: Path | None,
     *,
     workers: int = 0,
+    resume: bool = False,
     say: Callable[[str], None] = lambda line: None,
 ) -> VaryResult:
     """Evaluate a surface and write it into `out`; the same tables whatever the number of workers.
@@ -167,8 +170,10 @@ def vary(
         scenario: The scenario to vary, `prepared`.
         question: The axes and values.
         run: Planner (one) and settings; only the closed loop is run, and the log settings are not applied again.
-        out: A folder that is new, empty, or holds an earlier surface.
+        out: A folder that is new, empty, or holds an earlier surface, which is replaced or resumed; None: the next free
+            one.
         workers: Number of processes; 0: this process.
+        resume: Continue the surface in `out`: logs that are driven are not driven again.
         say: Called with a line before each round.
 
     Raises:
@@ -182,24 +187,21 @@ def vary(
     if missing or (question.varies_agents and not question.agents):
         what = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
         raise ConfigError(f"{what}; `replan vary LOG --list-agents` lists them")
-    with held(out):
-        entries = [entry for entry in out.iterdir() if entry.name != LOCK]
-        if entries and not (out / CARD).is_file():
-            raise ConfigError(f"{out}: holds no surface of `replan vary`; give --out a new or empty folder")
-        for entry in entries:  # of an earlier surface
-            shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
-        (out / "logs").mkdir()
-        card = {
-            "replan": replan_version(),
-            "log": scenario.name,
-            "planner": run.planners[0],
-            "axes": [asdict(axis) for axis in question.axes],
-            "fixed": dict(question.fixed),
-            "agents": list(question.agents),
-            "resolution": question.resolution,
-        }
+    stamp = stamp_of(run)
+    card = {
+        "replan": replan_version(),
+        "log": scenario.name,
+        "planner": run.planners[0],
+        "axes": [asdict(axis) for axis in question.axes],
+        "fixed": dict(question.fixed),
+        "agents": list(question.agents),
+        "resolution": question.resolution,
+    }
+    with claimed_folder(out, CONTENTS, resume=resume) as out:
+        Study(out, {"study": CONTENTS.command, **card, "code": stamp.code[:12], "run": dump_run(run)}, resume=resume)
+        (out / "logs").mkdir(exist_ok=True)
         write_json(out / CARD, card)
-        rounds = _Rounds(scenario, question, run, out, workers, say)
+        rounds = _Rounds(scenario, question, run, out, workers, resume, say)
         rounds.evaluate(list(question.cells), "grid")
         edges: tuple[Bracket, ...] = ()
         if not VARIATIONS[question.axes[0].name].is_choice:
@@ -223,6 +225,7 @@ class _Rounds:
     run: RunConfig
     out: Path
     workers: int
+    resume: bool
     say: Callable[[str], None]
 
     def __post_init__(self) -> None:
@@ -247,7 +250,8 @@ class _Rounds:
             except LogError as error:
                 made[cell] = str(error)
         logs = [path for path in made.values() if isinstance(path, Path)]
-        found = evaluate_logs(logs, self.run, self.out / part, workers=self.workers) if logs else None
+        begun = self.resume and (self.out / part / "run.toml").is_file()
+        found = evaluate_logs(logs, self.run, self.out / part, workers=self.workers, resume=begun) if logs else None
         names = {} if found is None else dict(zip(found.logs["source"], found.logs["log"], strict=True))
         for cell, made_as in made.items():
             if isinstance(made_as, str):
@@ -261,7 +265,9 @@ class _Rounds:
 
 
 def _file_name(values: Mapping[str, float]) -> str:
-    return f"{safe_name(','.join(f'{name}={value:.10g}' for name, value in values.items()))}.mcap"
+    """A name that no other values have, also where it is shortened."""
+    words = ",".join(f"{name}={value:.10g}" for name, value in values.items())
+    return f"{safe_name(words, sha256(words.encode()).hexdigest() if len(words) > LONGEST_SAFE else '')}.mcap"
 
 
 def _error_row(why: str) -> dict[str, Any]:

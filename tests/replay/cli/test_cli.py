@@ -98,7 +98,7 @@ def test_exit_3_beats_1_and_the_good_log_is_evaluated(folder: Path, tmp_path: Pa
         (["{free}", "--set", "plan_period_s=1"], "did you mean 'loop.plan_period_s'?"),
         (["{free}", "--set", "loop.plan_period_s=ab"], "loop.plan_period_s: expected float, got str"),
         (["{free}", "--set", "loop"], "write it as KEY=VALUE"),
-        (["{free}", "--out", "{empty}/../foreign"], "not a replan result"),
+        (["{free}", "--out", "{empty}/../foreign"], "not results of `replan evaluate`"),
     ],
 )
 def test_exit_2_is_one_line(folder: Path, tmp_path: Path, words: list[str], said: str) -> None:

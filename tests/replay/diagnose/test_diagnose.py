@@ -17,7 +17,7 @@ from command_line import one_error, replan
 from short_logs import free_and_blocked
 
 from logs.mcap import write_scenario
-from replay.search.study import FILE
+from replay.run.claim import STUDY as FILE
 
 SAME = ("diagnosis.json", "diagnosis.md", "diagnosis.csv", "changes.csv", FILE)
 COLLISION = 'metric = "collision_at_fault.count"\nmode = "closed"\nmax = 0'

@@ -133,13 +133,13 @@ def test_the_tables_of_a_run_are_views_too(tmp_path: Path) -> None:
         "-o",
         tmp_path / "cuts",
     )
-    assert cut.exit_code == 0 and len(list((tmp_path / "cuts").iterdir())) == 1
+    assert cut.exit_code == 0 and len(list((tmp_path / "cuts").glob("*.mcap"))) == 1
 
 
 def test_a_cut_is_the_log_at_that_moment_with_its_origin(logs: Path, mined: Path, tmp_path: Path) -> None:
     words = ("--where", "kind = 'cut_in'", "--before", 2, "--after", 3, "-o", tmp_path / "cuts")
     assert replan("cut", mined, *words).exit_code == 0
-    (file,) = (tmp_path / "cuts").iterdir()
+    (file,) = (tmp_path / "cuts").glob("*.mcap")
     part, whole = read_log(file), read_log(logs / "everyday_cut_in.mcap")
     event = pd.read_parquet(mined / EVENTS).query("kind == 'cut_in'").iloc[0]
     begin = event["t_from_s"] - 2.0
@@ -149,7 +149,8 @@ def test_a_cut_is_the_log_at_that_moment_with_its_origin(logs: Path, mined: Path
     assert np.interp(at, part.ego.t, part.ego.x) == pytest.approx(
         np.interp(at + begin, whole.ego.t, whole.ego.x), abs=0.05
     )
-    assert "exists already" in one_error(replan("cut", mined, *words))
+    (tmp_path / "cuts" / "notes.txt").touch()
+    assert "contains notes.txt" in one_error(replan("cut", mined, *words))
     nothing = replan("cut", mined, "--where", "kind = 'nix'", "-o", tmp_path / "none")
     assert "nothing to cut" in one_error(nothing) and not (tmp_path / "none").exists()
 
@@ -163,7 +164,9 @@ def test_a_suite_can_be_evaluated_and_a_foreign_file_is_refused(mined: Path, tmp
     assert {log["log"] for log in summary["logs"]} == {"everyday/cut_in", "everyday/crosswalk"}
     file.write_text("logs = 3\n", encoding="utf-8")
     assert "a suite has one key, logs" in one_error(replan("evaluate", "--suite", file, "--out", tmp_path / "no"))
-    assert "holds no mined logs" in one_error(replan("suite", tmp_path / "run", "-o", file))
+    assert "this command did not write it" in one_error(replan("suite", mined, "-o", file))
+    assert file.read_text(encoding="utf-8") == "logs = 3\n"
+    assert "holds no mined logs" in one_error(replan("suite", tmp_path / "run", "-o", tmp_path / "new.toml"))
 
 
 def test_coverage_names_what_the_other_set_has(mined: Path, logs: Path, tmp_path: Path) -> None:

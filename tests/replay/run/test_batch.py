@@ -23,8 +23,9 @@ from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings
 from metrics.judge.gates import Outcome
 from replay.config import PlannerProcessConfig, RunConfig, load_run
-from replay.results.tables import clear_folder, next_free, safe_name
+from replay.results.tables import next_free, safe_name
 from replay.run import evaluate_logs
+from replay.run.claim import RUN
 from replay.run.judging import exit_code_of
 from replay.run.one_log import Failure
 from replay.run.pool import WorkerLost, run_all
@@ -286,7 +287,7 @@ def test_a_folder_of_somebody_else_is_never_written_to(logs: Path, tmp_path: Pat
     config.parent.mkdir()
     config.write_text('mode = "open"', encoding="utf-8")
     with pytest.raises(ConfigError, match=r"run\.toml"):
-        clear_folder(config.parent)
+        RUN.check(config.parent)
 
 
 def test_results_of_an_earlier_run_are_replaced(logs: Path, tmp_path: Path) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import resource
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from full_disk import room
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from short_logs import QUICK, identical, run
@@ -29,19 +28,6 @@ from replay.results.tables import write_metrics, write_text
 from replay.run import evaluate_logs
 
 LONG_LINE = "the disk is full " * 40
-
-
-@contextmanager
-def room(size: int) -> Iterator[None]:
-    """No file may grow beyond so many bytes: writing more fails at that byte, as on a full disk."""
-    before, bytecode = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
-    sys.dont_write_bytecode = True  # a module that is imported now would leave half of its .pyc behind
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        sys.dont_write_bytecode = bytecode
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 from logs import Goal, Scenario
 from logs.mcap import read_scenario, write_scenario
 from metrics.judge.gates import Gate
+from replay.run.claim import STUDY as FILE
 from replay.search.falsify import BOTH, ERROR, FAIL, PASS, Case, robustness
-from replay.search.study import FILE
 
 pytest.importorskip("cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'")
 SAME = ("falsify.json", "study.jsonl", "trials.parquet", "trials.csv", "falsify.png", "case.mcap")

@@ -18,9 +18,9 @@ from handmade import drive, lanes_along, scenario, square, straight
 from logs import Goal
 from logs.mcap import write_scenario
 from replay.config import RunConfig, load_run
+from replay.run.claim import STUDY as FILE
 from replay.search.gains import Objective, RunScores
 from replay.search.space import Setting
-from replay.search.study import FILE
 from replay.search.trials import Plan, Trials, Values
 
 pytest.importorskip("optuna", reason="the extra improve is not installed: pip install 'replan[improve]'")

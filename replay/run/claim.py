@@ -1,0 +1,157 @@
+"""What a command may write: a folder or a file of its own, claimed before any work. All commands that write use this.
+
+A folder is claimed if it is new, empty, or has only what the same command writes (`Contents`); a file, if it is new or
+has the command's own header, and does not lie in a result folder. Both are locked while the command runs, so that of
+two commands at once the second is refused. A URL is refused, except by `replan evaluate` and `replan merge`.
+
+If the disk is full or the command is interrupted, the error says how to go on: of folders in folders (a tuning drives
+runs), the outermost one counts, since it is the one that the user named.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from logs.errors import ConfigError, OutputError, writing
+from logs.files import check_named, on_this_machine
+from replay.results.tables import LOCK, ORIGIN, PARTIAL, next_free
+from replay.results.tables import is_ours as is_of_a_run
+from replay.run.output import held, locked
+
+STUDY = "study.jsonl"
+"""The file of a study (`replay.run.study`): its first line names the command that wrote the folder."""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a command writes into a folder of its own.
+
+    Attributes:
+        command: The name of the command.
+        names: Patterns of the names of its files and folders, beside `STUDY`.
+        is_ours: Instead of names: whether an entry of the folder is of the command.
+        resumes: Whether the command has the option --resume.
+    """
+
+    command: str
+    names: tuple[str, ...] = ()
+    is_ours: Callable[[Path], bool] | None = None
+    resumes: bool = True
+
+    def check(self, out: Path) -> None:
+        """Raise ConfigError if a folder has anything that the command did not write."""
+        entries = [entry for entry in sorted(out.iterdir()) if entry.name != LOCK]
+        if not entries:
+            return
+        other = f"not results of `replan {self.command}`; give --out a new or empty folder"
+        if self.is_ours is None and self.resumes and study_of(out) != self.command:
+            raise ConfigError(f"{out}: contains {entries[0].name}, {other}")
+        foreign = [entry.name for entry in entries if not (self.is_ours or self._is_named)(entry)]
+        if foreign:
+            raise ConfigError(f"{out}: contains {foreign[0]}, {other}")
+
+    def _is_named(self, entry: Path) -> bool:
+        partial = entry.name.startswith(PARTIAL) or (entry.name[0], entry.suffix) == (".", ".part")
+        return partial or any(entry.match(pattern) for pattern in (STUDY, *self.names))
+
+
+RUN = Contents("evaluate", is_ours=is_of_a_run)
+MERGED = Contents("merge", is_ours=is_of_a_run, resumes=False)
+
+
+def study_of(out: Path) -> str:
+    """The command of the study in a folder; "" if there is none."""
+    try:
+        with (out / STUDY).open(encoding="utf-8") as stream:
+            return str(json.loads(stream.readline(1 << 24))["study"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return ""
+
+
+@contextmanager
+def claimed_folder(out: Path | str | None, contents: Contents, *, resume: bool = False) -> Iterator[Path]:
+    """The locked folder of a command; None: the next free one.
+
+    Raises:
+        ConfigError: It must not be written, another command writes it, or `resume` without a folder.
+        OutputError: The disk is full; with the way to go on.
+        KeyboardInterrupt: Likewise.
+    """
+    if resume and out is None:
+        raise ConfigError("name the folder that is to be resumed with --out")
+    folder = next_free() if out is None else on_this_machine(out)
+    how = f"give the same command with --out {folder}{' --resume' if contents.resumes else ''}"
+    kept = "what is finished is kept" if contents.resumes else "nothing is kept"
+    try:
+        with held(folder):
+            contents.check(folder)
+            yield folder
+    except OutputError as error:
+        raise OutputError(error.what, f"{kept}: make room, and {how}") from error
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"interrupted: {kept}; to continue, {how}") from None
+    finally:
+        if out is None:
+            with suppress(OSError):  # it has contents, as it should have
+                folder.rmdir()
+
+
+def emptied(out: Path) -> Path:
+    """Empty a claimed folder, and return it."""
+    for entry in out.iterdir():
+        if entry.name != LOCK:
+            shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
+    return out
+
+
+@contextmanager
+def claimed_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool]) -> Iterator[Path]:
+    """The locked file of a command, which the body writes; its folder is created.
+
+    Raises:
+        ConfigError: As `check_file`, or another command writes it.
+        OutputError: It cannot be written.
+    """
+    check_file(path, suffixes, is_ours)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with locked(path.with_name(f".{path.name}{LOCK}"), path):
+        yield path
+
+
+def check_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool]) -> None:
+    """Raise ConfigError unless a command may write a file.
+
+    Args:
+        path: The file.
+        suffixes: Allowed ends of its name.
+        is_ours: Whether an earlier file has the header of the command; it is then replaced. It may raise OSError or
+            ValueError.
+    """
+    path = on_this_machine(path)
+    if path.suffix not in suffixes:
+        raise ConfigError(f"{path}: name a file that ends in {', '.join(suffixes)}")
+    check_named(path)
+    results = result_folder_of(path)
+    if results is not None:
+        raise ConfigError(f"{path}: lies in the results {results}, which have no other files; give --out another place")
+    try:
+        ours = not path.exists() or is_ours(path)
+    except (OSError, ValueError):
+        ours = False
+    if not ours:
+        raise ConfigError(f"{path}: exists, and this command did not write it; name another file")
+
+
+def result_folder_of(path: Path) -> Path | None:
+    """The result folder of any command in which a path lies; None if there is none."""
+    for folder in path.absolute().parents:
+        run = folder / "run.toml"  # people copy it: alone it is no run
+        if study_of(folder) or ((folder / ORIGIN).is_file() and run.is_file() and is_of_a_run(run)):
+            return folder
+    return None

@@ -14,6 +14,7 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -29,6 +30,8 @@ from metrics.judge.gates import Rule, load_gates, load_rules
 from metrics.judge.verdicts import DRIVE
 from replay.explain.first_difference import first_difference, planners_part
 from replay.results.load import RECORDINGS, Results, loaded
+from replay.results.log_result import LogFileCard
+from replay.results.reading import check_table, checked, read_json
 from replay.results.schema import SCHEMA_VERSION
 from replay.results.tables import LOG_CARD, write_file
 from replay.settings import flat
@@ -44,6 +47,31 @@ NOT_INPUTS = (
 """Keys of a run that change no drive, or whose changes are visible in the set of drives."""
 UNKNOWN = "not known"
 """Stage of the first difference if a trace cannot be read."""
+
+
+NOT_IN_BASELINE = ("schema_version", "source", "about")
+"""Columns of metrics.parquet that a baseline may lack."""
+
+
+class BaselineLog(msgspec.Struct):
+    """A log in the head of a baseline."""
+
+    log: str
+    sha256: str
+    family: str
+    dataset: str
+    tags: list[str]
+    vehicle: str
+
+
+class Head(msgspec.Struct):
+    """The head of a baseline."""
+
+    facts: dict[str, str]
+    logs: list[BaselineLog]
+    failed: dict[str, str]
+    metrics: tuple[str, ...]
+    crashed: tuple[tuple[str, str, str], ...] = ()
 
 
 Run = Results | Side
@@ -62,23 +90,24 @@ def read_run(path: Path | str) -> Run:
     if not near.path.is_file():
         return loaded(near)
     path = near.path
+    again = f"`replan baseline RESULTS -o {path.name}` writes one"
     try:
-        table = pq.read_table(path)
-        head = json.loads((table.schema.metadata or {})[BASELINE])
+        table = pq.read_table(path, partitioning=None)
+        content = (table.schema.metadata or {})[BASELINE]
+        raw = msgspec.json.decode(content)
     except KeyError:
-        raise ConfigError(f"{path}: is not a baseline; `replan baseline RESULTS -o {path.name}` writes one") from None
+        raise ConfigError(f"{path}: is not a baseline; {again}") from None
     except (OSError, pa.ArrowException, ValueError, RecursionError) as error:
         raise LogError(f"cannot be read as a baseline: {error}", file=path) from None
-    try:
-        if head["schema_version"] != SCHEMA_VERSION:
-            raise ConfigError(f"{path}: of version {head['schema_version']}, this replan reads {SCHEMA_VERSION}")
-        rows = table.replace_schema_metadata(None).to_pandas()
-        rows = rows.assign(source="", about=rows.get("about"))[list(COLUMNS)]
-        logs = pd.DataFrame(head["logs"], columns=["log", "sha256", "family", "dataset", "tags", "vehicle"])
-        crashed = tuple(tuple(drive) for drive in head.get("crashed", ()))
-        return Side(path.name, rows, logs, head["facts"], head["failed"], crashed, tuple(head["metrics"]))
-    except (KeyError, TypeError) as error:
-        raise LogError(f"cannot be read as a baseline: {error} is missing", file=path) from None
+    head = checked(path, raw, Head, again)[1]
+    table = table.replace_schema_metadata(None)
+    check_table(table, path, "metrics.parquet", NOT_IN_BASELINE, again)
+    rows = table.to_pandas()
+    rows = rows.assign(source="", about=rows.get("about"))[list(COLUMNS)]
+    logs = pd.DataFrame(msgspec.to_builtins(head.logs), columns=list(BaselineLog.__struct_fields__))
+    if logs["log"].duplicated().any() or not {*rows["log"]} <= {*logs["log"]}:
+        raise LogError("its head has not one row for each log", file=path, remedy=again)
+    return Side(path.name, rows, logs, head.facts, head.failed, head.crashed, head.metrics)
 
 
 def side_of(run: Run) -> Side:
@@ -87,9 +116,7 @@ def side_of(run: Run) -> Side:
         return run
     try:
         table = run.logs
-        text = table[["log", "sha256", "family", "dataset"]].astype(object)
-        logs = text.where(text.notna(), "")  # columns that older versions do not write are empty
-        logs["tags"] = [list(tags) if isinstance(tags, list) else [] for tags in table["tags"]]
+        logs = table[["log", "sha256", "family", "dataset", "tags"]].copy()
         vehicles = []  # for each log, the hash of the vehicle in a trace of its drives; "" without a trace
         for log in run.summary["logs"]:
             named = (run.path / file for drive in log.get("drives", ()) for file in drive["files"])
@@ -104,7 +131,7 @@ def side_of(run: Run) -> Side:
         facts = {"replan": str(run.summary.get("replan", "")), "Python": str(run.summary.get("python", ""))}
         cards = (run.path / str(folder) / LOG_CARD for folder in table["folder"] if folder)
         if (card := next((card for card in cards if card.is_file()), None)) is not None:
-            facts["code (SHA-256)"] = str(json.loads(card.read_text(encoding="utf-8")).get("code", ""))[:12]
+            facts["code (SHA-256)"] = read_json(card, LogFileCard)[1].code[:12]
         settings = read_toml(run.path / "run.toml")
         inputs = {key: value for key, value in settings.items() if key not in NOT_INPUTS}
         facts |= {key: str(value) for key, value in flat(inputs)}

@@ -7,7 +7,6 @@ OUT/diagnosis.csv         a row per failing drive; OUT/changes.csv one per drive
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -16,6 +15,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pandas as pd
 
 from logs.errors import ConfigError
@@ -24,6 +24,7 @@ from replay.diagnose.changes import UNAVOIDABLE, Cause, ChangedRun
 from replay.diagnose.failure import Failure
 from replay.diagnose.remedy import Remedy
 from replay.results.load import Results
+from replay.results.reading import read_json
 from replay.results.tables import write_file, write_json, write_text
 from replay.results.version import replan_version
 
@@ -204,6 +205,23 @@ class Diagnosis:
                     yield f"  - {run.change.words}: `replan {shlex.join(words)}`"
 
 
+class Cluster(msgspec.Struct):
+    """A cluster in diagnosis.json, as far as reports need it."""
+
+    cause: str
+    why: str
+    happens: str
+    drives: list[str]
+
+
+class Card(msgspec.Struct):
+    """The contents of diagnosis.json, as far as reports need them."""
+
+    planner: str
+    clusters: list[Cluster]
+    said: list[str]
+
+
 def read_diagnosis(folder: Path, results: Results) -> dict[str, Any]:
     """The contents of diagnosis.json in a folder, for `replay.draw.report`.
 
@@ -211,12 +229,10 @@ def read_diagnosis(folder: Path, results: Results) -> dict[str, Any]:
         ConfigError: The file is missing or unreadable, or it is of another run.
     """
     file = folder / "diagnosis.json"
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-        found = {name: found[name] for name in ("planner", "clusters", "said")}
-        logs = {log for cluster in found["clusters"] for log in cluster["drives"]}
-    except (OSError, ValueError, KeyError, TypeError):
-        raise ConfigError(f"{file}: is not a diagnosis; `replan diagnose RUN -o {folder}` writes one") from None
+    if not file.exists():
+        raise ConfigError(f"{file}: is not a diagnosis; `replan diagnose RUN -o {folder}` writes one")
+    found, card = read_json(file, Card, f"`replan diagnose RUN -o {folder}` writes one")
+    logs = {log for cluster in card.clusters for log in cluster.drives}
     if found["planner"] not in results.run.planners or not logs <= set(results.logs["log"]):
         raise ConfigError(f"{file}: is a diagnosis of another run than {results.path}")
     return found

@@ -16,6 +16,7 @@ from math import isfinite, isinf
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pandas as pd
 
@@ -32,6 +33,7 @@ from replay.loop.reference_drives import discriminate
 from replay.mine.driven_log import DrivenLog, Event, EventKind
 from replay.mine.ego_and_road import crosses_others, in_roundabout, stays
 from replay.mine.kinds import EVENT_KIND, KINDS, PLAN_KINDS, plan_events
+from replay.results.reading import read_json, read_table
 from replay.results.schema import names_of, typed
 from replay.results.tables import write_json, write_parquet, write_text
 from replay.results.version import replan_version
@@ -329,12 +331,20 @@ def read_mined(folder: Path) -> Mined:
     """
     if not (folder / CARD).is_file():
         raise ConfigError(f"{folder}: holds no mined logs (no {CARD} in it): replan mine LOGS -o {folder}")
-    try:
-        events, logs, findings = (pd.read_parquet(folder / name) for name in (EVENTS, LOGS, HEALTH))
-    except (OSError, ValueError) as error:
-        raise LogError(f"cannot be read: {error}", file=folder) from None
-    missing = sorted(set(names_of(LOGS)) - set(logs))
-    if missing:
-        what = f"{LOGS} has no column {', '.join(missing)}: another version of replan mined it"
-        raise LogError(what, file=folder, remedy=f"mine again: replan mine LOGS -o {folder}")
+    again = f"mine again: replan mine LOGS -o {folder}"
+    read_json(folder / CARD, Card, again)
+    events, logs, findings = (read_table(folder / name, again=again).to_pandas() for name in (EVENTS, LOGS, HEALTH))
+    if logs["log"].duplicated().any() or not {*events["log"], *findings["log"]} <= {*logs["log"]}:
+        raise LogError("has not one row for each log of the other tables", file=folder / LOGS, remedy=again)
     return Mined(events, logs, findings, tuple(line for line in logs["error"] if line))
+
+
+class Card(msgspec.Struct):
+    """The contents of mined.json."""
+
+    replan: str
+    kinds: list[str]
+    planners: list[str]
+    logs: int
+    events: dict[str, int]
+    failures: list[str]

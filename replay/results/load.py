@@ -10,30 +10,29 @@ describes each column. `SCHEMA_VERSION` increases when a column changes its mean
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal
 
+import msgspec
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from logs.errors import ConfigError, LogError, unknown_name
-from logs.files import Near, check_regular
+from logs.errors import ConfigError, unknown_name
+from logs.files import Near
 from logs.kernel import FloatArray
 from logs.mcap import read_trace
 from logs.scenario import Scenario
 from logs.trace import Decision, Plan, PlannedFrame, Trace
 from metrics.judge.aggregate import LogLabels
+from metrics.judge.gates import Outcome
 from replay.config import RunConfig, load_run
-from replay.results.schema import SCHEMA_VERSION
-from replay.results.tables import read_timings
+from replay.results.log_result import Failure, LogCard
+from replay.results.reading import AGAIN, read_json, read_table
 
 LOG_COLUMNS = ("log", "source", "sha256", "folder", "family", "dataset", "tags", "notes")
 DRIVE_COLUMNS = ("log", "planner", "mode", "oracle", "end", "detail", "t_end_s", "notes", "files")
@@ -41,10 +40,35 @@ GATE_COLUMNS = ("gate", "planner", "mode", "group", "outcome", "value", "log", "
 FAILURE_COLUMNS = ("log", "planner", "mode", "message", "exit_code")
 DECISION_COLUMNS = ("log", "planner", "mode", "t_s", "agent", "decision", "stage", "reason")
 RECORDINGS = (".rrd",)
-SUMMARY_KEYS = frozenset({"exit_code", "logs", "gates", "failures"})
-"""Keys that every summary.json of replan has."""
+MODES = {"open", "closed"}
+TIMING_WORDS = ("log", "planner", "mode", "stage")
 
-Table = TypeVar("Table")
+
+class GateCard(msgspec.Struct):
+    """A verdict in summary.json."""
+
+    rule: str
+    outcome: Outcome
+    reason: str
+    planner: str
+    mode: str
+    value: float | None
+    log: str
+    time_s: float | None
+    group: str = ""
+
+
+class Summary(msgspec.Struct):
+    """The contents of summary.json."""
+
+    exit_code: Literal[0, 1, 2, 3, 4]
+    outcome: str
+    logs: tuple[LogCard, ...]
+    gates: tuple[GateCard, ...]
+    failures: tuple[Failure, ...]
+    logs_left_out: tuple[str, ...] = ()
+    replan: str = ""
+    python: str = ""
 
 
 def load(path: Path | str) -> Results:
@@ -63,33 +87,24 @@ def load(path: Path | str) -> Results:
 def loaded(near: Near) -> Results:
     """`load` of a folder that is here, or has been fetched."""
     folder = near.path
-    check_regular(folder / "summary.json")
-    try:
-        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        hint = "it was interrupted: `--resume` finishes it" if (folder / "run.toml").is_file() else "see --out"
-        raise ConfigError(f"{near.place}: no results of a finished run (no summary.json in it; {hint})") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{near.place}/summary.json: cannot be read: {error}") from None
-    if not isinstance(summary, dict):
-        raise ConfigError(f"{near.place}/summary.json: contains no summary of a run")
-    if summary.get("schema_version") != SCHEMA_VERSION:
-        was = summary.get("schema_version")
-        raise ConfigError(
-            f"{near.place}: its tables are of version {was}, this replan reads {SCHEMA_VERSION}; evaluate again"
-        )
-    missing = SUMMARY_KEYS - summary.keys()
-    if missing:
-        raise ConfigError(f"{near.place}/summary.json: is incomplete: no {', '.join(sorted(missing))}; evaluate again")
-    return Results(folder, summary, near)
-
-
-def _table(file: Path, read: Callable[[Path], Table]) -> Table:
-    """The contents of a table's file; LogError if it is missing or damaged."""
-    try:
-        return read(file)
-    except (OSError, pa.ArrowException) as error:
-        raise LogError(f"cannot be read: {error}", file=file) from None
+    file = folder / "summary.json"
+    if not file.exists():
+        hint = "see --out"
+        if (folder / "mined.json").is_file():
+            hint = "it has mined logs: replan query reads them"
+        elif (folder / "run.toml").is_file():
+            hint = "it was interrupted: `--resume` finishes it"
+        raise ConfigError(f"{near.place}: no results of a finished run (no summary.json in it; {hint})")
+    summary, card = read_json(file, Summary)
+    names, drives = [log.log for log in card.logs], [drive for log in card.logs for drive in log.drives]
+    keys = {(log.log, drive.planner, drive.mode) for log in card.logs for drive in log.drives if log.log == drive.log}
+    if len(set(names)) < len(names) or len(keys) < len(drives):
+        raise ConfigError(f"{file}: names a log or a drive twice, or a drive with the name of another log; {AGAIN}")
+    results = Results(folder, {**summary, "logs": msgspec.json.decode(msgspec.json.encode(card.logs))}, near)
+    other = {drive.planner for drive in drives} - {*results.run.planners} | {drive.mode for drive in drives} - MODES
+    if other:
+        raise ConfigError(f"{file}: has drives of {min(other)}, which the run in run.toml has not; {AGAIN}")
+    return results
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +140,7 @@ class Results:
     @cached_property
     def metrics(self) -> pd.DataFrame:
         """A row per log, planner, mode and metric; mode "reference" are the reference drives."""
-        return _table(self.path / "metrics.parquet", pd.read_parquet).drop(columns="schema_version")
+        return self._table("metrics.parquet").drop(columns="schema_version")
 
     @cached_property
     def _metric_rows(self) -> dict[Any, Any]:
@@ -135,12 +150,12 @@ class Results:
     @cached_property
     def verdicts(self) -> pd.DataFrame:
         """A row per gate, log, planner and mode: the outcome of the gate on this log."""
-        return _table(self.path / "verdicts.parquet", pd.read_parquet)
+        return self._table("verdicts.parquet")
 
     @cached_property
     def groups(self) -> pd.DataFrame:
         """A row per group of logs, planner, mode and metric (`metrics.judge.aggregate`); "pass": how many logs pass."""
-        return _table(self.path / "groups.parquet", pd.read_parquet)
+        return self._table("groups.parquet")
 
     @cached_property
     def gates(self) -> pd.DataFrame:
@@ -179,12 +194,12 @@ class Results:
     @cached_property
     def timings(self) -> pd.DataFrame:
         """The duration of each stage of each plan, s."""
-        return _table(self.path / "timings.parquet", read_timings)
+        return self._table("timings.parquet", words=TIMING_WORDS)
 
     @cached_property
     def health(self) -> pd.DataFrame:
         """The findings about the health of the logs."""
-        return _table(self.path / "health.parquet", pd.read_parquet)
+        return self._table("health.parquet")
 
     @cached_property
     def frames(self) -> pd.DataFrame:
@@ -230,9 +245,15 @@ class Results:
         what = "name a planner of" if len(found) else f"no {mode} loop of {planner or 'any planner'}; there are"
         raise ConfigError(f"{self.path}: {log}: {what} {there}")
 
+    def _table(self, name: str, words: Sequence[str] = ()) -> pd.DataFrame:
+        """A table, checked; LogError if it is missing or damaged."""
+        table: pd.DataFrame = read_table(self.path / name, words=words).to_pandas()
+        return table
+
     def _steps(self, log: str, folder: str) -> pd.DataFrame:
-        file = self.path / folder / "frames.parquet"
-        table = _table(file, pd.read_parquet) if file.is_file() else pd.DataFrame(columns=["planner", "mode", "t_s"])
+        name = f"{folder}/frames.parquet"
+        is_there = (self.path / name).is_file()
+        table = self._table(name) if is_there else pd.DataFrame(columns=["planner", "mode", "t_s"])
         table.insert(0, "log", log)
         return table
 
@@ -281,7 +302,7 @@ class DriveResult:
         if not file.is_file():
             return np.empty(0), np.empty(0), {}
         words = ["planner", "mode", "metric"]
-        table = _table(file, lambda path: pq.read_table(path, read_dictionary=words)).combine_chunks()
+        table = read_table(file, words=words).combine_chunks()
         planner, mode, metric = (table[name].chunk(0) for name in words)
         codes = [column.dictionary.to_pylist() for column in (planner, mode, metric)]
         mine = np.full(len(table), self.planner in codes[0] and self.mode in codes[1])

@@ -11,7 +11,6 @@ a gigabyte. So they are stored in a file (`StepsFile`) until all are complete, a
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -20,19 +19,23 @@ from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import Any
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from logs.errors import writing
+from logs.errors import ReplanError, writing
 from logs.kernel import FloatArray
 from metrics import Series
+from replay.results.reading import FileName, Name, Place, read_json, read_table
 from replay.results.schema import SCHEMA_VERSION, arrow
 from replay.results.tables import LOG_CARD, write_file, write_json, write_parquet
 
 METRICS, MEMBERS, HEALTH, TIMINGS = "metrics.parquet", "ensemble.parquet", "health.parquet", "timings.parquet"
 FRAMES = "frames.parquet"
+NOT_OF_A_LOG = ("schema_version",)
+"""Columns that the tables in a log's folder lack."""
 SPOOL_BYTES = 16 * 2**20
 """The largest number of bytes of steps in memory; more are stored in the file."""
 GROUP_ROWS = 1 << 18
@@ -77,7 +80,30 @@ class DriveRecord:
     detail: str
     t_end_s: float
     notes: tuple[str, ...]
-    files: tuple[str, ...]
+    files: tuple[FileName, ...]
+
+
+class LogCard(msgspec.Struct, kw_only=True):
+    """A log in summary.json, as `LogResult.record`."""
+
+    log: str
+    source: Place
+    sha256: str
+    folder: Name = ""
+    family: str = ""
+    dataset: str = ""
+    tags: tuple[str, ...]
+    notes: tuple[str, ...]
+    drives: tuple[DriveRecord, ...]
+
+
+class LogFileCard(LogCard, kw_only=True):
+    """The contents of log.json."""
+
+    failures: tuple[Failure, ...]
+    input: str
+    replan: str
+    code: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,32 +207,18 @@ def write_result(folder: Path, result: LogResult, tables: LogTables, identity: s
 def load_result(folder: Path) -> tuple[LogResult, str, Stamp] | None:
     """Read the result in a log's folder, its input and its stamp; None if the folder is not complete."""
     try:
-        card: dict[str, Any] = json.loads((folder / LOG_CARD).read_text(encoding="utf-8"))
-        if card["schema_version"] != SCHEMA_VERSION:
-            return None
-        result = LogResult(
-            card["source"],
-            card["log"],
-            card["sha256"],
-            folder.name,
-            card["family"],
-            card["dataset"],
-            tuple(card["tags"]),
-            tuple(card["notes"]),
-            tuple(
-                DriveRecord(**{**drive, "notes": tuple(drive["notes"]), "files": tuple(drive["files"])})
-                for drive in card["drives"]
-            ),
-            tuple(Failure(**failure) for failure in card["failures"]),
-        )
-        files = [folder.parent / file for drive in result.drives for file in drive.files]
-        whole = all(file.is_file() for file in (*files, folder / TIMINGS))
-        stamp = Stamp(card["replan"], card["code"])
+        _, card = read_json(folder / LOG_CARD, LogFileCard)
         for name in (METRICS, HEALTH, *([MEMBERS] if (folder / MEMBERS).exists() else [])):
-            pq.read_table(folder / name)
-        return (result, card["input"], stamp) if whole else None
-    except (OSError, ValueError, KeyError, TypeError):
+            read_table(folder / name, NOT_OF_A_LOG)
+    except ReplanError:
         return None
+    result = LogResult(
+        card.source, card.log, card.sha256, folder.name, card.family, card.dataset, card.tags, card.notes,
+        card.drives, card.failures,
+    )  # fmt: skip
+    files = [folder.parent / file for drive in result.drives for file in drive.files]
+    whole = all(file.is_file() for file in (*files, folder / TIMINGS))
+    return (result, card.input, Stamp(card.replan, card.code)) if whole else None
 
 
 def table_of(out: Path, results: Iterable[LogResult], name: str) -> pd.DataFrame:
@@ -214,7 +226,7 @@ def table_of(out: Path, results: Iterable[LogResult], name: str) -> pd.DataFrame
     tables: list[pa.Table] = []
     for result in results:
         file = out / result.folder / name
-        if result.folder and file.exists() and len(table := pq.read_table(file)):
+        if result.folder and file.exists() and len(table := read_table(file, NOT_OF_A_LOG)):
             place = table.schema.get_field_index("log")
             field = table.schema.field(place)
             tables.append(table.set_column(place, field, pa.repeat(pa.scalar(result.name, field.type), len(table))))
@@ -223,7 +235,8 @@ def table_of(out: Path, results: Iterable[LogResult], name: str) -> pd.DataFrame
 
 def timings_of(out: Path, result: LogResult) -> pd.DataFrame:
     """The timings of a log, from its folder in `out`, under the name that it has in the run."""
-    return pd.read_parquet(out / result.folder / TIMINGS).assign(log=result.name)
+    table: pd.DataFrame = read_table(out / result.folder / TIMINGS).to_pandas()
+    return table.assign(log=result.name)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ SCHEMA_VERSION = 1
 """Version of the tables and JSON files; it increases when a column changes its meaning or is removed."""
 
 _TYPES = {"text": pa.large_string(), "number": pa.float64(), "count": pa.int64(), "yes/no": pa.bool_()}
+_TEXTS = (pa.string(), pa.large_string())
 _TYPES["list"] = pa.list_(pa.large_string())
 
 
@@ -307,6 +308,15 @@ def arrow(file: str, table: pd.DataFrame) -> pa.Table:
     kinds = {column.name: _TYPES[column.kind] for column in TABLES[file].columns}
     fields = pa.schema([(name, kinds[name]) for name in table.columns])
     return pa.Table.from_pandas(table, fields, preserve_index=False)
+
+
+def is_of_kind(type_: pa.DataType, kind: str) -> bool:
+    """Whether a column of a Parquet file has the type of a kind of column; texts may be stored as words."""
+    if kind == "list":
+        return pa.types.is_list(type_) and type_.value_type in _TEXTS
+    if kind == "text":
+        return (type_.value_type if pa.types.is_dictionary(type_) else type_) in _TEXTS
+    return bool(type_ == _TYPES[kind])
 
 
 def typed(file: str, table: pd.DataFrame) -> pd.DataFrame:

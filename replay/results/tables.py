@@ -144,12 +144,6 @@ def write_timings(path: Path, tables: Iterable[pd.DataFrame]) -> None:
     write_file(path, write)
 
 
-def read_timings(path: Path) -> pd.DataFrame:
-    """The timings of a run; text columns become categoricals."""
-    words = [name for name in TIMING_COLUMNS if name not in ("t_s", "seconds")]
-    return pq.read_table(path, read_dictionary=words).to_pandas()
-
-
 def joined(tables: Iterable[pd.DataFrame], keys: Sequence[str], columns: Sequence[str] = ()) -> pd.DataFrame:
     """The rows of all tables, sorted by `keys` (stable); `columns` are those of an empty result."""
     parts = [table for table in tables if len(table)]

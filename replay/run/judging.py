@@ -20,13 +20,13 @@ from metrics.judge.discrimination import with_discrimination
 from metrics.judge.gates import Gates, Outcome, load_gates
 from metrics.judge.verdicts import LATE, judge_deadline, with_asked, with_ensemble
 from replay.config import RunConfig
-from replay.results.load import Results, load
+from replay.results.load import TIMING_WORDS, Results, load
 from replay.results.log_result import HEALTH, MEMBERS, METRICS, TIMINGS, Failure, LogResult, table_of, timings_of
+from replay.results.reading import read_table
 from replay.results.tables import (
     KEYS,
     OUTCOMES,
     joined,
-    read_timings,
     write_json,
     write_metrics,
     write_parquet,
@@ -92,7 +92,9 @@ def judge_and_write(
         crashed = {(one.log, one.planner, one.mode): one.message for one in errors if one.planner and one.mode}
         verdicts = tuple(judge(gates, table, read, failed=unread, crashed=crashed))
         if run.deadline_s > 0.0:
-            verdicts += tuple(judge_deadline(read_timings(out / TIMINGS), run.deadline_s, read))
+            verdicts += tuple(
+                judge_deadline(read_table(out / TIMINGS, words=TIMING_WORDS).to_pandas(), run.deadline_s, read)
+            )
     errors = [*failures, *errors]
     write_metrics(out, table)
     found = table_of(out, results, HEALTH)

@@ -34,6 +34,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from logs.errors import ConfigError, ReplanError, writing
 from logs.files import content, fetch, listed, local_path, on_this_machine, put, put_new, remove, url_of
 from logs.forward import drivable_part
@@ -41,6 +43,7 @@ from logs.mcap import read_scenario
 from logs.readers import LogSettings
 from logs.scenario import Scenario
 from replay.results.log_result import LogResult
+from replay.results.reading import Place, read_json
 from replay.results.tables import FILES, LOCK, LOG_CARD, ORIGIN, PARTIAL, write_json
 from replay.run.sources import LogSource, log_hash, select
 
@@ -271,6 +274,13 @@ def _open_url(url: str, folder: Path, *, resume: bool) -> OutputLocation:
     return OutputLocation(folder, url, there, [file.url for file in order if file not in kept])
 
 
+class Origin(msgspec.Struct):
+    """The contents of origin.json."""
+
+    directory: Place
+    from_results: Place
+
+
 def write_origin(out: Path, begun: Path | None = None) -> None:
     """Record in the results where the run was started (None: the working directory); OutputError if that fails."""
     here = begun or Path.cwd()
@@ -334,9 +344,8 @@ def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenar
 
 def _directories(out: Path) -> list[Path]:
     """The directories to which the paths of a run may be relative, in the order in which they are tried."""
-    try:
-        card = json.loads((out / ORIGIN).read_text(encoding="utf-8"))
-        seen, called = str(card["from_results"]), Path(card["directory"])
-    except (OSError, ValueError, KeyError, TypeError):  # results of an older replan
+    if not (out / ORIGIN).is_file():  # results of an older replan
         return [Path.cwd()]
-    return [*([out.resolve() / seen] if seen else []), called, Path.cwd()]
+    _, card = read_json(out / ORIGIN, Origin)
+    seen = [out.resolve() / card.from_results] if card.from_results else []
+    return [*seen, Path(card.directory), Path.cwd()]

@@ -13,16 +13,17 @@ on `deadline_s`.
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from logs.errors import ConfigError, writing
 from logs.files import read_toml
@@ -31,7 +32,7 @@ from replay.config import RunConfig, load_run
 from replay.planner_process.planner_config import planner_factory
 from replay.results.load import Results
 from replay.results.log_result import Failure, LogResult, Stamp, load_result
-from replay.results.schema import SCHEMA_VERSION
+from replay.results.reading import Name, Place, read_json
 from replay.results.tables import PARTIAL, SHARD_CARD, finish_folder, write_json, write_text
 from replay.run.claim import MERGED, claimed_folder, emptied
 from replay.run.judging import gates_of, judge_and_write
@@ -178,7 +179,7 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
 @contextmanager
 def gates_in(shard: Path) -> Iterator[Path | None]:
     """The gates of a shard as a temporary file; None: the packaged ones. ConfigError if the shard is not complete."""
-    text = _card(shard)["gates"]
+    text = _card(shard).gates
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "gates.toml"
         path.write_text(text or "", encoding="utf-8")
@@ -223,44 +224,56 @@ def _read_parts(folders: Sequence[Path]) -> tuple[Part, ...]:
     return tuple(found)
 
 
-def _card(folder: Path) -> Mapping[str, Any]:
+class ShardLog(msgspec.Struct):
+    """A log in `ShardCard`; without a folder it has a name and failures."""
+
+    source: Place
+    folder: Name
+    log: str = ""
+    failures: tuple[Failure, ...] = ()
+
+
+class ShardCard(msgspec.Struct):
+    """The contents of shard.json."""
+
+    number: int
+    of: int
+    inputs: tuple[str, ...]
+    logs_left_out: tuple[str, ...]
+    gates: str | None
+    replan: str
+    code: str
+    failures: tuple[Failure, ...]
+    logs: tuple[ShardLog, ...]
+
+
+def _card(folder: Path) -> ShardCard:
     """The contents of `shard.json`; ConfigError if it is missing or of another version."""
-    try:
-        card: Mapping[str, Any] = json.loads((folder / SHARD_CARD).read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not (folder / SHARD_CARD).exists():
         hint = "it was evaluated without --shard, or interrupted: `--resume` finishes it"
-        raise ConfigError(f"{folder}: is no whole shard: no {SHARD_CARD} in it; {hint}") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{folder / SHARD_CARD}: cannot be read: {error}") from None
-    if card.get("schema_version") != SCHEMA_VERSION:
-        was = card.get("schema_version")
-        raise ConfigError(f"{folder}: its tables are of version {was}, this replan reads {SCHEMA_VERSION}")
-    return card
+        raise ConfigError(f"{folder}: is no whole shard: no {SHARD_CARD} in it; {hint}")
+    return read_json(folder / SHARD_CARD, ShardCard)[1]
 
 
 def _read_part(folder: Path) -> Part:
     card, results = _card(folder), list[LogResult]()
-    for log in card["logs"]:
-        if not log["folder"]:
-            failures = tuple(Failure(**failure) for failure in log["failures"])
-            results.append(LogResult(log["source"], log["log"], failures=failures))
+    for log in card.logs:
+        if not log.folder:
+            results.append(LogResult(log.source, log.log, failures=log.failures))
             continue
-        content = load_result(folder / log["folder"])
+        content = load_result(folder / log.folder)
         if content is None:
             raise ConfigError(
-                f"{folder}: the folder {log['folder']} in it is not there or not whole; copy the shard again"
+                f"{folder}: the folder {log.folder} in it is not there or not whole; copy the shard again"
             )
-        results.append(replace(content[0], source=log["source"]))
+        results.append(replace(content[0], source=log.source))
+    shard = Shard(card.number, card.of)
+    if len(shard.places(len(card.inputs))) != len(results):
+        raise ConfigError(f"{folder / SHARD_CARD}: has not the logs of shard {shard}; copy the shard again")
     return Part(
-        folder,
-        Shard(card["number"], card["of"]),
-        tuple(card["inputs"]),
-        tuple(card["logs_left_out"]),
-        card["gates"],
-        Stamp(card["replan"], card["code"]),
-        tuple(Failure(**failure) for failure in card["failures"]),
+        folder, shard, card.inputs, card.logs_left_out, card.gates, Stamp(card.replan, card.code), card.failures,
         tuple(results),
-    )
+    )  # fmt: skip
 
 
 def _describe(stamp: Stamp) -> str:

@@ -19,6 +19,7 @@ from replay.cli import app
 from replay.compare import compare_runs, read_run, write_baseline
 from replay.config import RunConfig
 from replay.draw.report.terminal import document
+from replay.results.tables import write_parquet
 from replay.run import evaluate_logs
 from studies import regressions
 
@@ -95,7 +96,7 @@ def test_a_missing_log_and_an_older_folder(runs: tuple[Path, Path], tmp_path: Pa
         del log["family"], log["dataset"]
     (less / "summary.json").write_text(json.dumps(summary))
     table = pd.read_parquet(less / "metrics.parquet")
-    table[table["log"] != gone["log"]].to_parquet(less / "metrics.parquet", index=False)
+    write_parquet(less / "metrics.parquet", table[table["log"] != gone["log"]])
     found = of(runs[0], less)
     assert len(found.only_in_baseline) == 2 and all(said.startswith(gone["log"]) for said in found.only_in_baseline)
     assert found.exit_code == 1 and found.verdicts[0].outcome.value == "fail"
@@ -114,7 +115,7 @@ def test_what_cannot_be_read_is_named(runs: tuple[Path, Path], tmp_path: Path) -
     ):
         with pytest.raises(error, match=words):
             read_run(path)
-    assert replan("baseline", runs[0], "-o", tmp_path).exit_code == 3  # a folder is there
+    assert replan("baseline", runs[0], "-o", tmp_path).exit_code == 2  # a folder is there
 
 
 def test_a_damaged_folder_is_an_error_in_one_line(runs: tuple[Path, Path], tmp_path: Path) -> None:

@@ -83,7 +83,7 @@ class Channel(Generic[T]):
         """The next message before the deadline.
 
         Raises:
-            LateError: It did not come in time.
+            LateError: It did not come in time, or was not decoded by then.
             GoneError: The channel was closed.
             GarbageError: It is not a message of the type.
         """
@@ -98,6 +98,8 @@ class Channel(Generic[T]):
             found: T = self._decoder.decode(memoryview(self._buffer)[HEADER.size : end])
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise GarbageError(" ".join(str(error).split())) from None
+        if time.monotonic() > deadline:
+            raise LateError
         rest = self._buffer[end : self._filled]
         self._buffer[: len(rest)] = rest
         self._filled = len(rest)

@@ -206,10 +206,13 @@ class ApartPlanner:
             raise self._failure(answer, broken if answer.what == "contract" else f"raised at {frame.t:.2f} s")
         if not isinstance(answer, schema.Plan):
             raise self._connection.fault(f"{broken}: it did not answer a frame with a plan")
+        begin = time.monotonic()
         try:
             plan = schema.plan_of(answer)
         except (ValueError, KeyError) as error:
             raise self._connection.fault(f"{broken}: {clean_text(str(error))}") from None
+        if time.monotonic() - begin > limit:
+            raise self._connection.fault(f"sent a plan that takes more than {limit:g} s to read at t = {frame.t:.2f} s")
         for stage, seconds in answer.laps.items():
             self._watch.took(stage, seconds)
         return plan

@@ -38,6 +38,8 @@ MOST_POINTS = 10_000
 """States of a trajectory: 100 s at 100 Hz. A longer plan is refused (`replay.loop.plan_check`)."""
 LONGEST_REASON = 1000
 """Characters of a reason or an error message. A longer one is cut and marked."""
+MOST_STAGES = 100
+"""Stages of a plan; `dp_qp` has about 10."""
 LARGEST_INSIDE_BYTES = 8 << 20
 """Largest size of the internals and timings of one plan, as MessagePack; those of `dp_qp` have about 10 KiB."""
 
@@ -295,11 +297,14 @@ def plan_of(message: Plan) -> trace.Plan:
     """The plan of a message.
 
     Raises:
-        ValueError: `Trajectory` refuses it, its status or start is unknown, or its inside does not fit or is too large.
+        ValueError: `Trajectory` refuses it, its status or start is unknown, it has too many stages, or its inside does not
+            fit or is too large.
     """
     size = len(msgspec.msgpack.encode((message.laps, message.inside))) if message.laps or message.inside else 0
     if size > LARGEST_INSIDE_BYTES:
         raise ValueError(f"its inside has {size} bytes, more than {LARGEST_INSIDE_BYTES}: keep less of it")
+    if len(message.laps) > MOST_STAGES:
+        raise ValueError(f"it names {len(message.laps)} stages, more than {MOST_STAGES}")
     for name, known in (("status", trace.PlanStatus), ("start", trace.PlanStart)):
         if getattr(message, name).upper() not in known.__members__:
             raise ValueError(f"{name} '{getattr(message, name)}' is none of {', '.join(known.__members__).lower()}")

@@ -190,6 +190,13 @@ class Shows(Raises):
         return replace(ConstantSpeed.plan(self, frame), internals=(decision,))
 
 
+class Stages(Raises):
+    def bad(self, frame: Frame) -> object:
+        for k in range(1000):
+            self.lap(f"stage {k}")
+        return ConstantSpeed.plan(self, frame)
+
+
 class RaisesMuch(Raises):
     def bad(self, frame: Frame) -> object:
         raise ValueError("x" * 50_000_000)

@@ -87,6 +87,7 @@ SAID = {
     "Writes": "raised at 0.50 s: ValueError: cannot set WRITEABLE flag to True of this array (bad_planners.py:",
     "Daemon": "did not answer within 0.4 s at t = 0.50 s",
     "Shows": "broke its contract at 0.50 s: its inside has 20000",
+    "Stages": "broke its contract at 0.50 s: it names 1001 stages, more than 100",
     "RaisesMuch": "raised at 0.50 s: ValueError: xxx",
 }
 
@@ -100,6 +101,19 @@ def test_a_bad_planner_ends_its_own_drive_with_one_line(name: str) -> None:
     assert trace.detail.startswith(f"planner 'bad_planners:{name}' on handmade {SAID[name]}"), trace.detail
     assert trace.detail.isprintable() and len(trace.detail) < 1500
     assert not children(), "nothing is left of it"
+
+
+def test_the_time_to_read_an_answer_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    def slowly(message: object) -> object:
+        time.sleep(0.5)
+        return plan_of(message)
+
+    plan_of = schema.plan_of
+    monkeypatch.setattr(schema, "plan_of", slowly)
+    assert (
+        "sent a plan that takes more than 0.4 s to read at t = "
+        in ended("planners.constant_speed:ConstantSpeed").detail
+    )
 
 
 @pytest.mark.parametrize("name", ["Far", "OneState", "Prints", "Random", "Threads"])

@@ -14,6 +14,7 @@ kernels are loaded once in each.
 from __future__ import annotations
 
 import importlib.util
+import os
 import platform
 import shutil
 import socket
@@ -48,6 +49,9 @@ AHEAD = 2
 """Tasks in flight per core of the cluster: each core has its next one waiting, and an autoscaler sees a queue."""
 CONNECT_S = 10.0
 BEGIN = "`ray start --head` begins a cluster; versions of Ray and Python must be the same on all nodes"
+CLUSTERS = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""Environment variable of Ray, on any system, read when Ray is imported: 0: it listens on the loopback address only."""
+LONGEST_SESSION_PATH = 25
 LEFT_OUT = ("__pycache__", ".*", "*.pyc")
 
 
@@ -103,6 +107,8 @@ class OnRay:
     @contextmanager
     def _ray_connection(self, run: RunConfig) -> Iterator[Any]:
         """Ray, with a connection for the time of the run; an existing connection of the caller is used."""
+        if not self.address:
+            os.environ.setdefault(CLUSTERS, "0")
         try:
             import ray
         except ImportError:
@@ -117,11 +123,14 @@ class OnRay:
             except OSError as error:
                 what = f"no connection: {error.strerror or error}"
                 raise ConfigError(f"--address {self.address}: {what}; {BEGIN}") from None
-        with tempfile.TemporaryDirectory(prefix="replan-") as folder:
+        with (
+            tempfile.TemporaryDirectory(prefix="replan-") as folder,
+            tempfile.TemporaryDirectory(prefix="replan-", dir=_short_folder(), ignore_cleanup_errors=True) as session,
+        ):
             code = code_of(run, Path(folder))
             options: dict[str, Any] = {"address": self.address or "local", "runtime_env": {"working_dir": str(code)}}
             if not self.address:
-                options |= {"num_cpus": self.workers, "include_dashboard": False}
+                options |= {"num_cpus": self.workers, "include_dashboard": False, "_temp_dir": session}
             try:
                 ray.init(log_to_driver=False, configure_logging=False, **options)
             except Exception as error:  # of many kinds: no cluster there, another version of Ray or of Python
@@ -158,6 +167,11 @@ class OnRay:
         finally:
             for reference in flying:
                 ray.cancel(reference, force=True)
+
+
+def _short_folder() -> str | None:
+    """A folder for the session of Ray, whose paths of sockets have at most 107 bytes; None: the usual one."""
+    return "/tmp" if len(tempfile.gettempdir()) > LONGEST_SESSION_PATH and sys.platform != "win32" else None
 
 
 def code_of(run: RunConfig, folder: Path) -> Path:

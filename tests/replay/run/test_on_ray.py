@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -116,6 +120,39 @@ def test_on_this_machine_a_worker_that_dies_costs_its_log(logs: Path, slow: Path
     assert [failure.log for failure in result.failures.itertuples()] == [str(logs / "3.mcap")]
     assert "lost on the cluster after 4 tries" in result.failures.iloc[0].message
     assert len(result.drives) == 5 * 4
+
+
+LISTENS = """\
+import sys
+from pathlib import Path
+from replay.config import RunConfig
+from replay.run.on_ray import OnRay
+
+
+def listening():
+    rows = [row.split() for name in ("tcp", "tcp6") for row in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
+    return {row[1] for row in rows if row[3] == "0A"}
+
+
+before = listening()
+with OnRay(workers=1)._ray_connection(RunConfig()) as ray:
+    assert ray.get(ray.remote(lambda: 3).remote()) == 3
+    print(*listening() - before)
+print(*Path(sys.argv[1]).iterdir())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="sockets are read from /proc")
+def test_on_this_machine_it_listens_on_the_loopback_alone_and_leaves_no_files() -> None:
+    root = str(Path(__file__).parents[3])
+    with tempfile.TemporaryDirectory(prefix="r") as scratch:  # paths of sockets are short
+        done = subprocess.run(
+            [sys.executable, "-c", LISTENS, scratch], capture_output=True, text=True, check=True, cwd=root,
+            env={**os.environ, "TMPDIR": scratch},
+        )  # fmt: skip
+    sockets, left = done.stdout.splitlines()
+    assert sockets and all(one.split(":")[0].endswith("0100007F") for one in sockets.split()), sockets
+    assert not left
 
 
 def test_a_log_that_no_node_sees_and_other_code_are_said(logs: Path, tmp_path: Path, monkeypatch: Any) -> None:

@@ -33,6 +33,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 Table = Mapping[str, Any]
 
 
+PLAIN: Mapping[str, type] = {kind.__name__: kind for kind in (float, int, bool, str)}
+"""Types of keywords that are checked, by their names in annotations."""
+
+
 def keywords_of(factory: Callable[..., Any], table: Table, where: str) -> dict[str, Any]:
     """Convert a configuration table to keywords.
 
@@ -50,6 +54,10 @@ def keywords_of(factory: Callable[..., Any], table: Table, where: str) -> dict[s
     parameters = inspect.signature(factory).parameters.values()
     if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
         known_keys(table, [p.name for p in parameters if p.kind is p.KEYWORD_ONLY], where)
+    kinds = {p.name: PLAIN.get(getattr(p.annotation, "__name__", p.annotation)) for p in parameters}
+    for name, kind in kinds.items():
+        if name in table and kind is not None:
+            _converted(table[name], kind, dotted(where, name))
     return dict(table)
 
 
@@ -125,8 +133,13 @@ def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
         ConfigError: A key is unknown, or a value has the wrong type or is refused by the dataclass.
     """
     _known_tree(cls, table, where)
+    return _converted(dict(table), cls, where)
+
+
+def _converted(value: Any, kind: type[T], where: str) -> T:
+    """Convert a value to a type; ConfigError as `strict`."""
     try:
-        return msgspec.convert(dict(table), cls)
+        return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
         # "Expected `float`, got `str` - at `$.loop.period`" becomes "loop.period: expected float, got str"
         what, _, place = str(error).replace("`", "").partition(" - at ")

@@ -297,8 +297,8 @@ def plan_of(message: Plan) -> trace.Plan:
     """The plan of a message.
 
     Raises:
-        ValueError: `Trajectory` refuses it, its status or start is unknown, it has too many stages, or its inside does not
-            fit or is too large.
+        ValueError: `Trajectory` refuses it, its status or start is unknown, it has too many stages, or its inside does
+            not fit or is too large.
     """
     size = len(msgspec.msgpack.encode((message.laps, message.inside))) if message.laps or message.inside else 0
     if size > LARGEST_INSIDE_BYTES:

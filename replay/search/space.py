@@ -158,8 +158,9 @@ def _settings(table: Mapping[str, Any], resolved: Mapping[str, Any], where: tupl
             if word not in KEYS:
                 raise unknown_name("key of a range", word, KEYS, f"{key}.")
         choices = entry.get("choices", [])
-        if not isinstance(choices, list) or not isinstance(entry.get("log", False), bool):
-            raise ConfigError(f"{key}: choices is a list, and log is true or false")
+        plain = isinstance(choices, list) and all(isinstance(choice, (str, int, float)) for choice in choices)
+        if not plain or not isinstance(entry.get("log", False), bool):
+            raise ConfigError(f"{key}: choices is a list of numbers, texts or true and false, and log is true or false")
         yield Setting(path, default, **{**entry, "choices": tuple(choices)})
 
 

@@ -173,3 +173,12 @@ def test_every_dotted_key_is_one_of_the_written_file() -> None:
     assert {"mode", "loop.apart.trust", "loop.sensor.range_m", "log.ego", "vehicle"} <= set(keys)
     for key in keys:
         reduce(getitem, key.split("."), whole)
+
+
+@pytest.mark.parametrize("value", ["{}", "[]", '"x"', "true"])
+def test_a_keyword_of_a_part_has_its_type(value: str) -> None:
+    from command_line import one_error, replan
+
+    setting = f"vehicle_model.kinematic_bicycle.rear_ratio={value}"
+    result = replan("evaluate", "--suite", "paper/free_road", "--set", setting)
+    assert result.exit_code == 2 and "rear_ratio: expected float" in one_error(result)

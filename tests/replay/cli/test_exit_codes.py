@@ -113,6 +113,7 @@ def case(log: str = "free.mcap", planner: str = "constant_speed", gates: str = "
         ("report run --baseline run -o OUT", 0),
         ("report other --baseline run -o OUT", 0),  # they are written, whatever they say
         ("report run --baseline nowhere -o OUT", 2),
+        ("report run --gates nothing.toml -o OUT", 2),  # rules of a comparison, and nothing to compare with
         ("compare run run", 0),
         ("compare run other", 1),  # the log of the baseline is missing
         ("compare damaged.parquet run", 3),

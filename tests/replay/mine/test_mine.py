@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +15,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs.catalogue import scenario
+from logs.errors import ConfigError
 from logs.mcap import write_scenario
 from logs.readers import read_log
-from replay.mine.coverage import CELL, cells, gaps, smallest_cover
+from replay.mine.coverage import CELL, Chosen, cells, gaps, smallest_cover, suite_writer
 from replay.mine.driven_log import Event, EventKind
-from replay.mine.mine import EVENTS, HEALTH, LOGS
+from replay.mine.mine import EVENTS, HEALTH, LOGS, mine_log
+from replay.results.tables import write_parquet
+from replay.run.sources import suite_file
 
 pytest.importorskip("duckdb")
 NAMES = ("everyday/cut_in", "everyday/crosswalk", "paper/free_road")
@@ -167,6 +172,89 @@ def test_a_suite_can_be_evaluated_and_a_foreign_file_is_refused(mined: Path, tmp
     assert "this command did not write it" in one_error(replan("suite", mined, "-o", file))
     assert file.read_text(encoding="utf-8") == "logs = 3\n"
     assert "holds no mined logs" in one_error(replan("suite", tmp_path / "run", "-o", tmp_path / "new.toml"))
+
+
+NAMES_OF_LOGS = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), min_size=1, max_size=20)
+
+
+@given(name=NAMES_OF_LOGS, folder=st.sampled_from(["a b", 'a"b', "a'b#", "ä\\b", "a\nb"]))
+def test_a_suite_names_the_logs_whatever_they_are_called(
+    tmp_path_factory: pytest.TempPathFactory, name: str, folder: str
+) -> None:
+    place = tmp_path_factory.mktemp("suite")
+    log = place / folder / "log.mcap"
+    log.parent.mkdir()
+    log.touch()
+    (place / "suites").mkdir()
+    with suite_writer(place / "suites" / "suite.toml") as write:
+        write([Chosen(name, f"{folder}/log.mcap", 1, ""), Chosen("other", "s3://bucket/x.mcap", 1, "a gate")], place)
+    found, url = suite_file(place / "suites" / "suite.toml")
+    assert Path(found).resolve() == log.resolve() and url == "s3://bucket/x.mcap"
+    assert not Path(tomllib.loads((place / "suites" / "suite.toml").read_text("utf-8"))["logs"][0]).is_absolute()
+
+
+def test_a_suite_without_its_logs_is_refused(mined: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    copied = Path(shutil.copytree(mined, tmp_path / "copied"))
+    (copied / "origin.json").unlink()
+    table = pd.read_parquet(copied / LOGS)
+    write_parquet(copied / LOGS, table.assign(source=[f"gone/{k}.mcap" for k in range(len(table))]))
+    monkeypatch.chdir(tmp_path)
+    assert "the log of these results is not at" in one_error(replan("suite", copied, "-o", tmp_path / "suite.toml"))
+    assert not (tmp_path / "suite.toml").exists()
+
+
+def test_a_planner_with_settings_is_mined_and_one_that_cannot_be_built_costs_its_rows(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("mine", logs / "paper_free_road.mcap", "--workers", 0, "-p", "dp_qp")
+    assert replan(*words, "-o", tmp_path / "out").exit_code == 0
+
+    def refuse(*args: object) -> None:
+        raise ConfigError("planner 'dp_qp' cannot be built: no")
+
+    monkeypatch.setattr("replay.mine.kinds.drive_keywords", refuse)
+    result = replan(*words, "-o", tmp_path / "out")
+    assert result.exit_code == 3 and "cannot be built" in one_error(result)
+    assert len(pd.read_parquet(tmp_path / "out" / LOGS)) == 1
+
+
+@pytest.mark.parametrize(
+    ("limit", "value", "sql", "said"),
+    [
+        ("TIME_S", 0.3, "SELECT count(*) FROM range(10000000000) a, range(1000) b", "takes more than 0.3 s"),
+        ("RESULT_GB", 0.001, "SELECT * FROM range(1000000)", "gives more than 0.001 GB: add LIMIT"),
+        ("TIME_S", 300.0, " ", "the query is empty"),
+    ],
+)
+def test_a_query_has_limits(
+    mined: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, value: float, sql: str, said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(f"replay.mine.query.{limit}", value)
+    result = replan("query", mined, sql)
+    assert result.exit_code == 2 and said in one_error(result) and not list(tmp_path.iterdir())
+
+
+def test_what_would_begin_too_much_or_nothing_is_one_line(mined: Path, tmp_path: Path) -> None:
+    assert "--where is empty" in one_error(replan("cut", mined, "--where", " ", "-o", tmp_path / "out"))
+    assert "name logs, or logs of the catalogue" in one_error(replan("mine", "-o", tmp_path / "out"))
+    assert "it has mined logs" in one_error(replan("report", mined))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_mined_log_is_not_mined_again(
+    logs: Path, mined: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = Path(shutil.copytree(mined, tmp_path / "out"))
+    (out / EVENTS).unlink()
+    lines = (out / "study.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
+    (out / "study.jsonl").write_text("".join(lines[:3]) + lines[3][:50], encoding="utf-8")
+    seen, once = [], mine_log
+    monkeypatch.setattr("replay.mine.mine.mine_log", lambda source, **more: seen.append(source) or once(source, **more))
+    assert replan("mine", logs, "-o", out, "--workers", 0, "--resume").exit_code == 0
+    assert len(seen) == len(NAMES) - 2
+    for name in (EVENTS, LOGS, HEALTH, "study.jsonl"):
+        assert (out / name).read_bytes() == (mined / name).read_bytes()
 
 
 def test_coverage_names_what_the_other_set_has(mined: Path, logs: Path, tmp_path: Path) -> None:

@@ -60,6 +60,7 @@ def test_the_chosen_settings_are_a_file_of_a_run_with_nothing_else_in_it(tmp_pat
         ("ensemble = { low = 0.5, high = 2 }", "must be whole, too"),
         ("loop.traffic = { low = 1, high = 2 }", "is no number"),
         ('loop.traffic = { choices = ["time"] }', "give at least two"),
+        ('loop.traffic = { choices = [["time"]] }', "choices is a list of numbers, texts"),
         ('loop.traffic = { choices = ["time", "tme"] }', "is refused: .*tme"),
     ],
 )

@@ -194,6 +194,8 @@ def test_a_log_without_a_goal_keeps_the_place_where_its_drive_ended() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (["time=-2:2:1000000000000"], "a surface has at most 10000 cells"),
+        (["time=-2:2:200", "speed=0.5:1.5:200"], "40000 cells, a surface has at most 10000"),
         ([], "one or two axes, got 0"),
         (["time=1"], "one or two axes, got 0"),
         (["time=0:1:3", "speed=0.5:1:2", "side=0:1:2"], "got 3"),

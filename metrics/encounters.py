@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import FloatArray, IntArray, inner_kernel, kernel
+from logs.once import once
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import wrap
@@ -44,7 +45,7 @@ from metrics.boxes import (
     name_of,
     nearest,
 )
-from metrics.metric import MIN, Measured, Metric, Series, once, time_below
+from metrics.metric import MIN, Measured, Metric, Series, time_below
 from metrics.safety import CATALOGUE
 
 HORIZON_S = 10.0

@@ -44,11 +44,12 @@ from math import atan2, cos, hypot, pi, sin
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.once import once
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
 from metrics.boxes import GRID_S, STANDING_MPS, Car, Others, car_of, grid_of, labels_of, nearest
-from metrics.metric import MAX, MIN, Measured, Metric, Series, once, time_below, time_outside
+from metrics.metric import MAX, MIN, Measured, Metric, Series, time_below, time_outside
 from metrics.safety import CATALOGUE
 
 LOOK_M = 150.0

@@ -22,10 +22,10 @@ from math import hypot, inf
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, Points, kernel
+from logs.once import once
 from logs.road import Lane, Road
 from logs.shapes import point_segment
 from metrics.lanes import LaneArrays, edge_distance, lane_arrays, on_lane, points_inside
-from metrics.metric import once
 
 NEAR_M = 5.0
 IN_JUNCTION = "intersection"

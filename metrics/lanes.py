@@ -15,10 +15,11 @@ import numpy as np
 
 from logs.forward import tighter_than_vehicle
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
+from logs.once import once
 from logs.road import Road, RoadSource, inside
 from logs.scenario import Scenario
 from logs.shapes import point_segment
-from metrics.metric import Measured, Unavailable, once
+from metrics.metric import Measured, Unavailable
 
 P = ParamSpec("P")
 

@@ -15,52 +15,18 @@ are not allowed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import wraps
-from typing import Any, Concatenate, Literal, ParamSpec, TypeVar, get_args
-from weakref import WeakKeyDictionary
+from typing import Literal, get_args
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, frozen
+from logs.once import last
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
 
-K = TypeVar("K")
-P = ParamSpec("P")
-R = TypeVar("R")
 Direction = Literal["lower", "higher", "none"]  # The direction that is better
-
-
-def last(count: int) -> Callable[[Callable[Concatenate[K, P], R]], Callable[Concatenate[K, P], R]]:
-    """Cache the results of a function: the newest `count` results for each first argument.
-
-    The first argument (a trace, a scenario, a road) owns the results and is held weakly: its results live as long as it
-    does. The other arguments are compared by value. A result must not refer to the first argument.
-    """
-
-    def decorate(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
-        kept: WeakKeyDictionary[Any, dict[Hashable, R]] = WeakKeyDictionary()
-
-        @wraps(function)
-        def remembered(owner: K, /, *args: P.args, **kwargs: P.kwargs) -> R:
-            known, key = kept.setdefault(owner, {}), (args, *kwargs.items())
-            if key not in known:
-                found = function(owner, *args, **kwargs)
-                if len(known) >= count:
-                    known.pop(next(iter(known)))
-                known[key] = found
-            return known[key]
-
-        return remembered
-
-    return decorate
-
-
-def once(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
-    """Cache a function that several metrics call for one drive, so that it runs once per arguments: `last(64)`."""
-    return last(64)(function)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

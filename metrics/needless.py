@@ -45,6 +45,7 @@ from math import cos, sin
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, kernel
+from logs.once import once
 from logs.road import ReferenceLine, line_project_many
 from logs.rules import Colour
 from logs.scenario import Scenario, Tracks
@@ -53,7 +54,7 @@ from logs.trace import Mode, Trace
 from metrics.boxes import GRID_S, Car, Others, car_of, each, grid_of, labels_of, others_at, phantoms, touches
 from metrics.following import ahead_of
 from metrics.lanes import drivable_lanes, limits_at, points_inside
-from metrics.metric import COUNT, MAX, RATE, Measured, Metric, Series, once, worst_episode
+from metrics.metric import COUNT, MAX, RATE, Measured, Metric, Series, worst_episode
 from metrics.progress import WINDOW_M, route_of
 
 NEAR_M, HEADWAY_S, EASE_MPS2, FARTHEST_M = 10.0, 1.5, 1.5, 150.0

@@ -37,6 +37,7 @@ from math import cos, hypot, prod, sin
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, kernel
+from logs.once import once
 from logs.road import RoadSource
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import overlap
@@ -45,7 +46,7 @@ from logs.trace import Trace
 from metrics.boxes import NO_TTC_MPS, STANDING_MPS, Car, Others, car_of, ego_boxes, is_behind, pieces, touches
 from metrics.comfort import NUPLAN_BOUNDS, savgol
 from metrics.lane_map import LaneMap, Route, along_line, lane_map
-from metrics.metric import Unavailable, once
+from metrics.metric import Unavailable
 
 AHEAD = cos(30.0 / 180.0 * np.pi)
 CORNERS = 0.5 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])

@@ -45,13 +45,14 @@ import numpy as np
 from logs.frame import PLAN_HORIZON_S
 from logs.kernel import FloatArray, IntArray, kernel
 from logs.memory import light, loaded
+from logs.once import last, once
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, wrapped
 from logs.trace import Mode, Trace
 from metrics import metric
 from metrics.lanes import where_followed
-from metrics.metric import Measured, Metric, Series, Unavailable, last, once
+from metrics.metric import Measured, Metric, Series, Unavailable
 
 STEP_S = 0.1  # Plans are compared at multiples of this after their frame, s
 SHORT_M = 5.0  # A plan that is shorter in its first 4 s is that of a standing ego (NAVSIM), m

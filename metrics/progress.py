@@ -50,6 +50,7 @@ import numpy as np
 
 from logs.kernel import FloatArray
 from logs.mcap.complete import MIN_PATH
+from logs.once import last
 from logs.road import Goal, ReferenceLine, Road, RoadSource, inside, line_project_many, thinned
 from logs.route import counting_stay, find_route, first_nearest, straight_on
 from logs.scenario import Scenario
@@ -59,7 +60,7 @@ from logs.trace import EndReason, Mode, Trace
 from metrics import metric
 from metrics.boxes import ego_boxes
 from metrics.lanes import drivable_lanes, limits_at, stated_lanes, where_followed
-from metrics.metric import Measured, Metric, Reduction, Series, Unavailable, last
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 
 SPACING_M, WINDOW_M, BESIDE_M = 1.0, 30.0, 3.0
 STRETCH, SLACK_M = 2.0, 0.1

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from logs.frame import PLAN_HORIZON_S
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.once import once
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners
 from logs.trace import Mode, Trace
@@ -52,7 +53,7 @@ from metrics.boxes import (
     touches,
 )
 from metrics.lanes import keeps_lane
-from metrics.metric import Measured, Metric, Series, Unavailable, once
+from metrics.metric import Measured, Metric, Series, Unavailable
 from metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
 from metrics.safety import contact_kind
 

@@ -30,12 +30,13 @@ from math import cos, hypot, pi, sin
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, kernel
+from logs.once import once
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
 from metrics.boxes import GRID_S, STANDING_MPS, Car, Others, car_of, each, grid_of, name_of
 from metrics.following import LOOK_M, arc_point, extent, within_look
-from metrics.metric import MIN, Measured, Metric, Series, Unavailable, once, share_while, time_below, time_outside
+from metrics.metric import MIN, Measured, Metric, Series, Unavailable, share_while, time_below, time_outside
 
 RHO_S = 0.75
 A_MAX_MPS2, B_MIN_MPS2, B_MAX_MPS2 = 3.0, 6.0, 6.0

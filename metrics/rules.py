@@ -66,6 +66,7 @@ from math import hypot
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.once import once
 from logs.road import inside
 from logs.route import ASIDE_M, BEHIND_M, on_lane
 from logs.rules import RED, Colour, StopLine
@@ -88,7 +89,7 @@ from metrics.boxes import (
 )
 from metrics.encounters import CROSSING_RAD, encroachment, may_meet
 from metrics.lanes import Under, mapped_lanes, under
-from metrics.metric import COUNT, MIN, Measured, Metric, Reduction, Series, Unavailable, counted, once
+from metrics.metric import COUNT, MIN, Measured, Metric, Reduction, Series, Unavailable, counted
 from metrics.needless import reasons
 
 REST_MPS, BEFORE_M = 0.1, 5.0

@@ -57,6 +57,7 @@ from types import MappingProxyType
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.once import once
 from logs.road import RoadSource
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners, distance, overlap
@@ -85,7 +86,7 @@ from metrics.boxes import (
 )
 from metrics.cut_in import forces_hit
 from metrics.lanes import LaneArrays, drivable_lanes, keeps_lane, off_lanes
-from metrics.metric import Measured, Metric, Reduction, Series, Unavailable, once
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 
 TTC_HORIZON_S, CLOSE_S = 10.0, 0.95  # Horizon of the time to collision, and nuPlan's bound on it
 TAU_S = 1.5  # Critical TTC (criticality metrics catalogue, Westhofen et al. 2023)

@@ -29,10 +29,11 @@ from types import MappingProxyType
 
 import numpy as np
 
+from logs.once import once
 from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
 from metrics import nuplan, plans, progress, rules, safety
-from metrics.metric import FINAL, Measured, Metric, Series, Unavailable, once
+from metrics.metric import FINAL, Measured, Metric, Series, Unavailable
 
 MISS_SHARE, NEAR_M, NEAR_RAD = 0.3, 8.0, 0.8
 OPEN_HORIZONS_S = (3, 5, 8)

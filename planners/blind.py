@@ -18,6 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from logs.frame import Frame, PlannerContext, Predictions
+from logs.once import once
+from logs.road import Road
 from logs.trace import Plan
 from planners.frenet.fallback import trajectory_along
 from planners.frenet.path import path_through
@@ -29,12 +31,17 @@ GAIN_MPS2 = 1.0
 NO_AGENTS = np.zeros(0, np.int64)
 
 
+@once
+def _without_rules(road: Road) -> Road:
+    lanes = {name: replace(lane, yields_to=()) for name, lane in road.lanes.items()}
+    return replace(road, lanes=lanes, stop_lines=(), crosswalks=())
+
+
 class Blind:
     """Drives the route as if the road were empty: (1) to (3) of `planners.idm` without a leader."""
 
     def __init__(self, context: PlannerContext, config: IdmConfig | None = None) -> None:
-        lanes = {name: replace(lane, yields_to=()) for name, lane in context.road.lanes.items()}
-        self._idm = Idm(replace(context, road=replace(context.road, lanes=lanes, stop_lines=(), crosswalks=())), config)
+        self._idm = Idm(replace(context, road=_without_rules(context.road)), config)
 
     def plan(self, frame: Frame) -> Plan:
         """Return the plan of `idm` for the frame without road users and lights."""

@@ -25,6 +25,7 @@ import numpy as np
 from scipy import sparse
 
 from logs.kernel import TIE, FloatArray, frozen, inner_kernel, kernel
+from logs.once import once
 from logs.road import Lane, ReferenceLine, Road, nearest, thinned
 from logs.route import Route, straight_on
 from logs.states import EgoState
@@ -137,6 +138,7 @@ def write_sections(knots: FloatArray, table: FloatArray, s: FloatArray, out: Flo
             out[columns - 1, j] = 0.0
 
 
+@once  # planners and reference drives of one log follow the same route
 def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None) -> ReferencePath:
     """The reference path of a route for an ego at its start; a `car` can follow it if the lanes are wide enough."""
     lanes, line = make_line(road, route, ego, car)

@@ -31,6 +31,7 @@ import pandas as pd
 import metrics
 from logs.errors import LogError
 from logs.forward import drivable_part
+from logs.once import once
 from logs.road import Goal, ReferenceLine, Road
 from logs.route import find_route
 from logs.scenario import FINDING, Scenario
@@ -45,7 +46,7 @@ from metrics.judge.aggregate import LogLabels
 from metrics.judge.discrimination import BAD_DRIVERS, Discrimination, discrimination
 from metrics.judge.excuses import CLEAN, needs_follower
 from metrics.judge.gates import Gates
-from metrics.metric import Series, once
+from metrics.metric import Series
 from metrics.progress import FOLLOWER_M, gain_along, route_of
 from metrics.reference_drivers import DRIVERS, RETURN_S, STEP_S, careful_drive, metadata_of
 from metrics.safety import CLOSE_S, TTC, contacts

@@ -17,13 +17,13 @@ from math import hypot, inf
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.once import once
 from logs.scenario import AgentKind
 from logs.shapes import clearance, overlap, time_to_contact
 from logs.states import wrap
 from metrics.boxes import NO_TTC_MPS, Car, is_behind
 from metrics.encounters import CROSSING_RAD
 from metrics.encounters import SERIOUS_S as PET_S
-from metrics.metric import once
 from metrics.safety import TAU_S as TTC_S
 from replay.mine.driven_log import DrivenLog, Event, EventKind, Neighbour, runs, steps
 from replay.mine.ego_and_road import HARD_MPS2

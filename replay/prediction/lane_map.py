@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import TIE, FloatArray, IntArray, frozen, kernel
+from logs.once import once
 from logs.road import Road
 from logs.states import wrap
-from metrics.metric import once
 
 SPACING_M = 1.0
 BEND_M = 5.0

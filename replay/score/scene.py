@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from logs.once import once
 from logs.road import inside
 from logs.route import straight_on
 from logs.rules import RED
@@ -17,7 +18,6 @@ from logs.shapes import distance, overlap
 from logs.states import wrap, wrapped
 from metrics.boxes import Car, ego_boxes, others_at
 from metrics.lane_map import LaneMap, along_line
-from metrics.metric import once
 from metrics.nuplan import route_lanes
 
 STEP_S, SAMPLE_S, NEAR_M, BEYOND_M = 0.1, 0.5, 100.0, 100.0

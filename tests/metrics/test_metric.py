@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 from logs import AgentKind, ConfigError, EndReason, Goal, Mode, RoadSource, Scenario, Trace
 from logs.kernel import FloatArray
+from logs.once import last, once
 from metrics import COLUMNS, GROUPS, METRICS, evaluate, evaluate_with_series, load_metric, series
 from metrics.metric import (
     COUNT,
@@ -35,8 +36,6 @@ from metrics.metric import (
     Metric,
     Series,
     Unavailable,
-    last,
-    once,
     rate_of_change,
     time_above,
     time_below,

@@ -84,7 +84,7 @@ def standings(
         verdicts: Outcomes of gates: columns log, planner, mode, outcome.
         drives: The drives: columns log, planner, mode, oracle.
         logs: All logs of the run, including those that could not be read.
-        asked: Planners and modes of the run; an oracle that no gate judges has no standing.
+        asked: Planners and modes of the run; an oracle that no gate judges has no standing, nor a loop without gates.
         crashed: Log, planner and mode of drives that could not be evaluated; None: any.
     """
     outcomes: dict[tuple[str, str, str], set[str]] = {}
@@ -94,9 +94,11 @@ def standings(
     driven = set(_rows(drives, "log", "planner", "mode"))
     judged = {planner for _, planner, _ in outcomes}
     unjudged = {planner for planner, oracle in _rows(drives, "planner", "oracle") if oracle} - judged
+    loops = {*verdicts["mode"], *(mode for *_, mode in crashed)}
     rows = []
     for planner in dict.fromkeys(planner for planner, _ in asked if planner not in unjudged):
-        modes = [mode for name, mode in asked if name == planner]
+        of_run = [mode for name, mode in asked if name == planner]
+        modes = [mode for mode in of_run if not loops or None in loops or mode in loops] or of_run
         for log in logs:
             lost = [mode for of, name, mode in crashed if of == log and name in (None, planner)]
             each = []

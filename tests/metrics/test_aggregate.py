@@ -68,6 +68,14 @@ def test_a_drive_that_crashed_is_missing_whatever_its_gates_say(crashed: tuple[s
     assert list(failed["standing"]) == ["failed"]
 
 
+def test_a_loop_without_gates_is_not_asked_unless_a_drive_of_it_is_lost() -> None:
+    driven, found = drives(*(("a", *one) for one in ASKED)), said(("a", "dp_qp", "closed", "pass"))
+    stand = standings(found, driven, ["a"], ASKED)
+    assert stand[["mode", "standing"]].to_numpy().tolist() == [["closed", "passed"]]
+    lost = standings(found, drives(("a", "dp_qp", "closed")), ["a"], ASKED, [("a", "dp_qp", "open")])
+    assert dict(zip(lost["mode"], lost["standing"], strict=True))["both"] == "missing"
+
+
 @given(st.lists(st.sampled_from(["pass", "fail", "inconclusive", "lost"]), min_size=1, max_size=12))
 def test_every_log_is_counted_once_and_a_lost_one_never_helps(outcomes: list[str]) -> None:
     logs = [f"log{i}" for i in range(len(outcomes))]

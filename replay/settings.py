@@ -10,7 +10,7 @@ import inspect
 import json
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import MISSING, asdict, fields, is_dataclass
 from functools import partial
 from typing import Any, TypeVar, get_args, get_type_hints
 
@@ -122,7 +122,7 @@ def _config_class(factory: Callable[..., Any]) -> type | None:
 
 
 def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
-    """Convert a table to a dataclass, nested tables included.
+    """Convert a table to a dataclass, nested tables included: what one does not name keeps its default.
 
     Args:
         cls: A dataclass; its own checks (`__post_init__`) are run.
@@ -133,7 +133,17 @@ def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
         ConfigError: A key is unknown, or a value has the wrong type or is refused by the dataclass.
     """
     _known_tree(cls, table, where)
-    return _converted(dict(table), cls, where)
+    return _converted(_with_defaults(cls, table), cls, where)
+
+
+def _with_defaults(cls: type, table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table with its nested tables filled up from the defaults of their fields."""
+    filled = dict(table)
+    for item in fields(cls):
+        default = item.default if item.default_factory is MISSING else item.default_factory()
+        if is_dataclass(default) and not isinstance(default, type) and isinstance(table.get(item.name), Mapping):
+            filled[item.name] = asdict(default) | _with_defaults(type(default), table[item.name])
+    return filled
 
 
 def _converted(value: Any, kind: type[T], where: str) -> T:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from functools import reduce
 from operator import getitem
 from pathlib import Path
@@ -165,6 +165,16 @@ def test_words_of_set_are_toml_or_text_and_change_one_key(tmp_path: Path) -> Non
     for wrong in ("loop", "loop plan=1", "=1"):
         with pytest.raises(ConfigError, match="write it as KEY=VALUE"):
             set_table([wrong])
+
+
+def test_a_table_may_name_a_part_of_its_settings_and_the_others_keep_their_defaults() -> None:
+    whole = asdict(DpQpConfig())
+    for key in dotted_keys(DpQpConfig):
+        names = key.split(".")
+        part = reduce(lambda inner, name: {name: inner}, reversed(names), reduce(getitem, names, whole))
+        assert strict(DpQpConfig, part) == DpQpConfig(), key
+    harder = strict(DpQpConfig, {"speed": {"qp": {"comfort": {"decel_mps2": 4.5}}}}).speed.qp
+    assert replace(harder.comfort, decel_mps2=3.0) == DpQpConfig().speed.qp.comfort and harder.comfort.decel_mps2 == 4.5
 
 
 def test_every_dotted_key_is_one_of_the_written_file() -> None:

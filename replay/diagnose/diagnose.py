@@ -10,7 +10,7 @@ and the files of `replay.diagnose.findings`. The same run gives the same diagnos
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from math import inf, isfinite, nan
@@ -24,7 +24,7 @@ from logs.errors import ConfigError, LogError, unknown_name
 from logs.mcap import write_scenario
 from logs.names import counted
 from logs.scenario import Scenario
-from logs.trace import PlannedFrame
+from logs.trace import Mode, PlannedFrame
 from replay.config import RunConfig, dump_run
 from replay.diagnose.changes import Change, ChangedRun, cause_of, changed_runs, driven
 from replay.diagnose.drives import MODE, Driven, as_driven, drive_again, failed_gates, parting, passes
@@ -69,12 +69,12 @@ class Question:
         """The run without a change."""
         return driven(self.results.run, self.planner)
 
-    def failing(self) -> tuple[str, ...]:
-        """Names of the logs whose drives fail a gate, sorted."""
+    def failing(self, mode: str = MODE) -> Mapping[str, tuple[str, ...]]:
+        """The logs whose drives fail gates in a loop, sorted, and these gates."""
         rows = self.results.verdicts
-        mine = rows[(rows["planner"] == self.planner) & (rows["mode"] == MODE) & (rows["outcome"] == "fail")]
-        names = set(mine["log"])
-        return tuple(sorted(names & set(self.logs) if self.logs else names))
+        mine = rows[(rows["planner"] == self.planner) & (rows["mode"] == mode) & (rows["outcome"] == "fail")]
+        gates = mine.groupby("log")["gate"].agg(tuple)
+        return {str(log): gates[log] for log in sorted(gates.index) if not self.logs or log in self.logs}
 
     def head(self) -> dict[str, Any]:
         """The inputs that identify a diagnosis."""
@@ -144,7 +144,7 @@ def diagnose(
         gone = tuple(name for name in trials.files if name not in {*failing, *trials.not_driven})
         result = Diagnosis(
             out, asked.results.path, asked.planner, tuple(trials.found(name, runs) for name in failing), gone,
-            trials.not_driven, runs, refused, trials.answers,
+            trials.not_driven, runs, refused, trials.answers, open_loop=asked.failing(Mode.OPEN.value),
         )  # fmt: skip
         if settings:
             first = [some[0].log for some in result.clusters() if not some[0].cause.fragile]

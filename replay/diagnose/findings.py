@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import isfinite
 from pathlib import Path
@@ -84,6 +84,7 @@ class Diagnosis:
         refused: Changes that cannot be applied to the run, with the reasons.
         answers: The result by change and log: passes, gates, end, parts.
         remedies: The smallest change of a setting for the first drive of each cluster, if settings are given.
+        open_loop: Logs that fail gates in the open loop, which is not diagnosed, and these gates.
     """
 
     out: Path
@@ -96,6 +97,7 @@ class Diagnosis:
     refused: Mapping[str, str]
     answers: Mapping[str, Mapping[str, Any]]
     remedies: tuple[Remedy, ...] = ()
+    open_loop: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def exit_code(self) -> int:
@@ -134,11 +136,16 @@ class Diagnosis:
             said.append(f"  Look first at {first.place}")
         if not self.drives and not self.not_driven:
             gone = f" ({counted(len(self.not_failing), 'drive')} of the run failed and passes now)"
-            said.append(f"No drive of {self.planner} fails{gone if self.not_failing else ''}.")
+            said.append(f"No closed-loop drive of {self.planner} fails{gone if self.not_failing else ''}.")
         elif self.not_failing:
             said.append(f"Fails no more, evaluate the run again: {', '.join(self.not_failing)}.")
         said += [f"Could not be driven again: {name}: {why}." for name, why in self.not_driven.items()]
         said += [one.line() for one in self.remedies]
+        said += [
+            f"Fails in the open loop, which is not diagnosed: {name}: {', '.join(gates)}; look at it: replan explain"
+            f" {self.run} --log {name} --mode open"
+            for name, gates in self.open_loop.items()
+        ]
         return [*said, *(f"Not tried: {name}: {why}." for name, why in self.refused.items())]
 
     def document(self) -> dict[str, Any]:
@@ -154,7 +161,8 @@ class Diagnosis:
             row.update({name: None for name in ("time_s", "beyond") if not isfinite(row[name])})
         return {
             "replan": replan_version(), "run": str(self.run), "planner": self.planner, "clusters": clusters,
-            "drives": drives, "fails_no_more": list(self.not_failing), "not_driven": dict(self.not_driven),
+            "drives": drives, "fails_no_more": list(self.not_failing),
+            "open_loop": dict(self.open_loop), "not_driven": dict(self.not_driven),
             "changes": [asdict(run.change) for run in self.runs], "not_tried": dict(self.refused),
             "remedies": [asdict(one) for one in self.remedies], "said": self.lines(),
         }  # fmt: skip

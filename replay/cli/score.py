@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -31,7 +32,7 @@ def score(
     relative: Annotated[
         bool, typer.Option("--relative", help="Their poses are relative to the ego at the begin of the window.")
     ] = False,
-    out: Annotated[Path | None, opt.out_option("Write the table to FILE.csv or FILE.parquet.")] = None,
+    out: Annotated[Path | None, opt.out_option("Write the table to FILE.csv, FILE.parquet or FILE.json.")] = None,
     quiet: opt.Quiet = False,
     as_json: opt.Json = False,
 ) -> None:
@@ -46,11 +47,11 @@ def score(
       replan score results/run-001 --as navsim-v2 -o scores.csv
       replan score my_logs/ --trajectories agent.parquet --as navsim-v2
     """
-    with handle_errors():
-        from replay.score.table import AVERAGE, FINAL, NUPLAN_CLS, navsim_table, nuplan_table, write_table
+    with handle_errors(), ExitStack() as writes:
+        from replay.mine.query import rows_file
+        from replay.score.table import AVERAGE, FINAL, NUPLAN_CLS, navsim_table, nuplan_table
 
-        if out is not None and out.suffix not in (".csv", ".parquet"):
-            raise ConfigError(f"--out {out}: write to a file with the suffix .csv or .parquet")
+        write = writes.enter_context(rows_file(out)) if out is not None else None
         if name == NUPLAN_CLS:
             if trajectories is not None:
                 raise ConfigError("--trajectories: nuplan-cls scores drives; take --as navsim-v1 or navsim-v2")
@@ -65,8 +66,8 @@ def score(
                     line(f"scored {done[0]} of {len(asked)} plans")
 
             table = navsim_table(name, asked, logs, on_plan)
-        if out is not None:
-            write_table(table, out)
+        if write is not None:
+            write(table.rows)
         if as_json:
             say_json({"as": name, "rows": table.rows, "inexact": table.inexact})
         elif not quiet:

@@ -161,7 +161,7 @@ def rows_file(path: Path) -> Iterator[Callable[[pd.DataFrame], None]]:
 
         def write(table: pd.DataFrame) -> None:
             if file.exists() and _columns_of(file) != table.columns.tolist():
-                raise ConfigError(f"{file}: exists, and has other columns than this query; name another file")
+                raise ConfigError(f"{file}: exists, and has other columns; name another file")
             write_file(file, lambda partial: WRITERS[file.suffix](table, partial))
 
         yield write

@@ -66,9 +66,9 @@ class Summary(msgspec.Struct):
     logs: tuple[LogCard, ...]
     gates: tuple[GateCard, ...]
     failures: tuple[Failure, ...]
+    replan: str
+    python: str
     logs_left_out: tuple[str, ...] = ()
-    replan: str = ""
-    python: str = ""
 
 
 def load(path: Path | str) -> Results:
@@ -100,7 +100,8 @@ def loaded(near: Near) -> Results:
     keys = {(log.log, drive.planner, drive.mode) for log in card.logs for drive in log.drives if log.log == drive.log}
     if len(set(names)) < len(names) or len(keys) < len(drives):
         raise ConfigError(f"{file}: names a log or a drive twice, or a drive with the name of another log; {AGAIN}")
-    results = Results(folder, {**summary, "logs": msgspec.json.decode(msgspec.json.encode(card.logs))}, near)
+    whole = {"logs": card.logs, "failures": card.failures}  # with defaults
+    results = Results(folder, summary | msgspec.json.decode(msgspec.json.encode(whole)), near)
     other = {drive.planner for drive in drives} - {*results.run.planners} | {drive.mode for drive in drives} - MODES
     if other:
         raise ConfigError(f"{file}: has drives of {min(other)}, which the run in run.toml has not; {AGAIN}")

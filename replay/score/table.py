@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -149,18 +148,3 @@ def _navsim_notes(rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str,
     alone = int(rows["two_frame_extended_comfort"].isna().sum()) if "two_frame_extended_comfort" in rows else 0
     if alone:
         yield f"two_frame_extended_comfort: {alone} of {len(asked)} windows have no plan 0.5 s earlier: no weight"
-
-
-def write_table(table: ScoreTable, out: Path) -> None:
-    """Write the rows to FILE.csv or FILE.parquet.
-
-    Raises:
-        ConfigError: The file has another suffix.
-    """
-    if out.suffix not in (".csv", ".parquet"):
-        raise ConfigError(f"--out {out}: write to a file with the suffix .csv or .parquet")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    if out.suffix == ".csv":
-        table.rows.to_csv(out, index=False)
-    else:
-        table.rows.to_parquet(out, index=False)

@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 from command_line import RUNNER, replan
 from commonroad_files import problem, straight, written
@@ -61,6 +62,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(place / "my_logs" / "crossing_pedestrian.mcap", place / f"{name}.mcap")
     (place / "my_pkg").mkdir()
     (place / "my_pkg" / "mine.py").write_text(PLANNER, encoding="utf-8")
+    poses = [("everyday/cut_in", 0.5, 5.0 * k, 0.0, 0.0) for k in range(1, 9)]
+    pd.DataFrame(poses, columns=["log", "t_s", "x", "y", "yaw"]).to_parquet(place / "agent.parquet")
     (place / "gates.toml").write_text(GATES, encoding="utf-8")
     (place / "space.toml").write_text(SPACE, encoding="utf-8")
     quick, results = ("--workers", 0, "--no-recording"), place / "results"

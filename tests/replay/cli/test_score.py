@@ -111,7 +111,7 @@ def test_bad_words_are_one_line(place: Path, tmp_path: Path) -> None:
         ((place / "logs", "--as", "nuplan-cls"), "folder of results"),
         ((place / "logs", "--as", "navsim-v2"), "--trajectories"),
         ((place / "run", "--as", "nuplan-cls", "--trajectories", plans), "--trajectories"),
-        ((place / "run", "--as", "navsim-v2", "-o", tmp_path / "a.xlsx"), "suffix"),
+        ((place / "run", "--as", "navsim-v2", "-o", tmp_path / "a.xlsx"), ".parquet"),
         ((place / "logs", "--as", "navsim-v2", "--trajectories", tmp_path / "agent.pkl"), "pickles"),
         ((place / "logs", "--as", "navsim-v2", "--trajectories", tmp_path / "none.csv"), "none.csv"),
         ((tmp_path / "nowhere", "--as", "navsim-v2", "--trajectories", plans), "nowhere"),

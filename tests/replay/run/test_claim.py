@@ -59,6 +59,7 @@ ROWS = {
     "report": Row("report {place}/run"),
     "query": Row("query {place}/mined 'SELECT * FROM range(500)'", ".csv"),
     "suite": Row("suite {place}/mined", ".toml"),
+    "score": Row("score {place}/run --as nuplan-cls", ".csv"),
     "baseline": Row("baseline {place}/run", ".parquet"),
     "repair": Row("repair {place}/free.mcap", ".mcap"),
     "convert": Row("convert {place}/free.mcap", ".mcap"),
@@ -70,7 +71,7 @@ ROWS = {
 }
 CLAIMED = (
     "evaluate", "merge", "mine", "cut", "vary", "falsify", "tune", "diagnose", "report", "query", "suite", "baseline",
-    "repair",
+    "repair", "score",
 )  # fmt: skip
 """The commands that lock; the others write each file whole, and of two at once the last counts."""
 URLS = ("evaluate", "merge")

@@ -21,6 +21,7 @@ from metrics.judge import worst
 from metrics.judge.gates import Outcome
 from replay.config import RunConfig
 from replay.run import evaluate_logs
+from replay.run.claim import STUDY
 from replay.vary import VaryResult, encounters, prepared, question, vary
 from replay.vary.encounters import conflicting_agent, lines, opened, question_about
 from replay.vary.surface import Bracket, bisect_brackets, brackets
@@ -114,12 +115,13 @@ def test_another_time_the_same_bytes_and_no_foreign_folder_is_touched(result: Va
     (out / "logs").mkdir(parents=True)
     for name in ("vary.json", "logs/earlier.mcap"):
         (out / name).write_text("", encoding="utf-8")
+    (out / STUDY).write_text('{"study": "vary"}\n', encoding="utf-8")
     vary(prepared(log()), result.question, run, out)
     assert not (out / "logs" / "earlier.mcap").exists()
     for name in ("surface.csv", "edges.csv", "surface.png", "surface.parquet"):
         assert (out / name).read_bytes() == (result.out / name).read_bytes()
     (tmp_path / "diary.txt").write_text("", encoding="utf-8")
-    with pytest.raises(ConfigError, match="no surface"):
+    with pytest.raises(ConfigError, match="not results of `replan vary`"):
         vary(prepared(log()), result.question, run, tmp_path)
 
 

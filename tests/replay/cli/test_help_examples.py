@@ -21,6 +21,7 @@ from logs.catalogue import scenario
 from logs.mcap import write_scenario
 from replay.cli import app
 
+pytestmark = pytest.mark.nightly
 pytest.importorskip("duckdb")
 pytest.importorskip("optuna")
 PLANNER = "from planners.constant_speed import ConstantSpeed\n\n\nclass MyPlanner(ConstantSpeed):\n    pass\n"

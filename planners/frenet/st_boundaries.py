@@ -34,8 +34,6 @@ from logs.trace import Decision, DecisionKind, GraphObstacle
 from planners.frenet.path import Path
 from planners.frenet.scene import STANDING_MPS, Bodies, Futures, Occupancy, Scene
 
-NO_ONE = np.zeros(0, np.bool_)
-"""No agent (see `Roles`)."""
 ALONG = 0.8
 """An agent with this share of its speed along the path is followed, not yielded to; at 45 degrees it crosses."""
 ONCOMING_RAD = 0.75 * pi
@@ -214,7 +212,7 @@ class Way(NamedTuple):
 
 
 class Roles(NamedTuple):
-    """Which agents `(agents,)` the sweep skips, which walk or ride, which the path passes (empty: none)."""
+    """Which agents `(agents,)` the sweep skips, which walk or ride, which need the smallest margin."""
 
     skipped: BoolArray
     vulnerable: BoolArray
@@ -259,7 +257,7 @@ def sweep(
         if roles.skipped[who]:
             continue
         margin = ego.vulnerable_margin if roles.vulnerable[who] else ego.margin
-        if len(roles.passed) and roles.passed[who]:
+        if roles.passed[who]:
             margin = ego.passed_margin
         ego_size, other_size = (ego.length, ego.width + 2.0 * margin), (bodies.length[who], bodies.width[who])
         reach = abs(ego.rear_to_center) + 0.5 * (hypot(*ego_size) + hypot(*other_size))

@@ -29,6 +29,11 @@ CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, eac
 CHANGES_HEADER = ",".join(CHANGE_COLUMNS) + "\n"
 
 
+def _has_changes(file: Path) -> bool:
+    with file.open(encoding="utf-8") as stream:
+        return stream.readline() == CHANGES_HEADER
+
+
 def listing() -> Iterator[str]:
     """The lines of the formats, and how a format is added."""
     width = max(len(reader.name) for reader in readers())
@@ -148,7 +153,7 @@ def repair_log(log: Path, target: Path, table: Path | None, settings: LogSetting
     with ExitStack() as claims:
         claims.enter_context(claimed_file(target, (".mcap",), is_written_here))
         if table is not None:
-            claims.enter_context(claimed_file(table, (".csv",), lambda file: file.open().readline() == CHANGES_HEADER))
+            claims.enter_context(claimed_file(table, (".csv",), _has_changes))
         scenario = read_log(log, settings, reader)
         write_scenario(target, scenario)
         if table is not None:

@@ -14,10 +14,8 @@ its origin in its metadata ("cut.of", "cut.from_s", "cut.to_s", and the kinds of
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import astuple, dataclass, replace
 from hashlib import sha256
 from math import isfinite
@@ -26,8 +24,6 @@ from tempfile import TemporaryDirectory
 from threading import Timer
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.mcap import write_scenario
@@ -37,9 +33,9 @@ from logs.scenario import Scenario
 from metrics.boxes import ego_boxes
 from replay.config import load_run
 from replay.mine.mine import CARD, EVENTS, HEALTH, LOGS, read_mined
-from replay.results.tables import safe_names, write_file
+from replay.results.tables import safe_names
 from replay.results.version import replan_version
-from replay.run.claim import Contents, claimed_file, claimed_folder
+from replay.run.claim import Contents, claimed_folder
 from replay.run.output import scenario_of
 from replay.search.study import Study
 
@@ -64,14 +60,6 @@ TIMES = (("t_from_s", "t_to_s"), ("time_s", "time_s"), ("t_s", "t_s"))
 CUTS = Contents("cut", ("*.mcap",))
 LEAST_S = 0.5
 """A cut with less of the log than this is an error."""
-WRITERS: Mapping[str, Callable[[pd.DataFrame, Path], object]] = {
-    ".csv": lambda table, path: table.to_csv(path, index=False, lineterminator="\n"),
-    ".parquet": lambda table, path: table.to_parquet(path, index=False),
-    ".json": lambda table, path: path.write_text(
-        (table.to_json(orient="records", indent=2, double_precision=15) or "[]") + "\n", encoding="utf-8"
-    ),
-}
-"""Functions that write rows, by the suffix of the file."""
 
 
 def views(folder: Path) -> Mapping[str, Callable[[], pd.DataFrame]]:
@@ -145,39 +133,6 @@ def query(folder: Path, sql: str) -> pd.DataFrame:
         finally:
             timer.cancel()
     return pd.concat(parts[:-1] or parts, ignore_index=True)
-
-
-@contextmanager
-def rows_file(path: Path) -> Iterator[Callable[[pd.DataFrame], None]]:
-    """The function that writes rows as .csv, .parquet or .json, by the suffix of a claimed file.
-
-    An earlier file is replaced if it has the same columns.
-
-    Raises:
-        ConfigError: The file must not be written.
-        OutputError: It cannot be written.
-    """
-    with claimed_file(path, tuple(WRITERS), lambda file: True) as file:
-
-        def write(table: pd.DataFrame) -> None:
-            if file.exists() and _columns_of(file) != table.columns.tolist():
-                raise ConfigError(f"{file}: exists, and has other columns; name another file")
-            write_file(file, lambda partial: WRITERS[file.suffix](table, partial))
-
-        yield write
-
-
-def _columns_of(file: Path) -> list[str] | None:
-    """The columns of a file of rows; None if it is none."""
-    try:
-        if file.suffix == ".parquet":
-            return list(pq.read_schema(file).names)
-        if file.suffix == ".csv":
-            return pd.read_csv(file, nrows=0).columns.tolist()
-        rows = json.loads(file.read_text(encoding="utf-8"))
-        return list(rows[0])
-    except (OSError, ValueError, LookupError, TypeError, RecursionError, pa.ArrowException):
-        return None
 
 
 # moments as logs ----------------------------------------------------------------------------------------------------

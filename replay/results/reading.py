@@ -1,6 +1,6 @@
 """The one place where files of results are read: what passes here may be used without further checks.
 
-Results may come from somebody else, or be damaged. A JSON file is checked against its type, a table against its schema
+Results may come from another person, or be damaged. A JSON file is checked against its type, a table against its schema
 (`replay.results.schema`): version, columns, types, values that are missing or infinite, words that are none of the
 known ones. Names of folders and files are plain names: nothing outside of the results is read or written.
 """

@@ -1,4 +1,4 @@
-"""Results that somebody edited: one change of one file, chosen by a seed."""
+"""Edited results: one change of one file, chosen by a seed."""
 
 from __future__ import annotations
 

@@ -41,6 +41,10 @@ RESTING_MPS = 0.5
 """... and does not come to rest: it stays faster than this, m/s."""
 
 
+Attempts = tuple[tuple[SpeedProblem, QPResult], ...]
+"""QPs that were tried, with their results."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class SolvedSpeed:
     """The speed found: rows s, v, a `(3, knots)`, or None; the reason why it is not comfortable, or is None.
@@ -54,7 +58,7 @@ class SolvedSpeed:
     keeps: bool = False
     unavoidable: bool = False
     is_full: bool = False
-    attempts: tuple[tuple[SpeedProblem, QPResult], ...] = ()
+    attempts: Attempts = ()
 
     @property
     def reports(self) -> tuple[SolverReport, ...]:

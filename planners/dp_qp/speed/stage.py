@@ -17,7 +17,7 @@ from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.trace import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
 from planners.dp_qp.goal_window import HURRIED_GAP_S
 from planners.dp_qp.speed import doubt
-from planners.dp_qp.speed.braking import RESERVE, BrakingLadder, SolvedSpeed
+from planners.dp_qp.speed.braking import RESERVE, Attempts, BrakingLadder, SolvedSpeed
 from planners.dp_qp.speed.caps import (
     OTHERS,
     OWN,
@@ -48,11 +48,11 @@ from planners.frenet.st_boundaries import (
 from planners.piecewise_jerk.solvers import DEFAULT
 
 CHANGE_S = 0.5
-"""Delay with which the ego must still be first to overtake an agent that it yielded to, s ..."""
+"""Delay with which the ego must still be first to overtake an agent that it yielded to, s."""
 FIRST_S = 1.0
-"""... and one that crosses, where braking with `LETS_MPS2` is enough to yield: predictions of when it comes err, s."""
+"""The same for an agent that crosses, if braking with `LETS_MPS2` is enough to yield: it may come sooner, s."""
 LETS_MPS2 = 3.0, 4.5
-"""Deceleration with which the ego lets a vehicle go first, and a pedestrian or rider, m/s2."""
+"""Deceleration with which the ego yields to a vehicle, and to a pedestrian or rider, m/s2."""
 DOUBTED = "that is doubted: comfortable braking is all that is done"
 
 
@@ -208,39 +208,47 @@ class SpeedStage:
     def _plan_within(self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None) -> _Planned:
         """The speed that keeps these boundaries; those of the agents `sure` (None: all) with other margins, too.
 
-        The ego is first by `FIRST_S` before agents that cross, or it yields if `LETS_MPS2` are enough for that.
+        The ego goes first before agents that cross with `FIRST_S` to spare, or it yields if `LETS_MPS2` is enough.
         """
-        scene = way.view.scene
+        scene, n = way.view.scene, len(blocks)
         total = scene.speed[blocks.agent]
         crosses = (blocks.speed < ALONG * total) & (total > STANDING_MPS)
-        planned = self._plan_in_order(way, blocks, sure, np.where(crosses, FIRST_S, 0.0))
-        lets, solved = crosses & ~planned.may_overtake, planned.solved
-        if not lets.any():
-            return planned
-        most = LETS_MPS2[bool(scene.vulnerable[blocks.agent[lets]].any())]
-        is_gentle = solved.keeps and solved.profile is not None and solved.profile[2].min() >= -most
-        return planned if is_gentle else self._plan_in_order(way, blocks, sure, np.zeros(len(blocks)))
+        free = self._plan(way, blocks, blocks.agent if sure is None else sure, np.ones(n, np.bool_))
+        planned = self._yield_to_late(way, free, np.where(crosses, FIRST_S, 0.0))
+        lets, profile = crosses & ~planned.may_overtake, planned.solved.profile
+        if lets.any():
+            most = LETS_MPS2[bool(scene.vulnerable[blocks.agent[lets]].any())]
+            if not (planned.solved.keeps and profile is not None and profile[2].min() >= -most):
+                planned = self._yield_to_late(way, free, np.zeros(n))
+        return planned
 
-    def _plan_in_order(self, way: _Way, blocks: StBoundaries, sure: IntArray | None, first_s: FloatArray) -> _Planned:
-        """The speed that overtakes only where it still stays clear `first_s` `(n,)` later: the DP has a coarse jerk."""
-        who, ids = blocks.agent if sure is None else sure, way.view.scene.frame.agents.ids
-        may, solved = np.ones(len(blocks), np.bool_), SolvedSpeed(None, "")
-        while True:
-            built, tried = self._build(way, blocks, may), solved.attempts
-            self._lap("speed DP")
-            solved = self._ladder.solve(built.problem, partial(way.taken, who), braked_fully=way.memory.braked_fully)
-            solved = replace(solved, attempts=(*tried, *solved.attempts)) if tried else solved
-            refused = built.kinds == OVERTAKE
-            if solved.profile is not None and refused.any():
+    def _yield_to_late(self, way: _Way, planned: _Planned, spare: FloatArray) -> _Planned:
+        """The speed that yields to each agent that it overtakes but would not stay clear of `spare` s `(n,)` later.
+
+        The DP alone does not know that, since its jerk is coarse. Without a solution it yields to all.
+        """
+        ids, blocks = way.view.scene.frame.agents.ids, planned.blocks
+        while (late := planned.built.kinds == OVERTAKE).any():
+            tried, profile = planned.solved.attempts, planned.solved.profile
+            if profile is not None:
                 waited = [CHANGE_S if ids[each] in way.memory.waits else 0.0 for each in blocks.agent]
-                at = blocks.t - np.maximum(first_s, waited)[:, None]
-                s = np.interp(at, self._times, solved.profile[0])
-                refused &= ((s > blocks.lower) & (s < blocks.upper)).any(axis=1)
-            if not refused.any():
-                break
-            may = may & ~refused
+                s = np.interp(blocks.t - np.maximum(spare, waited)[:, None], self._times, profile[0])
+                late &= ((s > blocks.lower) & (s < blocks.upper)).any(axis=1)
+                if not late.any():
+                    break
+            planned = self._plan(way, blocks, planned.sure, planned.may_overtake & ~late, tried)
+        return planned
+
+    def _plan(
+        self, way: _Way, blocks: StBoundaries, sure: IntArray, may_overtake: BoolArray, tried: Attempts = ()
+    ) -> _Planned:
+        """The speed with these orders of passing; `tried`: QPs that were tried before."""
+        built = self._build(way, blocks, may_overtake)
+        self._lap("speed DP")
+        solved = self._ladder.solve(built.problem, partial(way.taken, sure), braked_fully=way.memory.braked_fully)
         self._lap("speed QP")
-        return _Planned(solved, built, blocks, may, who)
+        solved = replace(solved, attempts=(*tried, *solved.attempts)) if tried else solved
+        return _Planned(solved, built, blocks, may_overtake, sure)
 
     def _build(
         self, way: _Way, blocks: StBoundaries, may_overtake: BoolArray, *, is_drawn: bool = False

@@ -1,4 +1,4 @@
-"""Results that somebody edited: one line and a documented exit code, and nothing outside of the output is touched."""
+"""Edited results: one line and a documented exit code, and nothing outside of the output is touched."""
 
 from __future__ import annotations
 

@@ -122,7 +122,7 @@ def test_a_url_is_refused_before_any_work(
 
 
 @contextmanager
-def somebody_writes(name: str, out: Path) -> Iterator[None]:
+def another_command_writes(name: str, out: Path) -> Iterator[None]:
     with locked(out.with_name(f".{out.name}{LOCK}"), out) if ROWS[name].ending else held(out):
         yield
 
@@ -130,7 +130,7 @@ def somebody_writes(name: str, out: Path) -> Iterator[None]:
 @pytest.mark.parametrize("name", CLAIMED)
 def test_of_two_at_once_the_second_is_refused(place: Path, tmp_path: Path, name: str) -> None:
     out = target(name, tmp_path)
-    with somebody_writes(name, out):
+    with another_command_writes(name, out):
         result = replan(*ROWS[name].given(place, out))
     assert result.exit_code == 2 and "another run writes it" in one_error(result)
     assert not out.exists()

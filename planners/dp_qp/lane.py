@@ -14,7 +14,7 @@ The cost of a candidate adds terms in seconds, weighted as `LaneConfig` says:
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import hypot, inf
+from math import inf
 
 from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
@@ -27,13 +27,11 @@ from planners.dp_qp.path.stage import ChosenPath, PathMemory, PathStage
 from planners.dp_qp.speed.caps import SpeedTask
 from planners.dp_qp.speed.stage import ChosenSpeed, SpeedMemory, SpeedStage
 from planners.frenet.lane_sequence import LaneSequence
-from planners.frenet.scene import TRACK_M, Scene, behind, on_path, scene_of
+from planners.frenet.scene import TRACK_M, Place, Scene, behind, on_path, scene_of
 from planners.rules import Rulebook, RuleMemory
 
 FORGET_S = 0.5
 """The memory of a lane that was not planned for this long is dropped, s."""
-LOST_M = 15.0
-"""The foot point of a start that is farther from the last start is searched along the whole line, m."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -48,12 +46,11 @@ class PassWay:
 class LaneMemory:
     """Memory of the previous frames in one lane; a frame without a previous plan has `LaneMemory()`.
 
-    Time `t` of the last plan, s; `place`: x, y and station of the last start, m, None if unknown; the memory of both
-    stages and of the rules.
+    Time `t` of the last plan, s; the `place` of its start, None if unknown; the memory of both stages and of the rules.
     """
 
     t: float = -inf
-    place: tuple[float, float, float] | None = None
+    place: Place | None = None
     path: PathMemory = field(default_factory=PathMemory)
     speed: SpeedMemory = field(default_factory=SpeedMemory)
     rules: RuleMemory = field(default_factory=RuleMemory)
@@ -133,11 +130,8 @@ class LanePlanner:
         return (*self.lane.reference.waits, *self._rules.places)
 
     def scene(self, frame: Frame, start: EgoState, memory: LaneMemory) -> Scene:
-        """The scene of a frame in this lane; the start's foot point is searched near the last one."""
-        near = None
-        if memory.place is not None and hypot(start.x - memory.place[0], start.y - memory.place[1]) < LOST_M:
-            near = memory.place[2]
-        return scene_of(frame, start, self.lane.reference, self._vehicle, near)
+        """The scene of a frame in this lane."""
+        return scene_of(frame, start, self.lane.reference, self._vehicle, memory.place)
 
     def plan(
         self, name: str, scene: Scene, memory: LaneMemory, past: PassWay | None = None
@@ -172,7 +166,7 @@ class LanePlanner:
         changes, change, late = self.least_costs(name, scene, target).terms
         costs = CostTerms(f"lane {name}", (("time lost", lost), changes, change, ("braking", braking), late))
         plan = LanePlan(name, self.lane, scene, path, speed, costs)
-        return plan, LaneMemory(t, (start.x, start.y, scene.s), path_memory, speed_memory, rules)
+        return plan, LaneMemory(t, scene.place, path_memory, speed_memory, rules)
 
     def least_costs(self, name: str, scene: Scene, target: SpeedTarget | None = None) -> CostTerms:
         """(2), (3) and (5) of a plan in this lane, without planning it: it costs no less, except for time gained."""

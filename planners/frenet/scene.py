@@ -88,6 +88,14 @@ class Futures(NamedTuple):
     yaw: FloatArray
 
 
+class Place(NamedTuple):
+    """The start of a plan: x, y and its station, m."""
+
+    x: float
+    y: float
+    s: float
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Scene:
     """A frame in a lane.
@@ -121,6 +129,11 @@ class Scene:
     vulnerable: BoolArray
 
     @property
+    def place(self) -> Place:
+        """The place of the start."""
+        return Place(self.start.x, self.start.y, self.s)
+
+    @property
     def front(self) -> float:
         """Station of the ego's front, m; `rear` of its rear."""
         return self.s + self.vehicle.axle_to_front
@@ -152,12 +165,15 @@ class Scene:
 
 
 def scene_of(
-    frame: Frame, start: EgoState, reference: ReferencePath, vehicle: VehicleParameters, near: float | None = None
+    frame: Frame, start: EgoState, reference: ReferencePath, vehicle: VehicleParameters, last: Place | None = None
 ) -> Scene:
-    """The scene of a frame for a plan from `start`, whose foot point is searched near a station (None: anywhere)."""
+    """The scene of a frame for a plan from `start`; its foot point is searched as far on from `last` as it moved."""
     line, agents = reference.line, frame.agents
     bodies = Bodies(agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width)
-    search = (0.5 * line.length, line.length) if near is None else (near, FOOT_M)
+    search = (0.5 * line.length, line.length)
+    if last is not None:
+        moved = hypot(start.x - last.x, start.y - last.y)
+        search = last.s + moved, FOOT_M + moved
     s, l, limit, rows = place_agents(  # noqa: E741
         line.s, line.coef, reference.table, reference.limit, bodies, (start.x, start.y), *search
     )
@@ -231,23 +247,20 @@ def start_of(frame: Frame, stitch_m: float = STITCH_M, stitch_mps: float = STITC
 
 
 class RouteTracker:
-    """The reference path of one scenario's route, and the last start on it: the next is as far on as the ego moved."""
+    """The reference path of one scenario's route, and the last start on it."""
 
     def __init__(self, context: PlannerContext) -> None:
         self._vehicle = context.vehicle
         route = find_route(context.road, context.start, context.goal)
         self.reference: ReferencePath = make_reference_path(context.road, route, context.start)
-        self._last: tuple[EgoState, float] | None = None
+        self._last: Place | None = None
 
     def scene(self, frame: Frame) -> tuple[Scene, PlanStart]:
         """The scene of a frame along the route, and the kind of start of its plan."""
         start, kind = start_of(frame)
-        near = None
-        if frame.previous is not None and self._last is not None:
-            before, s = self._last
-            near = s + hypot(start.x - before.x, start.y - before.y)
-        scene = scene_of(frame, start, self.reference, self._vehicle, near)
-        self._last = start, scene.s
+        last = self._last if frame.previous is not None else None
+        scene = scene_of(frame, start, self.reference, self._vehicle, last)
+        self._last = scene.place
         return scene, kind
 
 

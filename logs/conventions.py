@@ -157,7 +157,7 @@ FITS_RAD, CLOSE = 0.2, 0.25
 DENIED, AGREED = 0.3, 0.5
 """Least shares: of the chords that contradict the heading in rad, and of those that fit a reading instead."""
 SPREAD_RAD = 0.02
-"""With less spread of the directions, a reading cannot be told from a constant error."""
+"""With less spread of the directions, a reading cannot be distinguished from a constant error."""
 
 
 def reading_of(yaw: FloatArray, chords: Chords, reverse: BoolArray) -> str:

@@ -5,7 +5,7 @@
                                          from world coordinates: all coordinates are relative to it); where known
                                          traffic_s: when the others were observed, [[from, to], ...], s since start_ns
                                          (without it, a log with an empty message on /agents: while these come)
-              replan.scenario.metadata   what else the log says of itself, free keys (generator, parameters, seed)
+              replan.scenario.metadata   other facts about the log, free keys (generator, parameters, seed)
               replan.trace               only in a trace: planner, mode, oracle, end, detail
 
     /ego             Ego           one state a message: required, the rest is optional

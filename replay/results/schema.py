@@ -175,7 +175,7 @@ TABLES: Mapping[str, Table] = {
             ("place", "text", "as the log's metadata says; may be empty"),
             ("weather", "text", "as the log's metadata says; may be empty"),
             ("parked_breaks", "text", "the first packaged gate that a driver breaks who stops; empty: none, too easy"),
-            ("creeping_breaks", "text", "that a driver breaks who goes on at 2 m/s; empty: none, too easy"),
+            ("creeping_breaks", "text", "that a driver at a constant 2 m/s breaks; empty: none, too easy"),
             ("blind_breaks", "text", "that a driver breaks who ignores road users and lights; empty: no interaction"),
             ("not_asked", "list", "kinds of events that were not looked for, with the reason"),
             ("error", "text", "why the log could not be mined; empty: it was"),

@@ -229,8 +229,8 @@ def _restarts(part: Part, source: str, edge: Edge) -> tuple[IntArray, str]:
     for topic in part.bag.topics:
         if topic.kind == schemas.CLOCK and topic.count and not len(found[source]):
             log, rows = part.bag.read(topic, ("clock.sec", "clock.nanosec"), part.begin, part.end)
-            told = np.array([row[0] * 1_000_000_000 + row[1] for row in rows], dtype=np.int64)
-            found[topic.name] = restarts(log[told > 0], told[told > 0])  # 0: not yet known
+            stamps = np.array([row[0] * 1_000_000_000 + row[1] for row in rows], dtype=np.int64)
+            found[topic.name] = restarts(log[stamps > 0], stamps[stamps > 0])  # 0: not yet known
     topic_name = max(found, key=lambda name: len(found[name]))
     return found[topic_name], topic_name
 

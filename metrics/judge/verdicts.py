@@ -256,15 +256,17 @@ def _judge_drive(gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome],
         return replace(nothing, outcome=Outcome.NOT_ASKED if gate.optional else Outcome.INCONCLUSIVE, reason=reason)
     judged = [log for log in found if isfinite(log.value) and log.outcome is not Outcome.INCONCLUSIVE]
     missing = [log for log in found if not log.evaluated]
-    without = Counter(log.why for log in found if log.outcome is Outcome.INCONCLUSIVE and log.evaluated)
+    without = [log for log in found if log.outcome is Outcome.INCONCLUSIVE and log.evaluated]
     aside = ""  # text about logs that could not be judged
     if without:
         ran = count_logs(len(found) - len(missing))
-        aside = f"; no evidence in {without.total()} of {ran} ({without.most_common(1)[0][0]})"
+        aside = f"; no evidence in {len(without)} of {ran} ({without[0].log}: {without[0].why})"
     if missing:
         aside += f"; {count_logs(len(missing))} could not be evaluated ({missing[0].log}: {missing[0].why})"
+    unclear = next(iter((*without, *missing)), None)
     if not judged:
-        return replace(nothing, reason=f"{who}: nothing to judge{aside}")
+        where = found[0] if unclear is None else unclear
+        return replace(nothing, reason=f"{who}: nothing to judge{aside}", log=where.log, time_s=where.time_s)
     bad = min(judged, key=lambda log: gate.margin(log.value))
     few = f"; {count_logs(len(judged))} judged, {gate.min_logs} must be" if len(judged) < gate.min_logs else ""
     lacking = len(judged) < gate.min_logs or len(found) - len(judged) > gate.max_missing * len(found) + 1e-9
@@ -273,7 +275,8 @@ def _judge_drive(gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome],
     else:
         value, outcome, what = _judge_value(gate, judged, bad, lacking=bool(lacking or missing))
     reason = f"{who}: {what}{few}{aside}"
-    return replace(nothing, outcome=outcome, reason=reason, value=value, log=bad.log, time_s=bad.time_s)
+    where = bad if outcome is not Outcome.INCONCLUSIVE or unclear is None else unclear
+    return replace(nothing, outcome=outcome, reason=reason, value=value, log=where.log, time_s=where.time_s)
 
 
 def _judge_value(

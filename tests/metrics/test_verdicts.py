@@ -122,6 +122,17 @@ def test_too_many_without_evidence_are_no_pass_of_a_share() -> None:
     assert verdict(share(0.5, max_missing=0.1), values).outcome is INCONCLUSIVE
 
 
+@pytest.mark.parametrize("gate", [Gate(GAP, min=0.5), Gate(GAP, min=0.5, over="mean"), share(0.5)])
+@given(st.lists(st.sampled_from([1.0, 0.0, None]), min_size=1, max_size=6))
+def test_an_inconclusive_verdict_names_a_log_without_evidence(gate: Gate, values: list[float | None]) -> None:
+    logs = {f"log{i}": value for i, value in enumerate(values)}
+    found = verdict(gate, logs)
+    if found.outcome is INCONCLUSIVE and None in values:
+        assert logs[found.log] is None
+    elif any(value is not None for value in values):
+        assert logs[found.log] == min(value for value in values if value is not None)
+
+
 @pytest.mark.parametrize(("n", "outcome"), [(72, INCONCLUSIVE), (73, PASS)])
 def test_to_be_sure_of_95_percent_takes_73_passes(n: int, outcome: Outcome) -> None:
     found = verdict(share(0.95, confident=True), {f"log{i}": 1.0 for i in range(n)})

@@ -176,8 +176,8 @@ def vary(
     resolution: Annotated[
         float | None, option(None, "Width to which edges are bisected. Default: an eighth of a cell.")
     ] = None,
-    list_agents: Annotated[bool, option(None, "List the agents, the nearest first.", "--list-agents")] = False,
-    listing: Annotated[bool, option(None, "List what can be varied.", "--list")] = False,
+    list_agents: opt.ListAgents = False,
+    listing: opt.ListAxes = False,
     config: opt.Config = None,
     settings: opt.Set = None,
     gates: opt.Gates = None,
@@ -201,12 +201,11 @@ def vary(
       replan vary my_log.mcap --vary standing_car=20:80:7 --vary ego_speed=0.5:1.5:5
     """
     with handle_errors():
-        from replay.vary.axes import variation_table, variations
-        from replay.vary.encounters import encounters, lines, opened, question_about
+        from replay.vary.encounters import opened, question_about
         from replay.vary.surface import vary as evaluate_surface
 
         if listing:
-            say_json(variation_table()) if as_json else say("\n".join(variations()))
+            opt.say_axes(as_json=as_json)
             return
         if log is None:
             raise ConfigError("name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9")
@@ -220,8 +219,7 @@ def vary(
         run = run_config(config, options, settings or ())
         scenario = opened(log, run.log)
         if list_agents:
-            found = encounters(scenario)
-            say_json(found) if as_json else say("\n".join(lines(found, scenario.short_names)))
+            opt.say_agents(scenario, as_json=as_json)
             return
         asked = question_about(scenario, variation or [], agent or [], resolution)
         say_progress = progress_lines(quiet=quiet)

@@ -183,23 +183,27 @@ def coverage(
     against: Annotated[
         Path | None, typer.Option(help="Compare with another mined folder. Default: the catalogue.", metavar="RUN")
     ] = None,
+    out: Annotated[
+        Path | None, opt.out_option("Folder for coverage.csv and coverage.png. Default: the mined folder.")
+    ] = None,
     workers: opt.Workers = None,
     as_json: opt.Json = False,
 ) -> None:
     """List which cells of event, road, road user and speed mined logs have, and which they lack.
 
-    Writes coverage.csv and coverage.png into the folder. By default the families of the catalogue are mined for
+    Writes coverage.csv and coverage.png. By default the families of the catalogue are mined for
     comparison, so that a gap names a family that fills it (replan synth FAMILY).
     """
     with handle_errors():
         from replay.cli.progress import sign_of_life
-        from replay.mine.coverage import cells, gaps, lines, table, write_coverage
+        from replay.mine.coverage import COVERAGE, cells, gaps, lines, table, write_coverage
         from replay.mine.mine import mine as mine_logs
         from replay.mine.mine import read_mined
+        from replay.run.claim import claimed_folder
         from replay.run.output import held
 
         mined = read_mined(run)
-        with held(run):
+        with held(run) if out is None else claimed_folder(out, COVERAGE) as folder:
             if against is None:
                 from replay.config import RunConfig
                 from replay.mine.coverage import catalogue
@@ -210,7 +214,7 @@ def coverage(
                 other = read_mined(against).events
             have = cells(mined.events)
             missing = gaps(have, cells(other))
-            write_coverage(run, mined.events, table(have, missing))
+            write_coverage(folder or run, mined.events, table(have, missing))
         if as_json:
             say_json(table(have, missing))
         else:

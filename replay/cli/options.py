@@ -12,9 +12,10 @@ from typer.core import TyperCommand
 
 from logs.errors import unknown_name
 from logs.files import on_this_machine
-from replay.cli.app import handle_errors, say
+from replay.cli.app import handle_errors, say, say_json
 
 if TYPE_CHECKING:
+    from logs.scenario import Scenario
     from replay.config import RunConfig
 
 # names for shell completion ------------------------------------------------------------------------------------------
@@ -175,7 +176,24 @@ Address = Annotated[
     str | None, option(RUNNING, "Ray cluster (or auto). Default: one for this run.", metavar="HOST:PORT")
 ]
 Baseline = Annotated[Path | None, option(JUDGE, "A run, or file of replan baseline, to compare with.", metavar="RUN")]
+ListAgents = Annotated[bool, option(None, "List the agents, the nearest first.", "--list-agents")]
+ListAxes = Annotated[bool, option(None, "List what can be varied.", "--list")]
 NoReport = Annotated[bool, option(OUTPUT, "Write no report.html, report.md and junit.xml.", "--no-report")]
+
+
+def say_axes(*, as_json: bool) -> None:
+    """Print what can be varied."""
+    from replay.vary.axes import variation_table, variations
+
+    say_json(variation_table()) if as_json else say("\n".join(variations()))
+
+
+def say_agents(scenario: Scenario, *, as_json: bool) -> None:
+    """Print the agents of a log, the nearest first."""
+    from replay.vary.encounters import encounters, lines
+
+    found = encounters(scenario)
+    say_json(found) if as_json else say("\n".join(lines(found, scenario.short_names)))
 
 
 # options as a run's configuration ------------------------------------------------------------------------------------
@@ -235,7 +253,32 @@ RENAMED = {"compare": {"--no-partings": "--no-first-difference"}, "frame": {"--o
 """Options of other commands, and their new names."""
 
 
-class EvaluateCommand(TyperCommand):
+class Command(TyperCommand):
+    """A command that refuses an option with one value that is given twice."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """The words, parsed; UsageError if an option would lose a value."""
+        options: Any = [one for one in self.params if one.param_type_name == "option"]
+        values = {name: one for one in options if not one.is_flag for name in (*one.opts, *one.secondary_opts)}
+        given: list[Any] = []
+        left = iter(args)
+        for word in left:
+            if word == "--":
+                break
+            long = word.startswith("--")
+            name, joined = word.partition("=")[0] if long else word[:2], "=" in word if long else len(word) > 2
+            if name in values:
+                given.append(values[name])
+                if not joined:
+                    next(left, None)
+        for one in given:
+            if not one.multiple and given.count(one) > 1:
+                raise typer.BadParameter(f"takes one value, and is given {given.count(one)} times", ctx, param=one)
+        parsed: list[str] = super().parse_args(ctx, args)
+        return parsed
+
+
+class EvaluateCommand(Command):
     """`replan evaluate`, which also takes the options in `EVALUATE`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -244,7 +287,7 @@ class EvaluateCommand(TyperCommand):
         return left
 
 
-class RenamingCommand(TyperCommand):
+class RenamingCommand(Command):
     """A command that also takes its options in `RENAMED`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

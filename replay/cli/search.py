@@ -22,8 +22,10 @@ FALSIFY_CODES = (
 
 @app.command(epilog=FALSIFY_CODES)
 def falsify(
-    log: Annotated[str, typer.Argument(help="A log of any format, or a family of the catalogue.")],
-    planner: Annotated[str, opt.planner_option(LOOP, "The planner that is searched.")],
+    log: Annotated[str | None, typer.Argument(help="A log of any format, or a family of the catalogue.")] = None,
+    planner: Annotated[str | None, opt.planner_option(LOOP, "The planner that is searched.")] = None,
+    list_agents: opt.ListAgents = False,
+    listing: opt.ListAxes = False,
     against: Annotated[
         str, option(LOOP, "Who must not fail: careful (of UN R157), or a planner.", metavar="NAME", complete="planner")
     ] = "careful",
@@ -68,15 +70,23 @@ def falsify(
         from replay.search.falsify import Question
         from replay.search.falsify import falsify as falsified
 
+        if listing:
+            opt.say_axes(as_json=as_json)
+            return
+        if log is None or (planner is None and not list_agents):
+            raise ConfigError("name a log or a family, and a planner: replan falsify paper/crossing_pedestrian -p idm")
         if not resolution > 0.0:
             raise ConfigError(f"--resolution must be positive, got {resolution:g}")
         options = {
-            "planners": [planner],
+            "planners": [planner] if planner else None,
             "gates": None if gates is None else str(gates),
             "log": log_table(ego, road_map, begin, end, repair),
         }
         run = run_config(config, options, settings or ())
         subject = opened(log, run.log)
+        if list_agents:
+            opt.say_agents(subject.scenario, as_json=as_json)
+            return
         axes = search_axes(axis or [], scale or [], subject.family, with_agents=len(subject.scenario.tracks) > 0)
         agents = agents_of(subject, axes, agent or [])
         question = Question(subject.of(agents), axes, run, against, budget, seed, resolution)

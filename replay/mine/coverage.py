@@ -28,7 +28,7 @@ from logs.files import local_path, url_of
 from logs.names import counted, visible_name
 from replay.mine.mine import ALONE, FASTER, ROADS, SPEEDS, Mined
 from replay.results.tables import write_file, write_text
-from replay.run.claim import claimed_file
+from replay.run.claim import Contents, claimed_file
 from replay.run.sources import SUITE_HEADER, LogSource, Selection
 
 if TYPE_CHECKING:
@@ -94,6 +94,9 @@ def figure(events: pd.DataFrame, title: str) -> Figure:
 def catalogue() -> Selection:
     """Every family of the catalogue, at its defaults."""
     return Selection(tuple(LogSource(name) for name in families()))
+
+
+COVERAGE = Contents("coverage", ("coverage.csv", "coverage.png"), resumes=False)
 
 
 def write_coverage(out: Path, events: pd.DataFrame, rows: pd.DataFrame) -> None:

@@ -49,11 +49,16 @@ def percent(value: float) -> str:
     return f"{100.0 * value:.0f}%" if value == 0.0 or value >= 0.01 else "<1%"
 
 
+def _at_most_all(value: float) -> str:
+    """A share as `percent`; ">100%" beyond one."""
+    return percent(value) if value < 1.005 else ">100%"
+
+
 JERK_S = "lon_jerk_nuplan.time_out_of_bounds"
 COLUMNS = (
     Column("ADE\n3 s\n[m]", "ade.3s.mean", "open", "{:.2f}".format),
     Column("fall\nback", "fallback.rate", "open", percent, lambda value: value > 0.0),
-    Column("route\ndone", "route_progress.final", "closed", percent, lambda value: value < 0.5),
+    Column("route\ndone", "route_progress.final", "closed", _at_most_all, lambda value: value < 0.5),
     Column("goal", "goal.final", "closed", lambda value: "yes" if value else "no", lambda value: value == 0.0),
     Column("hits\nat\nfault", "collision_at_fault.count", "closed", "{:.0f}".format, lambda value: value > 0.0),
     Column("least\ngap\n[m]", "gap.min", "closed", "{:.2f}".format, lambda value: value < 0.2),
@@ -71,7 +76,7 @@ LEGEND = (
     ("closed", f"{FREE}: no interaction: a blind driver passes this log, too, as nothing was in the way."),
     (
         "closed",
-        "closed loop: the planner drives; route done: of what the log's driver, else the route follower, does in all;",
+        "closed loop: the planner drives; route done: of what the log's driver (else the route follower) does in all;",
     ),
     (
         "closed",

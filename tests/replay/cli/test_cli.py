@@ -43,6 +43,26 @@ def test_the_help_of_evaluate_fits_on_a_screen_and_a_half(monkeypatch: pytest.Mo
     assert len(replan("evaluate", "--help").stdout.splitlines()) <= 75
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("report", "run", "--diagnosis", "a", "--diagnosis=b"),
+        ("evaluate", "--suite", "smoke", "--suite", "full"),
+        ("explain", "run", "-p", "idm", "--planner", "pdm"),
+        ("mine", "log.mcap", "-oa", "-o", "b"),
+    ],
+)
+def test_an_option_of_one_value_is_not_given_twice(words: tuple[str, ...]) -> None:
+    refused = replan(*words)
+    assert refused.exit_code == 2
+    assert "2 times" in refused.stderr
+
+
+def test_options_of_several_values_and_values_like_options_are_taken() -> None:
+    assert "2 times" not in replan("evaluate", "nowhere", "-p", "idm", "-p", "pdm", "--config", "--config").stderr
+    assert "2 times" not in replan("inspect", "--", "--ego", "--ego").stderr
+
+
 @pytest.mark.parametrize("option", EVALUATE)
 def test_an_old_option_is_a_setting_and_says_so(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     value = {"--plant": "mass=1400", "--internals": "none", "--batch": "2"}.get(option, "3")

@@ -90,6 +90,8 @@ def test_list_says_how_many_there_are_of_each_kind_and_which() -> None:
         (("synth", "--list"), lambda said: {one["name"] for one in said["families"]} == FAMILIES.keys()),
         (("convert", "--formats"), lambda said: "native" in [one["name"] for one in said]),
         (("vary", "--list"), lambda said: "speed" in [one["name"] for one in said]),
+        (("falsify", "--list"), lambda said: "speed" in [one["name"] for one in said]),
+        (("falsify", "paper/crossing_pedestrian", "--list-agents"), lambda said: said[0]["kind"] == "pedestrian"),
         (("vary", "paper/crossing_pedestrian", "--list-agents"), lambda said: said[0]["kind"] == "pedestrian"),
         (("inspect", "{free}"), lambda said: said["scenario"]["name"] == "test/free" and said["health"] == []),
     ],

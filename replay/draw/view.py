@@ -1,7 +1,7 @@
 """Open recordings in the Rerun viewer: a recording, a log, or all recordings of a result folder, with an index.
 
-The index lists the drives, the worst first, each with a link that opens its recording. They are ordered by verdict
-(fail, inconclusive, pass, not judged), then by the count of values out of bounds, as in the reports.
+The index lists the drives, the worst first as in the reports (`Overview.ranked`), each with a link that opens its
+recording.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from replay.draw.recording import pair as pairs
 from replay.draw.recording import write_log_recording
 from replay.draw.recording.pictures import LOOPBACK, Picture, Theme, environment, free_port, in_use, take_pictures
 from replay.draw.recording.tape import MARKDOWN, cell, document, link, recording_file, table
-from replay.draw.report.overview import ORDER, overview
+from replay.draw.report.overview import overview
 from replay.results.load import load, named_logs
 
 ELSEWHERE = (
@@ -44,8 +44,7 @@ def write_index(path: Path, folder: Path, most: int) -> tuple[Path, list[Path]]:
         OutputError: The file cannot be written.
     """
     over = overview(load(folder))
-    weight = {verdict: i for i, verdict in enumerate(ORDER)}
-    rows = sorted(over.drives, key=lambda row: (weight.get(row.verdict, len(ORDER)), -row.trouble, row.log))
+    rows = over.ranked
     opened = [row for row in rows if row.recording][:most]
     lines = [f"# {cell(over.outcome)}: {counted(len(rows), 'drive')}, worst first", ""]
     there = sum(bool(row.recording) for row in rows)

@@ -40,7 +40,6 @@ T = TypeVar("T")
 
 MOST_REGRESSIONS, MOST_IMPROVEMENTS, MOST_GROUPS, MOST_MOVED = 60, 20, 80, 6
 """Largest numbers of rows in the tables of a comparison, and of metrics that are drawn."""
-_ORDER = {"fail": 0, "inconclusive": 1}
 """Order of the pages by verdict; within a verdict, the drive with most trouble is first."""
 MOST_EVENTS = 60
 """Largest number of events that are listed; the page gives the number of the others."""
@@ -99,7 +98,7 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
             broken.update(page.broken)
             yield page
 
-    paged = sorted(overview.drives, key=lambda row: (_ORDER.get(row.verdict, 2), -row.trouble))[:drives]
+    paged = overview.ranked[:drives]
     anchors, shares = dict[tuple[str, str], str](), [*overview.whole, *overview.grouped]
     for row in paged:  # an id for each page, made of the names, with a number if it would not be unique
         name = f"drive/{safe_name(row.log)}/{safe_name(row.planner)}"

@@ -28,7 +28,6 @@ MAX_OPEN = 25
 """Longest list that is not folded."""
 MAX_COMPARED = 50
 """Largest number of listed regressions or groups of a comparison."""
-WEIGHT = {Outcome.FAIL.value: 0, Outcome.INCONCLUSIVE.value: 1, "": 2, Outcome.PASS.value: 3}
 
 
 def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
@@ -136,9 +135,8 @@ def _drives(over: Overview, *, linked: bool) -> Iterator[str]:
     names = [column.words for column in over.columns]
     ended = ["closed loop ended by"] if first < len(names) else []
     head = ("log", "planner", "verdict", *names[:first], *ended, *names[first:], *(["files"] if linked else []))
-    order = sorted(over.drives, key=lambda row: (WEIGHT[row.verdict], -row.trouble))
     rows = []
-    for row in order:
+    for row in over.ranked:
         cells = [*row.cells[:first], *([row.end] if ended else []), *row.cells[first:]]
         texts = [f"**{_text(cell.text)}**" if cell.bad else _text(cell.text) for cell in cells]
         files = [" ".join(f"[{_text(Path(file).name)}]({quote(file)})" for file in row.files)] if linked else []

@@ -15,6 +15,7 @@ import pandas as pd
 from logs.names import counted
 from metrics.compare import Comparison
 from metrics.judge.aggregate import BOTH, SUITE
+from metrics.judge.gates import Outcome
 
 NOTHING = "-"
 BROKEN = "Charts that could not be drawn"
@@ -126,6 +127,9 @@ class Cell:
     bad: bool = False
 
 
+WEIGHT: Mapping[str, int] = {Outcome.FAIL.value: 0, Outcome.INCONCLUSIVE.value: 1, "": 2, Outcome.PASS.value: 3}
+
+
 @dataclass(frozen=True)
 class DriveRow:
     """A log and a planner, both loops.
@@ -133,6 +137,7 @@ class DriveRow:
     Attributes:
         shown: The name of the planner with its marks: oracle, trusted, batched, not deterministic.
         verdict: The worst outcome of the gates on this log; "" if no gate applies.
+        gravity: The place of its gravest failed gate among the rules by harm; their number if none fails.
         asked: The number of gates that apply, of all: "24/41", with a mark where nothing was in the way.
         end: How the closed loop ended.
         cells: One per column of `Overview.columns`.
@@ -144,6 +149,7 @@ class DriveRow:
     planner: str
     shown: str
     verdict: str
+    gravity: int
     asked: str
     end: Cell
     cells: tuple[Cell, ...]
@@ -151,9 +157,10 @@ class DriveRow:
     folder: str
 
     @property
-    def trouble(self) -> int:
-        """The number of its marked cells."""
-        return self.end.bad + sum(cell.bad for cell in self.cells)
+    def rank(self) -> tuple[int, int, int, str, str]:
+        """Sort key, the worst drive first: verdict, gravest failed gate, most marked cells, name of log and planner."""
+        marked = self.end.bad + sum(cell.bad for cell in self.cells)
+        return WEIGHT[self.verdict], self.gravity, -marked, self.log, self.planner
 
     @property
     def recording(self) -> str:
@@ -310,7 +317,6 @@ class Overview:
         fragile: The verdicts that changed, a sentence each.
         notes: Assumptions, with the number of logs, the commonest first.
         failures: Logs and planners that could not be evaluated.
-        worst: The drive to look at first.
         comparison: The comparison with a baseline, if there is one.
         diagnosis: The contents of diagnosis.json, if `replan diagnose` was run.
         broken: Charts that could not be drawn, a sentence each; known after the page is written.
@@ -337,10 +343,19 @@ class Overview:
     fragile: tuple[str, ...]
     notes: tuple[str, ...]
     failures: tuple[str, ...]
-    worst: DriveRow | None
     comparison: Comparison | None
     diagnosis: Mapping[str, Any] | None = None
     broken: tuple[str, ...] = ()
+
+    @property
+    def ranked(self) -> tuple[DriveRow, ...]:
+        """The drives, the worst first: the one ranking of all reports, of `replan view` and of pictures of a run."""
+        return tuple(sorted(self.drives, key=lambda row: row.rank))
+
+    @property
+    def worst(self) -> DriveRow | None:
+        """The drive to look at first."""
+        return min(self.drives, key=lambda row: row.rank, default=None)
 
     @property
     def driven(self) -> tuple[str, ...]:

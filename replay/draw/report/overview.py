@@ -28,12 +28,13 @@ from metrics.judge.aggregate import LogLabels, membership, pass_shares, standing
 from metrics.judge.discrimination import BLIND_FAILS
 from metrics.judge.gates import Outcome
 from metrics.judge.verdicts import judge_deadline
-from replay.draw.charts.subject import gravity
+from replay.draw.charts.subject import GRAVE, gravity
 from replay.draw.report.model import (
     COLUMNS,
     COMPARED,
     FREE,
     NOTHING,
+    WEIGHT,
     Cell,
     Column,
     Coverage,
@@ -48,7 +49,6 @@ from replay.drive import BATCHED, NOT_DETERMINISTIC, TRUSTED
 from replay.results.load import Results
 from replay.results.tables import OUTCOMES
 
-ORDER = (Outcome.FAIL.value, Outcome.INCONCLUSIVE.value, Outcome.PASS.value)
 """Outcomes as reports list them."""
 EXIT_WEIGHT = (2, 3, 1, 4, 0)
 """Exit codes by priority: several codes are combined into the first in this order (3 beats 1 beats 4)."""
@@ -87,11 +87,6 @@ def overview(
     names = ["kind", "group", "planner", "mode", "logs", "passed", "failed", "inconclusive", "missing", "mean"]
     rows = pass_shares(stand, labels)[[*names, "low", "high"]].itertuples(index=False)
     shares = (PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows)
-    # look first at the drive of the gravest failure, else the first that has a recording, else the first
-    broken = [gate for gate in gates if gate.outcome == Outcome.FAIL.value and gate.log]
-    gravest = min(broken, key=lambda gate: gravity(gate.rule), default=None)
-    failed = gravest and (gravest.log, gravest.planner)
-    look = sorted(drives, key=lambda drive: ((drive.log, drive.planner) != failed, not drive.recording))
     failures = (
         f"{row['message']} [{row['planner']}, {row['mode']} loop]" if row["planner"] else str(row["message"])
         for row in results.summary["failures"]
@@ -121,7 +116,6 @@ def overview(
         ),
         notes=tuple(_notes(results.summary["logs"])),
         failures=tuple(map(without_folders(results), failures)),
-        worst=look[0] if look else None,
         comparison=comparison,
         diagnosis=diagnosis,
     )
@@ -177,8 +171,12 @@ def _drives(
     results: Results, values: Values, columns: Sequence[Column], verdicts: pd.DataFrame
 ) -> tuple[DriveRow, ...]:
     judged: dict[Key, list[Outcome]] = {}
-    for log, planner, outcome in zip(verdicts["log"], verdicts["planner"], verdicts["outcome"], strict=True):
+    broken: dict[Key, list[int]] = {}
+    columns_of = (verdicts[name] for name in ("log", "planner", "outcome", "gate"))
+    for log, planner, outcome, gate in zip(*columns_of, strict=True):
         judged.setdefault((log, planner), []).append(Outcome(outcome))
+        if outcome == Outcome.FAIL.value:
+            broken.setdefault((log, planner), []).append(gravity(gate))
     grouped: dict[Key, list[Any]] = {}
     for drive in results.drives.itertuples():
         grouped.setdefault((str(drive.log), str(drive.planner)), []).append(drive)
@@ -198,8 +196,9 @@ def _drives(
                 about = f": {drive.detail}" if drive.end in CONTACTS else ""
                 end = Cell(f"{SHORT.get(drive.end, drive.end)}{about}", float(drive.t_end_s), drive.end not in GOOD)
         files = tuple(file for drive in mine for file in drive.files)
-        row = DriveRow(log, planner, marked(mine), verdict, asked, end, tuple(cells), files, folders[log])
-        rows.append(row)
+        grave = min(broken.get((log, planner), ()), default=len(GRAVE))
+        name = marked(mine)
+        rows.append(DriveRow(log, planner, name, verdict, grave, asked, end, tuple(cells), files, folders[log]))
     return tuple(rows)
 
 
@@ -289,7 +288,7 @@ def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[tuple[GateRow, ...
         common, number = Counter(reasons).most_common(1)[0][0], int(drives[asked])
         where = f": in {len(reasons)} of {counted(number, 'drive')}" if number > 1 else ""
         not_asked.append(f"{asked}{where} ({common})")
-    return tuple(sorted(rows, key=lambda row: ORDER.index(row.outcome))), not_asked
+    return tuple(sorted(rows, key=lambda row: WEIGHT[row.outcome])), not_asked
 
 
 # notes -----------------------------------------------------------------------------------------------------------

@@ -106,7 +106,7 @@ def _indented_lines(lines: Sequence[str], most: int, rest: str = "") -> Iterator
 def _drives(over: Overview) -> Iterator[RenderableType]:
     """One row per log and planner, and the meaning of the columns."""
     rows = over.drives
-    shown = rows if len(rows) <= MAX_ROWS else sorted(rows, key=lambda row: -row.trouble)[:MAX_ROWS]
+    shown = rows if len(rows) <= MAX_ROWS else over.ranked[:MAX_ROWS]
     several = len(over.planners) > 1
     table = grid(padding=0)
     table.add_column("log", overflow="fold")

@@ -72,17 +72,16 @@ def chosen_drive(results: Results, log: str | None, planner: str | None, mode: o
 def worst_drive(results: Results, drives: Sequence[DriveResult], options: str) -> Chosen:
     """The worst of some drives of a run; the remark gives the options that select another drive.
 
-    Worst is a drive with a failed gate, then an inconclusive one, then the one with the most coloured cells in the
-    report; of two loops, the one in which a gate failed, otherwise the closed one.
+    Worst is the first in the reports (`Overview.ranked`); of two loops, the one in which a gate failed, otherwise the
+    closed one.
     """
     from replay.draw.report.overview import overview
 
     if len(drives) == 1:
         return Chosen(drives[0], "")
-    order = {"fail": 0, "inconclusive": 1}
-    rows = {(row.log, row.planner): (order.get(row.verdict, 2), -row.trouble) for row in overview(results).drives}
+    rows = {(row.log, row.planner): place for place, row in enumerate(overview(results).ranked)}
 
-    def rank(drive: DriveResult) -> tuple[tuple[int, int], bool, bool]:
+    def rank(drive: DriveResult) -> tuple[int, bool, bool]:
         failed = bool((drive.verdicts["outcome"] == "fail").any())
         return rows[drive.log, drive.planner], not failed, drive.mode != "closed"
 
@@ -314,27 +313,34 @@ def explain(
     log: opt.OfLog = None,
     planner: opt.OfPlanner = None,
     mode: opt.OfMode = None,
-    at: Annotated[float | None, opt.at_option("Default: each change of a decision.")] = None,
+    at: Annotated[float | None, opt.at_option("Default: the phases of the drive in ten lines.")] = None,
+    every: Annotated[bool, typer.Option("--all", help="Each change of a decision, in full.")] = False,
     as_json: opt.Json = False,
 ) -> None:
-    """Print each decision of a drive: about which agent, why, the alternatives and their costs (docs/why.md).
+    """Print why a drive slows down: when, for whom, the alternatives and their costs (docs/why.md).
 
     [bold]Examples[/bold]
 
       replan explain results/run-001
+      replan explain results/run-001 --all
       replan explain results/run-001 --log paper/crossing_pedestrian --at 6.5
     """
     with handle_errors():
-        from replay.explain.explanation import explained, lines_of
+        from replay.explain.explanation import explained, lines_of, summary
         from replay.results.load import load
 
         chosen = chosen_drive(load(result), log, planner, mode)
         drive = chosen.drive
+        ended = f"{chosen.title}: {drive.info['end']} after {drive.info['t_end_s']:.2f} s{chosen.remark}"
+        if at is None and not every and not as_json:
+            say("\n".join([ended, *map(drive.scenario.short_names, summary(drive))]))
+            say("more: --at T for one instant, --all for every change of a decision")
+            return
         found = explained(drive, at)
         if as_json:
             say_json({"log": drive.log, "planner": drive.planner, "mode": drive.mode, "frames": found})
             return
-        say(f"{chosen.title}: {drive.info['end']} after {drive.info['t_end_s']:.2f} s{chosen.remark}")
+        say(ended)
         for one in found:
             say()
             for line in lines_of(one):

@@ -17,6 +17,10 @@ stops for
 (8) passed  none of these, but a planner's OVERTAKE of an agent near the way: the plan brakes before it overtakes
 (9) begun   none of these, and the plan brakes hardest at its start and less before it stands: it eases a braking that
     began in an earlier plan
+
+A cause accounts for the braking if the planner named it, or if it needs `SHARE` of the hardest braking of the plan, or
+that braking is below `FELT_MPS2`. Causes that do not account for it come last; if none does, (8), (9), or that no cause
+was found, comes first.
 """
 
 from __future__ import annotations
@@ -47,6 +51,10 @@ MOST_MPS2 = 9.81
 """The ego cannot stop at a stop line that requires more deceleration."""
 GOAL_ROOM_M = 10.0
 """A plan that stops at most this far before the end of the goal's region stops for the goal."""
+SHARE = 1.0 / 3.0
+"""A plan that keeps a constant deceleration with limited jerk brakes about twice as hard at its peak."""
+FELT_MPS2 = 1.5
+"""Weaker braking is accounted for by any cause."""
 SAME_M = 0.1
 """An obstacle of the S-T graph whose lower station changes by less than this is standing."""
 NEAR_M = 3.0
@@ -86,7 +94,8 @@ class Cause:
         distance_m: Distance that the ego would have driven until then, m.
         need_mps2: The least constant deceleration that avoids it.
         value: LIMIT: the limit, m/s; CURVE: the lateral acceleration, m/s2; GOAL: its time, s, or speed, m/s; BEGUN:
-            the acceleration that the plan starts with, m/s2.
+            the acceleration that the plan starts with, m/s2; NONE: the hardest braking, m/s2, if other causes are too
+            weak for it.
         left_m: AGENT: the least gap of the plan behind them, m.
         left_at_s: AGENT: time of the least gap, s from the frame.
         is_met: AGENT: whether they would be met; otherwise they would be followed too near, or are only in the way.
@@ -112,6 +121,11 @@ class Cause:
         """Sort key: causes with numbers before decisions alone, named before inferred, by deceleration, by time."""
         need = self.need_mps2 if isfinite(self.need_mps2) else MOST_MPS2 if self.is_met else 0.0
         return self.kind is CauseKind.WORD, self.inferred, -need, self.time_s if isfinite(self.time_s) else LOOK_S
+
+    def accounts_for(self, a_least: float) -> bool:
+        """Whether it is a reason to brake as hard as `a_least`, m/s2, which is negative."""
+        named = not self.inferred or not isfinite(self.need_mps2)
+        return named or -a_least < FELT_MPS2 or self.need_mps2 >= SHARE * -a_least
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,12 +228,13 @@ class Explainer:
             named_only = name not in explained and d.kind is not DecisionKind.FOLLOW
             if named_only and (name not in frame.agents.ids or case.is_near(name)):
                 found.append(Cause(CauseKind.WORD, name, d.kind.value, d.reason, False, held.v))
-        found = sorted(found, key=lambda cause: cause.rank)
-        if not found and not failed:
+        found = sorted(found, key=lambda cause: (not cause.accounts_for(course.a_least), cause.rank))
+        if not failed and not (found and found[0].accounts_for(course.a_least)):
             near = min(met, key=lambda one: one.away_m, default=None)
-            one = Cause(CauseKind.AGENT, hold_mps=held.v) if near is None else _met_agent(near, case)
-            none = replace(one, kind=CauseKind.NONE, time_s=float(held.t[-1]), distance_m=held.reach)
-            found = _passed_or_begun(case) or [none]
+            one = Cause(CauseKind.AGENT, hold_mps=held.v) if near is None or found else _met_agent(near, case)
+            hardest = course.a_least if found else nan
+            none = replace(one, kind=CauseKind.NONE, time_s=float(held.t[-1]), distance_m=held.reach, value=hardest)
+            found = [*(_passed_or_begun(case) or [none]), *found]
         why_not = not_passed(plan) if found and found[0].kind is CauseKind.AGENT else ()
         return Account(frame.planned.t, course, predicted, (*failed, *found), why_not)
 

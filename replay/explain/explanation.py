@@ -32,8 +32,8 @@ from logs.trace import (
     Trace,
 )
 from replay.config import LoopConfig
-from replay.explain.causes import KEEP, Account, accounts, not_passed
-from replay.explain.sentences import sentences
+from replay.explain.causes import KEEP, Account, CauseKind, accounts, not_passed
+from replay.explain.sentences import brief, sentences
 from replay.results.load import DriveResult
 
 A = TypeVar("A")
@@ -197,6 +197,42 @@ def changes(trace: Trace, scenario: Scenario, loop: LoopConfig | None = None) ->
         if now != before:
             yield Explanation.of(frame, account)
         before = now
+
+
+MOST_PHASES = 8
+"""Largest number of phases of a summary."""
+
+
+def summary(drive: DriveResult) -> list[str]:
+    """The phases of a drive with fallbacks and the hardest planned braking, in the order of time, a line each.
+
+    A phase is consecutive plans with the same action and first cause. Errors as `explained`.
+    """
+    phases: list[list[Account]] = []
+    before: Any = None
+    for account in accounts(drive.trace, drive.scenario, drive.result.run.drive_loop):
+        first = account.causes[0] if account.causes else None
+        now = (account.course.action, first and (first.kind, first.who))
+        if now != before:
+            phases.append([])
+        phases[-1].append(account)
+        before = now
+    hardest = [min(phase, key=lambda one: one.course.a_least if one.causes else 0.0) for phase in phases]
+
+    def weight(k: int) -> tuple[bool, float, int]:
+        one = hardest[k]
+        failed = bool(one.causes) and one.causes[0].kind is CauseKind.FALLBACK
+        return not failed, one.course.a_least if one.causes else 0.0, k
+
+    shown = sorted(sorted(range(len(phases)), key=weight)[:MOST_PHASES])
+    lines = []
+    for k in shown:
+        one, (begin, end) = hardest[k], (phases[k][0].t, phases[k][-1].t)
+        braking = f", plans {one.course.a_least:.1f} m/s²" if one.causes and one.course.a_least < 0.0 else ""
+        why = f", {brief(one)}" if one.causes else ""
+        lines.append(f"{begin:.2f} to {end:.2f} s: {one.course.action.value}{braking}{why}")
+    left = len(phases) - len(shown)
+    return [*lines, f"and {counted(left, 'phase')} with less braking"] if left else lines
 
 
 def lines_of(one: Explanation) -> Iterator[str]:

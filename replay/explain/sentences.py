@@ -31,6 +31,10 @@ def sentences(account: Account) -> list[str]:
     opening = OPENINGS.get(course.action, f"Slows down {late}")
     for cause in rest[:MOST]:
         if cause.kind is CauseKind.NONE:
+            if isfinite(cause.value):
+                lines.append(f"{opening}; no cause found that takes its braking of {-cause.value:.1f} m/s².")
+                opening = "Also"
+                continue
             near = f" {cause.who}, {cause.away_m:.1f} m away, is on its way, but would not be met." if cause.who else ""
             nothing = "the trace does not hold the predictions that the planner used."
             if account.predicted:
@@ -52,6 +56,19 @@ def sentences(account: Account) -> list[str]:
     if len(rest) > MOST:
         lines.append(f"And {len(rest) - MOST} more.")
     return [*lines, f"{rest[0].who} is not passed: {'; '.join(account.not_passed)}."] if account.not_passed else lines
+
+
+def brief(account: Account) -> str:
+    """The first cause in a few words: "for 12 (follow), which takes 1.7 m/s²"; "" if there is none."""
+    if not account.causes:
+        return ""
+    cause = account.causes[0]
+    if cause.kind is CauseKind.FALLBACK:
+        return f"fallback: {cause.who}"
+    if cause.kind is CauseKind.NONE:
+        return "no cause found"
+    takes = f", which takes {cause.need_mps2:.1f} m/s²" if isfinite(cause.need_mps2) else ""
+    return f"for {NAMES.get(cause.kind, cause.who)} ({'inferred' if cause.inferred else cause.decision}){takes}"
 
 
 def conflicts(account: Account) -> list[Cause]:

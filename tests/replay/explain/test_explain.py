@@ -20,7 +20,8 @@ from logs.mcap import write_scenario
 from planners.piecewise_jerk.solvers import solve
 from replay.config import RunConfig
 from replay.explain import accounts
-from replay.explain.explanation import changes, explained, lines_of
+from replay.explain.causes import Cause, CauseKind
+from replay.explain.explanation import MOST_PHASES, changes, explained, lines_of, summary
 from replay.explain.planner_input import actual_occupancy
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
@@ -69,6 +70,26 @@ def test_explain_says_each_change_of_decision_once(results: Results) -> None:
     text = "\n".join(line for one in found for line in lines_of(one))
     for words in ("Slows down for pedestrian (yield): ", "active", "S-T upper bound (pedestrian)", "speed QP: "):
         assert words in text
+
+
+def test_the_summary_has_ten_lines_with_the_hardest_braking_and_its_agent(results: Results) -> None:
+    drive = results.drive(LOG, "dp_qp")
+    lines = summary(drive)
+    accounts_of = list(accounts(drive.trace, drive.scenario, drive.result.run.drive_loop))
+    hardest = min(one.course.a_least for one in accounts_of if one.causes)
+    assert len(lines) <= MOST_PHASES + 1
+    assert any(f"{hardest:.1f} m/s²" in line and "pedestrian" in line for line in lines)
+    begins = [float(line.split()[0]) for line in lines if line[0].isdigit()]
+    assert begins == sorted(begins)
+    short, whole = (replan("explain", results.path, *words).stdout.splitlines() for words in ((), ("--all",)))
+    assert len(short) <= 11 < len(whole)
+
+
+def test_a_cause_that_does_not_account_for_the_braking_is_not_first() -> None:
+    weak, named = Cause(CauseKind.CURVE, need_mps2=0.5), Cause(CauseKind.CURVE, need_mps2=0.5, inferred=False)
+    assert not weak.accounts_for(-3.4)
+    assert weak.accounts_for(-1.4) and named.accounts_for(-3.4) and Cause(CauseKind.AGENT).accounts_for(-3.4)
+    assert replace(weak, need_mps2=1.2).accounts_for(-3.4)
 
 
 def test_the_command_says_one_instant_and_one_json_document(results: Results) -> None:

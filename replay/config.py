@@ -42,6 +42,7 @@ from logs.observed import MAX_AGE_S
 from logs.readers.base import LogSettings
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_parameters
+from metrics.judge.gates import PACKAGED
 from replay.settings import SETTINGS, known_keys, merged, strict
 
 RunMode = Literal["both", "open", "closed"]
@@ -226,7 +227,7 @@ class RunConfig:
     Attributes:
         planners: Names as `replay.loop.planning.Planning` takes them; one column of the results each.
         mode: Which loops are run.
-        gates: "default" (the packaged thresholds), or the path of a TOML file.
+        gates: "default" or "safety" (packaged thresholds), or the path of a TOML file.
         internals: How much of the planner's internals is kept in the traces.
         recording: Whether Rerun recordings are written.
         foxglove: Whether the logs and traces that are written get channels for Foxglove (`replay.draw.foxglove`).
@@ -303,7 +304,7 @@ class RunConfig:
     @property
     def gates_path(self) -> Path | None:
         """The file of thresholds; None is the packaged default."""
-        return None if self.gates == "default" else Path(self.gates)
+        return PACKAGED[self.gates] if self.gates in PACKAGED else Path(self.gates)
 
     def driven(self, vehicle: VehicleParameters) -> VehicleParameters:
         """Return the vehicle of a log with this run's replacements.
@@ -336,7 +337,7 @@ def load_run(path: Path | None, changes: Mapping[str, Any] | None = None) -> Run
             gates = strict(RunConfig, table).gates
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from None
-        table["gates"] = gates if gates == "default" else str(path.parent / gates)
+        table["gates"] = gates if gates in PACKAGED else str(path.parent / gates)
     return strict(RunConfig, merged(table, changes or {}))
 
 

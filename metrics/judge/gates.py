@@ -227,6 +227,10 @@ class Rule:
         return f"{self.over} {self.metric} {word} by at most {self.limit:g}{sure}{scope}"
 
 
+PACKAGED: Mapping[str, Path | None] = {"default": None, "safety": Path(__file__).with_name("safety_gates.toml")}
+"""The packaged sets of gates by name, and their files; None: as `load_gates`."""
+
+
 def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> Gates:
     """Load the gates of a TOML file; None: the packaged default.
 

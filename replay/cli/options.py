@@ -160,7 +160,7 @@ Set = Annotated[
         autocompletion=complete_setting,
     ),
 ]  # fmt: skip
-Gates = Annotated[Path | None, option(JUDGE, "TOML file of thresholds. Default: the packaged ones.", metavar="FILE")]
+Gates = Annotated[Path | None, option(JUDGE, "TOML file of gates, or safety. Default: all packaged.", metavar="FILE")]
 Workers = Annotated[int | None, option(RUNNING, "Processes; 0: this one. Default: one per core.", min=0, metavar="N")]
 Config = Annotated[Path | None, option(RUNNING, "TOML file of settings; options win over it.", metavar="FILE")]
 Out = Annotated[

@@ -129,6 +129,7 @@ class Case:
         why: The reason of the first of them, otherwise the reason why there is no verdict.
         end: How the planner's drive ended.
         robustness: The value of (5); NaN if no gate has a value.
+        value: The value of the first of these gates, in its unit; NaN if it has none.
     """
 
     outcome: str
@@ -136,6 +137,7 @@ class Case:
     why: str = ""
     end: str = ""
     robustness: float = nan
+    value: float = nan
 
     def score(self, distance: float) -> float:
         """(1) to (4), the distance in parts of D."""
@@ -177,7 +179,8 @@ def judged(results: Results, log: str, gates: Sequence[Gate], planner: str, agai
     about = failed[failed["gate"].isin(shown)] if shown else mine[mine["outcome"] == outcome.value]
     why = next(filter(None, about["reason"]), "") if outcome is not Outcome.PASS else ""
     kind = FAIL if counts else BOTH if len(failed) else outcome.value
-    return Case(kind, shown, why, str(drives["end"].iloc[0]), robustness(gates, own))
+    value = float(about["value"].iloc[0]) if len(about) else nan
+    return Case(kind, shown, why, str(drives["end"].iloc[0]), robustness(gates, own), value)
 
 
 def robustness(gates: Sequence[Gate], values: Mapping[str, float]) -> float:
@@ -231,6 +234,8 @@ class Falsified:
         counts = Counter(self.table["outcome"])
         drives = ", ".join(f"{n} {WORDS.get(name, name)}" for name, n in counts.most_common())
         tried = f"{counted(len(self.table), 'drive')}: {drives}."
+        if len(self.table) >= asked.budget:
+            tried += f" The budget of {counted(asked.budget, 'drive')} ended the search: --budget N --resume goes on."
         if found.point is None:
             over = ", ".join(f"{axis.name} {axis.low:g} to {axis.high:g}" for axis in asked.axes)
             return [
@@ -243,6 +248,10 @@ class Falsified:
             f"{asked.planner} fails at distance {found.distance:.3f} from {asked.subject.name}, {place}, and"
             f" {asked_of(asked.against)} does not: {self.case['gates']}."
         ]
+        value, why = self.case["value"], self.case["why"]
+        measured = "" if value is None or not isfinite(value) else f"the value is {value:.4g}"
+        if measured or why:
+            said.append(f"Of the first gate: {'; '.join(filter(None, (measured, why)))}.")
         if isfinite(found.passes):
             gap = found.distance - found.passes
             less = f"at distance {found.passes:.3f} ({gap:.3f} less)"
@@ -253,7 +262,7 @@ class Falsified:
         """Commands that show the case; empty if there is none."""
         if self.found.point is None:
             return []
-        again = f"replan evaluate {self.out / 'case.mcap'} --mode closed --planner {self.question.planner}"
+        again = f"replan evaluate {self.out / 'case.mcap'} --config {self.out / 'case' / 'run.toml'}"
         return [f"drive it again: {again}", f"look at it: replan view {self.out / 'case'}"]
 
 
@@ -299,7 +308,7 @@ def falsify(
         found = search(
             box_of(question.axes), trials, budget=question.budget, seed=question.seed, resolution=question.resolution
         )
-        table = pd.DataFrame(trials.rows).drop(columns="key").astype({"robustness": float})
+        table = pd.DataFrame(trials.rows).drop(columns="key").astype({"robustness": float, "value": float})
         result = Falsified(out, question, found, table, trials.row_of(found.point))
         _write(result, workers)
     return result
@@ -325,7 +334,8 @@ class Drives:
                     "key": _key(point), "part": part, **values_at(self._question.axes, point), "distance": norm(point),
                     "outcome": case.outcome, "score": case.score(norm(point) / self._farthest),
                     "robustness": case.robustness if isfinite(case.robustness) else None,
-                    "gates": "; ".join(case.gates), "why": case.why, "end": case.end,
+                    "gates": "; ".join(case.gates), "value": case.value if isfinite(case.value) else None,
+                    "why": case.why, "end": case.end,
                 }
                 for point, case in cases
             )  # fmt: skip

@@ -19,6 +19,7 @@ from typing import Any
 
 from logs.errors import ConfigError, unknown_name
 from logs.files import read_toml
+from metrics.judge.gates import PACKAGED
 from replay.config import RunConfig, dump_run
 from replay.run.checks import checked
 from replay.settings import dotted, merged, strict
@@ -192,7 +193,8 @@ def chosen_table(run: RunConfig) -> dict[str, Any]:
     """The keys of a run that are not the defaults, and the planners, for `--config`."""
     table = tomllib.loads(dump_run(replace(run, gates="default")))
     found = difference(table, tomllib.loads(dump_run(RunConfig())))
-    gates = {} if run.gates == "default" else {"gates": str(Path(run.gates).absolute())}
+    place = run.gates if run.gates in PACKAGED else str(Path(run.gates).absolute())
+    gates = {} if run.gates == "default" else {"gates": place}
     return {"planners": list(run.planners), **gates, **{key: found[key] for key in found if key != "planners"}}
 
 

@@ -15,7 +15,7 @@ from logs import ConfigError, EndReason, LogError
 from metrics import METRICS, evaluate
 from metrics.judge import Verdict, judge, outcomes, worst
 from metrics.judge.aggregate import LogLabels
-from metrics.judge.gates import Gate, Gates, Outcome, load_gates
+from metrics.judge.gates import PACKAGED, Gate, Gates, Outcome, load_gates
 from metrics.judge.verdicts import with_asked
 
 PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
@@ -84,7 +84,8 @@ def test_a_bound_of_zero_is_a_bound() -> None:
 def test_nothing_to_judge_is_not_a_pass() -> None:
     nothing = verdict(AT_LEAST, table(row("a", np.nan), row("b", np.nan)))
     assert nothing.outcome is INCONCLUSIVE
-    assert nothing.reason == "dp_qp, closed loop: nothing to judge; no evidence in 2 of 2 logs (no agent there)"
+    assert (nothing.log, [log.why for log in nothing.logs]) == ("a", ["no agent there"] * 2)
+    assert "nothing to judge" in nothing.reason and "no agent there" in nothing.reason
     assert verdict(Gate("gap.min", min=0, mode="open"), table(row("a", 1.0))).outcome is INCONCLUSIVE
     assert verdict(Gate("ttc.min", min=0), table(row("a", 1.0))).outcome is INCONCLUSIVE
     assert verdict(AT_LEAST, table(), tags={}).outcome is INCONCLUSIVE
@@ -96,7 +97,7 @@ def test_missing_values_are_said_and_bounded() -> None:
     rows = table(*(row(f"log{i}", np.nan if i < 2 else 1.0) for i in range(20)))
     found = verdict(AT_LEAST, rows)
     assert found.outcome is PASS
-    assert found.reason.endswith("; no evidence in 2 of 20 logs (no agent there)")
+    assert "no evidence in 2 of 20 logs (log0: no agent there)" in found.reason
     assert verdict(replace(AT_LEAST, max_missing=0.05), rows).outcome is INCONCLUSIVE
     assert verdict(AT_LEAST, rows[:19].iloc[:10]).outcome is INCONCLUSIVE  # 2 of 10
     short = verdict(replace(AT_LEAST, min_logs=19), rows)
@@ -115,7 +116,8 @@ def test_a_value_that_is_no_number_is_none(values: list[float]) -> None:
     rows = table(*(row(f"log{i}", value, available=True, reason="") for i, value in enumerate(values)))
     found = verdict(Gate("gap.min", min=0.0), rows)
     assert (found.outcome, found.value) == (FAIL, -1e6)
-    assert "broken in 2 of 3 logs; no evidence in 1 of 4 logs (the value is not a number)" in found.reason
+    assert "broken in 2 of 3 logs; no evidence in 1 of 4 logs" in found.reason
+    assert {log.why for log in found.logs if log.outcome is INCONCLUSIVE} == {"the value is not a number"}
     alone = verdict(Gate("gap.min", min=0.0), table(row("a", np.nan, available=True)))
     assert alone.outcome is INCONCLUSIVE
 
@@ -452,6 +454,11 @@ def test_a_bad_file_is_one_line_that_names_it(tmp_path: Path, text: str, message
 def test_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.toml: no such file"):
         load_gates(tmp_path / "none.toml")
+
+
+def test_gates_of_safety_are_those_of_the_default() -> None:
+    safety, every = load_gates(PACKAGED["safety"]).gates, load_gates(None).gates
+    assert len(safety) > 15 and set(safety) < set(every)
 
 
 def test_gates_on_metrics_of_ones_own(tmp_path: Path) -> None:

@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 
 from logs import Goal, Scenario
 from logs.mcap import read_scenario, write_scenario
-from metrics.judge.gates import Gate
+from metrics.judge.gates import Gate, load_gates
+from replay.results.load import load
 from replay.run.claim import STUDY as FILE
 from replay.search.falsify import BOTH, ERROR, FAIL, PASS, Case, robustness
 
@@ -46,9 +47,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def words(folder: Path, out: Path, *more: object, budget: int = 24) -> Sequence[object]:
+def words(folder: Path, out: Path, *more: object, budget: int = 24, workers: int = 0) -> Sequence[object]:
     return (
-        "falsify", folder / "log.mcap", "-p", "constant_speed", "--gates", folder / "gates.toml", "--workers", 0,
+        "falsify", folder / "log.mcap", "-p", "constant_speed", "--gates", folder / "gates.toml", "--workers", workers,
         "--axis", "side=-5:1", "--axis", "ego_speed=0.8:1.2", "--agent", "17", "--budget", budget, "-o", out, *more,
     )  # fmt: skip
 
@@ -76,6 +77,9 @@ def test_what_is_said_is_what_the_table_holds(found: Path) -> None:
     failing = table[table["outcome"] == FAIL]
     assert card["distance"] == failing["distance"].min() and card["drives"] == len(table) <= 24
     assert f"at distance {card['distance']:.3f} from parked, at side {card['case']['side']:.6g} m" in card["said"][0]
+    first = failing.sort_values("distance").iloc[0]
+    assert f"the value is {first['value']:.4g}" in card["said"][1] and str(first["why"]) in card["said"][1]
+    assert ("--budget N" in card["said"][-1]) == (len(table) >= card["budget"])
     assert f"{len(failing)} fail" in card["said"][-1] and card["outcomes"][FAIL] == len(failing)
     assert table["part"].iloc[0] == "recorded" and (table.loc[0, ["side", "ego_speed"]] == [0.0, 1.0]).all()
     assert (table.loc[table["outcome"] == PASS, "score"] >= 1.0).all() and (failing["score"] <= 1.0).all()
@@ -85,9 +89,11 @@ def test_what_is_said_is_what_the_table_holds(found: Path) -> None:
 def test_the_case_is_a_log_that_fails_again(found: Path, folder: Path, tmp_path: Path) -> None:
     made = read_scenario(found / "case.mcap")
     assert made.metadata["varied.of"] == "parked"
-    again = replan("evaluate", found / "case.mcap", "--mode", "closed", "-p", "constant_speed", "--workers", 0,
-                   "--gates", folder / "gates.toml", "--no-recording", "-o", tmp_path / "again")  # fmt: skip
+    again = replan("evaluate", found / "case.mcap", "--config", found / "case" / "run.toml", "--workers", 0,
+                   "--no-recording", "-o", tmp_path / "again")  # fmt: skip
     assert again.exit_code == 1
+    gates, same = (load(run).gates["gate"] for run in (found / "case", tmp_path / "again"))
+    assert list(gates) == list(same) and len(gates) == len(load_gates(folder / "gates.toml").gates)
     assert len(list((found / "case").glob("*/closed.rrd"))) == 1
 
 
@@ -98,7 +104,7 @@ def test_an_interrupted_search_ends_with_the_same_bytes(found: Path, folder: Pat
     out.mkdir()
     (out / FILE).write_text("".join(lines[:-5]), encoding="utf-8")
     shutil.copytree(found / "case", out / ".partial-batch")
-    result = replan(*words(folder, out, "--resume", "--workers", 1))
+    result = replan(*words(folder, out, "--resume", workers=1))
     assert result.exit_code == 1, result.output
     for name in SAME:
         assert (out / name).read_bytes() == (found / name).read_bytes(), name
@@ -126,7 +132,6 @@ def test_a_planner_that_never_fails_alone_is_not_falsified(folder: Path, tmp_pat
         (("--axis", "tme=0:1"), "did you mean 'time'"),
         (("--against", "constant_speed"), "is the planner itself"),
         (("--against", "nobody"), "no planner is called 'nobody'"),
-        (("--budget", 3), "a search takes 16 drives at least"),
         (("--resolution", 0), "must be positive"),
         (("--agent", "18"), "no agent is called '18'"),
         (("--resume",), "contains no study to resume"),
@@ -138,6 +143,11 @@ def test_wrong_words_are_one_line_and_leave_nothing(
     result = replan(*words(folder, tmp_path / "out", *more))
     assert result.exit_code == 2 and said in one_error(result)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_budget_too_small_for_a_search_is_refused(folder: Path, tmp_path: Path) -> None:
+    result = replan(*words(folder, tmp_path / "out", budget=3))
+    assert result.exit_code == 2 and "16 drives" in one_error(result)
 
 
 def test_a_recorded_failure_is_a_case_of_distance_0(folder: Path, tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ class Chosen(NamedTuple):
     @property
     def title(self) -> str:
         """Log, planner and loop."""
-        return f"{self.drive.log}, {self.drive.planner}, {self.drive.mode} loop"
+        return self.drive.title
 
 
 def matching_drives(results: Results, log: str | None, planner: str | None, mode: opt.Loop | None) -> list[DriveResult]:

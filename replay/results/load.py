@@ -14,9 +14,10 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from math import isfinite
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 import numpy as np
@@ -26,6 +27,7 @@ from logs.errors import ConfigError, unknown_name
 from logs.files import Near
 from logs.kernel import FloatArray
 from logs.mcap import read_trace
+from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Decision, Plan, PlannedFrame, Trace
 from metrics.judge.aggregate import LogLabels
@@ -33,6 +35,9 @@ from metrics.judge.gates import Outcome
 from replay.config import RunConfig, load_run
 from replay.results.log_result import Failure, LogCard
 from replay.results.reading import AGAIN, read_json, read_table
+
+if TYPE_CHECKING:
+    from replay.draw.charts.canvas import Chart
 
 LOG_COLUMNS = ("log", "source", "sha256", "folder", "family", "dataset", "tags", "notes")
 DRIVE_COLUMNS = ("log", "planner", "mode", "oracle", "end", "detail", "t_end_s", "notes", "files")
@@ -108,7 +113,7 @@ def loaded(near: Near) -> Results:
     return results
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Results:
     """The tables of a run, each read when it is first asked for.
 
@@ -246,6 +251,17 @@ class Results:
         what = "name a planner of" if len(found) else f"no {mode} loop of {planner or 'any planner'}; there are"
         raise ConfigError(f"{self.path}: {log}: {what} {there}")
 
+    def __repr__(self) -> str:
+        counts = self.gates["outcome"].value_counts()
+        gates = ", ".join(f"{counts[name]} {name}" for name in ("fail", "inconclusive", "pass") if name in counts)
+        return f"<{self.path}: {self.outcome}; {counted(len(self.drives), 'drive')}; gates: {gates or 'none'}>"
+
+    def _repr_html_(self) -> str:
+        """The results in a notebook: the gates that do not pass, else all."""
+        rows = self.gates[self.gates["outcome"] != "pass"]
+        table = (rows if len(rows) else self.gates)[["outcome", "gate", "planner", "mode", "value", "log", "reason"]]
+        return f"<p>{escape(repr(self))}</p>{table.to_html(index=False, na_rep='')}"
+
     def _table(self, name: str, words: Sequence[str] = ()) -> pd.DataFrame:
         """A table, checked; LogError if it is missing or damaged."""
         table: pd.DataFrame = read_table(self.path / name, words=words).to_pandas()
@@ -259,7 +275,7 @@ class Results:
         return table
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DriveResult:
     """One drive of a run: its rows of the tables, and the trace with its plans.
 
@@ -348,17 +364,49 @@ class DriveResult:
         """
         if at > self.trace.ego.t[-1] + 1e-6 and isfinite(at):
             ended = f"it ended at {self.trace.ego.t[-1]:.2f} s: {self.trace.end.value}"
-            raise ConfigError(f"{self.log}, {self.planner}, {self.mode} loop: no plan at {at:g} s; {ended}")
+            raise ConfigError(f"{self.title}: no plan at {at:g} s; {ended}")
         t = np.array([frame.t for frame in self.trace.frames])
         index = int(np.searchsorted(t, at + 1e-9, side="right")) - 1
         if index < 0 or not isfinite(at):
             first = f"its first is at {t[0]:.2f} s" if len(t) else "it has none"
-            raise ConfigError(f"{self.log}, {self.planner}, {self.mode} loop: no plan at {at:g} s; {first}")
+            raise ConfigError(f"{self.title}: no plan at {at:g} s; {first}")
         return self.trace.frames[index]
 
     def plan(self, at: float) -> Plan:
         """The plan that was the newest at a time, as `frame`."""
         return self.frame(at).plan
+
+    def plot(self, at: float | None = None, chart: str = "all", width: int = 1400) -> Chart:
+        """A picture of the drive, which shows itself in a notebook; `str(chart.alone("light"))` is SVG.
+
+        Args:
+            at: Time, s since the scenario's start; None: the worst moment.
+            chart: What is drawn, as `replan plot --chart`.
+            width: Pixels.
+
+        Raises:
+            ConfigError: There is no such chart, or no plan at this time.
+        """
+        from replay.draw.charts.layout import charts_of, together
+        from replay.draw.charts.subject import subject
+
+        seen = subject(self, at)
+        says = f"at {seen.moment.t:.2f} s" + ("" if at is not None else f": {seen.moment.why}")
+        return together(charts_of(seen, chart, width), self.title, says, width)
+
+    @property
+    def title(self) -> str:
+        """Log, planner and loop in words."""
+        return f"{self.log}, {self.planner}, {self.mode} loop"
+
+    def __repr__(self) -> str:
+        info, failed = self.info, self.verdicts[self.verdicts["outcome"] == "fail"]
+        gates = f"; fails {', '.join(failed['gate'])}" if len(failed) else ""
+        return f"<{self.title}: {info['end']} after {info['t_end_s']:.2f} s{gates}>"
+
+    def _repr_html_(self) -> str:
+        """The drive in a notebook: its worst moment."""
+        return self.plot()._repr_html_()
 
     def _mine(self, table: pd.DataFrame) -> pd.DataFrame:
         mine = (table["log"] == self.log) & (table["planner"] == self.planner) & (table["mode"] == self.mode)

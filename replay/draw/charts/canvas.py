@@ -139,6 +139,10 @@ class Chart:
     height: float
     body: str
 
+    def _repr_html_(self) -> str:
+        """The chart in a notebook."""
+        return self.alone("light")
+
     def inline(self) -> str:
         """The chart as an SVG element for an HTML page that contains the style sheet."""
         return (

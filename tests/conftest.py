@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
 from hypothesis import is_hypothesis_test, settings
+from sparse import SPARSE
 
 sys.dont_write_bytecode = False  # the tests start some hundred processes, each of which imports the packages
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -18,17 +20,28 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a background job: its c
 
 settings.register_profile("replan", deadline=None, derandomize=True)  # kernels compile when first called
 settings.load_profile("replan")
-FEWEST, MOST = 3, 10
-"""Examples of a law where the slow tests are left out."""
+EXAMPLES = {"not slow": (4, 3, 10), "not nightly": (2, 5, 50)}
+"""Of the examples that a law asks for: the divisor, the fewest and the most; by what `-m` selects. At night, all."""
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """A quarter of the examples that each law asks for where the slow tests are left out, too."""
-    if config.option.markexpr != "not slow":
+    """Mark what is left to the night (`SPARSE`), and give each law its share of examples."""
+    seen = Counter[str]()
+    for item in items:
+        name = item.nodeid.removeprefix("tests/").partition("[")[0]
+        if name in SPARSE:
+            if not SPARSE[name] or seen[name] % SPARSE[name]:
+                item.add_marker(pytest.mark.nightly)
+            seen[name] += 1
+        if item.get_closest_marker("nightly"):
+            item.add_marker(pytest.mark.slow)
+    if config.option.markexpr not in EXAMPLES:
         return
+    divisor, fewest, most = EXAMPLES[config.option.markexpr]
     for law in {item.obj for item in items if isinstance(item, pytest.Function) and is_hypothesis_test(item.obj)}:
         asked = law._hypothesis_internal_use_settings
-        few = min(max(asked.max_examples // 4, FEWEST), MOST, asked.max_examples)
+        few = min(max(asked.max_examples // divisor, fewest), most, asked.max_examples)
         law._hypothesis_internal_use_settings = settings(asked, max_examples=few)
 
 

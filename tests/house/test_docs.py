@@ -69,8 +69,8 @@ def named(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
 
-FIRST = ("README.md", "docs/start.md", "docs/bring_planner.md", "docs/bring_metric.md", "docs/bring_log.md")
-"""The pages that a newcomer follows: their commands run on every change, those of the others at night."""
+FIRST = ("README.md", "docs/start.md")
+"""The pages that a newcomer follows first: their commands run on every change, those of the others at night."""
 
 
 def with_commands() -> list[Any]:

@@ -9,6 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from sparse import SPARSE
 
 from metrics import METRICS
 from planners import PLANNER
@@ -87,6 +88,12 @@ def test_the_changelog_names_the_version() -> None:
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert "## [Unreleased]" in changes or f"## [{project['version']}]" in changes
+
+
+@pytest.mark.parametrize("name", SPARSE)
+def test_what_is_left_to_the_night_is_a_test(name: str) -> None:
+    file, _, function = name.partition("::")
+    assert f"def {function}(" in (ROOT / "tests" / file).read_text(encoding="utf-8")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="file modes")

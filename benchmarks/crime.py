@@ -13,7 +13,7 @@ same with a lead that opens the gap. `replan` takes the vehicles of each file in
 lead and second, and one per crossing. `crime` asks commonroad-crime for the same pair at the same step, twice: as the
 file is, and turned so that the ego heads nearly along x, where its use of the lane's heading in the world does no harm.
 "Mended" are its formulae with its own distances, speeds and accelerations, the sign of the lead's acceleration kept.
-`compare` counts the agreements. The outcome is in docs/metrics_compared.md.
+`compare` counts the agreements. The outcome is in benchmarks/README.md.
 """
 
 from __future__ import annotations

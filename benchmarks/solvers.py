@@ -5,7 +5,7 @@
 `dp_qp` drives each log in closed loop; the problems of its path and speed QPs are recorded and solved again, by each
 solver of `planners.piecewise_jerk.solvers` and by the referee: PIQP at 1e-9, and where that finds no solution HiGHS
 says whether there is one. CPU time, building the solver's input included; it means this machine on this day.
-The outcome is in docs/solvers.md.
+The outcome is in benchmarks/README.md.
 """
 
 from __future__ import annotations

@@ -73,9 +73,9 @@ STATUS = {
 """The status codes in words."""
 ACCURACY_M = 1e-4
 """Distance from the optimum in (10), far below what a car can steer. Where bounds are nearly equal, residuals and
-`NARROW_M` add to it (measured: docs/solvers.md)."""
+`NARROW_M` add to it (measured: benchmarks/README.md)."""
 MAX_ITERATIONS = 60
-"""Several times the iterations that problems from roads need (docs/solvers.md)."""
+"""Several times the iterations that problems from roads need (benchmarks/README.md)."""
 RESIDUAL = 1e-2
 """Greatest residuals of (4) and (5) in a solution, as a share of the accuracy."""
 FARKAS = 1e-7

@@ -29,7 +29,10 @@ from logs.readers import readers
 from replay.cli import app
 
 ROOT = Path(__file__).parents[2]
-PAGES = (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "examples").rglob("*.md")))
+PAGES = (
+    *sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "examples").rglob("*.md")),
+    *(ROOT / name for name in ("tests/verdicts.md", "benchmarks/README.md", "studies/README.md")),
+)  # fmt: skip
 FENCE = re.compile(
     r"(?:<!-- not run: (?P<why>[^\n]+?) -->\n)?^ *```(?P<kind>\w*)\n(?P<text>.*?)^ *```$", re.MULTILINE | re.DOTALL
 )
@@ -293,7 +296,7 @@ def test_every_option_of_a_program_of_ours_is_in_its_source() -> None:
 
 
 def test_the_page_of_verdicts_names_what_holds_each_row() -> None:
-    text = (ROOT / "docs" / "verdict.md").read_text(encoding="utf-8")
+    text = (ROOT / "tests" / "verdicts.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \|.*\| ([^|]+) \|$", text, re.MULTILINE)
     assert [int(number) for number, _ in rows] == list(range(1, len(rows) + 1)) and len(rows) > 18
     assert all("`tests/" in held for _, held in rows)

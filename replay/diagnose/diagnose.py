@@ -27,8 +27,26 @@ from logs.scenario import Scenario
 from logs.trace import Mode, PlannedFrame
 from replay.config import RunConfig, dump_run
 from replay.diagnose.changes import Change, ChangedRun, cause_of, changed_runs, driven
-from replay.diagnose.drives import MODE, Driven, as_driven, drive_again, failed_gates, parting, passes
-from replay.diagnose.failure import AHEAD_S, DriveDifference, Failure, Foresight, lane_change
+from replay.diagnose.drives import (
+    MODE,
+    Driven,
+    as_driven,
+    drive_again,
+    failed_gates,
+    parting,
+    passes,
+    worsens,
+)
+from replay.diagnose.failure import (
+    AHEAD_S,
+    PROGRESS,
+    DriveDifference,
+    Failure,
+    Foresight,
+    Wait,
+    lane_change,
+    waits,
+)
 from replay.diagnose.findings import AS_IT_WAS, Diagnosis, Found
 from replay.diagnose.remedy import Remedy, smallest_change
 from replay.explain.causes import accounts
@@ -216,6 +234,7 @@ class _Trials:
             "time_s": time if isfinite(time) else None,
             "beyond": beyond if isfinite(beyond) else None,
             "avoidable": made.avoidable(file),
+            "peaks": made.peaks(file, gates),
             "fragile": [one for one in CONTROLS if passes(gates, made.of(_control(file, one)))],
         }
 
@@ -235,7 +254,7 @@ class _Trials:
             for name, file in zip(self.failing, files, strict=True):
                 base, rows = self._base_rows[name], made.of(file)
                 row = {
-                    "passes": passes(base["gates"], rows),
+                    "passes": self._mended(name, made),
                     "gates": list(failed_gates(rows)),
                     "end": made.ended(file),
                 }
@@ -248,6 +267,12 @@ class _Trials:
             self._study.add([known])
         self.answers[run.change.name] = known["drives"]
         return self.answers[run.change.name]
+
+    def _mended(self, name: str, made: Driven) -> bool:
+        """Whether a failing drive passes with a change, and no peak is worse."""
+        base, file = self._base_rows[name], self.files[name]
+        held = passes(base["gates"], made.of(file))
+        return held and not worsens(base["peaks"], made.peaks(file, base["gates"]))
 
     def found(self, name: str, runs: Sequence[ChangedRun]) -> Found:
         """The findings of all changes about a drive."""
@@ -280,11 +305,14 @@ class _Trials:
             Foresight.of(drive.trace, agent, seen) if known else Foresight(),
         )  # fmt: skip
         first = because[0] if because else ""
-        return Found(name, tuple(base["gates"]), time, beyond, cause, failure, parts, first, passing)
+        slow: tuple[Wait, ...] = ()
+        if base["metric"].partition(".")[0] in PROGRESS:
+            slow = tuple(replace(one, who=drive.scenario.short_names(one.who)) for one in waits(explained, last))
+        return Found(name, tuple(base["gates"]), time, beyond, cause, failure, parts, first, passing, slow)
 
     def remedy(self, name: str, settings: Sequence[Setting], say: Callable[[str], None]) -> Remedy:
         """The smallest change of a setting with which a drive passes, and its effect on the other drives."""
-        file, before, scratch = self.files[name], self._base_rows[name]["gates"], self._out / f"{PARTIAL}remedy"
+        file, scratch = self.files[name], self._out / f"{PARTIAL}remedy"
 
         def known(key: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
             """The row of the study; made if it does not exist."""
@@ -301,7 +329,7 @@ class _Trials:
 
         def mends(setting: Setting, value: Value) -> bool:
             key = f"{name}: {setting.key} = {value!r}"
-            row = known(key, lambda: {"passes": passes(before, drives(setting, value, [file]).of(file))})
+            row = known(key, lambda: {"passes": self._mended(name, drives(setting, value, [file]))})
             say(f"{name}: {'passes' if row['passes'] else 'fails'} with {setting.key} = {shown(value)}")
             return bool(row["passes"])
 
@@ -319,7 +347,7 @@ class _Trials:
                     files[log] = place
             made = drives(setting, value, list(files.values()))
             rows = {log: made.of(place) for log, place in files.items()}
-            mended = [log for log in self.failing if passes(self._base_rows[log]["gates"], rows[log])]
+            mended = [log for log in self.failing if log in files and self._mended(log, made)]
             lost = [log for log, mine in rows.items() if mine.empty or failed_gates(mine)]
             broken = [log for log in lost if log not in self.failing]
             return {"mended": sorted(mended), "broken": sorted(broken), "drives": len(files)}

@@ -1,6 +1,8 @@
 """Failing drives, driven again with changes and judged by the gates of their run.
 
-A drive passes with a change if no gate fails, and no gate that it failed before is inconclusive. The gates are the same
+A drive passes with a change if no gate fails, no gate that it failed before is inconclusive, and no peak of a metric of
+the gates that it failed is worse (`worsens`): one that stays beyond a bound for less time, but three times as far, is
+not mended. The gates are the same
 for every change: a drive with the true futures of road users is judged as any other, and another planner as the one
 that failed.
 """
@@ -17,9 +19,12 @@ import numpy as np
 import pandas as pd
 
 from logs.errors import LogError
+from logs.kernel import TIE
+from metrics import METRICS
 from metrics.judge import REFERENCE, Outcome, judge, outcomes
 from metrics.judge.gates import Gate, Gates
 from metrics.judge.verdicts import with_asked
+from metrics.metric import Direction
 from metrics.reference_drivers import APPLIES, AVOIDS
 from replay.config import RunConfig
 from replay.explain.first_difference import first_difference, planners_part
@@ -29,6 +34,10 @@ from replay.run.judging import gates_of
 
 MODE = "closed"
 INCONCLUSIVE = Outcome.INCONCLUSIVE.value
+PEAKS: Mapping[str, Direction] = {"max": "higher", "max_abs": "higher", "min": "lower"}
+"""Reductions that are extremes, and the direction in which no value of them is worse than another."""
+WORSE = 0.1
+"""A peak is worse if it is this share farther out."""
 COLUMNS = ("drive", "gate", "outcome", "value", "time_s", "reason")
 
 
@@ -80,6 +89,19 @@ class Driven:
         rows = self.drive(file).metrics
         mine = rows[(rows["metric"] == metric) & rows["available"]]["value"]
         return float(mine.iloc[0]) if len(mine) else nan
+
+    def peaks(self, file: Path, gates: Sequence[str]) -> dict[str, float]:
+        """The extreme values of the metrics of some gates, those whose excess is worse: `PEAKS`, by name."""
+        words = {self.gates[gate].metric.partition(".")[0] for gate in gates}
+        rows = self.drive(file).metrics
+        known = rows[rows["available"] & np.isfinite(rows["value"])]
+        found = {}
+        for name, value in zip(known["metric"], known["value"], strict=True):
+            word, _, reduction = name.partition(".")
+            metric = METRICS.get(word)
+            if word in words and metric is not None and PEAKS.get(reduction, metric.direction) != metric.direction:
+                found[str(name)] = float(value)
+        return found
 
     def about(self, file: Path, metric: str) -> str:
         """The road user or object that the value of a metric is about: "pedestrian 17"; "" if it is unknown."""
@@ -133,6 +155,13 @@ def passes(before: Sequence[str], rows: pd.DataFrame) -> bool:
     now = dict(zip(rows["gate"], rows["outcome"], strict=True))
     answered = all(now.get(gate, INCONCLUSIVE) != INCONCLUSIVE for gate in before)
     return answered and Outcome.FAIL.value not in now.values()
+
+
+def worsens(before: Mapping[str, float], now: Mapping[str, float]) -> bool:
+    """Whether a peak (`Driven.peaks`) is farther out than before by `WORSE` of it."""
+    out = {name: now[name] - value for name, value in before.items() if name in now}
+    signs = {name: -1.0 if name.endswith(".min") else 1.0 for name in out}
+    return any(signs[name] * out[name] > WORSE * abs(before[name]) + TIE for name in out)
 
 
 def parting(one: DriveResult, two: DriveResult) -> dict[str, Any]:

@@ -10,11 +10,14 @@ when the first gate fails, or the end of the shorter one.
 (5) left       = how far P's path is to the left of F's place at t_x; asked where (4) is not
 (6) predicted  = way of the most probable future of the road user in F's frame at t_P, else AHEAD_S before t_x, up to
                  the last predicted time that their track reaches, at most AHEAD_S;  moved = as they move in F
+(7) waits      = the time in which plans slow down, crawl or stand, by their first cause, of a drive that does not get
+                 far enough
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import hypot, inf
 
 import numpy as np
@@ -22,8 +25,10 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.states import EgoState, Trajectory
 from logs.trace import Trace
-from replay.explain.causes import KEEP
+from replay.explain.causes import KEEP, Account
+from replay.explain.course import Action
 from replay.explain.explanation import lane_options, taken_option
+from replay.explain.sentences import NAMES
 
 BRAKES_MPS2, WEAKER_MPS2, MOVES_MPS = -0.5, 0.5, 0.1
 APART_MPS, APART_M, LATE_S = 0.5, 0.3, 0.2
@@ -228,6 +233,39 @@ class Foresight:
         if self.predicted_m < STAYS_M:
             return " predicted to stand", numbers
         return " predicted to move although they stand" if self.moved_m < STAYS_M else " predicted elsewhere", numbers
+
+
+PROGRESS = ("goal", "route_progress")
+"""Metrics of how far a drive gets."""
+SLOW = (Action.STANDS, Action.CRAWLS, Action.SLOWS)
+
+
+@dataclass(frozen=True)
+class Wait:
+    """The time that a drive spends slow for one cause (7).
+
+    Attributes:
+        who: The road user, stop line or other cause.
+        seconds: In all, s.
+        since_s: Its begin, s from the log's start.
+    """
+
+    who: str
+    seconds: float
+    since_s: float
+
+
+def waits(found: Sequence[Account], end: float) -> list[Wait]:
+    """The waits (7) of a drive that ends at `end`, s, from the accounts of its plans; the longest first."""
+    spent: dict[str, Wait] = {}
+    ends = [*(one.t for one in found[1:]), end]
+    for one, until in zip(found, ends, strict=False):
+        if one.course.action in SLOW and one.causes:
+            cause = one.causes[0]
+            who = NAMES.get(cause.kind, cause.who) or cause.kind.value
+            before = spent.get(who, Wait(who, 0.0, one.t))
+            spent[who] = replace(before, seconds=round(before.seconds + max(until - one.t, 0.0), 6))
+    return sorted(spent.values(), key=lambda one: (-one.seconds, one.since_s))
 
 
 @dataclass(frozen=True)

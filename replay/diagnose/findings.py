@@ -20,8 +20,8 @@ import pandas as pd
 
 from logs.errors import ConfigError
 from logs.names import counted
-from replay.diagnose.changes import UNAVOIDABLE, Cause, ChangedRun
-from replay.diagnose.failure import Failure
+from replay.diagnose.changes import NOT_FOUND, UNAVOIDABLE, Cause, ChangedRun
+from replay.diagnose.failure import Failure, Wait
 from replay.diagnose.remedy import Remedy
 from replay.results.load import Results
 from replay.results.reading import read_json
@@ -29,6 +29,10 @@ from replay.results.tables import write_file, write_json, write_text
 from replay.results.version import replan_version
 
 AS_IT_WAS = "as_it_was"
+MOST = 3
+"""Largest number of waits that are told."""
+MOST_KEYS = 4
+"""Largest number of settings of a change in a sentence; diagnosis.json has all."""
 DRIVES = ("log", "cause", "why", "happens", "gates", "about", "time_s", "parts_s", "parts_stage", "passes_with")
 ANSWERS = ("log", "change", "cause", "rank", "passes", "fails", "end", "parts_s", "parts_stage")
 
@@ -47,6 +51,7 @@ class Found:
         parts: First difference of the drive with the change that points to the cause: t_s, stage, what.
         because: The reason why the planner slowed down there, from its explanation.
         passing: Names of all changes with which it passes.
+        waits: Where the time went, if it gets too little far.
     """
 
     log: str
@@ -58,15 +63,30 @@ class Found:
     parts: Mapping[str, Any]
     because: str
     passing: tuple[str, ...]
+    waits: tuple[Wait, ...] = ()
+
+    @property
+    def look_s(self) -> float:
+        """The time to look at first: of a drive that gets too little far, when its first long wait begins."""
+        return min((one.since_s for one in self.waits[:MOST]), default=self.time_s)
 
     @property
     def place(self) -> str:
         """The time to look at, and what can be seen at it."""
-        at = f" at {self.time_s:.1f} s" if isfinite(self.time_s) else ""
+        at = f" at {self.look_s:.1f} s" if isfinite(self.look_s) else ""
         parts = f"; it parts at {self.parts['what']}" if self.parts else ""
         because = f" {self.because}" if self.because else ""
         details = f": {self.failure.details}" if self.failure.details else ""
-        return f"{self.log}{at}{details}{parts}.{because}"
+        slow = ", ".join(f"{one.seconds:.1f} s for {one.who} from {one.since_s:.1f} s on" for one in self.waits[:MOST])
+        went = f" Slow or standing: {slow}." if slow else ""
+        return f"{self.log}{at}{details}{parts}.{because}{went}"
+
+
+def settings_of(run: ChangedRun) -> str:
+    """The settings that a change sets, with their values."""
+    keys = [f"{key} = {value}" for key, value in sorted(run.keys)]
+    more = f" and {len(keys) - MOST_KEYS} more" if len(keys) > MOST_KEYS else ""
+    return f"{', '.join(keys[:MOST_KEYS])}{more}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +135,7 @@ class Diagnosis:
 
     def words_of(self, cause: Cause) -> str:
         """The evidence for a cause."""
-        words = {run.change.name: run.change.words for run in self.runs}
+        words = {run.change.name: f"{run.change.words} ({settings_of(run)})" for run in self.runs}
         if cause.fragile:
             return f"fragile: passes with a perturbation that should change nothing ({', '.join(cause.fragile)})"
         if cause.changes:
@@ -134,6 +154,10 @@ class Diagnosis:
             said.append(f"{share}: {first.failure.sentence}.")
             said.append(f"  Cause: {first.cause.name}; {self.words_of(first.cause)}; fails {gates}.")
             said.append(f"  Look first at {first.place}")
+            if first.cause.name == NOT_FOUND and not first.cause.fragile:
+                at = f" --at {first.look_s:.1f}" if isfinite(first.look_s) else ""
+                look = f"replan explain {self.run} --log {first.log} -p {self.planner}{at}"
+                said.append(f"  Next: {look}; try its settings (--space FILE) or your own changes (--changes FILE).")
         if not self.drives and not self.not_driven:
             gone = f" ({counted(len(self.not_failing), 'drive')} of the run failed and passes now)"
             said.append(f"No closed-loop drive of {self.planner} fails{gone if self.not_failing else ''}.")
@@ -163,7 +187,8 @@ class Diagnosis:
             "replan": replan_version(), "run": str(self.run), "planner": self.planner, "clusters": clusters,
             "drives": drives, "fails_no_more": list(self.not_failing),
             "open_loop": dict(self.open_loop), "not_driven": dict(self.not_driven),
-            "changes": [asdict(run.change) for run in self.runs], "not_tried": dict(self.refused),
+            "changes": [{**asdict(run.change), "settings": dict(sorted(run.keys))} for run in self.runs],
+            "not_tried": dict(self.refused),
             "remedies": [asdict(one) for one in self.remedies], "said": self.lines(),
         }  # fmt: skip
 

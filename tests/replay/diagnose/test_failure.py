@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf
+from math import inf, nan
 
 import numpy as np
 import pytest
@@ -15,16 +15,21 @@ from logs import AgentKind, Trajectory
 from logs.frame import Predictions
 from logs.trace import LaneOption, Plan, PlannedFrame, Trace
 from metrics.judge import Outcome, load_gates
+from replay.diagnose.drives import worsens
 from replay.diagnose.failure import (
     LATE_S,
     MISSED_M,
     OUTCOMES,
+    SLOW,
     STAYS_M,
     DriveDifference,
     Failure,
     Foresight,
     lane_change,
+    waits,
 )
+from replay.explain.causes import Account, Cause, CauseKind
+from replay.explain.course import Action, Course
 
 T = np.arange(0.0, 6.0 + 1e-9, 0.01)
 V = 10.0
@@ -164,3 +169,32 @@ def test_a_lane_change_is_that_of_the_plan() -> None:
     frames = PlannedFrame(0.0, Plan(LOG.ego)), PlannedFrame(1.0, Plan(LOG.ego, internals=options))
     trace = drive(LOG, frames=frames)
     assert [lane_change(trace, at) for at in (0.5, 1.5)] == ["", "left"]
+
+
+# where the time went ----------------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.tuples(st.sampled_from(["17", "18", ""]), st.sampled_from(Action)), min_size=1, max_size=12))
+def test_the_waits_are_the_time_of_slow_plans_by_cause(steps: list[tuple[str, Action]]) -> None:
+    course = Course(Action.HOLDS, 1.0, 1.0, 1.0, 8.0, 0.0, 0.0, 0.0, nan)
+    found = [
+        Account(0.5 * k, replace(course, action=action), True, (Cause(CauseKind.AGENT, who),) if who else ())
+        for k, (who, action) in enumerate(steps)
+    ]
+    slow = {who: 0.5 * sum(one == who and action in SLOW for one, action in steps) for who in ("17", "18")}
+    spent = waits(found, 0.5 * len(steps))
+    assert {one.who: one.seconds for one in spent} == {who: seconds for who, seconds in slow.items() if seconds}
+    assert [one.seconds for one in spent] == sorted((one.seconds for one in spent), reverse=True)
+    for one in spent:
+        begins = (0.5 * k for k, (who, action) in enumerate(steps) if who == one.who and action in SLOW)
+        assert one.since_s == next(begins)
+            0.5 * k for k, (who, action) in enumerate(steps) if who == one.who and action in SLOW
+        )
+
+
+def test_a_peak_that_is_farther_out_is_worse() -> None:
+    before = {"lon_accel.max_abs": 3.0, "lon_accel.min": -3.0, "gap.min": 0.5}
+    assert not worsens(before, before) and not worsens(before, {})
+    assert not worsens(before, {"lon_accel.max_abs": 3.2, "lon_accel.min": -3.2, "gap.min": 0.46})
+    assert worsens(before, {"lon_accel.max_abs": 9.0}) and worsens(before, {"lon_accel.min": -9.0})
+    assert worsens(before, {"gap.min": 0.4}) and not worsens(before, {"gap.min": 5.0})

@@ -304,7 +304,7 @@ class _Trials:
             begun is not None and any(one.who == agent for one in begun.causes),
             Foresight.of(drive.trace, agent, seen) if known else Foresight(),
         )  # fmt: skip
-        first = because[0] if because else ""
+        first = drive.scenario.short_names(because[0]) if because else ""
         slow: tuple[Wait, ...] = ()
         if base["metric"].partition(".")[0] in PROGRESS:
             slow = tuple(replace(one, who=drive.scenario.short_names(one.who)) for one in waits(explained, last))

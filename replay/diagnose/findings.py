@@ -83,8 +83,9 @@ class Found:
 
 
 def settings_of(run: ChangedRun) -> str:
-    """The settings that a change sets, with their values."""
-    keys = [f"{key} = {value}" for key, value in sorted(run.keys)]
+    """The settings that a change sets, with their values; of another planner, not its own ones."""
+    other = any(key == "planners" for key, _ in run.keys)
+    keys = [f"{key} = {value}" for key, value in sorted(run.keys) if not (other and key.startswith("planner."))]
     more = f" and {len(keys) - MOST_KEYS} more" if len(keys) > MOST_KEYS else ""
     return f"{', '.join(keys[:MOST_KEYS])}{more}"
 

@@ -188,8 +188,6 @@ def test_the_waits_are_the_time_of_slow_plans_by_cause(steps: list[tuple[str, Ac
     for one in spent:
         begins = (0.5 * k for k, (who, action) in enumerate(steps) if who == one.who and action in SLOW)
         assert one.since_s == next(begins)
-            0.5 * k for k, (who, action) in enumerate(steps) if who == one.who and action in SLOW
-        )
 
 
 def test_a_peak_that_is_farther_out_is_worse() -> None:

@@ -38,6 +38,8 @@ BEFORE_S = 10.0
 SLOWED_MPS, SLOWED = 1.0, 0.3
 """Least decrease of the speed of a road user that yields: absolute, m/s, and as a share of its speed before."""
 MOVES_MPS = 0.5
+SUDDEN = "they are first seen as they touch"
+TOO_LARGE = "the two hardly move against each other: the boxes may be too large"
 
 
 def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
@@ -57,20 +59,32 @@ def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
                 yield log.event(one, first, last, found[first : last + 1].min())
 
 
+def _contact(log: DrivenLog) -> Iterator[Event]:
+    size = np.array([log.car.length, log.car.width])
+    for one in log.neighbours:
+        touches = _touches(log.boxes, size, one.pose, one.k, np.array(one.size))
+        closing = np.hypot(one.pose[3] - log.boxes[3, one.k], one.pose[4] - log.boxes[4, one.k])
+        for first, last in runs(touches, one.k, hole=steps(0.5)):
+            begins = first == 0 or one.k[first] > one.k[first - 1] + 1
+            rests = float(closing[first : last + 1].max()) < MOVES_MPS
+            doubt = SUDDEN if begins else TOO_LARGE if rests else ""
+            yield log.event(one, first, last, closing[first], doubt=doubt)
+
+
 def _near_miss_pet(log: DrivenLog) -> Iterator[Event]:
     for one, i, j in _conflicts(log):
         pet = abs(float(log.t[j] - log.t[i]))
         moving = abs(float(log.ego.v[i])) > MOVES_MPS
         if pet <= PET_S and moving:
             who = "the ego was there first" if i <= j else "the ego was there second"
-            yield Event(float(log.t[min(i, j)]), float(log.t[max(i, j)]), pet, (one.id,), who)
+            yield log.event_at(one, min(i, j), max(i, j), pet, who)
 
 
 def _ego_yields(log: DrivenLog) -> Iterator[Event]:
     for one, i, j in _conflicts(log):
         slowed = _step_of_slowing(log.ego.v, log.station, j, i) if j < i else -1
         if slowed >= 0:
-            yield Event(float(log.t[slowed]), float(log.t[i]), float(log.t[i] - log.t[j]), (one.id,))
+            yield log.event_at(one, slowed, i, float(log.t[i] - log.t[j]))
 
 
 def _ego_is_yielded_to(log: DrivenLog) -> Iterator[Event]:
@@ -83,7 +97,7 @@ def _ego_is_yielded_to(log: DrivenLog) -> Iterator[Event]:
         first = int(np.searchsorted(one.k, i))
         slowed = _step_of_slowing(one.speed, way, min(first, at), at)
         if slowed >= 0:
-            yield Event(float(log.t[one.k[slowed]]), float(log.t[j]), float(log.t[j] - log.t[i]), (one.id,))
+            yield log.event_at(one, int(one.k[slowed]), j, float(log.t[j] - log.t[i]))
 
 
 def _step_of_slowing(v: FloatArray, way: FloatArray, first: int, at: int) -> int:
@@ -170,7 +184,24 @@ def _contact_times(
     return out
 
 
+@kernel
+def _touches(ego: FloatArray, car: FloatArray, pose: FloatArray, k: IntArray, size: FloatArray) -> BoolArray:
+    """Whether the boxes overlap `(m,)`: of the ego `(5, n)` at the steps `k` and of a road user `(5, m)`."""
+    out = np.zeros(len(k), np.bool_)
+    reach = 0.5 * (hypot(car[0], car[1]) + hypot(size[0], size[1]))
+    for m in range(len(k)):
+        x, y, yaw = ego[0, k[m]], ego[1, k[m]], ego[2, k[m]]
+        if hypot(pose[0, m] - x, pose[1, m] - y) <= reach:
+            out[m] = overlap(x, y, yaw, car[0], car[1], pose[0, m], pose[1, m], pose[2, m], size[0], size[1])
+    return out
+
+
 CONFLICTS = (
+    EventKind(
+        "contact", _contact,
+        "The boxes of the ego and a road user overlap, but for phantoms (docs/verdict.md). While they do.",
+        "speed of the two against each other at first", "m/s", "", f"{SUDDEN}; or {TOO_LARGE}",
+    ),
     EventKind(
         "near_miss_ttc", _near_miss_ttc,
         f"The time to collision is below {TTC_S} s at constant velocity vectors, and until {NEAR_S:g} s later the two"

@@ -49,6 +49,7 @@ class Event:
         value: The number that the kind measures, in its unit; NaN if it measures none.
         agents: Ids of the road users that took part, the main one first; empty if only the ego did.
         what: More in words ("left", "crosswalk 7"); may be empty.
+        doubt: Why it may be none; empty if nothing speaks against it.
     """
 
     begin: float
@@ -56,6 +57,11 @@ class Event:
     value: float
     agents: tuple[str, ...] = ()
     what: str = ""
+    doubt: str = ""
+
+
+UNCLASSIFIED = "the log does not say what the road user is"
+"""The doubt about each event of a road user of the kind OBJECT."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +75,7 @@ class EventKind:
         measures: The meaning of `Event.value`; empty if that is NaN.
         unit: Unit of the value: "m", "s", "m/s", "m/s2", "1".
         source: Source of the definition; empty for a definition of replan.
+        doubted: When an event of the kind is in doubt, beside `UNCLASSIFIED`.
 
     Raises:
         ValueError: A field is invalid.
@@ -80,6 +87,7 @@ class EventKind:
     measures: str = ""
     unit: str = ""
     source: str = ""
+    doubted: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or self.name.split() != [self.name]:
@@ -201,9 +209,15 @@ class DrivenLog:
             who[one.k[closer]], gap[one.k[closer]] = place, mine[closer]
         return who, np.where(who >= 0, np.maximum(gap, 0.0), np.nan)
 
-    def event(self, one: Neighbour, first: int, last: int, value: float, what: str = "") -> Event:
+    def event(self, one: Neighbour, first: int, last: int, value: float, what: str = "", *, doubt: str = "") -> Event:
         """An event of a road user between two of its places."""
-        return Event(float(self.t[one.k[first]]), float(self.t[one.k[last]]), float(value), (one.id,), what)
+        return self.event_at(one, int(one.k[first]), int(one.k[last]), value, what, doubt=doubt)
+
+    def event_at(self, one: Neighbour, i: int, j: int, value: float, what: str = "", *, doubt: str = "") -> Event:
+        """An event of a road user between two steps of the grid."""
+        if one.kind is AgentKind.OBJECT:
+            doubt = "; ".join(filter(None, (doubt, UNCLASSIFIED)))
+        return Event(float(self.t[i]), float(self.t[j]), float(value), (one.id,), what, doubt)
 
     def gap_to(self, one: Neighbour) -> FloatArray:
         """`(m,)` way along the path from the ego's front bumper to a road user's nearest part ahead, m."""

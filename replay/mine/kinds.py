@@ -128,7 +128,7 @@ def page() -> str:
 
 
 def _rows(kinds: Iterable[EventKind]) -> Iterator[str]:
-    yield from ("| kind | what it is | value | source |", "|---|---|---|---|")
+    yield from ("| kind | what it is | value | in doubt | source |", "|---|---|---|---|---|")
     for kind in kinds:
         value = f"{kind.measures}, {kind.unit}" if kind.measures and kind.unit != "1" else kind.measures
-        yield f"| `{kind.name}` | {kind.meaning} | {value} | {kind.source or 'replan'} |"
+        yield f"| `{kind.name}` | {kind.meaning} | {value} | {kind.doubted} | {kind.source or 'replan'} |"

@@ -290,7 +290,7 @@ def _row(log: DrivenLog, kind: EventKind, event: Event, planner: str) -> dict[st
         "agent_kind": tracks.kinds[tracks.ids.index(main)].value if main in tracks.ids else ALONE,
         "road": road, "speed": next((name for bound, name in SPEEDS if v < bound), FASTER),
         "v_mps": v, "x_m": float(log.ego.x[k]), "y_m": float(log.ego.y[k]), "value": float(event.value),
-        "unit": kind.unit, "what": event.what, "planner": planner,
+        "unit": kind.unit, "what": event.what, "doubt": event.doubt, "planner": planner,
     }  # fmt: skip
 
 

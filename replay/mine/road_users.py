@@ -14,7 +14,7 @@ from logs.kernel import BoolArray
 from logs.scenario import AgentKind
 from metrics.lanes import points_inside
 from metrics.metric import Unavailable
-from replay.mine.driven_log import DrivenLog, Event, EventKind, Neighbour, runs, steps
+from replay.mine.driven_log import FELT_S, DrivenLog, Event, EventKind, Neighbour, runs, steps
 
 ALONG = float(np.cos(np.pi / 4.0))
 MOVES_MPS, WALKS_MPS = 1.0, 0.3
@@ -25,6 +25,12 @@ AROUND_S = 1.0
 HEADWAY_S, HEADWAY_M = 3.0, 10.0
 """Largest distance ahead of a moving ego of a cut-in or cut-out: as a time, or in m at low speed."""
 BRAKES_MPS2, BRAKES_S = 3.0, 0.3
+TYRES_MPS2 = 11.0
+"""No car brakes harder on dry asphalt: a coefficient of friction of 1.1."""
+JUMPS = "its speed jumps by more than brakes can do"
+SLOWS_MPS2, SLOWS_S = 0.5, 1.0
+SLOWED_MPS, SLOWED = 1.0, 0.3
+"""Least decrease of the ego's speed behind a lead: absolute, m/s, and as a share of its speed before."""
 LEAD_S, LEAD_M = 4.0, 15.0
 QUEUE, QUEUE_MPS, QUEUE_GAP_M, QUEUE_AHEAD_M, QUEUE_S = 3, 0.5, 15.0, 60.0, 2.0
 ONCOMING_AHEAD_M, ONCOMING_S, HEAD_ON = 60.0, 1.0, float(np.cos(np.pi / 9.0))
@@ -99,9 +105,25 @@ def _lead_braking(log: DrivenLog) -> Iterator[Event]:
     for place in np.unique(who[who >= 0]).tolist():
         one = log.neighbours[place]
         near = gap[one.k] <= np.maximum(LEAD_S * log.ego.v[one.k], LEAD_M)
+        possible = one.accel >= -TYRES_MPS2
         braking = (who[one.k] == place) & near & (one.accel <= -BRAKES_MPS2)
-        for first, last in runs(braking, one.k, steps(BRAKES_S), steps(HOLE_S)):
-            yield log.event(one, first, last, one.accel[first : last + 1].min())
+        for first, last in runs(braking & possible, one.k, steps(BRAKES_S), steps(HOLE_S)):
+            around = slice(max(first - 1, 0), last + 2)
+            least = one.accel[first : last + 1][possible[first : last + 1]].min()
+            yield log.event(one, first, last, least, doubt="" if possible[around].all() else JUMPS)
+
+
+def _ego_slows(log: DrivenLog) -> Iterator[Event]:
+    who, gap = log.lead
+    near = (who >= 0) & (gap <= np.maximum(LEAD_S * log.ego.v, LEAD_M))
+    for first, last in runs(log.accel <= -SLOWS_MPS2, least=steps(SLOWS_S), hole=steps(HOLE_S)):
+        begin = max(first - steps(FELT_S), 0)  # where the mean over `FELT_S` begins
+        before, slower = float(log.ego.v[begin]), float(log.ego.v[begin] - log.ego.v[last])
+        for_whom = who[begin : last + 1][near[begin : last + 1]]
+        if slower < max(SLOWED_MPS, SLOWED * before) or 2 * len(for_whom) < last - begin + 1:
+            continue
+        names, times = np.unique(for_whom, return_counts=True)
+        yield log.event_at(log.neighbours[int(names[np.argmax(times)])], begin, last, slower)
 
 
 def _standing_queue(log: DrivenLog) -> Iterator[Event]:
@@ -163,19 +185,23 @@ def _close_pass(log: DrivenLog) -> Iterator[Event]:
             yield log.event(one, first, last, room[first : last + 1].min())
 
 
-def _pedestrian_crossing(log: DrivenLog, *, off_crosswalks: bool = False) -> Iterable[Event] | Unavailable:
+def _crossing(
+    log: DrivenLog, who: AgentKind = AgentKind.PEDESTRIAN, *, off_crosswalks: bool = False
+) -> Iterable[Event] | Unavailable:
     if off_crosswalks and not log.scenario.road.crosswalks:
         return Unavailable("the log's map has no crosswalk")
     if log.scenario.tracks.kinds and set(log.scenario.tracks.kinds) == {AgentKind.OBJECT}:
         return Unavailable("the log does not say what its road users are")
     found = []
     for one in log.neighbours:
-        if one.kind is not AgentKind.PEDESTRIAN:
+        if one.kind is not who:
             continue
         for first, last in runs(one.reaches_into(log.half), one.k):  # the road user is in the band ahead of the ego
             low, high = max(first - steps(1.0), 0), min(last + steps(1.0), len(one.k) - 1)
             aside = abs(float(one.l[high] - one.l[low]))
             walked = aside > max(log.half, WALKS_MPS * 0.1 * (high - low))
+            if who is not AgentKind.PEDESTRIAN:  # who rides along the path, and swerves, does not cross it
+                walked &= float(np.median(np.abs(one.along[low : high + 1]))) < ALONG
             comes = log.reached(one.s[first : last + 1] - one.half_s[first : last + 1]) - log.t[one.k[first : last + 1]]
             gap = log.gap_to(one)[first : last + 1]
             waits = log.ego.v[one.k[first : last + 1]] < WAITS_MPS
@@ -211,7 +237,13 @@ ROAD_USERS = (
     EventKind(
         "lead_braking", _lead_braking,
         f"The lead, within {LEAD_S:g} s or {LEAD_M:g} m, brakes with {BRAKES_MPS2:g} m/s2 or more for {BRAKES_S} s.",
-        "its least acceleration", "m/s2", "UN R157 (braking lead); the bound is ours",
+        "its least acceleration", "m/s2", "UN R157 (braking lead); the bound is ours", JUMPS,
+    ),
+    EventKind(
+        "ego_slows", _ego_slows,
+        f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more, with {SLOWS_MPS2:g} m/s2 for"
+        f" {SLOWS_S:g} s, behind a lead within {LEAD_S:g} s or {LEAD_M:g} m for most of it.",
+        "decrease of its speed", "m/s", "",
     ),
     EventKind(
         "standing_queue", _standing_queue,
@@ -238,13 +270,18 @@ ROAD_USERS = (
         "least room", "m", "StVO 5 (4): 1.5 m in towns beside pedestrians and cyclists; 0.5 m is ours",
     ),
     EventKind(
-        "pedestrian_crossing", _pedestrian_crossing,
+        "pedestrian_crossing", _crossing,
         f"A pedestrian walks into the band ahead of the ego, which comes there within {CROSSING_S:g} s, or waits"
         f" (below {WAITS_MPS:g} m/s) less than {CROSSING_AHEAD_M:g} m before it. While they are in the band.",
         "least gap", "m", "nuPlan's scenario tags (near_pedestrian_on_crosswalk, waiting_for_pedestrian_to_cross)",
     ),
     EventKind(
-        "jaywalking", partial(_pedestrian_crossing, off_crosswalks=True),
+        "cyclist_crossing", partial(_crossing, who=AgentKind.BICYCLE),
+        "The same of a cyclist, who moves across the ego's path, by 45 degrees or more.",
+        "least gap", "m", "",
+    ),
+    EventKind(
+        "jaywalking", partial(_crossing, off_crosswalks=True),
         f"A pedestrian crossing with the pedestrian more than {BESIDE_CROSSWALK_M:g} m from any crosswalk for most of"
         " it; asked where the map has crosswalks.",
         "least gap", "m", "RefAV (Argoverse 2 scenario mining: jaywalking)",

@@ -155,6 +155,7 @@ TABLES: Mapping[str, Table] = {
             ("value", "number", "what the kind measures, in `unit`; NaN: nothing"),
             ("unit", "text", "SI; `1`: a number"),
             ("what", "text", "more in words (the side, the stop line); may be empty"),
+            ("doubt", "text", "why it may be none: docs/events.md; empty: nothing speaks against it"),
             ("planner", "text", "whose plans the event is about; empty: of the log alone"),
         ),
     ),

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, TrafficLight
 from logs.catalogue import scenario as synthesised
 from metrics import Unavailable
-from replay.mine.driven_log import DrivenLog, Event, EventKind, runs
+from replay.mine.driven_log import UNCLASSIFIED, DrivenLog, Event, EventKind, runs
 from replay.mine.kinds import KINDS
+from replay.mine.road_users import TYRES_MPS2
 
 CAR, WALKER, BIKE = (4.5, 1.8), (0.5, 0.5), (1.8, 0.6)
 T = grid(12.0, 0.1)
@@ -93,6 +94,52 @@ def test_hard_braking_of_ego_and_lead() -> None:
     lead = car("lead", lambda t: (np.interp(t, T, x), np.zeros(len(t)), np.zeros(len(t))))
     gentle = along(T, stopping(T, 14.0, 4.5, 2.5))
     assert [event.agents for event in found(scenario(gentle, [lead]))["lead_braking"]] == [("lead",)]
+
+
+@given(st.floats(3.0, 10.0), st.integers(30, 60), st.floats(2.0, 8.0))
+@settings(max_examples=12)
+def test_a_label_that_jumps_is_no_braking_and_real_braking_is_no_jump(decel: float, step: int, jump: float) -> None:
+    v = stopping(T, 14.0, 4.0, decel)
+    x = 30.0 + np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (v[1:] + v[:-1]))]
+
+    def lead(jumps: float) -> Agent:
+        at = x - jumps * (np.arange(len(T)) == step)
+        return car("lead", lambda t: (np.interp(t, T, at), np.zeros(len(t)), np.zeros(len(t))))
+
+    ego = along(T, stopping(T, 14.0, 4.5, 2.5))
+    for jumps in (0.0, jump):
+        events = found(scenario(ego, [lead(jumps)]), "lead_braking").get("lead_braking", [])
+        assert all(event.value >= -TYRES_MPS2 for event in events)
+        if not jumps and decel > 3.3:
+            assert [event.doubt for event in events] == [""]
+
+
+def test_the_ego_slows_behind_a_lead_and_not_by_itself() -> None:
+    v = stopping(T, 10.0, 4.0, 2.0)
+    x = 25.0 + np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (v[1:] + v[:-1]))]
+    lead = car("lead", lambda t: (np.interp(t, T, x), np.zeros(len(t)), np.zeros(len(t))))
+    ego = along(T, stopping(T, 10.0, 4.5, 2.0))
+    (event,) = found(scenario(ego, [lead]))["ego_slows"]
+    assert event.agents == ("lead",) and 4.0 <= event.begin < 5.5 and event.value > 8.0
+    assert "ego_slows" not in found(scenario(ego))
+
+
+def test_a_cyclist_who_crosses_does_not_ride_along() -> None:
+    ego = along(T, stopping(T, 8.0, 2.0, 2.0))
+    crossing = car("b", moving(40.0, -20.0, 0.0, 4.0), AgentKind.BICYCLE, BIKE)
+    assert [event.agents for event in found(scenario(ego, [crossing]))["cyclist_crossing"]] == [("b",)]
+    riding = car("b", sideways(30.0, 4.0, -2.5, 2.5, 3.0), AgentKind.BICYCLE, BIKE)
+    assert "cyclist_crossing" not in found(scenario(ego, [riding]))
+
+
+def test_a_contact_has_its_speed_and_its_doubts() -> None:
+    ego = along(T, 10.0)
+    stands = car("7", moving(60.0, 0.5, 0.0, 0.0, 0.0))
+    (event,) = found(scenario(ego, [stands]))["contact"]
+    assert event.agents == ("7",) and event.value == pytest.approx(10.0, abs=0.1) and event.doubt == ""
+    (event,) = found(scenario(ego, [("7", AgentKind.OBJECT, CAR, moving(60.0, 0.5, 0.0, 0.0, 0.0))]))["contact"]
+    assert event.doubt == UNCLASSIFIED
+    assert "contact" not in found(scenario(ego, [car("7", moving(60.0, 3.0, 0.0, 0.0, 0.0))]))
 
 
 def test_a_queue_is_three_or_more_who_stand_in_the_band() -> None:

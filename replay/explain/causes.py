@@ -94,8 +94,8 @@ class Cause:
         distance_m: Distance that the ego would have driven until then, m.
         need_mps2: The least constant deceleration that avoids it.
         value: LIMIT: the limit, m/s; CURVE: the lateral acceleration, m/s2; GOAL: its time, s, or speed, m/s; BEGUN:
-            the acceleration that the plan starts with, m/s2; NONE: the hardest braking, m/s2, if other causes are too
-            weak for it.
+            the acceleration that the plan starts with, m/s2; NONE: the hardest
+            deceleration, m/s2, if others are too weak.
         left_m: AGENT: the least gap of the plan behind them, m.
         left_at_s: AGENT: time of the least gap, s from the frame.
         is_met: AGENT: whether they would be met; otherwise they would be followed too near, or are only in the way.
@@ -232,7 +232,7 @@ class Explainer:
         if not failed and not (found and found[0].accounts_for(course.a_least)):
             near = min(met, key=lambda one: one.away_m, default=None)
             one = Cause(CauseKind.AGENT, hold_mps=held.v) if near is None or found else _met_agent(near, case)
-            hardest = course.a_least if found else nan
+            hardest = -course.a_least if found else nan
             none = replace(one, kind=CauseKind.NONE, time_s=float(held.t[-1]), distance_m=held.reach, value=hardest)
             found = [*(_passed_or_begun(case) or [none]), *found]
         why_not = not_passed(plan) if found and found[0].kind is CauseKind.AGENT else ()

@@ -32,7 +32,7 @@ def sentences(account: Account) -> list[str]:
     for cause in rest[:MOST]:
         if cause.kind is CauseKind.NONE:
             if isfinite(cause.value):
-                lines.append(f"{opening}; no cause found that takes its braking of {-cause.value:.1f} m/s².")
+                lines.append(f"{opening}; no cause found that takes its braking of {cause.value:.1f} m/s².")
                 opening = "Also"
                 continue
             near = f" {cause.who}, {cause.away_m:.1f} m away, is on its way, but would not be met." if cause.who else ""

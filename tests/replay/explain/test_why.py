@@ -150,7 +150,9 @@ def check_others(case: PlannerInput, causes: list[Cause], held: Held, away: Floa
     touched = {ids[i] for i in np.flatnonzero((np.nan_to_num(away, nan=1e9) <= 0.0).any(axis=1))}
     assert touched <= met, "no agent is met without being said"
     unexplained = [cause for cause in causes if cause.kind is CauseKind.NONE]
-    assert not (unexplained and touched)
+    weak = [cause for cause in unexplained if isfinite(cause.value)]  # others are found, too weak for the braking
+    assert not (touched and unexplained and not weak)
+    assert not any(other.accounts_for(-cause.value) for cause in weak for other in causes if other is not cause)
 
 
 def check_numbers(sentence: str, cause: Cause, account: Account) -> None:

@@ -59,6 +59,7 @@ ROWS = {
     "report": Row("report {place}/run"),
     "query": Row("query {place}/mined 'SELECT * FROM range(500)'", ".csv"),
     "suite": Row("suite {place}/mined", ".toml"),
+    "coverage": Row("coverage {place}/mined --against {place}/mined --workers 0"),
     "score": Row("score {place}/run --as nuplan-cls", ".csv"),
     "baseline": Row("baseline {place}/run", ".parquet"),
     "repair": Row("repair {place}/free.mcap", ".mcap"),
@@ -71,7 +72,7 @@ ROWS = {
 }
 CLAIMED = (
     "evaluate", "merge", "mine", "cut", "vary", "falsify", "tune", "diagnose", "report", "query", "suite", "baseline",
-    "repair", "score",
+    "repair", "score", "coverage",
 )  # fmt: skip
 """The commands that lock; the others write each file whole, and of two at once the last counts."""
 URLS = ("evaluate", "merge")

@@ -81,11 +81,14 @@ def write_space(path: Path, *lines: str) -> None:
 
 
 def words(folder: Path, out: Path, *more: object) -> Sequence[object]:
-    return (
-        "tune", "-p", "wishful:Wishful", "--set", "loop.apart.trust=true", "--set", "repeat_s=0", folder / "logs",
-        "--space", folder / "space.toml", "--gates", folder / "gates.toml", "--metric", "wishful:WISH",
-        "--metric", "wishful:NOISE", "--held-out", 0.5, "--workers", 0, "-o", out, *more,
-    )  # fmt: skip
+    """The command of a tuning; `more` replaces its options."""
+    options = {
+        "-p": "wishful:Wishful", "--space": folder / "space.toml", "--gates": folder / "gates.toml", "--held-out": 0.5,
+        "--workers": 0, "-o": out,
+    }  # fmt: skip
+    kept = [word for option in options.items() if option[0] not in more for word in option]
+    settings = ("--set", "loop.apart.trust=true", "--set", "repeat_s=0")
+    return ("tune", folder / "logs", *settings, "--metric", "wishful:WISH", "--metric", "wishful:NOISE", *kept, *more)
 
 
 @pytest.mark.slow

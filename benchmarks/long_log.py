@@ -15,13 +15,13 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import pi
-from pathlib import Path as File
+from pathlib import CurveSamples as File
 from time import process_time
 
 import numpy as np
 from rich.console import Console
 
-from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, two_way
+from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, two_way
 from logs.catalogue.scene import ADULT, CAR, Agent, tracks
 from logs.kernel import FloatArray
 from logs.mcap import read_scenario, write_scenario
@@ -47,7 +47,7 @@ def long_log(seconds: float, denser: float = 1.0) -> Scenario:
     return Scenario("long", ego, tracks(list(_others(path, t, denser))), _road(path), seconds)
 
 
-def _road(path: Path) -> Road:
+def _road(path: CurveSamples) -> Road:
     """Two lanes, a piece after the other."""
     lanes: dict[int, Lane] = {}
     count = int(path.length // PIECE_M)
@@ -66,7 +66,7 @@ def _numbered(lane: Lane, name: int, beside: int, successors: tuple[int, ...]) -
     )  # fmt: skip
 
 
-def _others(path: Path, t: FloatArray, denser: float) -> Iterator[Agent]:
+def _others(path: CurveSamples, t: FloatArray, denser: float) -> Iterator[Agent]:
     """Who is within `SEEN_M` of the ego is in the log; each comes and goes once."""
     ego = 50.0 + SPEED_MPS * t
     for k, start in enumerate(np.arange(100.0, 2.0 * ego[-1], CARS_M / denser)):
@@ -78,7 +78,7 @@ def _others(path: Path, t: FloatArray, denser: float) -> Iterator[Agent]:
 
 
 def _seen(
-    path: Path, name: str, kind: AgentKind, size: tuple[float, float], t: FloatArray, s: FloatArray, ego: FloatArray,
+    path: CurveSamples, name: str, kind: AgentKind, size: tuple[float, float], t: FloatArray, s: FloatArray, ego: FloatArray,
     left: float, turned: float,
 ) -> Iterator[Agent]:  # fmt: skip
     there = (np.abs(s - ego) <= SEEN_M) & (s > 0.0) & (s < path.length)

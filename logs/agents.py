@@ -215,7 +215,7 @@ _BOXES = tuple(each.name for each in fields(Detections) if each.name not in ("id
 
 
 @dataclass(frozen=True)
-class Change:
+class TrackChange:
     """One change that a repair made.
 
     Attributes:
@@ -256,7 +256,7 @@ class Repair:
     detections: Detections
     removed: Tracks
     extended: BoolArray
-    changes: tuple[Change, ...]
+    changes: tuple[TrackChange, ...]
     tracks: Tracks
 
     def __post_init__(self) -> None:

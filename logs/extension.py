@@ -35,7 +35,7 @@ def an_instance(cls: type, called: str) -> Callable[[object], str]:
 
 
 @dataclass(frozen=True, eq=False)
-class Kind(Generic[T]):
+class ExtensionKind(Generic[T]):
     """A kind of extension that is found by name.
 
     Attributes:

@@ -241,12 +241,12 @@ class NearbyTracks:
             offsets = np.r_[0, np.cumsum(sizes)]
             at = np.repeat(low - offsets[:-1], sizes) + np.arange(offsets[-1])
             columns = (getattr(tracks, name)[at] for name in ("t", "x", "y", "yaw", "vx", "vy"))
-            self._part = Part(*heads(tracks, who), offsets, *columns, source=tracks, at=at)
+            self._part = TrackSamples(*heads(tracks, who), offsets, *columns, source=tracks, at=at)
         return self._part
 
 
 @dataclass(frozen=True, eq=False)
-class Part(Tracks):
+class TrackSamples(Tracks):
     """Samples of some tracks, with the properties that depend on whole tracks.
 
     Attributes:

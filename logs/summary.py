@@ -19,7 +19,7 @@ from logs.forward import forward_part, reversals
 from logs.names import counted
 from logs.observed import ENOUGH, MAX_AGE_S, Spans, clipped, described
 from logs.readers import LogSettings, read_log, reader_of
-from logs.readers.base import Contents, TopicSummary
+from logs.readers.base import LogContents, TopicSummary
 from logs.road import Goal, RoadSource
 from logs.route import goal_fault
 from logs.scenario import Scenario
@@ -143,10 +143,10 @@ class LogSummary:
 def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
     """Summarise a log of any format; damage and unknown formats are reported in `error`, never raised."""
     reader, scenario, error = reader_of(path, settings), None, None
-    contents, files = Contents("not a log that replan reads"), tuple[Path, ...]((path,))
+    contents, files = LogContents("not a log that replan reads"), tuple[Path, ...]((path,))
     try:
         if reader is not None:
-            contents, files = Contents(), reader.files(path)
+            contents, files = LogContents(), reader.files(path)
             check_regular(*files)
             contents = reader.contents(path)
         scenario = read_log(path, settings)

@@ -19,7 +19,7 @@ import pandas as pd
 
 import replan.own
 from logs.errors import raised
-from logs.extension import Kind, an_instance
+from logs.extension import ExtensionKind, an_instance
 from logs.memory import light
 from logs.scenario import Scenario
 from logs.trace import Trace
@@ -243,12 +243,12 @@ def _reduce(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, fl
     return value, True, label, float(steps.t[step]) if step >= 0 else nan
 
 
-METRIC: Kind[Metric] = Kind("metric", "metrics", METRICS, an_instance(Metric, "metrics.Metric"))
+METRIC: ExtensionKind[Metric] = ExtensionKind("metric", "metrics", METRICS, an_instance(Metric, "metrics.Metric"))
 """Finds metrics by name: the built-in ones and those of users."""
 
 
 def load_metric(spec: str) -> Metric:
-    """Return a built-in metric ("gap") or one of the user ("module:NAME", a `Metric`); ConfigError as `Kind.find`."""
+    """Return a built-in metric ("gap") or one of the user ("module:NAME", a `Metric`); ConfigError as `ExtensionKind.find`."""
     return METRIC.find(spec)
 
 

@@ -24,7 +24,7 @@ from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import metric
 from metrics.metric import Measured, Metric, Series, Unavailable
-from metrics.progress import FLOOR_M, LEAST_COVERED, Route, gain_along, route_of, way_of
+from metrics.progress import FLOOR_M, LEAST_COVERED, ProgressLine, gain_along, route_of, way_of
 
 SHORTEST_DRIVE_M = 10.0
 """The end of a drive becomes the goal only if the log's driver gains at least this along the route."""
@@ -83,7 +83,7 @@ class Arrival:
 
     def __init__(self, scenario: Scenario, goal: Goal) -> None:
         self._goal, self._ahead = goal, scenario.vehicle.axle_to_center
-        self._route: Route | None = route_of(scenario) if goal.way > 0.0 else None
+        self._route: ProgressLine | None = route_of(scenario) if goal.way > 0.0 else None
         self._row, self._station, self._gain = 0, 0.0, 0.0
 
     def at(self, rows: FloatArray, k: int) -> bool:

@@ -40,7 +40,7 @@ FINE_S = 0.05  # Time step of the search for phantoms, s
 DEEP_M = 0.3  # Depth that a phantom reaches into the ego's box on each side; a box that only grazes it is no phantom
 
 
-class Others(NamedTuple):
+class OtherBoxes(NamedTuple):
     """Road users over a grid of k times.
 
     Attributes:
@@ -66,17 +66,17 @@ def grid_of(trace: Trace) -> Trajectory:
     return trace.ego.resampled(np.r_[steps, last] if last > steps[-1] else steps)
 
 
-def others_at(tracks: Tracks, t: FloatArray) -> Others:
+def others_at(tracks: Tracks, t: FloatArray) -> OtherBoxes:
     """Return the agents at the increasing times `t` `(k,)`, interpolated as by `Tracks.truth`."""
     return _others_at(tracks, np.asarray(t, np.float64).tobytes())
 
 
 @last(2)  # most metrics use the steps of the drive, some use the 0.1 s grid
-def _others_at(tracks: Tracks, times: bytes) -> Others:
+def _others_at(tracks: Tracks, times: bytes) -> OtherBoxes:
     return some_at(tracks, np.arange(len(tracks)), np.frombuffer(times))
 
 
-def some_at(tracks: Tracks, agents: IntArray, t: FloatArray) -> Others:
+def some_at(tracks: Tracks, agents: IntArray, t: FloatArray) -> OtherBoxes:
     """Return `others_at` for the tracks `agents` `(n,)` only."""
     lengths, moved = np.diff(tracks.offsets)[agents], tracks.motion
     offsets = np.r_[0, np.cumsum(lengths)]
@@ -84,10 +84,10 @@ def some_at(tracks: Tracks, agents: IntArray, t: FloatArray) -> Others:
     moves = (moved.vx, moved.vy, moved.accel, moved.turn)
     columns = np.stack([some[at] for some in (tracks.x, tracks.y, tracks.yaw, *moves)])
     there, found = _on_grid(offsets, tracks.static[agents], tracks.t[at], tracks.gap_after[at], columns, t)
-    return Others(there, found[:5], found[5], found[6], np.column_stack([tracks.length, tracks.width])[agents])
+    return OtherBoxes(there, found[:5], found[5], found[6], np.column_stack([tracks.length, tracks.width])[agents])
 
 
-def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, Others]]:
+def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, OtherBoxes]]:
     """Yield pieces of the increasing times `t` `(k,)`: their steps, the tracks present in order, `some_at` of both."""
     if len(tracks) * len(t) <= MOST_CELLS:
         yield slice(0, len(t)), np.arange(len(tracks)), others_at(tracks, t)
@@ -103,7 +103,7 @@ def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, Oth
         begin = end
 
 
-def each(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, Others, int]]:
+def each(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, OtherBoxes, int]]:
     """Yield all tracks in order: index, the boxes of a batch of tracks at the increasing times `t` `(k,)`, its row."""
     count = max(MOST_CELLS // len(t), 1)
     for begin in range(0, len(tracks), count):
@@ -112,7 +112,7 @@ def each(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, Others, int]]:
         yield from ((begin + row, others, row) for row in range(len(agents)))
 
 
-def in_spans(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, slice, Others]]:
+def in_spans(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, slice, OtherBoxes]]:
     """Yield each track whose time span contains some of the increasing times `t` `(k,)`: index, those steps, its boxes.
 
     A static track is present at all times.
@@ -125,7 +125,7 @@ def in_spans(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, slice, Others
 
 
 def nearest(
-    tracks: Tracks, t: FloatArray, measure: Callable[[slice, IntArray, Others], tuple[FloatArray, IntArray]]
+    tracks: Tracks, t: FloatArray, measure: Callable[[slice, IntArray, OtherBoxes], tuple[FloatArray, IntArray]]
 ) -> tuple[FloatArray, IntArray]:
     """Join the results of a kernel over all `pieces`: values `(..., k)` and tracks `(k,)`, -1 where there is no row."""
     found = [(seen, *measure(steps, seen, others)) for steps, seen, others in pieces(tracks, t)]
@@ -183,7 +183,7 @@ def _on_grid(
     return there, out
 
 
-class Car(NamedTuple):
+class EgoOutline(NamedTuple):
     """The ego's box, m: rear axle to centre, length, width, and rear axle to front bumper."""
 
     axle: float
@@ -192,10 +192,10 @@ class Car(NamedTuple):
     front: float
 
 
-def car_of(scenario: Scenario) -> Car:
+def car_of(scenario: Scenario) -> EgoOutline:
     """The ego's box."""
     car = scenario.vehicle
-    return Car(float(car.axle_to_center), float(car.length), float(car.width), float(car.axle_to_front))
+    return EgoOutline(float(car.axle_to_center), float(car.length), float(car.width), float(car.axle_to_front))
 
 
 def ego_boxes(ego: Trajectory, scenario: Scenario) -> FloatArray:
@@ -209,14 +209,14 @@ def ego_boxes(ego: Trajectory, scenario: Scenario) -> FloatArray:
 
 
 @inner_kernel
-def distance_bound(x: float, y: float, car: Car, others: Others, i: int, k: int) -> float:
+def distance_bound(x: float, y: float, car: EgoOutline, others: OtherBoxes, i: int, k: int) -> float:
     """Return a lower bound of the distance between box i at step k and the ego's box with the centre (x, y), m."""
     size, reach = others.size, 0.5 * hypot(car.length, car.width)
     return hypot(others.pose[0, i, k] - x, others.pose[1, i, k] - y) - reach - 0.5 * hypot(size[i, 0], size[i, 1])
 
 
 @inner_kernel
-def touches(x: float, y: float, yaw: float, car: Car, others: Others, i: int, k: int) -> bool:
+def touches(x: float, y: float, yaw: float, car: EgoOutline, others: OtherBoxes, i: int, k: int) -> bool:
     """Whether box i at step k and the ego's box with this centre and heading touch."""
     pose, size = others.pose, others.size
     return overlap(
@@ -226,7 +226,13 @@ def touches(x: float, y: float, yaw: float, car: Car, others: Others, i: int, k:
 
 @inner_kernel
 def contact_time(
-    ego: tuple[float, float, float, float, float], turn: float, car: Car, others: Others, i: int, k: int, lasts: float
+    ego: tuple[float, float, float, float, float],
+    turn: float,
+    car: EgoOutline,
+    others: OtherBoxes,
+    i: int,
+    k: int,
+    lasts: float,
 ) -> float:
     """`shapes.time_to_contact_turning` of box i at step k and the ego's box (x, y, yaw, vx, vy), yaw rate `turn`, s."""
     pose, size = others.pose, others.size

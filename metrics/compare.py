@@ -24,7 +24,7 @@ most differences are exactly 0.
 The same gates and the candidate's reference drives judge both tables. A flip is marginal if the value changed by no
 more than the noise of (1), or if the baseline's ensemble found the drive fragile. Rules do not count marginal flips.
 
-Rules (`metrics.judge.gates.Rule`) limit how much worse than the baseline a candidate may be. Marginal flips and, with
+Rules (`metrics.judge.gates.GateRule`) limit how much worse than the baseline a candidate may be. Marginal flips and, with
 "worst", fragile drives break no rule; the reason states their number. A rule, optional or not, is INCONCLUSIVE where
 the candidate lacks evidence that the baseline has: the metric has another version, or only the baseline has it; gates
 that passed have no value now in more than LOST_SHARE of the logs; or the change exceeds the limit, `significant` is
@@ -45,7 +45,7 @@ from logs.kernel import BoolArray, FloatArray, IntArray
 from metrics.evidence import ENSEMBLE
 from metrics.judge.aggregate import SUITE, LogLabels, membership
 from metrics.judge.excuses import REFERENCE
-from metrics.judge.gates import Gates, Outcome, Rule, count_logs, unit_of
+from metrics.judge.gates import GateRule, Gates, Outcome, count_logs, unit_of
 from metrics.judge.verdicts import DRIVE, judge, outcomes
 
 NOISE_ABS, NOISE_REL = 1e-9, 1e-6  # Rounding: sums in another order, the last iterations of a solver
@@ -385,7 +385,7 @@ def significant(low: FloatArray, high: FloatArray, logs: IntArray) -> BoolArray:
     return np.asarray(((low > 0.0) | (high < 0.0)) & (logs >= MIN_SIGNIFICANT))
 
 
-def judge_rules(rules: tuple[Rule, ...], comparison: Comparison, labels: Mapping[str, LogLabels]) -> Comparison:
+def judge_rules(rules: tuple[GateRule, ...], comparison: Comparison, labels: Mapping[str, LogLabels]) -> Comparison:
     """Add the verdicts of the rules to a comparison of logs with these labels; an optional rule may have none."""
     verdicts = []
     for rule in rules:
@@ -397,7 +397,7 @@ def judge_rules(rules: tuple[Rule, ...], comparison: Comparison, labels: Mapping
     return replace(comparison, verdicts=tuple(verdicts))
 
 
-def _judge_rule(rule: Rule, comparison: Comparison, labels: Mapping[str, LogLabels]) -> tuple[Outcome, str] | None:
+def _judge_rule(rule: GateRule, comparison: Comparison, labels: Mapping[str, LogLabels]) -> tuple[Outcome, str] | None:
     """Return outcome and reason; None if an optional rule has nothing to judge."""
     if rule.max_missing is not None:
         gone, other = comparison.only_in_baseline, comparison.other_logs
@@ -438,7 +438,7 @@ def _first_three(names: Sequence[str], between: str = ", ") -> str:
     return between.join([*names[:3], *(["..."] if len(names) > 3 else [])])
 
 
-def _judge_flips(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame, incomparable: str) -> tuple[Outcome, str]:
+def _judge_flips(rule: GateRule, flips: pd.DataFrame, pairs: pd.DataFrame, incomparable: str) -> tuple[Outcome, str]:
     flips = flips[flips["metric"] == rule.gate] if rule.gate else flips
     bad = flips[
         (flips["after"] == Outcome.FAIL.value) & flips["before"].isin([Outcome.PASS.value, Outcome.NOT_ASKED.value])
@@ -459,7 +459,7 @@ def _judge_flips(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame, incompara
     return Outcome.INCONCLUSIVE if missing else Outcome.PASS, "; ".join([reason, *missing])
 
 
-def _judge_change(rule: Rule, drives: str, rows: pd.DataFrame) -> tuple[float, Outcome, str]:
+def _judge_change(rule: GateRule, drives: str, rows: pd.DataFrame) -> tuple[float, Outcome, str]:
     """Return by how much one planner and loop exceeds the limit, the outcome, and the reason."""
     lost, rows = rows[rows["delta"].isna()], rows[rows["delta"].notna()]
     if rows.empty:

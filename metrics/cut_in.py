@@ -50,7 +50,7 @@ ALONGSIDE_M = 10.0  # A road user whose centre is farther ahead of the ego's cen
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class CutInStay:
     """A stay of the ego in the path of a follower (index of its track) from `t` to `until`, s; `forced`: (2), m/s2."""
 
     t: float
@@ -67,7 +67,7 @@ def forces_hit(drive: Trajectory, agents: Tracks, agent: int, scenario: Scenario
     return bool(found) and found[-1].until >= t - GRID_S and found[-1].forced > BRAKE_MPS2
 
 
-def entries(drive: Trajectory, agents: Tracks, scenario: Scenario) -> list[Entry]:
+def entries(drive: Trajectory, agents: Tracks, scenario: Scenario) -> list[CutInStay]:
     """Return the entries of a drive of two or more states, by follower, in order of time."""
     return [entry for seen in followers(drive, agents, scenario) for entry in _entries(seen, scenario)]
 
@@ -148,7 +148,7 @@ def _follow(
     )
 
 
-def _entries(seen: Follower, scenario: Scenario) -> Iterator[Entry]:
+def _entries(seen: Follower, scenario: Scenario) -> Iterator[CutInStay]:
     """Yield the entries ahead of one follower."""
     for first, last in _stays_in_strip(seen.deep, seen.ahead):
         heading = (
@@ -157,7 +157,7 @@ def _entries(seen: Follower, scenario: Scenario) -> Iterator[Entry]:
         )
         if _crosses_over(scenario.road, seen.boxes[:3, first], *heading):
             t, until = float(seen.ego.t[first]), float(seen.ego.t[last])
-            yield Entry(t, until, seen.agent, seen.needed(first, last))
+            yield CutInStay(t, until, seen.agent, seen.needed(first, last))
 
 
 def _on_path(path: ReferenceLine, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -214,7 +214,7 @@ def needed_deceleration(t: FloatArray, g: FloatArray, u: float) -> float:
     return min(float(needed.max(initial=0.0)), MOST_MPS2)
 
 
-def worst_forced(trace: Trace, stays: Iterable[Entry], scenario: Scenario, why: str, missing: str) -> Series:
+def worst_forced(trace: Trace, stays: Iterable[CutInStay], scenario: Scenario, why: str, missing: str) -> Series:
     """Return the braking that stays ahead of followers force, at their begins; at least how a follower reacted."""
     t, value, labels = trace.ego.t, np.full(len(trace.ego), np.nan), [""] * len(trace.ego)
     logged = scenario.tracks

@@ -33,8 +33,8 @@ from logs.trace import Mode, Trace
 from metrics.boxes import (
     GRID_S,
     NO_TTC_MPS,
-    Car,
-    Others,
+    EgoOutline,
+    OtherBoxes,
     car_of,
     distance_bound,
     each,
@@ -54,7 +54,7 @@ CROSSING_RAD = pi / 6.0
 SERIOUS_S = 1.0  # A smaller PET is serious (criticality metrics catalogue), s
 
 
-class Body(NamedTuple):
+class MovingBox(NamedTuple):
     """A moving box: centre, m, heading, rad, length, width, m, velocity, m/s, and the rate of its speed, m/s2."""
 
     x: float
@@ -76,7 +76,7 @@ def _distance_travelled(v: float, a: float, t: float) -> float:
 
 
 @kernel
-def time_to_contact_accelerated(one: Body, two: Body, horizon: float) -> float:
+def time_to_contact_accelerated(one: MovingBox, two: MovingBox, horizon: float) -> float:
     """Return (1), s; inf without a touch within the horizon. A standing box with a > 0 starts along its heading."""
     x1, y1, yaw1, length1, width1, vx1, vy1, a1 = one
     x2, y2, yaw2, length2, width2, vx2, vy2, a2 = two
@@ -101,7 +101,7 @@ def time_to_contact_accelerated(one: Body, two: Body, horizon: float) -> float:
 
 
 @kernel
-def closest_encounter(one: Body, two: Body, horizon: float) -> tuple[float, float]:
+def closest_encounter(one: MovingBox, two: MovingBox, horizon: float) -> tuple[float, float]:
     """Return DCE, m, and TTCE, s (2). Without a touch, the minimum is at 0, at the horizon, or corner to corner."""
     x1, y1, yaw1, length1, width1, vx1, vy1, _ = one
     x2, y2, yaw2, length2, width2, vx2, vy2, _ = two
@@ -125,15 +125,15 @@ def closest_encounter(one: Body, two: Body, horizon: float) -> tuple[float, floa
 
 
 @inner_kernel
-def _body(others: Others, i: int, k: int, accel: float) -> Body:
+def _body(others: OtherBoxes, i: int, k: int, accel: float) -> MovingBox:
     """Return box i at step k."""
     pose, size = others.pose[:, i, k], others.size[i]
-    return Body(pose[0], pose[1], pose[2], size[0], size[1], pose[3], pose[4], accel)
+    return MovingBox(pose[0], pose[1], pose[2], size[0], size[1], pose[3], pose[4], accel)
 
 
 @kernel
 def _least_with_acceleration(
-    ego: FloatArray, ego_accel: FloatArray, car: Car, others: Others
+    ego: FloatArray, ego_accel: FloatArray, car: EgoOutline, others: OtherBoxes
 ) -> tuple[FloatArray, IntArray]:
     """Return for each step the least (1) (NaN: none) and the agent's index (-1)."""
     pose, size, steps = others.pose, others.size, others.there.shape[1]
@@ -152,7 +152,7 @@ def _least_with_acceleration(
                 v, ego_accel[k], best
             ) + _distance_travelled(u, a, best):
                 continue
-            one = Body(x, y, yaw, car.length, car.width, vx, vy, ego_accel[k])
+            one = MovingBox(x, y, yaw, car.length, car.width, vx, vy, ego_accel[k])
             found = time_to_contact_accelerated(one, _body(others, i, k, a), best)
             if found < best:
                 best, least[k], agent[k] = found, found, i
@@ -160,7 +160,7 @@ def _least_with_acceleration(
 
 
 @kernel
-def _closest(ego: FloatArray, car: Car, others: Others) -> tuple[FloatArray, IntArray]:
+def _closest(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> tuple[FloatArray, IntArray]:
     """Return for each step the least DCE and its TTCE `(2, k)` (NaN: no other agent), and the agent's index (-1)."""
     pose, size, steps = others.pose, others.size, others.there.shape[1]
     found, agent, reach = np.full((2, steps), np.nan), np.full(steps, -1, np.int64), 0.5 * hypot(car.length, car.width)
@@ -175,7 +175,7 @@ def _closest(ego: FloatArray, car: Car, others: Others) -> tuple[FloatArray, Int
             t = min(max(-(dx * du + dy * dv) / square, 0.0), HORIZON_S) if square > 0.0 else 0.0
             if hypot(dx + t * du, dy + t * dv) - reach - 0.5 * hypot(size[i, 0], size[i, 1]) > best:
                 continue
-            one = Body(x, y, yaw, car.length, car.width, vx, vy, 0.0)
+            one = MovingBox(x, y, yaw, car.length, car.width, vx, vy, 0.0)
             near, after = closest_encounter(one, _body(others, i, k, 0.0), HORIZON_S)
             if near < best or (near == best and after < when):
                 best, when, agent[k] = near, after, i
@@ -254,7 +254,7 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     return {part: Series(t, best[part], tuple(labels[part]), PET_PARTS[part]) for part in PET_PARTS}
 
 
-def may_meet(boxes: FloatArray, car: Car, others: Others, i: int) -> tuple[IntArray, IntArray]:
+def may_meet(boxes: FloatArray, car: EgoOutline, others: OtherBoxes, i: int) -> tuple[IntArray, IntArray]:
     """Return the steps of the ego, and of the agent in row i, that lie in the bounding box of the other's drive."""
     ego, other = boxes[:2].T, others.pose[:2, i].T
     if not others.there[i].any():

@@ -48,7 +48,7 @@ from logs.once import once
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
-from metrics.boxes import GRID_S, STANDING_MPS, Car, Others, car_of, grid_of, labels_of, nearest
+from metrics.boxes import GRID_S, STANDING_MPS, EgoOutline, OtherBoxes, car_of, grid_of, labels_of, nearest
 from metrics.metric import MAX, MIN, Measured, Metric, Series, time_below, time_outside
 from metrics.safety import CATALOGUE
 
@@ -66,7 +66,7 @@ _ALONE = f"no other road user in the ego's path within {LOOK_M:g} m"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Ahead:
+class EgoAndLead:
     """The ego and its lead over k steps; NaN without a lead.
 
     Attributes:
@@ -94,12 +94,12 @@ class Ahead:
 
 
 @once
-def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
+def ahead_of(trace: Trace, scenario: Scenario) -> EgoAndLead:
     """Return the lead at each step of `grid_of(trace)`."""
     ego, car = grid_of(trace), car_of(scenario)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
     rows, agent = nearest(trace.agents, ego.t, lambda k, seen, others: _leads(states[:, k], car, others))
-    return Ahead(ego.t, ego.v, ego.a, agent, *rows)
+    return EgoAndLead(ego.t, ego.v, ego.a, agent, *rows)
 
 
 @inner_kernel
@@ -157,8 +157,8 @@ def within_look(x: float, y: float, yaw: float, kappa: float, other_x: float, ot
 
 
 @kernel
-def _leads(ego: FloatArray, car: Car, others: Others) -> tuple[FloatArray, IntArray]:
-    """Return rows gap to facing of `Ahead` `(7, k)` and agent `(k,)`; `ego`: x, y, yaw, v, kappa of the rear axle."""
+def _leads(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> tuple[FloatArray, IntArray]:
+    """Return rows gap to facing of `EgoAndLead` `(7, k)` and agent `(k,)`; `ego`: x, y, yaw, v, kappa of the rear axle."""
     pose, size, steps = others.pose, others.size, others.there.shape[1]
     half, front = 0.5 * car.width, car.axle + 0.5 * car.length
     rows, agent = np.full((7, steps), np.nan), np.full(steps, -1, np.int64)
@@ -201,7 +201,7 @@ def required_decel(gap: FloatArray, v: FloatArray, u: FloatArray, decel: FloatAr
     return np.where(gap > 0.0, required, np.nan)
 
 
-def required_lateral(ahead: Ahead, half: float) -> FloatArray:
+def required_lateral(ahead: EgoAndLead, half: float) -> FloatArray:
     """Return (6) `(n,)`, m/s2; NaN where the gap is 0 or unknown."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # tiny closing speed: infinite time, 0
         time = ahead.gap / np.maximum(ahead.v - ahead.u, 0.0)
@@ -219,18 +219,18 @@ def _quotient(above: FloatArray, below: FloatArray, known: BoolArray) -> FloatAr
     return np.divide(above, below, out=np.full(len(above), np.nan), where=known)
 
 
-def _required_decel(ahead: Ahead, scenario: Scenario) -> FloatArray:
+def _required_decel(ahead: EgoAndLead, scenario: Scenario) -> FloatArray:
     return required_decel(ahead.gap, ahead.v, ahead.u, ahead.decel)
 
 
-def _following_margin(ahead: Ahead, scenario: Scenario) -> FloatArray:
+def _following_margin(ahead: EgoAndLead, scenario: Scenario) -> FloatArray:
     both_stand = (ahead.v <= COMING_MPS) & (np.abs(ahead.u) <= COMING_MPS)
     follows = (ahead.facing >= _ALONG) & ((ahead.u > COMING_MPS) | both_stand)
     return np.where(follows, ahead.gap - required_gap(ahead.v), np.nan)
 
 
 def _of_lead(
-    trace: Trace, scenario: Scenario, *, value: Callable[[Ahead, Scenario], FloatArray], missing: str = _ALONE,
+    trace: Trace, scenario: Scenario, *, value: Callable[[EgoAndLead, Scenario], FloatArray], missing: str = _ALONE,
     vehicles: bool = False,
 ) -> Measured:  # fmt: skip
     ahead = ahead_of(trace, scenario)

@@ -104,7 +104,7 @@ SHOWN = 5  # Findings of one kind that a report lists
 COLUMNS = ("log", "kind", "topic", "who", "t_from_s", "t_to_s", "value", "unit", "text", "effect")
 
 
-class Kind(Enum):
+class FaultKind(Enum):
     """The kinds of faults, and the `effect` of each on metrics."""
 
     effect: str
@@ -137,7 +137,7 @@ class Kind(Enum):
     GOAL = "goal", "a drive shows nothing about the way to it, or almost nothing: the verdict is inconclusive"
     TRAFFIC = "traffic not recorded", "gaps and contacts of what is driven then are no evidence of safety"
 
-    def __new__(cls, word: str, effect: str) -> Kind:
+    def __new__(cls, word: str, effect: str) -> FaultKind:
         """The word is the value."""
         kind = object.__new__(cls)
         kind._value_, kind.effect = word, effect
@@ -154,7 +154,7 @@ class Finding:
         unit: Unit of the value: "m", "s", "rad", "x" (a factor), "1" (a count or a share).
     """
 
-    kind: Kind
+    kind: FaultKind
     topic: str
     who: str
     t_from: float
@@ -214,9 +214,9 @@ def table(log: str, found: Iterable[Finding]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"t_from_s": float, "t_to_s": float, "value": float})
 
 
-def _by_kind(found: Iterable[Finding]) -> dict[Kind, list[Finding]]:
+def _by_kind(found: Iterable[Finding]) -> dict[FaultKind, list[Finding]]:
     """Group findings by kind, in the order of the first finding of each kind."""
-    kinds: dict[Kind, list[Finding]] = {}
+    kinds: dict[FaultKind, list[Finding]] = {}
     for finding in found:
         kinds.setdefault(finding.kind, []).append(finding)
     return kinds
@@ -228,14 +228,14 @@ def ghosts(scenario: Scenario) -> Iterator[Finding]:
         begin = phantom.t_from if isfinite(phantom.t_from) else 0.0
         end = phantom.t_to if isfinite(phantom.t_to) else scenario.duration
         text = f"the logged ego stands in {phantom.name}, which is left out for {end - begin:.1f} s"
-        yield Finding(Kind.PHANTOM, "agents", phantom.agent, begin, end, end - begin, "s", text)
+        yield Finding(FaultKind.PHANTOM, "agents", phantom.agent, begin, end, end - begin, "s", text)
 
 
 def ego_gaps(scenario: Scenario) -> Iterator[Finding]:
     """Gaps in the samples of the ego (1)."""
     t, dt = scenario.ego.t, np.diff(scenario.ego.t)
     for k in np.flatnonzero((dt > EGO_GAP_S) & (dt > RARE * np.median(dt))) if len(dt) else ():
-        yield Finding(Kind.EGO_GAP, "ego", "", t[k], t[k + 1], dt[k], "s", f"no ego state for {dt[k]:.2f} s")
+        yield Finding(FaultKind.EGO_GAP, "ego", "", t[k], t[k + 1], dt[k], "s", f"no ego state for {dt[k]:.2f} s")
 
 
 def ego_jumps(scenario: Scenario) -> Iterator[Finding]:
@@ -245,7 +245,7 @@ def ego_jumps(scenario: Scenario) -> Iterator[Finding]:
     fastest = np.maximum(np.abs(ego.v[:-1]), np.abs(ego.v[1:]))
     for k in np.flatnonzero(d - fastest * dt - 0.5 * BRAKING_MPS2 * dt**2 > EGO_JUMP_M):
         text = f"the ego jumps {d[k]:.1f} m in {dt[k]:.2f} s, at {fastest[k]:.1f} m/s"
-        yield Finding(Kind.EGO_JUMP, "ego", "", ego.t[k], ego.t[k + 1], d[k], "m", text)
+        yield Finding(FaultKind.EGO_JUMP, "ego", "", ego.t[k], ego.t[k + 1], d[k], "m", text)
 
 
 def ego_speed(scenario: Scenario) -> Iterator[Finding]:
@@ -257,7 +257,7 @@ def ego_speed(scenario: Scenario) -> Iterator[Finding]:
     factor = by_speed / way if way > 0.0 else np.inf
     text = f"the ego's positions go {way:.1f} m, its speed {by_speed:.1f} m: {factor:.3g} times as far"
     unit = next((meaning for known, meaning in FACTORS.items() if abs(factor / known - 1.0) < NEAR), "")
-    kind = Kind.UNITS if unit else Kind.EGO_SPEED
+    kind = FaultKind.UNITS if unit else FaultKind.EGO_SPEED
     yield Finding(kind, "ego", "", ego.t[0], ego.t[-1], factor, "x", f"{text}; {unit}" if unit else text)
 
 
@@ -281,11 +281,11 @@ def ego_heading(scenario: Scenario) -> Iterator[Finding]:
         if least == AGAINST_M:
             sign = "reverse gear without a signed speed?" if np.median(v[run]) >= 0.0 else "is the speed's sign wrong?"
             text = f"the ego's heading and speed point against the way it goes for {end - begin:.1f} s: {sign}"
-        yield Finding(Kind.EGO_HEADING, "ego", "", begin, end, by, "rad", text)
+        yield Finding(FaultKind.EGO_HEADING, "ego", "", begin, end, by, "rad", text)
     turn, dt = np.abs(wrapped(np.diff(ego.yaw))), np.diff(ego.t)
     for k in np.flatnonzero((turn > EGO_FLIP_RAD) & (dt < EGO_GAP_S)):
         text = f"the ego's heading turns by {turn[k]:.2f} rad in {dt[k]:.2f} s"
-        yield Finding(Kind.EGO_HEADING, "ego", "", ego.t[k], ego.t[k + 1], turn[k], "rad", text)
+        yield Finding(FaultKind.EGO_HEADING, "ego", "", ego.t[k], ego.t[k + 1], turn[k], "rad", text)
 
 
 def _degrees(yaw: FloatArray) -> str:
@@ -311,7 +311,9 @@ def _ways(t: FloatArray, x: FloatArray, y: FloatArray, v: FloatArray, gap_after:
     return float(way[seen].sum()), float(by_speed[seen].sum())
 
 
-def _of_track(tracks: Tracks, i: int, kind: Kind, a: float, b: float, value: float, unit: str, text: str) -> Finding:
+def _of_track(
+    tracks: Tracks, i: int, kind: FaultKind, a: float, b: float, value: float, unit: str, text: str
+) -> Finding:
     """Make a finding about a track from a to b, s; its text begins with the agent's name."""
     return Finding(kind, "agents", tracks.ids[i], a, b, value, unit, f"{name_of(tracks, i)} {text}")
 
@@ -329,7 +331,7 @@ def flickering(scenario: Scenario) -> Iterator[Finding]:
         if len(holes := np.flatnonzero(tracks.gap_after[mine])):
             times = "once" if len(holes) == 1 else f"{len(holes)} times"
             text = f"is lost {times}, {float((t[holes + 1] - t[holes]).sum()):.1f} s together"
-            yield _of_track(tracks, i, Kind.AGENT_GAP, t[holes[0]], t[holes[-1] + 1], len(holes), "1", text)
+            yield _of_track(tracks, i, FaultKind.AGENT_GAP, t[holes[0]], t[holes[-1] + 1], len(holes), "1", text)
 
 
 def id_switches(scenario: Scenario) -> Iterator[Finding]:
@@ -349,7 +351,7 @@ def id_switches(scenario: Scenario) -> Iterator[Finding]:
         if same.any():
             j = int(np.argmin(np.where(same, away, np.inf)))
             text = f"goes on as {tracks.ids[others[j]]}, {away[j]:.1f} m from where it was expected"
-            yield _of_track(tracks, int(i), Kind.ID_SWITCH, ends[i], begins[others[j]], away[j], "m", text)
+            yield _of_track(tracks, int(i), FaultKind.ID_SWITCH, ends[i], begins[others[j]], away[j], "m", text)
 
 
 def teleports(scenario: Scenario) -> Iterator[Finding]:
@@ -364,7 +366,7 @@ def teleports(scenario: Scenario) -> Iterator[Finding]:
             k, count = int(np.argmax(excess)), int((excess > 0.0).sum())
             more = f", and {count - 1} more times" if count > 1 else ""
             text = f"jumps {d[k]:.1f} m in {dt[k]:.2f} s{more}"
-            yield _of_track(tracks, i, Kind.TELEPORT, t[k], t[k + 1], d[k], "m", text)
+            yield _of_track(tracks, i, FaultKind.TELEPORT, t[k], t[k + 1], d[k], "m", text)
 
 
 def speeds(scenario: Scenario) -> Iterator[Finding]:
@@ -380,12 +382,12 @@ def speeds(scenario: Scenario) -> Iterator[Finding]:
         ratios.append(by_speed / way if way > 0.0 else np.inf)
         if abs(way - by_speed) > SPEED_OFF * max(way, by_speed):
             text = f"goes {way:.1f} m by positions, {by_speed:.1f} m by speed"
-            found.append(_of_track(tracks, i, Kind.AGENT_SPEED, t[0], t[-1], ratios[-1], "x", text))
+            found.append(_of_track(tracks, i, FaultKind.AGENT_SPEED, t[0], t[-1], ratios[-1], "x", text))
     for known, meaning in FACTORS.items():
         near = [ratio for ratio in ratios if abs(ratio / known - 1.0) < NEAR]
         if len(near) > max(1.0, MOST * len(ratios)):
             text = f"the speeds of {len(near)} of {len(ratios)} agents are {known:.3g} times those of their positions"
-            yield Finding(Kind.UNITS, "agents", "", 0.0, scenario.duration, known, "x", f"{text}; {meaning}")
+            yield Finding(FaultKind.UNITS, "agents", "", 0.0, scenario.duration, known, "x", f"{text}; {meaning}")
             return
     yield from found
 
@@ -399,7 +401,7 @@ def heading_flips(scenario: Scenario) -> Iterator[Finding]:
         if len(flips) and tracks.kinds[i] in LONG:
             k, times = flips[0], "" if len(flips) == 1 else f", {len(flips)} times"
             text = f"turns by {turn[k]:.1f} rad in {t[k + 1] - t[k]:.2f} s{times}"
-            yield _of_track(tracks, i, Kind.HEADING_FLIP, t[k], t[k + 1], turn[k], "rad", text)
+            yield _of_track(tracks, i, FaultKind.HEADING_FLIP, t[k], t[k + 1], turn[k], "rad", text)
 
 
 def agent_headings(scenario: Scenario) -> Iterator[Finding]:
@@ -414,7 +416,7 @@ def agent_headings(scenario: Scenario) -> Iterator[Finding]:
         backward = np.median(speed[mine]) > BACKWARD_MPS and chords.way[mine].sum() > WAY_M
         return by if backward else float(np.median(np.minimum(off[mine], np.pi - off[mine])))
 
-    yield from _directions(scenario, Kind.AGENT_HEADING, "heading", chords, amount)
+    yield from _directions(scenario, FaultKind.AGENT_HEADING, "heading", chords, amount)
 
 
 def velocity_directions(scenario: Scenario) -> Iterator[Finding]:
@@ -425,11 +427,11 @@ def velocity_directions(scenario: Scenario) -> Iterator[Finding]:
     known = np.hypot(vx, vy) > MOVES_MPS
     chords = chords.taken(known)
     off = np.abs(wrapped(np.arctan2(vy, vx)[known] - chords.direction))
-    yield from _directions(scenario, Kind.VELOCITY, "velocity", chords, lambda mine: float(np.median(off[mine])))
+    yield from _directions(scenario, FaultKind.VELOCITY, "velocity", chords, lambda mine: float(np.median(off[mine])))
 
 
 def _directions(
-    scenario: Scenario, kind: Kind, word: str, chords: Chords, amount: Callable[[slice], float]
+    scenario: Scenario, kind: FaultKind, word: str, chords: Chords, amount: Callable[[slice], float]
 ) -> Iterator[Finding]:
     """Make a finding of each track whose chords are off by an `amount` above `TURNED_RAD`; one, if most tracks are."""
     tracks, found = scenario.tracks, []
@@ -442,7 +444,7 @@ def _directions(
         if (by := amount(mine)) > TURNED_RAD:
             a, b = tracks.t[chords.first[mine][0]], tracks.t[chords.last[mine][-1]]
             text = f"has a {word} {by:.2f} rad off the way it goes, {chords.way[mine].sum():.1f} m, in the median"
-            text += _degrees(tracks.yaw[tracks.samples(i)]) if kind is Kind.AGENT_HEADING else ""
+            text += _degrees(tracks.yaw[tracks.samples(i)]) if kind is FaultKind.AGENT_HEADING else ""
             found.append(_of_track(tracks, i, kind, a, b, by, "rad", text))
     if len(found) > max(1.0, MOST * asked):
         by = float(np.median([one.value for one in found]))
@@ -466,7 +468,7 @@ def across(scenario: Scenario) -> Iterator[Finding]:
             more = f", and {count - 1} more times" if count > 1 else ""
             off = 0.5 * abs(float(turn[k]))
             text = f"goes {np.hypot(dx[k], dy[k]):.1f} m at {off:.1f} rad to its axis in {t[k + 1] - t[k]:.2f} s{more}"
-            yield _of_track(tracks, i, Kind.ACROSS, t[k], t[k + 1], off, "rad", text)
+            yield _of_track(tracks, i, FaultKind.ACROSS, t[k], t[k + 1], off, "rad", text)
 
 
 def short_tracks(scenario: Scenario) -> Iterator[Finding]:
@@ -476,7 +478,7 @@ def short_tracks(scenario: Scenario) -> Iterator[Finding]:
     short = int((np.diff(tracks.offsets)[vehicles] < SHORT).sum())
     if short > max(1.0, SHORT_SHARE * vehicles.sum()):
         text = f"{short} of {int(vehicles.sum())} tracks of vehicles have fewer than {SHORT} samples"
-        yield Finding(Kind.SHORT, "agents", "", 0.0, scenario.duration, short, "1", text)
+        yield Finding(FaultKind.SHORT, "agents", "", 0.0, scenario.duration, short, "1", text)
 
 
 def twins(scenario: Scenario) -> Iterator[Finding]:
@@ -495,7 +497,7 @@ def twins(scenario: Scenario) -> Iterator[Finding]:
         lasting = GRID_S * (len(steps) - 1)
         if lasting >= TWIN_S and not (tracks.static[i] and tracks.static[j]):
             text = f"and {name_of(tracks, j)} are in one place for {lasting:.1f} s"
-            yield _of_track(tracks, i, Kind.TWIN, t[steps[0]], t[steps[-1]], lasting, "s", text)
+            yield _of_track(tracks, i, FaultKind.TWIN, t[steps[0]], t[steps[-1]], lasting, "s", text)
 
 
 def _near_pairs(places: FloatArray) -> Iterator[tuple[int, int]]:
@@ -516,7 +518,7 @@ def unrecorded(scenario: Scenario) -> Iterator[Finding]:
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         if end - begin > MAX_AGE_S:
             text = f"no traffic is recorded for {end - begin:.1f} s of {scenario.duration:.1f} s"
-            yield Finding(Kind.TRAFFIC, "agents", "", begin, end, end - begin, "s", text)
+            yield Finding(FaultKind.TRAFFIC, "agents", "", begin, end, end - begin, "s", text)
 
 
 def sizes(scenario: Scenario) -> Iterator[Finding]:
@@ -527,7 +529,7 @@ def sizes(scenario: Scenario) -> Iterator[Finding]:
         odd = kind in LONG and (length > LARGEST_M[0] or width > LARGEST_M[1])
         if odd or (kind in SMALL and min(length, width) > PERSON_M):
             t = tracks.t[tracks.samples(i)]
-            yield _of_track(tracks, i, Kind.SIZE, t[0], t[-1], length, "m", f"is {length:.1f} m by {width:.1f} m")
+            yield _of_track(tracks, i, FaultKind.SIZE, t[0], t[-1], length, "m", f"is {length:.1f} m by {width:.1f} m")
 
 
 def off_map(scenario: Scenario) -> Iterator[Finding]:
@@ -543,7 +545,7 @@ def off_map(scenario: Scenario) -> Iterator[Finding]:
     points = np.vstack([lane.center for lane in road.lanes.values() if lane.drivable] or [np.full((1, 2), np.inf)])
     away = max(float(np.hypot(points[:, 0] - ego.x[k], points[:, 1] - ego.y[k]).min()) for k in off)
     text = f"{share:.0%} of the ego's states are on no drivable lane, up to {away:.1f} m from the nearest centre line"
-    yield Finding(Kind.OFF_MAP, "road", "", ego.t[off[0]], ego.t[off[-1]], share, "1", text)
+    yield Finding(FaultKind.OFF_MAP, "road", "", ego.t[off[0]], ego.t[off[-1]], share, "1", text)
 
 
 def lane_graph(scenario: Scenario) -> Iterator[Finding]:
@@ -554,17 +556,17 @@ def lane_graph(scenario: Scenario) -> Iterator[Finding]:
     missing = [lane.id for lane in lanes.values() if lane.successors and lanes.keys().isdisjoint(lane.successors)]
     if len(missing) > EDGE * len(lanes):
         text = f"{len(missing)} of {len(lanes)} lanes are followed only by lanes that are not in the map"
-        yield Finding(Kind.LANE_GRAPH, "road", "", 0.0, end, len(missing), "1", text)
+        yield Finding(FaultKind.LANE_GRAPH, "road", "", 0.0, end, len(missing), "1", text)
     for lane in lanes.values():
         for name in lane.successors:
             if name == lane.id:
                 text = f"lane {lane.id} follows itself"
-                yield Finding(Kind.LANE_GRAPH, "road", str(lane.id), 0.0, end, 0.0, "m", text)
+                yield Finding(FaultKind.LANE_GRAPH, "road", str(lane.id), 0.0, end, 0.0, "m", text)
             elif name in lanes:
                 gap = float(np.hypot(*(lanes[name].center[0] - lane.center[-1])))
                 if gap > APART_M:
                     text = f"lane {name} follows lane {lane.id}, but begins {gap:.1f} m from its end"
-                    yield Finding(Kind.LANE_GRAPH, "road", str(lane.id), 0.0, end, gap, "m", text)
+                    yield Finding(FaultKind.LANE_GRAPH, "road", str(lane.id), 0.0, end, gap, "m", text)
 
 
 def lights(scenario: Scenario) -> Iterator[Finding]:
@@ -573,22 +575,22 @@ def lights(scenario: Scenario) -> Iterator[Finding]:
     if scenario.lights and not named:
         begin = min(float(light.t[0]) for light in scenario.lights)
         text = f"{len(scenario.lights)} lights are shown, but the road has no stop lines"
-        yield Finding(Kind.LIGHT, "lights", "", begin, end, len(scenario.lights), "1", text)
+        yield Finding(FaultKind.LIGHT, "lights", "", begin, end, len(scenario.lights), "1", text)
         return
     for light in scenario.lights:
         if light.id not in named:
             text = f"light {light.id} is shown, but no stop line of the map names it"
-            yield Finding(Kind.LIGHT, "lights", str(light.id), light.t[0], end, 1.0, "1", text)
+            yield Finding(FaultKind.LIGHT, "lights", str(light.id), light.t[0], end, 1.0, "1", text)
 
 
 def goals(scenario: Scenario) -> Iterator[Finding]:
     """Find goals that no drive can show anything about (22)."""
     begin, end = float(scenario.ego.t[0]), scenario.duration
     if fault := fault_of(scenario):
-        yield Finding(Kind.GOAL, "goal", "", begin, end, 0.0, "1", fault.value)
+        yield Finding(FaultKind.GOAL, "goal", "", begin, end, 0.0, "1", fault.value)
     elif early := passed_early(scenario):
         text = f"the log's driver passes the goal after {early[0] - begin:.1f} s: {early[1]:.0%} of the log"
-        yield Finding(Kind.GOAL, "goal", "", early[0], end, early[1], "1", text)
+        yield Finding(FaultKind.GOAL, "goal", "", early[0], end, early[1], "1", text)
 
 
 CHECKS: tuple[Callable[[Scenario], Iterable[Finding]], ...] = (

@@ -5,7 +5,7 @@ crosses another lane. The other drivable lanes are lanes. A roadblock is a set o
 neighbours in one direction. The intersections are the areas of the connectors. Lanes end where they end: none is
 extended beyond the map.
 
-A lane is an index into `LaneMap.lanes`. The route of poses is, at each, the lane or connectors under it (`route`):
+A lane is an index into `DrivableLanes.lanes`. The route of poses is, at each, the lane or connectors under it (`route`):
 those of the pose before, their successors if there was one only, else a new search: the first lane, else all
 connectors. A pose that leaves a connector for an unrelated one stays with connectors nearer than `NEAR_M`. At last,
 of several connectors those remain that lead on to the next pose's.
@@ -69,7 +69,7 @@ def along_line(line: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArr
 
 
 @dataclass(frozen=True, eq=False)
-class LaneMap:
+class DrivableLanes:
     """The drivable lanes of a road.
 
     Attributes:
@@ -188,7 +188,7 @@ class LaneMap:
 
 
 @once
-def lane_map(road: Road) -> LaneMap | None:
+def lane_map(road: Road) -> DrivableLanes | None:
     """Return the map of a road; None if it has no drivable lane."""
     if (arrays := lane_arrays(road, 0.0)) is None:
         return None
@@ -201,7 +201,7 @@ def lane_map(road: Road) -> LaneMap | None:
     while (joined := [min(block[i], *(block[j] for j in those)) if those else block[i]
                       for i, those in enumerate(beside)]) != block:  # fmt: skip
         block = joined
-    return LaneMap(lanes, arrays, tuple(block), after, before, _connectors(lanes), road.areas)
+    return DrivableLanes(lanes, arrays, tuple(block), after, before, _connectors(lanes), road.areas)
 
 
 def _connectors(lanes: Sequence[Lane]) -> tuple[bool, ...]:

@@ -29,7 +29,7 @@ FEW = 16  # Least number of edges per box (except the last of a polyline)
 CROSSING = cos(30.0 / 180.0 * pi)  # Lanes cross where their directions differ by more than this, in either sense
 
 
-class Boxes(NamedTuple):
+class EdgeBoxes(NamedTuple):
     """Bounding boxes of stretches of polylines: a query looks only at the edges in near boxes.
 
     Attributes:
@@ -60,8 +60,8 @@ class LaneArrays(NamedTuple):
     center: FloatArray
     box: FloatArray
     limit: FloatArray
-    outline: Boxes
-    middle: Boxes
+    outline: EdgeBoxes
+    middle: EdgeBoxes
 
 
 def points_inside(polygon: FloatArray, x: FloatArray, y: FloatArray) -> BoolArray:
@@ -137,7 +137,7 @@ def lane_arrays(road: Road, beyond: float) -> LaneArrays | None:
     )  # fmt: skip
 
 
-def _boxes(polylines: Sequence[FloatArray]) -> Boxes:
+def _boxes(polylines: Sequence[FloatArray]) -> EdgeBoxes:
     """Return boxes of the edges of polylines, each `(n, 4)` (start and end): sqrt(n) edges per box, at least `FEW`."""
     first, box, rows = [0], [], []
     for edges in polylines:
@@ -147,7 +147,7 @@ def _boxes(polylines: Sequence[FloatArray]) -> Boxes:
             box.append((*points.min(axis=0), *points.max(axis=0)))
             rows.append((k, min(k + step, len(edges))))
         first.append(len(box))
-    return Boxes(frozen(first, np.int64), frozen(box), frozen(rows, np.int64))
+    return EdgeBoxes(frozen(first, np.int64), frozen(box), frozen(rows, np.int64))
 
 
 def keeps_lane(road: Road, x: float, y: float, corners: FloatArray) -> bool:

@@ -51,7 +51,7 @@ from logs.rules import Colour
 from logs.scenario import Scenario, Tracks
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics.boxes import GRID_S, Car, Others, car_of, each, grid_of, labels_of, others_at, phantoms, touches
+from metrics.boxes import GRID_S, EgoOutline, OtherBoxes, car_of, each, grid_of, labels_of, others_at, phantoms, touches
 from metrics.following import ahead_of
 from metrics.lanes import drivable_lanes, limits_at, points_inside
 from metrics.metric import COUNT, MAX, RATE, Measured, Metric, Series, worst_episode
@@ -286,7 +286,7 @@ def hard_episodes(ego: Trajectory) -> list[int]:
 
 
 @kernel
-def _any_touches(way: FloatArray, car: Car, others: Others) -> bool:
+def _any_touches(way: FloatArray, car: EgoOutline, others: OtherBoxes) -> bool:
     """Return whether any of the boxes `(n, k)` overlaps the ego at any pose of its rear axle: x, y, yaw `(3, m)`."""
     for j in range(way.shape[1]):
         x, y, yaw = way[0, j] + car.axle * cos(way[2, j]), way[1, j] + car.axle * sin(way[2, j]), way[2, j]

@@ -43,9 +43,19 @@ from logs.scenario import AgentKind, Scenario
 from logs.shapes import overlap
 from logs.states import Trajectory
 from logs.trace import Trace
-from metrics.boxes import NO_TTC_MPS, STANDING_MPS, Car, Others, car_of, ego_boxes, is_behind, pieces, touches
+from metrics.boxes import (
+    NO_TTC_MPS,
+    STANDING_MPS,
+    EgoOutline,
+    OtherBoxes,
+    car_of,
+    ego_boxes,
+    is_behind,
+    pieces,
+    touches,
+)
 from metrics.comfort import NUPLAN_BOUNDS, savgol
-from metrics.lane_map import LaneMap, Route, along_line, lane_map
+from metrics.lane_map import DrivableLanes, Route, along_line, lane_map
 from metrics.metric import Unavailable
 
 AHEAD = cos(30.0 / 180.0 * np.pi)
@@ -61,7 +71,7 @@ PARTS = (
 )  # fmt: skip
 
 
-def corners_of(x: FloatArray, y: FloatArray, yaw: FloatArray, car: Car) -> tuple[FloatArray, FloatArray]:
+def corners_of(x: FloatArray, y: FloatArray, yaw: FloatArray, car: EgoOutline) -> tuple[FloatArray, FloatArray]:
     """Return the corners `(4, k)` of boxes with these centres."""
     ahead, left = CORNERS[:, :1] * car.length, CORNERS[:, 1:] * car.width
     return x + ahead * np.cos(yaw) - left * np.sin(yaw), y + ahead * np.sin(yaw) + left * np.cos(yaw)
@@ -120,7 +130,7 @@ def collision_score(hit: Sequence[AgentKind]) -> float:
 
 @kernel
 def _meetings(
-    rear: FloatArray, box: FloatArray, car: Car, others: Others, objects: BoolArray, astray: BoolArray,
+    rear: FloatArray, box: FloatArray, car: EgoOutline, others: OtherBoxes, objects: BoolArray, astray: BoolArray,
     wide: BoolArray, met: BoolArray,
 ) -> tuple[BoolArray, BoolArray, bool]:  # fmt: skip
     """Return which agents the ego hits at fault and has met `(n,)`, and whether it comes too close in time to one.
@@ -163,7 +173,9 @@ def _meetings(
     return fault, met, close
 
 
-def _leaves_road(lanes: LaneMap, found: Sequence[Sequence[tuple[int, ...]]], x: FloatArray, y: FloatArray) -> bool:
+def _leaves_road(
+    lanes: DrivableLanes, found: Sequence[Sequence[tuple[int, ...]]], x: FloatArray, y: FloatArray
+) -> bool:
     """Return whether a corner `(4, k)` that is on no lane is `OFF_M` off the road."""
     for corner in range(4):
         lost = np.array([not four[corner] for four in found])
@@ -176,7 +188,7 @@ def _station(line: FloatArray, x: float, y: float) -> float:
     return float(along_line(line, np.array([x]), np.array([y]))[0][0])
 
 
-def _direction(lanes: LaneMap, route: Route, x: FloatArray, y: FloatArray, t: FloatArray) -> float:
+def _direction(lanes: DrivableLanes, route: Route, x: FloatArray, y: FloatArray, t: FloatArray) -> float:
     gained, lane, before = np.zeros(len(x)), route[0][:1], np.nan
     for k, here in enumerate(route):
         if not here:
@@ -193,7 +205,7 @@ def _direction(lanes: LaneMap, route: Route, x: FloatArray, y: FloatArray, t: Fl
     return 1.0 if worst < COMPLIANT_M else 0.5 if worst < HALF_M else 0.0
 
 
-def route_lanes(lanes: LaneMap, x: FloatArray, y: FloatArray) -> list[int]:
+def route_lanes(lanes: DrivableLanes, x: FloatArray, y: FloatArray) -> list[int]:
     """Return the first lane of each roadblock that a drive of the centre comes through, in order."""
     simple: list[tuple[int, ...]] = []
     for here in lanes.route(x, y):
@@ -202,7 +214,7 @@ def route_lanes(lanes: LaneMap, x: FloatArray, y: FloatArray) -> list[int]:
     return [one[0] for k, one in enumerate(simple) if not k or lanes.block[one[0]] != lanes.block[simple[k - 1][0]]]
 
 
-def _progress(lanes: LaneMap, log: FloatArray, x: FloatArray, y: FloatArray) -> float:
+def _progress(lanes: DrivableLanes, log: FloatArray, x: FloatArray, y: FloatArray) -> float:
     first = route_lanes(lanes, log[0], log[1])
     if not first:
         return 1.0
@@ -210,7 +222,7 @@ def _progress(lanes: LaneMap, log: FloatArray, x: FloatArray, y: FloatArray) -> 
     return 0.0 if own < -LEAST_M else min(1.0, max(own, LEAST_M) / max(driven, LEAST_M))
 
 
-def _gain(lanes: LaneMap, first: Sequence[int], x: FloatArray, y: FloatArray) -> float:
+def _gain(lanes: DrivableLanes, first: Sequence[int], x: FloatArray, y: FloatArray) -> float:
     """Return (2) along the roadblocks of the lanes `first`, m."""
     under, blocks = lanes.under(x, y), np.array(lanes.block)
     inside = [under[blocks == lanes.block[i]].any(axis=0) for i in first]
@@ -233,7 +245,7 @@ def _gain(lanes: LaneMap, first: Sequence[int], x: FloatArray, y: FloatArray) ->
     return total
 
 
-def _speed_limit(lanes: LaneMap, scenario: Scenario, route: Route, speed: FloatArray, t: FloatArray) -> float:
+def _speed_limit(lanes: DrivableLanes, scenario: Scenario, route: Route, speed: FloatArray, t: FloatArray) -> float:
     over = np.zeros(len(t))
     for k, here in enumerate(route):
         joined = [j for i in here for j in (*lanes.after[i], *lanes.before[i])]

@@ -70,7 +70,7 @@ SHORTEST_M = 10.0  # A shorter drive defines no route
 
 
 @dataclass(frozen=True, eq=False)
-class Route:
+class ProgressLine:
     """The line (a) of a scenario, from its first state.
 
     `length`, m, ends where the line enters the goal, else at the end of the log's drive; NaN if there is neither.
@@ -104,13 +104,13 @@ class Gain:
     station: float = 0.0
 
 
-def route_of(scenario: Scenario) -> Route:
+def route_of(scenario: Scenario) -> ProgressLine:
     """The route of a scenario."""
     return _route(scenario.road, scenario.ego, scenario.goal, scenario.vehicle.axle_to_center)
 
 
 @last(2)  # changes of metadata make new scenarios with the same road
-def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float) -> Route:
+def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float) -> ProgressLine:
     path, end = thinned(np.column_stack([log.x, log.y]), SPACING_M), log.state(len(log) - 1)
     onward = np.array([[end.x + JOIN_M * cos(end.yaw), end.y + JOIN_M * sin(end.yaw)]])  # straight on
     if road.lanes:  # along the centre lines of the route, beginning `JOIN_M` after the log's end
@@ -133,21 +133,21 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
     line = ReferenceLine.through(np.vstack([path, onward]), SPACING_M)
     driven = float(np.hypot(*np.diff(path, axis=0).T).sum())
     regions = goal.regions if goal else ()
-    way = way_of(goal, log, Route(line, np.nan), axle_to_center) if goal else 0.0
+    way = way_of(goal, log, ProgressLine(line, np.nan), axle_to_center) if goal else 0.0
     enters = np.nan
     for s, (x, y) in zip((line.s[1:] - axle_to_center).tolist(), line.xy[1:].tolist(), strict=True) if regions else ():
         within = any(inside(x, y, region) for region in regions)
         if np.isnan(enters):
             enters = s if within and s >= way else enters
         elif not within:
-            return Route(line, max(enters, SPACING_M), way, s)
+            return ProgressLine(line, max(enters, SPACING_M), way, s)
     if np.isfinite(enters):
-        return Route(line, max(enters, SPACING_M), way)
+        return ProgressLine(line, max(enters, SPACING_M), way)
     length = driven if driven >= SHORTEST_M else np.nan
-    return Route(line, length, way, length)
+    return ProgressLine(line, length, way, length)
 
 
-def way_of(goal: Goal, log: Trajectory, route: Route, axle_to_center: float) -> float:
+def way_of(goal: Goal, log: Trajectory, route: ProgressLine, axle_to_center: float) -> float:
     """Return the gain along a route from which on a goal counts (d), m."""
     if goal.way > 0.0 or (stay := counting_stay(goal, log, axle_to_center)) is None:
         return goal.way
@@ -155,7 +155,7 @@ def way_of(goal: Goal, log: Trajectory, route: Route, axle_to_center: float) -> 
 
 
 @last(2)  # the log's drive and the one that is judged
-def gain_along(route: Route, drive: Trajectory, begin: float = 0.0) -> Gain:
+def gain_along(route: ProgressLine, drive: Trajectory, begin: float = 0.0) -> Gain:
     """Return the gain (c) of a drive along a route; the search for its first station begins at `begin`, m."""
     station = line_project_many(route.line.s, route.line.coef, drive.x, drive.y, begin, route.window)[:, 0]  # (b)
     step = np.diff(station)

@@ -40,8 +40,8 @@ from logs.trace import Mode, Trace
 from metrics import comfort, metric, plans, safety
 from metrics.boxes import (
     NO_TTC_MPS,
-    Car,
-    Others,
+    EgoOutline,
+    OtherBoxes,
     car_of,
     contact_time,
     distance_bound,
@@ -138,7 +138,7 @@ def _contacts_and_ttc(times: FloatArray, plan: FloatArray, agents: Tracks, scena
 
 @kernel
 def _meet_agents(
-    plan: FloatArray, column: IntArray, car: Car, others: Others, objects: BoolArray
+    plan: FloatArray, column: IntArray, car: EgoOutline, others: OtherBoxes, objects: BoolArray
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
     """Return per plan the first contact at fault (row 0) and the first with the side (row 1): step, agent `(2, f)`.
 

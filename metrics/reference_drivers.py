@@ -74,7 +74,17 @@ from logs.scenario import FINDING, Scenario, Tracks
 from logs.shapes import clearance
 from logs.states import EgoState
 from logs.trace import Mode, Trace
-from metrics.boxes import STANDING_MPS, Car, Others, car_of, is_behind, name_of, others_at, present_between, touches
+from metrics.boxes import (
+    STANDING_MPS,
+    EgoOutline,
+    OtherBoxes,
+    car_of,
+    is_behind,
+    name_of,
+    others_at,
+    present_between,
+    touches,
+)
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 
 STEP_S = 0.02  # So short that one more step of braking changes less than noise does, s
@@ -129,7 +139,7 @@ class DriverVerdict:
     marginal: bool = False
 
 
-class Line(NamedTuple):
+class SpeedLine(NamedTuple):
     """A reference line for kernels, and the speed at each knot that is slow enough for the curves ahead, m/s."""
 
     knots: FloatArray
@@ -138,38 +148,38 @@ class Line(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Course:
+class ReferenceCourse:
     """The input of a drive: a line, a start (s, l, v), the times t `(k,)`, and the tracks present during them."""
 
-    line: Line
+    line: SpeedLine
     start: FloatArray
-    car: Car
+    car: EgoOutline
     t: FloatArray
     tracks: Tracks
-    others: Others
+    others: OtherBoxes
     vulnerable: BoolArray
 
     @staticmethod
-    def of(scenario: Scenario, line: ReferenceLine, start: EgoState) -> Course:
+    def of(scenario: Scenario, line: ReferenceLine, start: EgoState) -> ReferenceCourse:
         """Return the course of an ego that starts at a state, at most `LONGEST_S` long."""
         t, tracks = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S), scenario.tracks
         there = present_between(tracks, t[0], t[-1])
         if len(there) < len(tracks):
             tracks = tracks.taken(np.isin(np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets)), there))
-        eased = Line(line.s, line.coef, curve_speeds(line.s, line.kappa))
+        eased = SpeedLine(line.s, line.coef, curve_speeds(line.s, line.kappa))
         ego = np.array([*line.project(start.x, start.y), start.v])
         vulnerable = np.array([kind.is_vulnerable for kind in tracks.kinds], np.bool_)
-        return Course(eased, ego, car_of(scenario), t, tracks, others_at(tracks, t), vulnerable)
+        return ReferenceCourse(eased, ego, car_of(scenario), t, tracks, others_at(tracks, t), vulnerable)
 
-    def drive(self, driver: int, about: int = ANY, late: float = 0.0) -> Driven:
+    def drive(self, driver: int, about: int = ANY, late: float = 0.0) -> ReferenceDrive:
         """Drive to the first touch; `least` is the distance to the agent `about`; the driver judges `late` s later."""
         rows, *found = _drive(driver, self.line, self.start, self.car, self.others, self.vulnerable, about, late)
-        return Driven(*rows, *found)
+        return ReferenceDrive(*rows, *found)
 
 
-def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
+def careful_drive(scenario: Scenario, line: ReferenceLine) -> ReferenceDrive:
     """Drive "cc" from the log's first state along `line` until its first touch, with a row every `STEP_S`."""
-    return Course.of(scenario, line, scenario.ego.state(0)).drive(CC)
+    return ReferenceCourse.of(scenario, line, scenario.ego.state(0)).drive(CC)
 
 
 def _verdict(
@@ -178,7 +188,7 @@ def _verdict(
     start = scenario.ego.state(0) if start is None else start
     if start.v <= STANDING_MPS:
         return DriverVerdict(name, Avoidability.NOT_APPLICABLE, "the ego does not drive at the start")
-    course = Course.of(scenario, line, start)
+    course = ReferenceCourse.of(scenario, line, start)
     t, passive = course.t, course.drive(PASSIVE)
     if passive.meets < 0:
         marginal = passive.least < MARGINAL_M
@@ -210,7 +220,7 @@ DRIVERS = {"cc": careful_driver, "fsm": fuzzy_driver}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Driven:
+class ReferenceDrive:
     """The drive of a reference driver: stations, speeds and accelerations `(k,)` up to its end.
 
     Attributes:
@@ -241,7 +251,14 @@ def curve_speeds(s: FloatArray, kappa: FloatArray) -> FloatArray:
 
 @inner_kernel
 def _observe(
-    line: Line, k: int, s: float, l_ego: float, car: Car, others: Others, vulnerable: BoolArray, out: FloatArray
+    line: SpeedLine,
+    k: int,
+    s: float,
+    l_ego: float,
+    car: EgoOutline,
+    others: OtherBoxes,
+    vulnerable: BoolArray,
+    out: FloatArray,
 ) -> None:
     """Fill the driver's view of each agent at step k, `(n, 7)`.
 
@@ -271,7 +288,7 @@ def _observe(
 
 
 @inner_kernel
-def _comes_in(seen: FloatArray, v: float, car: Car, slack: float, late: float) -> bool:
+def _comes_in(seen: FloatArray, v: float, car: EgoOutline, slack: float, late: float) -> bool:
     """Return whether an agent beside the band enters it before the ego is past and, if it crosses, leaves late enough.
 
     `slack` s are added to the first time; `late` s are subtracted from the first and from the time of leaving.
@@ -287,7 +304,7 @@ def _comes_in(seen: FloatArray, v: float, car: Car, slack: float, late: float) -
 
 @inner_kernel
 def _cc_acceleration(
-    seen: FloatArray, accel: FloatArray, car: Car, v: float, clock: FloatArray, nearer: FloatArray, late: float,
+    seen: FloatArray, accel: FloatArray, car: EgoOutline, v: float, clock: FloatArray, nearer: FloatArray, late: float,
     braking: bool,
 ) -> float:  # fmt: skip
     """Return the acceleration of "cc"; update `clock` (how long each agent has been a hazard) and `nearer` (1)."""
@@ -350,7 +367,7 @@ def fsm_critical(gap: float, v: float, u: float, a: float) -> float:
 
 
 @inner_kernel
-def _fsm_acceleration(seen: FloatArray, car: Car, v: float, a: float, late: float) -> float:
+def _fsm_acceleration(seen: FloatArray, car: EgoOutline, v: float, a: float, late: float) -> float:
     """Return the acceleration of "fsm" without its reaction time."""
     hardest = 0.0
     for i in range(len(seen)):
@@ -365,7 +382,9 @@ def _fsm_acceleration(seen: FloatArray, car: Car, v: float, a: float, late: floa
 
 
 @inner_kernel
-def _first_touch(rear: tuple[float, float, float, float], k: int, car: Car, others: Others, left_out: BoolArray) -> int:
+def _first_touch(
+    rear: tuple[float, float, float, float], k: int, car: EgoOutline, others: OtherBoxes, left_out: BoolArray
+) -> int:
     """Return the first counted agent that touches the ego (rear axle x, y, yaw, v) at step k, -1; update `left_out`."""
     x, y, yaw, v = rear
     cx, cy = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
@@ -382,7 +401,7 @@ def _first_touch(rear: tuple[float, float, float, float], k: int, car: Car, othe
 
 @inner_kernel
 def _least_clearance(
-    least: float, x: float, y: float, yaw: float, car: Car, pose: FloatArray, size: FloatArray
+    least: float, x: float, y: float, yaw: float, car: EgoOutline, pose: FloatArray, size: FloatArray
 ) -> float:
     """Return the lesser of `least` (NaN: none yet) and the distance (6) of the ego (rear axle x, y) to an agent."""
     cx, cy = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
@@ -395,9 +414,16 @@ def _least_clearance(
 
 @kernel
 def _drive(
-    driver: int, line: Line, start: FloatArray, car: Car, others: Others, vulnerable: BoolArray, about: int, late: float
+    driver: int,
+    line: SpeedLine,
+    start: FloatArray,
+    car: EgoOutline,
+    others: OtherBoxes,
+    vulnerable: BoolArray,
+    about: int,
+    late: float,
 ) -> tuple[FloatArray, int, int, int, float]:
-    """Return rows s, v, a from `start` (s, l, v) to the first touch or the end, and the last four fields of `Driven`.
+    """Return rows s, v, a from `start` (s, l, v) to the first touch or the end, and the last four fields of `ReferenceDrive`.
 
     After the first touch the drive continues through the agent until both are apart, to measure the depth.
     """

@@ -34,7 +34,7 @@ from logs.once import once
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
-from metrics.boxes import GRID_S, STANDING_MPS, Car, Others, car_of, each, grid_of, name_of
+from metrics.boxes import GRID_S, STANDING_MPS, EgoOutline, OtherBoxes, car_of, each, grid_of, name_of
 from metrics.following import LOOK_M, arc_point, extent, within_look
 from metrics.metric import MIN, Measured, Metric, Series, Unavailable, share_while, time_below, time_outside
 
@@ -72,7 +72,7 @@ def lateral_distance(w: float, swerves: bool) -> float:
 
 
 @kernel
-def _margins(ego: FloatArray, car: Car, others: Others, i: int, movable: bool) -> FloatArray:
+def _margins(ego: FloatArray, car: EgoOutline, others: OtherBoxes, i: int, movable: bool) -> FloatArray:
     """Return d_lon - d_lon,min, d_lat - d_lat,min, side (1 left, -1 right) of agent i, `(3, k)`; NaN: not judged."""
     there, pose, size = others.there[i], others.pose[:, i], others.size[i]
     steps, half = len(there), 0.5 * car.width

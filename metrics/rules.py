@@ -76,7 +76,7 @@ from logs.trace import Mode, Trace
 from metrics import metric
 from metrics.boxes import (
     GRID_S,
-    Car,
+    EgoOutline,
     car_of,
     each,
     ego_boxes,
@@ -209,7 +209,7 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
 
 
 @kernel
-def _over(ego: FloatArray, car: Car, polygon: FloatArray) -> BoolArray:
+def _over(ego: FloatArray, car: EgoOutline, polygon: FloatArray) -> BoolArray:
     """Return the steps at which a box (rows x, y, yaw) overlaps a polygon, tested at 9 by 5 points of the box."""
     out = np.zeros(ego.shape[1], np.bool_)
     for k in range(ego.shape[1]):

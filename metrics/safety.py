@@ -69,8 +69,8 @@ from metrics.boxes import (
     NO_TTC_MPS,
     STANDING_MPS,
     TURN_S,
-    Car,
-    Others,
+    EgoOutline,
+    OtherBoxes,
     car_of,
     contact_time,
     distance_bound,
@@ -172,7 +172,7 @@ def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Con
 
 @kernel
 def contact_kind(
-    rear: FloatArray, car: Car, before: FloatArray, pose: FloatArray, size: FloatArray, is_object: bool
+    rear: FloatArray, car: EgoOutline, before: FloatArray, pose: FloatArray, size: FloatArray, is_object: bool
 ) -> int:
     """Return the index in `KINDS` of a contact with `pose` `(5,)` and `size` `(2,)`; no touch yet at `before` `(5,)`.
 
@@ -195,7 +195,7 @@ def contact_kind(
 
 
 @kernel
-def _first_contacts(ego: FloatArray, car: Car, others: Others) -> IntArray:
+def _first_contacts(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> IntArray:
     """Return for each agent the first step at which the boxes touch; -1 if they never do."""
     out = np.full(len(others.size), -1, np.int64)
     for i in range(len(out)):
@@ -211,7 +211,7 @@ def _first_contacts(ego: FloatArray, car: Car, others: Others) -> IntArray:
 
 @kernel
 def _gaps(
-    ego: FloatArray, car: Car, others: Others, there: BoolArray, wanted: BoolArray, recent: int
+    ego: FloatArray, car: EgoOutline, others: OtherBoxes, there: BoolArray, wanted: BoolArray, recent: int
 ) -> tuple[FloatArray, IntArray]:
     """Return for each step the least distance to a wanted agent that is `there` (NaN: none) and its index (-1).
 
@@ -236,7 +236,7 @@ def _gaps(
 
 @kernel
 def _contact_times(
-    ego: FloatArray, turn: FloatArray, car: Car, others: Others, until: IntArray, horizon: float
+    ego: FloatArray, turn: FloatArray, car: EgoOutline, others: OtherBoxes, until: IntArray, horizon: float
 ) -> tuple[FloatArray, IntArray]:
     """Return for each step the least TTC and straight time `(2, k)` within the horizon (NaN), and whose TTC (-1).
 
@@ -307,7 +307,7 @@ def _severity(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 
 
 @kernel
-def _approachable(ego: FloatArray, car: Car, others: Others, leaving: float) -> BoolArray:
+def _approachable(ego: FloatArray, car: EgoOutline, others: OtherBoxes, leaving: float) -> BoolArray:
     """Return which agents a moving ego passes or approaches `(n, k)`: not behind, nor moving aside at `leaving` m/s."""
     there, pose = others.there, others.pose
     out = there.copy()
@@ -357,7 +357,7 @@ def least_contact_times(trace: Trace, scenario: Scenario, vulnerable_only: bool)
     met = [contact for contact in contacts(trace, scenario) if until[contact.agent]]
     until[[contact.agent for contact in met]] = [contact.step for contact in met]
 
-    def contact_times(k: slice, seen: IntArray, others: Others) -> tuple[FloatArray, IntArray]:
+    def contact_times(k: slice, seen: IntArray, others: OtherBoxes) -> tuple[FloatArray, IntArray]:
         return _contact_times(ego[:, k], turn[k], car, others, until[seen] - k.start, TTC_HORIZON_S)
 
     turn = drive.v * drive.kappa

@@ -28,7 +28,7 @@ from logs.scenario import Scenario
 from logs.trace import Mode, Trace
 from metrics.boxes import GRID_S, ego_boxes, grid_of
 from metrics.comfort import lat_accel
-from metrics.cut_in import HORIZON_S, IN_M, MOST_MPS2, REACT_S, Entry, followers, needed_deceleration, worst_forced
+from metrics.cut_in import HORIZON_S, IN_M, MOST_MPS2, REACT_S, CutInStay, followers, needed_deceleration, worst_forced
 from metrics.lanes import LaneArrays, mapped_lanes, under
 from metrics.metric import COUNT, MAX, MAX_ABS, Measured, Metric, Reduction, Series, Unavailable, durations, first_of
 from metrics.needless import AFTER_S, FALL_MPS, STANDS_MPS, falls, reasons, turning_points
@@ -109,7 +109,7 @@ def _braked_behind(trace: Trace, scenario: Scenario) -> Measured:
                 forced, t = seen.needed(first, min(last, len(seen.ego)) - 1), np.arange(0.0, HORIZON_S, GRID_S)
                 kept = seen.rear[first] - seen.front[first] + float(seen.ego.v[first]) * t
                 anyway = needed_deceleration(t, kept, float(seen.u[first]))
-                stays.append(Entry(begin, end + AFTER_S, seen.agent, max(forced - anyway, 0.0)))
+                stays.append(CutInStay(begin, end + AFTER_S, seen.agent, max(forced - anyway, 0.0)))
     missing = "the ego never slowed down without a reason before a follower"
     return worst_forced(trace, stays, scenario, "the ego slowed down before it without a reason", missing)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import replan.own
 from logs.errors import ConfigError, PlannerError
-from logs.extension import Kind
+from logs.extension import ExtensionKind
 from planners.base import Planner
 from planners.blind import Blind, Parked
 from planners.constant_speed import ConstantSpeed
@@ -43,7 +43,9 @@ def _wrong(thing: object) -> str:
     return "" if fits else "is not a planner: it needs a method plan(frame) -> Plan"
 
 
-PLANNER: Kind[PlannerFactory] = Kind("planner", "planners", PLANNERS, _wrong, PlannerError, "module:Class")
+PLANNER: ExtensionKind[PlannerFactory] = ExtensionKind(
+    "planner", "planners", PLANNERS, _wrong, PlannerError, "module:Class"
+)
 """Finds planners by name: the built-in ones and those of users."""
 
 

@@ -26,7 +26,7 @@ from logs.mcap.container import read_container
 from metrics import COLUMNS, METRICS, load_metric
 from metrics.compare import PARTING_COLUMNS, Comparison, Side, compare, judge_rules
 from metrics.judge import REFERENCE
-from metrics.judge.gates import Rule, load_gates, load_rules
+from metrics.judge.gates import GateRule, load_gates, load_rules
 from metrics.judge.verdicts import DRIVE
 from replay.explain.first_difference import first_difference, planners_part
 from replay.results.load import RECORDINGS, Results, loaded
@@ -174,7 +174,7 @@ def compare_runs(
     planners: tuple[str, ...] = (),
     *,
     gates: Path | None = None,
-    more: tuple[Rule, ...] = (),
+    more: tuple[GateRule, ...] = (),
     partings: int = MOST_PARTINGS,
 ) -> Comparison:
     """Compare two runs, and judge the comparison by the rules.

@@ -17,7 +17,7 @@ from typing import Any, TypeVar, get_args, get_type_hints
 import msgspec
 
 from logs.errors import ConfigError, unknown_name
-from logs.extension import Kind
+from logs.extension import ExtensionKind
 
 SETTINGS: Mapping[str, str] = {
     "vehicle": "vehicle_model",
@@ -90,8 +90,8 @@ def resolved(factory: Callable[..., Any], table: Table, where: str, what: str, g
     return {**defaults, **keywords}
 
 
-def configured(kind: Kind[F], name: str, settings: Mapping[str, Table]) -> F:
-    """Return the factory of this name with its `LoopConfig.settings`; ConfigError as `Kind.find` and `keywords_of`."""
+def configured(kind: ExtensionKind[F], name: str, settings: Mapping[str, Table]) -> F:
+    """Return the factory of this name with its `LoopConfig.settings`; ConfigError as `ExtensionKind.find` and `keywords_of`."""
     factory, table = kind.find(name), settings.get(kind.name, {})
     made: Any = partial(factory, **keywords_of(factory, table, dotted(SETTINGS[kind.name], name))) if table else factory
     return made

@@ -37,7 +37,7 @@ from replay.config import load_run
 from replay.results.tables import write_file, write_text
 from replay.run.output import held
 from replay.search.axes import agents_of, box_of, opened, search_axes
-from replay.search.falsify import Drives, Question, falsify
+from replay.search.falsify import FalsifyQuestion, SearchDrives, falsify
 from replay.search.mildest import BATCH, Point, norm
 from replay.search.study import Study
 
@@ -119,7 +119,7 @@ HOLES = {
 """By name."""
 
 
-def question(hole: Hole, gates: Path, *, planted: bool, budget: int, seed: int) -> Question:
+def question(hole: Hole, gates: Path, *, planted: bool, budget: int, seed: int) -> FalsifyQuestion:
     """The falsification of a hole, or of the planner without it."""
     drives = {"planners": [hole.planner], "loop": {"apart": {"trust": True}}} if planted else {"planners": ["idm"]}
     table = {**drives, "gates": str(gates)}
@@ -127,16 +127,16 @@ def question(hole: Hole, gates: Path, *, planted: bool, budget: int, seed: int) 
     subject = opened(hole.subject, LogSettings())
     axes = search_axes(hole.axes, (), subject.family, with_agents=True)
     subject = subject.of(agents_of(subject, axes, ()))
-    return Question(subject, axes, load_run(None, table), against, budget=budget, seed=seed)
+    return FalsifyQuestion(subject, axes, load_run(None, table), against, budget=budget, seed=seed)
 
 
-def grid(asked: Question, count: int, out: Path, workers: int) -> tuple[float, int]:
+def grid(asked: FalsifyQuestion, count: int, out: Path, workers: int) -> tuple[float, int]:
     """The mildest distance of a grid of count x count points (inf: none counts), and how many were driven."""
     low, high = box_of(asked.axes)
     sides = [np.linspace(a, b, count) for a, b in zip(low, high, strict=True)]
     points: list[Point] = sorted((tuple(float(u) for u in point) for point in product(*sides)), key=norm)
     with held(out):
-        drives = Drives(asked, out, Study(out, asked.head(), resume=False), workers, lambda line: None)
+        drives = SearchDrives(asked, out, Study(out, asked.head(), resume=False), workers, lambda line: None)
         for begin in range(0, len(points), BATCH):
             batch = points[begin : begin + BATCH]
             found = [norm(point) for point, one in zip(batch, drives(batch, "grid"), strict=True) if one.counts]

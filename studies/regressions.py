@@ -29,7 +29,7 @@ from logs.mcap import write_scenario
 from logs.scenario import Scenario
 from logs.trace import Plan
 from metrics.compare import Comparison
-from metrics.judge.gates import Outcome, Rule
+from metrics.judge.gates import GateRule, Outcome
 from planners.dp_qp.planner import DpQp
 from replay.compare import compare_runs
 from replay.config import RunConfig
@@ -104,7 +104,7 @@ CHANGES: Mapping[str, Change] = {
     "tiny": Change("the ego's log moved by 1e-9 m", BASE, _off),
     "solver": Change("PIQP instead of the built-in interior point method", _planner({"solver": "piqp"})),
 }
-STRICT = (Rule("ttc.min", max_decrease=1.0, over="worst"), Rule("thw.min", max_decrease=0.3, over="worst"))
+STRICT = (GateRule("ttc.min", max_decrease=1.0, over="worst"), GateRule("thw.min", max_decrease=0.3, over="worst"))
 """What changes a few logs of eighteen cannot be significant: no log may come nearer to a collision by a second, or
 follow nearer by 0.3 s; the latter has a value where no collision course is near."""
 HARMLESS = ("again", "tiny", "solver")

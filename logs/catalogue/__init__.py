@@ -27,7 +27,7 @@ import numpy as np
 from logs.catalogue import euro_ncap, everyday, faults, iso3888, paper, pedestrians, raw, unece_r157
 from logs.catalogue.family import Family
 from logs.errors import ConfigError, unknown_name
-from logs.extension import Kind, an_instance
+from logs.extension import ExtensionKind, an_instance
 from logs.scenario import Scenario
 
 CATALOGUE: dict[str, Family] = {
@@ -43,7 +43,7 @@ FAMILIES: dict[str, Family] = CATALOGUE | {
     for family in (*euro_ncap.FAMILIES, *unece_r157.FAMILIES, *iso3888.FAMILIES, *faults.FAMILIES, *raw.FAMILIES)
 }
 """All built-in families: those of `CATALOGUE` and those with published grids."""
-FAMILY: Kind[Family] = Kind("family", "families", FAMILIES, an_instance(Family, "replan.Family"))
+FAMILY: ExtensionKind[Family] = ExtensionKind("family", "families", FAMILIES, an_instance(Family, "replan.Family"))
 """Finds families by name: the built-in ones and those of users."""
 
 

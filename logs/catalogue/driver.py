@@ -21,7 +21,7 @@ from math import sqrt
 
 import numpy as np
 
-from logs.catalogue.roads import Path
+from logs.catalogue.roads import CurveSamples
 from logs.states import Trajectory
 
 STEP_S = 0.02
@@ -57,7 +57,7 @@ def waiting(line: float, short: float, begin: float, end: float, front: float) -
 
 
 def drive(
-    path: Path,
+    path: CurveSamples,
     *,
     start: float,
     speed: float,

@@ -37,7 +37,7 @@ SOURCE = "ISO 3888-1 and -2, per Project Chrono's double lane change"
 
 
 @dataclass(frozen=True)
-class Section:
+class ConeLane:
     """A lane between cones: from `begin` to `end`, `width`, its middle `offset` to the left; m."""
 
     begin: float
@@ -46,27 +46,27 @@ class Section:
     offset: float
 
 
-def double_lane_change(width: float, *, edge_based: bool = False) -> tuple[Section, ...]:
+def double_lane_change(width: float, *, edge_based: bool = False) -> tuple[ConeLane, ...]:
     """ISO 3888-1 for a vehicle of this width, m."""
     offset = 1.2 * width + 0.25
     return (
-        Section(0.0, 15.0, 1.1 * width + 0.25, 0.0),
-        Section(45.0, 70.0, offset, 3.5 + (0.5 * offset if edge_based else 0.0)),
-        Section(95.0, 125.0, 1.3 * width + 0.25, 0.0),
+        ConeLane(0.0, 15.0, 1.1 * width + 0.25, 0.0),
+        ConeLane(45.0, 70.0, offset, 3.5 + (0.5 * offset if edge_based else 0.0)),
+        ConeLane(95.0, 125.0, 1.3 * width + 0.25, 0.0),
     )
 
 
-def obstacle_avoidance(width: float) -> tuple[Section, ...]:
+def obstacle_avoidance(width: float) -> tuple[ConeLane, ...]:
     """ISO 3888-2 for a vehicle of this width, m."""
     entry, offset = 1.1 * width + 0.25, width + 1.0
     return (
-        Section(0.0, 12.0, entry, 0.0),
-        Section(25.5, 36.5, offset, 0.5 * entry + 1.0 + 0.5 * offset),
-        Section(49.0, 61.0, max(1.3 * width + 0.25, 3.0), 0.0),
+        ConeLane(0.0, 12.0, entry, 0.0),
+        ConeLane(25.5, 36.5, offset, 0.5 * entry + 1.0 + 0.5 * offset),
+        ConeLane(49.0, 61.0, max(1.3 * width + 0.25, 3.0), 0.0),
     )
 
 
-def cones(sections: tuple[Section, ...]) -> FloatArray:
+def cones(sections: tuple[ConeLane, ...]) -> FloatArray:
     """Positions of the cones `(n, 2)`, m, along both edges of each section."""
     rows: list[FloatArray] = []
     for section in sections:
@@ -85,7 +85,7 @@ APPROACH_M, BRAKE_MPS2, LATERAL_MPS2 = 40.0, 1.2, 2.0
 """The logged driver: way before the track, m, deceleration towards it and lateral acceleration on it, m/s2."""
 
 
-def _track(p: Mapping[str, float], sections: Callable[..., tuple[Section, ...]]) -> Scenario:
+def _track(p: Mapping[str, float], sections: Callable[..., tuple[ConeLane, ...]]) -> Scenario:
     v, car = p["ego_kmh"] * KMH, VehicleParameters()
     approach = APPROACH_M + 0.5 * v * v / BRAKE_MPS2
     there = sections(car.width, edge_based=p["edge_based"] > 0.0) if "edge_based" in p else sections(car.width)

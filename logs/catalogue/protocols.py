@@ -21,7 +21,7 @@ import numpy as np
 from logs.catalogue.driver import Ahead, Reaction, drive, waiting
 from logs.catalogue.family import before_contact, expects
 from logs.catalogue.pedestrians import CHILD
-from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, one_lane, two_way
+from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, two_way
 from logs.catalogue.scene import (
     ADULT,
     BESIDE_M,
@@ -76,7 +76,7 @@ def speeds(first: int, last: int, step: int = 5) -> tuple[float, ...]:
 
 
 def tested(
-    p: Mapping[str, float], path: Path, road: Road, agents: Sequence[Agent],
+    p: Mapping[str, float], path: CurveSamples, road: Road, agents: Sequence[Agent],
     expected: Mapping[str, tuple[DecisionKind, ...]], ahead: Reaction = lambda t, s: None, *,
     beyond: float | None = None, start: float = START_M,
 ) -> Scenario:  # fmt: skip
@@ -99,7 +99,7 @@ def tested(
     return before_contact(finished(path, driven, agents, road, duration, begin=begin, metadata=expects(**expected)))
 
 
-def straight(p: Mapping[str, float]) -> Path:
+def straight(p: Mapping[str, float]) -> CurveSamples:
     """A straight path that is long enough for a drive at `ego_kmh`."""
     return curve((START_M + p["ego_kmh"] * KMH * (p["duration_s"] + SPARE_S) + BEYOND_M, 0.0, 0.0))
 

@@ -18,7 +18,7 @@ from logs.catalogue import paper
 from logs.catalogue.detector import detected
 from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.family import Family, touches
-from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, one_lane, stretch, two_way
+from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, stretch, two_way
 from logs.catalogue.scene import ADULT, BEYOND_M, BICYCLE, CAR, HALF_LANE, START_M, Agent, grid, moving, parked, tracks
 from logs.kernel import FloatArray
 from logs.road import Goal, Road
@@ -55,7 +55,7 @@ def _true_scene(
     return Scenario("", driven, tracks(others), road(path, max(v, cruise)), duration, _goal(path, driven))
 
 
-def _goal(path: Path, driven: Trajectory) -> Goal:
+def _goal(path: CurveSamples, driven: Trajectory) -> Goal:
     """A goal that begins on the lane before the end of the drive."""
     end = float(driven.x[-1])
     return Goal((stretch(path, end - EARLY_M, end + EARLY_M, right=-HALF_LANE, left=HALF_LANE),))

@@ -41,7 +41,7 @@ _HALF = 0.5 * LANE_WIDTH_M
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class CurveSamples:
     """A curve by arc length: `(n,)` columns s, x, y (m), yaw (rad, unwrapped), kappa (1/m)."""
 
     s: FloatArray
@@ -66,10 +66,10 @@ class Path:
         )
         return x, y, yaw, kappa
 
-    def part(self, begin: float, end: float) -> Path:
+    def part(self, begin: float, end: float) -> CurveSamples:
         """The path between two of its stations; the new stations begin at 0."""
         s = np.linspace(begin, end, max(2, round((end - begin) / STEP_M) + 1))
-        return Path(s - begin, *self.at(s))
+        return CurveSamples(s - begin, *self.at(s))
 
     def beside(self, s: FloatArray, left: float | FloatArray) -> FloatArray:
         """Points `(k, 2)` at stations `(k,)`, `left` m to the left of the path."""
@@ -77,7 +77,7 @@ class Path:
         return np.column_stack([x - left * np.sin(yaw), y + left * np.cos(yaw)])
 
 
-def curve(*pieces: tuple[float, float, float]) -> Path:
+def curve(*pieces: tuple[float, float, float]) -> CurveSamples:
     """The path of pieces `(length m, kappa at the begin, kappa at the end)` from the origin along x.
 
     Raises:
@@ -100,10 +100,10 @@ def curve(*pieces: tuple[float, float, float]) -> Path:
     for rate in (np.cos(yaw), np.sin(yaw)):  # `fine` holds each step's ends and its middle
         step = (fine[2::2] - fine[:-2:2]) * (rate[:-2:2] + 4.0 * rate[1::2] + rate[2::2]) / 6.0  # (2)
         columns.append(np.r_[0.0, np.cumsum(step)])
-    return Path(fine[::2], columns[0], columns[1], yaw[::2], kappa[::2])
+    return CurveSamples(fine[::2], columns[0], columns[1], yaw[::2], kappa[::2])
 
 
-def weaving(length: float, shifts: Sequence[tuple[float, float, float]]) -> Path:
+def weaving(length: float, shifts: Sequence[tuple[float, float, float]]) -> CurveSamples:
     """A path along the x axis with lane shifts `(begin m, end m, lateral offset after it m)`, in order."""
     x = np.linspace(0.0, length, round(length / STEP_M) + 1)
     y, slope, bend, offset = np.zeros(len(x)), np.zeros(len(x)), np.zeros(len(x)), 0.0
@@ -116,11 +116,11 @@ def weaving(length: float, shifts: Sequence[tuple[float, float, float]]) -> Path
         offset = target
     speed = np.hypot(1.0, slope)
     s = np.r_[0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(x))]
-    return Path(s, x, y, np.arctan(slope), bend / speed**3)
+    return CurveSamples(s, x, y, np.arctan(slope), bend / speed**3)
 
 
 def lane_beside(
-    path: Path, lane_id: int, *, speed_limit: float, left: float = 0.0, width: float = LANE_WIDTH_M,
+    path: CurveSamples, lane_id: int, *, speed_limit: float, left: float = 0.0, width: float = LANE_WIDTH_M,
     left_neighbour: int | None = None, right_neighbour: int | None = None,
 ) -> Lane:  # fmt: skip
     """A lane along the whole path, its middle `left` m to the left of it; cross-sections about every 2 m."""
@@ -132,7 +132,7 @@ def lane_beside(
     )  # fmt: skip
 
 
-def one_lane(path: Path, speed_limit: float, *, sidewalk: float = 0.0) -> Road:
+def one_lane(path: CurveSamples, speed_limit: float, *, sidewalk: float = 0.0) -> Road:
     """One lane, with sidewalks of this width (m) on both sides where it is positive."""
     lanes = [lane_beside(path, 1, speed_limit=speed_limit)]
     side = 0.5 * (LANE_WIDTH_M + sidewalk)
@@ -142,7 +142,7 @@ def one_lane(path: Path, speed_limit: float, *, sidewalk: float = 0.0) -> Road:
     return Road({lane.id: lane for lane in lanes}, default_speed_limit=speed_limit)
 
 
-def two_lanes(path: Path, speed_limit: float, *, ego_on_right: bool) -> Road:
+def two_lanes(path: CurveSamples, speed_limit: float, *, ego_on_right: bool) -> Road:
     """Two lanes in one direction; the ego's is lane 1 and lies on the path, lane 2 beside it."""
     if ego_on_right:
         own = lane_beside(path, 1, speed_limit=speed_limit, left_neighbour=2)
@@ -153,7 +153,7 @@ def two_lanes(path: Path, speed_limit: float, *, ego_on_right: bool) -> Road:
     return Road({1: own, 2: other}, default_speed_limit=speed_limit)
 
 
-def two_way(path: Path, speed_limit: float) -> Road:
+def two_way(path: CurveSamples, speed_limit: float) -> Road:
     """The ego's lane 1 on the path, and lane 2 to its left, driven back; the marking between may be crossed."""
     own = lane_beside(path, 1, speed_limit=speed_limit)
     beside = lane_beside(path, 2, left=LANE_WIDTH_M, speed_limit=speed_limit)
@@ -162,7 +162,7 @@ def two_way(path: Path, speed_limit: float) -> Road:
     return Road({1: own, 2: back}, default_speed_limit=speed_limit)
 
 
-def stretch(path: Path, begin: float, end: float, *, right: float, left: float) -> FloatArray:
+def stretch(path: CurveSamples, begin: float, end: float, *, right: float, left: float) -> FloatArray:
     """Outline `(k, 2)` of the strip from station `begin` to `end`, from `right` to `left` of the path (m, signed)."""
     stations = np.linspace(begin, end, max(2, round((end - begin) / 2.0) + 1))
     return np.vstack([path.beside(stations, left), path.beside(stations, right)[::-1]])
@@ -178,7 +178,7 @@ class Junction:
     """
 
     road: Road
-    path: Path
+    path: CurveSamples
     begin: float
     end: float
     center: tuple[float, float]

@@ -9,7 +9,7 @@ from math import ceil, copysign
 import numpy as np
 
 from logs.catalogue.driver import SAMPLE_S
-from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, stretch
+from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, stretch
 from logs.kernel import FloatArray
 from logs.road import Goal, Road
 from logs.scenario import AgentKind, Scenario, Tracks
@@ -121,13 +121,13 @@ def pedestrian_across(p: Mapping[str, float], x: float) -> tuple[Agent, float]:
     return agent, float(t[np.argmax(y > HALF_LANE + 0.5 * max(ADULT))])
 
 
-def straight_path(speed: float, duration: float) -> Path:
+def straight_path(speed: float, duration: float) -> CurveSamples:
     """A straight path along x that is long enough for a drive of `duration` s at `speed` m/s."""
     return curve((speed * (duration + SPARE_S) + BEYOND_M, 0.0, 0.0))
 
 
 def finished(
-    path: Path, driven: Trajectory, agents: Sequence[Agent], road: Road, duration: float, *, begin: float | None = None,
+    path: CurveSamples, driven: Trajectory, agents: Sequence[Agent], road: Road, duration: float, *, begin: float | None = None,
     edges: tuple[float, float] = (-HALF_LANE, HALF_LANE), metadata: Mapping[str, str] | None = None,
 ) -> Scenario:  # fmt: skip
     """The scenario of a drive, without a name.

@@ -27,7 +27,7 @@ from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.maps.base import MapFile, MapReader
 from logs.maps.lanelet2_file import PROJECTOR_INFO, Element, Osm, placed_points, read_osm
-from logs.maps.lanelet2_lanes import LONGEST_M, Strip, divided, lanes_of, strips_of, way_points
+from logs.maps.lanelet2_lanes import LONGEST_M, DirectedLanelet, divided, lanes_of, strips_of, way_points
 from logs.readers.commonroad.rules import CAR_WIDTH_M
 from logs.readers.strips import predecessors
 from logs.road import Lane, Road
@@ -129,7 +129,7 @@ class _Map:
 
 
 def rules_of(
-    osm: Osm, strips: Sequence[Strip], lanes: Mapping[int, Lane], rows: Mapping[int, int], xy: FloatArray,
+    osm: Osm, strips: Sequence[DirectedLanelet], lanes: Mapping[int, Lane], rows: Mapping[int, int], xy: FloatArray,
     notes: list[str],
 ) -> Rules:  # fmt: skip
     """Make the rules of a map; `rows` are the rows of `xy` by node, `xy` the map's points."""

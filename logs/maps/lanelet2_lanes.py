@@ -70,7 +70,7 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class Strip:
+class DirectedLanelet:
     """A lanelet in its direction: its boundaries, its tags, and its regulatory elements."""
 
     id: int
@@ -93,9 +93,9 @@ class Strip:
         """Whether cars drive on it in both directions."""
         return self.drivable and self.tags.get("one_way") in ("no", "false", "0")
 
-    def reverse(self, name: int) -> Strip:
+    def reverse(self, name: int) -> DirectedLanelet:
         """Return the lanelet in the opposite direction, with the id `name` and without rules."""
-        return Strip(name, self.right.turned(), self.left.turned(), self.tags, ())
+        return DirectedLanelet(name, self.right.turned(), self.left.turned(), self.tags, ())
 
 
 def joined(xyz: FloatArray, ends: Sequence[int]) -> dict[int, int]:
@@ -115,7 +115,7 @@ def joined(xyz: FloatArray, ends: Sequence[int]) -> dict[int, int]:
     return dict(zip(rows, labels[cell.ravel()].tolist(), strict=True))
 
 
-def strips_of(osm: Osm, rows: Mapping[int, int], xy: FloatArray, notes: list[str]) -> list[Strip]:
+def strips_of(osm: Osm, rows: Mapping[int, int], xy: FloatArray, notes: list[str]) -> list[DirectedLanelet]:
     """Return the lanelets in the file's order, followed by reversed copies of those for both directions."""
     strips, broken = [], 0
     lanelets = [each for each in osm.relations.values() if each.tags.get("type") == "lanelet"]
@@ -129,7 +129,7 @@ def strips_of(osm: Osm, rows: Mapping[int, int], xy: FloatArray, notes: list[str
             broken += 1
             continue
         rules = tuple(lanelet.named("regulatory_element", kind="relation"))
-        strips.append(Strip(lanelet.id, *oriented(bounds[0], bounds[1], xy), lanelet.tags, rules))
+        strips.append(DirectedLanelet(lanelet.id, *oriented(bounds[0], bounds[1], xy), lanelet.tags, rules))
     if broken:
         notes.append(f"{broken} of {len(lanelets)} lanelets are dropped: they lack a left or a right boundary.")
     free = 1 + max((strip.id for strip in strips), default=0)
@@ -227,11 +227,11 @@ class _Beside:
     xy: FloatArray
     ends: Mapping[int, int]
     begins: defaultdict[tuple[int, int, bool], list[int]]
-    left: defaultdict[tuple[int, int, bool], list[Strip]]
-    right: defaultdict[tuple[int, int, bool], list[Strip]]
+    left: defaultdict[tuple[int, int, bool], list[DirectedLanelet]]
+    right: defaultdict[tuple[int, int, bool], list[DirectedLanelet]]
 
     @classmethod
-    def of(cls, strips: Sequence[Strip], xyz: FloatArray) -> _Beside:
+    def of(cls, strips: Sequence[DirectedLanelet], xyz: FloatArray) -> _Beside:
         bounds = [bound.points for strip in strips for bound in (strip.left, strip.right)]
         ends = joined(xyz, [row for points in bounds for row in (points[0], points[-1])])
         found = cls(xyz[:, :2], ends, defaultdict(list), defaultdict(list), defaultdict(list))
@@ -245,12 +245,12 @@ class _Beside:
                 raise LogError(f"more than {MOST_HERE} lanelets begin at one place", remedy="correct the map")
         return found
 
-    def after(self, strip: Strip) -> tuple[int, ...]:
+    def after(self, strip: DirectedLanelet) -> tuple[int, ...]:
         """Return the lanes that begin at the end of a lanelet."""
         key = self.ends[strip.left.points[-1]], self.ends[strip.right.points[-1]], strip.drivable
         return tuple(i for i in self.begins[key] if i != strip.id)
 
-    def neighbour(self, strip: Strip, side: str, *, same: bool) -> int | None:
+    def neighbour(self, strip: DirectedLanelet, side: str, *, same: bool) -> int | None:
         """Return the lane that shares a lanelet's boundary on a side, in the same or opposite direction."""
         bound = getattr(strip, side).points if same else getattr(strip, side).points[::-1]
         across = side if not same else "left" if side == "right" else "right"
@@ -267,7 +267,7 @@ class _Beside:
         return None
 
 
-def lanes_of(osm: Osm, strips: Sequence[Strip], xyz: FloatArray, notes: list[str]) -> dict[int, Lane]:
+def lanes_of(osm: Osm, strips: Sequence[DirectedLanelet], xyz: FloatArray, notes: list[str]) -> dict[int, Lane]:
     """Make the lanes by id; `xyz`: the map's points `(n, 3)`."""
     unread: Counter[str] = Counter()
     beside, lanes = _Beside.of(strips, xyz), {}

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from logs import road as nouns
-from logs.agents import Change, Detections, Repair, codes_of
+from logs.agents import Detections, Repair, TrackChange, codes_of
 from logs.codec import noun_of
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray, IntArray
@@ -278,7 +278,7 @@ def _detections(
         raise LogError(what, topic="/repair", remedy="keep /detections, or leave /repair out")
     _equal_lengths(message, "/repair", streams["/repair"].times[0])
     *rows, sources = msgspec.structs.astuple(message)
-    changes = tuple(Change(*row) for row in zip(*rows, map(tuple, sources), strict=True))
+    changes = tuple(TrackChange(*row) for row in zip(*rows, map(tuple, sources), strict=True))
     return None, Repair(found, marked_tracks(streams, start_ns, [], REMOVED)[0], extended, changes, tracks)
 
 

@@ -37,7 +37,7 @@ import numpy as np
 
 from logs.conventions import checked
 from logs.errors import ConfigError, LogError, unknown_name
-from logs.extension import Kind, an_instance
+from logs.extension import ExtensionKind, an_instance
 from logs.files import check_regular, local_path, special_kind
 from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, ros, table
 from logs.readers.admission import admitted, check_clocks, check_road, named, repaired
@@ -57,7 +57,7 @@ BUILTIN = (
     native.READER,
 )
 """The built-in readers, in the order in which they are tried."""
-READER: Kind[Reader] = Kind(
+READER: ExtensionKind[Reader] = ExtensionKind(
     "reader", "readers", {one.name: one for one in BUILTIN}, an_instance(Reader, "replan.Reader")
 )
 """Finds readers by name: the built-in ones and those of users."""

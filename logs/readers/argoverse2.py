@@ -34,9 +34,9 @@ from logs.mcap.complete import ASSUMED, assumed_limit, completed, road_along
 from logs.observed import of_stream
 from logs.readers.arrow123d import AV2_CATEGORIES
 from logs.readers.arrow_tables import ipc_table, numbers, parquet_table, reading, whole, words
-from logs.readers.base import Contents, LogSettings, Reader, TopicSummary, beside
+from logs.readers.base import LogContents, LogSettings, Reader, TopicSummary, beside
 from logs.readers.recorded import (
-    Boxes,
+    RecordedBoxes,
     car_of,
     driven,
     from_second,
@@ -51,7 +51,7 @@ from logs.readers.recorded import (
     tracks_of,
     unit_of_wxyz,
 )
-from logs.readers.strips import LARGEST_M, Strip, lanes_of
+from logs.readers.strips import LARGEST_M, LaneStrip, lanes_of
 from logs.road import Road
 from logs.rules import Crosswalk
 from logs.scenario import Scenario
@@ -143,12 +143,12 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
 
 def _boxes(
     folder: Path, times: IntArray, place: FloatArray, turn: FloatArray, notes: list[str]
-) -> tuple[Boxes, IntArray]:
+) -> tuple[RecordedBoxes, IntArray]:
     """Return all boxes in the city's frame (1), timed in s since the first pose, and the times of the frames, ns."""
     path = beside(folder, ("annotations.feather",)) or annotations_of(folder)
     if path is None:
         notes.append("The log has no annotations: there are no other road users.")
-        return Boxes.empty(), np.empty(0, np.int64)
+        return RecordedBoxes.empty(), np.empty(0, np.int64)
     table = ipc_table(path, ("timestamp_ns", "track_uuid", "category", *SIZE, *TURN, *PLACE))
     with reading(path):
         (owner, names), (category, categories) = words(table, "track_uuid"), words(table, "category")
@@ -176,7 +176,7 @@ def _boxes(
             notes.append(f"Categories that are not known are taken as objects: {', '.join(foreign)[:200]}.")
         kinds = _kinds(owner, category, categories, len(names), AV2_CATEGORIES)
         found = (t, owner[keep], centre[:, 0], centre[:, 1], yaw, length[keep], width[keep], unknown, unknown)
-        return Boxes(tuple(names), kinds, *found), np.unique(stamps)
+        return RecordedBoxes(tuple(names), kinds, *found), np.unique(stamps)
 
 
 def _kinds(
@@ -229,7 +229,7 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
         x, y, yaw, vx, vy = state.T
         unsized = np.full(len(t), np.nan)
         kinds_of = _kinds(owner, kind, kinds, len(names), OBJECT_TYPES)
-        boxes = Boxes(tuple(names), kinds_of, t, owner, x, y, yaw, unsized, unsized, vx, vy)
+        boxes = RecordedBoxes(tuple(names), kinds_of, t, owner, x, y, yaw, unsized, unsized, vx, vy)
         tracks = tracks_of(ordered(boxes.taken(owner != owner[its[0]]), notes), notes)
     notes.append("Places are taken as centres of boxes.")
     return Scenario(
@@ -278,7 +278,7 @@ def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list
         for lane in found["lane_segments"].values():
             kind = LANE_TYPES.get(lane["lane_type"], "undefined")
             strips.append(
-                Strip(
+                LaneStrip(
                     int(lane["id"]),
                     _points(lane["left_lane_boundary"]) - origin,
                     _points(lane["right_lane_boundary"]) - origin,
@@ -352,16 +352,16 @@ def _files(path: Path) -> tuple[Path, ...]:
     return tuple(file for file in files if file is not None)
 
 
-def _contents(path: Path) -> Contents:
+def _contents(path: Path) -> LogContents:
     log, is_sensor_log = _locate_log(path)
     topics = []
     if not is_sensor_log:
         try:
             count = len(whole(parquet_table(log, ("timestep",)), "timestep"))
         except (LogError, ValueError):
-            return Contents("Argoverse 2 motion-forecasting scenario that cannot be read")
+            return LogContents("Argoverse 2 motion-forecasting scenario that cannot be read")
         topics.append(TopicSummary("tracks", "parquet", "parquet", "parquet", count, None, None))
-        return Contents("Argoverse 2 motion-forecasting scenario", tuple(topics))
+        return LogContents("Argoverse 2 motion-forecasting scenario", tuple(topics))
     for file in (log / POSES, annotations_of(log)):
         if file is None:
             continue
@@ -372,7 +372,7 @@ def _contents(path: Path) -> Contents:
         first, last = (int(times.min()), int(times.max())) if len(times) else (None, None)
         what = "poses" if file.name == POSES else "boxes"
         topics.append(TopicSummary(file.name, what, "arrow", "feather", len(times), first, last))
-    return Contents("Argoverse 2 sensor log", tuple(topics))
+    return LogContents("Argoverse 2 sensor log", tuple(topics))
 
 
 READER = Reader(

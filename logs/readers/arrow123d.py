@@ -36,9 +36,9 @@ from logs.mcap.complete import completed
 from logs.observed import of_stream
 from logs.readers.arrow123d_map import LIGHTS, map_of, road_of
 from logs.readers.arrow_tables import Lists, ipc_table, metadata_of, reading, vectors, whole
-from logs.readers.base import Contents, LogSettings, Reader, TopicSummary, beside
+from logs.readers.base import LogContents, LogSettings, Reader, TopicSummary, beside
 from logs.readers.recorded import (
-    Boxes,
+    RecordedBoxes,
     car_of,
     driven,
     from_second,
@@ -268,12 +268,12 @@ def _differences(t: FloatArray, place: FloatArray, after: IntArray, earlier: Int
 # Agents
 
 
-def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool, FloatArray]:
+def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[RecordedBoxes, bool, FloatArray]:
     """Return all boxes, s since `first_us`, whether the log has their velocities, and the times of their frames."""
     path = beside(folder, (f"{BOXES}.arrow",))
     if path is None:
         notes.append("The log has no boxes: there are no other road users.")
-        return Boxes.empty(), True, np.empty(0)
+        return RecordedBoxes.empty(), True, np.empty(0)
     columns = [f"{BOXES}.{name}" for name in ("timestamp_us", "bounding_box_se3", "track_token", "label")]
     table = ipc_table(path, columns)
     with reading(path):
@@ -307,7 +307,7 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool, 
         kinds = kinds_of(str(metadata_of(table).get("box_detection_label_class") or ""), label, size, notes)
         place, yaw = box[:, :2], heading(unit_of_wxyz(box[:, 3:7]))
         x, y, length, width, vx, vy = *place.T, *box[:, 7:9].T, *velocity[:, :2].T
-        found = Boxes(tuple(names), kinds, t, owner, x, y, yaw, length, width, vx, vy)
+        found = RecordedBoxes(tuple(names), kinds, t, owner, x, y, yaw, length, width, vx, vy)
         return ordered(found, notes), own, frames
 
 
@@ -381,7 +381,7 @@ def _span(path: Path) -> tuple[float, float] | None:
     return (0.0, float(times[-1] - times[0]) / 1e6) if len(times) else None
 
 
-def _contents(path: Path) -> Contents:
+def _contents(path: Path) -> LogContents:
     """Return the modalities and their numbers of frames, from sync.arrow only."""
     try:
         table = ipc_table(folder_of(path) / SYNC, ("sync.timestamp_us",))
@@ -392,9 +392,9 @@ def _contents(path: Path) -> Contents:
             first, last = (1000 * int(own[0]), 1000 * int(own[-1])) if len(own) else (None, None)
             topics.append(TopicSummary(key, key.split(".", maxsplit=1)[0], "arrow", "arrow", len(own), first, last))
         what = f"123D log of {about.get('dataset')}, py123d {about.get('version')}, {len(times)} frames"
-        return Contents(what, tuple(topics))
+        return LogContents(what, tuple(topics))
     except (LogError, ValueError, TypeError, KeyError):
-        return Contents("123D log that cannot be read")
+        return LogContents("123D log that cannot be read")
 
 
 READER = Reader(

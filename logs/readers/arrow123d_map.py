@@ -34,7 +34,7 @@ from logs.kernel import FloatArray
 from logs.mcap.complete import ASSUMED, assumed_limit, road_along
 from logs.readers.arrow_tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, whole
 from logs.readers.base import beside
-from logs.readers.strips import LARGEST_M, LONGEST_M, Strip, dense, lanes_of, predecessors
+from logs.readers.strips import LARGEST_M, LONGEST_M, LaneStrip, dense, lanes_of, predecessors
 from logs.road import Lane, Road, inside
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.states import Trajectory
@@ -110,7 +110,7 @@ def road_of_map(
             onward = f.get("predecessor_ids" if swapped and kind == 0 else "successor_ids")
             left, right = (array_of(f[name])[:, :2] for name in ("left_boundary", "right_boundary"))
             strips.append(
-                Strip(
+                LaneStrip(
                     i,
                     left - zero,
                     right - zero,

@@ -131,15 +131,15 @@ class TopicSummary:
 
 
 @dataclass(frozen=True)
-class Contents:
+class LogContents:
     """The content of a log for `replan inspect`: its format in words ("": the reader's summary) and its topics."""
 
     profile: str = ""
     topics: tuple[TopicSummary, ...] = ()
 
 
-def _nothing(path: Path) -> Contents:
-    return Contents()
+def _nothing(path: Path) -> LogContents:
+    return LogContents()
 
 
 def files_named(suffix: str) -> Callable[[Path], bool]:
@@ -191,7 +191,7 @@ class Reader:
     read: Callable[[Path, LogSettings], Scenario]
     files: Callable[[Path], tuple[Path, ...]] = itself
     span: Callable[[Path], tuple[float, float] | None] = _unknown_span
-    contents: Callable[[Path], Contents] = _nothing
+    contents: Callable[[Path], LogContents] = _nothing
     settings: tuple[str, ...] = ()
     cuts: bool = False
     claims_with: Callable[[Path, LogSettings], bool] = _never

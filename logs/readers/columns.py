@@ -44,7 +44,7 @@ _WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\]|\((?P<unit2>[
 _RATE = re.compile(r"(\d+(?:\.\d+)?) ?(?:Hz|fps)", re.IGNORECASE)
 
 
-class Table:
+class NamedColumns:
     """A data frame whose columns are found by replan's names."""
 
     def __init__(self, frame: pd.DataFrame, name: str, columns: Mapping[str, str]) -> None:
@@ -182,7 +182,7 @@ def holds(header: Sequence[str], names: Sequence[str], columns: Mapping[str, str
     if not header or len(set(header)) < len(header):
         return False
     try:
-        table = Table(pd.DataFrame([[0] * len(header)], columns=list(header)), "agents", columns)
+        table = NamedColumns(pd.DataFrame([[0] * len(header)], columns=list(header)), "agents", columns)
     except LogError:  # reading it would name the unit
         return False
     return all(map(table.has, names))
@@ -191,7 +191,7 @@ def holds(header: Sequence[str], names: Sequence[str], columns: Mapping[str, str
 def check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame | None]) -> None:
     """Raise LogError for unknown names, and for columns that no table has, which would silently be derived."""
     known = (*TIMES, *COLUMNS)
-    held = [Table(frame, name, columns) for name, frame in frames.items() if frame is not None and len(frame)]
+    held = [NamedColumns(frame, name, columns) for name, frame in frames.items() if frame is not None and len(frame)]
     for key, given in columns.items():
         of, _, ours = key.rpartition(".")
         if ours not in known or of not in ("", *NAMES):

@@ -17,7 +17,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap.complete import completed, road_along
-from logs.readers.base import Contents, LogSettings, Reader, TopicSummary
+from logs.readers.base import LogContents, LogSettings, Reader, TopicSummary
 from logs.scenario import Scenario, Tracks
 
 POSE = "global_pose"
@@ -117,7 +117,7 @@ def _east_north(place: FloatArray) -> FloatArray:
     return np.array([east, [-sin * np.cos(longitude), -sin * np.sin(longitude), cos]])
 
 
-def _contents(path: Path) -> Contents:
+def _contents(path: Path) -> LogContents:
     topics = []
     for name, columns in zip(NAMES, COLUMNS, strict=True):
         try:
@@ -125,7 +125,7 @@ def _contents(path: Path) -> Contents:
         except LogError:
             continue
         topics.append(TopicSummary(name, f"{columns} columns", "npy", "", rows, None, None))
-    return Contents("", tuple(topics))
+    return LogContents("", tuple(topics))
 
 
 READER = Reader(

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from logs.errors import LogError
 from logs.mcap.container import Stream
-from logs.readers.base import Contents, LogSettings, Reader, TopicSummary, files_named
+from logs.readers.base import LogContents, LogSettings, Reader, TopicSummary, files_named
 from logs.scenario import Scenario
 
 
@@ -24,7 +24,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
     return read_scenario(path, settings.ego)
 
 
-def _contents(path: Path) -> Contents:
+def _contents(path: Path) -> LogContents:
     """Return the topics up to the file's end or damage."""
     from logs.mcap import native, osi
     from logs.mcap.container import read_container
@@ -43,7 +43,7 @@ def _contents(path: Path) -> Contents:
         version = container.metadata[native.SCENARIO_RECORD].get("format_version", "?")
         what_it_is = "trace of a drive" if native.TRACE_RECORD in container.metadata else "scenario log"
         profile = f"{what_it_is}, native format {version}"
-    return Contents(profile, tuple(topics))
+    return LogContents(profile, tuple(topics))
 
 
 READER = Reader(
@@ -108,13 +108,13 @@ def _read_osi(path: Path, settings: LogSettings) -> Scenario:
     return scenario_of(trace_of(path), path.stem, settings.ego)
 
 
-def _contents_osi(path: Path) -> Contents:
+def _contents_osi(path: Path) -> LogContents:
     try:
         trace = trace_of(path)
     except LogError:
-        return Contents()
+        return LogContents()
     topic = TopicSummary(path.name, trace.schema, "protobuf", "protobuf", len(trace), None, None)
-    return Contents("ASAM OSI trace", (topic,))
+    return LogContents("ASAM OSI trace", (topic,))
 
 
 OSI_READER = Reader(

@@ -97,7 +97,7 @@ SOONEST_S = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Boxes:
+class RecordedBoxes:
     """All boxes of a log, `(m,)` each: time s, owner (index into `names`), centre m, rad, m, m/s (NaN: unknown)."""
 
     names: tuple[str, ...]
@@ -113,18 +113,18 @@ class Boxes:
     vy: FloatArray
 
     @classmethod
-    def empty(cls) -> Boxes:
+    def empty(cls) -> RecordedBoxes:
         """No boxes."""
         none = np.empty(0)
         return cls((), (), none, np.empty(0, np.int64), *(none,) * 7)
 
-    def taken(self, rows: Any) -> Boxes:
+    def taken(self, rows: Any) -> RecordedBoxes:
         """Return the boxes of these rows."""
         names = ("t", "owner", "x", "y", "yaw", "length", "width", "vx", "vy")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
-def ordered(boxes: Boxes, notes: list[str]) -> Boxes:
+def ordered(boxes: RecordedBoxes, notes: list[str]) -> RecordedBoxes:
     """Sort boxes by track and time, and leave out unusable boxes, with notes."""
     finite = np.logical_and.reduce([np.isfinite(getattr(boxes, name)) for name in ("t", "x", "y", "yaw")])
     if not finite.all():
@@ -139,7 +139,7 @@ def ordered(boxes: Boxes, notes: list[str]) -> Boxes:
     return boxes.taken(~again)
 
 
-def tracks_of(boxes: Boxes, notes: list[str]) -> Tracks:
+def tracks_of(boxes: RecordedBoxes, notes: list[str]) -> Tracks:
     """Make tracks from `ordered` boxes."""
     if not len(boxes.t):
         return Tracks.empty()
@@ -282,7 +282,9 @@ def from_second(index: IntArray, times: FloatArray, first: FloatArray, notes: li
     return index[begin:]
 
 
-def from_start(whole: Trajectory, index: IntArray, boxes: Boxes) -> tuple[Trajectory, Boxes, FloatArray]:
+def from_start(
+    whole: Trajectory, index: IntArray, boxes: RecordedBoxes
+) -> tuple[Trajectory, RecordedBoxes, FloatArray]:
     """Shift time and origin to the first state of `index`; return these states, the boxes, and the origin `(2,)`.
 
     Times are rounded to whole nanoseconds, as in logs.

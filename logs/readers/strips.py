@@ -22,7 +22,7 @@ SHORTEST_M, LONGEST_M = 0.01, 1e5
 
 
 @dataclass(frozen=True, eq=False)
-class Strip:
+class LaneStrip:
     """A lane as stored in a map.
 
     Attributes:
@@ -42,7 +42,7 @@ class Strip:
     speed_limit: float = float("nan")
 
 
-def lanes_of(strips: Sequence[Strip], notes: list[str]) -> tuple[dict[int, Lane], bool]:
+def lanes_of(strips: Sequence[LaneStrip], notes: list[str]) -> tuple[dict[int, Lane], bool]:
     """Return the lanes by id, and whether traffic drives on the right."""
     lanes: dict[int, Lane] = {}
     for strip in strips:

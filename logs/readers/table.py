@@ -27,9 +27,9 @@ from logs.kernel import FloatArray
 from logs.mcap.complete import completed, road_along
 from logs.observed import Spans
 from logs.readers import track_table
-from logs.readers.base import EGO_POINTS, Contents, LogSettings, Reader, TopicSummary, beside
+from logs.readers.base import EGO_POINTS, LogContents, LogSettings, Reader, TopicSummary, beside
 from logs.readers.clocks import check_restart, continued
-from logs.readers.columns import NAMES, QUATERNION, Table, check_names
+from logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names
 from logs.readers.csv_table import SUFFIXES, load_table
 from logs.road import Goal, Road
 from logs.scenario import CENTRE, EGO_POSE, AgentKind, Scenario, Tracks
@@ -88,8 +88,8 @@ def from_frames(
     if ego_point not in EGO_POINTS:
         raise LogError(f"ego_point is {ego_point!r}", topic="[log]", remedy=f"known: {', '.join(EGO_POINTS[1:])}")
     check_names(columns or {}, {"ego": ego, "agents": agents})
-    table = Table(ego, "ego", columns or {})
-    others = Table(agents, "agents", columns or {}) if agents is not None and len(agents) else None
+    table = NamedColumns(ego, "ego", columns or {})
+    others = NamedColumns(agents, "agents", columns or {}) if agents is not None and len(agents) else None
     ns, is_text = table.times()
     theirs = others.times()[0] if others is not None else np.empty(0, np.int64)
     ns, theirs = continued(ns, theirs, is_text=is_text, notes=notes)
@@ -153,7 +153,7 @@ def from_frames(
         raise LogError(str(error), topic="ego") from None
 
 
-def _tracks(table: Table | None, t: FloatArray, origin: FloatArray, notes: list[str]) -> Tracks:
+def _tracks(table: NamedColumns | None, t: FloatArray, origin: FloatArray, notes: list[str]) -> Tracks:
     """Make the tracks of a table with the times `t` `(n,)`, s."""
     if table is None:
         return Tracks.empty()
@@ -259,7 +259,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
     )
 
 
-def _contents(path: Path) -> Contents:
+def _contents(path: Path) -> LogContents:
     topics = []
     try:
         files = _files(path)
@@ -272,7 +272,7 @@ def _contents(path: Path) -> Contents:
             continue
         columns = ", ".join(map(str, frame.columns))
         topics.append(TopicSummary(file.name, columns, file.suffix[1:], "", len(frame), None, None))
-    return Contents("", tuple(topics))
+    return LogContents("", tuple(topics))
 
 
 READER = Reader(

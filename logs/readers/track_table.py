@@ -30,7 +30,7 @@ from logs.names import counted
 from logs.observed import Spans, of_stream
 from logs.readers.base import beside
 from logs.readers.clocks import check_restart, continued
-from logs.readers.columns import NAMES, TIMES, Table, check_names, holds
+from logs.readers.columns import NAMES, TIMES, NamedColumns, check_names, holds
 from logs.readers.csv_table import SUFFIXES, header_of, load_table
 from logs.readers.recorded import car_of, driven
 from logs.vehicle import VehicleParameters
@@ -146,7 +146,9 @@ def taken_ego(
     if data.recording in frame and frame[data.recording].nunique() > 1:
         what = f"the table holds {frame[data.recording].nunique()} recordings, whose ids differ ({data.recording})"
         raise LogError(what, topic="agents", remedy=f"keep the rows of one {data.recording}")
-    table = Table(frame, "agents", {**data.columns, **{key.rpartition(".")[2]: name for key, name in given.items()}})
+    table = NamedColumns(
+        frame, "agents", {**data.columns, **{key.rpartition(".")[2]: name for key, name in given.items()}}
+    )
     names, notes = names_of(table), list[str]()
     ns, is_text = table.times()
     ns, _ = continued(ns, np.empty(0, np.int64), is_text=is_text, notes=notes)
@@ -187,7 +189,7 @@ def taken_ego(
 
 
 def _states(
-    table: Table, data: DataSet, order: Any, offsets: Any, kinds: list[AgentKind], notes: list[str]
+    table: NamedColumns, data: DataSet, order: Any, offsets: Any, kinds: list[AgentKind], notes: list[str]
 ) -> dict[str, FloatArray]:
     """Return position of the box centre, heading, velocity and size of each row, `(n,)`; NaN where unknown."""
     unknown = np.full(len(order), np.nan)
@@ -217,7 +219,9 @@ def _states(
     return state
 
 
-def _ego_states(table: Table, ns: Any, t: FloatArray, state: dict[str, FloatArray], notes: list[str]) -> pd.DataFrame:
+def _ego_states(
+    table: NamedColumns, ns: Any, t: FloatArray, state: dict[str, FloatArray], notes: list[str]
+) -> pd.DataFrame:
     """Return the table of the ego; what is not stated comes from parabolas through its positions."""
     if table.yaw() is None and np.hypot(np.ptp(state["x"]), np.ptp(state["y"])) < HEADED_M:
         what = f"the ego moves less than {HEADED_M:g} m and has no heading"
@@ -265,7 +269,7 @@ def _texts(column: pd.Series[Any]) -> Any:
     return np.array([word.value if isinstance(word, AgentKind) else str(word) for word in column], dtype=str)
 
 
-def names_of(table: Table) -> Any:
+def names_of(table: NamedColumns) -> Any:
     """Return the id of each row `(n,)`, as text; LogError if a row has none."""
     column = table.column("id")[0]
     if column.isna().any():

@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.agents import Change, Detections, Repair, codes_of
+from logs.agents import Detections, Repair, TrackChange, codes_of
 from logs.kernel import FloatArray, IntArray, frozen
 from logs.repair.association import Association
 from logs.repair.boxes import CLUSTER, NOISE, OTHER_PART, PERSON, VEHICLE, Boxes, shares, stronger_twins
@@ -101,7 +101,7 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
     everywhere = Counter(detections.ids[i] for i in boxes.source.tolist())
     numbers = (str(k) for k in range(1, len(users) + len(everywhere) + 1) if str(k) not in everywhere)
     weaker = np.bincount(every.source[twin_of[twin_of >= 0]], minlength=len(every))[boxes.source]
-    ids, changes = list[str](), list[Change]()
+    ids, changes = list[str](), list[TrackChange]()
     for user, note in zip(users, notes, strict=True):
         rows, logged = user.piece.rows, sources(user)
         own = len(logged) == 1 and everywhere[logged[0]] == len(rows)
@@ -110,7 +110,7 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
     gone = [f"removed {k + 1}" for k in range(len(removed))]
     for (user, why), name in zip(removed, gone, strict=True):
         span = float(user.t[0]), float(user.t[-1])
-        changes.append(Change("removed", name, *span, len(user.piece.rows), why, sources(user)))
+        changes.append(TrackChange("removed", name, *span, len(user.piece.rows), why, sources(user)))
     added = np.concatenate([np.empty(0, np.bool_), *(user.extended for user in users)])
     tracks = _tracks(users, ids)
     return tracks, Repair(detections, _tracks([user for user, _ in removed], gone), added, tuple(changes), tracks)
@@ -169,13 +169,13 @@ def _road_users(
     return [user for i, user in enumerate(users) if i not in better], removed
 
 
-def _changes(user: User, name: str, note: str, twins: int, sources: tuple[str, ...]) -> list[Change]:
+def _changes(user: User, name: str, note: str, twins: int, sources: tuple[str, ...]) -> list[TrackChange]:
     """Return the changes to a road user who stays."""
     t, count = user.piece.t, len(user.piece.rows)
     out = []
 
     def add(what: str, samples: int, why: str, times: FloatArray = t) -> None:
-        out.append(Change(what, name, float(times[0]), float(times[-1]), samples, why, sources))
+        out.append(TrackChange(what, name, float(times[0]), float(times[-1]), samples, why, sources))
 
     if sources != (name,) or len(t) > count:
         under = f"under {len(sources)} ids" if sources else "without ids"

@@ -80,7 +80,7 @@ OF_OTHERS = (
 _MARKED = frozenset({*OF_OTHERS, *(metric.name for metric in GROUPS["comfort"])})
 
 
-class Row(NamedTuple):
+class MetricRow(NamedTuple):
     """A row of the table; `about`: the road user or object that its value is about, with the full id ("car 12")."""
 
     value: float
@@ -96,34 +96,34 @@ class Row(NamedTuple):
         return self.available and isfinite(self.value)
 
 
-NOTHING = Row(nan, False, "not measured", "", nan)
+NOTHING = MetricRow(nan, False, "not measured", "", nan)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Drives:
+class DrivesTable:
     """The table of a run: rows by (planner, mode), log and metric; its oracles, crashed drives and `LAWFUL` gates."""
 
-    rows: Mapping[tuple[str, str], Mapping[str, Mapping[str, Row]]]
+    rows: Mapping[tuple[str, str], Mapping[str, Mapping[str, MetricRow]]]
     oracles: frozenset[str]
     crashed: Mapping[tuple[str, str, str], str]
     lawful: tuple[Gate, ...]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Case:
+class GateCase:
     """A gate, the judged drive (planner, mode and log), and all drives of the run."""
 
     gate: Gate
     log: str
     planner: str
     mode: str
-    drives: Drives
+    drives: DrivesTable
 
-    def row(self, metric: str) -> Row:
+    def row(self, metric: str) -> MetricRow:
         """Return a row of the drive; `NOTHING` if the table has none."""
         return self.drives.rows[self.planner, self.mode].get(self.log, {}).get(metric, NOTHING)
 
-    def reference(self, planner: str, metric: str) -> Row:
+    def reference(self, planner: str, metric: str) -> MetricRow:
         """Return a row of a reference drive of the log; `NOTHING` if the table has none, or it is not asked for."""
         if planner == FOLLOWER and not needs_follower({gate.metric: self.value(gate.metric) for gate in CLEAN}):
             return NOTHING
@@ -150,7 +150,7 @@ def group_of(gate: Gate) -> str:
     return GROUP.get(gate.metric.partition(".")[0], "")
 
 
-def lacking_evidence(case: Case) -> str:
+def lacking_evidence(case: GateCase) -> str:
     """Return why a value within the bounds is no pass (too little evidence); empty if there is enough evidence."""
     gate, share = case.gate, case.row(f"evidence.{case.gate.evidence}.share")
     if not share.known or share.value >= gate.min_evidence:
@@ -159,7 +159,7 @@ def lacking_evidence(case: Case) -> str:
     return f"{known}, less than {100.0 * gate.min_evidence:g} %" + (f" ({share.reason})" if share.reason else "")
 
 
-def excuse(case: Case) -> str:
+def excuse(case: GateCase) -> str:
     """Return why a value out of bounds is no evidence against the planner; empty if it is evidence."""
     gate, group, row = case.gate, group_of(case.gate), case.row(case.gate.metric)
     if case.crashed:
@@ -188,7 +188,7 @@ def excuse(case: Case) -> str:
     return ""
 
 
-def _any_yardstick_holds(case: Case) -> bool:
+def _any_yardstick_holds(case: GateCase) -> bool:
     """Return whether a yardstick stays within the bound in this log (module docstring)."""
     for planner in (DRIVER, FOLLOWER):
         rules = () if planner == DRIVER else case.drives.lawful
@@ -201,7 +201,7 @@ def _any_yardstick_holds(case: Case) -> bool:
     return False
 
 
-def _excuse_by_reference(gate: Gate, case: Case) -> str:
+def _excuse_by_reference(gate: Gate, case: GateCase) -> str:
     """Return which reference drive breaks the bound in the same event (module docstring), as text; empty: none."""
     row, group = case.row(gate.metric), group_of(gate)
     impact, careful = case.row(IMPACT), case.reference(CAREFUL, IMPACT)
@@ -219,7 +219,7 @@ def _excuse_by_reference(gate: Gate, case: Case) -> str:
     return ""
 
 
-def _excuse_fallback(case: Case) -> str:
+def _excuse_fallback(case: GateCase) -> str:
     """Return the reason if the careful driver and the route follower come too near to a road user at that time."""
     when = case.row(FALLBACKS).time_s
     rows = [case.reference(planner, TOO_NEAR.metric) for planner in (CAREFUL, FOLLOWER)]

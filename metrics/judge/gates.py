@@ -1,7 +1,7 @@
 """Gates (thresholds on the table) and rules of comparison, from a TOML file; docs/gates.md explains all keys.
 
 The file contains tables [[gate]], whose keys are the attributes of `Gate` (judged by `verdicts`). It may contain tables
-[[compare]] with the attributes of `Rule`: how much worse than a baseline a candidate may be (`metrics.compare`).
+[[compare]] with the attributes of `GateRule`: how much worse than a baseline a candidate may be (`metrics.compare`).
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class Gates:
 
 
 @dataclass(frozen=True)
-class Rule:
+class GateRule:
     """One rule: exactly one of `RULE_KINDS`.
 
     Attributes:
@@ -244,14 +244,14 @@ def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
     return Gates(gates, source)
 
 
-def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> tuple[Rule, ...]:
+def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> tuple[GateRule, ...]:
     """Load the rules of a TOML file; the packaged rules if it has none, or for None.
 
     Raises:
         ConfigError: The file cannot be read, a key or metric is unknown, or a rule is contradictory; names file and
             rule.
     """
-    return _read_tables(path, "compare", Rule, metrics)[1] or _read_tables(None, "compare", Rule, metrics)[1]
+    return _read_tables(path, "compare", GateRule, metrics)[1] or _read_tables(None, "compare", GateRule, metrics)[1]
 
 
 def _read_tables(

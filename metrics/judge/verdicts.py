@@ -59,7 +59,17 @@ import pandas as pd
 
 from metrics.evidence import ASKED, ENSEMBLE
 from metrics.judge.aggregate import LogLabels, wilson
-from metrics.judge.excuses import LAWFUL, REFERENCE, Case, Drives, Row, excuse, group_of, lacking_evidence, marginal
+from metrics.judge.excuses import (
+    LAWFUL,
+    REFERENCE,
+    DrivesTable,
+    GateCase,
+    MetricRow,
+    excuse,
+    group_of,
+    lacking_evidence,
+    marginal,
+)
 from metrics.judge.gates import Gate, Gates, Outcome, count_logs, meant, unit_of
 
 _NO_ENTRIES: Mapping[Any, str] = MappingProxyType({})
@@ -137,16 +147,16 @@ def judge(
         failed: Reason by log, for logs that could not be evaluated.
         crashed: Reason by log, planner and mode, for drives that crashed.
     """
-    rows: dict[tuple[str, str], dict[str, dict[str, Row]]] = {}
-    columns = ("planner", "mode", "log", "metric", *Row._fields)
+    rows: dict[tuple[str, str], dict[str, dict[str, MetricRow]]] = {}
+    columns = ("planner", "mode", "log", "metric", *MetricRow._fields)
     about = table.get("about", table["reason"]).astype(object)
     about = about.where(about.notna(), table["reason"])  # reasons of older versions of replan contain full ids
     table = table.assign(about=[str(each).partition(":")[0] for each in about])
     for planner, mode, log, metric, *rest in zip(*(table[name] for name in columns), strict=True):
-        rows.setdefault((planner, mode), {}).setdefault(log, {})[metric] = Row(*rest)
+        rows.setdefault((planner, mode), {}).setdefault(log, {})[metric] = MetricRow(*rest)
     lawful = tuple(gate for gate in gates.gates if gate.over == "worst" and group_of(gate) in LAWFUL)
     oracles = frozenset(table.loc[table["oracle"].astype(bool) & (table["mode"] != REFERENCE), "planner"])
-    drives = Drives(rows, oracles, crashed, lawful)
+    drives = DrivesTable(rows, oracles, crashed, lawful)
     known = list(dict.fromkeys([*labels, *table["log"], *failed]))
     return tuple(verdict for gate in gates.gates for verdict in _judge_gate(gate, drives, known, labels, failed))
 
@@ -171,7 +181,7 @@ def worst(found: Iterable[Outcome]) -> Outcome:
 
 
 def _judge_gate(
-    gate: Gate, drives: Drives, known: Sequence[str], labels: Mapping[str, LogLabels], failed: Mapping[str, str]
+    gate: Gate, drives: DrivesTable, known: Sequence[str], labels: Mapping[str, LogLabels], failed: Mapping[str, str]
 ) -> list[Verdict]:
     """The verdicts of a gate, by planner, mode and group."""
     unknown = LogLabels()  # labels of a log that failed before they were known: any gate may select it
@@ -206,7 +216,7 @@ def _judge_gate(
             groups.setdefault(f"{gate.per} {word}" if word else f"{gate.per} not known", []).append(log)
     if modes:
         return [
-            _judge_drive(gate, drive, [_judge_log(Case(gate, log, *drive, drives), failed) for log in mine], group)
+            _judge_drive(gate, drive, [_judge_log(GateCase(gate, log, *drive, drives), failed) for log in mine], group)
             for drive in asked
             if drive[1] in modes
             for group, mine in sorted(groups.items())
@@ -221,7 +231,7 @@ def _judge_gate(
     return [Verdict(gate, Outcome.INCONCLUSIVE, reason)] if misspelt or not gate.optional else []
 
 
-def _judge_log(case: Case, failed: Mapping[str, str]) -> LogOutcome:
+def _judge_log(case: GateCase, failed: Mapping[str, str]) -> LogOutcome:
     """The outcome of a gate on a log (module docstring)."""
     gate, log, row = case.gate, case.log, case.row(case.gate.metric)
     if log in failed or log not in case.drives.rows[case.planner, case.mode]:

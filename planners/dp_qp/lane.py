@@ -27,7 +27,7 @@ from planners.dp_qp.path.stage import ChosenPath, PathMemory, PathStage
 from planners.dp_qp.speed.caps import SpeedTask
 from planners.dp_qp.speed.stage import ChosenSpeed, SpeedMemory, SpeedStage
 from planners.frenet.lane_sequence import LaneSequence
-from planners.frenet.scene import TRACK_M, Place, Scene, behind, on_path, scene_of
+from planners.frenet.scene import TRACK_M, Scene, StartPlace, behind, on_path, scene_of
 from planners.rules import Rulebook, RuleMemory
 
 FORGET_S = 0.5
@@ -50,7 +50,7 @@ class LaneMemory:
     """
 
     t: float = -inf
-    place: Place | None = None
+    place: StartPlace | None = None
     path: PathMemory = field(default_factory=PathMemory)
     speed: SpeedMemory = field(default_factory=SpeedMemory)
     rules: RuleMemory = field(default_factory=RuleMemory)

@@ -58,7 +58,7 @@ JOINT_M = 0.6
 """Boundaries nearer than this are one marking, m."""
 
 
-class Section(NamedTuple):
+class CrossSections(NamedTuple):
     """The road across stations `(k,)`: edges as in `ReferencePath`, speed limit (m/s), curvature of the line (1/m)."""
 
     lane_right: FloatArray
@@ -106,26 +106,26 @@ class ReferencePath:
 
     @cached_property
     def table(self) -> FloatArray:
-        """The columns of `Section` `(n, 8)` over `line.s`."""
-        columns = [getattr(self, name) for name in Section._fields if name != "kappa"]
+        """The columns of `CrossSections` `(n, 8)` over `line.s`."""
+        columns = [getattr(self, name) for name in CrossSections._fields if name != "kappa"]
         return frozen(np.column_stack([*columns, self.line.kappa]))
 
-    def at(self, s: FloatArray) -> Section:
+    def at(self, s: FloatArray) -> CrossSections:
         """The road at stations `(k,)`; beyond the ends as at the ends, without curvature."""
         return sections(self.line.s, self.table, s)
 
 
 @kernel
-def sections(knots: FloatArray, table: FloatArray, s: FloatArray) -> Section:
+def sections(knots: FloatArray, table: FloatArray, s: FloatArray) -> CrossSections:
     """`ReferencePath.at` for other kernels: its `line.s`, its `table`, stations `(k,)`."""
     out = np.empty((table.shape[1], len(s)))
     write_sections(knots, table, s, out)
-    return Section(out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7])
+    return CrossSections(out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7])
 
 
 @inner_kernel
 def write_sections(knots: FloatArray, table: FloatArray, s: FloatArray, out: FloatArray) -> None:
-    """Write the rows `(8, k)` of a `Section` at stations `(k,)`."""
+    """Write the rows `(8, k)` of a `CrossSections` at stations `(k,)`."""
     columns, last = table.shape[1], len(knots) - 1
     h = knots[1] - knots[0]
     for j in range(len(s)):

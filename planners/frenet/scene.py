@@ -29,7 +29,7 @@ from logs.states import EgoState, wrap
 from logs.trace import Decision, DecisionKind, PlanStart
 from logs.vehicle import VehicleParameters
 from planners.frenet.path import Path, frenet_start, out_of_frame
-from planners.frenet.reference_path import ReferencePath, Section, make_reference_path, write_sections
+from planners.frenet.reference_path import CrossSections, ReferencePath, make_reference_path, write_sections
 
 STITCH_M = 0.5
 """A plan starts on the previous one where the ego is nearer to it than this, m ..."""
@@ -88,7 +88,7 @@ class Futures(NamedTuple):
     yaw: FloatArray
 
 
-class Place(NamedTuple):
+class StartPlace(NamedTuple):
     """The start of a plan: x, y and its station, m."""
 
     x: float
@@ -129,9 +129,9 @@ class Scene:
     vulnerable: BoolArray
 
     @property
-    def place(self) -> Place:
+    def place(self) -> StartPlace:
         """The place of the start."""
-        return Place(self.start.x, self.start.y, self.s)
+        return StartPlace(self.start.x, self.start.y, self.s)
 
     @property
     def front(self) -> float:
@@ -149,9 +149,9 @@ class Scene:
         return max(self.start.v, 0.0)
 
     @property
-    def road(self) -> Section:
+    def road(self) -> CrossSections:
         """The road across the agents' stations."""
-        return Section(*self.across)
+        return CrossSections(*self.across)
 
     @property
     def futures(self) -> Futures:
@@ -165,7 +165,7 @@ class Scene:
 
 
 def scene_of(
-    frame: Frame, start: EgoState, reference: ReferencePath, vehicle: VehicleParameters, last: Place | None = None
+    frame: Frame, start: EgoState, reference: ReferencePath, vehicle: VehicleParameters, last: StartPlace | None = None
 ) -> Scene:
     """The scene of a frame for a plan from `start`; its foot point is searched as far on from `last` as it moved."""
     line, agents = reference.line, frame.agents
@@ -191,7 +191,7 @@ def place_agents(
     knots: FloatArray, coef: FloatArray, table: FloatArray, limits: FloatArray, bodies: Bodies,
     ego: tuple[float, float], near: float, within: float,
 ) -> tuple[float, float, float, FloatArray]:  # fmt: skip
-    """Station and offset of the ego, the speed limit there, and rows `AgentsAlong`, speed, `Section` `(14, n)`.
+    """Station and offset of the ego, the speed limit there, and rows `AgentsAlong`, speed, `CrossSections` `(14, n)`.
 
     The ego's foot point is searched up to `within` m from the station `near`; `table` is that of a reference path.
     """
@@ -253,7 +253,7 @@ class RouteTracker:
         self._vehicle = context.vehicle
         route = find_route(context.road, context.start, context.goal)
         self.reference: ReferencePath = make_reference_path(context.road, route, context.start)
-        self._last: Place | None = None
+        self._last: StartPlace | None = None
 
     def scene(self, frame: Frame) -> tuple[Scene, PlanStart]:
         """The scene of a frame along the route, and the kind of start of its plan."""

@@ -148,7 +148,7 @@ def st_boundaries(
         is_passed |= np.array([name in passed for name in agents.ids], np.bool_)
     margins = config.margin_m, config.vulnerable_margin_m, config.passed_margin_m
     ego = Swept(car.axle_to_center, car.length, car.width, *margins, config.early_s, config.late_s)
-    way = Way(path.sigma, path.x, path.y, path.yaw)
+    way = SweptPath(path.sigma, path.x, path.y, path.yaw)
     roles = Roles(skip, scene.vulnerable, is_passed)
     return StBoundaries(*sweep(way, futures, scene.bodies, roles, ego, scene.frame.t, stride))
 
@@ -202,7 +202,7 @@ def stop_outlines(stops: Sequence[Occupancy], horizon: float, length: float) -> 
     return tuple(found)
 
 
-class Way(NamedTuple):
+class SweptPath(NamedTuple):
     """A path of the rear axle for the sweep `(points,)`, as in `Path`."""
 
     sigma: FloatArray
@@ -240,7 +240,7 @@ class Swept(NamedTuple):
 
 @kernel
 def sweep(
-    way: Way, futures: Futures, bodies: Bodies, roles: Roles, ego: Swept, now: float, stride: int
+    way: SweptPath, futures: Futures, bodies: Bodies, roles: Roles, ego: Swept, now: float, stride: int
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """The fields of `StBoundaries` for the predictions that take the path, at times `stride` samples apart."""
     t = futures.t[::stride] - now
@@ -323,7 +323,7 @@ def _takes(
 
 
 @inner_kernel
-def _ego_boxes(way: Way, count: int, rear_to_center: float, radius: float) -> tuple[FloatArray, float]:
+def _ego_boxes(way: SweptPath, count: int, rear_to_center: float, radius: float) -> tuple[FloatArray, float]:
     """Rows x, y, cos yaw, sin yaw, yaw `(5, count)` of the ego's box along a path; the greatest step of a point."""
     out = np.empty((5, count))
     moved = 1e-6

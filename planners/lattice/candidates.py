@@ -211,7 +211,7 @@ def _outside(l: float, s: float, grid: FloatArray, left: FloatArray, right: Floa
     return max(l - left[at], right[at] - l, 0.0)
 
 
-class Ego(NamedTuple):
+class FrenetStart(NamedTuple):
     """The start in the Frenet frame: station, m; l, l', l''; s_dot, m/s; s_ddot, m/s2."""
 
     s: float
@@ -220,7 +220,7 @@ class Ego(NamedTuple):
     accel: float
 
 
-class Futures(NamedTuple):
+class NearFutures(NamedTuple):
     """The n predictions near the ego, on the plan's grid of `HORIZON_KNOTS` times.
 
     Attributes:
@@ -286,7 +286,7 @@ class Room(NamedTuple):
     right: FloatArray
 
 
-class Body(NamedTuple):
+class EgoLimits(NamedTuple):
     """The ego's box and limits: distance from rear axle to centre, length, width (m), curvature (1/m), a_lat (m/s2)."""
 
     rear_to_center: float
@@ -297,7 +297,7 @@ class Body(NamedTuple):
 
 
 @inner_kernel
-def _met(x: float, y: float, yaw: float, k: int, others: Futures, skip: BoolArray, ego: Body) -> bool:
+def _met(x: float, y: float, yaw: float, k: int, others: NearFutures, skip: BoolArray, ego: EgoLimits) -> bool:
     """Whether the ego's box, grown by each agent's margin, meets an agent at sample k."""
     cx, cy = x + ego.rear_to_center * cos(yaw), y + ego.rear_to_center * sin(yaw)
     pose, sizes = others.pose, others.sizes
@@ -313,7 +313,7 @@ def _met(x: float, y: float, yaw: float, k: int, others: Futures, skip: BoolArra
 
 @inner_kernel
 def drive_fault(
-    at: FloatArray, motion: FloatArray, s0: float, room: Room, others: Futures, skip: BoolArray, ego: Body
+    at: FloatArray, motion: FloatArray, s0: float, room: Room, others: NearFutures, skip: BoolArray, ego: EgoLimits
 ) -> int:
     """The first fault of a candidate's `states` `(9, k)` and s, s_dot, s_ddot `(3, k)` over time, 0 without one.
 
@@ -338,7 +338,7 @@ def drive_fault(
 
 @kernel
 def first_feasible(
-    pairs: Pairs, order: IntArray, ego: Ego, room: Room, others: Futures, body: Body
+    pairs: Pairs, order: IntArray, ego: FrenetStart, room: Room, others: NearFutures, body: EgoLimits
 ) -> tuple[int, IntArray]:
     """The first pair in `order` without a fault, -1 if there is none, and the number of pairs found with each fault."""
     found, start = np.zeros(FAULTS, np.int64), np.array(ego.lateral)
@@ -381,7 +381,7 @@ def headway(
 ) -> FloatArray:  # fmt: skip
     """(5) of longitudinal candidates `(m, 3, k)`, as in `sample_polynomials`, on the track at offset `l1`: `(m,)`.
 
-    `others` are `futures_frenet`, `behind` is as in `Futures`; `box` has the distances from the rear axle to front and
+    `others` are `futures_frenet`, `behind` is as in `NearFutures`; `box` has the distances from the rear axle to front and
     rear, and half the width, m; `wanted` is g0, tau; `changes`: whether the track is not the ego's.
     """
     out = np.zeros(len(motion))

@@ -49,11 +49,11 @@ from planners.lattice.candidates import (
     REASONS,
     REST_MPS,
     STRIDE,
-    Body,
-    Ego,
+    EgoLimits,
     Fault,
-    Futures,
+    FrenetStart,
     Longitudinal,
+    NearFutures,
     Pairs,
     Room,
     first_feasible,
@@ -137,7 +137,7 @@ class LatticeConfig:
             raise ValueError(f"lattice durations must be at least {STEP_S} s")
 
 
-def ego_frenet(scene: Scene) -> Ego:
+def ego_frenet(scene: Scene) -> FrenetStart:
     """The start in the Frenet frame: the inverse of `candidates.states`.
 
     Near standstill it drops a deceleration that would soon make the ego reverse.
@@ -149,10 +149,10 @@ def ego_frenet(scene: Scene) -> Ego:
     dkappa_r = 2.0 * (line.frame(s0 + 0.25)[3] - line.frame(s0 - 0.25)[3])
     turning = R * tan(turn) * (start.kappa * R / cos(turn) - kappa_r) - (dkappa_r * l0 + kappa_r * lateral[1])
     accel = (start.a - speed**2 / cos(turn) * turning) * cos(turn) / R
-    return Ego(s0, lateral, speed, max(accel, -6.0 * speed))
+    return FrenetStart(s0, lateral, speed, max(accel, -6.0 * speed))
 
 
-def futures_of(scene: Scene, ego: Ego, config: LatticeConfig) -> Futures:
+def futures_of(scene: Scene, ego: FrenetStart, config: LatticeConfig) -> NearFutures:
     """The predicted agents of a scene on the plan's grid of times; before and after the predictions they stay."""
     frame, start, line, car = scene.frame, scene.start, scene.reference.line, scene.vehicle
     agents, futures = frame.agents, frame.predictions
@@ -183,7 +183,7 @@ def futures_of(scene: Scene, ego: Ego, config: LatticeConfig) -> Futures:
     frenet = futures_frenet(line.s, line.coef, thin[0], thin[1], thin[2], sizes, ego.s)
     speed = (frenet[0, :, 1] - frenet[0, :, 0]) / (STRIDE * STEP_S)
     follow = [behind(scene, keeps_track=keeps) for keeps in (True, False)]
-    return Futures(agent, pose, frenet, speed, sizes, np.array([rows[agent] for rows in follow]))
+    return NearFutures(agent, pose, frenet, speed, sizes, np.array([rows[agent] for rows in follow]))
 
 
 class Sampler:
@@ -205,7 +205,7 @@ class Sampler:
         self.left = np.maximum(reference.road_left - side, middle)
         self.right = np.minimum(reference.road_right + side, middle)
 
-    def pairs(self, ego: Ego, futures: Futures, stops: Sequence[Occupancy] = ()) -> Pairs:
+    def pairs(self, ego: FrenetStart, futures: NearFutures, stops: Sequence[Occupancy] = ()) -> Pairs:
         """All longitudinal polynomials that keep limits and stops, each with all lateral ones of its tracks."""
         config, stations, aim = self._config, self._reference.line.s, open_end(stops)
         spacing, there = config.offset_spacing_m, ego.s + 2.0 * ego.speed + 10.0
@@ -235,7 +235,7 @@ class Sampler:
         kept = Longitudinal(*(column[fit] for column in lon))
         return self._pair_candidates(ego, futures, kept, motion[fit], offsets, wanted, counts)
 
-    def _keeping(self, ego: Ego, wanted: float, aim: float) -> list[Row]:
+    def _keeping(self, ego: FrenetStart, wanted: float, aim: float) -> list[Row]:
         """Polynomials to speeds up to the wanted one, to the ego's own speed, and to rest, from gentle to hard braking.
 
         Where the rules demand a stop at `aim`, m (inf: none), rows that end before it miss it; further rows reach it.
@@ -253,7 +253,7 @@ class Sampler:
             rows += [(*reach_point(ego.speed, ego.accel, aim, 0.0, T), T, 0.0, 0.0, -1.0) for T in config.durations_s]
         return rows
 
-    def _reaching(self, ego: Ego, futures: Futures, offsets: FloatArray) -> list[Row]:
+    def _reaching(self, ego: FrenetStart, futures: NearFutures, offsets: FloatArray) -> list[Row]:
         """Points behind the first agent on each track at time T: at the wanted gap, and nearer."""
         config, car, rows = self._config, self._vehicle, list[Row]()
         if not len(futures.agent):
@@ -277,7 +277,7 @@ class Sampler:
         return rows
 
     def _pair_candidates(
-        self, ego: Ego, futures: Futures, lon: Longitudinal, motion: FloatArray, offsets: FloatArray, wanted: float,
+        self, ego: FrenetStart, futures: NearFutures, lon: Longitudinal, motion: FloatArray, offsets: FloatArray, wanted: float,
         faults: IntArray,
     ) -> Pairs:  # fmt: skip
         """The pairs with their costs (`candidates`, (4))."""
@@ -340,7 +340,7 @@ class Lattice:
         car, line = self._vehicle, self._tracker.reference.line
         order = np.argsort(np.round(pairs.costs.sum(axis=0), 9), kind="stable")
         room = Room(line.s, line.coef, self._sampler.left, self._sampler.right)
-        body = Body(car.axle_to_center, car.length, car.width, car.max_kappa, self._config.lat_accel_mps2)
+        body = EgoLimits(car.axle_to_center, car.length, car.width, car.max_kappa, self._config.lat_accel_mps2)
         chosen, faults = first_feasible(pairs, order, ego, room, futures, body)
         dearer = len(pairs.row) - int(faults.sum()) - 1 if chosen >= 0 else 0
         counts = [(why, int((pairs.faults + faults)[fault])) for fault, why in REASONS.items()]
@@ -359,26 +359,26 @@ class Lattice:
         way = Trajectory(t, x, y, yaw, np.where(rest, 0.0, v), np.where(rest & (np.abs(a) < REST_MPS), 0.0, a), kappa)
 
         def internals() -> tuple[Artefact, ...]:
-            shown = artefacts(Chosen(scene, ego, futures, pairs, chosen, at, motion), self._config)
+            shown = artefacts(ChosenPair(scene, ego, futures, pairs, chosen, at, motion), self._config)
             return (*shown, *(stop.decision for stop in stops), counted)
 
         return Plan(way, start=start_kind, internals=Internals((), internals))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Chosen:
+class ChosenPair:
     """The chosen pair of a scene: its `states` `(9, k)`, and its s, s_dot, s_ddot `(3, k)`."""
 
     scene: Scene
-    ego: Ego
-    futures: Futures
+    ego: FrenetStart
+    futures: NearFutures
     pairs: Pairs
     pair: int
     at: FloatArray
     motion: FloatArray
 
 
-def artefacts(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
+def artefacts(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, ...]:
     """Graphs, decisions and costs of the chosen pair.
 
     Each agent that stands in the middle of the road and that the ego passes has a decision with the side.
@@ -410,7 +410,7 @@ def artefacts(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
     return (sl_graph, *_graph_along(chosen, config), *decided, costs)
 
 
-def _graph_along(chosen: Chosen, config: LatticeConfig) -> tuple[Artefact, ...]:
+def _graph_along(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, ...]:
     """The S-T graph along the planned path, and the decisions to follow, yield to or overtake agents."""
     scene, at, futures = chosen.scene, chosen.at, chosen.futures
     way, d = path_through(at[0], at[1], at[2], at[5]), np.arange(1.0, 30.0)

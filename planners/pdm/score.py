@@ -78,7 +78,7 @@ class Scores:
         return np.asarray(self.weighted.sum(axis=0))
 
 
-class Body(NamedTuple):
+class EgoSize(NamedTuple):
     """The ego's length and width, and the distances from its rear axle to its centre and front, m."""
 
     length: float
@@ -93,7 +93,7 @@ def scores(states: FloatArray, scene: Scene, near: IntArray, weights: tuple[floa
     `near` are the indices of the agents to consider, `weights` those of progress, ttc and comfort.
     """
     agents, reference, car = scene.frame.agents, scene.reference, scene.vehicle
-    line, body = reference.line, Body(car.length, car.width, car.axle_to_center, car.axle_to_front)
+    line, body = reference.line, EgoSize(car.length, car.width, car.axle_to_center, car.axle_to_front)
     off, beside, against, way = _on_road(states, line.s, line.coef, reference.table, scene.s, body)
     drivable = (off - off[:, :1]).max(axis=1) <= OFF_M
     direction = 1.0 - 0.5 * (against > AGAINST_M[0]) - 0.5 * (against > AGAINST_M[1])
@@ -111,7 +111,7 @@ def scores(states: FloatArray, scene: Scene, near: IntArray, weights: tuple[floa
 
 @kernel
 def _on_road(
-    states: FloatArray, knots: FloatArray, coef: FloatArray, table: FloatArray, s_start: float, ego: Body
+    states: FloatArray, knots: FloatArray, coef: FloatArray, table: FloatArray, s_start: float, ego: EgoSize
 ) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
     """Per proposal and step `(n, k)`: the distance off the road, m, and whether the ego is out of its lane.
 
@@ -150,7 +150,7 @@ def _on_road(
 
 @kernel
 def _meetings(
-    states: FloatArray, moving: FloatArray, objects: BoolArray, astray: BoolArray, ego: Body
+    states: FloatArray, moving: FloatArray, objects: BoolArray, astray: BoolArray, ego: EgoSize
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
     """Per proposal: step and agent of the first contact at fault (-1 without one), `collision` and `ttc` of (1).
 
@@ -173,7 +173,7 @@ def _meetings(
 
 
 @inner_kernel
-def _meets(states: FloatArray, k: int, ahead: int, other: FloatArray, ego: Body) -> int:
+def _meets(states: FloatArray, k: int, ahead: int, other: FloatArray, ego: EgoSize) -> int:
     """Whether the ego, extrapolated from step k by `ahead` steps, touches an agent: 1; -1 if it is behind; else 0."""
     c, s, t, way = cos(states[2, k]), sin(states[2, k]), STEP_S * (k + ahead), STEP_S * ahead * states[3, k]
     x, y = states[0, k] + (ego.center + way) * c, states[1, k] + (ego.center + way) * s
@@ -187,7 +187,7 @@ def _meets(states: FloatArray, k: int, ahead: int, other: FloatArray, ego: Body)
 
 
 @inner_kernel
-def _contact_at_fault(states: FloatArray, other: FloatArray, is_object: bool, astray: BoolArray, ego: Body) -> int:
+def _contact_at_fault(states: FloatArray, other: FloatArray, is_object: bool, astray: BoolArray, ego: EgoSize) -> int:
     """The step of the first contact with an agent if it is the ego's fault; else -1."""
     for k in range(1, states.shape[1]):
         met = _meets(states, k, 0, other, ego)
@@ -206,7 +206,7 @@ def _contact_at_fault(states: FloatArray, other: FloatArray, is_object: bool, as
 
 
 @inner_kernel
-def _comes_close(states: FloatArray, other: FloatArray, ego: Body) -> bool:
+def _comes_close(states: FloatArray, other: FloatArray, ego: EgoSize) -> bool:
     """Whether the first contact that `ttc` finds is with an agent that is not behind."""
     for k in range(states.shape[1]):
         for ahead in CARRIED:

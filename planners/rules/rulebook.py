@@ -44,11 +44,11 @@ from planners.frenet.scene import Occupancy, Scene
 from planners.rules.zones import (
     ASKEW_RAD,
     ROOM_M,
-    Line,
     Priority,
+    StopLineAhead,
     Walk,
-    Window,
     Zone,
+    ZoneTime,
     lines_along,
     windows,
     zones_along,
@@ -199,7 +199,7 @@ class Rulebook:
         found += self._at_zones(visit, min((stop.s_from for stop in found), default=inf))
         return tuple(sorted(found, key=lambda stop: stop.s_from)), visit.remembered(found)
 
-    def _at_line(self, line: Line, visit: _Visit) -> Occupancy | None:
+    def _at_line(self, line: StopLineAhead, visit: _Visit) -> Occupancy | None:
         """The stop at a line, by (1) to (3)."""
         name = f"stop line {line.id}"
         held = name in visit.stopping
@@ -303,7 +303,7 @@ class Rulebook:
         end = zone.s_in if _merges(zone) else zone.s_out
         return _when(motion, zone.s_in - front), _when(motion, end + self._vehicle.length - front)
 
-    def _passes(self, zone: Zone, window: Window, t_in: float, t_out: float, motion: FloatArray, less: float) -> bool:
+    def _passes(self, zone: Zone, window: ZoneTime, t_in: float, t_out: float, motion: FloatArray, less: float) -> bool:
         """Whether (4) holds for one window, with the margin reduced by `less`, s."""
         extra, clear = 0.0, CLEAR_S if isinstance(zone.by, Priority) else WALK_CLEAR_S
         if _merges(zone) and isfinite(t_out) and window.speed > 0.0:
@@ -311,7 +311,7 @@ class Rulebook:
             extra = max(window.speed - own, 0.0) ** 2 / (2.0 * window.speed * YIELD_MPS2)
         return t_out + clear - less + extra <= window.begin + TIE or _gone(zone, window) <= t_in + TIE  # (4)
 
-    def _release(self, zone: Zone, visit: _Visit, taken: tuple[Window, ...], motion: FloatArray) -> float:
+    def _release(self, zone: Zone, visit: _Visit, taken: tuple[ZoneTime, ...], motion: FloatArray) -> float:
         """When the ego may pass the place where it waits, s: (4) holds for all windows, at speed and from rest.
 
         inf if it does not within the horizon.
@@ -331,7 +331,7 @@ def _merges(zone: Zone) -> bool:
     return isinstance(zone.by, Priority) and zone.by.merges
 
 
-def _gone(zone: Zone, window: Window) -> float:
+def _gone(zone: Zone, window: ZoneTime) -> float:
     """Time from which the ego may enter a zone after an agent, s; where lanes merge, it follows the agent."""
     if _merges(zone):
         return window.begin + FOLLOW_S  # (4)

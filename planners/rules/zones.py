@@ -70,7 +70,7 @@ ASKEW_RAD = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class StopLineAhead:
     """A stop line that applies to the reference path, at the station `s` that the front must not pass, m."""
 
     id: int
@@ -126,11 +126,11 @@ class Zone:
     holds: tuple[float, ...] = ()
 
 
-def lines_along(road: Road, reference: ReferencePath, width: float) -> tuple[Line, ...]:
+def lines_along(road: Road, reference: ReferencePath, width: float) -> tuple[StopLineAhead, ...]:
     """The stop lines of a reference path that lights or stop signs may make the ego stop at, in driving order."""
     found = [(mark, _stop_station(mark, reference.line, width)) for mark in _marks(road, reference.lanes)]
     binding = [
-        Line(mark.id, s, mark.light, mark.must_stop)
+        StopLineAhead(mark.id, s, mark.light, mark.must_stop)
         for mark, s in found
         if s is not None and (mark.light is not None or mark.must_stop)
     ]
@@ -288,7 +288,7 @@ def distances(points: FloatArray, line: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class ZoneTime:
     """An agent takes a zone from `begin` to `end`, s after the frame's time; inf: the end is not known.
 
     Attributes:
@@ -303,13 +303,13 @@ class Window:
     waits: bool = False
 
 
-def windows(zone: Zone, line: ReferenceLine, road: Road, frame: Frame) -> tuple[Window, ...]:
+def windows(zone: Zone, line: ReferenceLine, road: Road, frame: Frame) -> tuple[ZoneTime, ...]:
     """The windows in which agents take a zone, in order of their begin."""
     found = _walking(zone, zone.by, line, frame) if isinstance(zone.by, Walk) else _driving(zone.by, road, frame)
     return tuple(sorted(found, key=lambda window: (window.begin, window.end, window.agent)))
 
 
-def _walking(zone: Zone, walk: Walk, line: ReferenceLine, frame: Frame) -> Iterator[Window]:
+def _walking(zone: Zone, walk: Walk, line: ReferenceLine, frame: Frame) -> Iterator[ZoneTime]:
     """Windows of the pedestrians who are on a crosswalk, or near it and do not walk along or away from it."""
     futures, agents, polygon, ahead = (
         frame.predictions,
@@ -348,7 +348,7 @@ def _on_half(zone: Zone, walk: Walk, line: ReferenceLine, x: FloatArray, y: Floa
     return np.asarray(along & (l > walk.right - KEPT_M) & (l < walk.left + KEPT_M))
 
 
-def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[Window]:
+def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[ZoneTime]:
     """Windows of the vehicles that may take the zone, by the lane that they are on; the priority lane comes first."""
     agents, futures = frame.agents, frame.predictions
     taken: set[int] = set()
@@ -375,7 +375,7 @@ def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[Window]:
                     yield from _span(mine, futures.t - frame.t, i, frame)
 
 
-def _passage(priority: Priority, i: int, frame: Frame) -> Iterator[Window]:
+def _passage(priority: Priority, i: int, frame: Frame) -> Iterator[ZoneTime]:
     """The window (4) of a vehicle on the priority lane."""
     agents, center = frame.agents, priority.lane.center
     x, y, step = float(agents.x[i]), float(agents.y[i]), np.diff(center, axis=0)
@@ -389,17 +389,17 @@ def _passage(priority: Priority, i: int, frame: Frame) -> Iterator[Window]:
     if p - half > priority.p_out:
         return
     if v >= STANDING_MPS:
-        yield Window(max(priority.p_in - p - half, 0.0) / v, (priority.p_out - p + half) / v, i, v)  # (4)
+        yield ZoneTime(max(priority.p_in - p - half, 0.0) / v, (priority.p_out - p + half) / v, i, v)  # (4)
     elif p + half > priority.p_in:
-        yield Window(0.0, inf, i, v)
+        yield ZoneTime(0.0, inf, i, v)
 
 
-def _span(taken: BoolArray, ahead: FloatArray, i: int, frame: Frame) -> Iterator[Window]:
+def _span(taken: BoolArray, ahead: FloatArray, i: int, frame: Frame) -> Iterator[ZoneTime]:
     """The window from the first to the last taken time; it has no end if that is the last time of the predictions."""
     at = np.flatnonzero(taken)
     if len(at):
         end = inf if at[-1] == len(ahead) - 1 else float(ahead[at[-1]])
-        yield Window(float(ahead[at[0]]), end, i, float(frame.agents.speed[i]))
+        yield ZoneTime(float(ahead[at[0]]), end, i, float(frame.agents.speed[i]))
 
 
 @kernel

@@ -17,7 +17,7 @@ app.py         what the commands share
 
 from replay.cli import about, compare, drives, evaluate, logs, mine, report, score, search
 from replay.cli.app import app, bug, group_commands
-from replay.cli.options import Command
+from replay.cli.options import StrictCommand
 from replay.interruption import end_at_once
 
 __all__ = ["about", "app", "compare", "drives", "evaluate", "logs", "main", "mine", "report", "score", "search"]
@@ -31,7 +31,7 @@ PANELS = {
     "Names, kernels, shards": ("list", "metrics", "warmup", "merge"),
 }
 """The groups of `replan --help` with their commands, in order."""
-group_commands(PANELS, Command)
+group_commands(PANELS, StrictCommand)
 
 COLLECTED_EVERY = 10_000
 """New objects between two garbage collections: with Python's 700, they took 1/12 of the time to a first verdict."""

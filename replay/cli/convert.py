@@ -11,7 +11,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from logs.agents import Change
+from logs.agents import TrackChange
 from logs.errors import ConfigError, LogError, writing
 from logs.mcap import is_written_here, write_scenario
 from logs.mcap.writer import Entry
@@ -24,8 +24,8 @@ from replay.loop.reference_drives import discriminate
 from replay.results.tables import write_text
 from replay.run.claim import check_file, claimed_file
 
-CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(Change))
-"""Columns of the table: the fields of `logs.agents.Change`."""
+CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(TrackChange))
+"""Columns of the table: the fields of `logs.agents.TrackChange`."""
 CHANGES_HEADER = ",".join(CHANGE_COLUMNS) + "\n"
 
 
@@ -165,7 +165,7 @@ def repair_log(log: Path, target: Path, table: Path | None, settings: LogSetting
     return scenario
 
 
-def changes(scenario: Scenario) -> tuple[Change, ...]:
+def changes(scenario: Scenario) -> tuple[TrackChange, ...]:
     """The changes of the repair; empty if there was none."""
     return () if scenario.repair is None else scenario.repair.changes
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from replay.results.load import DriveResult, Results
 
 
-class Chosen(NamedTuple):
+class ChosenDrive(NamedTuple):
     """A drive, and a remark in brackets on why it was chosen; "" if no other drive matches."""
 
     drive: DriveResult
@@ -62,14 +62,14 @@ def matching_drives(results: Results, log: str | None, planner: str | None, mode
     return [results.drive(*key) for key in table[["log", "planner", "mode"]].itertuples(index=False, name=None)]
 
 
-def chosen_drive(results: Results, log: str | None, planner: str | None, mode: opt.Loop | None) -> Chosen:
+def chosen_drive(results: Results, log: str | None, planner: str | None, mode: opt.Loop | None) -> ChosenDrive:
     """The worst of the matching drives (`matching_drives`), as `worst_drive`."""
     asked = {"log": log, "planner": planner, "mode": mode}
     others = ", ".join(f"--{name}" for name, value in asked.items() if value is None)
     return worst_drive(results, matching_drives(results, log, planner, mode), others or "--log")
 
 
-def worst_drive(results: Results, drives: Sequence[DriveResult], options: str) -> Chosen:
+def worst_drive(results: Results, drives: Sequence[DriveResult], options: str) -> ChosenDrive:
     """The worst of some drives of a run; the remark gives the options that select another drive.
 
     Worst is the first in the reports (`Overview.ranked`); of two loops, the one in which a gate failed, otherwise the
@@ -78,14 +78,14 @@ def worst_drive(results: Results, drives: Sequence[DriveResult], options: str) -
     from replay.draw.report.overview import overview
 
     if len(drives) == 1:
-        return Chosen(drives[0], "")
+        return ChosenDrive(drives[0], "")
     rows = {(row.log, row.planner): place for place, row in enumerate(overview(results).ranked)}
 
     def rank(drive: DriveResult) -> tuple[int, bool, bool]:
         failed = bool((drive.verdicts["outcome"] == "fail").any())
         return rows[drive.log, drive.planner], not failed, drive.mode != "closed"
 
-    return Chosen(min(drives, key=rank), f" (the worst of {len(drives)} drives; another: {options})")
+    return ChosenDrive(min(drives, key=rank), f" (the worst of {len(drives)} drives; another: {options})")
 
 
 @app.command()

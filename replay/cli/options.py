@@ -253,7 +253,7 @@ RENAMED = {"compare": {"--no-partings": "--no-first-difference"}, "frame": {"--o
 """Options of other commands, and their new names."""
 
 
-class Command(TyperCommand):
+class StrictCommand(TyperCommand):
     """A command that refuses an option with one value that is given twice."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -278,7 +278,7 @@ class Command(TyperCommand):
         return parsed
 
 
-class EvaluateCommand(Command):
+class EvaluateCommand(StrictCommand):
     """`replan evaluate`, which also takes the options in `EVALUATE`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -287,7 +287,7 @@ class EvaluateCommand(Command):
         return left
 
 
-class RenamingCommand(Command):
+class RenamingCommand(StrictCommand):
     """A command that also takes its options in `RENAMED`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

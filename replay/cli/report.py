@@ -157,7 +157,7 @@ def report(
         from replay.draw.report.write import write_reports
         from replay.results.load import load
         from replay.results.tables import REPORTS
-        from replay.run.claim import Contents, claimed_folder
+        from replay.run.claim import FolderContents, claimed_folder
         from replay.run.output import held
 
         if url_of(results) and out is None:
@@ -167,7 +167,7 @@ def report(
         found = load(results)
         folder = out or found.path
         beside = folder.resolve() == found.path.resolve()
-        with held(folder) if beside else claimed_folder(folder, Contents("report", REPORTS, resumes=False)):
+        with held(folder) if beside else claimed_folder(folder, FolderContents("report", REPORTS, resumes=False)):
             comparison = None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
             why = None if diagnosis is None else read_diagnosis(diagnosis, found)
             written = write_reports(found, overview(found, comparison, why), folder)

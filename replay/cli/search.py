@@ -67,7 +67,7 @@ def falsify(
     """
     with handle_errors():
         from replay.search.axes import agents_of, opened, search_axes
-        from replay.search.falsify import Question
+        from replay.search.falsify import FalsifyQuestion
         from replay.search.falsify import falsify as falsified
 
         if listing:
@@ -89,7 +89,7 @@ def falsify(
             return
         axes = search_axes(axis or [], scale or [], subject.family, with_agents=len(subject.scenario.tracks) > 0)
         agents = agents_of(subject, axes, agent or [])
-        question = Question(subject.of(agents), axes, run, against, budget, seed, resolution)
+        question = FalsifyQuestion(subject.of(agents), axes, run, against, budget, seed, resolution)
         whose, say_progress = ", ".join(question.subject.short_agents), progress_lines(quiet=quiet)
         say_progress(f"varied: {', '.join(axis.name for axis in axes)}{f' of {whose}' if whose else ''}")
         result = falsified(question, out, workers=worker_count(workers), resume=resume, say=say_progress)
@@ -152,13 +152,13 @@ def tune(
         from replay.run.one_log import all_metrics
         from replay.search.gains import DEFAULT_OBJECTIVES, objectives
         from replay.search.space import load_space
-        from replay.search.trials import Plan
+        from replay.search.trials import TuningInputs
         from replay.search.tune import tune as tuned
 
         options = {"planners": [planner], "metrics": metric, "gates": None if gates is None else str(gates)}
         run = run_config(config, options, settings or ())
         asked = objectives(objective or DEFAULT_OBJECTIVES, all_metrics(run))
-        plan = Plan(run, load_space(space, run), asked, trials, seed, held_out)
+        plan = TuningInputs(run, load_space(space, run), asked, trials, seed, held_out)
         selection = selected(logs or [], run, None, suite)
         driven_on = engine_of(engine, address, workers)
         result = tuned(plan, selection, out, engine=driven_on, resume=resume, say=progress_lines(quiet=quiet))

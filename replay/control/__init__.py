@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from logs.extension import Kind
+from logs.extension import ExtensionKind
 from logs.vehicle import VehicleParameters
 from replay.control.estimation import SteeringDelay
 from replay.control.mpc import Mpc, MpcConfig
@@ -63,4 +63,4 @@ CONTROLLERS: dict[str, ControllerFactory] = {
     "pid": split_controller("A PID for the steering and a single-loop PID for the speed.", STEERING_PID, SPEED_PID),
 }
 
-CONTROLLER: Kind[ControllerFactory] = Kind("controller", "controllers", CONTROLLERS)
+CONTROLLER: ExtensionKind[ControllerFactory] = ExtensionKind("controller", "controllers", CONTROLLERS)

@@ -68,7 +68,7 @@ from replay.control.lateral_model import (
     with_rigid_tyres,
     with_steering,
 )
-from replay.vehicle.base import Motion
+from replay.vehicle.base import MotionState
 from replay.vehicle.drivetrain import SHORTEST_LAG_S
 from replay.vehicle.plan_path import Deviation, path_kappa
 
@@ -240,7 +240,7 @@ def dlqr_start(period: float) -> DlqrState:
 
 @inner_kernel
 def steer_slipping(
-    law: DlqrLaw, state: DlqrState, now: Motion, off: Deviation, knots: FloatArray
+    law: DlqrLaw, state: DlqrState, now: MotionState, off: Deviation, knots: FloatArray
 ) -> tuple[float, DlqrState]:
     """Front wheel angle to command, rad, and the updated state."""
     v, delay, model = now.v, state.delay, law.delay
@@ -283,7 +283,7 @@ def kinematic_law(p: VehicleParameters, period: float, config: DlqrConfig | None
 
 
 @inner_kernel
-def steer_rolling(law: KinematicLaw, now: Motion, off: Deviation, knots: FloatArray) -> float:
+def steer_rolling(law: KinematicLaw, now: MotionState, off: Deviation, knots: FloatArray) -> float:
     """Front wheel angle to command, rad."""
     here = atan(law.wheelbase * path_kappa(knots, off.foot))
     ahead = atan(law.wheelbase * path_kappa(knots, off.foot + now.v * law.preview))

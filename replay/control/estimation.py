@@ -36,7 +36,7 @@ import numpy as np
 from logs.kernel import FloatArray, inner_kernel, kernel
 from logs.vehicle import VehicleParameters
 from replay.control.lateral_model import Series, at_speed, kappa_rate, lateral_table, steer_for
-from replay.vehicle.base import Motion
+from replay.vehicle.base import MotionState
 from replay.vehicle.drivetrain import SHORTEST_LAG_S
 from replay.vehicle.plan_path import Deviation, path_kappa
 
@@ -89,7 +89,7 @@ def slip_model(p: VehicleParameters, period: float) -> SlipModel:
 
 
 @kernel
-def learned(state: SlipState, car: SlipModel, now: Motion) -> SlipState:
+def learned(state: SlipState, car: SlipModel, now: MotionState) -> SlipState:
     """The state after the motion of one more period."""
     r, v = now.yaw_rate, now.v
     if v < SLOWEST_MPS:
@@ -198,7 +198,7 @@ def record(state: DelayState, model: DelayModel, command: float) -> None:
 
 
 @kernel
-def lateral_deviation(now: Motion, off: Deviation, knots: FloatArray, slip: float) -> Lateral:
+def lateral_deviation(now: MotionState, off: Deviation, knots: FloatArray, slip: float) -> Lateral:
     """How far the ego is off exact following of a path now; `slip` is p_0 of `following_at`."""
     v, kappa = now.v, path_kappa(knots, off.foot)
     side = now.v_lat * cos(off.heading) + v * (sin(off.heading) - off.heading)

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 from logs.kernel import FloatArray, inner_kernel
 from logs.states import wrap
-from replay.vehicle.base import Motion
+from replay.vehicle.base import MotionState
 from replay.vehicle.plan_path import Deviation, path_foot, path_point
 
 
@@ -41,7 +41,7 @@ class PursuitLaw(NamedTuple):
 
 
 @inner_kernel
-def steer_pursuing(law: PursuitLaw, now: Motion, off: Deviation, knots: FloatArray) -> float:
+def steer_pursuing(law: PursuitLaw, now: MotionState, off: Deviation, knots: FloatArray) -> float:
     """Return the front wheel angle to command, rad."""
     wanted = min(max(law.time * now.v, law.shortest), law.longest)  # (1)
     s = off.foot + wanted
@@ -65,7 +65,7 @@ class StanleyLaw(NamedTuple):
 
 
 @inner_kernel
-def steer_at_front(law: StanleyLaw, now: Motion, off: Deviation, knots: FloatArray) -> float:
+def steer_at_front(law: StanleyLaw, now: MotionState, off: Deviation, knots: FloatArray) -> float:
     """Return the front wheel angle to command, rad."""
     x, y = now.x + law.wheelbase * cos(now.yaw), now.y + law.wheelbase * sin(now.yaw)
     rx, ry, yaw, _ = path_point(knots, path_foot(knots, x, y, off.foot + law.wheelbase))

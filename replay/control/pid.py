@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 from logs.kernel import FloatArray, inner_kernel, kernel
 from replay.control.pedals import compensated
-from replay.vehicle.base import Motion
+from replay.vehicle.base import MotionState
 from replay.vehicle.pedal_map import PedalMap, reach
 from replay.vehicle.plan_path import Deviation, timed
 
@@ -68,7 +68,7 @@ AT_REST = SpeedState(0.0, nan, nan)
 
 @kernel
 def accelerate_dual_loop(
-    law: SpeedLaw, state: SpeedState, train: PedalMap, now: Motion, off: Deviation, times: FloatArray
+    law: SpeedLaw, state: SpeedState, train: PedalMap, now: MotionState, off: Deviation, times: FloatArray
 ) -> tuple[float, SpeedState]:
     """Acceleration to command, m/s2, and what is remembered then."""
     most = law.station_limit
@@ -103,7 +103,7 @@ class SteeringPidLaw(NamedTuple):
 
 
 @inner_kernel
-def steer_by_error(law: SteeringPidLaw, integral: float, now: Motion, off: Deviation) -> tuple[float, float]:
+def steer_by_error(law: SteeringPidLaw, integral: float, now: MotionState, off: Deviation) -> tuple[float, float]:
     """Front wheel angle to command, rad, and the integral after it."""
     slower = 1.0 + (now.v / law.speed) ** 2
     rate = now.v * sin(off.heading)
@@ -115,7 +115,7 @@ def steer_by_error(law: SteeringPidLaw, integral: float, now: Motion, off: Devia
 
 @inner_kernel
 def accelerate_by_error(
-    law: SpeedLaw, state: SpeedState, train: PedalMap, now: Motion, off: Deviation
+    law: SpeedLaw, state: SpeedState, train: PedalMap, now: MotionState, off: Deviation
 ) -> tuple[float, SpeedState]:
     """Acceleration to command, m/s2, and what is remembered then."""
     error = -off.speed

@@ -42,7 +42,7 @@ from replay.control.pid import (
 from replay.vehicle.base import (
     COLUMNS,
     MOTION,
-    Motion,
+    MotionState,
     Plain,
     Powertrain,
     motion_at,
@@ -86,7 +86,7 @@ class SplitState(NamedTuple):
 
 @inner_kernel
 def steer(
-    law: SplitLaw, state: SplitState, now: Motion, off: Deviation, knots: FloatArray
+    law: SplitLaw, state: SplitState, now: MotionState, off: Deviation, knots: FloatArray
 ) -> tuple[float, float, DlqrState]:
     """Return the front wheel angle to command, rad, the new steering integral and the new state of the DLQR."""
     if law.steers == DLQR:
@@ -106,7 +106,7 @@ def steer(
 
 @inner_kernel
 def control(
-    law: SplitLaw, state: SplitState, now: Motion, off: Deviation, times: FloatArray, knots: FloatArray
+    law: SplitLaw, state: SplitState, now: MotionState, off: Deviation, times: FloatArray, knots: FloatArray
 ) -> tuple[float, float, float, SplitState]:
     """Return steer, throttle and brake for the next control period, and the new state.
 

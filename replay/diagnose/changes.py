@@ -43,7 +43,7 @@ RANKS = ("default", "ideal", "limits", "planner")
 
 
 @dataclass(frozen=True)
-class Change:
+class TriedChange:
     """A row of the table; the keys are those of the file."""
 
     name: str
@@ -73,7 +73,7 @@ class ChangedRun:
         keys: Keys and values in which it differs from the run.
     """
 
-    change: Change
+    change: TriedChange
     run: RunConfig
     keys: frozenset[tuple[str, str]]
 
@@ -82,20 +82,20 @@ class ChangedRun:
         return self.keys < other.keys
 
 
-def load_changes(path: Path | None = None) -> tuple[Change, ...]:
+def load_changes(path: Path | None = None) -> tuple[TriedChange, ...]:
     """The built-in changes, and those of a file.
 
     Raises:
         ConfigError: The file cannot be read, a row is invalid, or two rows have the same name.
     """
-    rows: list[Change] = []
+    rows: list[TriedChange] = []
     for file in filter(None, (BUILT_IN, path)):
         table = read_toml(file)
         found = table.get("change")
         if set(table) != {"change"} or not isinstance(found, list):
             raise ConfigError(f"{file}: holds rows [[change]] and nothing else")
         try:
-            rows += [strict(Change, row, "change") for row in found]
+            rows += [strict(TriedChange, row, "change") for row in found]
         except ConfigError as error:
             raise ConfigError(f"{file}: {error}") from None
     names = [row.name for row in rows]
@@ -113,7 +113,7 @@ def driven(run: RunConfig, planner: str) -> RunConfig:
     )  # fmt: skip
 
 
-def changed_runs(changes: Sequence[Change], run: RunConfig) -> tuple[tuple[ChangedRun, ...], dict[str, str]]:
+def changed_runs(changes: Sequence[TriedChange], run: RunConfig) -> tuple[tuple[ChangedRun, ...], dict[str, str]]:
     """The changes that alter a run of one planner, each once, and the reasons why others cannot be applied."""
     run = checked(run)[0]
     table = dump_run(run)
@@ -143,7 +143,7 @@ def changed_runs(changes: Sequence[Change], run: RunConfig) -> tuple[tuple[Chang
 
 
 @dataclass(frozen=True)
-class Cause:
+class FailureCause:
     """The cause of the failure of a drive.
 
     Attributes:
@@ -159,7 +159,7 @@ class Cause:
 
 def cause_of(
     runs: Sequence[ChangedRun], passing: Collection[str], fragile: Sequence[str] = (), *, avoidable: bool = True
-) -> Cause:
+) -> FailureCause:
     """The cause of a drive.
 
     Args:
@@ -169,7 +169,7 @@ def cause_of(
         avoidable: Whether the careful driver avoids the contact, or there is none.
     """
     if fragile:
-        return Cause(NOT_FOUND, fragile=tuple(fragile))  # (3)
+        return FailureCause(NOT_FOUND, fragile=tuple(fragile))  # (3)
     passed = [run for run in runs if run.change.name in passing]
     counts = [
         run.change
@@ -180,5 +180,5 @@ def cause_of(
         found = [change for change in counts if change.rank == rank]
         if found:
             causes = dict.fromkeys(change.cause for change in found)
-            return Cause(" or ".join(causes), tuple(change.name for change in found))  # (2)
-    return Cause(NOT_FOUND if avoidable else UNAVOIDABLE)  # (4), (5)
+            return FailureCause(" or ".join(causes), tuple(change.name for change in found))  # (2)
+    return FailureCause(NOT_FOUND if avoidable else UNAVOIDABLE)  # (4), (5)

@@ -26,10 +26,10 @@ from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Mode, PlannedFrame
 from replay.config import RunConfig, dump_run
-from replay.diagnose.changes import Change, ChangedRun, cause_of, changed_runs, driven
+from replay.diagnose.changes import ChangedRun, TriedChange, cause_of, changed_runs, driven
 from replay.diagnose.drives import (
     MODE,
-    Driven,
+    DrivenLogs,
     as_driven,
     drive_again,
     failed_gates,
@@ -41,7 +41,7 @@ from replay.diagnose.failure import (
     AHEAD_S,
     PROGRESS,
     DriveDifference,
-    Failure,
+    DriveFailure,
     Foresight,
     Wait,
     lane_change,
@@ -53,7 +53,7 @@ from replay.explain.causes import accounts
 from replay.explain.explanation import Explanation
 from replay.results.load import DriveResult, Results, load, named_logs
 from replay.results.tables import PARTIAL
-from replay.run.claim import Contents, claimed_folder
+from replay.run.claim import FolderContents, claimed_folder
 from replay.run.output import scenario_of
 from replay.run.perturb import PERTURBATIONS, perturbed
 from replay.run.resume import stamp_of
@@ -61,13 +61,13 @@ from replay.search.space import Setting, Value, shown, with_values
 from replay.search.study import Study
 
 KIND = "diagnose"
-CONTENTS = Contents(KIND, ("diagnosis.*", "changes.csv", "changes", "logs"))
+CONTENTS = FolderContents(KIND, ("diagnosis.*", "changes.csv", "changes", "logs"))
 CONTROLS = ("tiny", "start", "noise")
 """Perturbations (`replay.run.perturb`) with which a drive must also fail, so that a change is conclusive."""
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
+class DiagnosisQuestion:
     """The inputs of a diagnosis.
 
     Attributes:
@@ -80,7 +80,7 @@ class Question:
     results: Results
     planner: str
     logs: tuple[str, ...]
-    changes: tuple[Change, ...]
+    changes: tuple[TriedChange, ...]
 
     @property
     def run(self) -> RunConfig:
@@ -105,7 +105,9 @@ class Question:
         }  # fmt: skip
 
 
-def question(results: Results, planner: str | None, logs: Sequence[str], changes: Sequence[Change]) -> Question:
+def question(
+    results: Results, planner: str | None, logs: Sequence[str], changes: Sequence[TriedChange]
+) -> DiagnosisQuestion:
     """The question, checked.
 
     Raises:
@@ -121,11 +123,11 @@ def question(results: Results, planner: str | None, logs: Sequence[str], changes
     if run.mode == "open":
         raise ConfigError(f"{results.path}: has no closed loop; only closed loops are diagnosed")
     named = dict.fromkeys(log for name in logs for log in named_logs(name, results.logs["log"]))
-    return Question(results, planner, tuple(named), tuple(changes))
+    return DiagnosisQuestion(results, planner, tuple(named), tuple(changes))
 
 
 def diagnose(
-    asked: Question,
+    asked: DiagnosisQuestion,
     out: Path | None,
     settings: Sequence[Setting] = (),
     *,
@@ -152,7 +154,7 @@ def diagnose(
     """
     runs, refused = changed_runs(asked.changes, asked.run)
     with claimed_folder(out, CONTENTS, resume=resume) as out:
-        trials = _Trials(asked, out, Study(out, asked.head(), resume=resume), workers)
+        trials = _DiagnosisDrives(asked, out, Study(out, asked.head(), resume=resume), workers)
         lost = f", {len(trials.not_driven)} more cannot be driven again" if trials.not_driven else ""
         failing = trials.failing
         say(f"{counted(len(failing), 'failing drive')} of {asked.planner}{lost}, {counted(len(runs), 'change')}")
@@ -171,10 +173,10 @@ def diagnose(
     return result
 
 
-class _Trials:
+class _DiagnosisDrives:
     """The drives of a diagnosis, change by change; drives in the study file are not repeated."""
 
-    def __init__(self, asked: Question, out: Path, study: Study, workers: int) -> None:
+    def __init__(self, asked: DiagnosisQuestion, out: Path, study: Study, workers: int) -> None:
         self._asked, self._out, self._study, self._workers = asked, out, study, workers
         self._drives: dict[str, DriveResult] = {}
         self._logs = asked.results.logs.set_index("log")
@@ -208,7 +210,7 @@ class _Trials:
         return scenario_of(results.path, self._logs.loc[name].to_dict(), results.run.log)
 
     @cached_property
-    def _base(self) -> Driven:
+    def _base(self) -> DrivenLogs:
         """The drives without a change, and with perturbations that should change nothing."""
         place, planner = self._out / "changes" / AS_IT_WAS, self._asked.planner
         if self._study.known(AS_IT_WAS) is not None:
@@ -268,7 +270,7 @@ class _Trials:
         self.answers[run.change.name] = known["drives"]
         return self.answers[run.change.name]
 
-    def _mended(self, name: str, made: Driven) -> bool:
+    def _mended(self, name: str, made: DrivenLogs) -> bool:
         """Whether a failing drive passes with a change, and no peak is worse."""
         base, file = self._base_rows[name], self.files[name]
         held = passes(base["gates"], made.of(file))
@@ -298,7 +300,7 @@ class _Trials:
             if difference.would_brake_s is None
             else difference.would_brake_s
         )
-        failure = Failure(
+        failure = DriveFailure(
             base["gates"][0], base["metric"], drive.scenario.short_names(base["about"]) if known else "",
             lane_change(drive.trace, fails), difference,
             begun is not None and any(one.who == agent for one in begun.causes),
@@ -322,7 +324,7 @@ class _Trials:
                 self._study.add([row])
             return row
 
-        def drives(setting: Setting, value: Value, files: Sequence[Path]) -> Driven:
+        def drives(setting: Setting, value: Value, files: Sequence[Path]) -> DrivenLogs:
             shutil.rmtree(scratch, ignore_errors=True)
             run = with_values(self._asked.run, {setting.path: value})
             return drive_again(files, run, self._asked.planner, scratch, workers=self._workers)

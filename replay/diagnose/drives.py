@@ -42,7 +42,7 @@ COLUMNS = ("drive", "gate", "outcome", "value", "time_s", "reason")
 
 
 @dataclass(frozen=True, eq=False)
-class Driven:
+class DrivenLogs:
     """Logs that were driven by one planner.
 
     Attributes:
@@ -115,12 +115,12 @@ class Driven:
         return not applies > 0.0 or avoids > 0.0
 
 
-def drive_again(files: Sequence[Path], run: RunConfig, planner: str, out: Path, *, workers: int) -> Driven:
+def drive_again(files: Sequence[Path], run: RunConfig, planner: str, out: Path, *, workers: int) -> DrivenLogs:
     """Drive logs, and judge them by the gates for `planner`; errors as `evaluate_logs`."""
     return as_driven(evaluate_logs(list(files), run, out, workers=workers), planner)
 
 
-def as_driven(results: Results, planner: str) -> Driven:
+def as_driven(results: Results, planner: str) -> DrivenLogs:
     """Results of one planner, judged by the gates for `planner`."""
     run = results.run
     files = (Path(source).name for source in results.logs["source"])
@@ -128,7 +128,7 @@ def as_driven(results: Results, planner: str) -> Driven:
     gates = gates_of(run, run.gates_path)
     asked = tuple(replace(gate, planner=None) for gate in gates.gates if gate.planner in (None, planner))
     rules = {str(gate): gate for gate in asked}
-    return Driven(results, names, run.planners[0], rules, judged(results, names, replace(gates, gates=asked)))
+    return DrivenLogs(results, names, run.planners[0], rules, judged(results, names, replace(gates, gates=asked)))
 
 
 def judged(results: Results, names: Mapping[str, str], rules: Gates) -> pd.DataFrame:
@@ -158,7 +158,7 @@ def passes(before: Sequence[str], rows: pd.DataFrame) -> bool:
 
 
 def worsens(before: Mapping[str, float], now: Mapping[str, float]) -> bool:
-    """Whether a peak (`Driven.peaks`) is farther out than before by `WORSE` of it."""
+    """Whether a peak (`DrivenLogs.peaks`) is farther out than before by `WORSE` of it."""
     out = {name: now[name] - value for name, value in before.items() if name in now}
     signs = {name: -1.0 if name.endswith(".min") else 1.0 for name in out}
     return any(signs[name] * out[name] > WORSE * abs(before[name]) + TIE for name in out)

@@ -269,7 +269,7 @@ def waits(found: Sequence[Account], end: float) -> list[Wait]:
 
 
 @dataclass(frozen=True)
-class Failure:
+class DriveFailure:
     """The failure of a drive.
 
     Attributes:

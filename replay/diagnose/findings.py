@@ -20,8 +20,8 @@ import pandas as pd
 
 from logs.errors import ConfigError
 from logs.names import counted
-from replay.diagnose.changes import NOT_FOUND, UNAVOIDABLE, Cause, ChangedRun
-from replay.diagnose.failure import Failure, Wait
+from replay.diagnose.changes import NOT_FOUND, UNAVOIDABLE, ChangedRun, FailureCause
+from replay.diagnose.failure import DriveFailure, Wait
 from replay.diagnose.remedy import Remedy
 from replay.results.load import Results
 from replay.results.reading import read_json
@@ -58,8 +58,8 @@ class Found:
     gates: tuple[str, ...]
     time_s: float
     beyond: float
-    cause: Cause
-    failure: Failure
+    cause: FailureCause
+    failure: DriveFailure
     parts: Mapping[str, Any]
     because: str
     passing: tuple[str, ...]
@@ -134,7 +134,7 @@ class Diagnosis:
             some.sort(key=lambda one: (-one.beyond if isfinite(one.beyond) else 1.0, one.log))
         return sorted(map(tuple, found.values()), key=lambda some: (-len(some), some[0].log))
 
-    def words_of(self, cause: Cause) -> str:
+    def words_of(self, cause: FailureCause) -> str:
         """The evidence for a cause."""
         words = {run.change.name: f"{run.change.words} ({settings_of(run)})" for run in self.runs}
         if cause.fragile:
@@ -248,7 +248,7 @@ class Cluster(msgspec.Struct):
     drives: list[str]
 
 
-class Card(msgspec.Struct):
+class DiagnosisSummary(msgspec.Struct):
     """The contents of diagnosis.json, as far as reports need them."""
 
     planner: str
@@ -265,7 +265,7 @@ def read_diagnosis(folder: Path, results: Results) -> dict[str, Any]:
     file = folder / "diagnosis.json"
     if not file.exists():
         raise ConfigError(f"{file}: is not a diagnosis; `replan diagnose RUN -o {folder}` writes one")
-    found, card = read_json(file, Card, f"`replan diagnose RUN -o {folder}` writes one")
+    found, card = read_json(file, DiagnosisSummary, f"`replan diagnose RUN -o {folder}` writes one")
     logs = {log for cluster in card.clusters for log in cluster.drives}
     if found["planner"] not in results.run.planners or not logs <= set(results.logs["log"]):
         raise ConfigError(f"{file}: is a diagnosis of another run than {results.path}")

@@ -36,7 +36,18 @@ from logs.rules import RED, Colour
 from logs.scenario import Scenario
 from logs.trace import Candidates, Decision, DecisionKind, LaneOption, Plan, StGraph, Trace
 from replay.config import LoopConfig
-from replay.explain.course import BRAKES_MPS2, LOOK_S, STANDING_MPS, STEP_S, Course, Held, Meeting, Way, Ways, meetings
+from replay.explain.course import (
+    BRAKES_MPS2,
+    LOOK_S,
+    STANDING_MPS,
+    STEP_S,
+    Course,
+    Held,
+    Meeting,
+    PlanWay,
+    Ways,
+    meetings,
+)
 from replay.explain.planner_input import PlannerInput, planner_inputs
 
 STAYS_BEHIND = (DecisionKind.STOP, DecisionKind.YIELD, DecisionKind.FOLLOW)
@@ -162,7 +173,7 @@ class _Case:
     frame: PlannerInput
     course: Course
     held: Held
-    way: Way
+    way: PlanWay
     decided: dict[str, Decision]
     scenario: Scenario
 

@@ -19,7 +19,7 @@ from logs.rules import Colour
 from logs.scenario import Scenario, Tracks
 from logs.trace import DecisionKind, PlannedFrame, StGraph, Trace
 from planners.frenet.scene import Bodies, Futures
-from planners.frenet.st_boundaries import Roles, Swept, Way, sweep
+from planners.frenet.st_boundaries import Roles, Swept, SweptPath, sweep
 from replay.config import LoopConfig
 from replay.explain.course import path_rows
 from replay.loop.perception import Perception, shows_truth
@@ -129,7 +129,7 @@ def _outline(tracks: Tracks, i: int, frame: PlannedFrame, way: FloatArray, end: 
     one, zero, no = np.zeros(1, np.int64), np.zeros(1), np.zeros(1, np.bool_)
     futures = Futures(times, one, zero, x, y, yaw)
     bodies = Bodies(zero, zero, zero, zero, zero, tracks.length[[i]], tracks.width[[i]])
-    t, _, lower, upper, _, _ = sweep(Way(*way), futures, bodies, Roles(no, no, no), ego, float(frame.t), 1)
+    t, _, lower, upper, _, _ = sweep(SweptPath(*way), futures, bodies, Roles(no, no, no), ego, float(frame.t), 1)
     if not len(lower):
         return None
     there = np.isfinite(lower[0])

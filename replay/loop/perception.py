@@ -18,7 +18,7 @@ import numpy as np
 
 from logs.agents import NUMBERS
 from logs.errors import LogError
-from logs.extension import Kind
+from logs.extension import ExtensionKind
 from logs.frame import Frame, Predictions, Visibility
 from logs.kernel import FloatArray, IntArray, frozen
 from logs.memory import NearbyTracks
@@ -133,7 +133,7 @@ PERCEPTIONS: dict[str, Callable[..., Sight]] = {
     "sensor": lambda scenario, config: Sensor(scenario, config.sensor).see,
 }
 """Each is built once per drive as `factory(scenario, config, **settings)`."""
-PERCEPTION: Kind[Callable[..., Sight]] = Kind("perception", "perceptions", PERCEPTIONS)
+PERCEPTION: ExtensionKind[Callable[..., Sight]] = ExtensionKind("perception", "perceptions", PERCEPTIONS)
 """Finds perceptions by name: the built-in ones and those of users."""
 
 

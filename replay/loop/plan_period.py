@@ -97,7 +97,7 @@ def run_kinematic(
     for k in range(first, first + count):
         command = control_row(law, memory, wheel, times, knots, rows, k)  # (1)-(3)
         row = rows[k]
-        s = kinematic_bicycle.State(row[1], row[2], row[3], row[4], row[7], row[14], row[15])
+        s = kinematic_bicycle.BicycleState(row[1], row[2], row[3], row[4], row[7], row[14], row[15])
         s, now = kinematic_bicycle.step(s, command, car, row[0], dt)  # (4)
         write_motion(rows[k + 1], now, s.steer, s.throttle, s.brake)  # (5)
 
@@ -109,7 +109,7 @@ def run_single_track(
 ) -> tuple[Plain, Plain, Plain]:  # fmt: skip
     """Run `count` steps of a single-track vehicle from row `first`; `state`: of vehicle, gearbox, brake commands."""
     law, car = named_law(laws), named_car(numbers)
-    s, box, line = single_track.State(*state[0]), Gearbox(*state[1]), Pending(*state[2])
+    s, box, line = single_track.SingleTrackState(*state[0]), Gearbox(*state[1]), Pending(*state[2])
     for k in range(first, first + count):
         command = control_row(law, memory, wheel, times, knots, rows, k)  # (1)-(3)
         s, box, line, now = single_track.step(s, box, line, command, car, rows[k, 0], dt)  # (4)
@@ -136,7 +136,7 @@ def _single_track(
     inner, box, line_after = run_single_track(
         *memory, path.times, path.knots, rows, first, count, dt, car.numbers, (car.inner[:], car.box[:], line[:])
     )
-    car.inner, car.box, car.brakes = single_track.State(*inner), Gearbox(*box), Pending(*line_after)
+    car.inner, car.box, car.brakes = single_track.SingleTrackState(*inner), Gearbox(*box), Pending(*line_after)
     car.state = state_at(rows, first + count)
 
 

@@ -21,7 +21,7 @@ from logs.once import once
 from logs.scenario import AgentKind
 from logs.shapes import clearance, overlap, time_to_contact
 from logs.states import wrap
-from metrics.boxes import NO_TTC_MPS, Car, is_behind
+from metrics.boxes import NO_TTC_MPS, EgoOutline, is_behind
 from metrics.encounters import CROSSING_RAD
 from metrics.encounters import SERIOUS_S as PET_S
 from metrics.safety import TAU_S as TTC_S
@@ -163,7 +163,7 @@ def _least_encroachment(
 
 @kernel
 def _contact_times(
-    ego: FloatArray, car: Car, pose: FloatArray, k: IntArray, size: FloatArray, horizon: float
+    ego: FloatArray, car: EgoOutline, pose: FloatArray, k: IntArray, size: FloatArray, horizon: float
 ) -> FloatArray:
     """Straight time to collision `(m,)` (`metrics.safety`) with one road user, s; inf beyond the horizon."""
     out = np.full(len(k), inf)

@@ -28,7 +28,7 @@ from logs.files import local_path, url_of
 from logs.names import counted, visible_name
 from replay.mine.mine import ALONE, FASTER, ROADS, SPEEDS, Mined
 from replay.results.tables import write_file, write_text
-from replay.run.claim import Contents, claimed_file
+from replay.run.claim import FolderContents, claimed_file
 from replay.run.sources import SUITE_HEADER, LogSource, Selection
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def catalogue() -> Selection:
     return Selection(tuple(LogSource(name) for name in families()))
 
 
-COVERAGE = Contents("coverage", ("coverage.csv", "coverage.png"), resumes=False)
+COVERAGE = FolderContents("coverage", ("coverage.csv", "coverage.png"), resumes=False)
 
 
 def write_coverage(out: Path, events: pd.DataFrame, rows: pd.DataFrame) -> None:
@@ -124,7 +124,7 @@ Cell = tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Chosen:
+class ChosenLog:
     """A log of the suite, the number of cells that it adds to the logs before it, and what a blind driver breaks."""
 
     log: str
@@ -149,7 +149,7 @@ def smallest_cover(cells: Mapping[str, frozenset[Cell]], cost: Mapping[str, tupl
     return chosen
 
 
-def suite_of(mined: Mined) -> list[Chosen]:
+def suite_of(mined: Mined) -> list[ChosenLog]:
     """The suite of mined logs.
 
     Raises:
@@ -171,13 +171,13 @@ def suite_of(mined: Mined) -> list[Chosen]:
     seen: set[Cell] = set()
     found = []
     for log in smallest_cover(cells, cost):
-        found.append(Chosen(log, str(of_log.loc[log, "source"]), len(cells[log] - seen), blind[log]))
+        found.append(ChosenLog(log, str(of_log.loc[log, "source"]), len(cells[log] - seen), blind[log]))
         seen |= cells[log]
     return found
 
 
 @contextmanager
-def suite_writer(out: Path) -> Iterator[Callable[[Sequence[Chosen], Path], None]]:
+def suite_writer(out: Path) -> Iterator[Callable[[Sequence[ChosenLog], Path], None]]:
     """The function that writes a suite as TOML into a claimed file, with paths relative to the file.
 
     It takes the logs, and the directory to which relative sources refer.
@@ -189,7 +189,7 @@ def suite_writer(out: Path) -> Iterator[Callable[[Sequence[Chosen], Path], None]
     header = f"{SUITE_HEADER}\n".encode()
     with claimed_file(out, (".toml",), lambda file: file.read_bytes().startswith(header)) as out:
 
-        def write(chosen: Sequence[Chosen], begun: Path) -> None:
+        def write(chosen: Sequence[ChosenLog], begun: Path) -> None:
             lines, places = [SUITE_HEADER], list[str]()
             for one in chosen:
                 places.append(_place(one.source, begun, out.parent))

@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from logs.errors import PlannerError
-from logs.extension import Kind, an_instance
+from logs.extension import ExtensionKind, an_instance
 from logs.trace import EndReason
 from metrics.metric import Series
 from metrics.plans import FDE, MISS, MISS_M, PLAN_CHANGE_LATERAL
@@ -29,7 +29,9 @@ KINDS: Mapping[str, EventKind] = MappingProxyType(
     {each.name: each for each in (*ROAD_USERS, *EGO_AND_ROAD, *CONFLICTS)}
 )
 """The built-in event kinds by name."""
-EVENT_KIND: Kind[EventKind] = Kind("event kind", "events", KINDS, an_instance(EventKind, "replan.EventKind"))
+EVENT_KIND: ExtensionKind[EventKind] = ExtensionKind(
+    "event kind", "events", KINDS, an_instance(EventKind, "replan.EventKind")
+)
 """Finds event kinds by name: the built-in ones and those of users."""
 HORIZON_S = 3
 FLIP_M = 1.0

@@ -37,7 +37,7 @@ from replay.results.reading import read_json, read_table
 from replay.results.schema import names_of, typed
 from replay.results.tables import write_json, write_parquet, write_text
 from replay.results.version import replan_version
-from replay.run.claim import Contents, claimed_folder
+from replay.run.claim import FolderContents, claimed_folder
 from replay.run.engine import longest_first
 from replay.run.output import write_origin
 from replay.run.pool import WorkerLost, run_all
@@ -46,7 +46,9 @@ from replay.run.sources import LogSource, Selection, log_hash
 from replay.search.study import Study
 
 EVENTS, LOGS, HEALTH, CARD = "events.parquet", "logs.parquet", "health.parquet", "mined.json"
-CONTENTS = Contents("mine", ("run.toml", "origin.json", EVENTS, LOGS, HEALTH, CARD, "coverage.csv", "coverage.png"))
+CONTENTS = FolderContents(
+    "mine", ("run.toml", "origin.json", EVENTS, LOGS, HEALTH, CARD, "coverage.csv", "coverage.png")
+)
 BREAKS = tuple(f"{driver}_breaks" for driver in BAD_DRIVERS)
 CURVE_KAPPA = 1.0 / 150.0
 """A road with more curvature than this is a curve, 1/m."""
@@ -332,14 +334,14 @@ def read_mined(folder: Path) -> Mined:
     if not (folder / CARD).is_file():
         raise ConfigError(f"{folder}: holds no mined logs (no {CARD} in it): replan mine LOGS -o {folder}")
     again = f"mine again: replan mine LOGS -o {folder}"
-    read_json(folder / CARD, Card, again)
+    read_json(folder / CARD, MinedSummary, again)
     events, logs, findings = (read_table(folder / name, again=again).to_pandas() for name in (EVENTS, LOGS, HEALTH))
     if logs["log"].duplicated().any() or not {*events["log"], *findings["log"]} <= {*logs["log"]}:
         raise LogError("has not one row for each log of the other tables", file=folder / LOGS, remedy=again)
     return Mined(events, logs, findings, tuple(line for line in logs["error"] if line))
 
 
-class Card(msgspec.Struct):
+class MinedSummary(msgspec.Struct):
     """The contents of mined.json."""
 
     replan: str

@@ -35,7 +35,7 @@ from replay.config import load_run
 from replay.mine.mine import CARD, EVENTS, HEALTH, LOGS, read_mined
 from replay.results.tables import safe_names
 from replay.results.version import replan_version
-from replay.run.claim import Contents, claimed_folder
+from replay.run.claim import FolderContents, claimed_folder
 from replay.run.output import scenario_of
 from replay.search.study import Study
 
@@ -57,7 +57,7 @@ SMALLER = "ask for less, or open the Parquet files with DuckDB itself"
 ROWS = 50
 """Chunks of rows that are fetched at once; a chunk has 2048 rows."""
 TIMES = (("t_from_s", "t_to_s"), ("time_s", "time_s"), ("t_s", "t_s"))
-CUTS = Contents("cut", ("*.mcap",))
+CUTS = FolderContents("cut", ("*.mcap",))
 LEAST_S = 0.5
 """A cut with less of the log than this is an error."""
 
@@ -139,7 +139,7 @@ def query(folder: Path, sql: str) -> pd.DataFrame:
 
 
 @dataclass(frozen=True)
-class Moment:
+class FoundMoment:
     """A part of a log.
 
     Attributes:
@@ -154,7 +154,9 @@ class Moment:
     kinds: tuple[str, ...]
 
 
-def moments(folder: Path, where: str, table: str = "events", before: float = 5.0, after: float = 8.0) -> list[Moment]:
+def moments(
+    folder: Path, where: str, table: str = "events", before: float = 5.0, after: float = 8.0
+) -> list[FoundMoment]:
     """The moments that a condition selects, sorted by log and begin.
 
     Args:
@@ -180,20 +182,20 @@ def moments(folder: Path, where: str, table: str = "events", before: float = 5.0
     rows = rows[rows[times[0]].notna() & rows[times[1]].notna()].sort_values(["log", times[0]], kind="stable")
     if rows.empty:
         raise ConfigError(f"nothing to cut: no row of {table} with a time where {where}")
-    found: list[Moment] = []
+    found: list[FoundMoment] = []
     kinds = rows["kind"] if "kind" in rows else pd.Series(table, rows.index)
     for log, begin, end, kind in zip(rows["log"], rows[times[0]], rows[times[1]], kinds, strict=True):
-        one = Moment(str(log), float(begin) - before, float(end) + after, (str(kind),))
+        one = FoundMoment(str(log), float(begin) - before, float(end) + after, (str(kind),))
         last = found[-1] if found else None
         if last is not None and last.log == one.log and one.begin <= last.end:
             joined = tuple(sorted({*last.kinds, *one.kinds}))
-            found[-1] = Moment(one.log, last.begin, max(last.end, one.end), joined)
+            found[-1] = FoundMoment(one.log, last.begin, max(last.end, one.end), joined)
         else:
             found.append(one)
     return found
 
 
-def cut_logs(folder: Path, found: Sequence[Moment], out: Path, *, resume: bool = False) -> Iterator[Path]:
+def cut_logs(folder: Path, found: Sequence[FoundMoment], out: Path, *, resume: bool = False) -> Iterator[Path]:
     """Write a native log per moment into a folder; yields each file when it is written.
 
     Args:
@@ -231,7 +233,7 @@ def cut_logs(folder: Path, found: Sequence[Moment], out: Path, *, resume: bool =
             yield out / name
 
 
-def _part(scenario: Scenario, one: Moment) -> Scenario:
+def _part(scenario: Scenario, one: FoundMoment) -> Scenario:
     """The part of a log that a moment is, with its origin; LogError if it is too short."""
     begin = max(one.begin, float(scenario.ego.t[0]))
     end = min(one.end, scenario.duration)

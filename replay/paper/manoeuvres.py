@@ -53,7 +53,7 @@ def cones_hit(places: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray,
     return int(inside.any(axis=1).sum())
 
 
-def cone_path(sections: tuple[iso3888.Section, ...], car: VehicleParameters) -> FloatArray:
+def cone_path(sections: tuple[iso3888.ConeLane, ...], car: VehicleParameters) -> FloatArray:
     """The path (1) `(n, 2)` of the rear axle, STEP_M apart in x.
 
     Raises:
@@ -225,7 +225,7 @@ def manoeuvres(car: VehicleParameters) -> tuple[Manoeuvre, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Driven:
+class FollowedManoeuvre:
     """A followed manoeuvre, one row per control period.
 
     Attributes:
@@ -248,7 +248,7 @@ def follow(
     *,
     plant: PlantTable | None = None,
     delay_steps: int = 0,
-) -> Driven:
+) -> FollowedManoeuvre:
     """Follow a manoeuvre; commands arrive `delay_steps` control periods late."""
     table = {**manoeuvre.plant, **(plant or {})}
     start = manoeuvre.reference.state(0)
@@ -268,10 +268,10 @@ def follow(
         coming.append(driver.control(state, plan))
         ego.step(coming.pop(0), PERIOD_S)
     columns = dict(zip(COLUMNS, np.array(rows).T, strict=True))
-    return Driven(columns, driver.notes)
+    return FollowedManoeuvre(columns, driver.notes)
 
 
-def judged(driven: Sequence[Driven], manoeuvre: Manoeuvre, car: VehicleParameters) -> dict[str, float]:
+def judged(driven: Sequence[FollowedManoeuvre], manoeuvre: Manoeuvre, car: VehicleParameters) -> dict[str, float]:
     """One row of the table: root mean squares over all samples, maxima of the worst drive."""
 
     def joined(name: str) -> FloatArray:

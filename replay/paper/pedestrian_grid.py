@@ -56,7 +56,7 @@ JOINED_S = 0.5
 
 
 @dataclass(frozen=True)
-class Cell:
+class GridCrossing:
     """One crossing.
 
     Attributes:
@@ -79,10 +79,10 @@ class Cell:
         return {"ego_speed_mps": v, "pedestrian_speed_mps": self.walker_mps, "distance_m": v * (middle - self.late_s)}
 
 
-CELLS = tuple(Cell(*one) for one in product(EGO_KMH, WALKER_MPS, LATE_S))
+CELLS = tuple(GridCrossing(*one) for one in product(EGO_KMH, WALKER_MPS, LATE_S))
 
 
-def crossing(cell: Cell) -> Scenario:
+def crossing(cell: GridCrossing) -> Scenario:
     """The scenario of a cell; its log holds the first ego state only."""
     scenario = crossing_pedestrian.build({**crossing_pedestrian.parameters, **cell.parameters})
     name = f"{crossing_pedestrian.name}@{cell.ego_kmh:g}kmh,{cell.walker_mps:g}mps,{cell.late_s:+g}s"
@@ -120,7 +120,7 @@ class Avoidable:
         return self.keeping_speed or self.comfortable
 
 
-def avoidable(cell: Cell) -> Avoidable:
+def avoidable(cell: GridCrossing) -> Avoidable:
     """The options of a point mass in a cell (module docstring)."""
     scenario, qp, v = crossing(cell), SpeedQpConfig(), cell.ego_kmh / 3.6
     car, walk = scenario.vehicle, crossing_pedestrian.parameters["walk_start_s"]
@@ -154,7 +154,7 @@ def first_reason(trace: Trace) -> str:
     return next((f"{frame.t:.1f} s: {frame.plan.reason}" for frame in trace.frames if frame.plan.reason), "")
 
 
-def measured(cell: Cell) -> dict[str, object]:
+def measured(cell: GridCrossing) -> dict[str, object]:
     """One row of the table: the cell, the options of a point mass, and the result of the drive."""
     scenario = crossing(cell)
     trace = run_closed_loop(scenario, PLANNER, config=LOOP).trace
@@ -214,7 +214,7 @@ def verdict(can: Avoidable, *, contact: bool, released: float, jerk: float) -> s
 
 
 def grid(
-    cells: tuple[Cell, ...] = CELLS, *, workers: int = 0, on_cell: Callable[[int], None] = lambda done: None
+    cells: tuple[GridCrossing, ...] = CELLS, *, workers: int = 0, on_cell: Callable[[int], None] = lambda done: None
 ) -> pd.DataFrame:
     """The table, a row per cell in their order; the same whatever the number of `workers` (0: in this process).
 

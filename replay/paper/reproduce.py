@@ -38,7 +38,7 @@ from replay.draw.report import figures
 from replay.drive import Drive
 from replay.loop.closed_loop import run_closed_loop
 from replay.paper.manoeuvres import compare
-from replay.paper.pedestrian_grid import CELLS, LOOP, PLANNER, Cell, braking_intervals, grid, walker_within
+from replay.paper.pedestrian_grid import CELLS, LOOP, PLANNER, GridCrossing, braking_intervals, grid, walker_within
 from replay.results.tables import write_file, write_text
 from replay.vehicle import VEHICLES
 
@@ -61,7 +61,7 @@ class PaperConfig:
 
     vehicles: tuple[str, ...] = ("single_track",)
     roads: int = 50
-    cells: tuple[Cell, ...] = CELLS
+    cells: tuple[GridCrossing, ...] = CELLS
     workers: int = 0
 
     def __post_init__(self) -> None:

@@ -58,11 +58,11 @@ def main() -> None:
         signal.signal(name, signal.SIG_IGN)  # replan handles them and ends this process
     child.warm()
     _prctl(CHILD_SUBREAPER, 1)
-    Forks(control).serve()
+    ForkServer(control).serve()
 
 
 @dataclass(eq=False)
-class Forks:
+class ForkServer:
     """Serves the requests on a control socket: forks processes and kills them.
 
     Attributes:
@@ -190,7 +190,7 @@ def _become(request: dict[str, Any], given: list[int], parent: int) -> NoReturn:
                 unfit = raised(error)
             control.sendall(json.dumps({"unfit": unfit}).encode() + b"\n")
             if not unfit:
-                Forks(control, seed=True).serve()
+                ForkServer(control, seed=True).serve()
         else:
             _at_places(*given)
             _limit(request["memory"])

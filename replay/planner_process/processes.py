@@ -60,7 +60,7 @@ class Process:
         channel: The channel to it; its output is read, too.
     """
 
-    def __init__(self, forks: Forks, key: int, channel: Channel[Any]) -> None:
+    def __init__(self, forks: ForkClient, key: int, channel: Channel[Any]) -> None:
         self._forks, self._key, self.channel = forks, key, channel
 
     def close(self) -> None:
@@ -131,8 +131,8 @@ def set_template_run(run: str) -> None:
             _warm["launcher"].templates.clear()
 
 
-class Forks:
-    """The other end of a control socket: `replay.planner_process.launcher.Forks`.
+class ForkClient:
+    """The other end of a control socket: `replay.planner_process.launcher.ForkServer`.
 
     Args:
         control: The socket.
@@ -161,11 +161,11 @@ class Forks:
                 os.close(fd)
         return Process(self, key, Channel(into, out, kind, printed))
 
-    def template(self, request: Mapping[str, Any]) -> Forks:
+    def template(self, request: Mapping[str, Any]) -> ForkClient:
         """Fork a template at the other end, which loads a module."""
         ours, theirs = socket.socketpair()
         with theirs:
-            return Forks(ours, self._send_request(request, [theirs.fileno()]))
+            return ForkClient(ours, self._send_request(request, [theirs.fileno()]))
 
     def _send_request(self, request: Mapping[str, Any], given: list[int]) -> int:
         self._count += 1
@@ -224,8 +224,8 @@ class Launcher:
                 [sys.executable, "-P", "-m", "replay.planner_process.launcher"],
                 stdin=theirs.fileno(), stdout=subprocess.DEVNULL, env=dict(environment), start_new_session=True,
             )  # fmt: skip
-        self.forks = Forks(control)
-        self.templates: dict[Load, Forks | None] = {}
+        self.forks = ForkClient(control)
+        self.templates: dict[Load, ForkClient | None] = {}
         self.close = weakref.finalize(self, _end_launcher, control, self._process, self.templates)
 
     @property
@@ -233,7 +233,7 @@ class Launcher:
         """Whether it runs and belongs to this process (after a fork it belongs to the parent)."""
         return self.close.alive and self._process.poll() is None
 
-    def template(self, load: Load, limits: PlannerProcessConfig) -> Forks | None:
+    def template(self, load: Load, limits: PlannerProcessConfig) -> ForkClient | None:
         """The template that has loaded a planner; None if that takes too long, or it must not be forked."""
         found = self.templates.get(load)
         if found is not None and self.forks.status(found.key, 0.0) is not None:
@@ -249,7 +249,7 @@ class Launcher:
 
 
 def _end_launcher(
-    control: socket.socket, process: subprocess.Popen[bytes], templates: Mapping[Load, Forks | None]
+    control: socket.socket, process: subprocess.Popen[bytes], templates: Mapping[Load, ForkClient | None]
 ) -> None:
     for each in filter(None, templates.values()):
         each.close()  # closing ends them; otherwise the launcher would wait for them

@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from logs.errors import ConfigError
-from logs.extension import Kind
+from logs.extension import ExtensionKind
 from logs.frame import Predictions
 from logs.kernel import FloatArray
 from logs.scenario import Agents
@@ -52,7 +52,7 @@ PREDICTORS: dict[str, Predictor] = {
     "pedestrian": _pedestrian,
     "lanes_and_pedestrians": _lanes_and_pedestrians,
 }
-PREDICTION: Kind[Predictor] = Kind("prediction", "predictions", PREDICTORS, besides=("oracle",))
+PREDICTION: ExtensionKind[Predictor] = ExtensionKind("prediction", "predictions", PREDICTORS, besides=("oracle",))
 """Finds predictors by name: the built-in ones and those of users."""
 
 

@@ -28,7 +28,7 @@ from logs.agents import AgentKind, Agents, among
 from logs.frame import Predictions
 from logs.kernel import TIE, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.states import wrap
-from replay.prediction.lane_map import LaneArrays, LaneMap, lane_point, lane_project, matches
+from replay.prediction.lane_map import LaneMap, LaneSamples, lane_point, lane_project, matches
 from replay.prediction.off_lanes import turn_rate, turned
 
 CHANGE_S = 1.5
@@ -71,7 +71,7 @@ def _predict_vehicles(agents: Agents, t: FloatArray, lanes: LaneMap, *, others: 
 
 @kernel
 def _predict_all(
-    map_: LaneArrays, codes: IntArray, columns: tuple[FloatArray, ...], t: FloatArray, others: bool
+    map_: LaneSamples, codes: IntArray, columns: tuple[FloatArray, ...], t: FloatArray, others: bool
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return hypotheses in the order of the agents: agent `(h,)`, probability `(h,)`, rows x, y, yaw `(3, h, k)`.
 
@@ -121,7 +121,7 @@ def _predict_all(
 
 @inner_kernel
 def _ways(
-    map_: LaneArrays, vehicle: FloatArray, horizon: float,
+    map_: LaneSamples, vehicle: FloatArray, horizon: float,
     ways: IntArray, depth: IntArray, shares: FloatArray, start: FloatArray,
 ) -> int:  # fmt: skip
     """Find the lane sequences that a vehicle may drive within the horizon (s); return their number.
@@ -163,7 +163,7 @@ def _ways(
 
 
 @inner_kernel
-def _velocity_along_lane(map_: LaneArrays, lane: int, s: float, vehicle: FloatArray) -> tuple[float, float]:
+def _velocity_along_lane(map_: LaneSamples, lane: int, s: float, vehicle: FloatArray) -> tuple[float, float]:
     """Return the velocity of a vehicle along and across (to the left of) a lane at its foot, m/s."""
     yaw = lane_point(map_, lane, s)[2]
     c, n = cos(yaw), sin(yaw)
@@ -171,19 +171,19 @@ def _velocity_along_lane(map_: LaneArrays, lane: int, s: float, vehicle: FloatAr
 
 
 @inner_kernel
-def _length(map_: LaneArrays, lane: int) -> float:
+def _length(map_: LaneSamples, lane: int) -> float:
     return map_.step[lane] * (map_.first[lane + 1] - map_.first[lane] - 1)
 
 
 @inner_kernel
-def _turn(map_: LaneArrays, lane: int, s: float) -> float:
+def _turn(map_: LaneSamples, lane: int, s: float) -> float:
     """Return by how much a lane turns from station `s` to its end, rad, not negative."""
     return abs(map_.pose[2, map_.first[lane + 1] - 1] - lane_point(map_, lane, s)[2])
 
 
 @inner_kernel
 def _extend_way(
-    map_: LaneArrays, h: int, made: int, reach: float, speed: float,
+    map_: LaneSamples, h: int, made: int, reach: float, speed: float,
     ways: IntArray, depth: IntArray, shares: FloatArray, start: FloatArray,
 ) -> int:  # fmt: skip
     """Extend sequence `h` to `reach` m from its start; forks add sequences. Return the number of sequences."""
@@ -217,7 +217,7 @@ def _extend_way(
 
 
 @inner_kernel
-def _weight(map_: LaneArrays, lane: int, speed: float, away: float) -> float:
+def _weight(map_: LaneSamples, lane: int, speed: float, away: float) -> float:
     """Return the weight of a branch that begins `away` m ahead; almost 0 if the vehicle is too fast for it."""
     weight = exp(-_turn(map_, lane, 0.0) / TURN_RAD)
     tightest = map_.tightest[lane]
@@ -227,7 +227,7 @@ def _weight(map_: LaneArrays, lane: int, speed: float, away: float) -> float:
 
 
 @inner_kernel
-def _on_way(map_: LaneArrays, way: IntArray, s: float) -> tuple[float, float, float, float]:
+def _on_way(map_: LaneSamples, way: IntArray, s: float) -> tuple[float, float, float, float]:
     """Return x, y, yaw, kappa at a station from the start of the first lane of a sequence."""
     d = 0
     while d < len(way) - 1:
@@ -240,7 +240,7 @@ def _on_way(map_: LaneArrays, way: IntArray, s: float) -> tuple[float, float, fl
 
 
 @inner_kernel
-def _in_bends(map_: LaneArrays, way: IntArray, s: float, speed: float, reach: float) -> FloatArray:
+def _in_bends(map_: LaneSamples, way: IntArray, s: float, speed: float, reach: float) -> FloatArray:
     """Return the squared speeds that the bends allow (1), every `KNOT_M` from station `s`; not above `speed`."""
     count = int(reach / KNOT_M) + 2
     square = np.empty(count)
@@ -254,7 +254,7 @@ def _in_bends(map_: LaneArrays, way: IntArray, s: float, speed: float, reach: fl
 
 @inner_kernel
 def _stations(
-    map_: LaneArrays, way: IntArray, s: float, speed: float, accel: float, ahead: FloatArray, dying: FloatArray
+    map_: LaneSamples, way: IntArray, s: float, speed: float, accel: float, ahead: FloatArray, dying: FloatArray
 ) -> FloatArray:
     """Return the distance of the vehicle along its lanes at each time `(k,)`, m (1)."""
     pull = min(max(accel, LEAST_MPS2), MOST_MPS2) * FADE_S
@@ -280,7 +280,7 @@ def _stations(
 
 @inner_kernel
 def _roll_out(
-    map_: LaneArrays, vehicle: FloatArray, way: IntArray, start: FloatArray, ahead: FloatArray, dying: FloatArray,
+    map_: LaneSamples, vehicle: FloatArray, way: IntArray, start: FloatArray, ahead: FloatArray, dying: FloatArray,
     out: FloatArray,
 ) -> None:  # fmt: skip
     """Follow a lane sequence (1)-(3): write rows x, y, yaw `(3, k)` to `out`; the first is the vehicle's pose."""

@@ -33,7 +33,7 @@ OUTSIDE = 100.0
 """Additional misfit of a lane that does not contain the box's centre: it is used only if no lane contains it."""
 
 
-class LaneArrays(NamedTuple):
+class LaneSamples(NamedTuple):
     """`n` lanes with `m` samples in all; lane i owns the samples `first[i] : first[i + 1]`.
 
     Attributes:
@@ -66,7 +66,7 @@ class LaneMap:
         arrays: The drivable lanes; empty if the road is unknown.
     """
 
-    arrays: LaneArrays
+    arrays: LaneSamples
 
     @classmethod
     def of(cls, road: Road) -> LaneMap:
@@ -83,7 +83,7 @@ class LaneMap:
 
 
 @once
-def _arrays(road: Road) -> LaneArrays:
+def _arrays(road: Road) -> LaneSamples:
     lanes = [lane for lane in road.lanes.values() if lane.drivable and lane.length >= SHORTEST_M]
     index = {lane.id: i for i, lane in enumerate(lanes)}
     sampled = []  # rows x, y, yaw, kappa, half width `(5, k)` of each centre line at equal steps, and the step, m
@@ -106,7 +106,7 @@ def _arrays(road: Road) -> LaneArrays:
     ]
     pose = np.hstack([np.empty((5, 0)), *(pose for pose, _ in sampled)])
     reach = [np.r_[(p[:2] - p[4]).min(axis=1), (p[:2] + p[4]).max(axis=1)] for p, _ in sampled]
-    return LaneArrays(
+    return LaneSamples(
         frozen(np.cumsum([0, *(pose.shape[1] for pose, _ in sampled)]), np.int64),
         frozen([step for _, step in sampled]),
         frozen([np.abs(pose[3]).max() for pose, _ in sampled]),
@@ -120,7 +120,7 @@ def _arrays(road: Road) -> LaneArrays:
 
 
 @kernel
-def lane_point(map_: LaneArrays, lane: int, s: float) -> tuple[float, float, float, float]:
+def lane_point(map_: LaneSamples, lane: int, s: float) -> tuple[float, float, float, float]:
     """Return x, y, yaw, kappa of a lane's centre line at station `s`; it is straight beyond its ends."""
     first, last = map_.first[lane], map_.first[lane + 1] - 1
     u = s / map_.step[lane]
@@ -137,7 +137,7 @@ def lane_point(map_: LaneArrays, lane: int, s: float) -> tuple[float, float, flo
 
 
 @kernel
-def lane_project(map_: LaneArrays, lane: int, x: float, y: float, within: float) -> tuple[float, float, float]:
+def lane_project(map_: LaneSamples, lane: int, x: float, y: float, within: float) -> tuple[float, float, float]:
     """Return station, offset to the left and half of the lane's width (m) at the foot of a point.
 
     The foot is the nearest point of the polyline; beyond the lane's ends the station is outside of [0, length]. If the
@@ -176,7 +176,7 @@ def lane_project(map_: LaneArrays, lane: int, x: float, y: float, within: float)
 
 
 @kernel
-def matches(map_: LaneArrays, x: float, y: float, yaw: float, lanes: IntArray, found: FloatArray) -> int:
+def matches(map_: LaneSamples, x: float, y: float, yaw: float, lanes: IntArray, found: FloatArray) -> int:
     """Find the lanes that a vehicle may be driving on, by misfit; of equal lanes (on a marking), the first comes first.
 
     Args:
@@ -219,7 +219,7 @@ def matches(map_: LaneArrays, x: float, y: float, yaw: float, lanes: IntArray, f
 
 
 @kernel
-def road_ahead(map_: LaneArrays, x: float, y: float, toward_x: float, toward_y: float, reach: float) -> float:
+def road_ahead(map_: LaneSamples, x: float, y: float, toward_x: float, toward_y: float, reach: float) -> float:
     """Return the distance to the first lane in a direction (unit vector), m: 0 on a lane, inf if none within reach."""
     steps = int(reach / ROAD_STEP_M) + 1
     for k in range(steps):

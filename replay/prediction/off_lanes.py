@@ -88,7 +88,7 @@ def turned(one: FloatArray, direction: float, ahead: FloatArray, out: FloatArray
         out[2, k] = one[2] + 2.0 * half
 
 
-class Place(Enum):
+class PedestrianPlace(Enum):
     """What a pedestrian does, and where."""
 
     CROSSING = "walks on a lane"
@@ -98,17 +98,17 @@ class Place(Enum):
     STANDING = "stands elsewhere"
 
 
-SHARES: dict[tuple[Place, bool], tuple[float, float, float]] = {
-    (Place.CROSSING, False): (0.85, 0.15, 0.0),
-    (Place.CROSSING, True): (0.45, 0.40, 0.15),
-    (Place.COMING, False): (0.65, 0.35, 0.0),
-    (Place.COMING, True): (0.30, 0.70, 0.0),
-    (Place.AWAY, False): (1.0, 0.0, 0.0),
-    (Place.AWAY, True): (0.8, 0.2, 0.0),
-    (Place.STANDING_ON_ROAD, False): (0.15, 0.70, 0.15),
-    (Place.STANDING_ON_ROAD, True): (0.15, 0.70, 0.15),
-    (Place.STANDING, False): (0.0, 1.0, 0.0),
-    (Place.STANDING, True): (0.2, 0.8, 0.0),
+SHARES: dict[tuple[PedestrianPlace, bool], tuple[float, float, float]] = {
+    (PedestrianPlace.CROSSING, False): (0.85, 0.15, 0.0),
+    (PedestrianPlace.CROSSING, True): (0.45, 0.40, 0.15),
+    (PedestrianPlace.COMING, False): (0.65, 0.35, 0.0),
+    (PedestrianPlace.COMING, True): (0.30, 0.70, 0.0),
+    (PedestrianPlace.AWAY, False): (1.0, 0.0, 0.0),
+    (PedestrianPlace.AWAY, True): (0.8, 0.2, 0.0),
+    (PedestrianPlace.STANDING_ON_ROAD, False): (0.15, 0.70, 0.15),
+    (PedestrianPlace.STANDING_ON_ROAD, True): (0.15, 0.70, 0.15),
+    (PedestrianPlace.STANDING, False): (0.0, 1.0, 0.0),
+    (PedestrianPlace.STANDING, True): (0.2, 0.8, 0.0),
 }
 """Probabilities of going on, stopping (or staying) and turning back, by place and whether the pedestrian slows."""
 
@@ -129,12 +129,18 @@ def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
         road = road_ahead(lanes.arrays, float(agents.x[i]), float(agents.y[i]), *toward, max(speed * LOOK_S, 0.0))
         if speed < WALKING_MPS:
             started = START_MPS * np.maximum(ahead - REACTION_S, 0.0)
-            place = Place.STANDING_ON_ROAD if road == 0.0 else Place.STANDING
+            place = PedestrianPlace.STANDING_ON_ROAD if road == 0.0 else PedestrianPlace.STANDING
             walks = (started, still), (still, still), (-started, (started > 0.0).astype(float))
         else:
-            place = Place.CROSSING if road == 0.0 else Place.COMING if np.isfinite(road) else Place.AWAY
+            place = (
+                PedestrianPlace.CROSSING
+                if road == 0.0
+                else PedestrianPlace.COMING
+                if np.isfinite(road)
+                else PedestrianPlace.AWAY
+            )
             stop = 0.5 * speed**2 / BRAKE_MPS2
-            halted = walked(ahead, speed, max(stop, road - KERB_M) if place is Place.COMING else stop)
+            halted = walked(ahead, speed, max(stop, road - KERB_M) if place is PedestrianPlace.COMING else stop)
             back = max(speed, START_MPS) * np.maximum(ahead - speed / BRAKE_MPS2 - PAUSE_S, 0.0)
             there_and_back = walked(ahead, speed, stop) - back, (back > 0.0).astype(float)
             walks = (speed * ahead, still), (halted, still), there_and_back

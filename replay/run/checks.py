@@ -10,7 +10,7 @@ from typing import Any
 
 from logs.catalogue import scenario
 from logs.errors import ConfigError, PlannerError, of_users, raised, unknown_name
-from logs.extension import Kind
+from logs.extension import ExtensionKind
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from planners import PLANNER, PLANNERS
@@ -32,7 +32,7 @@ from replay.settings import SETTINGS, configured, dotted, keywords_of, resolved
 from replay.traffic import TRAFFIC_KIND
 from replay.vehicle import VEHICLE, build_vehicle, split_plant
 
-KINDS: Mapping[str, tuple[Kind[Callable[..., Any]], int]] = {
+KINDS: Mapping[str, tuple[ExtensionKind[Callable[..., Any]], int]] = {
     "vehicle": (VEHICLE, 2),
     "controller": (CONTROLLER, 3),
     "traffic": (TRAFFIC_KIND, 1),

@@ -1,6 +1,6 @@
 """What a command may write: a folder or a file of its own, claimed before any work. All commands that write use this.
 
-A folder is claimed if it is new, empty, or has only what the same command writes (`Contents`); a file, if it is new or
+A folder is claimed if it is new, empty, or has only what the same command writes (`FolderContents`); a file, if it is new or
 has the command's own header, and does not lie in a result folder. Both are locked while the command runs, so that of
 two commands at once the second is refused. A URL is refused, except by `replan evaluate` and `replan merge`.
 
@@ -28,7 +28,7 @@ STUDY = "study.jsonl"
 
 
 @dataclass(frozen=True)
-class Contents:
+class FolderContents:
     """What a command writes into a folder of its own.
 
     Attributes:
@@ -60,8 +60,8 @@ class Contents:
         return partial or any(entry.match(pattern) for pattern in (STUDY, *self.names))
 
 
-RUN = Contents("evaluate", is_ours=is_of_a_run)
-MERGED = Contents("merge", is_ours=is_of_a_run, resumes=False)
+RUN = FolderContents("evaluate", is_ours=is_of_a_run)
+MERGED = FolderContents("merge", is_ours=is_of_a_run, resumes=False)
 
 
 def study_of(out: Path) -> str:
@@ -74,7 +74,7 @@ def study_of(out: Path) -> str:
 
 
 @contextmanager
-def claimed_folder(out: Path | str | None, contents: Contents, *, resume: bool = False) -> Iterator[Path]:
+def claimed_folder(out: Path | str | None, contents: FolderContents, *, resume: bool = False) -> Iterator[Path]:
     """The locked folder of a command; None: the next free one.
 
     Raises:

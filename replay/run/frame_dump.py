@@ -34,7 +34,7 @@ from replay.planner_process.planner_config import planner_factory, planner_keywo
 VERSION = 1
 
 
-class Problem(msgspec.Struct):
+class DumpedProblem(msgspec.Struct):
     """`planners.piecewise_jerk.problem.PiecewiseJerkProblem`, and the curve x, x', x'' `(3 n,)` that solves it.
 
     Attributes:
@@ -75,7 +75,7 @@ class File(msgspec.Struct):
     context: schema.Context
     frames: list[schema.Frame]
     plan: schema.Plan
-    problems: list[Problem]
+    problems: list[DumpedProblem]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ def dump(path: Path, one: FrameDump) -> None:
     for problem, result in one.problems:
         arrays = {name: packed(getattr(problem, name)) for name in ("leads", "start", "references", "lower", "upper")}
         numbers = [problem.step, problem.soft, *problem.weights]
-        problems.append(Problem(report=result.report, numbers=numbers, x=packed(result.x), **arrays))
+        problems.append(DumpedProblem(report=result.report, numbers=numbers, x=packed(result.x), **arrays))
     file = File(
         version=VERSION,
         log=one.log,
@@ -143,7 +143,7 @@ def load(path: Path) -> FrameDump:
         raise LogError(f"is not a dump of a frame: {error}", file=path) from None
 
 
-def _problem_of(message: Problem) -> SolvedProblem:
+def _problem_of(message: DumpedProblem) -> SolvedProblem:
     step, soft, *weights = message.numbers
     columns = (message.leads, message.start, message.references, message.lower, message.upper, message.x)
     leads, start, references, lower, upper, x = (np.frombuffer(column, WIRE).copy() for column in columns)

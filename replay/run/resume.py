@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError, LogError
-from logs.extension import Kind
+from logs.extension import ExtensionKind
 from logs.files import read_toml
 from logs.readers import READER
 from metrics import METRIC
@@ -36,7 +36,7 @@ from replay.settings import flat
 START_OVER = "leave out --resume to start over"
 
 
-def stamp_of(run: RunConfig, also: Iterable[tuple[Kind[Any], str]] = ()) -> Stamp:
+def stamp_of(run: RunConfig, also: Iterable[tuple[ExtensionKind[Any], str]] = ()) -> Stamp:
     """Version, and hash of the source files of replan and of the modules that the run names, and `also` these names."""
     root = Path(__file__).parents[2]
     files = [file for package in PACKAGES for file in sorted((root / package).rglob("*.py"))]
@@ -51,7 +51,7 @@ def stamp_of(run: RunConfig, also: Iterable[tuple[Kind[Any], str]] = ()) -> Stam
             own += [file for file in found if file.is_file()]
         elif name not in ORACLES and not name.startswith("tcp:") and (source := PLANNER.file(name)) is not None:
             own.append(source)
-    named: list[tuple[Kind[Any], str]] = [(METRIC, name) for name in run.metrics]
+    named: list[tuple[ExtensionKind[Any], str]] = [(METRIC, name) for name in run.metrics]
     named += [(READER, name) for name in (*READER.entries(), run.log.reader) if name]
     named += [(kind, getattr(run.loop, key)) for key, (kind, _) in KINDS.items()]
     for kind, name in (*named, *also):

@@ -110,7 +110,7 @@ def write_card(
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ShardContents:
     """The contents of a shard's folder.
 
     Attributes:
@@ -186,7 +186,7 @@ def gates_in(shard: Path) -> Iterator[Path | None]:
         yield None if text is None else path
 
 
-def _read_parts(folders: Sequence[Path]) -> tuple[Part, ...]:
+def _read_parts(folders: Sequence[Path]) -> tuple[ShardContents, ...]:
     """The shards in these folders, by number; ConfigError unless all are of one run and of this replan, each once."""
     if not folders:
         raise ConfigError("name the folders of all shards: replan merge SHARD1 SHARD2 ... -o OUT")
@@ -255,7 +255,7 @@ def _card(folder: Path) -> ShardCard:
     return read_json(folder / SHARD_CARD, ShardCard)[1]
 
 
-def _read_part(folder: Path) -> Part:
+def _read_part(folder: Path) -> ShardContents:
     card, results = _card(folder), list[LogResult]()
     for log in card.logs:
         if not log.folder:
@@ -270,7 +270,7 @@ def _read_part(folder: Path) -> Part:
     shard = Shard(card.number, card.of)
     if len(shard.places(len(card.inputs))) != len(results):
         raise ConfigError(f"{folder / SHARD_CARD}: has not the logs of shard {shard}; copy the shard again")
-    return Part(
+    return ShardContents(
         folder, shard, card.inputs, card.logs_left_out, card.gates, Stamp(card.replan, card.code), card.failures,
         tuple(results),
     )  # fmt: skip

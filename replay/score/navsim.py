@@ -36,16 +36,25 @@ from logs.kernel import BoolArray, FloatArray, kernel
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.shapes import overlap
-from metrics.boxes import BEHIND, NO_TTC_MPS, STANDING_MPS, Car
+from metrics.boxes import BEHIND, NO_TTC_MPS, STANDING_MPS, EgoOutline
 from metrics.comfort import savgol
-from metrics.lane_map import LaneMap, along_line, lane_map
+from metrics.lane_map import DrivableLanes, along_line, lane_map
 from metrics.nuplan import AHEAD, comfort_signals, comfortable, corners_of
-from replay.score.scene import Others, Path, Route, box_on_polygon, center_line, logged_others, red_lanes, route_of
+from replay.score.scene import (
+    Polyline,
+    RoadblockRoute,
+    WindowAgents,
+    box_on_polygon,
+    center_line,
+    logged_others,
+    red_lanes,
+    route_of,
+)
 from replay.score.tracker import LATERAL, STEP_S, TURN, TURN_RATE, YAW, A, V, X, Y, simulated
 
 HORIZON_S, POSES, POSE_S, PAST_S, LEAST_WAY_M = 4.0, 8, 0.5, 1.5, 5.0
 STEPS = round(HORIZON_S / STEP_S) + 1
-NUPLAN_CAR = Car(1.461, 5.176, 2.297, 1.461 + 0.5 * 5.176)
+NUPLAN_CAR = EgoOutline(1.461, 5.176, 2.297, 1.461 + 0.5 * 5.176)
 """The Pacifica of nuPlan: rear axle to centre, length, width, rear axle to front, m."""
 CARRIED = (0, 3, 6, 9)
 KEEPING_M, KEEPING_STEPS, AGAINST_M = 0.5, 20, (2.0, 6.0)
@@ -102,15 +111,15 @@ VERSIONS: Mapping[str, Version] = MappingProxyType({"navsim-v1": _V1, "navsim-v2
 class Ground:
     """The map of a window: lanes, route, PDM-Closed's first lane and centre line, the red lanes at each step."""
 
-    lanes: LaneMap
-    route: Route
+    lanes: DrivableLanes
+    route: RoadblockRoute
     first: int
-    center: Path
+    center: Polyline
     red: tuple[frozenset[int], ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class ScoredWindow:
     """The begin of a window: time, the tracker's first state `(9,)`, the log and its map.
 
     `states` are the tracked states of the plan `(41, 9)`.
@@ -123,7 +132,7 @@ class Window:
     states: FloatArray = field(default_factory=lambda: np.empty((0, 9)))
 
 
-def window(scenario: Scenario, t: float) -> Window:
+def window(scenario: Scenario, t: float) -> ScoredWindow:
     """Return the window of a log that begins at `t`, s.
 
     Raises:
@@ -145,10 +154,10 @@ def window(scenario: Scenario, t: float) -> Window:
     shown = [red_lanes(scenario, lanes, route, t + POSE_S * k) for k in range(POSES + 1)]
     red = tuple(shown[int(STEP_S * k / POSE_S + 1e-6)] for k in range(STEPS))
     start = np.array([ego.x, ego.y, ego.yaw, ego.v, ego.a, ego.v**2 * ego.kappa, 0.0, 0.0, 0.0])
-    return Window(t, start, scenario, Ground(lanes, route, begin, center, red))
+    return ScoredWindow(t, start, scenario, Ground(lanes, route, begin, center, red))
 
 
-def driven(at: Window, poses: FloatArray) -> FloatArray:
+def driven(at: ScoredWindow, poses: FloatArray) -> FloatArray:
     """Return the tracked states `(41, 9)` of a plan: eight poses x, y, yaw `(8, 3)`."""
     whole = np.vstack([at.start[[X, Y, YAW]], poses])
     whole[:, 2] = np.unwrap(whole[:, 2])
@@ -157,14 +166,16 @@ def driven(at: Window, poses: FloatArray) -> FloatArray:
     return simulated(dense, at.start, at.scenario.vehicle.wheelbase)
 
 
-def human_poses(at: Window) -> FloatArray:
+def human_poses(at: ScoredWindow) -> FloatArray:
     """Return the poses `(8, 3)` of the log's driver in a window."""
     log = at.scenario.ego
     there = log.resampled(np.minimum(at.t + POSE_S * np.arange(1, POSES + 1), log.t[-1]))
     return np.column_stack([there.x, there.y, there.yaw])
 
 
-def judged(states: FloatArray, others: Others, ground: Ground, version: Version) -> tuple[dict[str, float], float]:
+def judged(
+    states: FloatArray, others: WindowAgents, ground: Ground, version: Version
+) -> tuple[dict[str, float], float]:
     """Return the parts of tracked states `(41, 9)` except EP, HC, EC, and the way along the centre line, m."""
     car, lanes, n = NUPLAN_CAR, ground.lanes, len(states)
     yaw = np.ascontiguousarray(states[:, YAW])
@@ -199,7 +210,7 @@ def judged(states: FloatArray, others: Others, ground: Ground, version: Version)
 
 @kernel
 def _meetings(
-    states: FloatArray, box: FloatArray, others: Others, astray: BoolArray, wide: BoolArray, ttc_steps: int
+    states: FloatArray, box: FloatArray, others: WindowAgents, astray: BoolArray, wide: BoolArray, ttc_steps: int
 ) -> tuple[float, bool]:
     """Return NC, and whether the ego comes too close in time to an agent; `box` is its centre `(2, k)`."""
     car, score, close = NUPLAN_CAR, 1.0, False
@@ -257,7 +268,7 @@ def progress(own: float, best: float, *, multiplier: float, masks: bool) -> floa
     return float(np.clip(own * (multiplier if masks else 1.0) / best, 0.0, 1.0))
 
 
-def history_comfort(at: Window, states: FloatArray, version: Version) -> float:
+def history_comfort(at: ScoredWindow, states: FloatArray, version: Version) -> float:
     """Return HC of tracked states."""
     if version.past:
         states = np.vstack([_past(at), states])
@@ -267,7 +278,7 @@ def history_comfort(at: Window, states: FloatArray, version: Version) -> float:
     return float(comfortable(comfort_signals(lon, states[:, LATERAL], whole, yaw, STEP_S, version.windows)))
 
 
-def _past(at: Window) -> FloatArray:
+def _past(at: ScoredWindow) -> FloatArray:
     """Return the recorded states `(n, 9)` from 1.5 to 0.2 s before: the original leaves out the last one."""
     log = at.scenario.ego
     known = at.t + POSE_S * np.arange(-3, 1)
@@ -302,7 +313,7 @@ def total(parts: Mapping[str, float], version: Version) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Scored:
+class ScoredPlan:
     """The parts and the score of a plan, and its tracked states, which the next plan's EC needs."""
 
     parts: Mapping[str, float]
@@ -320,18 +331,18 @@ class Yardstick:
         human: The parts of the log's driver; empty without the human filter.
     """
 
-    others: Others
+    others: WindowAgents
     best: float
     human: Mapping[str, float]
 
 
-def yardstick(at: Window, version: Version) -> Yardstick:
+def yardstick(at: ScoredWindow, version: Version) -> Yardstick:
     """Return what all plans of a window are compared with."""
     from replay.score.pdm_closed import plan_of  # it judges its proposals with this module
 
     car = at.scenario.vehicle
     x, y = at.start[X] + car.axle_to_center * cos(at.start[YAW]), at.start[Y] + car.axle_to_center * sin(at.start[YAW])
-    own = Car(car.axle_to_center, car.length, car.width, car.axle_to_front)
+    own = EgoOutline(car.axle_to_center, car.length, car.width, car.axle_to_front)
     others = logged_others(at.scenario, at.t, version.seen_s)
     others = others.apart(x, y, at.start[YAW], own) if version.drops else others
     rival, way = judged(simulated(plan_of(at, version), at.start, car.wheelbase), others, at.ground, version)
@@ -340,8 +351,12 @@ def yardstick(at: Window, version: Version) -> Yardstick:
 
 
 def scored(
-    at: Window, poses: FloatArray, version: Version, before: Scored | None = None, beside: Yardstick | None = None
-) -> Scored:
+    at: ScoredWindow,
+    poses: FloatArray,
+    version: Version,
+    before: ScoredPlan | None = None,
+    beside: Yardstick | None = None,
+) -> ScoredPlan:
     """Score a plan: eight poses x, y, yaw of the rear axle `(8, 3)`, every 0.5 s from the window's begin.
 
     `before` is the plan of 0.5 s earlier; `beside` is `yardstick(at, version)`, if it is known.
@@ -355,4 +370,4 @@ def scored(
     parts["HC"] = history_comfort(at, states, version)
     parts["EC"] = nan if before is None else extended_comfort(states, before.states, round(POSE_S / STEP_S))
     filtered = parts | {name: 1.0 for name, value in beside.human.items() if value == 0.0}
-    return Scored(filtered, total(filtered if version.scores_filtered else parts, version), states)
+    return ScoredPlan(filtered, total(filtered if version.scores_filtered else parts, version), states)

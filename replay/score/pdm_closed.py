@@ -21,10 +21,10 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.shapes import distance
 from logs.states import wrapped
-from metrics.boxes import Car
+from metrics.boxes import EgoOutline
 from planners.pdm.planner import PdmConfig
-from replay.score.navsim import STEPS, Version, Window, history_comfort, judged, multiplied, progress
-from replay.score.scene import Others, Path, box_on_polygon, centroid, in_corridor, predicted_others
+from replay.score.navsim import STEPS, ScoredWindow, Version, history_comfort, judged, multiplied, progress
+from replay.score.scene import Polyline, WindowAgents, box_on_polygon, centroid, in_corridor, predicted_others
 from replay.score.tracker import STEP_S, YAW, V, X, Y, simulated
 
 CONFIG = PdmConfig()
@@ -34,11 +34,11 @@ KNOTS = STEPS + 10
 OFFSETS_M = (0.0, -1.0, 1.0)
 
 
-def plan_of(at: Window, version: Version) -> FloatArray:
+def plan_of(at: ScoredWindow, version: Version) -> FloatArray:
     """Return the poses x, y, yaw `(41, 3)` of the best proposal in a window; of equals the first."""
     car = at.scenario.vehicle
     x, y = at.start[X] + car.axle_to_center * cos(at.start[YAW]), at.start[Y] + car.axle_to_center * sin(at.start[YAW])
-    own = Car(car.axle_to_center, car.length, car.width, car.axle_to_front)
+    own = EgoOutline(car.axle_to_center, car.length, car.width, car.axle_to_front)
     others = predicted_others(at.scenario, at.t, float(x), float(y), KNOTS + 2).apart(x, y, at.start[YAW], own)
     proposals = [one for offset in OFFSETS_M for one in _proposals(at, at.ground.center.beside(offset), own, others)]
     driven = [simulated(poses[:STEPS], at.start, car.wheelbase) for poses in proposals]
@@ -55,7 +55,7 @@ def plan_of(at: Window, version: Version) -> FloatArray:
     return np.asarray(proposals[int(np.argmax(totals))][:STEPS])
 
 
-def _proposals(at: Window, path: Path, car: Car, others: Others) -> FloatArray:
+def _proposals(at: ScoredWindow, path: Polyline, car: EgoOutline, others: WindowAgents) -> FloatArray:
     """Return the poses `(5, KNOTS, 3)` of the drivers on one line."""
     c, ground = CONFIG, at.ground
     limit = at.scenario.road.stated_limit(ground.lanes.lanes[ground.first].id)
@@ -84,7 +84,7 @@ def _proposals(at: Window, path: Path, car: Car, others: Others) -> FloatArray:
     return poses
 
 
-def _in_the_way(at: Window, corridor: FloatArray, car: Car) -> list[FloatArray]:
+def _in_the_way(at: ScoredWindow, corridor: FloatArray, car: EgoOutline) -> list[FloatArray]:
     """Return the outlines of lanes with a red light that touch the corridor, without one that holds the ego's box."""
     outlines = [at.ground.lanes.lanes[i].polygon for i in sorted(at.ground.red[0])]
     yaw = at.start[YAW]
@@ -102,7 +102,7 @@ def _in_the_way(at: Window, corridor: FloatArray, car: Car) -> list[FloatArray]:
     return out
 
 
-def _near(path: Path, corridor: FloatArray, car: Car, others: Others, k: int) -> dict[int, float]:
+def _near(path: Polyline, corridor: FloatArray, car: EgoOutline, others: WindowAgents, k: int) -> dict[int, float]:
     """Return the agents that touch the corridor at step k, and their stations."""
     found = np.flatnonzero(others.there[:, k]).tolist()
     half = 0.5 * car.width
@@ -111,8 +111,8 @@ def _near(path: Path, corridor: FloatArray, car: Car, others: Others, k: int) ->
 
 
 def _leaders(
-    s: FloatArray, poses: FloatArray, near: dict[int, float], lights: list[tuple[float, FloatArray]], others: Others,
-    k: int, car: Car, end: float,
+    s: FloatArray, poses: FloatArray, near: dict[int, float], lights: list[tuple[float, FloatArray]], others: WindowAgents,
+    k: int, car: EgoOutline, end: float,
 ) -> FloatArray:  # fmt: skip
     """Return station, speed and length to the rear of each driver's leader `(5, 3)`.
 

@@ -16,15 +16,15 @@ from logs.rules import RED
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import distance, overlap
 from logs.states import wrap, wrapped
-from metrics.boxes import Car, ego_boxes, others_at
-from metrics.lane_map import LaneMap, along_line
+from metrics.boxes import EgoOutline, ego_boxes, others_at
+from metrics.lane_map import DrivableLanes, along_line
 from metrics.nuplan import route_lanes
 
 STEP_S, SAMPLE_S, NEAR_M, BEYOND_M = 0.1, 0.5, 100.0, 100.0
 
 
 @dataclass(frozen=True, eq=False)
-class Route:
+class RoadblockRoute:
     """The roadblocks that the log's driver comes through and those beyond, in order, and their lanes (by index)."""
 
     blocks: tuple[int, ...]
@@ -32,7 +32,7 @@ class Route:
 
 
 @once
-def route_of(scenario: Scenario, lanes: LaneMap) -> Route:
+def route_of(scenario: Scenario, lanes: DrivableLanes) -> RoadblockRoute:
     """Return the route of the whole log, and on straight for `BEYOND_M`: nuPlan's routes do not end with a log."""
     boxes, index = ego_boxes(scenario.ego, scenario), {lane.id: i for i, lane in enumerate(lanes.lanes)}
     first = route_lanes(lanes, boxes[0], boxes[1])
@@ -42,11 +42,11 @@ def route_of(scenario: Scenario, lanes: LaneMap) -> Route:
         blocks.append(lanes.block[index[after]])
         beyond += lanes.lanes[index[after]].length
         after = straight_on(scenario.road, after)
-    return Route(tuple(blocks), frozenset(i for i, block in enumerate(lanes.block) if block in blocks))
+    return RoadblockRoute(tuple(blocks), frozenset(i for i, block in enumerate(lanes.block) if block in blocks))
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class Polyline:
     """A polyline with headings: points `(n, 2)`, unwrapped headings and stations `(n,)`."""
 
     points: FloatArray
@@ -54,15 +54,15 @@ class Path:
     s: FloatArray
 
     @classmethod
-    def through(cls, points: FloatArray, yaw: FloatArray) -> Path:
+    def through(cls, points: FloatArray, yaw: FloatArray) -> Polyline:
         """A path through points with headings."""
         way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
         return cls(np.ascontiguousarray(points), np.unwrap(yaw), way)
 
-    def beside(self, offset: float) -> Path:
+    def beside(self, offset: float) -> Polyline:
         """The path `offset` m to the left."""
         left = np.column_stack([np.cos(self.yaw + 0.5 * pi), np.sin(self.yaw + 0.5 * pi)])
-        return Path.through(self.points + offset * left, self.yaw)
+        return Polyline.through(self.points + offset * left, self.yaw)
 
     def at(self, s: FloatArray) -> FloatArray:
         """Return x, y, yaw `(k, 3)` at stations."""
@@ -76,7 +76,7 @@ class Path:
         return float(along_line(self.points, np.array([x]), np.array([y]))[0][0])
 
 
-def center_line(lanes: LaneMap, route: Route, x: float, y: float, yaw: float) -> tuple[int, Path]:
+def center_line(lanes: DrivableLanes, route: RoadblockRoute, x: float, y: float, yaw: float) -> tuple[int, Polyline]:
     """Return the lane at which PDM-Closed begins, and its centre line to the end of the route.
 
     The lane is the best aligned one of the route under the rear axle, else the nearest one; the way is the shortest by
@@ -110,16 +110,16 @@ def center_line(lanes: LaneMap, route: Route, x: float, y: float, yaw: float) ->
                 way[after], reached[after] = longer, (*reached[here], after)
                 queue += [after] if after not in queue else []
     points, headings = zip(*(ends[i] for i in last), strict=True)
-    return start, Path.through(np.vstack(points), np.concatenate(headings))
+    return start, Polyline.through(np.vstack(points), np.concatenate(headings))
 
 
-def _with_headings(lanes: LaneMap, i: int) -> tuple[FloatArray, FloatArray]:
+def _with_headings(lanes: DrivableLanes, i: int) -> tuple[FloatArray, FloatArray]:
     points = lanes.lanes[i].center
     heading = np.arctan2(*np.diff(points, axis=0).T[::-1])
     return points, np.r_[heading, heading[-1]]
 
 
-class Others(NamedTuple):
+class WindowAgents(NamedTuple):
     """Road users of a window at k steps of 0.1 s.
 
     Attributes:
@@ -133,20 +133,22 @@ class Others(NamedTuple):
     agent: BoolArray
     size: FloatArray
 
-    def apart(self, x: float, y: float, yaw: float, car: Car) -> Others:
+    def apart(self, x: float, y: float, yaw: float, car: EgoOutline) -> WindowAgents:
         """Return them without those that touch the ego at the first step."""
         touching = [
             bool(self.there[i, 0]) and overlap(x, y, yaw, car.length, car.width, *self.pose[:, i, 0], *self.size[i])
             for i in range(len(self.size))
         ]
-        return Others(self.there & ~np.array(touching, np.bool_)[:, None], self.pose, self.speed, self.agent, self.size)
+        return WindowAgents(
+            self.there & ~np.array(touching, np.bool_)[:, None], self.pose, self.speed, self.agent, self.size
+        )
 
 
 def _movable(tracks: Tracks) -> BoolArray:
     return np.array([kind is not AgentKind.OBJECT for kind in tracks.kinds], np.bool_)
 
 
-def logged_others(scenario: Scenario, t: float, lasts: float) -> Others:
+def logged_others(scenario: Scenario, t: float, lasts: float) -> WindowAgents:
     """Return the road users as logged: samples every 0.5 s, linear between; one that is seen once stays."""
     tracks, samples = scenario.tracks, t + SAMPLE_S * np.arange(round(lasts / SAMPLE_S) + 1)
     found, steps = others_at(tracks, samples), round(lasts / STEP_S) + 1
@@ -160,10 +162,10 @@ def logged_others(scenario: Scenario, t: float, lasts: float) -> Others:
         there[i] = (len(seen) == 1) | ((fine >= at[0] - 1e-9) & (fine <= at[-1] + 1e-9))
         pose[:, i] = [np.interp(fine, at, row) for row in rows]
         speed[i] = np.hypot(*found.pose[3:, i, seen[0]])
-    return Others(there, pose, speed, _movable(tracks), found.size)
+    return WindowAgents(there, pose, speed, _movable(tracks), found.size)
 
 
-def predicted_others(scenario: Scenario, t: float, x: float, y: float, steps: int) -> Others:
+def predicted_others(scenario: Scenario, t: float, x: float, y: float, steps: int) -> WindowAgents:
     """Return the road users within `NEAR_M` as PDM-Closed predicts them: at constant speed ahead, every 0.2 s."""
     now, agent = others_at(scenario.tracks, np.array([t])), _movable(scenario.tracks)
     px, py, yaw, vx, vy = np.nan_to_num(now.pose[:, :, 0])
@@ -173,10 +175,10 @@ def predicted_others(scenario: Scenario, t: float, x: float, y: float, steps: in
     still = np.repeat(yaw[:, None], steps, axis=1)
     pose = np.stack([px[:, None] + np.cos(way)[:, None] * moved, py[:, None] + np.sin(way)[:, None] * moved, still])
     near = now.there[:, 0] & (np.hypot(px - x, py - y) <= NEAR_M)
-    return Others(np.repeat(near[:, None], steps, axis=1), pose, speed, agent, now.size)
+    return WindowAgents(np.repeat(near[:, None], steps, axis=1), pose, speed, agent, now.size)
 
 
-def red_lanes(scenario: Scenario, lanes: LaneMap, route: Route, t: float) -> frozenset[int]:
+def red_lanes(scenario: Scenario, lanes: DrivableLanes, route: RoadblockRoute, t: float) -> frozenset[int]:
     """Return the lanes of the route behind stop lines whose light is red."""
     shown = {light.id: light.at(t) for light in scenario.lights}
     ids = {lane.id: i for i, lane in enumerate(lanes.lanes)}

@@ -19,8 +19,8 @@ from replay.score.navsim import (
     PAST_S,
     POSE_S,
     VERSIONS,
-    Scored,
-    Window,
+    ScoredPlan,
+    ScoredWindow,
     Yardstick,
     scored,
     window,
@@ -93,8 +93,8 @@ def navsim_table(
     """
     if not asked:
         raise ConfigError("no plans to score: a window needs a plan of 4 s, and 4 s of the log after its begin")
-    version, done, rows = VERSIONS[name], dict[tuple[str, str, int], Scored](), []
-    here: tuple[tuple[str, float], Window, Yardstick] | None = None
+    version, done, rows = VERSIONS[name], dict[tuple[str, str, int], ScoredPlan](), []
+    here: tuple[tuple[str, float], ScoredWindow, Yardstick] | None = None
     for one in sorted(asked, key=lambda one: (one.log, one.t, one.drive)):
         if here is None or here[0] != (one.log, one.t):
             begin = window(logs[one.log], one.t)

@@ -203,7 +203,7 @@ def _parameter_scale(name: str, default: float) -> float | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class SearchSubject:
     """The log or family that is searched.
 
     Attributes:
@@ -218,7 +218,7 @@ class Subject:
     family: Family | None = None
     agents: tuple[str, ...] = ()
 
-    def of(self, agents: tuple[str, ...]) -> Subject:
+    def of(self, agents: tuple[str, ...]) -> SearchSubject:
         """The subject with these agents varied."""
         return replace(self, agents=agents)
 
@@ -246,7 +246,7 @@ class Subject:
         return varied(made, self.agents, changes) if changes else made
 
 
-def opened(name: str, settings: LogSettings) -> Subject:
+def opened(name: str, settings: LogSettings) -> SearchSubject:
     """The log at a path or URL, or the family of a name.
 
     Raises:
@@ -256,14 +256,14 @@ def opened(name: str, settings: LogSettings) -> Subject:
     with here(name) as path:
         if path.exists():
             scenario = LogSource(name, path, settings).read()
-            return Subject(scenario.name, prepared(scenario))
+            return SearchSubject(scenario.name, prepared(scenario))
     if ":" not in name and name not in families():
         raise ConfigError(f"{name}: no such file or folder, and no family of the catalogue (replan synth --list)")
     family = FAMILY.find(name)
-    return Subject(name, prepared(family.scenario()), family)
+    return SearchSubject(name, prepared(family.scenario()), family)
 
 
-def agents_of(subject: Subject, axes: Sequence[SearchAxis], named: Sequence[str]) -> tuple[str, ...]:
+def agents_of(subject: SearchSubject, axes: Sequence[SearchAxis], named: Sequence[str]) -> tuple[str, ...]:
     """The agents to vary: the named ones, otherwise the one in conflict with the ego, if an axis needs one.
 
     Raises:

@@ -53,16 +53,16 @@ from replay.results.tables import PARTIAL, write_file, write_json, write_parquet
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
 from replay.run.checks import checked
-from replay.run.claim import Contents, claimed_folder
+from replay.run.claim import FolderContents, claimed_folder
 from replay.run.judging import gates_of
 from replay.run.resume import stamp_of
-from replay.search.axes import SearchAxis, Subject, box_of, values_at
+from replay.search.axes import SearchAxis, SearchSubject, box_of, values_at
 from replay.search.figures import falsify_figure
-from replay.search.mildest import Mildest, Point, Scored, cma_class, norm, search
+from replay.search.mildest import Mildest, Point, ScoredPoint, cma_class, norm, search
 from replay.search.study import Study
 
 KIND = "falsify"
-CONTENTS = Contents(KIND, ("falsify.*", "trials.*", "case", "case.mcap"))
+CONTENTS = FolderContents(KIND, ("falsify.*", "trials.*", "case", "case.mcap"))
 RESOLUTION = 0.02
 """Default resolution of the distance: a fiftieth of a scale."""
 BUDGET = 200
@@ -74,7 +74,7 @@ WORDS = {FAIL: "fail", BOTH: "fail, as does the reference driver", ERROR: "canno
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
+class FalsifyQuestion:
     """The inputs of a falsification.
 
     Attributes:
@@ -87,7 +87,7 @@ class Question:
         resolution: Resolution of the distance.
     """
 
-    subject: Subject
+    subject: SearchSubject
     axes: tuple[SearchAxis, ...]
     run: RunConfig
     against: str = CAREFUL
@@ -120,7 +120,7 @@ class Question:
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class TriedPoint:
     """The result of one drive.
 
     Attributes:
@@ -148,12 +148,12 @@ class Case:
         return (2.0 if self.outcome == BOTH else 3.0) + distance
 
 
-def judged(results: Results, log: str, gates: Sequence[Gate], planner: str, against: str) -> Case:
+def judged(results: Results, log: str, gates: Sequence[Gate], planner: str, against: str) -> TriedPoint:
     """The case of a log in a run of the planner and of `against`, unless that is "careful"."""
     failures = results.failures[results.failures["log"] == log]
     drives = results.drives[(results.drives["log"] == log) & (results.drives["planner"] == planner)]
     if len(failures) or drives.empty:
-        return Case(ERROR, why=str(failures["message"].iloc[0]) if len(failures) else "not driven")
+        return TriedPoint(ERROR, why=str(failures["message"].iloc[0]) if len(failures) else "not driven")
     verdicts = results.verdicts[results.verdicts["log"] == log]
     mine = verdicts[verdicts["planner"] == planner]
     outcome = worst(map(Outcome, mine["outcome"]))
@@ -180,7 +180,7 @@ def judged(results: Results, log: str, gates: Sequence[Gate], planner: str, agai
     why = next(filter(None, about["reason"]), "") if outcome is not Outcome.PASS else ""
     kind = FAIL if counts else BOTH if len(failed) else outcome.value
     value = float(about["value"].iloc[0]) if len(about) else nan
-    return Case(kind, shown, why, str(drives["end"].iloc[0]), robustness(gates, own), value)
+    return TriedPoint(kind, shown, why, str(drives["end"].iloc[0]), robustness(gates, own), value)
 
 
 def robustness(gates: Sequence[Gate], values: Mapping[str, float]) -> float:
@@ -218,7 +218,7 @@ class Falsified:
     """
 
     out: Path
-    question: Question
+    question: FalsifyQuestion
     found: Mildest
     table: pd.DataFrame
     case: Mapping[str, Any]
@@ -272,7 +272,7 @@ def asked_of(against: str) -> str:
 
 
 def falsify(
-    question: Question,
+    question: FalsifyQuestion,
     out: Path | None,
     *,
     workers: int = 0,
@@ -304,7 +304,7 @@ def falsify(
         raise ConfigError(failures[0].message)
     with claimed_folder(out, CONTENTS, resume=resume) as out:
         study = Study(out, question.head(), resume=resume)
-        trials = Drives(question, out, study, workers, say)
+        trials = SearchDrives(question, out, study, workers, say)
         found = search(
             box_of(question.axes), trials, budget=question.budget, seed=question.seed, resolution=question.resolution
         )
@@ -314,17 +314,19 @@ def falsify(
     return result
 
 
-class Drives:
+class SearchDrives:
     """Evaluates points batch by batch (`replay.search.mildest.Evaluate`), and keeps their rows."""
 
-    def __init__(self, question: Question, out: Path, study: Study, workers: int, say: Callable[[str], None]) -> None:
+    def __init__(
+        self, question: FalsifyQuestion, out: Path, study: Study, workers: int, say: Callable[[str], None]
+    ) -> None:
         self._question, self._study, self._workers, self._say = question, study, workers, say
         self._gates = gates_of(question.driven, question.driven.gates_path).gates
         self._scratch = out / f"{PARTIAL}batch"
         self._farthest = norm(abs(box_of(question.axes)).max(axis=0))
         self.rows: list[dict[str, Any]] = []
 
-    def __call__(self, points: Sequence[Point], part: str) -> list[Scored]:
+    def __call__(self, points: Sequence[Point], part: str) -> list[ScoredPoint]:
         """As `replay.search.mildest.Evaluate`; points in the study file are not driven again."""
         new = [point for point in points if self._study.known(_key(point)) is None]
         if new:
@@ -347,18 +349,18 @@ class Drives:
         least = min((row["distance"] for row in self.rows if row["outcome"] == FAIL), default=inf)
         best = f"mildest failure at distance {least:.3f}" if least < inf else "no failure that counts yet"
         self._say(f"{part}: {len(self.rows)} of at most {counted(self._question.budget, 'drive')}, {best}")
-        return [Scored(row["score"], row["outcome"] == FAIL) for row in rows]
+        return [ScoredPoint(row["score"], row["outcome"] == FAIL) for row in rows]
 
     def row_of(self, point: Point | None) -> Mapping[str, Any]:
         """The row of a point; empty for None."""
         return {} if point is None else next(row for row in self.rows if row["key"] == _key(point))
 
-    def _drive_points(self, points: Sequence[Point]) -> list[Case]:
+    def _drive_points(self, points: Sequence[Point]) -> list[TriedPoint]:
         """Drive points, and return their cases."""
         asked = self._question
         shutil.rmtree(self._scratch, ignore_errors=True)
         (self._scratch / "logs").mkdir(parents=True)
-        made: list[Path | Case] = []
+        made: list[Path | TriedPoint] = []
         try:
             for k, point in enumerate(points):
                 path = self._scratch / "logs" / f"{k}.mcap"
@@ -366,15 +368,15 @@ class Drives:
                     write_scenario(path, asked.subject.at(asked.axes, values_at(asked.axes, point)))
                     made.append(path)
                 except LogError as error:  # there is no such scenario
-                    made.append(Case(ERROR, why=str(error)))
+                    made.append(TriedPoint(ERROR, why=str(error)))
             logs = [log for log in made if isinstance(log, Path)]
             if not logs:
-                return [one for one in made if isinstance(one, Case)]
+                return [one for one in made if isinstance(one, TriedPoint)]
             results = evaluate_logs(logs, asked.driven, self._scratch / "results", workers=self._workers)
             names = dict(zip(results.logs["source"], results.logs["log"], strict=True))
             return [
                 one
-                if isinstance(one, Case)
+                if isinstance(one, TriedPoint)
                 else judged(results, names[str(one)], self._gates, asked.planner, asked.against)
                 for one in made
             ]

@@ -45,14 +45,14 @@ Point = tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Scored:
+class ScoredPoint:
     """The result of a point: its score (lower is better), and whether it counts as a failure."""
 
     score: float
     counts: bool
 
 
-Evaluate = Callable[[Sequence[Point], str], Sequence[Scored]]
+Evaluate = Callable[[Sequence[Point], str], Sequence[ScoredPoint]]
 """Evaluates points of a part of the search, in order."""
 
 
@@ -74,15 +74,15 @@ class Mildest:
     evaluations: int
 
 
-class _Trials:
+class _EvaluatedPoints:
     """The evaluated points, and the remaining budget."""
 
     def __init__(self, box: FloatArray, evaluate: Evaluate, budget: int) -> None:
         self.box, self.left = box, budget
         self._evaluate = evaluate
-        self.found: dict[Point, Scored] = {}
+        self.found: dict[Point, ScoredPoint] = {}
 
-    def ask(self, points: FloatArray, part: str) -> list[Scored | None]:
+    def ask(self, points: FloatArray, part: str) -> list[ScoredPoint | None]:
         """The scores of points `(k, n)`; each is evaluated once, None if the budget is spent."""
         asked = [tuple(point) for point in (np.clip(points, *self.box).round(DIGITS) + 0.0).tolist()]
         new = [point for point in dict.fromkeys(asked) if point not in self.found][: self.left]
@@ -133,7 +133,7 @@ def search(box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resol
         ConfigError: The budget is too small, or cmaes is not installed.
     """
     cma = cma_class(budget)
-    trials = _Trials(box, evaluate, budget)
+    trials = _EvaluatedPoints(box, evaluate, budget)
     trials.ask(np.zeros((1, box.shape[1])), "recorded")
     if trials.mildest() is None:
         from scipy.stats.qmc import Halton  # here: it takes long to load
@@ -177,7 +177,7 @@ def cma_class(budget: int) -> Any:
     return CMA
 
 
-def _generations(trials: _Trials, cma: Any, seed: int, reserve: int) -> None:
+def _generations(trials: _EvaluatedPoints, cma: Any, seed: int, reserve: int) -> None:
     """One run of CMA-ES: until it finds nothing better, or a first point counts (then the next one is narrower)."""
     counted = trials.mildest() is not None
     sides = np.full(trials.box.shape[1], trials.distance) if counted else trials.box[1] - trials.box[0]
@@ -199,7 +199,7 @@ def _generations(trials: _Trials, cma: Any, seed: int, reserve: int) -> None:
             return
 
 
-def _approach_origin(trials: _Trials, resolution: float) -> None:
+def _approach_origin(trials: _EvaluatedPoints, resolution: float) -> None:
     """Set as many axes of the mildest point as possible to the origin; then narrow the bracket to the origin."""
     before = inf
     while trials.distance < before:

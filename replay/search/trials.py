@@ -30,7 +30,7 @@ Values = dict[tuple[str, ...], Value]
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class TuningInputs:
     """The inputs of a tuning.
 
     Attributes:
@@ -80,7 +80,7 @@ def optuna_module() -> Any:
 class Trials:
     """optuna's study: it gives the next trial, and takes its result."""
 
-    def __init__(self, plan: Plan, default: RunScores) -> None:
+    def __init__(self, plan: TuningInputs, default: RunScores) -> None:
         self._plan, self._default, self._scale = plan, default, scales(default.values)
         self._optuna = optuna_module()
         with _quiet():

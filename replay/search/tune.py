@@ -38,7 +38,7 @@ from replay.results.tables import PARTIAL, write_file, write_json, write_parquet
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
 from replay.run.checks import checked
-from replay.run.claim import Contents, claimed_folder
+from replay.run.claim import FolderContents, claimed_folder
 from replay.run.engine import Engine, Local
 from replay.run.resume import identity_of
 from replay.run.sources import Selection
@@ -57,9 +57,9 @@ from replay.search.gains import (
 )  # fmt: skip
 from replay.search.space import chosen_table, listed, with_values
 from replay.search.study import Study
-from replay.search.trials import KIND, Plan, Trials, Values, key_of, optuna_module
+from replay.search.trials import KIND, Trials, TuningInputs, Values, key_of, optuna_module
 
-CONTENTS = Contents(
+CONTENTS = FolderContents(
     KIND,
     ("tune.json", "trials.*", "pareto.*", "best.toml", "training", "held_out", "logs"),
 )
@@ -105,7 +105,7 @@ class Tuned:
     """
 
     out: Path
-    plan: Plan
+    plan: TuningInputs
     logs: Logs
     table: pd.DataFrame
     chosen: Mapping[str, Any]
@@ -151,7 +151,7 @@ class Tuned:
 
 
 def tune(
-    plan: Plan,
+    plan: TuningInputs,
     selection: Selection,
     out: Path | None,
     *,
@@ -257,7 +257,7 @@ class _Driver:
 # trials -----------------------------------------------------------------------------------------------------------
 
 
-def _run_search(plan: Plan, logs: Logs, study: Study, driver: _Driver, say: Callable[[str], None]) -> Tuned:
+def _run_search(plan: TuningInputs, logs: Logs, study: Study, driver: _Driver, say: Callable[[str], None]) -> Tuned:
     say(f"{counted(len(logs.training), 'training log')}, {len(logs.held)} held out; first the defaults")
     names, where = logs.training, logs.at(logs.training)
     default = run_scores(driver.kept(where, plan.driven, "training"), names, plan.objectives)
@@ -301,7 +301,7 @@ def _run_search(plan: Plan, logs: Logs, study: Study, driver: _Driver, say: Call
 
 
 def _judge_held_out(
-    plan: Plan, logs: Logs, table: pd.DataFrame, scale: np.ndarray, driver: _Driver, say: Callable[[str], None]
+    plan: TuningInputs, logs: Logs, table: pd.DataFrame, scale: np.ndarray, driver: _Driver, say: Callable[[str], None]
 ) -> Tuned:
     """Choose, and drive the held-out logs with the chosen settings and the defaults."""
     good = table[table["feasible"] & (table["total"] > 0.0)]

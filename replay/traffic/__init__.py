@@ -14,7 +14,7 @@ from collections.abc import Callable
 from math import inf
 from typing import Protocol
 
-from logs.extension import Kind
+from logs.extension import ExtensionKind
 from logs.scenario import Scenario, Tracks
 from logs.states import EgoState
 from replay.traffic.phase_replay import ReplayedByEgoPosition
@@ -71,7 +71,7 @@ TRAFFIC: dict[str, Callable[..., Traffic]] = {
     "reactive": Reactive,
 }
 
-TRAFFIC_KIND: Kind[Callable[..., Traffic]] = Kind("traffic", "traffic", TRAFFIC)
+TRAFFIC_KIND: ExtensionKind[Callable[..., Traffic]] = ExtensionKind("traffic", "traffic", TRAFFIC)
 """Finds traffic by name: the built-in kinds and those of users."""
 
 TRAFFIC_NOTES: dict[str, tuple[str, ...]] = {

@@ -83,7 +83,7 @@ def sample_at(paths: Paths, i: int, phase: float) -> int:
     return max(first, first + np.searchsorted(paths.t[first:end], phase, side="right") - 1)
 
 
-class Scene(NamedTuple):
+class TrafficScene(NamedTuple):
     """Boxes and motion of all now; the last row is the ego.
 
     Attributes:
@@ -200,7 +200,7 @@ def _touch(one: FloatArray, two: FloatArray, narrower: float) -> bool:
 
 
 @inner_kernel
-def ego_ahead(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, scene: Scene) -> BoolArray:
+def ego_ahead(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, scene: TrafficScene) -> BoolArray:
     """Whether the ego is ahead of each of the vehicles `whose` (5), `(n,)`."""
     n, boxes = len(phase), scene.boxes
     out, me = np.zeros(n, np.bool_), np.array([n])
@@ -241,7 +241,7 @@ def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
 
 @inner_kernel
 def leaders(
-    paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, heeds: BoolArray, scene: Scene
+    paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, heeds: BoolArray, scene: TrafficScene
 ) -> Leaders:
     """The leaders of the vehicles `whose` `(n,)` at their phases; pairs that are both on their logs are ignored.
 

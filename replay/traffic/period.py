@@ -22,7 +22,7 @@ from replay.traffic.following import (
     STANDING_MPS,
     Leaders,
     Paths,
-    Scene,
+    TrafficScene,
     covered,
     desired_gap,
     drives_into,
@@ -37,7 +37,7 @@ SAME_MPS = 1e-6
 """Tolerance when speeds are compared."""
 
 
-class Agents(NamedTuple):
+class ReplayedAgents(NamedTuple):
     """The replayed agents: paths; sizes, whether they react, when their paths and their logs end, `(n,)` each."""
 
     tracks: LoggedTracks
@@ -47,10 +47,10 @@ class Agents(NamedTuple):
     ends: FloatArray
     left: FloatArray
 
-    def some(self, who: IntArray) -> Agents:
+    def some(self, who: IntArray) -> ReplayedAgents:
         """The agents `who` `(k,)`."""
         length, width, reacts = self.length[who], self.width[who], self.reacts[who]
-        return Agents(self.tracks.some(who), length, width, reacts, self.ends[who], self.left[who])
+        return ReplayedAgents(self.tracks.some(who), length, width, reacts, self.ends[who], self.left[who])
 
 
 class Phases(NamedTuple):
@@ -98,7 +98,7 @@ class Coming:
         now: Their states; `period` writes them.
     """
 
-    def __init__(self, every: Agents) -> None:
+    def __init__(self, every: ReplayedAgents) -> None:
         n = len(every.reacts)
         late, there, never = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.full(n, inf)
         states = Phases(np.zeros(n), np.zeros(n), np.zeros(n), late, there, never, never.copy(), np.zeros(n))
@@ -132,20 +132,20 @@ class Coming:
 
 
 @inner_kernel
-def paths_of(agents: Agents) -> Paths:
+def paths_of(agents: ReplayedAgents) -> Paths:
     """Their paths."""
     columns = agents.tracks.columns
     return Paths(agents.tracks.first, agents.tracks.end, agents.tracks.t, columns[0], columns[1], columns[2])
 
 
 @kernel
-def logged_speeds(agents: Agents, now: Phases) -> FloatArray:
+def logged_speeds(agents: ReplayedAgents, now: Phases) -> FloatArray:
     """Their speeds in the log over the next period `(n,)`, m/s."""
     return covered(paths_of(agents), now.phase, PERIOD_S) / PERIOD_S
 
 
 @kernel
-def scene_of(agents: Agents, now: Phases, ego: Ego) -> Scene:
+def scene_of(agents: ReplayedAgents, now: Phases, ego: Ego) -> TrafficScene:
     """Boxes and motion of all agents and of the ego."""
     n = len(now.phase)
     boxes, motion = np.empty((n + 1, 5)), np.empty((n + 1, 3))
@@ -163,11 +163,11 @@ def scene_of(agents: Agents, now: Phases, ego: Ego) -> Scene:
     boxes[n, 0], boxes[n, 1], boxes[n, 2], boxes[n, 3], boxes[n, 4] = ego[0], ego[1], ego[2], ego[3], ego[4]
     motion[n, 0], motion[n, 1], motion[n, 2] = ego[5], ego[6], ego[7]
     as_logged[n] = ego[8]
-    return Scene(boxes, motion, present, as_logged)
+    return TrafficScene(boxes, motion, present, as_logged)
 
 
 @kernel
-def leaders_of(agents: Agents, now: Phases, ego: Ego, whose: BoolArray, t: float, longest: float) -> Leaders:
+def leaders_of(agents: ReplayedAgents, now: Phases, ego: Ego, whose: BoolArray, t: float, longest: float) -> Leaders:
     """The leaders of the agents `whose` `(n,)`; the ego leads an agent once it has been ahead of it for `longest` s.
 
     At t = -inf that time has passed already; with `longest` NaN the ego may lead every agent.
@@ -185,7 +185,7 @@ def leaders_of(agents: Agents, now: Phases, ego: Ego, whose: BoolArray, t: float
 
 @kernel
 def advance(
-    agents: Agents, now: Phases, ego: Ego, held: FloatArray, room: FloatArray, t: float, longest: float,
+    agents: ReplayedAgents, now: Phases, ego: Ego, held: FloatArray, room: FloatArray, t: float, longest: float,
     only_needed: bool, gone: float, pose: FloatArray, here: BoolArray,
 ) -> bool:  # fmt: skip
     """Move all agents by one period from `t`; return whether an agent may enter then, else sample them (`sample`).
@@ -228,13 +228,13 @@ def advance(
 
 
 @inner_kernel
-def waited(agents: Agents, now: Phases, i: int) -> bool:
+def waited(agents: ReplayedAgents, now: Phases, i: int) -> bool:
     """Whether agent i waits outside of the scene because its place was taken."""
     return now.late[i] and not now.there[i] and now.phase[i] <= agents.tracks.t[agents.tracks.first[i]] + 1e-9
 
 
 @inner_kernel
-def enters(agents: Agents, now: Phases, i: int, t: float) -> bool:
+def enters(agents: ReplayedAgents, now: Phases, i: int, t: float) -> bool:
     """Whether agent i is outside of the scene and its log has begun by `t`."""
     if now.late[i] or now.there[i] or agents.tracks.static[i]:
         return waited(agents, now, i)
@@ -242,7 +242,7 @@ def enters(agents: Agents, now: Phases, i: int, t: float) -> bool:
 
 
 @kernel
-def entering(agents: Agents, now: Phases, t: float) -> BoolArray:
+def entering(agents: ReplayedAgents, now: Phases, t: float) -> BoolArray:
     """Which agents may enter at `t` `(n,)`; sets their phases to `t`, or to where they waited."""
     out = np.zeros(len(now.phase), np.bool_)
     for i in range(len(out)):
@@ -272,7 +272,7 @@ def wanted_speed(
 
 
 @kernel
-def sample(agents: Agents, now: Phases, pose: FloatArray, here: BoolArray) -> None:
+def sample(agents: ReplayedAgents, now: Phases, pose: FloatArray, here: BoolArray) -> None:
     """Write poses and presence (`phase_replay.play`): the log at the phases, played at a rate of 1 at most."""
     logged = logged_speeds(agents, now)
     rates = np.ones(len(logged))

@@ -65,7 +65,7 @@ def logged_tracks(log: Tracks, vx: FloatArray, vy: FloatArray) -> LoggedTracks:
     return LoggedTracks(log.offsets[:-1], log.offsets[1:], log.static, log.t, log.gap_after, columns)
 
 
-class Row(NamedTuple):
+class ReplaySample(NamedTuple):
     """One sample: time, s, tracks `(k,)`, increasing, x, y, yaw, vx, vy `(5, k)`, and which are present `(k,)`."""
 
     t: float
@@ -93,7 +93,7 @@ class PhaseReplay:
         self.logged = logged_tracks(path, vx, vy)
         x, y, yaw, vx, vy = self.logged.columns
         self.log = replace(path, x=x, y=y, yaw=yaw, vx=vx, vy=vy)  # of the same memory
-        self._rows, self._seen = list[Row](), 0
+        self._rows, self._seen = list[ReplaySample](), 0
         self._taken, self._count = np.zeros(len(log), np.bool_), 0
         self._who, self._played = np.empty(ROOM, np.int64), np.empty((ROOM, 6))
         self._spans = Spans(log)
@@ -105,7 +105,7 @@ class PhaseReplay:
 
     def row(self, t: float, who: IntArray) -> tuple[FloatArray, BoolArray]:
         """Room for a sample of the tracks `who` at the time `t`, as `play` writes it."""
-        self._rows.append(Row(t, who, np.empty((5, len(who))), np.empty(len(who), np.bool_)))
+        self._rows.append(ReplaySample(t, who, np.empty((5, len(who))), np.empty(len(who), np.bool_)))
         return self._rows[-1].pose, self._rows[-1].there
 
     def tracks(self, since: FloatArray) -> Tracks:

@@ -1,4 +1,4 @@
-"""The other road users react along their logged paths, each at its own log time, by one of two rules (`Rule`).
+"""The other road users react along their logged paths, each at its own log time, by one of two rules (`ReactionRule`).
 
 Agent i has a log time (phase) tau_i of its own. Its place is the log's at tau_i, so that it never leaves its path.
 Where its log ends, a late agent follows the most probable lane for `BEYOND_M`; an agent on time leaves the scene as in
@@ -37,14 +37,24 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
 from logs.scenario import AgentKind, Scenario, Tracks
-from logs.scenario import Agents as SeenAgents
+from logs.scenario import ReplayedAgents as SeenAgents
 from logs.states import EgoState
 from metrics.boxes import name_of
 from metrics.reference_drivers import CC_REACT_S
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import FOLLOWING, followers
 from replay.traffic.following import DECEL_MPS2, STANDSTILL_M, taken
-from replay.traffic.period import Agents, Coming, Ego, advance, entering, leaders_of, logged_speeds, sample, scene_of
+from replay.traffic.period import (
+    Coming,
+    Ego,
+    ReplayedAgents,
+    advance,
+    entering,
+    leaders_of,
+    logged_speeds,
+    sample,
+    scene_of,
+)
 from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
 from replay.traffic.right_of_way import RedLights, Yielding
 from replay.world import box_center
@@ -59,7 +69,7 @@ NAMED = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class ReactionRule:
     """Which agents react to what.
 
     Attributes:
@@ -75,8 +85,8 @@ class Rule:
     yields: bool
 
 
-REACTIVE = Rule(FOLLOWING, only_ahead=None, only_needed=False, yields=False)
-GIVE_WAY = Rule((*FOLLOWING, AgentKind.BICYCLE), only_ahead=CC_REACT_S, only_needed=True, yields=True)
+REACTIVE = ReactionRule(FOLLOWING, only_ahead=None, only_needed=False, yields=False)
+GIVE_WAY = ReactionRule((*FOLLOWING, AgentKind.BICYCLE), only_ahead=CC_REACT_S, only_needed=True, yields=True)
 
 
 class Reactive:
@@ -87,7 +97,7 @@ class Reactive:
         rule: Which agents react to what.
     """
 
-    def __init__(self, scenario: Scenario, rule: Rule = REACTIVE) -> None:
+    def __init__(self, scenario: Scenario, rule: ReactionRule = REACTIVE) -> None:
         log, self._log_ego, self._vehicle = scenario.tracks, scenario.ego, scenario.vehicle
         self._rule = rule
         n = len(log)
@@ -97,7 +107,7 @@ class Reactive:
         paths = self._replay.log
         reacts = np.array([kind in rule.kinds for kind in log.kinds], bool) & ~log.static
         ends = paths.t[paths.offsets[1:] - 1].copy() if n else left
-        self._coming = Coming(Agents(self._replay.logged, paths.length, paths.width, reacts, ends, left))
+        self._coming = Coming(ReplayedAgents(self._replay.logged, paths.length, paths.width, reacts, ends, left))
         self._longest = nan if rule.only_ahead is None else rule.only_ahead
         self._gone = scenario.traffic_spans[-1][1] if scenario.traffic_spans else inf
         self._lights = RedLights(scenario, paths, reacts)

@@ -164,7 +164,7 @@ def _gaps(paths: Paths, station: FloatArray, phase: FloatArray, owner: IntArray,
     return out
 
 
-class Way(NamedTuple):
+class YieldingWay(NamedTuple):
     """An agent's way over a yielding lane: its index, the lanes with priority, when its log leaves the lane (s)."""
 
     owner: int
@@ -185,14 +185,14 @@ class Yielding:
     def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray, lanes: LaneMap) -> None:
         self._road, self._car, self._tracks, self._lanes = scenario.road, scenario.vehicle, paths, lanes
         self._paths = following.paths_along(paths)
-        self._ways: list[Way] = []
+        self._ways: list[YieldingWay] = []
         for i in np.flatnonzero(reacts).tolist():
             mine = paths.samples(i)
             for lane in scenario.road.lanes.values():
                 first = tuple(k for k in lane.yields_to if k in scenario.road.lanes)
                 on = on_lane(lane, paths.x[mine], paths.y[mine], paths.yaw[mine]) if first else np.zeros(1, np.bool_)
                 if on.any():
-                    self._ways.append(Way(i, first, float(paths.t[mine][on].max())))
+                    self._ways.append(YieldingWay(i, first, float(paths.t[mine][on].max())))
         self._owner = np.array([way.owner for way in self._ways], np.int64)
         self._until = np.array([way.until for way in self._ways])
 

@@ -7,7 +7,7 @@
 The picture is drawn by `replay.vary.surface_figure`.
 """
 
-from replay.vary.axes import Axis, Question, question
+from replay.vary.axes import Axis, SurfaceQuestion, question
 from replay.vary.encounters import encounters, prepared
 from replay.vary.surface import VaryResult, vary
 

@@ -39,7 +39,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Question:
+class SurfaceQuestion:
     """A surface to evaluate.
 
     Attributes:
@@ -76,7 +76,7 @@ class Question:
         return any(kind.of == "agent" for kind in kinds) and not any(kind.inserts for kind in kinds)
 
 
-def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float | None = None) -> Question:
+def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float | None = None) -> SurfaceQuestion:
     """Parse the words of `--vary`.
 
     Raises:
@@ -117,7 +117,7 @@ def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float
         raise ConfigError(f"--vary: {count} cells, a surface has at most {MOST_CELLS}; lower COUNT")
     if resolution is not None and not resolution > 0.0:
         raise ConfigError(f"--resolution must be positive, got {resolution:g}")
-    return Question(tuple(axes), fixed, tuple(agents), resolution or axes[0].spacing / FINER)
+    return SurfaceQuestion(tuple(axes), fixed, tuple(agents), resolution or axes[0].spacing / FINER)
 
 
 def variations() -> Iterator[str]:

@@ -25,11 +25,11 @@ from logs.readers import LogSettings
 from logs.scenario import Scenario
 from logs.shapes import clearance, time_to_contact
 from metrics.arrival import goal_of
-from metrics.boxes import NO_TTC_MPS, Car, Others, car_of, ego_boxes, others_at, phantoms, without_phantoms
+from metrics.boxes import NO_TTC_MPS, EgoOutline, OtherBoxes, car_of, ego_boxes, others_at, phantoms, without_phantoms
 from metrics.encounters import CROSSING_RAD, encroachment, may_meet
 from replay.loop.reference_drives import reference_drives
 from replay.run.sources import LogSource
-from replay.vary.axes import Question, question
+from replay.vary.axes import SurfaceQuestion, question
 
 GRID_S = 0.1
 SEEN_S = 1.0
@@ -125,7 +125,7 @@ def encounters(scenario: Scenario) -> tuple[Encounter, ...]:
     return tuple(sorted(found, key=lambda one: (one.least, one.agent)))
 
 
-def _conflict(boxes: FloatArray, t: FloatArray, car: Car, others: Others, i: int, angle: float) -> float:
+def _conflict(boxes: FloatArray, t: FloatArray, car: EgoOutline, others: OtherBoxes, i: int, angle: float) -> float:
     """Conflict (3) of the ego's boxes at times t and agent i, whose heading must differ by `angle` to cross."""
     pose, (length, width), least = others.pose[:, i], others.size[i].tolist(), inf
     mine, theirs = may_meet(boxes, car, others, i)
@@ -162,7 +162,7 @@ def conflicting_agent(scenario: Scenario) -> str:
 
 def question_about(
     scenario: Scenario, words: Sequence[str], agents: Sequence[str], resolution: float | None
-) -> Question:
+) -> SurfaceQuestion:
     """The question of `--vary` about agents, named by whole id or short name; by default the one in conflict.
 
     Raises:

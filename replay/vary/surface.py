@@ -42,15 +42,15 @@ from replay.results.load import Results
 from replay.results.tables import LONGEST_SAFE, safe_name, write_file, write_json, write_parquet
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
-from replay.run.claim import Contents, claimed_folder
+from replay.run.claim import FolderContents, claimed_folder
 from replay.run.resume import stamp_of
 from replay.search.study import Study
-from replay.vary.axes import Question
+from replay.vary.axes import SurfaceQuestion
 from replay.vary.surface_figure import surface_figure
 
 PASS, ERROR, UNAVOIDABLE = "pass", "error", "unavoidable"
 CARD = "vary.json"
-CONTENTS = Contents("vary", (CARD, "logs", "grid", "edge-*", "surface.*", "edges.csv"))
+CONTENTS = FolderContents("vary", (CARD, "logs", "grid", "edge-*", "surface.*", "edges.csv"))
 _CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
 
 Cell = tuple[float, ...]
@@ -131,7 +131,7 @@ class VaryResult:
     """
 
     out: Path
-    question: Question
+    question: SurfaceQuestion
     table: pd.DataFrame
     edges: tuple[Bracket, ...]
 
@@ -156,7 +156,7 @@ class VaryResult:
 
 def vary(
     scenario: Scenario,
-    question: Question,
+    question: SurfaceQuestion,
     run: RunConfig,
     out: Path | None,
     *,
@@ -221,7 +221,7 @@ class _Rounds:
     """Evaluates points round by round, and keeps their rows."""
 
     scenario: Scenario
-    question: Question
+    question: SurfaceQuestion
     run: RunConfig
     out: Path
     workers: int

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from replay.vary.axes import Question
+    from replay.vary.axes import SurfaceQuestion
     from replay.vary.surface import Bracket
 
 LOOKS = {
@@ -33,7 +33,7 @@ WIDEST_IN = 16.0
 EDGE, RECORDED, HATCH = "#000000", "#009e73", "#555555"
 
 
-def surface_figure(table: pd.DataFrame, edges: Sequence[Bracket], question: Question, title: str) -> Figure:
+def surface_figure(table: pd.DataFrame, edges: Sequence[Bracket], question: SurfaceQuestion, title: str) -> Figure:
     """The surface; each cell with its letter, the least gap, an x if the drive ended in a contact, and a gate."""
     import matplotlib as mpl
 
@@ -82,7 +82,7 @@ def _cell(axes: Axes, cell: pd.Series, x: float, y: float, half_x: float, half_y
                   bbox=back if gate else None, zorder=3)  # fmt: skip
 
 
-def _recorded_point(question: Question) -> tuple[float, ...] | None:
+def _recorded_point(question: SurfaceQuestion) -> tuple[float, ...] | None:
     """The point at which nothing is varied; None if it is not within the axes."""
     point = question.recorded
     inside = point is not None and all(
@@ -91,7 +91,7 @@ def _recorded_point(question: Question) -> tuple[float, ...] | None:
     return point if inside else None
 
 
-def _legend(figure: Figure, cells: pd.DataFrame, edges: Sequence[Bracket], question: Question) -> None:
+def _legend(figure: Figure, cells: pd.DataFrame, edges: Sequence[Bracket], question: SurfaceQuestion) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

@@ -18,7 +18,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from logs.errors import ConfigError, unknown_name
-from logs.extension import Kind
+from logs.extension import ExtensionKind
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from replay.settings import check_members
@@ -40,7 +40,7 @@ VEHICLES: dict[str, VehicleFactory] = {
     "perfect": Perfect,
 }
 
-VEHICLE: Kind[VehicleFactory] = Kind("vehicle", "vehicles", VEHICLES)
+VEHICLE: ExtensionKind[VehicleFactory] = ExtensionKind("vehicle", "vehicles", VEHICLES)
 
 T = TypeVar("T")
 PlantTable = Mapping[str, float | str]

@@ -28,7 +28,7 @@ def plain(named: Any) -> Any:
     return tuple(plain(item) for item in named) if isinstance(named, tuple) else named
 
 
-class Motion(NamedTuple):
+class MotionState(NamedTuple):
     """`logs.states.EgoState` as kernels take it, and as the rows of a trace store it."""
 
     t: float
@@ -43,27 +43,27 @@ class Motion(NamedTuple):
     v_lat: float
 
 
-def motion_of(state: EgoState) -> Motion:
+def motion_of(state: EgoState) -> MotionState:
     """A state for kernels."""
-    return Motion(
+    return MotionState(
         state.t, state.x, state.y, state.yaw, state.v, state.a, state.kappa, state.steer, state.yaw_rate, state.v_lat
     )
 
 
 MOTION, COMMAND, ACTUATION, ERRORS = slice(0, 10), slice(10, 13), slice(13, 16), slice(16, 20)
-"""Columns of a trace's row: `Motion`; steer, throttle, brake twice; lateral, heading, speed, station (`Deviation`)."""
+"""Columns of a trace's row: `MotionState`; steer, throttle, brake twice; lateral, heading, speed, station (`Deviation`)."""
 COLUMNS = 20
 
 
 @inner_kernel
-def motion_at(rows: FloatArray, k: int) -> Motion:
+def motion_at(rows: FloatArray, k: int) -> MotionState:
     """The ego's motion at row k."""
     row = rows[k]
-    return Motion(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
+    return MotionState(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
 
 
 @inner_kernel
-def write_motion(row: FloatArray, now: Motion, steer: float, throttle: float, brake: float) -> None:
+def write_motion(row: FloatArray, now: MotionState, steer: float, throttle: float, brake: float) -> None:
     """Write motion and actuation."""
     row[0], row[1], row[2], row[3], row[4] = now.t, now.x, now.y, now.yaw, now.v
     row[5], row[6], row[7], row[8], row[9] = now.a, now.kappa, now.steer, now.yaw_rate, now.v_lat

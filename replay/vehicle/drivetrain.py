@@ -43,7 +43,7 @@ Steering = tuple[float, float, float]
 """max_steer rad, max_steer_rate rad/s, steer_lag s of VehicleParameters: what the kernel takes."""
 
 
-class Drive(NamedTuple):
+class DriveTables(NamedTuple):
     """The tables of a drive train over speed 0, SPEED_STEP_MPS, ..., as the kernels take them.
 
     Attributes:
@@ -106,20 +106,20 @@ def steer_rate(steer: float, command: float, steering: Steering) -> float:
 
 
 @kernel
-def wanted_force(v: float, throttle: float, drive: Drive) -> float:
+def wanted_force(v: float, throttle: float, drive: DriveTables) -> float:
     """Return the acceleration that a throttle requests from the motor, m/s2; negative in overrun."""
     overrun = at_speed(drive.overrun, v)
     return throttle * (at_speed(drive.most, v) + overrun) - overrun  # (3)
 
 
 @kernel
-def drive_force(v: float, throttle: float, gear: int, drive: Drive) -> float:
+def drive_force(v: float, throttle: float, gear: int, drive: DriveTables) -> float:
     """Return the acceleration by the motor in a gear, m/s2."""
     return min(wanted_force(v, throttle, drive), at_speed(drive.force[gear], v))  # (3)
 
 
 @kernel
-def best_gear(v: float, wanted: float, drive: Drive) -> int:
+def best_gear(v: float, wanted: float, drive: DriveTables) -> int:
     """The highest gear with a reserve at this speed; else the strongest."""
     strongest = 0
     for gear in range(len(drive.force) - 1, -1, -1):
@@ -131,7 +131,7 @@ def best_gear(v: float, wanted: float, drive: Drive) -> int:
 
 
 @kernel
-def shifted(box: Gearbox, v: float, throttle: float, drive: Drive, h: float) -> Gearbox:
+def shifted(box: Gearbox, v: float, throttle: float, drive: DriveTables, h: float) -> Gearbox:
     """The gearbox after `h` s of a throttle command at a speed."""
     shifting, since = max(box.shifting - h, 0.0), box.since + h
     if len(drive.force) == 1 or shifting > 0.0:
@@ -236,7 +236,7 @@ class Drivetrain:
         return Gearbox(int(best_gear(v, wanted_force(v, throttle, self.tables), self.tables)), 0.0, MIN_HOLD_S)
 
     @cached_property
-    def tables(self) -> Drive:
+    def tables(self) -> DriveTables:
         """What the kernels of this module take."""
         p = self.parameters
         v = np.arange(0.0, MAX_SPEED_MPS + SPEED_STEP_MPS, SPEED_STEP_MPS)
@@ -253,7 +253,7 @@ class Drivetrain:
         else:
             force = np.minimum(p.max_accel, p.max_power / np.maximum(v, 1e-3))[None]
             overrun, idle = np.zeros(len(v)), np.zeros(1)
-        return Drive(
+        return DriveTables(
             frozen(force), frozen(force.max(axis=0)), frozen(overrun), frozen(CRUISE * idle), frozen(LUG * idle),
             float(p.max_decel), float(p.rolling), float(p.drag), float(p.shift_time),
         )  # fmt: skip

@@ -35,7 +35,7 @@ from logs.kernel import FloatArray, inner_kernel, kernel
 from logs.states import Command, EgoState
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters
-from replay.vehicle.base import Controller, Motion, Plain, plain, steady_pedals
+from replay.vehicle.base import Controller, MotionState, Plain, plain, steady_pedals
 from replay.vehicle.drivetrain import SHORTEST_LAG_S, Steering, steer_rate
 from replay.vehicle.pedal_map import Limits, PedalPowertrain, is_rolling, rolling_acceleration
 from replay.vehicle.plan_path import PlanPath, Tracker, path_point
@@ -45,7 +45,7 @@ KAPPA_TOLERANCE_PM = 1e-12
 """Tolerance of the start's curvature, 1/m: rounding."""
 
 
-class State(NamedTuple):
+class BicycleState(NamedTuple):
     """Rear axle x, y m; yaw rad; v m/s; front wheel angle rad; throttle, brake 0 to 1."""
 
     x: float
@@ -76,11 +76,13 @@ def turn_per_metre(steer: float, car: Kinematics) -> float:
 
 
 @kernel
-def derivative(state: State, command: tuple[float, float, float], rolling: bool, car: Kinematics) -> State:
+def derivative(
+    state: BicycleState, command: tuple[float, float, float], rolling: bool, car: Kinematics
+) -> BicycleState:
     """(1)-(6): the state's rate; standing still where not `rolling`."""
     speed = state.v if rolling else 0.0
     v_lat = speed * tan(car.rear_ratio * state.steer)
-    return State(
+    return BicycleState(
         speed * cos(state.yaw) - v_lat * sin(state.yaw),  # (1)
         speed * sin(state.yaw) + v_lat * cos(state.yaw),  # (2)
         speed * (tan(state.steer) - tan(car.rear_ratio * state.steer)) / car.wheelbase,  # (3)
@@ -92,16 +94,18 @@ def derivative(state: State, command: tuple[float, float, float], rolling: bool,
 
 
 @inner_kernel
-def moved(state: State, rate: State, h: float) -> State:
+def moved(state: BicycleState, rate: BicycleState, h: float) -> BicycleState:
     """The state after `h` s at a constant rate."""
-    return State(
+    return BicycleState(
         state.x + h * rate.x, state.y + h * rate.y, state.yaw + h * rate.yaw, state.v + h * rate.v,
         state.steer + h * rate.steer, state.throttle + h * rate.throttle, state.brake + h * rate.brake,
     )  # fmt: skip
 
 
 @inner_kernel
-def runge_kutta(state: State, command: tuple[float, float, float], rolling: bool, car: Kinematics, h: float) -> State:
+def runge_kutta(
+    state: BicycleState, command: tuple[float, float, float], rolling: bool, car: Kinematics, h: float
+) -> BicycleState:
     """One classical step of order 4 over `h` s."""
     k1 = derivative(state, command, rolling, car)
     k2 = derivative(moved(state, k1, 0.5 * h), command, rolling, car)
@@ -111,7 +115,9 @@ def runge_kutta(state: State, command: tuple[float, float, float], rolling: bool
 
 
 @kernel
-def advance(state: State, command: tuple[float, float, float], car: Kinematics, dt: float, steps: int) -> State:
+def advance(
+    state: BicycleState, command: tuple[float, float, float], car: Kinematics, dt: float, steps: int
+) -> BicycleState:
     """The state after holding `command` (steer, throttle, brake) for `dt` s, in `steps` equal sub-steps."""
     h = dt / steps
     for _ in range(steps):
@@ -120,26 +126,26 @@ def advance(state: State, command: tuple[float, float, float], car: Kinematics, 
         if after.v < 0.0:
             until = h * state.v / (state.v - after.v)
             stop = runge_kutta(state, command, True, car, until)
-            stop = State(stop.x, stop.y, stop.yaw, 0.0, stop.steer, stop.throttle, stop.brake)
+            stop = BicycleState(stop.x, stop.y, stop.yaw, 0.0, stop.steer, stop.throttle, stop.brake)
             after = runge_kutta(stop, command, False, car, h - until)
         state = after
     return state
 
 
 @kernel
-def motion(s: State, t: float, car: Kinematics) -> Motion:
+def motion(s: BicycleState, t: float, car: Kinematics) -> MotionState:
     """The ego's motion at `t`."""
     a = 0.0
     if is_rolling(s.v, s.throttle, s.brake, car.limits):
         a = rolling_acceleration(s.v, s.throttle, s.brake, car.limits)
     rear, turn = car.rear_ratio * s.steer, turn_per_metre(s.steer, car)
-    return Motion(t, s.x, s.y, s.yaw, s.v, a, turn * cos(rear), s.steer, s.v * turn, s.v * tan(rear))  # (7)
+    return MotionState(t, s.x, s.y, s.yaw, s.v, a, turn * cos(rear), s.steer, s.v * turn, s.v * tan(rear))  # (7)
 
 
 @kernel
 def step(
-    state: State, command: tuple[float, float, float], car: Kinematics, t: float, dt: float
-) -> tuple[State, Motion]:
+    state: BicycleState, command: tuple[float, float, float], car: Kinematics, t: float, dt: float
+) -> tuple[BicycleState, MotionState]:
     """State and motion after holding `command` for `dt` s from `t` on; the time a whole nanosecond."""
     state = advance(state, command, car, dt, ceil(dt / car.substep - 1e-9))
     return state, motion(state, round((t + dt) * 1e9) / 1e9, car)
@@ -180,7 +186,7 @@ class KinematicBicycle:
             slope = (_kappa(steer + 1e-6, self.model) - _kappa(steer - 1e-6, self.model)) / 2e-6
             steer = min(max(steer + missing / slope, -most), most)
         pedals = map(float, steady_pedals(self.powertrain, start.a, v))
-        self.inner = State(float(start.x), float(start.y), float(start.yaw), v, float(steer), *pedals)
+        self.inner = BicycleState(float(start.x), float(start.y), float(start.yaw), v, float(steer), *pedals)
         self.state = EgoState(*motion(self.inner, float(start.t), self.model))
 
     @property
@@ -198,7 +204,7 @@ class KinematicBicycle:
     def set_state(self, state: EgoState, actuation: FloatArray) -> None:
         """Place the vehicle elsewhere, with its actuators at `actuation` `(3,)`."""
         self.state, does = state, actuation.tolist()
-        self.inner = State(state.x, state.y, state.yaw, state.v, *does)
+        self.inner = BicycleState(state.x, state.y, state.yaw, state.v, *does)
 
 
 def kinematics_of(p: VehicleParameters, rear_ratio: float = 0.0) -> Kinematics:

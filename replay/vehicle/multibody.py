@@ -45,7 +45,7 @@ from replay.vehicle.drivetrain import (
     throttle_target,
 )  # fmt: skip
 from replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S
-from replay.vehicle.single_track import Car, State, advance, car_of, cornering, motion, substeps
+from replay.vehicle.single_track import SingleTrackCar, SingleTrackState, advance, car_of, cornering, motion, substeps
 from replay.vehicle.tyres import GRAVITY
 
 SLOW_MPS, LEAVE_MPS, CALM = 1.0, 1.5, 0.1
@@ -120,7 +120,7 @@ class Multibody:
             if self.body is None and left > 0.0:
                 steps = substeps(self.inner.vx, left, MAX_SUBSTEP_S, self.car)
                 inner, box = advance(self.inner, self.box, held, self.car, left, steps)
-                self.inner, self.box = State(*inner), Gearbox(*box)
+                self.inner, self.box = SingleTrackState(*inner), Gearbox(*box)
         self._t = round((self._t + dt) * 1e9) / 1e9
         self.state = self._ego_state(held)
         return self.state
@@ -167,7 +167,7 @@ class Multibody:
                 break
         self.body = body if valid else None
         x, y, yaw = body[0] - car.b * cos(body[YAW]), body[1] - car.b * sin(body[YAW]), body[YAW]
-        self.inner = State(x, y, yaw, body[VX], body[VY], body[YAW_RATE], body[STEER], throttle, brake)
+        self.inner = SingleTrackState(x, y, yaw, body[VX], body[VY], body[YAW_RATE], body[STEER], throttle, brake)
         return left
 
     def _pull(self, body: list[float], throttle: float, brake: float) -> float:
@@ -220,7 +220,7 @@ def least_deflection(body: list[float], q: Any) -> float:
     return min(float(z + q.R_w * (cos(roll) - 1.0) - 0.5 * track * abs(sin(roll))) for track, roll, z in axles)
 
 
-def _limits(car: Car, q: Any) -> tuple[float, float]:
+def _limits(car: SingleTrackCar, q: Any) -> tuple[float, float]:
     """The greatest drive and brake (2) on a straight road, m/s2; T_se and T_sb are the shares of the front."""
     wheelbase, mu = car.a + car.b, car.front.friction
     lift = mu * car.height / wheelbase

@@ -34,10 +34,10 @@ from typing import NamedTuple
 from logs.kernel import inner_kernel, kernel
 from logs.states import Command, EgoState
 from logs.vehicle import VehicleParameters
-from replay.vehicle.base import Controller, Motion, Plain, plain, steady_pedals
+from replay.vehicle.base import Controller, MotionState, Plain, plain, steady_pedals
 from replay.vehicle.drivetrain import (
     SHORTEST_LAG_S,
-    Drive,
+    DriveTables,
     Drivetrain,
     Gearbox,
     Pending,
@@ -62,7 +62,7 @@ REAR_BRAKE = 0.85
 STABLE = 1.25
 
 
-class State(NamedTuple):
+class SingleTrackState(NamedTuple):
     """Rear axle x, y m; yaw rad; vx, vy of the centre of gravity m/s; r rad/s; steer rad; throttle, brake 0 to 1."""
 
     x: float
@@ -76,7 +76,7 @@ class State(NamedTuple):
     brake: float
 
 
-class Car(NamedTuple):
+class SingleTrackCar(NamedTuple):
     """What the kernels take of a vehicle; names as in the equations, `grade` as sine and cosine.
 
     `substep` is the longest that the actuators' lags allow, s.
@@ -90,7 +90,7 @@ class Car(NamedTuple):
     front: Tyre
     rear: Tyre
     front_drive: float
-    drive: Drive
+    drive: DriveTables
     steering: Steering
     throttle_lag: float
     brake_lag: float
@@ -100,10 +100,12 @@ class Car(NamedTuple):
 
 
 @inner_kernel
-def named_car(p: Plain) -> Car:
+def named_car(p: Plain) -> SingleTrackCar:
     """The car that plain tuples hold (`replay.vehicle.base.plain`)."""
-    front, rear, drive = Tyre(*p[5]), Tyre(*p[6]), Drive(*p[8])
-    return Car(p[0], p[1], p[2], p[3], p[4], front, rear, p[7], drive, p[9], p[10], p[11], p[12], p[13], p[14])
+    front, rear, drive = Tyre(*p[5]), Tyre(*p[6]), DriveTables(*p[8])
+    return SingleTrackCar(
+        p[0], p[1], p[2], p[3], p[4], front, rear, p[7], drive, p[9], p[10], p[11], p[12], p[13], p[14]
+    )
 
 
 @inner_kernel
@@ -114,7 +116,7 @@ def floored(u: float) -> float:
 
 
 @inner_kernel
-def slides(s: State, car: Car) -> bool:
+def slides(s: SingleTrackState, car: SingleTrackCar) -> bool:
     """Return whether an axle moves sideways faster than a standstill allows."""
     lateral = (s.vy + car.a * s.r) * cos(s.steer) - s.vx * sin(s.steer)
     return abs(lateral) > SLIDING_MPS or abs(s.vy - car.b * s.r) > SLIDING_MPS
@@ -127,7 +129,7 @@ def along(u: float, direction: float) -> float:
 
 
 @kernel
-def loads(pull: float, car: Car) -> tuple[float, float]:
+def loads(pull: float, car: SingleTrackCar) -> tuple[float, float]:
     """Front and rear axle load, N, for a wanted acceleration m/s2."""
     limit = car.front.friction * GRAVITY
     transfer = car.mass * min(max(pull, -limit), limit) * car.height
@@ -138,7 +140,9 @@ def loads(pull: float, car: Car) -> tuple[float, float]:
 
 
 @kernel
-def wheel_forces(s: State, direction: float, gear: int, car: Car) -> tuple[float, float, float, float]:
+def wheel_forces(
+    s: SingleTrackState, direction: float, gear: int, car: SingleTrackCar
+) -> tuple[float, float, float, float]:
     """Fxf, Fyf, Fxr, Fyr (5)-(7), N, each along and to the left of its own wheel."""
     cosine, sine = cos(s.steer), sin(s.steer)
     left = s.vy + car.a * s.r
@@ -160,17 +164,24 @@ def wheel_forces(s: State, direction: float, gear: int, car: Car) -> tuple[float
 
 
 @inner_kernel
-def rate(s: State, command: tuple[float, float, float], moves: bool, direction: float, gear: int, car: Car) -> State:
+def rate(
+    s: SingleTrackState,
+    command: tuple[float, float, float],
+    moves: bool,
+    direction: float,
+    gear: int,
+    car: SingleTrackCar,
+) -> SingleTrackState:
     """(1)-(8): the state's rate; only the actuators move where the vehicle does not."""
     steer = steer_rate(s.steer, command[0], car.steering)
     throttle, brake = (command[1] - s.throttle) / car.throttle_lag, (command[2] - s.brake) / car.brake_lag
     if not moves:
-        return State(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, steer, throttle, brake)
+        return SingleTrackState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, steer, throttle, brake)
     fx_front, fy_front, fx_rear, fy_rear = wheel_forces(s, direction, gear, car)
     cosine, sine = cos(s.steer), sin(s.steer)
     side = fy_front * cosine + fx_front * sine
     v_lat = s.vy - car.b * s.r
-    return State(
+    return SingleTrackState(
         s.vx * cos(s.yaw) - v_lat * sin(s.yaw),  # (1)
         s.vx * sin(s.yaw) + v_lat * cos(s.yaw),
         s.r,
@@ -183,9 +194,9 @@ def rate(s: State, command: tuple[float, float, float], moves: bool, direction: 
 
 
 @inner_kernel
-def moved(s: State, k: State, h: float) -> State:
+def moved(s: SingleTrackState, k: SingleTrackState, h: float) -> SingleTrackState:
     """The state after `h` s at a constant rate."""
-    return State(
+    return SingleTrackState(
         s.x + h * k.x, s.y + h * k.y, s.yaw + h * k.yaw, s.vx + h * k.vx, s.vy + h * k.vy, s.r + h * k.r,
         s.steer + h * k.steer, s.throttle + h * k.throttle, s.brake + h * k.brake,
     )  # fmt: skip
@@ -193,8 +204,14 @@ def moved(s: State, k: State, h: float) -> State:
 
 @inner_kernel
 def runge_kutta(
-    s: State, command: tuple[float, float, float], moves: bool, direction: float, gear: int, car: Car, h: float
-) -> State:
+    s: SingleTrackState,
+    command: tuple[float, float, float],
+    moves: bool,
+    direction: float,
+    gear: int,
+    car: SingleTrackCar,
+    h: float,
+) -> SingleTrackState:
     """One classical step of order 4 over `h` s."""
     k1 = rate(s, command, moves, direction, gear, car)
     k2 = rate(moved(s, k1, 0.5 * h), command, moves, direction, gear, car)
@@ -204,7 +221,7 @@ def runge_kutta(
 
 
 @inner_kernel
-def is_moving(s: State, gear: int, car: Car) -> bool:
+def is_moving(s: SingleTrackState, gear: int, car: SingleTrackCar) -> bool:
     """Whether the vehicle moves, or is about to: forwards only."""
     if s.vx != 0.0 or slides(s, car):
         return True
@@ -213,7 +230,7 @@ def is_moving(s: State, gear: int, car: Car) -> bool:
 
 
 @inner_kernel
-def heading_of(s: State, car: Car) -> float:
+def heading_of(s: SingleTrackState, car: SingleTrackCar) -> float:
     """1 forwards, -1 backwards, 0 where it slides (`along`)."""
     if slides(s, car):
         return 0.0
@@ -221,7 +238,7 @@ def heading_of(s: State, car: Car) -> float:
 
 
 @kernel
-def substeps(vx: float, dt: float, limit: float, car: Car) -> int:
+def substeps(vx: float, dt: float, limit: float, car: SingleTrackCar) -> int:
     """How many sub-steps `dt` s take, none longer than `limit` s."""
     front, rear = car.front.cornering, car.rear.cornering
     trace = (front + rear) / car.mass + (car.a * car.a * front + car.b * car.b * rear) / car.inertia
@@ -230,8 +247,8 @@ def substeps(vx: float, dt: float, limit: float, car: Car) -> int:
 
 @kernel
 def advance(
-    s: State, box: Gearbox, command: tuple[float, float, float], car: Car, dt: float, steps: int
-) -> tuple[State, Gearbox]:
+    s: SingleTrackState, box: Gearbox, command: tuple[float, float, float], car: SingleTrackCar, dt: float, steps: int
+) -> tuple[SingleTrackState, Gearbox]:
     """State and gearbox after holding `command` (steer, throttle, brake) for `dt` s, in `steps` equal sub-steps."""
     h = dt / steps
     for _ in range(steps):
@@ -241,14 +258,16 @@ def advance(
         if (after.vx * s.vx < 0.0 or (s.vx == 0.0 and after.vx < 0.0)) and not slides(after, car):
             until = h * s.vx / (s.vx - after.vx)
             stop = runge_kutta(s, asked, moves, direction, box.gear, car, until)
-            stop = State(stop.x, stop.y, stop.yaw, 0.0, 0.0, 0.0, stop.steer, stop.throttle, stop.brake)
+            stop = SingleTrackState(stop.x, stop.y, stop.yaw, 0.0, 0.0, 0.0, stop.steer, stop.throttle, stop.brake)
             after = runge_kutta(stop, asked, False, 1.0, box.gear, car, h - until)
         s, box = after, shifted(box, after.vx, command[1], car.drive, h)
     return s, box
 
 
 @kernel
-def motion(s: State, box: Gearbox, command: tuple[float, float, float], car: Car, t: float) -> Motion:
+def motion(
+    s: SingleTrackState, box: Gearbox, command: tuple[float, float, float], car: SingleTrackCar, t: float
+) -> MotionState:
     """The motion at `t` under a command.
 
     The curvature is that of the rear axle's path while the vehicle moves faster than 2 SLIP_MPS, that of the wheel
@@ -262,13 +281,19 @@ def motion(s: State, box: Gearbox, command: tuple[float, float, float], car: Car
     if share > 0.0:
         ahead, left = k.vx - s.r * v_lat, k.vy - car.b * k.r + s.r * s.vx
         kappa += share * (s.vx * left - v_lat * ahead) / speed**3
-    return Motion(t, s.x, s.y, s.yaw, s.vx, k.vx, kappa, s.steer, s.r, v_lat)
+    return MotionState(t, s.x, s.y, s.yaw, s.vx, k.vx, kappa, s.steer, s.r, v_lat)
 
 
 @kernel
 def step(
-    s: State, box: Gearbox, line: Pending, command: tuple[float, float, float], car: Car, t: float, dt: float
-) -> tuple[State, Gearbox, Pending, Motion]:
+    s: SingleTrackState,
+    box: Gearbox,
+    line: Pending,
+    command: tuple[float, float, float],
+    car: SingleTrackCar,
+    t: float,
+    dt: float,
+) -> tuple[SingleTrackState, Gearbox, Pending, MotionState]:
     """State, gearbox, brake commands on their way and motion after holding `command` for `dt` s from `t` on."""
     end = line.now_ns + round(dt * 1e9)
     line = commanded(line, command[2])
@@ -342,13 +367,13 @@ class SingleTrack:
 
 def car_of(
     p: VehicleParameters, train: Drivetrain, *, tyre: str = "pacejka", tyre_stiffness: float = 1.0, grade: float = 0.0
-) -> Car:
+) -> SingleTrackCar:
     """What the kernels take; ConfigError as `axle_tyres`."""
     front, rear = axle_tyres(p, tyre, float(tyre_stiffness))
     slope = atan(float(grade))
     steering: Steering = (float(p.max_steer), float(p.max_steer_rate), max(float(p.steer_lag), SHORTEST_LAG_S))
     lags = (max(float(p.throttle_lag), SHORTEST_LAG_S), max(float(p.brake_lag), SHORTEST_LAG_S))
-    return Car(
+    return SingleTrackCar(
         mass=float(p.mass), inertia=float(p.yaw_inertia), a=float(p.cog_to_front), b=float(p.cog_to_rear),
         height=float(p.cog_height), front=front, rear=rear, front_drive=float(p.drive_front_share), drive=train.tables,
         steering=steering, throttle_lag=lags[0], brake_lag=lags[1], grade_sin=sin(slope), grade_cos=cos(slope),
@@ -356,7 +381,7 @@ def car_of(
     )  # fmt: skip
 
 
-def cornering(car: Car, start: EgoState, train: Drivetrain) -> State:
+def cornering(car: SingleTrackCar, start: EgoState, train: Drivetrain) -> SingleTrackState:
     """The steady state at the start's speed, curvature and acceleration, each as far as the vehicle can."""
     v = max(float(start.v), 0.0)
     r = v * float(start.kappa)
@@ -370,6 +395,6 @@ def cornering(car: Car, start: EgoState, train: Drivetrain) -> State:
         steer = atan2(v_lat + (car.a + car.b) * r, v) - atan(slip_for(share * car.b, front, car.front))
     steer = min(max(steer, -car.steering[0]), car.steering[0])
     throttle, brake = steady_pedals(train, start.a, v)
-    return State(
+    return SingleTrackState(
         float(start.x), float(start.y), float(start.yaw), v, v_lat + car.b * r, r, steer, throttle, brake
     )  # fmt: skip

@@ -21,7 +21,7 @@ from logs.states import TRAJECTORY_COLUMNS
 from logs.variations import varied
 from metrics import METRICS, evaluate
 from metrics.arrival import GOAL_LENGTH_M, Arrival, fault_of, goal_of, passed_early
-from metrics.health import Kind, findings
+from metrics.health import FaultKind, findings
 from metrics.judge import Outcome, judge, load_gates, worst
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.excuses import COVERED, GOAL_ROUTE
@@ -138,7 +138,7 @@ def test_a_goal_that_shows_nothing_is_named_and_inconclusive(name: str) -> None:
     outcomes = {v.gate.metric.partition(".")[0]: v.outcome for v in found}
     assert outcomes[metric] is Outcome.INCONCLUSIVE
     assert worst(outcomes.values()) is Outcome.INCONCLUSIVE
-    assert Kind.GOAL in {one.kind for one in findings(log)}
+    assert FaultKind.GOAL in {one.kind for one in findings(log)}
     assert rows.set_index("metric").loc["route_progress.final", "value"] < 0.2 or at < 0
 
 
@@ -148,7 +148,7 @@ def test_an_early_arrival_that_is_far_enough_passes() -> None:
     rows = evaluate(drive(log, ego, end=EndReason.GOAL), log, metrics=PROGRESS)
     assert rows.set_index("metric").loc["route_progress.final", "value"] == 1.0
     assert worst(v.outcome for v in judge(GATES, rows, {log.name: LogLabels()}) if v.logs) is Outcome.PASS
-    assert passed_early(log) is None and Kind.GOAL not in {one.kind for one in findings(log)}
+    assert passed_early(log) is None and FaultKind.GOAL not in {one.kind for one in findings(log)}
 
 
 def test_a_goal_that_holds_the_ego_but_asks_for_more_can_be_driven_to() -> None:

@@ -25,7 +25,7 @@ from metrics.compare import (
     noise,
 )
 from metrics.judge.aggregate import LogLabels
-from metrics.judge.gates import Gate, Gates, Outcome, Rule, load_gates, load_rules
+from metrics.judge.gates import Gate, GateRule, Gates, Outcome, load_gates, load_rules
 
 GAP = Gate("gap.min", min=0.5)
 
@@ -45,16 +45,16 @@ def of(before: dict[str, float], now: dict[str, float], *gates: Gate, **changes:
     return compare(one, two, Gates(gates or (GAP,), "test"))
 
 
-def said(comparison: Comparison, *rules: Rule) -> list[str]:
+def said(comparison: Comparison, *rules: GateRule) -> list[str]:
     labels = {log: LogLabels(tags=("synthetic", log[0])) for log in comparison.pairs["log"]}
     return [verdict.outcome.value for verdict in judge_rules(rules, comparison, labels).verdicts]
 
 
 GAPS = st.dictionaries(st.sampled_from([f"{x}{i}" for x in "ab" for i in range(4)]), st.floats(-3.0, 3.0), min_size=1)
-RISES = Rule("gap.min", max_increase=0.0, significant=True)
-FALLS = Rule("gap.min", max_decrease=0.0, significant=True)
-NO_FLIPS = Rule(max_flips=0)
-NONE_MISSING = Rule(max_missing=0)
+RISES = GateRule("gap.min", max_increase=0.0, significant=True)
+FALLS = GateRule("gap.min", max_decrease=0.0, significant=True)
+NO_FLIPS = GateRule(max_flips=0)
+NONE_MISSING = GateRule(max_missing=0)
 
 # laws -------------------------------------------------------------------------------------------------------------
 
@@ -158,7 +158,7 @@ def test_a_value_that_is_gone_is_named_and_no_delta() -> None:
     assert [tuple(flip) for flip in found.flips[["log", "before", "after"]].to_numpy()] == [
         ("a2", "not asked", "fail")
     ]  # fmt: skip
-    assert said(found, NO_FLIPS, Rule(max_flips=1), RISES) == ["fail", "pass", "inconclusive"]
+    assert said(found, NO_FLIPS, GateRule(max_flips=1), RISES) == ["fail", "pass", "inconclusive"]
 
 
 def test_other_inputs_and_other_metrics_are_named() -> None:
@@ -209,20 +209,20 @@ def test_a_rule_says_the_interval_of_the_table() -> None:
 @pytest.mark.parametrize(
     ("rule", "outcome"),
     [
-        (Rule("gap.min", max_decrease=0.9, over="worst"), "fail"),
-        (Rule("gap.min", max_decrease=1.0, over="worst"), "pass"),
-        (Rule("gap.min", max_decrease=0.1, over="median"), "fail"),
-        (Rule("gap.min", max_decrease=0.1, over="median", tags=("b",)), "pass"),
-        (Rule("gap.min", max_decrease=0.5, over="mean"), "pass"),
-        (Rule("gap.min", max_increase=0.4, over="worst", tags=("b",)), "fail"),
-        (Rule("gap.min", max_increase=0.0, mode="open"), "inconclusive"),
-        (Rule(max_flips=0, gate="gap.min"), "fail"),
-        (Rule(max_flips=0, gate="thw.min"), "pass"),
-        (Rule(max_flips=0, tags=("b",)), "pass"),
-        (Rule(max_flips=0, planner="idm"), "inconclusive"),
+        (GateRule("gap.min", max_decrease=0.9, over="worst"), "fail"),
+        (GateRule("gap.min", max_decrease=1.0, over="worst"), "pass"),
+        (GateRule("gap.min", max_decrease=0.1, over="median"), "fail"),
+        (GateRule("gap.min", max_decrease=0.1, over="median", tags=("b",)), "pass"),
+        (GateRule("gap.min", max_decrease=0.5, over="mean"), "pass"),
+        (GateRule("gap.min", max_increase=0.4, over="worst", tags=("b",)), "fail"),
+        (GateRule("gap.min", max_increase=0.0, mode="open"), "inconclusive"),
+        (GateRule(max_flips=0, gate="gap.min"), "fail"),
+        (GateRule(max_flips=0, gate="thw.min"), "pass"),
+        (GateRule(max_flips=0, tags=("b",)), "pass"),
+        (GateRule(max_flips=0, planner="idm"), "inconclusive"),
     ],
 )  # fmt: skip
-def test_what_a_rule_asks(rule: Rule, outcome: str) -> None:
+def test_what_a_rule_asks(rule: GateRule, outcome: str) -> None:
     found = of({"a1": 1.4, "a2": 2.0, "b1": 0.6}, {"a1": 0.4, "a2": 1.8, "b1": 1.1})
     assert said(found, rule) == [outcome]
 
@@ -241,7 +241,7 @@ def test_noise_and_fragile_drives_flip_nothing() -> None:
     one, two = side("old", row("a1", 1.0), row("a2", 1.0), fragile), side("new", row("a1", 0.1), row("a2", 1.0))
     found = compare(one, two, Gates((GAP,), "test"))
     assert list(found.flips["marginal"]) == [True]
-    verdicts = judge_rules((NO_FLIPS, Rule("gap.min", max_decrease=0.1, over="worst")), found, {}).verdicts
+    verdicts = judge_rules((NO_FLIPS, GateRule("gap.min", max_decrease=0.1, over="worst")), found, {}).verdicts
     assert [verdict.outcome for verdict in verdicts] == [Outcome.PASS] * 2
     assert verdicts[0].reason == "0 flips; 1 marginal" and "fragile and left out: 1" in verdicts[1].reason
 
@@ -299,7 +299,7 @@ def test_rules_and_gates_share_a_file(tmp_path: Path) -> None:
     file.write_text('[[gate]]\nmetric = "gap.min"\nmin = 0.5\n')
     assert load_rules(file) == load_rules(None) and len(load_rules(None)) > 5
     file.write_text(file.read_text() + '[[compare]]\nmetric = "ade.3s.mean"\nmax_increase = 0.1\ntags = ["paper"]\n')
-    assert load_rules(file) == (Rule("ade.3s.mean", max_increase=0.1, tags=("paper",)),)
+    assert load_rules(file) == (GateRule("ade.3s.mean", max_increase=0.1, tags=("paper",)),)
     assert len(load_gates(file).gates) == 1
 
 

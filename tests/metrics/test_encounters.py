@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from logs import AgentKind, Scenario, Tracks
 from logs.shapes import distance
 from metrics import GROUPS, evaluate, series
-from metrics.encounters import Body, closest_encounter, time_to_contact_accelerated
+from metrics.encounters import MovingBox, closest_encounter, time_to_contact_accelerated
 from metrics.safety import MASS_KG, delta_v
 
 MINE = {metric.name: metric for metric in GROUPS["safety"]}
@@ -40,7 +40,7 @@ def first(log: Scenario, name: str) -> float:
 def touch(gap: float, v: float, a: float, u: float, b: float) -> float:
     """Two boxes 4 m long in a row, `gap` between them."""
     return time_to_contact_accelerated(
-        Body(0.0, 0.0, 0.0, 4.0, 2.0, v, 0.0, a), Body(4.0 + gap, 0.0, 0.0, 4.0, 2.0, u, 0.0, b), 10.0
+        MovingBox(0.0, 0.0, 0.0, 4.0, 2.0, v, 0.0, a), MovingBox(4.0 + gap, 0.0, 0.0, 4.0, 2.0, u, 0.0, b), 10.0
     )
 
 
@@ -63,8 +63,8 @@ def test_accelerated_contact_is_the_first_touch(seed: int) -> None:
     x, y, yaw = rng.uniform(-30, 30), rng.uniform(-30, 30), rng.uniform(-3, 3)
     (v, u), (a, b) = rng.uniform(1, 12, 2), rng.uniform(-3, 3, 2)
     found = time_to_contact_accelerated(
-        Body(0.0, 0.0, 0.0, 4.0, 2.0, v, 0.0, a),
-        Body(x, y, yaw, 4.0, 2.0, u * np.cos(yaw), u * np.sin(yaw), b),
+        MovingBox(0.0, 0.0, 0.0, 4.0, 2.0, v, 0.0, a),
+        MovingBox(x, y, yaw, 4.0, 2.0, u * np.cos(yaw), u * np.sin(yaw), b),
         10.0,
     )
 
@@ -116,7 +116,7 @@ def test_the_closest_encounter_is_the_least_of_all_times(seed: int) -> None:
     one = (0.0, 0.0, rng.uniform(-3, 3), 4.0, 2.0)
     x, y, yaw = rng.uniform(-20, 20), rng.uniform(-20, 20), rng.uniform(-3, 3)
     v, u = rng.uniform(-8, 8, 2), rng.uniform(-8, 8, 2)
-    near, when = closest_encounter(Body(*one, *v, 0.0), Body(x, y, yaw, 5.0, 1.5, *u, 0.0), 10.0)
+    near, when = closest_encounter(MovingBox(*one, *v, 0.0), MovingBox(x, y, yaw, 5.0, 1.5, *u, 0.0), 10.0)
     t = np.linspace(0.0, 10.0, 1001)
     apart = [distance(*one, x + (u[0] - v[0]) * s, y + (u[1] - v[1]) * s, yaw, 5.0, 1.5) for s in t]
     assert near <= min(apart) + 1e-9

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from logs import AgentKind, Colour, Mode, Road, RoadSource, Scenario, StopLine, Trace, Tracks, TrafficLight, Trajectory
 from logs.readers.commonroad import read_commonroad
 from metrics import METRICS, evaluate
-from metrics.health import Kind, findings
+from metrics.health import FaultKind, findings
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
 
@@ -117,7 +117,7 @@ def test_a_drive_may_end_with_the_evidence_and_says_so() -> None:
 
 def test_a_health_finding_names_the_stretches_without_traffic() -> None:
     log = scenario(SLOW_THEN_FAST, traffic=((0.0, 2.0), (7.0, 9.8)))
-    found = [one for one in findings(log) if one.kind is Kind.TRAFFIC]
+    found = [one for one in findings(log) if one.kind is FaultKind.TRAFFIC]
     assert [(one.t_from, one.t_to) for one in found] == [(2.0, 7.0)]
     assert found[0].text == "no traffic is recorded for 5.0 s of 10.0 s"
 

@@ -21,7 +21,7 @@ from logs.road import Lane, RoadSource
 from logs.rules import Colour, StopLine, TrafficLight
 from logs.scenario import AgentKind, Tracks
 from logs.states import Trajectory
-from metrics.health import CHECKS, Kind, findings, report, sentences, table
+from metrics.health import CHECKS, FaultKind, findings, report, sentences, table
 from replay.config import RunConfig
 from replay.run import evaluate_logs
 
@@ -66,7 +66,7 @@ def later(step: float) -> Callable[[np.ndarray], np.ndarray]:
     return lambda values: np.where(np.arange(len(values)) > AT, values + step, values)
 
 
-def kinds(one: Scenario) -> set[Kind]:
+def kinds(one: Scenario) -> set[FaultKind]:
     return {finding.kind for finding in findings(one)}
 
 
@@ -86,15 +86,17 @@ def test_the_catalogue_is_clean(name: str) -> None:
 def test_an_ego_jump_is_found_where_it_is(step: float) -> None:
     ego = drive()
     found, *longer = findings(scenario(replace(ego, x=later(step)(np.array(ego.x)))))
-    assert {one.kind for one in longer} == ({Kind.EGO_SPEED} if step > 0.1 * (80.0 + step) else set())
-    assert found.kind is Kind.EGO_JUMP and found.t_from == pytest.approx(4.0) and found.t_to == pytest.approx(4.1)
+    assert {one.kind for one in longer} == ({FaultKind.EGO_SPEED} if step > 0.1 * (80.0 + step) else set())
+    assert found.kind is FaultKind.EGO_JUMP and found.t_from == pytest.approx(4.0) and found.t_to == pytest.approx(4.1)
     assert found.value == pytest.approx(step + 1.0)
 
 
 @given(st.floats(3.0, 60.0))
 @settings(max_examples=20, deadline=None)
 def test_a_teleport_is_found_where_it_is(step: float) -> None:
-    found = [one for one in findings(scenario(tracks=moved(track(), "x", later(step)))) if one.kind is Kind.TELEPORT]
+    found = [
+        one for one in findings(scenario(tracks=moved(track(), "x", later(step)))) if one.kind is FaultKind.TELEPORT
+    ]
     assert [one.who for one in found] == ["7"] and found[0].value == pytest.approx(step + 0.8)
     assert (found[0].t_from, found[0].t_to) == (pytest.approx(4.0), pytest.approx(4.1))
 
@@ -102,11 +104,11 @@ def test_a_teleport_is_found_where_it_is(step: float) -> None:
 @pytest.mark.parametrize(("factor", "word"), [(3.6, "km/h"), (2.237, "mph"), (0.3048, "feet"), (0.001, "mm")])
 def test_other_units_are_named(factor: float, word: str) -> None:
     ego = drive()
-    (found,) = (one for one in findings(scenario(replace(ego, v=ego.v * factor))) if one.kind is Kind.UNITS)
+    (found,) = (one for one in findings(scenario(replace(ego, v=ego.v * factor))) if one.kind is FaultKind.UNITS)
     assert word in found.text and found.value == pytest.approx(factor)
     fast = replace(track(), vx=track().vx * factor)
     two = both(fast, replace(fast, ids=("8",), y=fast.y + 4.0))
-    (found,) = (one for one in findings(scenario(tracks=two)) if one.topic == "agents" and one.kind is Kind.UNITS)
+    (found,) = (one for one in findings(scenario(tracks=two)) if one.topic == "agents" and one.kind is FaultKind.UNITS)
     assert word in found.text
 
 
@@ -116,25 +118,25 @@ def test_gaps_are_found_with_their_length() -> None:
     columns = {name: getattr(ego, name)[kept] for name in ("t", "x", "y", "yaw", "v", "a", "kappa")}
     holed = scenario(Trajectory(**columns), track(t=T[kept]))
     gap, flicker = findings(holed)
-    assert (gap.kind, flicker.kind) == (Kind.EGO_GAP, Kind.AGENT_GAP)
+    assert (gap.kind, flicker.kind) == (FaultKind.EGO_GAP, FaultKind.AGENT_GAP)
     assert gap.value == pytest.approx(2.0) and "lost once, 2.0 s together" in flicker.text
 
 
 def test_a_speed_that_the_positions_deny_is_found() -> None:
     ego = drive()
-    assert Kind.EGO_SPEED in kinds(scenario(replace(ego, v=ego.v * 1.3)))
-    assert Kind.EGO_SPEED not in kinds(scenario(replace(ego, v=ego.v * 1.05)))
-    assert kinds(scenario(tracks=moved(track(), "vx", lambda v: v * 1.6))) == {Kind.AGENT_SPEED}
+    assert FaultKind.EGO_SPEED in kinds(scenario(replace(ego, v=ego.v * 1.3)))
+    assert FaultKind.EGO_SPEED not in kinds(scenario(replace(ego, v=ego.v * 1.05)))
+    assert kinds(scenario(tracks=moved(track(), "vx", lambda v: v * 1.6))) == {FaultKind.AGENT_SPEED}
     assert kinds(scenario(tracks=moved(track(), "vx", lambda v: v * np.nan))) == set()
 
 
 def test_wrong_headings_are_found() -> None:
     ego = drive()
-    assert Kind.EGO_HEADING in kinds(scenario(replace(ego, yaw=ego.yaw + 1.2)))
-    assert Kind.EGO_HEADING in kinds(scenario(replace(ego, yaw=later(1.5)(np.array(ego.yaw)))))
-    assert Kind.HEADING_FLIP in kinds(scenario(tracks=moved(track(), "yaw", later(3.0))))
+    assert FaultKind.EGO_HEADING in kinds(scenario(replace(ego, yaw=ego.yaw + 1.2)))
+    assert FaultKind.EGO_HEADING in kinds(scenario(replace(ego, yaw=later(1.5)(np.array(ego.yaw)))))
+    assert FaultKind.HEADING_FLIP in kinds(scenario(tracks=moved(track(), "yaw", later(3.0))))
     backwards = replace(ego, yaw=ego.yaw + np.pi, v=-ego.v)
-    assert Kind.EGO_HEADING not in kinds(scenario(backwards))
+    assert FaultKind.EGO_HEADING not in kinds(scenario(backwards))
 
 
 @pytest.mark.parametrize("rate", [2.0, 10.0, 50.0, 200.0])
@@ -145,13 +147,15 @@ def test_directions_are_found_at_any_rate(rate: float) -> None:
     other = replace(handmade.tracks(handmade.track("7", t, 20.0 + 8.0 * t, zero + 3.5, vx=8.0, vy=0.0)))
     assert findings(scenario(ego, other)) == ()
     (found,) = findings(scenario(replace(ego, yaw=zero + 1.2), other))
-    assert (found.kind, found.topic) == (Kind.EGO_HEADING, "ego") and found.value == pytest.approx(1.2)
+    assert (found.kind, found.topic) == (FaultKind.EGO_HEADING, "ego") and found.value == pytest.approx(1.2)
     (found,) = findings(scenario(ego, replace(other, yaw=zero + 1.2)))[:1]
-    assert (found.kind, found.who) == (Kind.AGENT_HEADING, "7") and found.value == pytest.approx(1.2)
+    assert (found.kind, found.who) == (FaultKind.AGENT_HEADING, "7") and found.value == pytest.approx(1.2)
     (found,) = findings(scenario(ego, replace(other, yaw=zero + np.pi)))
-    assert found.kind is Kind.AGENT_HEADING and found.value == pytest.approx(np.pi), "8 m/s is too fast for reverse"
+    assert found.kind is FaultKind.AGENT_HEADING and found.value == pytest.approx(np.pi), (
+        "8 m/s is too fast for reverse"
+    )
     (found,) = findings(scenario(ego, replace(other, vx=zero, vy=zero + 8.0)))
-    assert (found.kind, found.who) == (Kind.VELOCITY, "7") and found.value == pytest.approx(0.5 * np.pi)
+    assert (found.kind, found.who) == (FaultKind.VELOCITY, "7") and found.value == pytest.approx(0.5 * np.pi)
     slow = replace(other, x=20.0 + 2.0 * t, vx=zero + 2.0, yaw=zero + np.pi)
     assert findings(scenario(ego, slow)) == (), "it reverses"
     walker = replace(other, kinds=(AgentKind.PEDESTRIAN,), length=np.array([0.6]), width=np.array([0.6]))
@@ -163,12 +167,12 @@ def test_reverse_gear_without_a_signed_speed_is_found_where_it_is(rate: float) -
     t = np.arange(0.0, 12.01, 1.0 / rate)
     x, zero = np.where(t < 6.0, 3.0 * t, 36.0 - 3.0 * t), np.zeros_like(t)
     unsigned = Trajectory(t, x, zero, zero, zero + 3.0, zero, zero)
-    (found,) = (one for one in findings(scenario(unsigned)) if one.kind is Kind.EGO_HEADING)
+    (found,) = (one for one in findings(scenario(unsigned)) if one.kind is FaultKind.EGO_HEADING)
     assert "reverse gear" in found.text
     assert found.t_from == pytest.approx(6.0, abs=0.5) and found.t_to == pytest.approx(12.0, abs=0.5)
     signed = replace(unsigned, v=np.where(t < 6.0, 3.0, -3.0))
-    assert Kind.EGO_HEADING not in kinds(scenario(signed))
-    wrong = [one for one in findings(scenario(replace(signed, v=-signed.v))) if one.kind is Kind.EGO_HEADING]
+    assert FaultKind.EGO_HEADING not in kinds(scenario(signed))
+    wrong = [one for one in findings(scenario(replace(signed, v=-signed.v))) if one.kind is FaultKind.EGO_HEADING]
     assert sum(one.t_to - one.t_from for one in wrong) > 10.0, "the sign is wrong all along, but where it changes"
 
 
@@ -177,16 +181,16 @@ def test_headings_beyond_a_turn_may_be_degrees() -> None:
     t = np.arange(0.0, 40.0, 1.25)
     yaw, zero = 1.0 + 0.1 * t, np.zeros_like(t)
     ego = Trajectory(t, 100.0 * np.sin(yaw), -100.0 * np.cos(yaw), np.degrees(yaw), zero + 10.0, zero, zero)
-    (found,) = (one for one in findings(scenario(ego, Tracks.empty())) if one.kind is Kind.EGO_HEADING)
+    (found,) = (one for one in findings(scenario(ego, Tracks.empty())) if one.kind is FaultKind.EGO_HEADING)
     assert found.text.endswith("in degrees?")
     off = findings(scenario(replace(ego, yaw=yaw + 1.2), Tracks.empty()))[0]
-    assert off.kind is Kind.EGO_HEADING and "degrees" not in off.text
+    assert off.kind is FaultKind.EGO_HEADING and "degrees" not in off.text
 
 
 def test_most_headings_are_one_finding() -> None:
     two = both(track(), track("8", y=8.0))
     (found,) = (
-        one for one in findings(scenario(tracks=replace(two, yaw=two.yaw + 1.2))) if one.kind is Kind.AGENT_HEADING
+        one for one in findings(scenario(tracks=replace(two, yaw=two.yaw + 1.2))) if one.kind is FaultKind.AGENT_HEADING
     )
     assert found.who == "" and found.text.startswith("2 of 2 moving agents")
 
@@ -202,33 +206,33 @@ def test_noise_of_positions_is_no_way(rate: float) -> None:
 def test_an_agent_who_goes_on_under_another_name_is_found() -> None:
     one, other = track("7", t=T[:AT]), track("8", t=T[AT + 2 :])
     (found,) = findings(scenario(tracks=both(one, other)))
-    assert found.kind is Kind.ID_SWITCH and "goes on as 8" in found.text
+    assert found.kind is FaultKind.ID_SWITCH and "goes on as 8" in found.text
     (other_kind,) = (replace(other, kinds=(AgentKind.PEDESTRIAN,), length=np.array([0.6]), width=np.array([0.6])),)
-    assert Kind.ID_SWITCH not in kinds(scenario(tracks=both(one, other_kind)))
+    assert FaultKind.ID_SWITCH not in kinds(scenario(tracks=both(one, other_kind)))
 
 
 def test_twins_and_odd_sizes_are_found() -> None:
-    assert Kind.TWIN in kinds(scenario(tracks=both(track("7"), track("8", y=3.6))))
-    assert Kind.TWIN not in kinds(scenario(tracks=both(track("7"), track("8", y=7.0))))
-    assert kinds(scenario(tracks=replace(track(y=9.0), width=np.array([7.0])))) == {Kind.SIZE}
+    assert FaultKind.TWIN in kinds(scenario(tracks=both(track("7"), track("8", y=3.6))))
+    assert FaultKind.TWIN not in kinds(scenario(tracks=both(track("7"), track("8", y=7.0))))
+    assert kinds(scenario(tracks=replace(track(y=9.0), width=np.array([7.0])))) == {FaultKind.SIZE}
 
 
 @given(st.floats(0.8, 2.3), st.sampled_from([1.0, -1.0]))
 @settings(max_examples=20, deadline=None)
 def test_a_car_that_steps_across_its_axis_is_found(angle: float, side: float) -> None:
     off = scenario(tracks=moved(moved(track(), "x", later(4.0 * np.cos(angle) - 0.8)), "y", later(4.0 * np.sin(angle))))
-    (found,) = (one for one in findings(off) if one.kind is Kind.ACROSS)
+    (found,) = (one for one in findings(off) if one.kind is FaultKind.ACROSS)
     assert found.who == "7" and found.t_from == pytest.approx(4.0)
     assert found.value == pytest.approx(min(angle, np.pi - angle), abs=1e-6)
     ahead = scenario(tracks=moved(track(), "x", later(4.0 * side - 0.8)))
-    assert Kind.ACROSS not in kinds(ahead), "forward and backward are along the axis"
+    assert FaultKind.ACROSS not in kinds(ahead), "forward and backward are along the axis"
 
 
 def test_many_short_tracks_are_one_finding() -> None:
     few = both(track(), track("8", 7.0, t=T[:2]))
-    assert Kind.SHORT not in kinds(scenario(tracks=few))
+    assert FaultKind.SHORT not in kinds(scenario(tracks=few))
     (found,) = (
-        one for one in findings(scenario(tracks=both(few, track("9", 11.0, t=T[:1])))) if one.kind is Kind.SHORT
+        one for one in findings(scenario(tracks=both(few, track("9", 11.0, t=T[:1])))) if one.kind is FaultKind.SHORT
     )
     assert found.value == 2.0 and "2 of 3 tracks of vehicles" in found.text
 
@@ -242,7 +246,7 @@ def test_a_repair_is_shown_before_and_after() -> None:
 
 def test_a_phantom_is_named_with_its_time() -> None:
     there = track("ghost", y=0.0, v=0.0, t=T[AT - 3 : AT + 4], x0=40.0)
-    found = [one for one in findings(scenario(tracks=there)) if one.kind is Kind.PHANTOM]
+    found = [one for one in findings(scenario(tracks=there)) if one.kind is FaultKind.PHANTOM]
     assert [one.who for one in found] == ["ghost"] and "the logged ego stands in car ghost" in found[0].text
 
 
@@ -258,7 +262,7 @@ def test_a_map_that_is_elsewhere_and_a_broken_graph_are_found() -> None:
     whole = on(lane(1, 0.0, 0.0, (2,)), lane(2, 50.0, 0.0, ()))
     assert findings(whole) == ()
     (far,) = findings(on(lane(1, 0.0, 30.0, (2,)), lane(2, 50.0, 30.0, ())))
-    assert far.kind is Kind.OFF_MAP and far.value == 1.0 and "up to 30.1 m from" in far.text
+    assert far.kind is FaultKind.OFF_MAP and far.value == 1.0 and "up to 30.1 m from" in far.text
     loop, apart = findings(on(lane(1, 0.0, 0.0, (1, 2)), lane(2, 58.0, 0.0, ())))[-2:]
     assert "lane 1 follows itself" in loop.text and "begins 8.0 m from its end" in apart.text
     (edge,) = findings(on(lane(1, 0.0, 0.0, (8,)), lane(2, 50.0, 0.0, (9,))))
@@ -268,14 +272,14 @@ def test_a_map_that_is_elsewhere_and_a_broken_graph_are_found() -> None:
 def test_a_light_that_no_line_names_is_found() -> None:
     lights = [TrafficLight(name, np.array([0.0]), (Colour.RED,)) for name in (5, 6)]
     (found,) = findings(scenario(lights=tuple(lights)))
-    assert found.kind is Kind.LIGHT and found.text == "2 lights are shown, but the road has no stop lines"
+    assert found.kind is FaultKind.LIGHT and found.text == "2 lights are shown, but the road has no stop lines"
     lined = replace(scenario().road, stop_lines=(StopLine(1, 0, np.array([[70.0, 2.0], [70.0, -2.0]]), light=6),))
     (found,) = findings(replace(scenario(lights=tuple(lights)), road=lined))
-    assert found.kind is Kind.LIGHT and found.who == "5"
+    assert found.kind is FaultKind.LIGHT and found.who == "5"
 
 
 def test_every_kind_says_what_it_does_and_a_sentence_stands_for_many() -> None:
-    assert all(kind.value and kind.effect for kind in Kind)
+    assert all(kind.value and kind.effect for kind in FaultKind)
     two = both(track("7"), track("8", y=8.0))
     jumping = moved(two, "x", lambda x: x + 9.0 * (np.arange(len(x)) % len(T) > AT))
     found = findings(scenario(tracks=jumping))

@@ -18,7 +18,7 @@ import planners
 import replan
 from logs import readers
 from logs.errors import ConfigError
-from logs.extension import Kind
+from logs.extension import ExtensionKind
 from replay.cli import app
 from replay.config import LoopConfig, RunConfig, dump_run, load_run
 from replay.draw.charts.layout import CHART
@@ -227,7 +227,7 @@ ALL = (planners.PLANNER, metrics.METRIC, readers.READER, CHART, *(kind for kind,
 
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.name)
-def test_an_import_that_fails_names_the_module_and_the_line(desk: Path, kind: Kind[object]) -> None:
+def test_an_import_that_fails_names_the_module_and_the_line(desk: Path, kind: ExtensionKind[object]) -> None:
     """And only a file of the user's that has what is missing is a clash of names."""
     for folder in ("logs", "my_package"):
         Path(folder).mkdir()
@@ -318,7 +318,7 @@ def test_resume_refuses_where_a_setting_or_the_source_has_changed(desk: Path) ->
 def test_two_of_one_name_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     from importlib.metadata import EntryPoint
 
-    kind: Kind[object] = Kind("thing", "things", {"a": print})
+    kind: ExtensionKind[object] = ExtensionKind("thing", "things", {"a": print})
     twice = tuple(EntryPoint("b", value, kind.group) for value in ("x:B", "y:B"))
     for entries in (twice, (EntryPoint("a", "x:A", kind.group),)):
         monkeypatch.setattr("logs.extension._installed_entry_points", lambda group, path, found=entries: found)
@@ -330,7 +330,7 @@ def test_what_a_module_only_imports_is_not_named_as_its_own(desk: Path) -> None:
     text = "from math import sin\nfrom pathlib import Path\n\ndef mine(): ...\nclass Mine: ...\n"
     Path("my_things.py").write_text(text, encoding="utf-8")
     Path("my_list.py").write_text("from my_things import mine, Mine\n__all__ = ['mine']\n", encoding="utf-8")
-    kind: Kind[object] = Kind("thing", "things", {})
+    kind: ExtensionKind[object] = ExtensionKind("thing", "things", {})
     for module, known in (("my_things", "Mine, mine"), ("my_list", "mine")):
         with pytest.raises(ConfigError, match=f"known are: {known}$"):
             kind.find(f"{module}:zzz")
@@ -344,13 +344,13 @@ def test_a_chart_or_panel_without_a_place_is_an_error(monkeypatch: pytest.Monkey
 
     from replay.draw.charts import layout
     from replay.draw.model import Panel
-    from replay.draw.recording.blueprint import Contents, blueprint
+    from replay.draw.recording.blueprint import RecordingContents, blueprint
 
     monkeypatch.setitem(layout.CHARTS, "extra", lambda subject: [])
     with pytest.raises(ValueError, match="the chart 'extra' has no place in LAYOUT"):
         layout.placed(None)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="the panel 'extra' is in no row of ROWS"):
-        blueprint(Contents([Panel("extra", "", (), 1.0)], None, None, 0, (), np.zeros((2, 2))))
+        blueprint(RecordingContents([Panel("extra", "", (), 1.0)], None, None, 0, (), np.zeros((2, 2))))
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from logs import (
     Trajectory,
     VehicleParameters,
 )
-from logs.agents import Change, Detections, Repair
+from logs.agents import Detections, Repair, TrackChange
 
 START_NS = 1_700_000_000_123_456_789
 RECORD = {"replan.scenario": {"format_version": "1", "name": "by hand"}}
@@ -101,8 +101,8 @@ def repaired_scenario() -> Scenario:
     extended = np.zeros(len(scenario.tracks.t), np.bool_)
     extended[:4] = True
     changes = (
-        Change("joined", "car 1", 0.0, 2.0, 21, "One car.", ("0", "1")),
-        Change("removed", "x9", 0.1, 0.2, 2, "It was seen for 0.1 s only."),
+        TrackChange("joined", "car 1", 0.0, 2.0, 21, "One car.", ("0", "1")),
+        TrackChange("removed", "x9", 0.1, 0.2, 2, "It was seen for 0.1 s only."),
     )
     return replace(scenario, repair=Repair(found, removed, extended, changes, scenario.tracks))
 
@@ -215,7 +215,9 @@ def detections(draw: st.DrawFn) -> Detections:
 @st.composite
 def repairs(draw: st.DrawFn, tracks: Tracks) -> Repair:
     text, when = st.text("abc.", max_size=5), st.floats(-10.0, 10.0)
-    change = st.builds(Change, text, text, when, when, st.integers(0, 9), text, st.lists(words, max_size=2).map(tuple))
+    change = st.builds(
+        TrackChange, text, text, when, when, st.integers(0, 9), text, st.lists(words, max_size=2).map(tuple)
+    )
     marks = np.array(draw(st.lists(st.booleans(), min_size=len(tracks.t), max_size=len(tracks.t))), np.bool_)
     made = tuple(draw(st.lists(change, max_size=3)))
     return Repair(draw(detections()), draw(all_tracks()), marks, made, tracks)

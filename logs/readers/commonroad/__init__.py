@@ -25,7 +25,7 @@ from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.observed import Spans, inferred
 from logs.readers.base import LogSettings, Reader
-from logs.readers.commonroad.document import Document, Obstacle, Problem, parse
+from logs.readers.commonroad.document import Document, Obstacle, PlanningProblem, parse
 from logs.readers.commonroad.road import road_of
 from logs.readers.commonroad.rules import lights_of, with_rules
 from logs.readers.commonroad.tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
@@ -56,7 +56,7 @@ class _Ego(NamedTuple):
     """The ego: its obstacle (None: only the start is known), its problem (None: the user chose an obstacle)."""
 
     obstacle: Obstacle | None
-    problem: Problem | None
+    problem: PlanningProblem | None
     notes: tuple[str, ...] = ()
 
 
@@ -217,7 +217,7 @@ def _drive(
 
 
 def _goal(
-    problem: Problem | None, road: Road, start: float, dt: float, origin: tuple[float, float]
+    problem: PlanningProblem | None, road: Road, start: float, dt: float, origin: tuple[float, float]
 ) -> tuple[Goal | None, tuple[str, ...]]:
     """The problem's goal: any of its goal states, each with its own bounds."""
     if problem is None:

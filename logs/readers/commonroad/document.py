@@ -111,7 +111,7 @@ READ_SIGNS = STOP_SIGNS | YIELD_SIGNS | PRIORITY_SIGNS
 
 
 @dataclass(frozen=True)
-class Light:
+class LightCycle:
     """A traffic light: its cycle of colours and durations (time steps), (1), and the turns that it is for.
 
     Attributes:
@@ -229,7 +229,7 @@ class GoalState:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class PlanningProblem:
     """One planning problem: the initial state `(6,)` (columns as in `Obstacle`), its yaw rate, the goals."""
 
     id: int
@@ -255,9 +255,9 @@ class Document:
     tags: tuple[str, ...]
     lanelets: tuple[Lanelet, ...]
     obstacles: tuple[Obstacle, ...]
-    problems: tuple[Problem, ...]
+    problems: tuple[PlanningProblem, ...]
     notes: tuple[str, ...]
-    lights: tuple[Light, ...]
+    lights: tuple[LightCycle, ...]
     signs: Mapping[int, frozenset[str]]
     intersections: tuple[Intersection, ...]
 
@@ -340,7 +340,7 @@ def _document(root: Element) -> Document:
     )
 
 
-def _light(element: Element) -> Light:
+def _light(element: Element) -> LightCycle:
     name = integer(element.get("id"), "trafficLight@id")
     place, cycle = f"trafficLight {name}", []
     for part in element.findall("cycle/cycleElement"):
@@ -355,7 +355,7 @@ def _light(element: Element) -> Light:
         raise LogError(f"no direction {direction!r}", topic=place, remedy=f"known are {', '.join(DIRECTIONS)}")
     offset = number(element.findtext("cycle/timeOffset", "0"), f"{place}/timeOffset")
     active = element.findtext("active", "").strip() != "false"
-    return Light(name, tuple(cycle), offset, frozenset(DIRECTIONS[direction]), active)
+    return LightCycle(name, tuple(cycle), offset, frozenset(DIRECTIONS[direction]), active)
 
 
 def _intersection(element: Element) -> Intersection:
@@ -492,7 +492,7 @@ def _obstacle(element: Element) -> Obstacle:
     return Obstacle(name, kind, static, length, width, frozen(table[:1] if static else table), tuple(sets))
 
 
-def _problem(element: Element) -> Problem:
+def _problem(element: Element) -> PlanningProblem:
     name = integer(element.get("id"), "planningProblem@id")
     place = f"planningProblem {name}"
     initial = child(element, "initialState", place)
@@ -506,4 +506,4 @@ def _problem(element: Element) -> Problem:
         lanelets = () if position is None else references(position, "lanelet", f"{at}/position")
         bounds = (interval(goal, tag, at) for tag in ("time", "velocity", "orientation"))
         goals.append(GoalState(tuple(map(frozen, regions)), lanelets, *bounds))
-    return Problem(name, frozen(start), middle(initial, "yawRate", f"{place}/initialState"), tuple(goals))
+    return PlanningProblem(name, frozen(start), middle(initial, "yawRate", f"{place}/initialState"), tuple(goals))

@@ -19,7 +19,7 @@ from math import ceil
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.readers.commonroad.document import Document, Problem
+from logs.readers.commonroad.document import Document, PlanningProblem
 from logs.readers.strips import resampled
 from logs.road import Lane, Road
 
@@ -41,7 +41,7 @@ _MORE = 1.25
 
 
 def road_of(
-    document: Document, origin: tuple[float, float], driven: FloatArray, problem: Problem | None
+    document: Document, origin: tuple[float, float], driven: FloatArray, problem: PlanningProblem | None
 ) -> tuple[Road, tuple[str, ...]]:
     """Make the road, and notes on assumptions.
 
@@ -102,7 +102,7 @@ def _crossable(marking: str, *, near: int) -> bool:
 
 
 def _with_defaults(
-    document: Document, road: Road, origin: tuple[float, float], driven: FloatArray, problem: Problem | None,
+    document: Document, road: Road, origin: tuple[float, float], driven: FloatArray, problem: PlanningProblem | None,
     notes: list[str],
 ) -> Road:  # fmt: skip
     """The road with (1) to (3): the commonest default is the road's, others stand on their lanes."""

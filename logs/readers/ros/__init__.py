@@ -35,7 +35,7 @@ from zstandard import ZstdError, frame_content_size
 
 from logs.errors import LogError
 from logs.kernel import IntArray
-from logs.readers.base import Contents, LogSettings, Reader, TopicSummary
+from logs.readers.base import LogContents, LogSettings, Reader, TopicSummary
 from logs.readers.ros.fields import SIMPLIFY, Types, Wanted, decoder, has_field
 from logs.scenario import Scenario
 
@@ -288,7 +288,7 @@ def _span(path: Path) -> tuple[float, float] | None:
         return None
 
 
-def _contents(path: Path) -> Contents:
+def _contents(path: Path) -> LogContents:
     """Return the topics with their numbers of messages, and first and last times if the bag is small."""
     try:
         small = sum(each.stat().st_size for each in _files(path)) <= LISTED_BYTES
@@ -299,9 +299,9 @@ def _contents(path: Path) -> Contents:
                 first, last = (times[0], times[-1]) if times else (None, None)
                 coded = ("cdr", "ros2msg") if bag.is_ros2 else ("ros1", "ros1msg")
                 found.append(TopicSummary(topic.name, topic.kind, *coded, topic.count, first, last))
-            return Contents("ROS 2 bag" if bag.is_ros2 else "ROS 1 bag", tuple(found))
+            return LogContents("ROS 2 bag" if bag.is_ros2 else "ROS 1 bag", tuple(found))
     except (LogError, OSError):
-        return Contents("ROS bag, damaged")
+        return LogContents("ROS bag, damaged")
 
 
 READER = Reader(

@@ -41,7 +41,7 @@ from logs.readers.ros.fields import Wanted
 from logs.readers.ros.frames import (
     HELD,
     Clock,
-    Frames,
+    FrameTree,
     Poses,
     clock_of,
     composed,
@@ -65,7 +65,7 @@ POSITION = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class BagPart:
     """The messages of a bag that are read: those from `begin` to `end`, log times in ns (None: no bound).
 
     Attributes:
@@ -131,14 +131,14 @@ class EgoLog:
     clock: Clock
     map: str
     base: str
-    frames: Frames
+    frames: FrameTree
     poses: Poses
     v: FloatArray
     restarts: IntArray
     restarted: str
 
 
-def read_edges(part: Part) -> dict[tuple[str, str], Edge]:
+def read_edges(part: BagPart) -> dict[tuple[str, str], Edge]:
     """Read all transforms of the part; static ones from the log's begin on."""
     rows: dict[tuple[str, str], list[tuple[float, ...]]] = {}
     static: set[tuple[str, str]] = set()
@@ -178,7 +178,7 @@ def _map_frame(edges: Edges, named: str, settings: LogSettings) -> str:
     return known[0] if known else named or min(roots, default="map")
 
 
-def read_ego(part: Part) -> EgoLog:
+def read_ego(part: BagPart) -> EgoLog:
     """Read the ego's poses.
 
     Raises:
@@ -206,7 +206,7 @@ def read_ego(part: Part) -> EgoLog:
         base, why = "", ""
     if not base:
         raise _no_ego(part.bag)
-    chain = Frames((p, c, Poses(e.log, e.p, e.q)) for (p, c), e in edges.items()).chain(map_frame, base)
+    chain = FrameTree((p, c, Poses(e.log, e.p, e.q)) for (p, c), e in edges.items()).chain(map_frame, base)
     fastest = max((edges[p, c] for p, c, _ in chain), key=lambda edge: len(edge.log), default=None)
     if fastest is None or len(fastest.log) < LEAST_POSES:
         raise _no_ego(part.bag)
@@ -223,7 +223,7 @@ def read_ego(part: Part) -> EgoLog:
     return EgoLog(source, clock, map_frame, base, frames, poses, v, *_restarts(part, source, fastest))
 
 
-def _restarts(part: Part, source: str, edge: Edge) -> tuple[IntArray, str]:
+def _restarts(part: BagPart, source: str, edge: Edge) -> tuple[IntArray, str]:
     """Return when another drive begins in the bag, log times in ns: by the ego's stamps, else by /clock; the topic."""
     found = {source: restarts(edge.log, edge.stamps)}
     for topic in part.bag.topics:
@@ -242,7 +242,7 @@ def _six(path: str) -> tuple[str, ...]:
     return tuple(f"{path}{part}.{axis}" for part in ("linear", "angular") for axis in "xyz")
 
 
-def _odometry(part: Part, edges: Edges) -> _Found | None:
+def _odometry(part: BagPart, edges: Edges) -> _Found | None:
     """Return the topic of odometry or poses of the ego; None: transforms are better, or there is no such topic."""
     kinds = {**dict.fromkeys(schemas.ODOMETRY, "pose.pose"), **schemas.POSES}
     settings = part.settings
@@ -270,7 +270,7 @@ def _odometry(part: Part, edges: Edges) -> _Found | None:
     return None
 
 
-def _from_topic(part: Part, found: _Found, edges: Edges) -> EgoLog:
+def _from_topic(part: BagPart, found: _Found, edges: Edges) -> EgoLog:
     (topic, frame, child, edge, twist), settings, notes = found, part.settings, part.notes
     others = [each for each in part.bag.topics if each.kind == topic.kind and each.count]
     several = f" (of {len(others)} such topics the one with most messages)" if len(others) > 1 else ""
@@ -290,7 +290,7 @@ def _from_topic(part: Part, found: _Found, edges: Edges) -> EgoLog:
     frames = _frames({pair: each for pair, each in edges.items() if pair[1] not in above}, clock, notes)
     speed = twist[:, 0]
     known = frames.edges | turned | {(frame, base): poses}
-    frames = Frames((parent, name, each) for (parent, name), each in known.items())
+    frames = FrameTree((parent, name, each) for (parent, name), each in known.items())
     if map_frame != frame and map_frame in frames.path(frame):
         poses = frames.poses(map_frame, base, t, HELD)
     else:
@@ -300,13 +300,13 @@ def _from_topic(part: Part, found: _Found, edges: Edges) -> EgoLog:
     return EgoLog(topic.name, clock, map_frame, base, frames, poses, speed, *_restarts(part, topic.name, edge))
 
 
-def _own_frames(frames: Frames, world: Set[str]) -> Frames:
+def _own_frames(frames: FrameTree, world: Set[str]) -> FrameTree:
     """Return the car's own frames: each stays within `RIGID_M` of one place in its parent, and none is the world's."""
     own = [(*pair, poses) for pair, poses in frames.edges.items() if not world & set(pair)]
-    return Frames(each for each in own if np.ptp(each[2].p, axis=0).max() < RIGID_M)
+    return FrameTree(each for each in own if np.ptp(each[2].p, axis=0).max() < RIGID_M)
 
 
-def _base_of(topic: str, child: str, own: Frames, settings: LogSettings, notes: list[str]) -> str:
+def _base_of(topic: str, child: str, own: FrameTree, settings: LogSettings, notes: list[str]) -> str:
     """Return the frame of the rear axle: as set, or the first of `BASE_NAMES` that leads to `child`, that of the poses.
 
     Raises:
@@ -342,7 +342,7 @@ def _moved(twist: FloatArray, at: Poses) -> FloatArray:
     return np.column_stack([rotated(back, moved), rotated(back, twist[:, 3:])])
 
 
-def _frames(edges: Edges, clock: Clock, notes: list[str]) -> Frames:
+def _frames(edges: Edges, clock: Clock, notes: list[str]) -> FrameTree:
     out = []
     for (parent, child), edge in edges.items():
         if not len(edge.log):
@@ -352,7 +352,7 @@ def _frames(edges: Edges, clock: Clock, notes: list[str]) -> Frames:
             continue
         t, keep = times_of(f"/tf {parent} -> {child}", edge.log, edge.stamps, clock, notes)
         out.append((parent, child, Poses(t, edge.p[keep], edge.q[keep])))
-    return Frames(out)
+    return FrameTree(out)
 
 
 def _no_ego(bag: Bag) -> LogError:
@@ -371,7 +371,7 @@ class Signal:
     values: FloatArray
 
 
-def signal(part: Part, kinds: Mapping[str, str], role: str, ego: EgoLog) -> Signal | None:
+def signal(part: BagPart, kinds: Mapping[str, str], role: str, ego: EgoLog) -> Signal | None:
     """Read the topic of a role as numbers; None if no topic has at least two messages.
 
     A twist or acceleration in the frame of a sensor becomes that of the ego's base where transforms lead there.

@@ -74,7 +74,7 @@ def sampled(poses: Poses, t: IntArray, how: str) -> Poses:
     return Poses(t, p, unit_or_identity((1.0 - u) * poses.q[before] + u * near * poses.q[after]))
 
 
-class Frames:
+class FrameTree:
     """The tree of frames.
 
     Args:

@@ -21,8 +21,8 @@ from logs.conventions import Chords
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers.recorded import heading, rotated, unit_or_identity
 from logs.readers.ros import Bag, Topic, schemas
-from logs.readers.ros.ego import POSITION, Part
-from logs.readers.ros.frames import BETWEEN, Frames, Poses, composed
+from logs.readers.ros.ego import POSITION, BagPart
+from logs.readers.ros.frames import BETWEEN, FrameTree, Poses, composed
 from logs.readers.ros.schemas import ObjectSchema
 from logs.readers.ros.tracks import Samples, identified
 
@@ -42,7 +42,7 @@ class Messages:
     names: dict[str, int]
 
 
-def read_messages(part: Part, topic: Topic) -> Messages:
+def read_messages(part: BagPart, topic: Topic) -> Messages:
     """The wanted fields of a topic's messages."""
     bag, schema = part.bag, schemas.OBJECTS[topic.kind]
     item = f"{schema.items}."
@@ -83,7 +83,7 @@ def _first(bag: Bag, topic: Topic, prefix: str, paths: str) -> str:
 
 
 def samples_of(
-    messages: Messages, schema: ObjectSchema, chosen: IntArray, t: IntArray, frames: Frames, frame: str,
+    messages: Messages, schema: ObjectSchema, chosen: IntArray, t: IntArray, frames: FrameTree, frame: str,
     notes: list[str], id_notes: list[str],
 ) -> Samples:  # fmt: skip
     """The objects of the messages `chosen` `(k,)` at times t `(k,)` ns, in the map frame `frame` by (1)."""

@@ -33,7 +33,7 @@ from logs.readers.base import LogSettings
 from logs.readers.cut import DETECTED_S, HISTORY_S
 from logs.readers.recorded import car_of, unit_or_identity
 from logs.readers.ros import Bag, opened, schemas
-from logs.readers.ros.ego import POSITION, EgoLog, Part, at_poses, begin_of, read_ego, signal, states
+from logs.readers.ros.ego import POSITION, BagPart, EgoLog, at_poses, begin_of, read_ego, signal, states
 from logs.readers.ros.frames import (
     HELD,
     LASTS_S,
@@ -139,13 +139,13 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     return replace(scenario, notes=tuple(dict.fromkeys(notes)))
 
 
-def _part_to_read(bag: Bag, settings: LogSettings) -> tuple[Part, EgoLog, int | None, FloatArray]:
+def _part_to_read(bag: Bag, settings: LogSettings) -> tuple[BagPart, EgoLog, int | None, FloatArray]:
     """What is read of a bag, and its ego; if it begins later than the log, also the time of t = 0, ns, and the origin.
 
     Raises:
         LogError: The part holds several drives, or no pose of the ego.
     """
-    whole = part = Part(bag, settings)
+    whole = part = BagPart(bag, settings)
     start: int | None = None
     origin: FloatArray = np.zeros(2)
     clock = LOG_CLOCK
@@ -162,7 +162,7 @@ def _part_to_read(bag: Bag, settings: LogSettings) -> tuple[Part, EgoLog, int | 
     return part, ego, start, origin
 
 
-def _drive_to_read(whole: Part, ego: EgoLog) -> Part:
+def _drive_to_read(whole: BagPart, ego: EgoLog) -> BagPart:
     """Of a bag whose clock restarts, the drive between the settings' begin and end; all of it by log time, if so set.
 
     Raises:
@@ -185,13 +185,13 @@ def _drive_to_read(whole: Part, ego: EgoLog) -> Part:
     if settings.end < inf:
         end = min(end, bag.start_ns + round(1e9 * settings.end))
     note = f"T{what[1:]}; this is number {chosen + 1}, and --from and --to are seconds of the bag."
-    return Part(bag, settings, begin, end - 1, [note], drive=True)
+    return BagPart(bag, settings, begin, end - 1, [note], drive=True)
 
 
-def _part_by_log_time(whole: Part) -> tuple[Part, int | None, FloatArray, Clock]:
+def _part_by_log_time(whole: BagPart) -> tuple[BagPart, int | None, FloatArray, Clock]:
     """The messages around the settings' begin and end, the time of t = 0, the origin, and the log's first clock."""
     bag, settings, unknown = whole.bag, whole.settings, (whole, None, np.zeros(2), LOG_CLOCK)
-    head = Part(bag, settings, None, bag.start_ns + round(1e9 * HEAD_S))
+    head = BagPart(bag, settings, None, bag.start_ns + round(1e9 * HEAD_S))
     try:
         ego = read_ego(head)
     except LogError:
@@ -206,13 +206,13 @@ def _part_by_log_time(whole: Part) -> tuple[Part, int | None, FloatArray, Clock]
     log0, around = bag.start_ns, (DETECTED_S if detected else HISTORY_S) + MARGIN_S
     end = None if settings.end == inf else log0 + round(1e9 * (settings.end + around))
     if settings.begin <= 0.0:
-        return Part(bag, settings, None, end), None, np.zeros(2), clock
+        return BagPart(bag, settings, None, end), None, np.zeros(2), clock
     begin = log0 + round(1e9 * (settings.begin - around))
     origin = np.round(ego.poses.p[first, :2])
-    return Part(bag, settings, max(begin, log0), end), int(ego.poses.t[first]), origin, clock
+    return BagPart(bag, settings, max(begin, log0), end), int(ego.poses.t[first]), origin, clock
 
 
-def _logged_motion(part: Part, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
+def _logged_motion(part: BagPart, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
     """Speed and acceleration at the poses `(n,)` as far as they are logged; else NaN."""
     v, notes = ego.v, part.notes
     if np.isfinite(v).all() and "speed" not in part.settings.topics:
@@ -223,7 +223,7 @@ def _logged_motion(part: Part, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
     return v, at_poses(found, ego.poses.t, "acceleration", notes)
 
 
-def _tracks(part: Part, ego: EgoLog, start: int, origin: FloatArray) -> tuple[Tracks, Detections | None, Spans]:
+def _tracks(part: BagPart, ego: EgoLog, start: int, origin: FloatArray) -> tuple[Tracks, Detections | None, Spans]:
     """The others, or detections that are to be made into tracks, and when their topic had messages.
 
     The topic: tracked before predicted before detected, then most messages, then name.
@@ -273,7 +273,7 @@ CREEPS_MPS = 0.1
 LATE_GOAL_S = 1.0
 
 
-def lights(part: Part, ego: EgoLog, t0: int) -> tuple[TrafficLight, ...]:
+def lights(part: BagPart, ego: EgoLog, t0: int) -> tuple[TrafficLight, ...]:
     """Read the traffic lights, with the ids of the log."""
     topics, notes = part.topics(schemas.LIGHTS, "lights"), part.notes
     if not topics:
@@ -328,7 +328,7 @@ def _colour(item: tuple[object, ...], schema: schemas.LightSchema) -> Colour:
     return schemas.RESULTS.get(code, Colour.OFF) if isinstance(code, int) else Colour.OFF
 
 
-def goal(part: Part, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle: VehicleParameters) -> Goal | None:
+def goal(part: BagPart, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle: VehicleParameters) -> Goal | None:
     """The place around the log's goal pose: the newest at the begin (ns, log time), else the first one."""
     topics, notes = part.topics(schemas.GOALS, "goal"), part.notes
     if "goal" not in part.settings.topics:
@@ -363,7 +363,7 @@ def goal(part: Part, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle: Ve
     return Goal((np.asarray(place),))
 
 
-def controls(part: Part, ego: EgoLog, t0: int) -> Controls | None:
+def controls(part: BagPart, ego: EgoLog, t0: int) -> Controls | None:
     """Read the front wheel angle: the measured one, else the commanded one."""
     found = signal(part, schemas.STEERING, "steering", ego)
     word = "measured"
@@ -377,7 +377,7 @@ def controls(part: Part, ego: EgoLog, t0: int) -> Controls | None:
     return Controls((found.t - t0) / 1e9, found.values, nan, nan)
 
 
-def onboard(part: Part, ego: EgoLog, t0: int, origin: FloatArray) -> tuple[OnboardPlan, ...]:
+def onboard(part: BagPart, ego: EgoLog, t0: int, origin: FloatArray) -> tuple[OnboardPlan, ...]:
     """Read the on-board plans, each known from the time of its message on."""
     topics, notes = part.topics(schemas.PLANS, "plan"), part.notes
     if not topics:

@@ -35,7 +35,7 @@ import numpy as np
 
 from logs.kernel import TIE, BoolArray, FloatArray, frozen, inner_kernel, kernel
 from planners.frenet.path import MIN_REGULAR, quintic
-from planners.frenet.reference_path import Section, sections
+from planners.frenet.reference_path import CrossSections, sections
 from planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, X
 
 KNOT, LIMIT, KAPPA = 0, 1, 2
@@ -71,7 +71,7 @@ AHEAD = 1.0 / 3.0
 """The swing (9) is that of the curvature at s + lead / 3: exact to second order where the curvature rises linearly."""
 
 
-class Ego(NamedTuple):
+class EgoInLane(NamedTuple):
     """The ego and its start, in the lane.
 
     Attributes:
@@ -117,7 +117,7 @@ class RoadAhead(NamedTuple):
 
 @kernel
 def road_ahead(
-    line_s: FloatArray, table: FloatArray, ego: Ego, step: float, n: int, middle: float, borrowed: Borrowed,
+    line_s: FloatArray, table: FloatArray, ego: EgoInLane, step: float, n: int, middle: float, borrowed: Borrowed,
     sides: FloatArray, standing: FloatArray,
 ) -> RoadAhead:  # fmt: skip
     """(1) to (5) at n knots, `step` m apart, along a reference line's stations and a reference path's table.
@@ -157,7 +157,7 @@ def lane_edges(line_s: FloatArray, table: FloatArray, s: FloatArray, borrowed: B
 
 @inner_kernel
 def within_lane(
-    road: Section, s: FloatArray, borrowed: Borrowed, side: float, lower: FloatArray, upper: FloatArray
+    road: CrossSections, s: FloatArray, borrowed: Borrowed, side: float, lower: FloatArray, upper: FloatArray
 ) -> None:
     """Write (1) `(k,)` at stations `(k,)`; `side` m are kept to each edge."""
     spans = borrowed.spans
@@ -238,7 +238,7 @@ def _at(s: float, stations: FloatArray, values: FloatArray) -> float:
 
 @inner_kernel
 def _widen_bounds(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArray) -> None:
-    """Apply (4) in place to bounds `(points, n)` at stations of that shape, for a start as in `Ego`."""
+    """Apply (4) in place to bounds `(points, n)` at stations of that shape, for a start as in `EgoInLane`."""
     l0, dl0, ddl0, speed = start[1], start[2], start[3], start[4]
     ahead = l0 + dl0 * min(5.0, 0.5 * speed)
     if lower[0, 0] <= l0 <= upper[0, 0] and lower[0, 0] <= ahead <= upper[0, 0]:
@@ -257,7 +257,7 @@ def _widen_bounds(s: FloatArray, lower: FloatArray, upper: FloatArray, start: Fl
 
 @kernel
 def loosen_bounds(
-    along: FloatArray, points: FloatArray, lower: FloatArray, upper: FloatArray, near: FloatArray, ego: Ego,
+    along: FloatArray, points: FloatArray, lower: FloatArray, upper: FloatArray, near: FloatArray, ego: EgoInLane,
     step: float, middle: float,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """References and rows of the path QP (`RoadAhead`) for bounds `(points, n)`, loosened to what steering reaches (5).

@@ -40,7 +40,7 @@ from logs.road import line_project, line_project_many
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.bounds import CorridorConfig, InTheWay, PathBounds, side_gaps, swing_span
 from planners.frenet.profiles import STEP_S
-from planners.frenet.reference_path import ReferencePath, Section
+from planners.frenet.reference_path import CrossSections, ReferencePath
 from planners.frenet.scene import UNLIKELY, AgentsAlong, Bodies, Futures, Occupancy, Scene
 
 PASSED = among(AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
@@ -55,7 +55,7 @@ ASIDE_M = 0.9
 
 A plan that passes keeps this space. If the ego keeps its lane, only `caps.passing_caps` limits its speed.
 """
-ROAD_RIGHT, ROAD_LEFT = Section._fields.index("road_right"), Section._fields.index("road_left")
+ROAD_RIGHT, ROAD_LEFT = CrossSections._fields.index("road_right"), CrossSections._fields.index("road_left")
 """Rows of `Scene.across`."""
 ALONG_RAD = 0.4
 """An agent whose heading differs more from the lane crosses it, rad."""

@@ -29,7 +29,7 @@ from planners.dp_qp.path.corridor import (
     LOWER,
     SWING,
     UPPER,
-    Ego,
+    EgoInLane,
     RoadAhead,
     S,
     loosen_bounds,
@@ -101,7 +101,7 @@ class _Task:
     """
 
     program: PathQp
-    ego: Ego
+    ego: EgoInLane
     road: RoadAhead
     space: PathBounds
     problem: PiecewiseJerkProblem
@@ -185,7 +185,7 @@ class PathStage:
         near = np.array([(box.s_from, box.s_to) for box in way.obstacles]) if way.obstacles and sides.size else NO_ONE
         way = way.and_moving(moving) if moving else way
         start = np.array((scene.s, *scene.frenet, speed))
-        ego = Ego(start, self._leads, self._car, 0.5 * car.width + self._config.corridor.edge_m)
+        ego = EgoInLane(start, self._leads, self._car, 0.5 * car.width + self._config.corridor.edge_m)
         road = road_ahead(
             reference.line.s, reference.table, ego, program.step, program.knots, program.middle,
             bounds.borrowed_road(way, speed, car), sides, near,

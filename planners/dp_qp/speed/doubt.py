@@ -34,7 +34,7 @@ from logs.kernel import TIE, BoolArray, FloatArray, IntArray, kernel
 from logs.road import line_frame
 from planners.frenet.path import Path
 from planners.frenet.scene import STANDING_MPS, UNLIKELY, AgentsAlong, Bodies, Scene
-from planners.frenet.st_boundaries import ALONG, StBoundaries, Way
+from planners.frenet.st_boundaries import ALONG, StBoundaries, SweptPath
 
 CERTAIN, NEGLIGIBLE, SURE = 0.5, 0.05, 0.8
 AGE_S, UNSEEN_S = 0.8, 0.3
@@ -64,7 +64,7 @@ def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
     """The weights p and p_turn of the rows `(2, n)`."""
     agents, line, car = scene.frame.agents, scene.reference.line, scene.vehicle
     seen = Seen(agents.age, agents.unseen, agents.velocity_sigma, _brakes(agents.accel), _walks(scene))
-    way, ego = Way(path.sigma, path.x, path.y, path.yaw), (car.axle_to_front, car.width)
+    way, ego = SweptPath(path.sigma, path.x, path.y, path.yaw), (car.axle_to_front, car.width)
     return _weights(
         rows.t, rows.agent, rows.lower, rows.probability, seen, scene.agents, scene.bodies, line.s, line.coef, way,
         path.s, ego,
@@ -74,7 +74,7 @@ def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
 @kernel
 def _weights(
     t: FloatArray, agent: IntArray, lower: FloatArray, said: FloatArray, seen: Seen, along: AgentsAlong,
-    bodies: Bodies, knots: FloatArray, coef: FloatArray, way: Way, stations: FloatArray, ego: tuple[float, float],
+    bodies: Bodies, knots: FloatArray, coef: FloatArray, way: SweptPath, stations: FloatArray, ego: tuple[float, float],
 ) -> FloatArray:  # fmt: skip
     """`weights`; `t` to `said` belong to the rows, `knots` and `coef` to the reference; `ego`: front and width, m."""
     out, last = np.empty((2, len(agent))), inf

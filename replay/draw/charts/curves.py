@@ -86,7 +86,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Row:
+class SpanRow:
     """The spans of one road user, one gate, or the plan."""
 
     name: str
@@ -94,7 +94,7 @@ class Row:
     kind: str = "bar"
 
 
-def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str]) -> list[Row]:
+def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str]) -> list[SpanRow]:
     """The decisions other than "ignore" about each agent, in the order of the first decision.
 
     A decision holds until the next frame; consecutive frames with the same decision are one span with the first reason.
@@ -105,15 +105,15 @@ def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str
         now = [some for some in plan.internals if isinstance(some, Decision)]
         for one in {some.agent: some for some in now if some.kind is not DecisionKind.IGNORE}.values():
             _extend(rows.setdefault(one.agent, []), Span(plan.t, stop, one.kind.value, short(one.reason)))
-    return [Row(short(agent), tuple(spans)) for agent, spans in rows.items()]
+    return [SpanRow(short(agent), tuple(spans)) for agent, spans in rows.items()]
 
 
-def statuses(plans: Sequence[PlanSummary], end: float) -> Row:
+def statuses(plans: Sequence[PlanSummary], end: float) -> SpanRow:
     """The statuses of the plans."""
     spans: list[Span] = []
     for plan, stop in _until(plans, end):
         _extend(spans, Span(plan.t, stop, STATUS_WORDS[plan.status], plan.reason))
-    return Row("plan", tuple(spans), "calm")
+    return SpanRow("plan", tuple(spans), "calm")
 
 
 def _until(plans: Sequence[PlanSummary], end: float) -> Iterable[tuple[PlanSummary, float]]:
@@ -134,13 +134,13 @@ def decisions(subject: Subject, width: float = ROWS_PX) -> Chart:
     plans, end = subject.plans, subject.span[1]
     agents = decided(plans, end, subject.scenario.short_names)
     longest = sorted(agents, key=lambda row: -sum(span.end - span.begin for span in row.spans))[:MAX_ROWS]
-    broken: dict[str, Row] = {}
+    broken: dict[str, SpanRow] = {}
     for some in subject.violations:  # gates of one series (episode and total time, say) are one row
         spans = tuple(Span(begin, stop, "fails", some.gate) for begin, stop in some.spans)
         before = broken[some.series].spans if some.series in broken else ()
         if spans:
             spans = tuple(dict.fromkeys((*before, *spans))) if before else spans
-            broken[some.series] = Row(some.series, spans, "alarm")
+            broken[some.series] = SpanRow(some.series, spans, "alarm")
     status = [statuses(plans, end)] if plans else []
     rows = [*status, *(row for row in agents if row in longest), *broken.values()]
     title = "Decisions, plans and broken gates over time"
@@ -165,7 +165,7 @@ def decisions(subject: Subject, width: float = ROWS_PX) -> Chart:
     return Chart("decisions", title, says, width, height, drawn + head)
 
 
-def _bars(plane: Plane, row: Row, k: int) -> str:
+def _bars(plane: Plane, row: SpanRow, k: int) -> str:
     out, until = [], 0.0
     ends = plane.at_x(np.array([[span.begin, span.end] for span in row.spans]))
     for i, (span, (left, right)) in enumerate(zip(row.spans, ends.tolist(), strict=True)):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError, raised, writing
-from logs.extension import Kind
+from logs.extension import ExtensionKind
 from replay.draw.charts.canvas import Chart, Theme, group, shortened, text
 from replay.draw.charts.curves import curves, decisions
 from replay.draw.charts.graphs import sl_graph, st_graph
@@ -22,7 +22,7 @@ from replay.results.tables import write_file, write_text
 Draw = Callable[[Subject], "Chart | Sequence[Chart]"]
 
 CHARTS: dict[str, Draw] = {"scene": scenes, "st": st_graph, "sl": sl_graph, "curves": curves, "decisions": decisions}
-CHART: Kind[Draw] = Kind("chart", "charts", CHARTS, besides=("all",))
+CHART: ExtensionKind[Draw] = ExtensionKind("chart", "charts", CHARTS, besides=("all",))
 """Finds charts by name: the built-in ones and those of users."""
 LAYOUT: Mapping[str, tuple[str, ...]] = {
     "pictures": ("scene", "st", "sl"),
@@ -56,7 +56,7 @@ def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
 
 
 def drawn(subject: Subject, name: str) -> list[Chart]:
-    """Draw the charts of a name; a failed chart becomes a placeholder with its error. ConfigError as `Kind.find`."""
+    """Draw the charts of a name; a failed chart becomes a placeholder with its error. ConfigError as `ExtensionKind.find`."""
     draw = CHART.find(name)
     try:
         charts: Any = draw(subject)

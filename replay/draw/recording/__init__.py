@@ -21,7 +21,7 @@ from logs.scenario import Scenario
 from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
 from replay.draw.model import DrawnGraph, motion_panels, stage_panel, steps_of
 from replay.draw.recording import pages, plots
-from replay.draw.recording.blueprint import Contents, blueprint
+from replay.draw.recording.blueprint import RecordingContents, blueprint
 from replay.draw.recording.graphs import Axes, draw_graph, draw_occupancy, sl_axes, st_axes
 from replay.draw.recording.scene import draw_moving, draw_others, draw_scene
 from replay.draw.recording.tape import Instants, Tape, field_name, path_parts, recording_file
@@ -69,7 +69,7 @@ def write_recording(
     panels += stage_panel(drive.timings, path_parts(timing.stage for timing in drive.timings))
     names = ("why", "numbers", "recent", "summary") if trace.frames else ("recent", "summary")
     lanes = plots.state_lanes(trace, scenario.road)
-    contents = Contents(
+    contents = RecordingContents(
         panels, axes[StGraph], axes[SlGraph], [lane.name for lane in lanes], names, _bounds(trace, scenario)
     )
     application = f"replan {scenario.name} {trace.mode.value} loop"
@@ -127,7 +127,7 @@ def write_log_recording(path: Path, scenario: Scenario) -> None:
     trace = Trace(scenario.name, "log", Mode.OPEN, False, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG)
     times = scene_times(trace, scenario.duration)
     panels = motion_panels(trace, scenario, times, steps_of(None))
-    contents = Contents(panels, None, None, (), ("summary",), _bounds(trace, scenario))
+    contents = RecordingContents(panels, None, None, (), ("summary",), _bounds(trace, scenario))
     instants = Instants.among(times, times)
     application, short = f"replan {scenario.name} log", scenario.short_names
     with recording_file(path, application, "log", _digest(trace), blueprint(contents), short) as tape:

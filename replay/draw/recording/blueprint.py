@@ -28,7 +28,7 @@ ROWS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Contents:
+class RecordingContents:
     """The contents of a recording: panels, graphs, rows of states, pages, and the corners of the map `(2, 2)`."""
 
     panels: Sequence[Panel]
@@ -48,7 +48,7 @@ NUMBERS = 0.032
 """Share of the width of a panel that the numbers of its axis take, in a window of usual size."""
 
 
-def blueprint(contents: Contents) -> rrb.Blueprint:
+def blueprint(contents: RecordingContents) -> rrb.Blueprint:
     """The layouts as tabs.
 
     Raises:
@@ -91,7 +91,7 @@ def window(contents: rrb.Container) -> rrb.Blueprint:
     )
 
 
-def _overview(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
+def _overview(contents: RecordingContents, panels: Mapping[str, Panel]) -> rrb.Container:
     """Scenes, words and graphs on the left, curves, decisions and events on the right.
 
     The scene is seen from behind the ego, from above it, and as the whole map (without names).
@@ -146,7 +146,7 @@ def _scene(name: str, origin: str, contents: list[str], eye: rrb.EyeControls3D, 
     )
 
 
-def _graphs(contents: Contents) -> list[rrb.View]:
+def _graphs(contents: RecordingContents) -> list[rrb.View]:
     shown = ((axes, GRAPHS[name]) for name, axes in (("st", contents.st), ("sl", contents.sl)) if axes)
     return [graph_view(name, "/graphs", f"/{axes.entity}") for axes, name in shown]
 
@@ -167,16 +167,16 @@ def _rows(layout: str, panels: Mapping[str, Panel]) -> tuple[list[rrb.Container 
     )
 
 
-def _pages(contents: Contents, names: Sequence[str]) -> rrb.Container:
+def _pages(contents: RecordingContents, names: Sequence[str]) -> rrb.Container:
     """Pages as tabs of one place, without those that the recording does not have."""
     return rrb.Tabs(*_page_views(contents, names) or _page_views(contents, ("summary",)), active_tab=0)
 
 
-def _page_views(contents: Contents, names: Sequence[str]) -> list[rrb.View]:
+def _page_views(contents: RecordingContents, names: Sequence[str]) -> list[rrb.View]:
     return [rrb.TextDocumentView(origin=f"/{name}", name=PAGES[name]) for name in names if name in contents.pages]
 
 
-def _decisions(contents: Contents) -> rrb.Container:
+def _decisions(contents: RecordingContents) -> rrb.Container:
     return lanes_beside_numbers(state_view("Decisions and status", contents.lanes))
 
 

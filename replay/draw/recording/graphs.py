@@ -21,7 +21,7 @@ from logs.kernel import FloatArray, IntArray
 from logs.trace import DecisionKind
 from replay.draw.model import DrawnGraph, DrawnObstacle, multiples, nice_step
 from replay.draw.recording import colours
-from replay.draw.recording.tape import Instants, Tape, Window, joined, outline_segments, pixels, plain, strokes
+from replay.draw.recording.tape import Instants, PlaneWindow, Tape, joined, outline_segments, pixels, plain, strokes
 
 WIDTH, HEIGHT = 160.0, 96.0
 MARGIN_LEFT, MARGIN_BOTTOM, MARGIN_RIGHT, MARGIN_TOP = 15.0, 14.0, 7.0, 9.0
@@ -65,9 +65,9 @@ class Axes:
         return WIDTH / (self.x[1] - self.x[0]), HEIGHT / (self.y[1] - self.y[0])
 
     @property
-    def window(self) -> Window:
+    def window(self) -> PlaneWindow:
         """The visible part."""
-        return Window(self.x, self.y)
+        return PlaneWindow(self.x, self.y)
 
 
 def st_axes(graphs: Sequence[DrawnGraph]) -> Axes | None:

@@ -12,12 +12,12 @@ import rerun as rr
 from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Decision, Graph, PlannedFrame, PlanStatus, Trace
-from replay.draw.recording.plots import Change, changes_under_way, lanes_driven
+from replay.draw.recording.plots import LaneChange, changes_under_way, lanes_driven
 from replay.draw.recording.scene import unseen
 from replay.draw.recording.tape import MARKDOWN, Instants, Tape, cell, document, plain, table
 from replay.explain import Explanation, accounts
 from replay.explain.course import BRAKES_MPS2
-from replay.explain.explanation import FREE_DRIVE, NO_NUDGE, STATUS_WORDS, Event, Section, lateral, longitudinal
+from replay.explain.explanation import FREE_DRIVE, NO_NUDGE, STATUS_WORDS, Section, TimedEvent, lateral, longitudinal
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -48,7 +48,10 @@ def draw_why(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -
 
 
 def why(
-    frame: PlannedFrame, explained: Explanation, missing: Sequence[tuple[str, float]] = (), change: Change | None = None
+    frame: PlannedFrame,
+    explained: Explanation,
+    missing: Sequence[tuple[str, float]] = (),
+    change: LaneChange | None = None,
 ) -> list[str]:
     """The page of a frame: the plan and its causes, then decisions, lanes and candidates.
 
@@ -101,7 +104,7 @@ def _sections(explained: Explanation, chosen: Callable[[Section], bool]) -> list
     return lines
 
 
-def draw_events(tape: Tape, found: Sequence[Event], frames: Instants) -> None:
+def draw_events(tape: Tape, found: Sequence[TimedEvent], frames: Instants) -> None:
     """Draw one line of the log view per event, and at the time of each event a page of recent events.
 
     A page has the newest event first; grave events are bold.

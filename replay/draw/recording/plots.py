@@ -126,7 +126,7 @@ STATE_COLOURS = {
 
 
 @dataclass(frozen=True)
-class Lane:
+class StateRow:
     """One row of states: a value per change."""
 
     name: str
@@ -134,30 +134,30 @@ class Lane:
     values: tuple[str, ...]
 
     @classmethod
-    def of(cls, name: str, t: Sequence[float], values: Sequence[str]) -> Lane:
+    def of(cls, name: str, t: Sequence[float], values: Sequence[str]) -> StateRow:
         """A row with only the values that differ from the one before."""
         kept = [i for i in range(len(values)) if i == 0 or values[i] != values[i - 1]]
         return cls(name, tuple(t[i] for i in kept), tuple(values[i] for i in kept))
 
 
-def state_lanes(trace: Trace, road: Road) -> list[Lane]:
+def state_lanes(trace: Trace, road: Road) -> list[StateRow]:
     """Plan status, decisions and choice of lane (if the planner reports them), the lane under the ego, the end."""
     t = [frame.t for frame in trace.frames]
     plans = [frame.plan for frame in trace.frames]
-    lanes = [Lane.of(PLAN, t, [STATUS_WORDS[plan.status] for plan in plans])]
+    lanes = [StateRow.of(PLAN, t, [STATUS_WORDS[plan.status] for plan in plans])]
     if any(isinstance(artefact, Decision) for plan in plans for artefact in plan.internals):
-        lanes.append(Lane.of(ALONG, t, [longitudinal(plan) for plan in plans]))
-        lanes.append(Lane.of(ACROSS, t, [lateral(plan) for plan in plans]))
+        lanes.append(StateRow.of(ALONG, t, [longitudinal(plan) for plan in plans]))
+        lanes.append(StateRow.of(ACROSS, t, [lateral(plan) for plan in plans]))
     driven = lanes_driven(trace, road)
     if any(lane_options(plan) for plan in plans):
-        lanes.append(Lane.of(CHOICE, t, choices(trace.frames, driven)))
+        lanes.append(StateRow.of(CHOICE, t, choices(trace.frames, driven)))
     if len(set(driven) - {None}) > 1:
-        lanes.append(Lane.of(LANE, t, [OFF_LANES if lane is None else f"lane {lane}" for lane in driven]))
+        lanes.append(StateRow.of(LANE, t, [OFF_LANES if lane is None else f"lane {lane}" for lane in driven]))
     first, last = min([*t, float(trace.ego.t[0])]), float(trace.ego.t[-1])
-    return [lane for lane in lanes if lane.t] + [Lane.of(DRIVE, [first, last], ["driving", trace.end.value])]
+    return [lane for lane in lanes if lane.t] + [StateRow.of(DRIVE, [first, last], ["driving", trace.end.value])]
 
 
-def draw_lanes(tape: Tape, lanes: Sequence[Lane], frames: FloatArray) -> None:
+def draw_lanes(tape: Tape, lanes: Sequence[StateRow], frames: FloatArray) -> None:
     """Draw coloured rows of states; a state too short for its label has no label, and a space after its value."""
     end = max((lane.t[-1] for lane in lanes), default=0.0)
     tape.static(SPACER, rr.TextDocument(" "))
@@ -178,7 +178,7 @@ def draw_lanes(tape: Tape, lanes: Sequence[Lane], frames: FloatArray) -> None:
 
 
 @dataclass(frozen=True)
-class Change:
+class LaneChange:
     """A lane change that is under way: the option that was taken, its time, and the reason."""
 
     name: str
@@ -186,19 +186,19 @@ class Change:
     reason: str
 
 
-def changes_under_way(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list[Change | None]:
+def changes_under_way(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list[LaneChange | None]:
     """For each frame the lane change that is under way: from its decision until the ego has left its lane.
 
     Args:
         frames: The frames of the trace.
         lanes: The lane under the ego at each of them.
     """
-    out: list[Change | None] = []
+    out: list[LaneChange | None] = []
     change, left = None, None
     for frame, lane in zip(frames, lanes, strict=True):
         some = lane_options(frame.plan)
         if taken_option(some) != KEEP:
-            change, left = Change(taken_option(some), frame.t, describe_choice(some)), lane
+            change, left = LaneChange(taken_option(some), frame.t, describe_choice(some)), lane
         elif lane != left:
             change = None
         out.append(change)

@@ -12,7 +12,7 @@ from logs.road import Lane, Road, inside
 from logs.rules import Colour
 from logs.scenario import Scenario
 from replay.draw.recording import colours
-from replay.draw.recording.tape import Instants, Tape, Window, joined, strips, strokes
+from replay.draw.recording.tape import Instants, PlaneWindow, Tape, joined, strips, strokes
 
 DASH_M, GAP_M = 3.0, 6.0
 BESIDE_M = 0.3
@@ -197,7 +197,7 @@ def _draw_hatched(tape: Tape, entity: str, polygons: Sequence[FloatArray], colou
     filled: list[FloatArray] = []
     for polygon in polygons:
         (x0, y0), (x1, y1) = polygon.min(axis=0), polygon.max(axis=0)
-        window = Window((float(x0), float(x1)), (float(y0), float(y1)))
+        window = PlaneWindow((float(x0), float(x1)), (float(y0), float(y1)))
         lines, _ = strokes(polygon, np.array([len(polygon)]), window, max(spacing, (x1 - x0) / 200.0))
         filled += list(lines)
     draw_lines(tape, f"{entity}/fill", filled, colours.with_alpha(colour, 90), 0.06, 0.02)

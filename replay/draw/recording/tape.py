@@ -287,7 +287,7 @@ def _drain(reader: int, file: Path, errors: list[OSError]) -> None:
 
 
 @dataclass(frozen=True)
-class Window:
+class PlaneWindow:
     """The visible part of a plane, in its own units."""
 
     x: tuple[float, float]
@@ -303,7 +303,7 @@ def _edges(points: FloatArray, lengths: IntArray) -> tuple[FloatArray, FloatArra
     return points, points[after], owner
 
 
-def strokes(points: FloatArray, lengths: IntArray, window: Window, spacing: float) -> tuple[FloatArray, IntArray]:
+def strokes(points: FloatArray, lengths: IntArray, window: PlaneWindow, spacing: float) -> tuple[FloatArray, IntArray]:
     """The vertical strokes that fill closed outlines inside a window.
 
     Args:
@@ -334,7 +334,7 @@ def strokes(points: FloatArray, lengths: IntArray, window: Window, spacing: floa
     return pairs[inside], owner[0::2][inside]
 
 
-def outline_segments(points: FloatArray, lengths: IntArray, window: Window) -> tuple[FloatArray, IntArray]:
+def outline_segments(points: FloatArray, lengths: IntArray, window: PlaneWindow) -> tuple[FloatArray, IntArray]:
     """The edges of closed outlines cut to a window (Liang and Barsky, 1984): `(k, 2, 2)`, and the outline of each."""
     start, end, owner = _edges(points, lengths)
     delta = end - start

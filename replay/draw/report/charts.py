@@ -12,7 +12,7 @@ from logs.names import counted
 from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
 from replay.draw.charts.canvas import Chart, dot, legend, line, rect, shortened, text
 from replay.draw.model import widened
-from replay.draw.report.model import Column, DriveRow, PassShare
+from replay.draw.report.model import DriveRow, MetricColumn, PassShare
 
 WIDTH_PX, WIDE_PX, ROW_PX, TOP_PX = 440.0, 640.0, 19.0, 40.0
 LABEL_SHARE = 0.4
@@ -58,7 +58,7 @@ def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
     return Chart("pass_shares", title, says, WIDE_PX, plane.height, drawn + head)
 
 
-def distributions(columns: Sequence[Column], drives: Sequence[DriveRow]) -> list[Chart]:
+def distributions(columns: Sequence[MetricColumn], drives: Sequence[DriveRow]) -> list[Chart]:
     """One chart per column of the table of drives that has at least three different values.
 
     A row per planner: a dot per log, and the box of the quartiles with the median.

@@ -32,7 +32,7 @@ from replay.draw.charts.layout import BROKEN, placed
 from replay.draw.charts.subject import Subject
 from replay.draw.report.charts import distributions, moved, pass_shares
 from replay.draw.report.model import DriveRow, Overview, worst_flips
-from replay.explain.explanation import Event, events
+from replay.explain.explanation import TimedEvent, events
 from replay.results.load import DriveResult, Results
 from replay.results.tables import safe_name, write_text
 
@@ -242,7 +242,7 @@ class DrivePage:
     pictures: tuple[Markup, ...] = ()
     decided: Markup = field(default_factory=Markup)
     curves: tuple[Markup, ...] = ()
-    events: tuple[Event, ...] = ()
+    events: tuple[TimedEvent, ...] = ()
     more_events: int = 0
     metrics: tuple[tuple[str, tuple[Any, ...]], ...] = ()
     missing: tuple[tuple[str, str], ...] = ()
@@ -283,13 +283,13 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
     attempt = Attempts()
     seen, why = _subject(shown)
 
-    def changed() -> list[Event]:
+    def changed() -> list[TimedEvent]:
         if seen is None:
             return []
         short = seen.scenario.short_names
         return [replace(event, words=short(event.words)) for event in events(seen.trace, seen.plans)]
 
-    found = attempt("The list of events", changed, list[Event]())
+    found = attempt("The list of events", changed, list[TimedEvent]())
     because = attempt("The account of the plan", lambda: seen.because if seen else (), tuple[str, ...]())
     charts = placed(seen, results.run.charts) if seen else {}
     markup = {place: tuple(map(_markup, some)) for place, some in charts.items()}

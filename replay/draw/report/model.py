@@ -22,7 +22,7 @@ BROKEN = "Charts that could not be drawn"
 
 
 @dataclass(frozen=True)
-class Column:
+class MetricColumn:
     """One metric of the table of drives.
 
     Attributes:
@@ -57,16 +57,16 @@ def _at_most_all(value: float) -> str:
 
 JERK_S = "lon_jerk_nuplan.time_out_of_bounds"
 COLUMNS = (
-    Column("ADE\n3 s\n[m]", "ade.3s.mean", "open", "{:.2f}".format),
-    Column("fall\nback", "fallback.rate", "open", percent, lambda value: value > 0.0),
-    Column("route\ndone", "route_progress.final", "closed", _at_most_all, lambda value: value < 0.5),
-    Column("goal", "goal.final", "closed", lambda value: "yes" if value else "no", lambda value: value == 0.0),
-    Column("hits\nat\nfault", "collision_at_fault.count", "closed", "{:.0f}".format, lambda value: value > 0.0),
-    Column("least\ngap\n[m]", "gap.min", "closed", "{:.2f}".format, lambda value: value < 0.2),
-    Column("off\nplan\n[m]", "tracking_lateral.max_abs", "closed", "{:.2f}".format),
-    Column("TTC\n[s]", "ttc.min", "closed", "{:.1f}".format, lambda value: value < 0.95),
-    Column("jerk\n[s]", JERK_S, "closed", "{:.1f}".format, lambda value: value > 1.0),
-    Column("fall\nback", "fallback.rate", "closed", percent, lambda value: value > 0.0),
+    MetricColumn("ADE\n3 s\n[m]", "ade.3s.mean", "open", "{:.2f}".format),
+    MetricColumn("fall\nback", "fallback.rate", "open", percent, lambda value: value > 0.0),
+    MetricColumn("route\ndone", "route_progress.final", "closed", _at_most_all, lambda value: value < 0.5),
+    MetricColumn("goal", "goal.final", "closed", lambda value: "yes" if value else "no", lambda value: value == 0.0),
+    MetricColumn("hits\nat\nfault", "collision_at_fault.count", "closed", "{:.0f}".format, lambda value: value > 0.0),
+    MetricColumn("least\ngap\n[m]", "gap.min", "closed", "{:.2f}".format, lambda value: value < 0.2),
+    MetricColumn("off\nplan\n[m]", "tracking_lateral.max_abs", "closed", "{:.2f}".format),
+    MetricColumn("TTC\n[s]", "ttc.min", "closed", "{:.1f}".format, lambda value: value < 0.95),
+    MetricColumn("jerk\n[s]", JERK_S, "closed", "{:.1f}".format, lambda value: value > 1.0),
+    MetricColumn("fall\nback", "fallback.rate", "closed", percent, lambda value: value > 0.0),
 )
 """Columns of the open loop first; the end of the closed loop is shown before the columns of the closed loop."""
 
@@ -89,7 +89,7 @@ LEGEND = (
 """The loop ("": either) and the text of each line."""
 
 
-def legend(columns: Sequence[Column]) -> list[str]:
+def legend(columns: Sequence[MetricColumn]) -> list[str]:
     """The lines that explain some columns, and the columns beside them."""
     loops = {"", *(column.mode for column in columns)}
     return [line for loop, line in LEGEND if loop in loops]
@@ -282,7 +282,7 @@ def worst_flips(comparison: Comparison) -> pd.DataFrame:
 
 
 @dataclass(frozen=True)
-class StageTime:
+class StageQuantiles:
     """The time of a stage: quantiles over all frames of both loops, ms, and its share of the whole plan."""
 
     planner: str
@@ -328,12 +328,12 @@ class Overview:
     replan: str
     config: str
     logs: int
-    columns: tuple[Column, ...]
+    columns: tuple[MetricColumn, ...]
     drives: tuple[DriveRow, ...]
     planners: tuple[str, ...]
     compared: tuple[tuple[str, tuple[str, ...]], ...]
     frames: int
-    latency: tuple[StageTime, ...]
+    latency: tuple[StageQuantiles, ...]
     gates: tuple[GateRow, ...]
     not_asked: tuple[str, ...]
     shares: tuple[PassShare, ...]

@@ -36,14 +36,14 @@ from replay.draw.report.model import (
     NOTHING,
     WEIGHT,
     Cell,
-    Column,
     Coverage,
     DriveRow,
     GateRow,
     Interactions,
+    MetricColumn,
     Overview,
     PassShare,
-    StageTime,
+    StageQuantiles,
 )
 from replay.drive import BATCHED, NOT_DETERMINISTIC, TRUSTED
 from replay.results.load import Results
@@ -168,7 +168,7 @@ OverLogs = Mapping[tuple[str, str, str], list[float]]
 
 
 def _drives(
-    results: Results, values: Values, columns: Sequence[Column], verdicts: pd.DataFrame
+    results: Results, values: Values, columns: Sequence[MetricColumn], verdicts: pd.DataFrame
 ) -> tuple[DriveRow, ...]:
     judged: dict[Key, list[Outcome]] = {}
     broken: dict[Key, list[int]] = {}
@@ -215,21 +215,21 @@ SHORT = {
 
 def _of_planners(
     results: Results, over_logs: OverLogs, planners: Sequence[str]
-) -> tuple[list[tuple[str, tuple[str, ...]]], list[StageTime], list[Coverage]]:
+) -> tuple[list[tuple[str, tuple[str, ...]]], list[StageQuantiles], list[Coverage]]:
     """All drives of each planner: the metrics of `COMPARED`, the times of the stages, and the coverage."""
     compared = [
         (label, tuple(combine(some) if (some := over_logs.get((p, loop, metric))) else NOTHING for p in planners))
         for label, loop, metric, combine in COMPARED
         if loop in [mode.value for mode in results.run.modes]
     ]
-    latency, coverage = list[StageTime](), list[Coverage]()
+    latency, coverage = list[StageQuantiles](), list[Coverage]()
     for planner, rows in results.timings.groupby("planner", sort=False, observed=True):
         whole = float(rows.loc[rows["stage"] == "total", "seconds"].sum())
         by_stage = rows.groupby("stage", sort=False, observed=True)["seconds"]
         for stage, times in sorted(by_stage, key=lambda one: one[0] == "total"):
             p50, p95, p99 = (1e3 * float(times.quantile(q)) for q in (0.5, 0.95, 0.99))
             share = float(times.sum()) / whole if whole > 0.0 else nan
-            latency.append(StageTime(str(planner), str(stage), p50, p95, p99, share))
+            latency.append(StageQuantiles(str(planner), str(stage), p50, p95, p99, share))
     names = ("coverage.log_s.final", "coverage.driven_s.final", "distance.final")
     for planner, mode in dict.fromkeys(zip(results.drives["planner"], results.drives["mode"], strict=True)):
         logged, driven, metres = (over_logs.get((planner, mode, name), []) for name in names)

@@ -47,7 +47,7 @@ WORST = "worst"
 
 
 @dataclass(frozen=True)
-class Case:
+class JunitCase:
     """A test: `outcome` of a gate, or "error"; time is simulated, s."""
 
     classname: str
@@ -67,8 +67,8 @@ def junit(results: Results, over: Overview) -> str:
     verdicts = log_outcomes(results)
     failed = [failure["message"] for failure in results.summary["failures"] if not failure["log"]]
     unjudged = [gate for gate in over.gates if not gate.planner]
-    run = [Case("run", EVALUATED, "error", message) for message in failed]
-    run += [Case("run.all logs", gate.rule, gate.outcome, gate.reason) for gate in unjudged]
+    run = [JunitCase("run", EVALUATED, "error", message) for message in failed]
+    run += [JunitCase("run.all logs", gate.rule, gate.outcome, gate.reason) for gate in unjudged]
     suites = [("run", run)]  # planners that could not be loaded, gates without a planner to judge
     suites += [
         (f"{planner}.{mode}", list(_of_drives(results, over, verdicts, planner, mode)))
@@ -76,7 +76,7 @@ def junit(results: Results, over: Overview) -> str:
     ]
     if over.comparison is not None:
         rules = over.comparison.verdicts
-        suites.append(("compare", [Case("compare", one.rule, one.outcome.value, one.reason) for one in rules]))
+        suites.append(("compare", [JunitCase("compare", one.rule, one.outcome.value, one.reason) for one in rules]))
     root = ElementTree.Element("testsuites")
     for i, (name, cases) in enumerate((name, cases) for name, cases in suites if cases):
         root.append(_suite(i, name, cases, over))
@@ -84,11 +84,13 @@ def junit(results: Results, over: Overview) -> str:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
-def _of_drives(results: Results, over: Overview, verdicts: pd.DataFrame, planner: str, mode: str) -> Iterator[Case]:
+def _of_drives(
+    results: Results, over: Overview, verdicts: pd.DataFrame, planner: str, mode: str
+) -> Iterator[JunitCase]:
     """The tests of one planner and loop: gates over all logs, then each log."""
     for gate in over.gates:
         if (gate.planner, gate.mode) == (planner, mode) and (gate.over != WORST or gate.outcome == "inconclusive"):
-            yield Case(f"{planner}.{mode}.{gate.group or 'all logs'}", gate.rule, gate.outcome, gate.reason)
+            yield JunitCase(f"{planner}.{mode}.{gate.group or 'all logs'}", gate.rule, gate.outcome, gate.reason)
     together = {gate.rule for gate in over.gates if gate.over != WORST}
     asked = (verdicts["outcome"] != Outcome.NOT_ASKED.value) & ~verdicts["gate"].isin(together)
     verdicts = verdicts[(verdicts["planner"] == planner) & (verdicts["mode"] == mode) & asked]
@@ -103,15 +105,15 @@ def _of_drives(results: Results, over: Overview, verdicts: pd.DataFrame, planner
             if failure["log"] == log and failure["planner"] in (None, planner) and failure["mode"] in (None, mode)
         )  # fmt: skip
         why = short("; ".join(errors)) or ("" if log in drives else "no result")
-        yield Case(where, EVALUATED, "error" if why else "pass", why, drives.get(log, 0.0))
+        yield JunitCase(where, EVALUATED, "error" if why else "pass", why, drives.get(log, 0.0))
         if log in drives and log in rows:
             for row in list[Any](rows[log].itertuples()):
                 when = f" at {row.time_s:.2f} s" if isfinite(row.time_s) else ""
                 value = f"{row.value:.4g}{when}" if isfinite(row.value) else ""
-                yield Case(where, row.gate, row.outcome, ": ".join(filter(None, (value, row.reason))))
+                yield JunitCase(where, row.gate, row.outcome, ": ".join(filter(None, (value, row.reason))))
 
 
-def _suite(number: int, name: str, cases: Iterable[Case], over: Overview) -> ElementTree.Element:
+def _suite(number: int, name: str, cases: Iterable[JunitCase], over: Overview) -> ElementTree.Element:
     tests = []
     for case in cases:
         names = {"name": _legal(case.name), "classname": _legal(case.classname), "time": f"{case.time_s:.3f}"}

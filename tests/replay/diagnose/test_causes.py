@@ -14,8 +14,8 @@ from replay.diagnose.changes import (
     NOT_FOUND,
     RANKS,
     UNAVOIDABLE,
-    Change,
     ChangedRun,
+    TriedChange,
     cause_of,
     changed_runs,
     driven,
@@ -34,7 +34,7 @@ def changed(draw: st.DrawFn) -> list[ChangedRun]:
     keys = draw(st.lists(st.frozensets(st.sampled_from("abcd"), min_size=1), unique=True, min_size=1, max_size=6))
     return [
         ChangedRun(
-            Change(f"c{i}", "", draw(st.sampled_from(CAUSES)), draw(st.sampled_from(RANKS)), ("a",)),
+            TriedChange(f"c{i}", "", draw(st.sampled_from(CAUSES)), draw(st.sampled_from(RANKS)), ("a",)),
             RUN,
             frozenset((key, "1") for key in some),
         )
@@ -87,7 +87,7 @@ def test_a_change_is_tried_where_it_makes_another_run_and_once() -> None:
 
 
 def test_a_change_that_a_run_refuses_is_named_with_the_reason() -> None:
-    row = Change("worse", "worse", "decision", "ideal", set={"planner": {"dp_qp": {"no_such_key": 1.0}}})
+    row = TriedChange("worse", "worse", "decision", "ideal", set={"planner": {"dp_qp": {"no_such_key": 1.0}}})
     found, refused = changed_runs([row], RUN)
     assert not found and "no_such_key" in refused["worse"]
 

@@ -23,7 +23,7 @@ from replay.diagnose.failure import (
     SLOW,
     STAYS_M,
     DriveDifference,
-    Failure,
+    DriveFailure,
     Foresight,
     lane_change,
     waits,
@@ -132,7 +132,7 @@ def test_of_someone_who_is_not_there_nothing_is_known() -> None:
 
 LATE = compared_drives(braked(3.0, 4.0), braked(2.0, 4.0))
 STOOD = Foresight.of(shown(1.0, 0.0), "ped 7", 1.0)
-ANY = Failure("collision_at_fault.count <= 0", "collision_at_fault.count")
+ANY = DriveFailure("collision_at_fault.count <= 0", "collision_at_fault.count")
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from planners import PLANNERS
 from replay.config import LoopConfig, PlannerProcessConfig
 from replay.explain import Account, Action, Cause, CauseKind, accounts, sentences
 from replay.explain.causes import CURVE_MPS2, STAYS_BEHIND, Explainer
-from replay.explain.course import GAP_M, HEADWAY_S, LOOK_S, VULNERABLE_MARGIN_M, Course, Held, Way, Ways, fine
+from replay.explain.course import GAP_M, HEADWAY_S, LOOK_S, VULNERABLE_MARGIN_M, Course, Held, PlanWay, Ways, fine
 from replay.explain.explanation import NOISE, SHOWS, main_terms
 from replay.explain.planner_input import PlannerInput, planner_inputs
 from replay.explain.sentences import MOST, conflicts
@@ -58,7 +58,7 @@ def boxes(case: PlannerInput) -> tuple[FloatArray, FloatArray]:
     return poses, np.stack([case.agents.length[who], case.agents.width[who]])
 
 
-def gaps(case: PlannerInput, held: FloatArray, way: Way, world: Scenario) -> FloatArray:
+def gaps(case: PlannerInput, held: FloatArray, way: PlanWay, world: Scenario) -> FloatArray:
     """Between the ego's box at arc lengths `(k,)` and each prediction `(n, k)`, m; NaN where its centre is behind.
 
     Who touches the ego from behind is behind from then on: a predicted follower drives through a held ego.

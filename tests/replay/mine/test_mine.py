@@ -18,7 +18,7 @@ from logs.catalogue import scenario
 from logs.errors import ConfigError
 from logs.mcap import write_scenario
 from logs.readers import read_log
-from replay.mine.coverage import CELL, Chosen, cells, gaps, smallest_cover, suite_writer
+from replay.mine.coverage import CELL, ChosenLog, cells, gaps, smallest_cover, suite_writer
 from replay.mine.driven_log import Event, EventKind
 from replay.mine.mine import EVENTS, HEALTH, LOGS, mine_log
 from replay.results.tables import write_parquet
@@ -187,7 +187,9 @@ def test_a_suite_names_the_logs_whatever_they_are_called(
     log.touch()
     (place / "suites").mkdir()
     with suite_writer(place / "suites" / "suite.toml") as write:
-        write([Chosen(name, f"{folder}/log.mcap", 1, ""), Chosen("other", "s3://bucket/x.mcap", 1, "a gate")], place)
+        write(
+            [ChosenLog(name, f"{folder}/log.mcap", 1, ""), ChosenLog("other", "s3://bucket/x.mcap", 1, "a gate")], place
+        )
     found, url = suite_file(place / "suites" / "suite.toml")
     assert Path(found).resolve() == log.resolve() and url == "s3://bucket/x.mcap"
     assert not Path(tomllib.loads((place / "suites" / "suite.toml").read_text("utf-8"))["logs"][0]).is_absolute()

@@ -33,7 +33,7 @@ from replay.paper import pedestrian_grid, reproduce
 from replay.paper.pedestrian_grid import (
     CELLS,
     Avoidable,
-    Cell,
+    GridCrossing,
     avoidable,
     braked,
     braking_intervals,
@@ -70,7 +70,7 @@ def test_braking_goes_on_forwards_and_never_further_than_driving(
 
 @settings(max_examples=30)
 @given(cell=cells)
-def test_keeping_the_speed_avoids_the_walker_where_the_boxes_never_meet(cell: Cell) -> None:
+def test_keeping_the_speed_avoids_the_walker_where_the_boxes_never_meet(cell: GridCrossing) -> None:
     scenario = crossing(cell)
     car, track, v = scenario.vehicle, scenario.tracks, cell.ego_kmh / 3.6
     gap = np.inf
@@ -83,13 +83,13 @@ def test_keeping_the_speed_avoids_the_walker_where_the_boxes_never_meet(cell: Ce
 
 
 @given(cell=cells)
-def test_what_comfort_avoids_hard_braking_avoids(cell: Cell) -> None:
+def test_what_comfort_avoids_hard_braking_avoids(cell: GridCrossing) -> None:
     can = avoidable(cell)
     assert can.hard or not can.comfortable
 
 
 @given(cell=cells)
-def test_the_walker_is_in_the_middle_when_the_cell_says(cell: Cell) -> None:
+def test_the_walker_is_in_the_middle_when_the_cell_says(cell: GridCrossing) -> None:
     scenario, start = crossing(cell), crossing_pedestrian.parameters["walk_start_s"]
     front = scenario.ego.x[0] + scenario.vehicle.axle_to_front
     ego_there = (scenario.tracks.x[0] - front) / (cell.ego_kmh / 3.6)
@@ -187,7 +187,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_a_cell_is_driven_the_same_twice_and_drawn(tmp_path: Path) -> None:
-    cell = Cell(30.0, 0.8, -0.5)
+    cell = GridCrossing(30.0, 0.8, -0.5)
     table = grid((cell,))
     pd.testing.assert_frame_equal(table, grid((cell,)))
     row = table.iloc[0]

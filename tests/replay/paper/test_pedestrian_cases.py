@@ -34,7 +34,7 @@ from planners.dp_qp.speed.qp import SpeedQpConfig
 from planners.frenet.st_boundaries import StGraphConfig
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
-from replay.paper.pedestrian_grid import RELEASE_S, Cell, braked, braking_intervals
+from replay.paper.pedestrian_grid import RELEASE_S, GridCrossing, braked, braking_intervals
 
 LOOP = LoopConfig(prediction="constant_velocity", traffic="time")
 TOUCHED = (EndReason.COLLISION, EndReason.REPLAY_CONTACT)
@@ -73,7 +73,7 @@ def varied(row: str, family: str, **values: tuple[float, ...]) -> list[Case]:
 
 def crossings(row: str, ego_kmh: tuple[float, ...], walker: tuple[float, ...], late: tuple[float, ...]) -> list[Case]:
     """The paper's crossing by when the walker is in the middle of the lane, as in `pedestrian_grid`."""
-    cells = (Cell(*one) for one in product(ego_kmh, walker, late))
+    cells = (GridCrossing(*one) for one in product(ego_kmh, walker, late))
     return [Case(row, PAPER, tuple(cell.parameters.items())) for cell in cells]
 
 

@@ -19,7 +19,7 @@ from logs.rules import Colour, TrafficLight
 from logs.transform import mirrored, moved
 from replay.config import DEFAULT_LOOP
 from replay.loop.open_loop import run_open_loop
-from replay.score.navsim import VERSIONS, Scored, human_poses, scored, total, window
+from replay.score.navsim import VERSIONS, ScoredPlan, human_poses, scored, total, window
 from replay.score.tracker import fitted, simulated
 from replay.score.trajectories import of_trace
 
@@ -84,7 +84,7 @@ def test_extended_comfort_is_that_of_the_original() -> None:
         assert found.score == pytest.approx(row.EPDMS, abs=1e-4)
 
 
-def one(scenario: Scenario, t: float, plan: np.ndarray, version: str = "navsim-v2") -> Scored:
+def one(scenario: Scenario, t: float, plan: np.ndarray, version: str = "navsim-v2") -> ScoredPlan:
     return scored(window(scenario, t), plan, VERSIONS[version])
 
 

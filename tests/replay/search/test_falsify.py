@@ -21,7 +21,7 @@ from logs.mcap import read_scenario, write_scenario
 from metrics.judge.gates import Gate, load_gates
 from replay.results.load import load
 from replay.run.claim import STUDY as FILE
-from replay.search.falsify import BOTH, ERROR, FAIL, PASS, Case, robustness
+from replay.search.falsify import BOTH, ERROR, FAIL, PASS, TriedPoint, robustness
 
 pytest.importorskip("cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'")
 SAME = ("falsify.json", "study.jsonl", "trials.parquet", "trials.csv", "falsify.png", "case.mcap")
@@ -178,10 +178,10 @@ def test_robustness_grows_with_each_margin(ttc: float, more: float) -> None:
 
 def test_scores_are_in_the_order_of_the_outcomes() -> None:
     cases = (
-        (Case(FAIL), 1.0),
-        (Case(PASS, robustness=0.0), 0.3),
-        (Case(PASS), 0.0),
-        (Case(BOTH), 0.0),
-        (Case(ERROR), 0.0),
+        (TriedPoint(FAIL), 1.0),
+        (TriedPoint(PASS, robustness=0.0), 0.3),
+        (TriedPoint(PASS), 0.0),
+        (TriedPoint(BOTH), 0.0),
+        (TriedPoint(ERROR), 0.0),
     )
     assert [case.score(distance) for case, distance in cases] == [1.0, 1.0, 2.0, 2.0, 3.0]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from logs import ConfigError
 from logs.kernel import FloatArray
-from replay.search.mildest import LEAST_BUDGET, Mildest, Point, Scored, norm, search
+from replay.search.mildest import LEAST_BUDGET, Mildest, Point, ScoredPoint, norm, search
 
 pytest.importorskip("cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'")
 BOX = np.array([[-3.0, -2.5], [3.0, 5.0]])
@@ -26,11 +26,11 @@ class Counted:
     def __init__(self, hole: Hole, box: FloatArray) -> None:
         self.hole, self.farthest, self.asked = hole, norm(np.abs(box).max(axis=0)), list[Point]()
 
-    def __call__(self, points: Sequence[Point], part: str) -> list[Scored]:
+    def __call__(self, points: Sequence[Point], part: str) -> list[ScoredPoint]:
         self.asked += points
         inside = [self.hole(np.array(point)) for point in points]
         return [
-            Scored(norm(point) / self.farthest if depth > 0.0 else 1.0 + depth / (depth - 1.0), depth > 0.0)
+            ScoredPoint(norm(point) / self.farthest if depth > 0.0 else 1.0 + depth / (depth - 1.0), depth > 0.0)
             for point, depth in zip(points, inside, strict=True)
         ]
 

@@ -21,7 +21,7 @@ from replay.config import RunConfig, load_run
 from replay.run.claim import STUDY as FILE
 from replay.search.gains import Objective, RunScores
 from replay.search.space import Setting
-from replay.search.trials import Plan, Trials, Values
+from replay.search.trials import Trials, TuningInputs, Values
 
 pytest.importorskip("optuna", reason="the extra improve is not installed: pip install 'replan[improve]'")
 SAME = ("tune.json", "study.jsonl", "trials.parquet", "trials.csv", "pareto.csv", "pareto.png", "best.toml")
@@ -35,7 +35,7 @@ def tried(
     """The rows of trials of a function of the settings, without a drive."""
     settings = (Setting(SPEED, 8.0, 2.0, 12.0), Setting(IDLE, 0.5, 0.1, 10.0, log=True))
     default = RunScores(np.full((1, 3), values({SPEED: 8.0, IDLE: 0.5})), failed({SPEED: 8.0, IDLE: 0.5}))
-    trials = Trials(Plan(RunConfig(planners=("idm",)), settings, ONE, seed=seed), default)
+    trials = Trials(TuningInputs(RunConfig(planners=("idm",)), settings, ONE, seed=seed), default)
     rows = []
     for _ in range(count):
         asked = trials.ask()

@@ -15,7 +15,16 @@ from logs import Command, ConfigError, EgoState, VehicleParameters
 from logs.vehicle import vehicle_names, vehicle_parameters
 from replay.vehicle.drivetrain import Drivetrain
 from replay.vehicle.kinematic_bicycle import KinematicBicycle
-from replay.vehicle.single_track import Car, Gearbox, SingleTrack, State, advance, car_of, loads, wheel_forces
+from replay.vehicle.single_track import (
+    Gearbox,
+    SingleTrack,
+    SingleTrackCar,
+    SingleTrackState,
+    advance,
+    car_of,
+    loads,
+    wheel_forces,
+)
 from replay.vehicle.tyres import GRAVITY
 
 CAR = VehicleParameters()
@@ -29,7 +38,7 @@ def start(v: float, kappa: float = 0.0, a: float = 0.0) -> EgoState:
     return EgoState(0.0, 0.0, 0.0, 0.0, v, a, kappa)
 
 
-def kernel_car(p: VehicleParameters = CAR, **keywords: Any) -> Car:
+def kernel_car(p: VehicleParameters = CAR, **keywords: Any) -> SingleTrackCar:
     return car_of(p, Drivetrain(p), **keywords)
 
 
@@ -43,7 +52,7 @@ def energy(car: SingleTrack) -> float:
 def test_integration_is_of_order_four(tyre: str) -> None:
     """The error of a smooth manoeuvre falls with the fourth power of the sub-step."""
     car = kernel_car(tyre=tyre)
-    begin = State(0.0, 0.0, 0.0, 14.0, 0.1, 0.05, 0.02, 0.0, 0.1)
+    begin = SingleTrackState(0.0, 0.0, 0.0, 14.0, 0.1, 0.05, 0.02, 0.0, 0.1)
     box = Gearbox(0, 0.0, 1.0)
     held = (0.05, 0.3, 0.0)
     exact = np.array(advance(begin, box, held, car, 1.0, 20_000)[0])
@@ -90,7 +99,7 @@ def test_the_ground_never_gives_more_than_friction(
     vx: float, vy: float, r: float, steer: float, throttle: float, brake: float, tyre: str, mu: float
 ) -> None:
     car = kernel_car(replace(CAR, tyre_friction=mu), tyre=tyre)
-    s = State(0.0, 0.0, 0.0, vx, vy, r, steer, throttle, brake)
+    s = SingleTrackState(0.0, 0.0, 0.0, vx, vy, r, steer, throttle, brake)
     for direction in (-1.0, 0.0, 1.0):
         fxf, fyf, fxr, fyr = wheel_forces(s, direction, 0, car)
         assert hypot(fxf, fyf) + hypot(fxr, fyr) <= mu * CAR.mass * GRAVITY * (1.0 + 1e-9)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from logs import Command, ConfigError, EgoState, VehicleParameters
 from replay.vehicle import REAR_RATIO, VEHICLES
-from replay.vehicle.kinematic_bicycle import KinematicBicycle, State, advance, derivative, kinematics_of
+from replay.vehicle.kinematic_bicycle import BicycleState, KinematicBicycle, advance, derivative, kinematics_of
 
 CAR = VehicleParameters()
 PEDAL = st.floats(0.0, 1.0)
@@ -37,7 +37,7 @@ def test_constant_steer_is_a_circle(v: float, steer: float) -> None:
 @pytest.mark.parametrize("ratio", [0.0, -0.4])
 def test_integration_is_of_order_four(ratio: float) -> None:
     """The error of a smooth manoeuvre falls with the fourth power of the sub-step."""
-    start = State(0.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.1)
+    start = BicycleState(0.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.1)
     arguments = ((0.03, 0.3, 0.0), kinematics_of(CAR, ratio), 1.0)
     exact = np.array(advance(start, *arguments, 20_000))
     steps = np.array([10, 20, 40, 80])
@@ -144,7 +144,7 @@ def test_it_is_the_corrected_equation_at_the_centre_of_gravity(
     v: float, steer: float, ratio: float, yaw: float
 ) -> None:
     """x' = V cos(yaw + beta), y' = V sin(yaw + beta), yaw' = V cos(beta) (tan df - tan dr) / L; no wheel slips."""
-    state = State(0.0, 0.0, yaw, v, steer, 0.0, 0.0)
+    state = BicycleState(0.0, 0.0, yaw, v, steer, 0.0, 0.0)
     rate = derivative(state, (0.0, 0.0, 0.0), True, kinematics_of(CAR, ratio))
     lf, lr = CAR.cog_to_front, CAR.cog_to_rear
     df, dr = steer, ratio * steer

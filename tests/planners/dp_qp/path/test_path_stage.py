@@ -24,7 +24,7 @@ from planners.dp_qp.path.bounds import (
     side_choices,
     standing_obstacles,
 )
-from planners.dp_qp.path.corridor import LOWER, UPPER, Ego, S, expected_speed, road_ahead
+from planners.dp_qp.path.corridor import LOWER, UPPER, EgoInLane, S, expected_speed, road_ahead
 from planners.dp_qp.path.dp import PathDpConfig
 from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathMemory, PathStage
 from planners.frenet.path import MIN_REGULAR
@@ -132,7 +132,7 @@ def test_two_obstacles_that_close_the_corridor_are_a_stop() -> None:
 @given(OFFSET, SLOPE, BEND, st.floats(0.0, 20.0))
 def test_the_room_is_widened_for_an_ego_outside_of_it(l0: float, dl0: float, ddl0: float, speed: float) -> None:
     def points(*start: float) -> FloatArray:
-        ego = Ego(np.array([0.0, *start, speed]), np.array(LEADS), np.array([*TURNS, 3.0]), SIDE)
+        ego = EgoInLane(np.array([0.0, *start, speed]), np.array(LEADS), np.array([*TURNS, 3.0]), SIDE)
         line, none = STRAIGHT.line, np.empty((0, 2))
         return road_ahead(line.s, STRAIGHT.table, ego, 1.0, 100, 0.0, NOTHING, np.empty((3, 0)), none).points
 

@@ -45,8 +45,8 @@ from replay.draw.recording.road import covered, dashes
 from replay.draw.recording.tape import (
     DRAWABLE,
     Instants,
+    PlaneWindow,
     Tape,
-    Window,
     application_name,
     cell,
     outline_segments,
@@ -86,7 +86,7 @@ def test_application_names_need_no_migration(text: str) -> None:
 
 
 coordinate = st.floats(-50.0, 50.0)
-WINDOW = Window((-20.0, 20.0), (-10.0, 15.0))
+WINDOW = PlaneWindow((-20.0, 20.0), (-10.0, 15.0))
 
 
 def polygon_area(points: FloatArray) -> float:
@@ -109,7 +109,7 @@ def test_strokes_fill_the_area_of_a_convex_outline(a: float, b: float, turn: flo
     angle = turn + np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     outline = np.column_stack([a * np.cos(angle), b * np.sin(angle)])
     spacing = 0.01
-    filled, _ = strokes(outline, np.array([count]), Window((-10.0, 10.0), (-10.0, 10.0)), spacing)
+    filled, _ = strokes(outline, np.array([count]), PlaneWindow((-10.0, 10.0), (-10.0, 10.0)), spacing)
     area = spacing * float((filled[:, 1, 1] - filled[:, 0, 1]).sum())
     assert area == pytest.approx(polygon_area(outline), rel=0.02, abs=0.02)
 

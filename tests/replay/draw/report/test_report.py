@@ -183,9 +183,9 @@ def test_a_planner_that_crashes_on_a_log_is_an_error_and_counts_against(
 
 @given(st.text(max_size=30))
 def test_any_name_is_legal_xml(name: str) -> None:
-    from replay.draw.report.write import Case, _suite
+    from replay.draw.report.write import JunitCase, _suite
 
-    (found,) = JUnitXml.fromstring(_xml(_suite(0, "suite", [Case(f"x.{name}", f"y{name}", "fail", name)], _OVER)))
+    (found,) = JUnitXml.fromstring(_xml(_suite(0, "suite", [JunitCase(f"x.{name}", f"y{name}", "fail", name)], _OVER)))
     assert [case.result[0].type for case in found] == ["fail"]
 
 

@@ -20,8 +20,8 @@ from logs.catalogue import CATALOGUE
 from replay.config import LoopConfig
 from replay.loop.open_loop import run_open_loop
 from replay.loop.perception import Perception
+from replay.planner_process.messages import encode, frame_message
 from replay.planner_process.processes import _launcher
-from replay.planner_process.schema import encode, frame_message
 from replay.world import World, logged_ego
 
 BUILT_IN, APART = "constant_speed", "planners.constant_speed:ConstantSpeed"

@@ -28,7 +28,7 @@ import metrics
 from logs import EndReason, Mode, Road, RoadSource, Scenario, Trace, Tracks, Trajectory
 from logs.catalogue import CATALOGUE
 from logs.mcap import read_scenario, write_scenario, write_trace
-from metrics import progress, rules, safety
+from metrics import progress, safety, traffic_rules
 from replay.config import RunConfig
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
@@ -39,7 +39,7 @@ from replay.run.sources import LogSource
 
 PASSES = 4
 LENGTHS_S = (28.0, 120.0, 600.0)
-GROWING = (safety.OFF_ROAD, progress.SPEED_EXCESS, rules.WRONG_WAY)
+GROWING = (safety.OFF_ROAD, progress.SPEED_EXCESS, traffic_rules.WRONG_WAY)
 
 
 def best_ms(act: Callable[[], Any], passes: int = PASSES) -> float:

@@ -21,8 +21,8 @@ from time import process_time
 import numpy as np
 from rich.console import Console
 
+from logs.catalogue.family_parts import ADULT, CAR, Agent, tracks
 from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, two_way
-from logs.catalogue.scene import ADULT, CAR, Agent, tracks
 from logs.kernel import FloatArray
 from logs.mcap import read_scenario, write_scenario
 from logs.memory import trim_memory
@@ -78,8 +78,8 @@ def _others(path: CurveSamples, t: FloatArray, denser: float) -> Iterator[Agent]
 
 
 def _seen(
-    path: CurveSamples, name: str, kind: AgentKind, size: tuple[float, float], t: FloatArray, s: FloatArray, ego: FloatArray,
-    left: float, turned: float,
+    path: CurveSamples, name: str, kind: AgentKind, size: tuple[float, float], t: FloatArray, s: FloatArray,
+    ego: FloatArray, left: float, turned: float,
 ) -> Iterator[Agent]:  # fmt: skip
     there = (np.abs(s - ego) <= SEEN_M) & (s > 0.0) & (s < path.length)
     if np.count_nonzero(there) < 2:

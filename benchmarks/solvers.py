@@ -33,7 +33,7 @@ from planners.dp_qp.path import qp as path_qp
 from planners.dp_qp.speed import qp as speed_qp
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem
 from planners.piecewise_jerk.solvers import SOLVERS, matrices, solve, structure, vectors
-from planners.qp import QPResult
+from planners.solver import QPResult
 from replay.loop.closed_loop import run_closed_loop
 from replay.run.sources import LogSource, builtin_suite
 

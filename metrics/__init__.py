@@ -27,6 +27,7 @@ from metrics import (
     arrival,
     comfort,
     cut_in,
+    driving_scores,
     effort,
     encounters,
     evidence,
@@ -37,10 +38,9 @@ from metrics import (
     proposals,
     reference_drivers,
     rss,
-    rules,
     safety,
-    score,
     steadiness,
+    traffic_rules,
 )
 from metrics.boxes import phantoms, without_phantoms
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
@@ -71,11 +71,11 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
     ),
     "rules": (
-        rules.RED_LIGHT, rules.YELLOW_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, rules.PRIORITY_GAP,
-        rules.PRIORITY_GAP_ASSUMED, rules.YIELDING,
+        traffic_rules.RED_LIGHT, traffic_rules.YELLOW_LIGHT, traffic_rules.STOP_SIGN, traffic_rules.CROSSWALK,
+        traffic_rules.PRIORITY_GAP, traffic_rules.PRIORITY_GAP_ASSUMED, traffic_rules.YIELDING,
         cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
         needless.FALSE_BRAKING, needless.MISSED_BRAKING,
-        safety.PASSING_ROOM, rules.WRONG_WAY, rules.LANE_KEEPING, rules.LANE_LINE,
+        safety.PASSING_ROOM, traffic_rules.WRONG_WAY, traffic_rules.LANE_KEEPING, traffic_rules.LANE_LINE,
         progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS, *steadiness.STEADINESS,
     ),
     "comfort": (
@@ -103,7 +103,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "reference": reference_drivers.REFERENCE,
     "score": (
-        score.NUPLAN_CLOSED_SCORE, score.NUPLAN_OPEN_SCORE, score.CARLA_SCORE,
+        driving_scores.NUPLAN_CLOSED_SCORE, driving_scores.NUPLAN_OPEN_SCORE, driving_scores.CARLA_SCORE,
     ),
 })  # fmt: skip
 """The metrics by topic, in the order of the table."""
@@ -248,7 +248,7 @@ METRIC: ExtensionKind[Metric] = ExtensionKind("metric", "metrics", METRICS, an_i
 
 
 def load_metric(spec: str) -> Metric:
-    """Return a built-in metric ("gap") or one of the user ("module:NAME", a `Metric`); ConfigError as `ExtensionKind.find`."""
+    """Return a built-in metric ("gap") or a user's ("module:NAME", a `Metric`); ConfigError as `ExtensionKind.find`."""
     return METRIC.find(spec)
 
 

@@ -158,7 +158,7 @@ def within_look(x: float, y: float, yaw: float, kappa: float, other_x: float, ot
 
 @kernel
 def _leads(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> tuple[FloatArray, IntArray]:
-    """Return rows gap to facing of `EgoAndLead` `(7, k)` and agent `(k,)`; `ego`: x, y, yaw, v, kappa of the rear axle."""
+    """Return rows gap to facing of `EgoAndLead` `(7, k)`, agent `(k,)`; `ego`: x, y, yaw, v, kappa of the rear axle."""
     pose, size, steps = others.pose, others.size, others.there.shape[1]
     half, front = 0.5 * car.width, car.axle + 0.5 * car.length
     rows, agent = np.full((7, steps), np.nan), np.full(steps, -1, np.int64)

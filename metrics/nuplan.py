@@ -55,7 +55,7 @@ from metrics.boxes import (
     touches,
 )
 from metrics.comfort import NUPLAN_BOUNDS, savgol
-from metrics.lane_map import DrivableLanes, Route, along_line, lane_map
+from metrics.drivable_lanes import DrivableLanes, Route, along_line, lane_map
 from metrics.metric import Unavailable
 
 AHEAD = cos(30.0 / 180.0 * np.pi)

@@ -423,7 +423,7 @@ def _drive(
     about: int,
     late: float,
 ) -> tuple[FloatArray, int, int, int, float]:
-    """Return rows s, v, a from `start` (s, l, v) to the first touch or the end, and the last four fields of `ReferenceDrive`.
+    """Return rows s, v, a from `start` (s, l, v) to the first touch or end, and the last 4 fields of `ReferenceDrive`.
 
     After the first touch the drive continues through the agent until both are apart, to measure the depth.
     """

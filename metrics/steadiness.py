@@ -33,7 +33,7 @@ from metrics.lanes import LaneArrays, mapped_lanes, under
 from metrics.metric import COUNT, MAX, MAX_ABS, Measured, Metric, Reduction, Series, Unavailable, durations, first_of
 from metrics.needless import AFTER_S, FALL_MPS, STANDS_MPS, falls, reasons, turning_points
 from metrics.progress import gain_along, route_of
-from metrics.rules import NO_LANES
+from metrics.traffic_rules import NO_LANES
 
 SETTLES_S, KEPT_S, JUDGED_S, RETURN_MPS = 4.0, 10.0, 8.0, 0.1
 LEAST_S = 20.0

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from logs.states import Command, EgoState, Trajectory
     from logs.trace import Decision, DecisionKind, Mode, Plan, PlanStatus, Trace
     from logs.vehicle import VehicleParameters
-    from metrics.compare import Comparison
+    from metrics.comparison import Comparison
     from metrics.metric import Metric, Reduction, Series, Unavailable
     from planners.base import Planner
     from replay.api import compare, evaluate
@@ -114,7 +114,7 @@ _NAMES = {
     "logs.states": "Command EgoState Trajectory",
     "logs.trace": "Decision DecisionKind Mode Plan PlanStatus Trace",
     "logs.vehicle": "VehicleParameters",
-    "metrics.compare": "Comparison",
+    "metrics.comparison": "Comparison",
     "metrics.metric": "Metric Reduction Series Unavailable",
     "planners.base": "Planner",
     "replay.api": "compare evaluate",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from logs.errors import ConfigError
-from metrics.compare import Comparison
+from metrics.comparison import Comparison
 from replay.config import Internals, RunConfig, RunMode, load_run
 from replay.results.load import Results
 from replay.run import evaluate_logs

@@ -24,7 +24,7 @@ from logs.files import Near, check_named, read_toml
 from logs.mcap import read_trace
 from logs.mcap.container import read_container
 from metrics import COLUMNS, METRICS, load_metric
-from metrics.compare import PARTING_COLUMNS, Comparison, Side, compare, judge_rules
+from metrics.comparison import PARTING_COLUMNS, Comparison, Side, compare, judge_rules
 from metrics.judge import REFERENCE
 from metrics.judge.gates import GateRule, load_gates, load_rules
 from metrics.judge.verdicts import DRIVE
@@ -111,7 +111,7 @@ def read_run(path: Path | str) -> Run:
 
 
 def side_of(run: Run) -> Side:
-    """Return the tables of a run for `metrics.compare`; LogError if they are damaged."""
+    """Return the tables of a run for `metrics.comparison`; LogError if they are damaged."""
     if isinstance(run, Side):
         return run
     try:

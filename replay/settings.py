@@ -91,7 +91,7 @@ def resolved(factory: Callable[..., Any], table: Table, where: str, what: str, g
 
 
 def configured(kind: ExtensionKind[F], name: str, settings: Mapping[str, Table]) -> F:
-    """Return the factory of this name with its `LoopConfig.settings`; ConfigError as `ExtensionKind.find` and `keywords_of`."""
+    """The factory of a name with its `LoopConfig.settings`; ConfigError as `ExtensionKind.find` and `keywords_of`."""
     factory, table = kind.find(name), settings.get(kind.name, {})
     made: Any = partial(factory, **keywords_of(factory, table, dotted(SETTINGS[kind.name], name))) if table else factory
     return made

@@ -28,7 +28,7 @@ from logs.frame import Frame, PlannerContext, Predictions
 from logs.mcap import write_scenario
 from logs.scenario import Scenario
 from logs.trace import Plan
-from metrics.compare import Comparison
+from metrics.comparison import Comparison
 from metrics.judge.gates import GateRule, Outcome
 from planners.dp_qp.planner import DpQp
 from replay.compare import compare_runs

@@ -19,6 +19,7 @@ import numpy as np
 
 from logs.catalogue.driver import Ahead, waiting
 from logs.catalogue.family import Build, Family
+from logs.catalogue.family_parts import BEYOND_M, HALF_LANE, SIDEWALK_M, SPARE_S, START_M, WAITS, grid, moving
 from logs.catalogue.protocols import (
     CAR_TARGET,
     CHILD_TARGET,
@@ -41,7 +42,6 @@ from logs.catalogue.protocols import (
     tested,
 )
 from logs.catalogue.roads import LANE_WIDTH_M, junction, one_lane, two_way
-from logs.catalogue.scene import BEYOND_M, HALF_LANE, SIDEWALK_M, SPARE_S, START_M, WAITS, grid, moving
 from logs.scenario import Scenario
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters

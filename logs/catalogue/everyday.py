@@ -18,8 +18,7 @@ import numpy as np
 
 from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.family import expects, family
-from logs.catalogue.roads import LANE_WIDTH_M, curve, junction, lane_beside, one_lane, two_lanes, two_way, weaving
-from logs.catalogue.scene import (
+from logs.catalogue.family_parts import (
     BEYOND_M,
     BICYCLE,
     CAR,
@@ -39,6 +38,7 @@ from logs.catalogue.scene import (
     tenths,
     walked,
 )
+from logs.catalogue.roads import LANE_WIDTH_M, curve, junction, lane_beside, one_lane, two_lanes, two_way, weaving
 from logs.kernel import FloatArray
 from logs.road import Road
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight

@@ -24,9 +24,9 @@ import numpy as np
 
 from logs.catalogue.driver import drive
 from logs.catalogue.family import Family
+from logs.catalogue.family_parts import BEYOND_M, HALF_LANE, SPARE_S, finished, tenths
 from logs.catalogue.protocols import KMH, speeds
 from logs.catalogue.roads import curve, weaving
-from logs.catalogue.scene import BEYOND_M, HALF_LANE, SPARE_S, finished, tenths
 from logs.kernel import FloatArray
 from logs.road import Lane, Road
 from logs.scenario import Scenario

@@ -13,8 +13,7 @@ import numpy as np
 
 from logs.catalogue.driver import drive, waiting
 from logs.catalogue.family import expects, family
-from logs.catalogue.roads import curve, one_lane, two_lanes, weaving
-from logs.catalogue.scene import (
+from logs.catalogue.family_parts import (
     BEYOND_M,
     CAR,
     HALF_LANE,
@@ -28,6 +27,7 @@ from logs.catalogue.scene import (
     straight_path,
     tenths,
 )
+from logs.catalogue.roads import curve, one_lane, two_lanes, weaving
 from logs.scenario import Scenario
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters

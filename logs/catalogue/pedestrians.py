@@ -22,8 +22,7 @@ import numpy as np
 
 from logs.catalogue.driver import Ahead, Reaction, drive, waiting
 from logs.catalogue.family import expects, family
-from logs.catalogue.roads import one_lane
-from logs.catalogue.scene import (
+from logs.catalogue.family_parts import (
     ADULT,
     APART_M,
     BESIDE_M,
@@ -41,6 +40,7 @@ from logs.catalogue.scene import (
     straight_path,
     walked,
 )
+from logs.catalogue.roads import one_lane
 from logs.kernel import FloatArray
 from logs.scenario import AgentKind, Scenario
 from logs.trace import DecisionKind

@@ -20,9 +20,7 @@ import numpy as np
 
 from logs.catalogue.driver import Ahead, Reaction, drive, waiting
 from logs.catalogue.family import before_contact, expects
-from logs.catalogue.pedestrians import CHILD
-from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, two_way
-from logs.catalogue.scene import (
+from logs.catalogue.family_parts import (
     ADULT,
     BESIDE_M,
     BEYOND_M,
@@ -39,6 +37,8 @@ from logs.catalogue.scene import (
     parked,
     walked,
 )
+from logs.catalogue.pedestrians import CHILD
+from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, two_way
 from logs.kernel import FloatArray
 from logs.road import Road
 from logs.scenario import AgentKind, Scenario

@@ -18,8 +18,20 @@ from logs.catalogue import paper
 from logs.catalogue.detector import detected
 from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.family import Family, touches
+from logs.catalogue.family_parts import (
+    ADULT,
+    BEYOND_M,
+    BICYCLE,
+    CAR,
+    HALF_LANE,
+    START_M,
+    Agent,
+    grid,
+    moving,
+    parked,
+    tracks,
+)
 from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, stretch, two_way
-from logs.catalogue.scene import ADULT, BEYOND_M, BICYCLE, CAR, HALF_LANE, START_M, Agent, grid, moving, parked, tracks
 from logs.kernel import FloatArray
 from logs.road import Goal, Road
 from logs.scenario import AgentKind, Scenario, Tracks

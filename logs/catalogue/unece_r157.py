@@ -17,6 +17,7 @@ import numpy as np
 
 from logs.catalogue.driver import Ahead
 from logs.catalogue.family import Build, Family, family
+from logs.catalogue.family_parts import BEYOND_M, CAR, HALF_LANE, SPARE_S, START_M, grid, moving, parked, walked
 from logs.catalogue.protocols import (
     CROSSING,
     FOLLOWS,
@@ -35,7 +36,6 @@ from logs.catalogue.protocols import (
     travelled,
 )
 from logs.catalogue.roads import LANE_WIDTH_M, curve, one_lane, two_lanes
-from logs.catalogue.scene import BEYOND_M, CAR, HALF_LANE, SPARE_S, START_M, grid, moving, parked, walked
 from logs.scenario import AgentKind, Scenario
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters

@@ -22,7 +22,7 @@ Modules:
     recorded.py     shared by readers of data sets: rotations, boxes as tracks, poses as ego states
     arrow_tables.py Arrow and Parquet tables as arrays
     strips.py       lanes between two lines
-    native.py       replan's own MCAP, and ASAM OSI
+    own_mcap.py     replan's own MCAP, and ASAM OSI
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from logs.conventions import checked
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.extension import ExtensionKind, an_instance
 from logs.files import check_regular, local_path, special_kind
-from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, ros, table
+from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, own_mcap, ros, table
 from logs.readers.admission import admitted, check_clocks, check_road, named, repaired
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut, in_nanoseconds
@@ -48,13 +48,13 @@ from logs.scenario import Scenario
 
 BUILTIN = (
     commonroad.READER,
-    native.OSI_READER,
+    own_mcap.OSI_READER,
     comma2k19.READER,
     table.READER,
     ros.READER,
     arrow123d.READER,
     argoverse2.READER,
-    native.READER,
+    own_mcap.READER,
 )
 """The built-in readers, in the order in which they are tried."""
 READER: ExtensionKind[Reader] = ExtensionKind(

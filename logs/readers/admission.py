@@ -376,10 +376,10 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
 
 
 def named(scenario: Scenario) -> Scenario:
-    """Give the repaired tracks the names of the causal tracker's tracks (`logs.repair.names`)."""
+    """Give the repaired tracks the names of the causal tracker's tracks (`logs.repair.identities`)."""
     made = scenario.repair
     assert made is not None and made.tracks is scenario.tracks
-    from logs.repair.names import named_as_tracked
+    from logs.repair.identities import named_as_tracked
 
     made = named_as_tracked(made)
     return replace(scenario, tracks=made.tracks, repair=made)

@@ -1,6 +1,6 @@
 """Makes tracks from raw detections: offline for metrics, causally for planners."""
 
-from logs.repair.names import needs_repair
+from logs.repair.identities import needs_repair
 from logs.repair.offline import detections_of, repair
 from logs.repair.tracker import Tracked, tracked
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from logs.kernel import FloatArray, IntArray, frozen, kernel
-from logs.repair.boxes import DENSITY, VEHICLE, Boxes
+from logs.repair.detected_boxes import DENSITY, VEHICLE, Boxes
 from logs.repair.kalman import ACROSS, ALONG, COS, SIN, WIDTH, X, Y, predict_all, update_one
 
 FIRST_ALONG, FIRST_ACROSS = frozen([10.0, 2.5, 3.0]), frozen([1.5, 2.5, 3.0])

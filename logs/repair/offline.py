@@ -22,7 +22,7 @@ import numpy as np
 from logs.agents import Detections, Repair, TrackChange, codes_of
 from logs.kernel import FloatArray, IntArray, frozen
 from logs.repair.association import Association
-from logs.repair.boxes import CLUSTER, NOISE, OTHER_PART, PERSON, VEHICLE, Boxes, shares, stronger_twins
+from logs.repair.detected_boxes import CLUSTER, NOISE, OTHER_PART, PERSON, VEHICLE, Boxes, shares, stronger_twins
 from logs.repair.users import Piece, User, fitted, stitched, user_of
 from logs.scenario import Tracks
 from logs.shapes import clearance

@@ -25,7 +25,7 @@ import numpy as np
 from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents, Detections
 from logs.kernel import FloatArray, frozen
 from logs.repair.association import Association
-from logs.repair.boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, Boxes, stronger_twins
+from logs.repair.detected_boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, Boxes, stronger_twins
 from logs.repair.kalman import ACROSS, ALONG, VX, VY, X, Y
 
 BIRTH_TIME, BIRTH_COUNT, BIRTH_SCORE = frozen([0.15, 0.15, 0.8]), frozen([3, 3, 6]), frozen([1.2, 1.2, 0.0])

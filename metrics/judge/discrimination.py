@@ -32,8 +32,8 @@ from metrics.judge.verdicts import Values, fill_rows
 from metrics.metric import Metric
 from metrics.needless import NEEDLESS_BRAKING, NEEDLESS_STANDING
 from metrics.progress import COMPLETED, GOAL, ROUTE_PROGRESS
-from metrics.rules import CROSSWALK, PRIORITY_GAP, RED_LIGHT, STOP_SIGN, YELLOW_LIGHT, YIELDING
 from metrics.safety import COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, PASSING_ROOM, TTC, TTC_VULNERABLE
+from metrics.traffic_rules import CROSSWALK, PRIORITY_GAP, RED_LIGHT, STOP_SIGN, YELLOW_LIGHT, YIELDING
 
 PARKED, CREEPING, BLIND = "parked", "creeping", "blind"
 PARKED_FAILS, BLIND_FAILS = (f"{DISCRIMINATION.name}.{driver}" for driver in (PARKED, BLIND))

@@ -1,7 +1,7 @@
 """Gates (thresholds on the table) and rules of comparison, from a TOML file; docs/gates.md explains all keys.
 
 The file contains tables [[gate]], whose keys are the attributes of `Gate` (judged by `verdicts`). It may contain tables
-[[compare]] with the attributes of `GateRule`: how much worse than a baseline a candidate may be (`metrics.compare`).
+[[compare]] with the attributes of `GateRule`: how much worse than a baseline a candidate may be (`metrics.comparison`).
 """
 
 from __future__ import annotations

@@ -19,8 +19,8 @@ from math import inf
 from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
 from logs.trace import Artefact, CostTerms, SolverReport
-from planners.dp_qp.config import DpQpConfig
 from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
+from planners.dp_qp.parameters import DpQpConfig
 from planners.dp_qp.path.bounds import InTheWay
 from planners.dp_qp.path.passing import PassTarget, find_slow_agents, free_stations, pass_targets
 from planners.dp_qp.path.stage import ChosenPath, PathMemory, PathStage

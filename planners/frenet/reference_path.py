@@ -30,7 +30,7 @@ from logs.road import Lane, ReferenceLine, Road, nearest, thinned
 from logs.route import Route, straight_on
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
-from planners.qp import QuadraticProgram
+from planners.solver import QuadraticProgram
 
 SPACING_M = 2.0
 """Spacing of the points of (1), m."""

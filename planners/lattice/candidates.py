@@ -381,8 +381,8 @@ def headway(
 ) -> FloatArray:  # fmt: skip
     """(5) of longitudinal candidates `(m, 3, k)`, as in `sample_polynomials`, on the track at offset `l1`: `(m,)`.
 
-    `others` are `futures_frenet`, `behind` is as in `NearFutures`; `box` has the distances from the rear axle to front and
-    rear, and half the width, m; `wanted` is g0, tau; `changes`: whether the track is not the ego's.
+    `others` are `futures_frenet`, `behind` is as in `NearFutures`; `box` has the distances from the rear axle to front
+    and rear, and half the width, m; `wanted` is g0, tau; `changes`: whether the track is not the ego's.
     """
     out = np.zeros(len(motion))
     for j in range(others.shape[1]):

@@ -277,8 +277,8 @@ class Sampler:
         return rows
 
     def _pair_candidates(
-        self, ego: FrenetStart, futures: NearFutures, lon: Longitudinal, motion: FloatArray, offsets: FloatArray, wanted: float,
-        faults: IntArray,
+        self, ego: FrenetStart, futures: NearFutures, lon: Longitudinal, motion: FloatArray, offsets: FloatArray,
+        wanted: float, faults: IntArray,
     ) -> Pairs:  # fmt: skip
         """The pairs with their costs (`candidates`, (4))."""
         c, car = self._config, self._vehicle

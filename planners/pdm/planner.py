@@ -51,7 +51,7 @@ from planners.frenet.st_boundaries import (
     st_boundaries,
     stop_outlines,
 )
-from planners.pdm.score import PARTS, WHY_NOT, Scores, scores
+from planners.pdm.proposal_score import PARTS, WHY_NOT, Scores, scores
 from planners.rules import Rulebook, RuleMemory
 
 KNOT_M, BEYOND_M, LOOKED_UP_S = 2.0, 30.0, 0.2

@@ -1,7 +1,7 @@
 """The interface to the solvers of piecewise-jerk QPs. They start cold: an answer depends on its problem alone.
 
-`interior_point` is replan's own (default). `osqp` and `piqp` solve the sparse form through `planners.qp`: OSQP (ADMM),
-with PIQP where OSQP runs out of iterations, or PIQP alone.
+`interior_point` is replan's own (default). `osqp` and `piqp` solve the sparse form through `planners.solver`: OSQP
+(ADMM), with PIQP where OSQP runs out of iterations, or PIQP alone.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from logs.kernel import FloatArray
 from logs.trace import SolverReport
 from planners.piecewise_jerk import interior_point
 from planners.piecewise_jerk.problem import DDX, PiecewiseJerkProblem, Weights
-from planners.qp import QPConfig, QPResult, QuadraticProgram
+from planners.solver import QPConfig, QPResult, QuadraticProgram
 
 DEFAULT = "interior_point"
 """Name of the default solver."""
@@ -82,7 +82,7 @@ def _interior_point(problem: PiecewiseJerkProblem, stage: str, tolerance: float)
 
 
 def _sparse(config: QPConfig, problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:
-    """Solve the sparse form by `planners.qp`."""
+    """Solve the sparse form by `planners.solver`."""
     program = _program(structure(problem), stage, replace(config, tolerance=tolerance))
     result = program.solve(*vectors(problem), fresh=True)
     return QPResult(result.x[: 3 * problem.lower.shape[1]], result.report)

@@ -7,7 +7,7 @@ search.py      search: falsify, tune, diagnose
 report.py      the end of a run, reports, shards put together: merge, report
 logs.py        read and write logs: synth, convert, repair, inspect, salvage, export
 compare.py     run against run: compare, baseline
-drives.py      look at one drive: view, plot, explain, frame
+one_drive.py   look at one drive: view, plot, explain, frame
 score.py       the scores of nuPlan and NAVSIM: score
 mine.py        what happened in logs: mine, query, cut, suite, coverage
 about.py       what replan knows: list, metrics; kernels compiled beforehand: warmup
@@ -15,12 +15,12 @@ options.py     options of several commands, shell completion, old spellings
 app.py         what the commands share
 """
 
-from replay.cli import about, compare, drives, evaluate, logs, mine, report, score, search
+from replay.cli import about, compare, evaluate, logs, mine, one_drive, report, score, search
 from replay.cli.app import app, bug, group_commands
 from replay.cli.options import StrictCommand
 from replay.interruption import end_at_once
 
-__all__ = ["about", "app", "compare", "drives", "evaluate", "logs", "main", "mine", "report", "score", "search"]
+__all__ = ["about", "app", "compare", "evaluate", "logs", "main", "mine", "one_drive", "report", "score", "search"]
 
 PANELS = {
     "Drive and judge": ("evaluate", "vary", "paper", "calibrate"),

@@ -89,7 +89,7 @@ def warmup(
     """
     with handle_errors():
         run = run_config(config, {"planners": planner})
-        from replay.cli.progress import sign_of_life, with_kernels
+        from replay.cli.progress_bar import sign_of_life, with_kernels
         from replay.run.warmup import everything, warm_up
 
         if not quiet:

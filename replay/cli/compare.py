@@ -13,7 +13,7 @@ from replay.cli.app import app, console_of, handle_errors, say, say_json
 from replay.cli.options import RenamingCommand, option
 
 if TYPE_CHECKING:
-    from metrics.compare import Comparison
+    from metrics.comparison import Comparison
     from replay.compare import Run
 
 EXIT_CODES = (

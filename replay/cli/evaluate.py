@@ -108,7 +108,7 @@ def evaluate(
     The keys of --set are those of a run's TOML file: docs/use.md.
     """
     with handle_errors():
-        from replay.cli.progress import progress
+        from replay.cli.progress_bar import progress
         from replay.run import evaluate_logs
         from replay.run.output import output_location
         from replay.run.pool import freeze_gc
@@ -201,7 +201,7 @@ def vary(
       replan vary my_log.mcap --vary standing_car=20:80:7 --vary ego_speed=0.5:1.5:5
     """
     with handle_errors():
-        from replay.vary.encounters import opened, question_about
+        from replay.vary.conflict import opened, question_about
         from replay.vary.surface import vary as evaluate_surface
 
         if listing:

@@ -96,7 +96,7 @@ def convert(
     """
     with handle_errors():
         from replay.cli.convert import convert_all, listing, table
-        from replay.cli.progress import sign_of_life
+        from replay.cli.progress_bar import sign_of_life
 
         if as_json:
             if not formats:
@@ -139,7 +139,7 @@ def repair(
     """
     with handle_errors():
         from replay.cli.convert import changes_as_text, repair_log
-        from replay.cli.progress import sign_of_life
+        from replay.cli.progress_bar import sign_of_life
 
         settings = run_config(config, {"log": log_table(ego, road_map, begin, end, repair)}).log
         with sign_of_life(progress_lines(), lambda: f"repairing {log}"):
@@ -164,7 +164,7 @@ def inspect(
         from logs.files import here
         from logs.summary import summarise
         from replay.cli.convert import told_apart, unrepaired
-        from replay.cli.progress import sign_of_life
+        from replay.cli.progress_bar import sign_of_life
 
         with here(log) as near, sign_of_life(progress_lines(), lambda: f"reading {log}"):
             if not near.exists():

@@ -61,7 +61,7 @@ def mine(
 
             say(page())
             return
-        from replay.cli.progress import sign_of_life, with_kernels
+        from replay.cli.progress_bar import sign_of_life, with_kernels
         from replay.mine.mine import mine_into, summary
         from replay.run.evaluate import selected
 
@@ -195,7 +195,7 @@ def coverage(
     comparison, so that a gap names a family that fills it (replan synth FAMILY).
     """
     with handle_errors():
-        from replay.cli.progress import sign_of_life
+        from replay.cli.progress_bar import sign_of_life
         from replay.mine.coverage import COVERAGE, cells, gaps, lines, table, write_coverage
         from replay.mine.mine import mine as mine_logs
         from replay.mine.mine import read_mined

@@ -49,7 +49,7 @@ def score(
     """
     with handle_errors(), ExitStack() as writes:
         from replay.run.rows_file import rows_file
-        from replay.score.table import AVERAGE, FINAL, NUPLAN_CLS, navsim_table, nuplan_table
+        from replay.score.score_table import AVERAGE, FINAL, NUPLAN_CLS, navsim_table, nuplan_table
 
         write = writes.enter_context(rows_file(out)) if out is not None else None
         if name == NUPLAN_CLS:

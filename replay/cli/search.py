@@ -66,9 +66,9 @@ def falsify(
       replan falsify my_log.mcap -p my_pkg.mine:MyPlanner --against dp_qp --axis standing_car=15:80
     """
     with handle_errors():
-        from replay.search.axes import agents_of, opened, search_axes
         from replay.search.falsify import FalsifyQuestion
         from replay.search.falsify import falsify as falsified
+        from replay.search.search_space import agents_of, opened, search_axes
 
         if listing:
             opt.say_axes(as_json=as_json)

@@ -35,7 +35,7 @@ from logs.kernel import FloatArray, IntArray
 from logs.states import Command, EgoState
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters
-from planners.qp import QPConfig, QPResult, QuadraticProgram
+from planners.solver import QPConfig, QPResult, QuadraticProgram
 from replay.control import pedals
 from replay.control.estimation import NO_SLIP, SteeringDelay, lateral_deviation, learned, slip_model
 from replay.control.lateral_model import command_series, following_at, lateral_table, slip_table, steer_for

@@ -25,7 +25,7 @@ import numpy as np
 from logs.agents import AgentKind, Agents
 from logs.errors import ConfigError
 from logs.kernel import FloatArray
-from logs.mcap.trace import driven_scenario
+from logs.mcap.trace_file import driven_scenario
 from logs.mcap.writer import Entry, log_times
 from logs.names import ShortNames
 from logs.rules import Colour
@@ -33,7 +33,7 @@ from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Trace, kept_samples
 from replay.draw.recording import colours
-from replay.draw.recording.road import LIGHTS, STOP_SIGN
+from replay.draw.recording.road_layer import LIGHTS, STOP_SIGN
 
 try:
     from foxglove_schemas_protobuf.Color_pb2 import Color

@@ -43,8 +43,7 @@ from logs.vehicle import VehicleParameters
 from planners.frenet.lane_sequence import LaneSequences
 from planners.frenet.scene import STANDING_MPS as AGENT_STANDS_MPS
 from planners.frenet.scene import VULNERABLE, Bodies, Futures
-from planners.frenet.st_boundaries import ALONG, Roles, Swept, sweep
-from planners.frenet.st_boundaries import SweptPath as SweptWay
+from planners.frenet.st_boundaries import ALONG, Roles, Swept, SweptPath, sweep
 
 BRAKES_MPS2 = -0.3
 """A plan brakes if its acceleration is at most this: weaker braking is comfortable (ISO 2631-1: below 0.315 m/s2)."""
@@ -202,7 +201,7 @@ def path_rows(path: Trajectory) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class SweptPath:
+class PlanWay:
     """Points every `SPACING_M` from the start of a plan, `(m,)` each, of the rear axle.
 
     Attributes:
@@ -236,7 +235,7 @@ class Ways:
         start = scenario.ego.state(0)
         self._lanes = LaneSequences(PlannerContext(scenario.road, scenario.goal, scenario.vehicle, 0.1, start))
 
-    def of(self, plan: Plan, reach: float) -> SweptPath:
+    def of(self, plan: Plan, reach: float) -> PlanWay:
         """The way of a plan, for `reach` m."""
         path = plan.trajectory
         first, last = path.state(0), path.state(len(path) - 1)
@@ -265,7 +264,7 @@ class Ways:
         limit = np.interp(placed[:, 0], lane.line.s, lane.limit)
         out = np.flatnonzero((placed[:, 0] >= lane.line.length - SAME_M) & (np.abs(placed[:, 1]) <= LEFT_M))
         end = float(stations[out[0]]) if len(out) else inf
-        return SweptPath(
+        return PlanWay(
             stations, x, y, yaws, kappa, np.where(np.abs(placed[:, 1]) <= LEFT_M, limit, np.nan), end, lane.lanes
         )
 
@@ -305,7 +304,7 @@ class Meeting:
 
 
 def meetings(
-    held: Held, way: SweptPath, agents: Agents, futures: Predictions, car: VehicleParameters, passed: BoolArray
+    held: Held, way: PlanWay, agents: Agents, futures: Predictions, car: VehicleParameters, passed: BoolArray
 ) -> list[Meeting]:
     """One meeting for each agent that occupies a part of the way: the one of its most demanding prediction.
 
@@ -322,7 +321,7 @@ def meetings(
     ego = Swept(car.axle_to_center, car.length, car.width, MARGIN_M, VULNERABLE_MARGIN_M, 0.0, 0.0, 0.0)
     none, rows = np.zeros(len(agents), np.bool_), np.arange(float(len(futures)))
     _, who, lower, upper, along, row = sweep(
-        SweptWay(way.s, way.x, way.y, way.yaw),
+        SweptPath(way.s, way.x, way.y, way.yaw),
         Futures(times, futures.agent, rows, x, y, yaw),  # row numbers instead of probabilities
         Bodies(agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width),
         Roles(none, VULNERABLE[agents.codes], passed), ego, float(times[0]), 1,
@@ -367,7 +366,7 @@ def _order(one: Meeting) -> tuple[bool, bool, float, float]:
     return not one.is_met, not late, -np.nan_to_num(one.need_mps2), float(np.nan_to_num(one.time_s, nan=np.inf))
 
 
-def _meeting(held: Held, way: SweptPath, agents: Agents, taken: _Taken, car: VehicleParameters) -> Meeting | None:
+def _meeting(held: Held, way: PlanWay, agents: Agents, taken: _Taken, car: VehicleParameters) -> Meeting | None:
     """The meeting with an agent; None if they come only from behind."""
     here, lower, upper = np.isfinite(taken.lower), taken.lower, taken.upper
     first = int(np.flatnonzero(here)[0])
@@ -402,13 +401,13 @@ def _meeting(held: Held, way: SweptPath, agents: Agents, taken: _Taken, car: Veh
     )  # fmt: skip
 
 
-def _is_behind(way: SweptPath, s: float, pose: FloatArray, car: VehicleParameters) -> bool:
+def _is_behind(way: PlanWay, s: float, pose: FloatArray, car: VehicleParameters) -> bool:
     """Whether an agent's centre is behind that of the ego at a station."""
     x, y, yaw = _center(way, s, car)
     return bool((pose[0] - x) * cos(yaw) + (pose[1] - y) * sin(yaw) < 0.0)
 
 
-def _center(way: SweptPath, s: float, car: VehicleParameters) -> tuple[float, float, float]:
+def _center(way: PlanWay, s: float, car: VehicleParameters) -> tuple[float, float, float]:
     """The ego's box at a station: centre and heading."""
     x, y, yaw = way.pose(s)
     return x + car.axle_to_center * cos(yaw), y + car.axle_to_center * sin(yaw), yaw

@@ -22,7 +22,7 @@ from logs.extension import ExtensionKind
 from logs.frame import Frame, Predictions, Visibility
 from logs.kernel import FloatArray, IntArray, frozen
 from logs.memory import NearbyTracks
-from logs.repair.names import Owners
+from logs.repair.identities import Owners
 from logs.scenario import Agents, Scenario, Tracks
 from logs.states import wrapped
 from logs.trace import Plan
@@ -58,8 +58,8 @@ class Recorded:
     """Shows the agents of one drive as the recorded perception detected them.
 
     The tracker is causal (`logs.repair.tracker`), and so are its names; a repaired track has the name that the tracker
-    uses longest for it (`logs.repair.names`). The detections are those of the log, but in closed loop the traffic moves
-    the others differently. Known road users are therefore shown at their positions in the world,
+    uses longest for it (`logs.repair.identities`). The detections are those of the log, but in closed loop the traffic
+    moves the others differently. Known road users are therefore shown at their positions in the world,
 
     (1) shown = tracked + (world - log),   of x, y, yaw, vx, vy at the frame's time; both as `Tracks.perceived`
 

@@ -30,7 +30,7 @@ from logs.frame import Frame
 from logs.kernel import FloatArray, kernel
 from logs.states import EgoState, Trajectory, wrap
 from logs.trace import Plan, PlanStart, PlanStatus
-from replay.planner_process.schema import LONGEST_REASON, MOST_POINTS, shortened
+from replay.planner_process.messages import LONGEST_REASON, MOST_POINTS, shortened
 
 START_M, START_MPS = 0.03, 0.05
 SWING_MPS = 0.3

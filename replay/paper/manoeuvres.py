@@ -32,7 +32,7 @@ from logs.kernel import FloatArray
 from logs.states import Command, Trajectory
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
-from planners.qp import QPConfig, QuadraticProgram
+from planners.solver import QPConfig, QuadraticProgram
 from replay.control import CONTROLLERS
 from replay.loop.simulation_setup import controller_of
 from replay.vehicle import VEHICLES, PlantTable, build_vehicle

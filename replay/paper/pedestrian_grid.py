@@ -26,8 +26,8 @@ from math import sqrt
 import numpy as np
 import pandas as pd
 
+from logs.catalogue.family_parts import ADULT, HALF_LANE
 from logs.catalogue.paper import crossing_pedestrian
-from logs.catalogue.scene import ADULT, HALF_LANE
 from logs.errors import PlannerError
 from logs.scenario import Scenario
 from logs.trace import EndReason, Trace

@@ -17,7 +17,7 @@ from typing import Any, Generic, TypeVar
 
 from replay.config import PlannerProcessConfig
 from replay.drive import DriveKey, Stopwatch
-from replay.planner_process import schema
+from replay.planner_process import messages
 from replay.planner_process.connection import Connection, FaultError, PlannerConnection, set_current_log
 from replay.planner_process.processes import Load
 
@@ -59,7 +59,7 @@ class BatchLog(Generic[R]):
     """
 
     request: Request
-    answer: schema.Answer | FaultError
+    answer: messages.Answer | FaultError
     result: R
 
     def __init__(self, task: Callable[[], R]) -> None:
@@ -78,7 +78,7 @@ class BatchLog(Generic[R]):
         if self._raised:
             raise self._raised[0]
 
-    def ask(self, request: Request) -> schema.Answer | FaultError:
+    def ask(self, request: Request) -> messages.Answer | FaultError:
         """Wait until all logs wait, and return the answer; called in the log's thread."""
         self.request = request
         self._back.release()
@@ -90,7 +90,7 @@ class BatchLog(Generic[R]):
     def connect(self, place: DriveKey, limits: PlannerProcessConfig, load: Load, watch: Stopwatch) -> PlannerConnection:
         """The connection of one of the log's drives; `watch` does not count the time that other logs take."""
 
-        def ask(message: Any, limit: float) -> schema.Answer:
+        def ask(message: Any, limit: float) -> messages.Answer:
             begin = time.perf_counter()
             answer = self.ask(Request(place, message, limit, limits, load))
             watch.waited(time.perf_counter() - begin - self.took_s)
@@ -121,9 +121,9 @@ class BatchLog(Generic[R]):
 class BatchConnection:
     """The `PlannerConnection` of a drive to a process that it shares: a fault of this drive does not end the others."""
 
-    answer: Callable[[Any, float], schema.Answer]
+    answer: Callable[[Any, float], messages.Answer]
 
-    def ask(self, message: Any, limit: float, when: str) -> schema.Answer:
+    def ask(self, message: Any, limit: float, when: str) -> messages.Answer:
         """See `PlannerConnection.ask`; the step takes the place of `when`, as the logs have different times."""
         return self.answer(message, limit)
 
@@ -147,26 +147,26 @@ class BatchSession:
         self._connection = Connection(first.load.planner, first.limits, first.load, len(logs))
         self._seats, self._steps = {log: seat for seat, log in enumerate(logs)}, 0
         self._together = f"for {len(logs)} logs together"
-        hellos = schema.Hellos([log.request.message for log in logs])
+        hellos = messages.Hellos([log.request.message for log in logs])
         self._answer(logs, hellos, f"while it was built {self._together}")
 
     def plan(self, logs: Sequence[BatchLog[Any]]) -> None:
         """Answer the frames of logs."""
         self._steps += 1
-        frames = schema.Frames([self._seats[log] for log in logs], [log.request.message for log in logs])
+        frames = messages.Frames([self._seats[log] for log in logs], [log.request.message for log in logs])
         self._answer(logs, frames, f"in step {self._steps} of drives {self._together}")
 
     def _answer(self, logs: Sequence[BatchLog[Any]], message: Any, when: str) -> None:
         """Send a message for all these logs, and give each its answer; if it fails, all get the failure."""
         begin = time.perf_counter()
-        answer: schema.Answer | FaultError
+        answer: messages.Answer | FaultError
         try:
             answer = self._connection.ask(message, sum(log.request.limit for log in logs), when)
-            if not isinstance(answer, schema.Failed) and len(getattr(answer, "each", ())) != len(logs):
+            if not isinstance(answer, messages.Failed) and len(getattr(answer, "each", ())) != len(logs):
                 raise self._connection.fault(f"broke its contract {when}: it did not answer every frame")
         except FaultError as fault:
             answer = fault
-        answers = answer.each if isinstance(answer, schema.Answers) else [answer] * len(logs)
+        answers = answer.each if isinstance(answer, messages.Answers) else [answer] * len(logs)
         for log, each in zip(logs, answers, strict=True):
             log.answer, log.took_s = each, time.perf_counter() - begin
 
@@ -183,7 +183,7 @@ def in_lockstep(tasks: Sequence[Callable[[], R]]) -> list[R]:
         for log in logs:
             log.run_on()
         while waiting := [log for log in logs if not log.ended]:
-            some = [log for log in waiting if isinstance(log.request.message, schema.Frame)]
+            some = [log for log in waiting if isinstance(log.request.message, messages.Frame)]
             if session is not None and some:
                 session.plan(some)
             else:

@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 import msgspec
 
 from logs.codec import array_as_bytes, array_of, scalar_as_number
-from replay.planner_process.schema import LARGEST_BYTES
+from replay.planner_process.messages import LARGEST_BYTES
 
 T = TypeVar("T")
 

@@ -1,6 +1,6 @@
 """A Python planner in its process: it is built from a context, and answers frames with plans.
 
-Its stdin and stdout carry the messages of `replay.planner_process.schema`. The planner's code cannot use them: its
+Its stdin and stdout carry the messages of `replay.planner_process.messages`. The planner's code cannot use them: its
 output goes to stderr, whose last lines are shown if it fails.
 """
 
@@ -21,7 +21,7 @@ from logs.states import Trajectory
 from logs.trace import Plan
 from planners.base import Planner
 from replay.drive import Stopwatch
-from replay.planner_process import schema
+from replay.planner_process import messages
 from replay.planner_process.channel import Channel, GoneError
 from replay.planner_process.planner_config import (
     of_class,
@@ -34,7 +34,7 @@ from replay.planner_process.planner_config import (
 
 def main() -> None:
     """Answer the messages on stdin until it closes."""
-    channel: Channel[Any] = Channel(os.dup(1), os.dup(0), schema.Question, patient=True)
+    channel: Channel[Any] = Channel(os.dup(1), os.dup(0), messages.Question, patient=True)
     _redirect_streams()
     try:
         PlannerServer(channel).serve()
@@ -93,42 +93,42 @@ class PlannerServer:
             try:
                 self._channel.send(answer)
             except (TypeError, ValueError, OverflowError) as error:
-                self._channel.send(schema.Failed(f"what it returned cannot be sent: {raised(error)}", "contract"))
+                self._channel.send(messages.Failed(f"what it returned cannot be sent: {raised(error)}", "contract"))
 
     def _answer(self, question: Any) -> msgspec.Struct:
-        if isinstance(question, schema.Frame):
+        if isinstance(question, messages.Frame):
             return self._sent(self._plan_frames(lambda planners, frames: planners[0].plan(frames[0]), [0], [question]))
-        if isinstance(question, schema.Frames):
+        if isinstance(question, messages.Frames):
             seats = question.seats
             plans = self._plan_frames(lambda planners, frames: self._together(frames, planners), seats, question.each)
             if not isinstance(plans, list | tuple) or len(plans) != len(seats):
                 what = f"{len(plans)} plans" if isinstance(plans, list | tuple) else type(plans).__name__
-                return schema.Failed(f"plan_batch returned {what} instead of {len(seats)} plans", "contract")
-            return schema.Answers([self._sent(plan) for plan in plans])
-        if isinstance(question, schema.Describe):
+                return messages.Failed(f"plan_batch returned {what} instead of {len(seats)} plans", "contract")
+            return messages.Answers([self._sent(plan) for plan in plans])
+        if isinstance(question, messages.Describe):
             table = resolved_table(question.planner, question.config)
             if question.batch and of_class(planner_factory(question.planner), "plan_batch") is None:
                 remedy = "add the class method plan_batch(cls, frames, planners), or leave out loop.apart.batch"
                 raise ConfigError(f"planner '{question.planner}' has no plan_batch: {remedy}")
-            return schema.Described(table)
-        if isinstance(question, schema.Hellos):
-            return schema.Answers([_try_answer(self._build_planner, hello) for hello in question.each])
+            return messages.Described(table)
+        if isinstance(question, messages.Hellos):
+            return messages.Answers([_try_answer(self._build_planner, hello) for hello in question.each])
         return self._build_planner(question)
 
-    def _build_planner(self, hello: schema.Hello) -> schema.Ready:
+    def _build_planner(self, hello: messages.Hello) -> messages.Ready:
         self._planners.append(None)
         keywords = planner_keywords(hello.planner, hello.config)
-        context = schema.context_of(hello.context, self._watch.lap)
+        context = messages.context_of(hello.context, self._watch.lap)
         factory: Any = prepared(hello.planner, keywords)
         self._planners[-1] = factory(context, **keywords)
         self._together, self._keep = of_class(factory, "plan_batch"), hello.keep_internals
-        return schema.Ready()
+        return messages.Ready()
 
     def _plan_frames(
-        self, plan: Callable[[list[Any], list[Frame]], Any], seats: list[int], sent: list[schema.Frame]
+        self, plan: Callable[[list[Any], list[Frame]], Any], seats: list[int], sent: list[messages.Frame]
     ) -> Any:
         """The results of the planners in some seats for their frames; `plan` calls them."""
-        planners, frames = [self._planners[seat] for seat in seats], [schema.frame_of(message) for message in sent]
+        planners, frames = [self._planners[seat] for seat in seats], [messages.frame_of(message) for message in sent]
         assert None not in planners, "a frame came before the context"
         self._watch.start()
         try:
@@ -136,12 +136,12 @@ class PlannerServer:
         finally:
             self._watch.stop(frames[0].t)
 
-    def _sent(self, plan: object) -> schema.Plan | schema.Failed:
+    def _sent(self, plan: object) -> messages.Plan | messages.Failed:
         if isinstance(plan, BaseException):
-            return schema.Failed(raised(plan), "raised")
+            return messages.Failed(raised(plan), "raised")
         if not isinstance(plan, Plan):
-            return schema.Failed(f"it returned {type(plan).__name__} instead of a Plan", "contract")
-        return schema.plan_message(plan.recorded(keep=self._keep), self._watch.laps, inside=True)
+            return messages.Failed(f"it returned {type(plan).__name__} instead of a Plan", "contract")
+        return messages.plan_message(plan.recorded(keep=self._keep), self._watch.laps, inside=True)
 
 
 def _try_answer(answer: Callable[[Any], Any], question: Any) -> Any:
@@ -149,7 +149,7 @@ def _try_answer(answer: Callable[[Any], Any], question: Any) -> Any:
     try:
         return answer(question)
     except ReplanError as error:
-        return schema.Failed(str(error), "config" if isinstance(error, ConfigError) else "load")
+        return messages.Failed(str(error), "config" if isinstance(error, ConfigError) else "load")
     except BaseException as error:  # also SystemExit, which is treated as an exception of the planner
-        planning = isinstance(question, schema.Frame | schema.Frames)
-        return schema.Failed(raised(error), "raised" if planning else "build")
+        planning = isinstance(question, messages.Frame | messages.Frames)
+        return messages.Failed(raised(error), "raised" if planning else "build")

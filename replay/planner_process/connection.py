@@ -19,7 +19,7 @@ from logs.frame import Frame, PlannerContext
 from logs.trace import Plan
 from replay.config import PlannerProcessConfig
 from replay.drive import FIRST, DriveKey, Stopwatch
-from replay.planner_process import schema
+from replay.planner_process import messages
 from replay.planner_process.channel import Channel, GarbageError, GoneError, LateError
 from replay.planner_process.planner_config import is_foreign
 from replay.planner_process.processes import Load, Process, start_process
@@ -35,7 +35,7 @@ class FaultError(Exception):
 class PlannerConnection(Protocol):
     """Sends messages to a planner and receives its answers."""
 
-    def ask(self, message: Any, limit: float, when: str) -> schema.Answer:
+    def ask(self, message: Any, limit: float, when: str) -> messages.Answer:
         """The answer within `limit` seconds; FaultError, with `when` in its sentence, if there is none."""
         ...
 
@@ -80,7 +80,7 @@ class Node:
             raise FaultError(f"cannot be reached: {error.strerror or error}") from None
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         fd = link.detach()
-        self.channel: Channel[Any] = Channel(fd, fd, schema.Answer)
+        self.channel: Channel[Any] = Channel(fd, fd, messages.Answer)
 
     def close(self) -> None:
         """Close the connection."""
@@ -97,7 +97,7 @@ def _open(spec: str, limits: PlannerProcessConfig, load: Load | None = None) -> 
     """Start the process, or connect to the node; errors as `Connection`."""
     if spec.startswith("tcp:"):
         return Node(spec, limits.start_timeout_s)
-    return start_process(command_of(spec) if spec.startswith("exec:") else None, schema.Answer, limits, load)
+    return start_process(command_of(spec) if spec.startswith("exec:") else None, messages.Answer, limits, load)
 
 
 class Connection:
@@ -121,12 +121,12 @@ class Connection:
         self.close = weakref.finalize(self, self._planner.close)
         self.kill = self._planner.kill
 
-    def ask(self, message: Any, limit: float, when: str) -> schema.Answer:
+    def ask(self, message: Any, limit: float, when: str) -> messages.Answer:
         """See `PlannerConnection.ask`."""
         begin, limited = time.monotonic(), min(limit, self._left)
         try:
             self._planner.channel.send(message, begin + limited)
-            answer: schema.Answer = self._planner.channel.receive(begin + limited)
+            answer: messages.Answer = self._planner.channel.receive(begin + limited)
         except LateError:
             if limited < limit:
                 raise self.fault(f"took more than {self._log_timeout_s:g} s in this drive, {when}") from None
@@ -181,15 +181,15 @@ class ApartPlanner:
             load = Load(spec, msgspec.msgpack.encode(config), place.again)
         except TypeError as error:
             raise ConfigError(f"planner '{spec}': its settings cannot be sent: {error}") from None
-        log, version = current_log() if limits.batch else None, schema.SCHEMA_VERSION
+        log, version = current_log() if limits.batch else None, messages.SCHEMA_VERSION
         self._connection: PlannerConnection = (
             Connection(spec, limits, load) if log is None else log.connect(place, limits, load, watch)
         )
-        hello = schema.Hello(version, spec, config, schema.context_message(context), keep_internals)
+        hello = messages.Hello(version, spec, config, messages.context_message(context), keep_internals)
         answer = self._connection.ask(hello, limits.start_timeout_s, "while it was built")
-        if isinstance(answer, schema.Failed):
+        if isinstance(answer, messages.Failed):
             raise self._failure(answer, "cannot be built")
-        if not isinstance(answer, schema.Ready):
+        if not isinstance(answer, messages.Ready):
             raise self._connection.fault("cannot be built: it did not answer hello with ready")
         if answer.schema != version:
             what = f"it speaks version {answer.schema} of the messages, replan {version}"
@@ -200,15 +200,15 @@ class ApartPlanner:
         limit = self._limits.plan_timeout_s
         if not self._has_planned:
             limit, self._has_planned = max(limit, self._limits.start_timeout_s), True
-        answer = self._connection.ask(schema.frame_message(frame), limit, f"at t = {frame.t:.2f} s")
+        answer = self._connection.ask(messages.frame_message(frame), limit, f"at t = {frame.t:.2f} s")
         broken = f"broke its contract at {frame.t:.2f} s"
-        if isinstance(answer, schema.Failed):
+        if isinstance(answer, messages.Failed):
             raise self._failure(answer, broken if answer.what == "contract" else f"raised at {frame.t:.2f} s")
-        if not isinstance(answer, schema.Plan):
+        if not isinstance(answer, messages.Plan):
             raise self._connection.fault(f"{broken}: it did not answer a frame with a plan")
         begin = time.monotonic()
         try:
-            plan = schema.plan_of(answer)
+            plan = messages.plan_of(answer)
         except (ValueError, KeyError) as error:
             raise self._connection.fault(f"{broken}: {clean_text(str(error))}") from None
         if time.monotonic() - begin > limit:
@@ -217,7 +217,7 @@ class ApartPlanner:
             self._watch.took(stage, seconds)
         return plan
 
-    def _failure(self, answer: schema.Failed, how: str) -> Exception:
+    def _failure(self, answer: messages.Failed, how: str) -> Exception:
         """The error for a failure that the planner reports; the planner is ended."""
         self._connection.kill()
         message = clean_text(answer.message)
@@ -240,7 +240,9 @@ def describe_planner(spec: str, table: Mapping[str, object], limits: PlannerProc
     process = _open(spec, limits)
     config = {key: value for key, value in table.items() if value is not None}
     try:
-        process.channel.send(schema.Describe(spec, config, limits.batch > 0), time.monotonic() + limits.start_timeout_s)
+        process.channel.send(
+            messages.Describe(spec, config, limits.batch > 0), time.monotonic() + limits.start_timeout_s
+        )
         answer = process.channel.receive(time.monotonic() + limits.start_timeout_s)
     except LateError:
         process.kill()
@@ -251,10 +253,10 @@ def describe_planner(spec: str, table: Mapping[str, object], limits: PlannerProc
         process.kill()
         raise PlannerError(f"planner '{spec}' ended while it was loaded: {ending}; it printed last: {last}") from None
     process.close()
-    if isinstance(answer, schema.Described):
+    if isinstance(answer, messages.Described):
         return answer.config
-    message = clean_text(answer.message if isinstance(answer, schema.Failed) else "it does not answer")
-    if isinstance(answer, schema.Failed) and answer.what == "config":
+    message = clean_text(answer.message if isinstance(answer, messages.Failed) else "it does not answer")
+    if isinstance(answer, messages.Failed) and answer.what == "config":
         raise ConfigError(message)
     raise PlannerError(message if message.startswith("planner") else f"planner '{spec}': {message}")
 
@@ -289,4 +291,4 @@ def last_words(printed: bytes) -> str:
 
 def clean_text(text: str) -> str:
     """A planner's text for messages of replan: one line of limited length, without control characters."""
-    return "".join(each if each.isprintable() else "?" for each in " ".join(schema.shortened(text).split()))
+    return "".join(each if each.isprintable() else "?" for each in " ".join(messages.shortened(text).split()))

@@ -1,8 +1,8 @@
 """What a command may write: a folder or a file of its own, claimed before any work. All commands that write use this.
 
-A folder is claimed if it is new, empty, or has only what the same command writes (`FolderContents`); a file, if it is new or
-has the command's own header, and does not lie in a result folder. Both are locked while the command runs, so that of
-two commands at once the second is refused. A URL is refused, except by `replan evaluate` and `replan merge`.
+A folder is claimed if it is new, empty, or has only what the same command writes (`FolderContents`); a file, if it is
+new or has the command's own header, and does not lie in a result folder. Both are locked while the command runs, so
+that of two commands at once the second is refused. A URL is refused, except by `replan evaluate` and `replan merge`.
 
 If the disk is full or the command is interrupted, the error says how to go on: of folders in folders (a tuning drives
 runs), the outermost one counts, since it is the one that the user named.

@@ -1,9 +1,9 @@
 """One planning frame as a file: the input of the planner since the start of its drive, its plan, and its QPs.
 
 A dump is one MessagePack map with the fields of `File`. Context, frames and plan are the messages of
-`replay.planner_process.schema` (docs/planners_apart.md): little-endian float64 columns, so that values are read back to
-the bit. A planner has memory, so a dump contains all frames up to the one of interest; in open loop,
-where each frame starts with fresh memory, it contains only that one.
+`replay.planner_process.messages` (docs/planners_apart.md): little-endian float64 columns, so that values are read back
+to the bit. A planner has memory, so a dump contains all frames up to the one of interest; in open loop, where each
+frame starts with fresh memory, it contains only that one.
 
     dump = load(Path("frame.msgpack"))
     dump.frame.agents.ids, dump.problems[0].lower
@@ -26,9 +26,9 @@ from logs.frame import Frame, PlannerContext
 from logs.trace import Plan, SolverReport
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from planners.piecewise_jerk.solvers import SolvedProblem
-from planners.qp import QPResult
+from planners.solver import QPResult
 from replay.loop.plan_check import checked
-from replay.planner_process import schema
+from replay.planner_process import messages
 from replay.planner_process.planner_config import planner_factory, planner_keywords
 
 VERSION = 1
@@ -72,9 +72,9 @@ class File(msgspec.Struct):
     log: str
     planner: str
     config: dict[str, Any]
-    context: schema.Context
-    frames: list[schema.Frame]
-    plan: schema.Plan
+    context: messages.Context
+    frames: list[messages.Frame]
+    plan: messages.Plan
     problems: list[DumpedProblem]
 
 
@@ -115,28 +115,28 @@ def dump(path: Path, one: FrameDump) -> None:
         log=one.log,
         planner=one.planner,
         config=dict(one.config),
-        context=schema.context_message(one.context),
-        frames=[schema.frame_message(frame) for frame in one.frames],
-        plan=schema.plan_message(one.plan, inside=True),
+        context=messages.context_message(one.context),
+        frames=[messages.frame_message(frame) for frame in one.frames],
+        plan=messages.plan_message(one.plan, inside=True),
         problems=problems,
     )
     with writing(path):
-        path.write_bytes(schema.encode(file))
+        path.write_bytes(messages.encode(file))
 
 
 def load(path: Path) -> FrameDump:
     """Read a dump; LogError if the file is damaged, or is not a dump."""
     try:
-        file: File = schema.decode(path.read_bytes(), File)
+        file: File = messages.decode(path.read_bytes(), File)
         if file.version != VERSION:
             raise ValueError(f"a dump of version {file.version}, this replan reads {VERSION}")
         return FrameDump(
             log=file.log,
             planner=file.planner,
             config=file.config,
-            context=schema.context_of(file.context, lambda stage: None),
-            frames=tuple(map(schema.frame_of, file.frames)),
-            plan=schema.plan_of(file.plan),
+            context=messages.context_of(file.context, lambda stage: None),
+            frames=tuple(map(messages.frame_of, file.frames)),
+            plan=messages.plan_of(file.plan),
             problems=tuple(map(_problem_of, file.problems)),
         )
     except (OSError, ValueError, KeyError, msgspec.MsgspecError) as error:

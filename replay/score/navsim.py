@@ -38,9 +38,10 @@ from logs.scenario import Scenario
 from logs.shapes import overlap
 from metrics.boxes import BEHIND, NO_TTC_MPS, STANDING_MPS, EgoOutline
 from metrics.comfort import savgol
-from metrics.lane_map import DrivableLanes, along_line, lane_map
+from metrics.drivable_lanes import DrivableLanes, along_line, lane_map
 from metrics.nuplan import AHEAD, comfort_signals, comfortable, corners_of
-from replay.score.scene import (
+from replay.score.navsim_tracker import LATERAL, STEP_S, TURN, TURN_RATE, YAW, A, V, X, Y, simulated
+from replay.score.window import (
     Polyline,
     RoadblockRoute,
     WindowAgents,
@@ -50,7 +51,6 @@ from replay.score.scene import (
     red_lanes,
     route_of,
 )
-from replay.score.tracker import LATERAL, STEP_S, TURN, TURN_RATE, YAW, A, V, X, Y, simulated
 
 HORIZON_S, POSES, POSE_S, PAST_S, LEAST_WAY_M = 4.0, 8, 0.5, 1.5, 5.0
 STEPS = round(HORIZON_S / STEP_S) + 1

@@ -24,8 +24,8 @@ from logs.states import wrapped
 from metrics.boxes import EgoOutline
 from planners.pdm.planner import PdmConfig
 from replay.score.navsim import STEPS, ScoredWindow, Version, history_comfort, judged, multiplied, progress
-from replay.score.scene import Polyline, WindowAgents, box_on_polygon, centroid, in_corridor, predicted_others
-from replay.score.tracker import STEP_S, YAW, V, X, Y, simulated
+from replay.score.navsim_tracker import STEP_S, YAW, V, X, Y, simulated
+from replay.score.window import Polyline, WindowAgents, box_on_polygon, centroid, in_corridor, predicted_others
 
 CONFIG = PdmConfig()
 FREE_MPS = 15.0
@@ -111,8 +111,8 @@ def _near(path: Polyline, corridor: FloatArray, car: EgoOutline, others: WindowA
 
 
 def _leaders(
-    s: FloatArray, poses: FloatArray, near: dict[int, float], lights: list[tuple[float, FloatArray]], others: WindowAgents,
-    k: int, car: EgoOutline, end: float,
+    s: FloatArray, poses: FloatArray, near: dict[int, float], lights: list[tuple[float, FloatArray]],
+    others: WindowAgents, k: int, car: EgoOutline, end: float,
 ) -> FloatArray:  # fmt: skip
     """Return station, speed and length to the rear of each driver's leader `(5, 3)`.
 

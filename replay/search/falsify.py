@@ -56,9 +56,9 @@ from replay.run.checks import checked
 from replay.run.claim import FolderContents, claimed_folder
 from replay.run.judging import gates_of
 from replay.run.resume import stamp_of
-from replay.search.axes import SearchAxis, SearchSubject, box_of, values_at
-from replay.search.figures import falsify_figure
 from replay.search.mildest import Mildest, Point, ScoredPoint, cma_class, norm, search
+from replay.search.search_figures import falsify_figure
+from replay.search.search_space import SearchAxis, SearchSubject, box_of, values_at
 from replay.search.study import Study
 
 KIND = "falsify"

@@ -2,7 +2,7 @@
 
 For a log i and an objective j, which is a row of the table of metrics with a better direction:
 
-(1) gain_ij = +-(value_ij - default_ij) / scale_j    0 where the difference is rounding (`metrics.compare`, (1)), and
+(1) gain_ij = +-(value_ij - default_ij) / scale_j    0 where the difference is rounding (`metrics.comparison`, (1)), and
                                                      where one of both runs has no value
 (2) scale_j = mean over the training logs of |default_ij|; 1 where that is 0
 (3) objective_j = mean over the training logs of gain_ij, which is maximised
@@ -10,7 +10,7 @@ For a log i and an objective j, which is a row of the table of metrics with a be
 (5) chosen = the feasible trial with the greatest sum over j of (3), if that is above 0; of equals the first. It is on
     the Pareto front
 (6) better = over the held-out logs, the 95 % interval of the mean of sum over j of gain_ij is above 0: a paired
-    percentile bootstrap over logs, seeded, of `LEAST_LOGS` logs at least (`metrics.compare`, (5) and (6))
+    percentile bootstrap over logs, seeded, of `LEAST_LOGS` logs at least (`metrics.comparison`, (5) and (6))
 
 Logs are put in the order of their stratum (the family, else the dataset, else none), then of the SHA-256 of their name.
 The k-th log in this order, from 0, is held out if
@@ -35,7 +35,7 @@ from logs.errors import ConfigError, unknown_name
 from logs.kernel import FloatArray
 from logs.trace import Mode
 from metrics import Metric
-from metrics.compare import MIN_SIGNIFICANT, intervals, noise
+from metrics.comparison import MIN_SIGNIFICANT, intervals, noise
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Outcome
 from replay.results.load import Results

@@ -28,7 +28,7 @@ import tomli_w
 from logs.errors import ConfigError
 from logs.mcap import write_scenario
 from logs.names import counted
-from metrics.compare import Comparison
+from metrics.comparison import Comparison
 from metrics.judge.aggregate import LogLabels
 from replay.compare import compare_runs
 from replay.config import RunConfig
@@ -42,7 +42,6 @@ from replay.run.claim import FolderContents, claimed_folder
 from replay.run.engine import Engine, Local
 from replay.run.resume import identity_of
 from replay.run.sources import Selection
-from replay.search.figures import pareto_figure
 from replay.search.gains import (
     LEAST_LOGS,
     MeanGain,
@@ -55,6 +54,7 @@ from replay.search.gains import (
     scales,
     stratum,
 )  # fmt: skip
+from replay.search.search_figures import pareto_figure
 from replay.search.space import chosen_table, listed, with_values
 from replay.search.study import Study
 from replay.search.trials import KIND, Trials, TuningInputs, Values, key_of, optuna_module

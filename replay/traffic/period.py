@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
-from replay.traffic.following import (
+from replay.traffic.leaders import (
     ACCEL_MPS2,
     STANDING_MPS,
     Leaders,

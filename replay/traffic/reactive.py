@@ -9,7 +9,7 @@ and never ahead of its log.
 Undisturbed, tau_i = t: the log's own samples, to the bit. An agent is disturbed once its leader requires a lower speed
 than the log's. Pairs of agents that are both on their logs are ignored, because real drivers keep other gaps than a
 model does; the ego is on its log while it is within `EGO_M` of it. A late agent makes up time while its log stands.
-`replay.traffic.following` defines leader and acceleration. Late agents also stop at closed lights (`right_of_way`);
+`replay.traffic.leaders` defines leader and acceleration. Late agents also stop at closed lights (`right_of_way`);
 agents on their logs pass them as they did, red ones included. An agent that enters the scene waits while an agent that
 is off its log is in its place, and enters no faster than it can brake for its leader.
 
@@ -36,14 +36,13 @@ from math import cos, hypot, inf, nan, sin
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
-from logs.scenario import AgentKind, Scenario, Tracks
-from logs.scenario import ReplayedAgents as SeenAgents
+from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.states import EgoState
 from metrics.boxes import name_of
 from metrics.reference_drivers import CC_REACT_S
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import FOLLOWING, followers
-from replay.traffic.following import DECEL_MPS2, STANDSTILL_M, taken
+from replay.traffic.leaders import DECEL_MPS2, STANDSTILL_M, taken
 from replay.traffic.period import (
     Coming,
     Ego,
@@ -197,7 +196,7 @@ def extended(log: Tracks, lanes: LaneMap) -> Tracks:
     if not len(log) or not len(lanes):
         return log
     vx, vy = log.velocity(np.arange(len(log)), last)
-    ends = SeenAgents(log.ids, log.kinds, log.length, log.width, log.x[last], log.y[last], log.yaw[last], vx, vy)
+    ends = Agents(log.ids, log.kinds, log.length, log.width, log.x[last], log.y[last], log.yaw[last], vx, vy)
     ahead = np.arange(0.0, 30.0, 0.5)
     way = followers(ends, ahead, lanes)
     rows = [np.vstack([getattr(log, c)[log.samples(i)] for c in _COLUMNS]) for i in range(len(log))]

@@ -7,7 +7,7 @@ the deceleration
 (1) b = v^2 / (2 s)
 
 At yellow, a vehicle stops if that takes no more than `DECEL_MPS2`; at red, and at red and yellow, no more than
-`HARDEST_MPS2`. It stops by `replay.traffic.following` (4) until the light opens (green, off). A vehicle that could not
+`HARDEST_MPS2`. It stops by `replay.traffic.leaders` (4) until the light opens (green, off). A vehicle that could not
 stop drives on, whatever the light shows next, unless something else slows it down until `DECEL_MPS2` suffices.
 
 Until the log leaves its own last standstill before a line, the vehicle stops there as logged, and no line keeps it from
@@ -16,13 +16,13 @@ being on time again. Stop signs are as in the log: the late vehicle slows down w
 An agent on a lane that yields (`Lane.yields_to`) waits for the ego on a lane with priority. The ego is predicted along
 its lanes (`replay.prediction`, every way that it may take) for `LOOK_AHEAD_S`. It has the right of way at its boxes on
 a lane with priority. An agent that is on the yielding lane, or comes to it, goes on as in its log, but no
-faster than its speed v allows: with the distance s from here and a = `following.ACCEL_MPS2`, it arrives after
+faster than its speed v allows: with the distance s from here and a = `leaders.ACCEL_MPS2`, it arrives after
 
 (2) tau(s) = max(time of the log to there, (sqrt(v^2 + 2 a s) - v) / a)
 
 It waits where its box would reach such a place within `SERIOUS_S` before or after the ego (a post-encroachment time
-below 1 s violates the right of way: `metrics.rules`), if it can stop with `following.HARDEST_MPS2` before all of the
-ego's way, held by right or not: a standing leader is placed there. An agent that cannot stop, or is there already,
+below 1 s violates the right of way: `metrics.traffic_rules`), if it can stop with `leaders.HARDEST_MPS2` before all of
+the ego's way, held by right or not: a standing leader is placed there. An agent that cannot stop, or is there already,
 drives on.
 """
 
@@ -40,12 +40,12 @@ from logs.rules import RED, Colour
 from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.shapes import overlap_turned
 from logs.states import EgoState
-from metrics.rules import SERIOUS_S
+from metrics.traffic_rules import SERIOUS_S
 from planners.rules.zones import turned
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import followers
-from replay.traffic import following
-from replay.traffic.following import ACCEL_MPS2, DECEL_MPS2, FINE_M, HARDEST_MPS2, Leaders, Paths, places, sample_at
+from replay.traffic import leaders
+from replay.traffic.leaders import ACCEL_MPS2, DECEL_MPS2, FINE_M, HARDEST_MPS2, Leaders, Paths, places, sample_at
 from replay.traffic.phase_replay import PERIOD_S
 from replay.world import ROUNDING_M, box_center
 
@@ -78,7 +78,7 @@ class RedLights:
         self._light = np.array([one.light for one in found], np.int64)
         self._at = np.array([one.station for one in found])
         self._stands_until = np.array([one.stands_until for one in found])
-        self._paths = following.paths_along(paths)
+        self._paths = leaders.paths_along(paths)
         self._station = _stations(paths)
         self._stops, self._passes = np.zeros(len(found), np.bool_), np.zeros(len(found), np.bool_)
 
@@ -99,13 +99,13 @@ class RedLights:
         red = np.array([colour in RED for colour in shown])[self._light[some]]
         yellow = np.array([colour is Colour.YELLOW for colour in shown])[self._light[some]]
         gap, v = _gaps(self._paths, self._station, phase[at], self._owner[some], self._at[some]), speed[at]
-        counts = (red | yellow) & (gap > 0.0) & (gap <= following.LOOK_M + following.LOOK_S * v)
+        counts = (red | yellow) & (gap > 0.0) & (gap <= leaders.LOOK_M + leaders.LOOK_S * v)
         counts &= self._stands_until[some] <= t + PERIOD_S + 1e-9
         able = v * v <= 2.0 * gap * np.where(yellow | passes, DECEL_MPS2, HARDEST_MPS2)
         stops = counts & (stops | able)
         self._stops[some], self._passes[some] = stops, counts & ~stops
         still = np.zeros(len(gap))
-        wanted = following.accelerations(v, Leaders(np.where(stops, gap, np.inf), still, still))
+        wanted = leaders.accelerations(v, Leaders(np.where(stops, gap, np.inf), still, still))
         np.minimum.at(out, at, wanted)
         return out
 
@@ -122,7 +122,7 @@ def _crossings(scenario: Scenario, paths: Tracks, reacts: BoolArray) -> Iterator
     ahead = 0.5 * paths.length[owner]
     front = np.column_stack([paths.x + ahead * np.cos(paths.yaw), paths.y + ahead * np.sin(paths.yaw)])
     station = _stations(paths)
-    stands = np.diff(station) < following.STANDING_MPS * np.diff(paths.t)
+    stands = np.diff(station) < leaders.STANDING_MPS * np.diff(paths.t)
     lights = {light.id: i for i, light in enumerate(scenario.lights)}
     for line in scenario.road.stop_lines:
         if line.light not in lights:
@@ -184,7 +184,7 @@ class Yielding:
 
     def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray, lanes: LaneMap) -> None:
         self._road, self._car, self._tracks, self._lanes = scenario.road, scenario.vehicle, paths, lanes
-        self._paths = following.paths_along(paths)
+        self._paths = leaders.paths_along(paths)
         self._ways: list[YieldingWay] = []
         for i in np.flatnonzero(reacts).tolist():
             mine = paths.samples(i)

@@ -1,14 +1,14 @@
 """`replan vary`: evaluates a surface of pass and fail over one or two varied parameters of a recording.
 
-    axes.py        the varied parameters and their values
-    encounters.py  distances of road users to the ego, to choose the agents to vary
+    question.py    the varied parameters and their values
+    conflict.py    distances of road users to the ego, to choose the agents to vary
     surface.py     cells -> varied logs -> `replay.run` -> table, edges (where a row stops passing), picture
 
 The picture is drawn by `replay.vary.surface_figure`.
 """
 
-from replay.vary.axes import Axis, SurfaceQuestion, question
-from replay.vary.encounters import encounters, prepared
+from replay.vary.conflict import encounters, prepared
+from replay.vary.question import Axis, SurfaceQuestion, question
 from replay.vary.surface import VaryResult, vary
 
-__all__ = ["Axis", "Question", "VaryResult", "encounters", "prepared", "question", "vary"]
+__all__ = ["Axis", "SurfaceQuestion", "VaryResult", "encounters", "prepared", "question", "vary"]

@@ -45,7 +45,7 @@ from replay.run import evaluate_logs
 from replay.run.claim import FolderContents, claimed_folder
 from replay.run.resume import stamp_of
 from replay.search.study import Study
-from replay.vary.axes import SurfaceQuestion
+from replay.vary.question import SurfaceQuestion
 from replay.vary.surface_figure import surface_figure
 
 PASS, ERROR, UNAVOIDABLE = "pass", "error", "unavoidable"

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from replay.vary.axes import SurfaceQuestion
+    from replay.vary.question import SurfaceQuestion
     from replay.vary.surface import Bracket
 
 LOOKS = {

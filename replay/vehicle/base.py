@@ -51,7 +51,7 @@ def motion_of(state: EgoState) -> MotionState:
 
 
 MOTION, COMMAND, ACTUATION, ERRORS = slice(0, 10), slice(10, 13), slice(13, 16), slice(16, 20)
-"""Columns of a trace's row: `MotionState`; steer, throttle, brake twice; lateral, heading, speed, station (`Deviation`)."""
+"""Columns of a trace's row: `MotionState`; steer, throttle, brake twice; lateral to station of `Deviation`."""
 COLUMNS = 20
 
 

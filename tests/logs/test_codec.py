@@ -14,7 +14,7 @@ from logs.codec import array_as_bytes, array_of, message_of, noun_of
 from logs.frame import PlannerContext
 from logs.mcap import native
 from logs.trace import Corridor, GridCost
-from replay.planner_process import schema
+from replay.planner_process import messages
 
 FIELDS = {
     "Road": "lanes source drives_on_right default_speed_limit stop_lines crosswalks",
@@ -33,7 +33,7 @@ def context() -> PlannerContext:
     return PlannerContext(log.road, log.goal, log.vehicle, 0.1, log.ego.state(0))
 
 
-@pytest.mark.parametrize(("message", "noun"), [(native.Road, Road), (schema.Road, Road), (native.Goal, Goal)])
+@pytest.mark.parametrize(("message", "noun"), [(native.Road, Road), (messages.Road, Road), (native.Goal, Goal)])
 def test_a_noun_comes_back_from_its_message(message: type, noun: type) -> None:
     log = rich_scenario()
     one = log.road if noun is Road else log.goal
@@ -41,8 +41,8 @@ def test_a_noun_comes_back_from_its_message(message: type, noun: type) -> None:
 
 
 def test_a_context_is_the_same_on_the_other_side_and_its_fields_stay() -> None:
-    sent = schema.encode(schema.context_message(context()))
-    again = schema.context_of(schema.decode(sent, schema.Context), print)
+    sent = messages.encode(messages.context_message(context()))
+    again = messages.context_of(messages.decode(sent, messages.Context), print)
     for name in ("road", "goal", "vehicle", "period", "start", "horizon"):
         assert differences(getattr(context(), name), getattr(again, name)) == []
     plain = msgspec.msgpack.decode(sent)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from logs import AgentKind, Agents, Tracks
 from logs.catalogue import scenario
 from logs.mcap import write_trace
-from logs.mcap.trace import plan_message
+from logs.mcap.trace_file import plan_message
 from logs.memory import BACK_S, SPAN_S, FrameStore, NearbyTracks, Recent, SpilledTrajectory, light
 from logs.states import EgoState
 from logs.trace import Graph, PlannedFrame

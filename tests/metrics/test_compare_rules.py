@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import ConfigError
-from metrics.compare import (
+from metrics.comparison import (
     MIN_PAIRS,
     MIN_SIGNIFICANT,
     Comparison,

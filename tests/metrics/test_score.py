@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from logs import AgentKind, EndReason, Mode, Road, RoadSource, Scenario, Trajectory
 from logs.rules import Colour, StopLine, TrafficLight
 from metrics import GROUPS, evaluate
+from metrics.driving_scores import CARLA, NUPLAN_CLOSED, PARTS, Formula, combined
 from metrics.metric import Unavailable
-from metrics.score import CARLA, NUPLAN_CLOSED, PARTS, Formula, combined
 
 ASKED = {metric.name: metric for metric in GROUPS["score"]}
 T = grid(10.0, 0.1)

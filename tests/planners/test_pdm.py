@@ -35,7 +35,7 @@ from logs.trace import SlGraph, StGraph
 from planners.frenet.profiles import HORIZON_KNOTS, STEP_S
 from planners.pdm import Pdm, PdmConfig
 from planners.pdm.planner import Driver, constant_velocity, drive_track, idm_acceleration, track_proposal
-from planners.pdm.score import BOUNDS, PARTS, Scores, comfortable, scores
+from planners.pdm.proposal_score import BOUNDS, PARTS, Scores, comfortable, scores
 from replay.planner_process.planner_config import planner_keywords
 
 C = PdmConfig()

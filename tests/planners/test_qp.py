@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.optimize import nnls
 
 from logs.kernel import FloatArray
-from planners.qp import QPConfig, QPResult, QuadraticProgram
+from planners.solver import QPConfig, QPResult, QuadraticProgram
 
 FAST = QPConfig(eps=1e-6, max_iterations=20_000)
 SURE = QPConfig(max_iterations=1, check_every=1)  # OSQP gives up at once: PIQP answers

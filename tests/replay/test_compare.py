@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from logs import ConfigError, LogError
-from metrics.compare import Comparison
+from metrics.comparison import Comparison
 from replay.cli import app
 from replay.compare import compare_runs, read_run, write_baseline
 from replay.config import RunConfig

@@ -26,8 +26,8 @@ from logs.kernel import FloatArray
 from logs.observed import Spans, inferred
 from logs.readers.base import LogSettings, Reader
 from logs.readers.commonroad.document import Document, Obstacle, PlanningProblem, parse
-from logs.readers.commonroad.road import road_of
-from logs.readers.commonroad.rules import lights_of, with_rules
+from logs.readers.commonroad.lanelets import road_of
+from logs.readers.commonroad.signs import lights_of, with_rules
 from logs.readers.commonroad.tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
 from logs.road import Goal, Road
 from logs.scenario import CENTRE, EGO_POSE, AgentKind, Scenario

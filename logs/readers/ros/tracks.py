@@ -1,8 +1,8 @@
 """Finds the identities of objects over time, and makes tracks with one box, kind and front each.
 
-Identities. Where perception numbers the entries of each list anew (`logs.repair.names`), ids are no identities. Then
-the objects of a frame are assigned to those known so far, by the least sum of distances to the positions expected from
-earlier samples. Outlines of clusters split and merge: an outline whose size differs from that with which an object
+Identities. Where perception numbers the entries of each list anew (`logs.repair.identities`), ids are no identities.
+Then the objects of a frame are assigned to those known so far, by the least sum of distances to the positions expected
+from earlier samples. Outlines of clusters split and merge: an outline whose size differs from that with which an object
 began is another object, since a box has one size.
 
 Tracks. A log has a box in each frame, a Scenario one for each agent: the median of its sizes, and the kind that it had
@@ -23,7 +23,7 @@ from scipy.optimize import linear_sum_assignment
 from logs.agents import USUAL_SIZE_M, AgentKind, Detections, codes_of
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers.ros.ego import AGENT_WINDOW_S, OBJECT_WINDOW_S, rates, spread
-from logs.repair.names import no_identities
+from logs.repair.identities import no_identities
 from logs.scenario import Tracks
 
 NOISE_M = {

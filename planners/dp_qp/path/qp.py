@@ -31,7 +31,7 @@ from logs.kernel import FloatArray
 from logs.trace import CostTerms
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights, X
 from planners.piecewise_jerk.solvers import DEFAULT, solve
-from planners.qp import QPResult
+from planners.solver import QPResult
 
 OUTSIDE = 1e4
 """Cost of a shift of (6), softened, 1/m2."""

@@ -42,7 +42,7 @@ from planners.frenet.path import Path, drivable_path
 from planners.frenet.scene import Occupancy, Scene
 from planners.piecewise_jerk.problem import LEADS, PiecewiseJerkProblem, X
 from planners.piecewise_jerk.solvers import DEFAULT
-from planners.qp import QPResult
+from planners.solver import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
 """Path lengths, m; the shortest that holds the horizon at the present speed is used, so that weights stay constant."""

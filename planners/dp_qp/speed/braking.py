@@ -23,7 +23,7 @@ from planners.dp_qp.speed.qp import RELEASE_MPS3, SpeedProblem, SpeedQp, SpeedQp
 from planners.frenet.profiles import STEP_S, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig
 from planners.piecewise_jerk.solvers import DEFAULT
-from planners.qp import QPResult
+from planners.solver import QPResult
 
 RESERVE = 0.85
 """Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth."""

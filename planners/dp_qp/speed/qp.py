@@ -24,7 +24,7 @@ from logs.trace import CostTerms
 from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, SpeedLimits, braking
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from planners.piecewise_jerk.solvers import DEFAULT, solve
-from planners.qp import QPResult
+from planners.solver import QPResult
 
 Rows = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """The result of `rows_of`."""

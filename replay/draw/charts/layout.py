@@ -12,10 +12,10 @@ from typing import Any
 
 from logs.errors import ConfigError, raised, writing
 from logs.extension import ExtensionKind
+from replay.draw.charts.bird_view import scenes
 from replay.draw.charts.canvas import Chart, Theme, group, shortened, text
 from replay.draw.charts.curves import curves, decisions
-from replay.draw.charts.graphs import sl_graph, st_graph
-from replay.draw.charts.scene import scenes
+from replay.draw.charts.plan_graphs import sl_graph, st_graph
 from replay.draw.charts.subject import Subject
 from replay.results.tables import write_file, write_text
 
@@ -56,7 +56,7 @@ def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
 
 
 def drawn(subject: Subject, name: str) -> list[Chart]:
-    """Draw the charts of a name; a failed chart becomes a placeholder with its error. ConfigError as `ExtensionKind.find`."""
+    """Draw the charts of a name; a failed one is a placeholder with its error. ConfigError as `ExtensionKind.find`."""
     draw = CHART.find(name)
     try:
         charts: Any = draw(subject)

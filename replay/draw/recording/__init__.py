@@ -23,7 +23,7 @@ from replay.draw.model import DrawnGraph, motion_panels, stage_panel, steps_of
 from replay.draw.recording import pages, plots
 from replay.draw.recording.blueprint import RecordingContents, blueprint
 from replay.draw.recording.graphs import Axes, draw_graph, draw_occupancy, sl_axes, st_axes
-from replay.draw.recording.scene import draw_moving, draw_others, draw_scene
+from replay.draw.recording.moving import draw_moving, draw_others, draw_scene
 from replay.draw.recording.tape import Instants, Tape, field_name, path_parts, recording_file
 from replay.explain.explanation import events
 from replay.explain.planner_input import actual_occupancy

@@ -12,8 +12,8 @@ import rerun as rr
 from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Decision, Graph, PlannedFrame, PlanStatus, Trace
+from replay.draw.recording.moving import unseen
 from replay.draw.recording.plots import LaneChange, changes_under_way, lanes_driven
-from replay.draw.recording.scene import unseen
 from replay.draw.recording.tape import MARKDOWN, Instants, Tape, cell, document, plain, table
 from replay.explain import Explanation, accounts
 from replay.explain.course import BRAKES_MPS2

@@ -12,7 +12,7 @@ from logs.names import counted
 from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
 from replay.draw.charts.canvas import Chart, dot, legend, line, rect, shortened, text
 from replay.draw.model import widened
-from replay.draw.report.model import DriveRow, MetricColumn, PassShare
+from replay.draw.report.contents import DriveRow, MetricColumn, PassShare
 
 WIDTH_PX, WIDE_PX, ROW_PX, TOP_PX = 440.0, 640.0, 19.0, 40.0
 LABEL_SHARE = 0.4

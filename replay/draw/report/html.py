@@ -24,14 +24,14 @@ from markupsafe import Markup
 
 from logs.errors import ConfigError, LogError, OutputError, ReplanError, raised, writing
 from logs.names import counted
-from metrics.compare import Comparison
+from metrics.comparison import Comparison
 from metrics.judge.gates import Outcome
 from replay.draw.charts import Chart, subject
 from replay.draw.charts.canvas import RULES, filled, printable, roles
 from replay.draw.charts.layout import BROKEN, placed
 from replay.draw.charts.subject import Subject
 from replay.draw.report.charts import distributions, moved, pass_shares
-from replay.draw.report.model import DriveRow, Overview, worst_flips
+from replay.draw.report.contents import DriveRow, Overview, worst_flips
 from replay.explain.explanation import TimedEvent, events
 from replay.results.load import DriveResult, Results
 from replay.results.tables import safe_name, write_text

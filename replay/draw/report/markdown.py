@@ -16,9 +16,9 @@ import pandas as pd
 
 from logs.errors import writing
 from logs.names import counted
-from metrics.compare import Comparison
+from metrics.comparison import Comparison
 from metrics.judge.gates import Outcome
-from replay.draw.report.model import BROKEN, NOTHING, Overview, PassShare, legend
+from replay.draw.report.contents import BROKEN, NOTHING, Overview, PassShare, legend
 
 STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
 """The environment variable with the path of the file that CI shows as the summary of a step."""

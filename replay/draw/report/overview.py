@@ -22,14 +22,14 @@ import pandas as pd
 
 from logs.names import counted
 from logs.trace import EndReason, Mode
-from metrics.compare import Comparison
+from metrics.comparison import Comparison
 from metrics.judge import outcomes, worst
 from metrics.judge.aggregate import LogLabels, membership, pass_shares, standings
 from metrics.judge.discrimination import BLIND_FAILS
 from metrics.judge.gates import Outcome
 from metrics.judge.verdicts import judge_deadline
 from replay.draw.charts.subject import GRAVE, gravity
-from replay.draw.report.model import (
+from replay.draw.report.contents import (
     COLUMNS,
     COMPARED,
     FREE,

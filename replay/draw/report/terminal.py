@@ -18,11 +18,11 @@ from rich.padding import Padding
 from rich.text import Text
 
 from logs.names import counted
-from metrics.compare import Comparison
+from metrics.comparison import Comparison
 from metrics.judge.gates import Outcome
 from metrics.judge.verdicts import DRIVE
 from replay.draw.report.console import grid, titled
-from replay.draw.report.model import BROKEN, NOTHING, Overview, legend, worst_flips
+from replay.draw.report.contents import BROKEN, NOTHING, Overview, legend, worst_flips
 
 MAX_ROWS = 30
 """Largest number of listed drives; drives with most marked values come first."""

@@ -19,9 +19,9 @@ from logs import ConfigError, DecisionKind, Scenario
 from logs.catalogue import BUILTIN, CATALOGUE, FAMILIES, SUITES, ordered, scenario, spread, suite
 from logs.catalogue.driver import drive
 from logs.catalogue.family import before_contact, touches
+from logs.catalogue.family_parts import START_M
 from logs.catalogue.iso3888 import cones, double_lane_change
 from logs.catalogue.roads import curve
-from logs.catalogue.scene import START_M
 from logs.mcap import write_scenario
 from logs.readers import read_log
 from logs.vehicle import VehicleParameters

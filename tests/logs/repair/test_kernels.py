@@ -18,7 +18,7 @@ from logs.catalogue.detector import detected
 from logs.kernel import BoolArray, FloatArray
 from logs.readers import read_log
 from logs.repair import detections_of, needs_repair
-from logs.repair.boxes import Boxes, shared_area, stronger_twins
+from logs.repair.detected_boxes import Boxes, shared_area, stronger_twins
 from logs.repair.kalman import FIRST_MPS, STAND_MPS, smoothed
 
 Q = 1.6

@@ -20,14 +20,14 @@ from scipy.optimize import linprog, nnls
 
 from logs.errors import ConfigError
 from logs.kernel import FloatArray
-from planners.dp_qp.config import DpQpConfig
+from planners.dp_qp.parameters import DpQpConfig
 from planners.dp_qp.path import qp as path_qp
 from planners.dp_qp.speed import qp as speed_qp
 from planners.piecewise_jerk import interior_point
 from planners.piecewise_jerk.interior_point import ACCURACY_M, INFEASIBLE, SOLVED, STATUS
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights, largest_violation
 from planners.piecewise_jerk.solvers import SOLVERS, matrices, solve, structure, vectors
-from planners.qp import QPResult
+from planners.solver import QPResult
 from replay.loop.open_loop import run_open_loop
 from replay.run.sources import LogSource
 

@@ -17,7 +17,7 @@ from typer.main import get_command
 from logs.errors import ConfigError
 from logs.mcap import read_scenario
 from replay.cli import PANELS, app
-from replay.cli.drives import matching_drives
+from replay.cli.one_drive import matching_drives
 from replay.cli.options import EVALUATE, replaced
 from replay.config import RunConfig, load_run
 from replay.draw.report.overview import overview

@@ -27,7 +27,7 @@ from metrics import METRICS
 from planners import PLANNERS
 from replay.cli.listing import KINDS, entries
 from replay.cli.options import complete_setting, names
-from replay.cli.progress import LEAST_S, Pace, progress, sign_of_life, with_kernels
+from replay.cli.progress_bar import LEAST_S, Pace, progress, sign_of_life, with_kernels
 from replay.control import CONTROLLERS
 from replay.draw.charts.layout import CHARTS
 from replay.loop.perception import PERCEPTIONS, PREDICTIONS
@@ -199,7 +199,7 @@ def test_kernels_that_are_compiled_meanwhile_are_counted(monkeypatch: pytest.Mon
     monkeypatch.setattr("logs.kernel._is_stored", stored.__contains__)
     monkeypatch.setattr("logs.kernel._STORED", list("abcd") + [str(k) for k in range(16)])
     clock = iter([0.0, 20.0, 40.0, 60.0, 101.0])
-    monkeypatch.setattr("replay.cli.progress.perf_counter", lambda: next(clock))
+    monkeypatch.setattr("replay.cli.progress_bar.perf_counter", lambda: next(clock))
     words = with_kernels(lambda: "0 of 9 logs")
     assert is_cache_cold() and words() == "0 of 9 logs"
     stored |= {"b", "c"}
@@ -214,7 +214,7 @@ def test_progress_is_said_on_stderr_as_lines(
     from replay.run.sources import LogSource, Selection
 
     clock = iter(range(0, 1000, 10))
-    monkeypatch.setattr("replay.cli.progress.monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr("replay.cli.progress_bar.monotonic", lambda: float(next(clock)))
     done = replace(LogResult("a", "a"), seconds=1.0)
     with progress() as (on_start, on_log):
         on_start(Selection(tuple(map(LogSource, "abcde"))), Path("out"))

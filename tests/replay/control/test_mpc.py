@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from logs import Command, ConfigError, EgoState, Plan, Trajectory, VehicleParameters
-from planners.qp import QPConfig, QuadraticProgram
+from planners.solver import QPConfig, QuadraticProgram
 from replay.control.lateral_model import body_model, lateral_table, slip_table, with_rigid_tyres
 from replay.control.mpc import Mpc, MpcConfig, TrackingProgram
 from replay.control.mpc_model import (

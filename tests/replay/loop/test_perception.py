@@ -16,7 +16,7 @@ from logs import AgentKind, Agents, ConfigError, EgoState, Frame, LogError, Scen
 from logs.agents import Detections, Repair
 from logs.kernel import FloatArray
 from logs.repair import detections_of
-from logs.repair.names import named_as_tracked
+from logs.repair.identities import named_as_tracked
 from logs.shapes import overlap
 from replay.config import LoopConfig, SensorConfig
 from replay.loop.closed_loop import run_closed_loop

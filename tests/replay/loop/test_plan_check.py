@@ -18,7 +18,7 @@ from replay.config import LoopConfig, PlannerProcessConfig
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
 from replay.loop.plan_check import checked, of_positions
-from replay.planner_process.schema import LONGEST_REASON, MOST_POINTS
+from replay.planner_process.messages import LONGEST_REASON, MOST_POINTS
 from replay.prediction import predict
 
 AHEAD = 0.1 * np.arange(51)

@@ -29,7 +29,7 @@ import pytest
 
 from logs import AgentKind, EndReason, Scenario, Trace
 from logs.catalogue import CATALOGUE
-from logs.catalogue.scene import HALF_LANE
+from logs.catalogue.family_parts import HALF_LANE
 from planners.dp_qp.speed.qp import SpeedQpConfig
 from planners.frenet.st_boundaries import StGraphConfig
 from replay.config import LoopConfig

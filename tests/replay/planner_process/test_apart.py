@@ -20,16 +20,16 @@ from logs import ConfigError, EndReason, Goal, PlannerContext, PlannerError, Sce
 from logs.agents import NUMBERS, OPTIONAL
 from logs.catalogue import CATALOGUE
 from logs.mcap import write_scenario
-from logs.mcap.trace import plan_message
+from logs.mcap.trace_file import plan_message
 from logs.states import TRAJECTORY_COLUMNS
 from metrics import evaluate
 from replay.config import LoopConfig, PlannerProcessConfig, RunConfig
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
-from replay.planner_process import schema
+from replay.planner_process import messages
 from replay.planner_process.connection import clean_text, describe_planner
+from replay.planner_process.messages import context_message, context_of, decode, encode, frame_message, frame_of
 from replay.planner_process.processes import _warm, set_template_run
-from replay.planner_process.schema import context_message, context_of, decode, encode, frame_message, frame_of
 from replay.run.one_log import LOOPS
 from replay.run.resume import stamp_of
 from replay.world import World
@@ -108,8 +108,8 @@ def test_the_time_to_read_an_answer_counts(monkeypatch: pytest.MonkeyPatch) -> N
         time.sleep(0.5)
         return plan_of(message)
 
-    plan_of = schema.plan_of
-    monkeypatch.setattr(schema, "plan_of", slowly)
+    plan_of = messages.plan_of
+    monkeypatch.setattr(messages, "plan_of", slowly)
     assert (
         "sent a plan that takes more than 0.4 s to read at t = "
         in ended("planners.constant_speed:ConstantSpeed").detail
@@ -277,7 +277,7 @@ def test_a_goal_with_alternatives_reaches_the_planner_and_one_without_is_as_befo
     log = scenario(drive(straight, 10.0, 1.0))
     for goal in (plain, both):
         sent = context_message(PlannerContext(log.road, goal, log.vehicle, 0.1, log.ego.state(0)))
-        found = context_of(decode(encode(sent), schema.Context), print).goal
+        found = context_of(decode(encode(sent), messages.Context), print).goal
         assert found is not None and (found.t, found.v, found.yaw) == (goal.t, goal.v, goal.yaw)
         assert [one.v for one in found.alternatives] == [one.v for one in goal.alternatives]
         np.testing.assert_array_equal(np.vstack(found.regions), np.vstack(goal.regions))
@@ -291,12 +291,12 @@ def test_agents_reach_the_planner_with_all_columns_and_without_those_of_older_se
     assert not len(frame.agents)
     frame = perceive(World(replace(log.ego.state(0), t=0.6), log.tracks))
     sent = encode(frame_message(frame))
-    found = frame_of(decode(sent, schema.Frame)).agents
+    found = frame_of(decode(sent, messages.Frame)).agents
     for name in NUMBERS:
         np.testing.assert_array_equal(getattr(found, name), getattr(frame.agents, name), err_msg=name)
     assert found.age == pytest.approx([0.2]) and found.unseen == pytest.approx([0.1])
     plain = msgspec.msgpack.decode(sent)
     for name in OPTIONAL:
         del plain["agents"][name]
-    old = frame_of(decode(encode(plain), schema.Frame)).agents
+    old = frame_of(decode(encode(plain), messages.Frame)).agents
     assert all(np.isnan(getattr(old, name)).all() for name in OPTIONAL) and old.x == frame.agents.x

@@ -20,7 +20,7 @@ from logs.transform import mirrored, moved
 from replay.config import DEFAULT_LOOP
 from replay.loop.open_loop import run_open_loop
 from replay.score.navsim import VERSIONS, ScoredPlan, human_poses, scored, total, window
-from replay.score.tracker import fitted, simulated
+from replay.score.navsim_tracker import fitted, simulated
 from replay.score.trajectories import of_trace
 
 VALUES = Path(__file__).parents[2] / "support" / "leaderboards"

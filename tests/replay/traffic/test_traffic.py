@@ -22,7 +22,7 @@ from logs.readers.commonroad import read_commonroad
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
 from replay.traffic import TRAFFIC, Reactive
-from replay.traffic.following import ACCEL_MPS2, HARDEST_MPS2, STANDSTILL_M, TIME_GAP_S, enhanced_idm
+from replay.traffic.leaders import ACCEL_MPS2, HARDEST_MPS2, STANDSTILL_M, TIME_GAP_S, enhanced_idm
 from replay.traffic.phase_replay import PERIOD_S, PhaseReplay, played
 from replay.world import World, contact, logged_ego
 

@@ -23,7 +23,7 @@ from replay.config import RunConfig
 from replay.run import evaluate_logs
 from replay.run.claim import STUDY
 from replay.vary import VaryResult, encounters, prepared, question, vary
-from replay.vary.encounters import conflicting_agent, lines, opened, question_about
+from replay.vary.conflict import conflicting_agent, lines, opened, question_about
 from replay.vary.surface import Bracket, bisect_brackets, brackets
 
 RUN = RunConfig(planners=("constant_speed",), recording=False, internals="none")

@@ -17,7 +17,7 @@ from logs import AgentKind, LogError, RoadSource, Scenario
 from logs.readers import read_log
 from logs.readers.commonroad import read_commonroad
 from logs.readers.commonroad.document import Obstacle, parse
-from logs.readers.commonroad.road import _crossable
+from logs.readers.commonroad.lanelets import _crossable
 from logs.readers.commonroad.tracks import _prediction_error, ego_log, sized, turned, velocities
 
 # laws

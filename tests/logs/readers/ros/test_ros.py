@@ -34,7 +34,7 @@ from logs.readers.ros.fields import MOST_FIELDS, decoder
 from logs.readers.ros.frames import clock_of, times_of
 from logs.readers.ros.objects import smallest_rectangles
 from logs.readers.ros.tracks import joined
-from logs.repair.names import no_identities
+from logs.repair.identities import no_identities
 from logs.states import OnboardPlan
 from logs.transform import mirrored, moved
 from replay.loop.closed_loop import run_closed_loop

@@ -41,7 +41,7 @@ from replay.draw.recording.graphs import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes,
 from replay.draw.recording.pages import why
 from replay.draw.recording.pictures import Picture, ScreenshotError, arranged, click_theme, take_pictures
 from replay.draw.recording.plots import MOST_NUMBERS, with_two_numbers
-from replay.draw.recording.road import covered, dashes
+from replay.draw.recording.road_layer import covered, dashes
 from replay.draw.recording.tape import (
     DRAWABLE,
     Instants,

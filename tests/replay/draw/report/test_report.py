@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 
 from logs.mcap import write_scenario
 from logs.names import visible_name
-from metrics.compare import FLIP_COLUMNS, GROUP_COLUMNS, PAIR_COLUMNS, Comparison, RuleVerdict
+from metrics.comparison import FLIP_COLUMNS, GROUP_COLUMNS, PAIR_COLUMNS, Comparison, RuleVerdict
 from metrics.judge.gates import Outcome
 from replay.cli import app
 from replay.config import RunConfig

@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 
 from logs.names import counted
-from metrics.compare import Comparison
+from metrics.comparison import Comparison
 from metrics.judge.aggregate import BOTH, SUITE
 from metrics.judge.gates import Outcome
 

@@ -24,7 +24,7 @@ from logs.trace import Decision, PlannedFrame, Trace
 from replay.draw.model import decided, in_full, plan_seconds
 from replay.draw.recording import colours
 from replay.draw.recording.plots import places
-from replay.draw.recording.road import at_height, draw_goal, draw_lights, draw_lines, draw_road
+from replay.draw.recording.road_layer import at_height, draw_goal, draw_lights, draw_lines, draw_road
 from replay.draw.recording.tape import REMOVED, Instants, Tape, joined, pixels, plain
 from replay.explain.planner_input import agents_shown
 

@@ -24,11 +24,11 @@ most differences are exactly 0.
 The same gates and the candidate's reference drives judge both tables. A flip is marginal if the value changed by no
 more than the noise of (1), or if the baseline's ensemble found the drive fragile. Rules do not count marginal flips.
 
-Rules (`metrics.judge.gates.GateRule`) limit how much worse than the baseline a candidate may be. Marginal flips and, with
-"worst", fragile drives break no rule; the reason states their number. A rule, optional or not, is INCONCLUSIVE where
-the candidate lacks evidence that the baseline has: the metric has another version, or only the baseline has it; gates
-that passed have no value now in more than LOST_SHARE of the logs; or the change exceeds the limit, `significant` is
-set, and there are too few logs for any change to be significant.
+Rules (`metrics.judge.gates.GateRule`) limit how much worse than the baseline a candidate may be. Marginal flips and,
+with "worst", fragile drives break no rule; the reason states their number. A rule, optional or not, is INCONCLUSIVE
+where the candidate lacks evidence that the baseline has: the metric has another version, or only the baseline has it;
+gates that passed have no value now in more than LOST_SHARE of the logs; or the change exceeds the limit, `significant`
+is set, and there are too few logs for any change to be significant.
 """
 
 from __future__ import annotations

@@ -127,8 +127,9 @@ def straight_path(speed: float, duration: float) -> CurveSamples:
 
 
 def finished(
-    path: CurveSamples, driven: Trajectory, agents: Sequence[Agent], road: Road, duration: float, *, begin: float | None = None,
-    edges: tuple[float, float] = (-HALF_LANE, HALF_LANE), metadata: Mapping[str, str] | None = None,
+    path: CurveSamples, driven: Trajectory, agents: Sequence[Agent], road: Road, duration: float, *,
+    begin: float | None = None, edges: tuple[float, float] = (-HALF_LANE, HALF_LANE),
+    metadata: Mapping[str, str] | None = None,
 ) -> Scenario:  # fmt: skip
     """The scenario of a drive, without a name.
 

@@ -12,7 +12,7 @@ import pandas as pd
 from logs.errors import ConfigError
 from logs.scenario import Scenario
 from logs.trace import EndReason
-from metrics.lane_map import IN_JUNCTION
+from metrics.drivable_lanes import IN_JUNCTION
 from replay.results.load import Results
 from replay.score.navsim import (
     NUPLAN_CAR,

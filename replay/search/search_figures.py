@@ -13,7 +13,7 @@ from replay.draw.report.figures import STYLE, empty_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from replay.search.axes import SearchAxis
+    from replay.search.search_space import SearchAxis
 
 LOOKS = {
     "pass": ("o", "#56b4e9", "passes"),

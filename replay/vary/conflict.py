@@ -29,7 +29,7 @@ from metrics.boxes import NO_TTC_MPS, EgoOutline, OtherBoxes, car_of, ego_boxes,
 from metrics.encounters import CROSSING_RAD, encroachment, may_meet
 from replay.loop.reference_drives import reference_drives
 from replay.run.sources import LogSource
-from replay.vary.axes import SurfaceQuestion, question
+from replay.vary.question import SurfaceQuestion, question
 
 GRID_S = 0.1
 SEEN_S = 1.0
@@ -166,7 +166,7 @@ def question_about(
     """The question of `--vary` about agents, named by whole id or short name; by default the one in conflict.
 
     Raises:
-        ConfigError: As `replay.vary.axes.question` and `conflicting_agent`.
+        ConfigError: As `replay.vary.question.question` and `conflicting_agent`.
     """
     found = question(words, [*map(scenario.short_names.whole, agents)], resolution)
     return found if agents or not found.varies_agents else replace(found, agents=(conflicting_agent(scenario),))

@@ -25,7 +25,7 @@ from logs import agents, frame, states, trace
 from logs.agents import AgentKind
 from logs.codec import Column, array_as_bytes, array_of, message_of, noun_of, packed, unpacked
 from logs.mcap import native
-from logs.mcap.trace import artefacts_of, inside_of
+from logs.mcap.trace_file import artefacts_of, inside_of
 from logs.road import Goal, Lane
 from logs.rules import Colour, Crosswalk, StopLine
 from logs.states import TRAJECTORY_COLUMNS, EgoState

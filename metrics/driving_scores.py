@@ -32,7 +32,7 @@ import numpy as np
 from logs.once import once
 from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
-from metrics import nuplan, plans, progress, rules, safety
+from metrics import nuplan, plans, progress, safety, traffic_rules
 from metrics.metric import FINAL, Measured, Metric, Series, Unavailable
 
 MISS_SHARE, NEAR_M, NEAR_RAD = 0.3, 8.0, 0.8
@@ -86,10 +86,10 @@ def _penalties(trace: Trace, scenario: Scenario) -> Value:
 
 
 def _inside_lanes(trace: Trace, scenario: Scenario) -> Value:
-    off, against = (_series(metric, trace, scenario) for metric in (safety.OFF_ROAD, rules.WRONG_WAY))
+    off, against = (_series(metric, trace, scenario) for metric in (safety.OFF_ROAD, traffic_rules.WRONG_WAY))
     if isinstance(off, Unavailable) or isinstance(against, Unavailable):
-        return off if isinstance(off, Unavailable) else rules.NO_LANES
-    wrong = (off.value > safety.OFF_ROAD_M) | (against.value > rules.AGAINST_MPS)
+        return off if isinstance(off, Unavailable) else traffic_rules.NO_LANES
+    wrong = (off.value > safety.OFF_ROAD_M) | (against.value > traffic_rules.AGAINST_MPS)
     metres = np.hypot(np.diff(trace.ego.x), np.diff(trace.ego.y))
     return 1.0 - float(metres[wrong[1:]].sum() / metres.sum()) if metres.sum() > 0.0 else 1.0
 
@@ -116,8 +116,8 @@ def _mean_within(bound: float, found: list[Series]) -> bool:
 PARTS: Mapping[str, Part] = MappingProxyType({
     "completion": _part_of(progress.COMPLETION, lambda series: series.value[-1]),
     "penalties": _penalties,
-    "red_lights": _part_of(rules.RED_LIGHT, lambda series: CARLA_RED ** float(np.nansum(series.value))),
-    "stop_signs": _part_of(rules.STOP_SIGN, lambda series: CARLA_STOP ** float(np.nansum(series.value))),
+    "red_lights": _part_of(traffic_rules.RED_LIGHT, lambda series: CARLA_RED ** float(np.nansum(series.value))),
+    "stop_signs": _part_of(traffic_rules.STOP_SIGN, lambda series: CARLA_STOP ** float(np.nansum(series.value))),
     "inside_lanes": _inside_lanes,
     "miss": _open_loop(plans.MISS, lambda found: all(np.mean(~(one.value == 0.0)) <= MISS_SHARE for one in found)),
     "ade": _open_loop(plans.ADE, partial(_mean_within, NEAR_M)),

@@ -5,10 +5,10 @@ crosses another lane. The other drivable lanes are lanes. A roadblock is a set o
 neighbours in one direction. The intersections are the areas of the connectors. Lanes end where they end: none is
 extended beyond the map.
 
-A lane is an index into `DrivableLanes.lanes`. The route of poses is, at each, the lane or connectors under it (`route`):
-those of the pose before, their successors if there was one only, else a new search: the first lane, else all
-connectors. A pose that leaves a connector for an unrelated one stays with connectors nearer than `NEAR_M`. At last,
-of several connectors those remain that lead on to the next pose's.
+A lane is an index into `DrivableLanes.lanes`. The route of poses is, at each, the lane or connectors under it
+(`route`): those of the pose before, their successors if there was one only, else a new search: the first lane, else all
+connectors. A pose that leaves a connector for an unrelated one stays with connectors nearer than `NEAR_M`. At last, of
+several connectors those remain that lead on to the next pose's.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import distance, overlap
 from logs.states import wrap, wrapped
 from metrics.boxes import EgoOutline, ego_boxes, others_at
-from metrics.lane_map import DrivableLanes, along_line
+from metrics.drivable_lanes import DrivableLanes, along_line
 from metrics.nuplan import route_lanes
 
 STEP_S, SAMPLE_S, NEAR_M, BEYOND_M = 0.1, 0.5, 100.0, 100.0

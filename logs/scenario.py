@@ -15,6 +15,7 @@ from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, k
 from logs.motion import Motion, estimated
 from logs.names import ShortNames
 from logs.observed import MAX_AGE_S, MAX_GAP_S, Spans, inferred, patience
+from logs.references import References
 from logs.road import Goal, Road
 from logs.rules import TrafficLight
 from logs.states import MOST_RAD, Controls, OnboardPlan, Trajectory
@@ -24,11 +25,9 @@ TREND_S = 1.0
 """Longest span of the backward differences for yaw rate and acceleration, s; rarer samples use one step back."""
 BEGIN_S = 0.1
 """A road user with a sample by this time was present at the scenario's start: one interval at 10 Hz, s."""
-FINDING = "reference_"
-"""Prefix of metadata entries that the replay adds to a scenario; they are never read from a log."""
 EGO_POSE, CENTRE = "ego_pose", "box centre"
 """Metadata entry, and its value if the log has poses of the ego's box centre instead of its rear axle."""
-__all__ = ["CENTRE", "EGO_POSE", "FINDING", "AgentKind", "Agents", "Scenario", "Tracks"]
+__all__ = ["CENTRE", "EGO_POSE", "AgentKind", "Agents", "Scenario", "Tracks"]
 _TURNING = among(*(kind for kind in AgentKind if kind is not AgentKind.PEDESTRIAN))
 _NOT_ASKED = frozen(np.empty(0))
 
@@ -343,7 +342,7 @@ class Scenario:
         source: Origin of the log; `licence` is its licence.
         origin: World offset `(x, y)` that the reader subtracted, m.
         start_ns: Log time of t = 0, nanoseconds.
-        metadata: Other data of the log (generator, parameters, seed), and findings of the reader (`FINDING`).
+        metadata: Other data of the log (generator, parameters, seed).
         notes: Assumptions of the reader, one sentence each, which are shown to the user.
         lights: The traffic lights that the road's stop lines name, sorted by id. A light that a stop line names and
             that is not among them was not observed.
@@ -351,6 +350,7 @@ class Scenario:
         traffic: Spans in which the other road users were observed, if the log states them (`traffic_spans`).
         detections: Raw boxes, of which `logs.readers` makes tracks; None: the tracks are complete.
         repair: The repair that made the tracks from detections; None: the tracks are the log's own.
+        references: What reference drivers do in it; the replay adds them, no log holds them.
 
     Raises:
         ValueError: The scenario is shorter than its ego log, two lights have one id, or a traffic span is invalid.
@@ -376,6 +376,7 @@ class Scenario:
     traffic: Spans | None = None
     detections: Detections | None = None
     repair: Repair | None = None
+    references: References = field(default_factory=References)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))

@@ -45,7 +45,7 @@ from replay.draw.report.contents import (
     PassShare,
     StageQuantiles,
 )
-from replay.drive import BATCHED, NOT_DETERMINISTIC, TRUSTED
+from replay.drive import Mark
 from replay.results.load import Results
 from replay.results.tables import OUTCOMES
 
@@ -148,14 +148,9 @@ def combined(codes: Iterable[int]) -> int:
 
 def marked(drives: Sequence[Any]) -> str:
     """The name of the planner of drives, with marks: oracle, trusted, batched, not deterministic."""
-    notes, oracle = [str(note) for drive in drives for note in drive.notes], any(drive.oracle for drive in drives)
-    marks = {
-        "oracle": oracle,
-        "trusted": TRUSTED in notes and not oracle,
-        "batched": any(note.startswith(BATCHED.partition(":")[0]) for note in notes),
-        "not deterministic": any(note.startswith(NOT_DETERMINISTIC) for note in notes),
-    }
-    return " ".join([str(drives[0].planner), *(f"({mark})" for mark, holds in marks.items() if holds)])
+    marks = ["oracle"] if any(drive.oracle for drive in drives) else []
+    marks += [mark.value for mark in Mark if any(mark.value in drive.marks for drive in drives)]
+    return " ".join([str(drives[0].planner), *(f"({mark})" for mark in marks)])
 
 
 Values = Mapping[tuple[str, str, str, str], float]
@@ -172,11 +167,11 @@ def _drives(
 ) -> tuple[DriveRow, ...]:
     judged: dict[Key, list[Outcome]] = {}
     broken: dict[Key, list[int]] = {}
-    columns_of = (verdicts[name] for name in ("log", "planner", "outcome", "gate"))
-    for log, planner, outcome, gate in zip(*columns_of, strict=True):
+    columns_of = (verdicts[name] for name in ("log", "planner", "outcome", "metric"))
+    for log, planner, outcome, metric in zip(*columns_of, strict=True):
         judged.setdefault((log, planner), []).append(Outcome(outcome))
         if outcome == Outcome.FAIL.value:
-            broken.setdefault((log, planner), []).append(gravity(gate))
+            broken.setdefault((log, planner), []).append(gravity(metric))
     grouped: dict[Key, list[Any]] = {}
     for drive in results.drives.itertuples():
         grouped.setdefault((str(drive.log), str(drive.planner)), []).append(drive)

@@ -260,7 +260,10 @@ class Look(StrEnum):
 def plot(
     result: Annotated[Path, typer.Argument(help="A folder of results.")],
     log: opt.OfLog = None,
-    planner: opt.OfPlanner = None,
+    planner: Annotated[
+        list[str] | None,
+        opt.planner_option(None, "Drives of this planner; repeatable: the log's drives of all in one picture."),
+    ] = None,
     mode: opt.OfMode = None,
     at: Annotated[float | None, opt.at_option("Default: the worst moment.")] = None,
     chart: Annotated[
@@ -274,12 +277,13 @@ def plot(
     theme: Annotated[Look, typer.Option(help="Auto: an SVG follows its reader's system, a PNG is light.")] = Look.auto,
     width: Annotated[int, typer.Option(min=200, max=8000, help="Width of the picture, pixels.")] = 1400,
 ) -> None:
-    """Draw a drive as SVG or PNG: scene, S-T and S-L graph, curves, decisions.
+    """Draw a drive as SVG or PNG: scene, S-T and S-L graph, curves, decisions. Or several of one log together.
 
     [bold]Examples[/bold]
 
       replan plot results/run-001
       replan plot results/run-001 --log paper/crossing_pedestrian --at 6.5 --chart st -o st.svg
+      replan plot results/run-001 -p dp_qp -p idm --chart curves
     """
     with handle_errors():
         from replay.draw.charts.layout import charts_of, save, together
@@ -287,18 +291,18 @@ def plot(
         from replay.results.load import load
         from replay.results.tables import safe_name
 
-        chosen = chosen_drive(load(result), log, planner, mode)
-        drive, title = chosen.drive, chosen.title
-        name = f"{safe_name(drive.log)}-{safe_name(drive.planner)}-{drive.mode}"
+        run, planners = load(result), list(dict.fromkeys(planner or ()))
+        chosen = chosen_drive(run, log, next(iter(planners), None), mode)
+        drive = chosen.drive
+        seen = subject(drive, at, [run.drive(drive.log, other, drive.mode) for other in planners[1:]])
+        name = "-".join([safe_name(drive.log), *map(safe_name, planners or [drive.planner]), drive.mode])
         path = Path(f"{name}-{safe_name(chart)}.png") if out is None else out
         if path.suffix not in ("", ".png", ".svg") and not path.is_dir():
             raise ConfigError(f"{path}: a picture ends with .png or .svg, a folder has no ending")
-        seen = subject(drive, at)
         charts = charts_of(seen, chart, width)
-        why = "" if at is not None else f": {seen.moment.why}"
         if path.suffix in (".png", ".svg") and not path.is_dir():
-            save(together(charts, title, f"at {seen.moment.t:.2f} s{why}", width), path, theme=theme.value, width=width)
-            say(f"{path}  ({title}, at {seen.moment.t:.2f} s{why}){chosen.remark}")
+            save(together(charts, seen.title, seen.says, width), path, theme=theme.value, width=width)
+            say(f"{path}  ({seen.title}, {seen.says}){chosen.remark}")
             return
         for one in charts:
             for ending in (".png", ".svg"):

@@ -6,7 +6,8 @@ columns of the trace, the scenario, the timings and the series of the metrics; n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Sequence
+from collections import Counter
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil, floor, log10
 from typing import TYPE_CHECKING
@@ -85,6 +86,7 @@ class Curve:
         width: Width in recordings, pixels.
         steps: Whether a value holds until the next.
         spiky: Whether the axis may cut off its rarest values.
+        asked: Whether it is what was planned or asked for, not what was done.
     """
 
     name: str
@@ -95,6 +97,7 @@ class Curve:
     width: float = 1.5
     steps: bool = False
     spiky: bool = False
+    asked: bool = False
 
     @property
     def known(self) -> FloatArray:
@@ -303,15 +306,18 @@ def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
             Panel("change", "Change from plan to plan [m]", change, 0.2, ("plan_change",), 0.0),
         )
     errors, done, asked = trace.tracking, trace.actuation, trace.commands
-    plan = [Curve("plan", "plan", errors.t, np.interp(errors.t, ego.t, ego.v) - errors.speed)] if errors else []
+    wanted = (errors.t, np.interp(errors.t, ego.t, ego.v) - errors.speed) if errors else None
+    plan = [Curve("plan", "plan", *wanted, asked=True)] if wanted else []
     accelerations = measured("along", "lon_accel"), measured("across", "lat_accel")
     jerks = measured("along", JERK, spiky=True), measured("across", "lat_jerk_state", spiky=True)
     gaps = measured("all", "gap", gaps=True), measured("pedestrians, riders", "gap_vulnerable", gaps=True)
     ttc = (measured("TTC", "ttc", gaps=True),)
     steers = (("done", done), ("asked", asked))
-    steer = tuple(Curve(word, word, some.t, some.steer) for word, some in steers if some)
+    steer = tuple(Curve(word, word, some.t, some.steer, asked=some is asked) for word, some in steers if some)
     return _panels_with_values(
         Panel("speed", "Speed [m/s]", (Curve("ego", "ego", ego.t, ego.v), *plan), 2.0, ("speed",), -0.5),
+        Panel("progress", "Progress along the route [share of the log's]", (measured("ego", "route_progress"),), 0.2,
+              ("route_progress",), 0.0),
         Panel("acceleration", "Acceleration [m/s²]", accelerations, 1.0, ("lon_accel", "lat_accel")),
         Panel("jerk", "Jerk [m/s³]", jerks, 2.0, ("lon_jerk", "lat_jerk", "jerk")),
         Panel("gap", "Distance to the nearest [m]", gaps, 2.0, ("gap", "collision"), 0.0),
@@ -325,6 +331,26 @@ def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
         Panel("tracking_heading", "Tracking error of the heading [rad]", named(errors, "heading"), 0.02,
               ("tracking_heading",)),
     )  # fmt: skip
+
+
+def compared_panels(drives: Mapping[str, Sequence[Panel]]) -> list[Panel]:
+    """The panels of several drives by name, as one panel for each curve, with a curve of each drive that has it.
+
+    What was planned or asked for is left out.
+    """
+    shown = [(name, panel) for name, some in drives.items() for panel in some]
+    found = [(name, panel, one) for name, panel in shown for one in panel.curves if not one.asked]
+    curves = Counter(title for title, _ in {(panel.title, one.name) for _, panel, one in found})
+    panels: dict[tuple[str, str], Panel] = {}
+    for name, panel, one in found:
+        title, part = panel.title, panel.name
+        if curves[title] > 1:
+            what, bracket, unit = title.partition(" [")
+            title, part = f"{what}, {one.legend}{bracket}{unit}", f"{part}_{one.name}"
+        before = panels.get((panel.title, one.name), replace(panel, name=part, title=title, curves=()))
+        mine = replace(one, name=name, legend=name)
+        panels[panel.title, one.name] = replace(before, curves=(*before.curves, mine))
+    return list(panels.values())
 
 
 @dataclass(frozen=True, eq=False, slots=True)

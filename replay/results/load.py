@@ -376,23 +376,25 @@ class DriveResult:
         """The plan that was the newest at a time, as `frame`."""
         return self.frame(at).plan
 
-    def plot(self, at: float | None = None, chart: str = "all", width: int = 1400) -> Chart:
+    def plot(
+        self, at: float | None = None, chart: str = "all", width: int = 1400, *, beside: Sequence[DriveResult] = ()
+    ) -> Chart:
         """A picture of the drive, which shows itself in a notebook; `str(chart.alone("light"))` is SVG.
 
         Args:
             at: Time, s since the scenario's start; None: the worst moment.
             chart: What is drawn, as `replan plot --chart`.
             width: Pixels.
+            beside: Other drives of the log to show in the same picture, at the same moment.
 
         Raises:
-            ConfigError: There is no such chart, or no plan at this time.
+            ConfigError: There is no such chart, or no plan at this time; or the others are of another log, or too many.
         """
         from replay.draw.charts.layout import charts_of, together
         from replay.draw.charts.subject import subject
 
-        seen = subject(self, at)
-        says = f"at {seen.moment.t:.2f} s" + ("" if at is not None else f": {seen.moment.why}")
-        return together(charts_of(seen, chart, width), self.title, says, width)
+        seen = subject(self, at, beside)
+        return together(charts_of(seen, chart, width), seen.title, seen.says, width)
 
     @property
     def title(self) -> str:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from logs.shapes import corners
 from logs.states import EgoState
 from replay.draw.charts.axes import Plane
 from replay.draw.charts.canvas import (
+    DRIVES,
     LETTER_PX,
     Chart,
     area,
@@ -23,12 +24,13 @@ from replay.draw.charts.canvas import (
     cut_outline,
     dot,
     legend,
+    legend_word,
     polyline,
     polylines,
     shortened,
     text,
 )
-from replay.draw.charts.subject import Subject
+from replay.draw.charts.subject import ASKED, Subject
 from replay.draw.model import decided, plan_seconds
 from replay.world import box_center
 
@@ -41,41 +43,53 @@ SMALL_PX = 3.2
 """An agent that would be smaller is drawn as a dot of this radius."""
 MAX_NAMES = 6
 NAME_M = 60.0
+NAME_PX = 110.0
+"""Largest width of a name."""
+FAR_M, AROUND_M = 80.0, 8.0
+"""Other egos are in view up to this distance, with so much ground around them."""
 
 
 def scene(subject: Subject, t: float, word: str) -> Chart:
-    """The scene at a time; `word` names that time ("start", "worst moment", "end")."""
-    ego = subject.trace.ego.at(t)
-    ahead = min(max(AHEAD_M, AHEAD_S * abs(ego.v)), MOST_M)
-    plane = Plane((-BEHIND_M, ahead), (-1.0, 1.0), WIDTH_PX, HEIGHT_PX)
-    half = 0.5 * plane.inner[1] * (ahead + BEHIND_M) / plane.inner[0]
-    plane = Plane(plane.x, (-half, half), WIDTH_PX, HEIGHT_PX)
-    view = _View(plane, ego)
+    """The scene at a time; `word` names that time ("start", "worst moment", "end").
+
+    Of several drives, the road users are those of the first; an ego whose drive has ended is where it ended.
+    """
+    drives = subject.drives
+    states = [one.trace.ego.at(float(np.clip(t, *one.trace.ego.t[[0, -1]]))) for one in drives.values()]
+    ego, several = states[0], len(drives) > 1
+    view = _View(_plane(ego, states), ego)
     planned = abs(t - subject.moment.t) < 1e-9
     agents = subject.trace.agents.truth(t)
-    driven, frame, car = subject.trace.ego, subject.frame, subject.scenario.vehicle
-    inside = _road(view, subject) + polylines(view.lines([np.column_stack([driven.x, driven.y])]), "driven")
-    if frame is not None and planned:  # the plan with a dot per second, and the predictions of other road users
-        plan, futures = frame.plan.trajectory, frame.predictions
-        if futures is not None:
-            paths = map(np.column_stack, zip(futures.x, futures.y, strict=True))
-            inside += polylines(view.lines(paths), "foreseen")
-        inside += polylines(view.lines([np.column_stack([plan.x, plan.y])]), "planned")
-        inside += "".join(dot(x, y, 2.4, "second") for x, y in view.of(plan_seconds(frame.plan)).tolist())
-    inside += "".join(_other(view, agents, i) for i in range(len(agents)))
-    x, y = box_center(ego, car)
-    box = view.of(corners(x, y, ego.yaw, car.length, car.width))
-    front = box[np.argsort(box[:, 0])[2:]]
-    nose = np.vstack([front[0], view.of(np.array([[x, y]]))[0], front[1]])
-    inside += area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "nose")
-    title = f"{word[:1].upper()}{word[1:]}: {t:.2f} s, {ego.v:.1f} m/s"
-    names = _names(view, agents, subject, planned=planned)
-    drawn = plane.drawn(inside, x_title="ahead of the rear axle [m]", over=names)
+    ways, boxes = "", ""
+    for one, state, kind in zip(drives.values(), states, DRIVES, strict=False):
+        way, box = _way(view, one, kind if several else "planned", planned=planned), _box(view, one, state)
+        ways += f'<g class="{kind}">{way}</g>' if several else way
+        boxes = (f'<g class="{kind}">{box}</g>' if several else box) + boxes  # the first on top
+    inside = _road(view, subject) + (_foreseen(view, subject) if planned else "") + ways
+    inside += "".join(_other(view, agents, i) for i in range(len(agents))) + boxes
+    title, named = f"{word[:1].upper()}{word[1:]}: {t:.2f} s", {}
+    if several:
+        for (name, one), state in zip(drives.items(), states, strict=True):
+            does = "ended" if t > one.trace.ego.t[-1] + 1e-6 else f"{state.v:.1f} m/s"
+            named[f"{shortened(name, NAME_PX)}: {does}"] = state
+    else:
+        title += f", {ego.v:.1f} m/s"
+    names = _names(view, agents, subject, named, planned=planned)
+    x_title = "ahead of the rear axle [m]"
+    if several:
+        x_title = f"ahead of the rear axle of {shortened(next(iter(drives)), NAME_PX)} [m]; road users as in its drive"
+    drawn = view.plane.drawn(inside, x_title=x_title, over=names)
     head = text(2.0, 13.0, title, "title") + text(2.0, 33.0, "left [m]", "tick")
-    entries = [("area", "ego", "ego"), ("area", "other", "moves"), ("area", "still", "stands")]
-    entries += [("line", "driven", "driven")]
-    entries += [("line", "planned", "plan, a dot a second")] if planned and subject.frame else []
-    head += legend(60.0, 33.0, entries, WIDTH_PX - 70.0)
+    room = WIDTH_PX - 70.0
+    entries = [("area", "ego", "ego")]
+    if several:
+        named_kinds = zip(drives, DRIVES, strict=False)
+        entries = [("line", kind, legend_word(name, room, len(drives))) for name, kind in named_kinds]
+    entries += [("area", "other", "moves"), ("area", "still", "stands")]
+    if not several:
+        entries += [("line", "driven", "driven")]
+        entries += [("line", "planned", "plan, a dot a second")] if planned and subject.frame else []
+    head += legend(60.0, 33.0, entries, room)
     says = f"Scene, {title}; no other road users"
     if len(agents):
         away = np.hypot(agents.x - ego.x, agents.y - ego.y)
@@ -88,7 +102,7 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
 def scenes(subject: Subject) -> list[Chart]:
     """The scenes at the start, the moment and the end; instants that coincide are drawn once."""
     first, last = float(subject.trace.ego.t[0]), float(subject.trace.ego.t[-1])
-    instants = [(subject.moment.t, "this moment" if subject.moment.why == "as asked" else "worst moment")]
+    instants = [(subject.moment.t, "this moment" if subject.moment.why == ASKED else "worst moment")]
     if subject.moment.t - first > 0.05:
         instants.insert(0, (first, "start"))
     if last - subject.moment.t > 0.05:
@@ -96,16 +110,33 @@ def scenes(subject: Subject) -> list[Chart]:
     return [scene(subject, t, word) for t, word in instants]
 
 
+def _local(ego: EgoState, points: FloatArray) -> FloatArray:
+    """Points `(n, 2)` of the world relative to the ego, (1), m."""
+    turn = np.array([[np.cos(ego.yaw), -np.sin(ego.yaw)], [np.sin(ego.yaw), np.cos(ego.yaw)]])
+    return (np.asarray(points, np.float64).reshape(-1, 2) - [ego.x, ego.y]) @ turn
+
+
+def _plane(ego: EgoState, shown: Sequence[EgoState]) -> Plane:
+    """The visible part: around and ahead of the ego, and around other egos that are nearer than `FAR_M`."""
+    others = _local(ego, np.array([(one.x, one.y) for one in shown]))
+    others = others[np.hypot(others[:, 0], others[:, 1]) < FAR_M]
+    ahead = min(max(AHEAD_M, AHEAD_S * abs(ego.v)), MOST_M)
+    low, high = min(-BEHIND_M, others[:, 0].min() - AROUND_M), max(ahead, others[:, 0].max() + AROUND_M)
+    plane = Plane((low, high), (-1.0, 1.0), WIDTH_PX, HEIGHT_PX)
+    ratio = 0.5 * plane.inner[1] / plane.inner[0]
+    half = max(ratio * (high - low), np.abs(others[:, 1]).max() + AROUND_M if len(others) > 1 else 0.0)
+    return Plane((low, low + half / ratio), (-half, half), WIDTH_PX, HEIGHT_PX)
+
+
 class _View:
     """Converts points of the world to pixels of the picture, (1)."""
 
     def __init__(self, plane: Plane, ego: EgoState) -> None:
         self.plane, self.ego = plane, ego
-        self._turn = np.array([[np.cos(ego.yaw), -np.sin(ego.yaw)], [np.sin(ego.yaw), np.cos(ego.yaw)]])
 
     def of(self, points: FloatArray) -> FloatArray:
         """Pixels `(n, 2)` in the plot area of world points `(n, 2)`."""
-        local = (np.asarray(points, np.float64).reshape(-1, 2) - [self.ego.x, self.ego.y]) @ self._turn
+        local = _local(self.ego, points)
         return np.column_stack([self.plane.at_x(local[:, 0]), self.plane.at_y(local[:, 1])])
 
     def sees(self, pixels: FloatArray) -> bool:
@@ -145,6 +176,36 @@ def _road(view: _View, subject: Subject) -> str:
     return drawn
 
 
+def _foreseen(view: _View, subject: Subject) -> str:
+    """The predictions of other road users in the newest frame."""
+    futures = None if subject.frame is None else subject.frame.predictions
+    paths = () if futures is None else map(np.column_stack, zip(futures.x, futures.y, strict=True))
+    return polylines(view.lines(paths), "foreseen")
+
+
+def _way(view: _View, subject: Subject, kind: str, *, planned: bool) -> str:
+    """The driven path, and the newest plan as a line of a kind with a dot per second."""
+    driven = subject.trace.ego
+    drawn = polylines(view.lines([np.column_stack([driven.x, driven.y])]), "driven")
+    if planned and subject.frame is not None:
+        plan = subject.frame.plan.trajectory
+        drawn += polylines(view.lines([np.column_stack([plan.x, plan.y])]), kind)
+        drawn += "".join(dot(x, y, 2.4, "second") for x, y in view.of(plan_seconds(subject.frame.plan)).tolist())
+    return drawn
+
+
+def _box(view: _View, subject: Subject, ego: EgoState) -> str:
+    """The ego's box, with its front marked."""
+    car = subject.scenario.vehicle
+    x, y = box_center(ego, car)
+    around = corners(x, y, ego.yaw, car.length, car.width)
+    box = view.of(around)
+    ahead = np.array([np.cos(ego.yaw), np.sin(ego.yaw)])
+    front = box[np.argsort(around @ ahead)[2:]]
+    nose = np.vstack([front[0], view.of(np.array([[x, y]]))[0], front[1]])
+    return area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "nose")
+
+
 def _other(view: _View, agents: Agents, i: int) -> str:
     """A box, or a dot for pedestrians and small boxes; a moving agent has a line to its position in one second."""
     box = view.of(corners(*(float(c[i]) for c in (agents.x, agents.y, agents.yaw, agents.length, agents.width))))
@@ -161,8 +222,8 @@ def _other(view: _View, agents: Agents, i: int) -> str:
     return arrow + area(box[:, 0], box[:, 1], kind)
 
 
-def _names(view: _View, agents: Agents, subject: Subject, *, planned: bool) -> str:
-    """Ids of agents, those with a decision first, then the nearest; names that would overlap another are omitted."""
+def _names(view: _View, agents: Agents, subject: Subject, egos: Mapping[str, EgoState], *, planned: bool) -> str:
+    """Names of egos, then ids of agents: those with a decision, then the nearest; without those that would overlap."""
     wide, high = view.plane.inner
     about = decided(subject.frame.plan) if planned and subject.frame is not None else {}
     at = view.of(np.column_stack([agents.x, agents.y]))
@@ -170,17 +231,29 @@ def _names(view: _View, agents: Agents, subject: Subject, *, planned: bool) -> s
     order = sorted(range(len(agents)), key=lambda i: (agents.ids[i] not in about, float(away[i])))
     placed: list[tuple[float, float, float]] = []
     out = []
+
+    def place(x: float, y: float, words: str) -> bool:
+        half = 0.5 * LETTER_PX * len(words)
+        x = min(max(x, half), wide - half)
+        free = all(abs(y - other_y) > 11.0 or abs(x - other_x) > half + other for other_x, other_y, other in placed)
+        if free:
+            placed.append((x, y, half))
+            out.append(text(x, y, words, "name mid"))
+        return free
+
+    for name, ego in egos.items():  # at the edge, with its distance, if it is out of view
+        ((x, y),) = view.of(np.array([[ego.x, ego.y]])).tolist()
+        inside = 0.0 <= x <= wide and 0.0 <= y <= high
+        words = name if inside else f"{name}, {np.hypot(ego.x - view.ego.x, ego.y - view.ego.y):.0f} m away"
+        x, y = min(max(x, 0.0), wide), min(max(y, 32.0), high - 32.0)
+        any(place(x, y + up, words) for up in (-9.0, 18.0, -21.0, 30.0))
+    most = len(placed) + MAX_NAMES
     for i in order:
         x, y = at[i].tolist()
         inside = 0.0 <= x <= wide and 0.0 <= y <= high and away[i] <= max(NAME_M, view.plane.x[1])
-        if not inside or len(placed) >= MAX_NAMES:
-            continue
-        decision = f": {about[agents.ids[i]].kind.value}" if agents.ids[i] in about else ""
-        words = shortened(subject.scenario.short_names(agents.ids[i]), 110.0) + decision
-        half = 0.5 * LETTER_PX * len(words)
-        below = y < 20.0 or (y > 0.5 * high and high - y > 20.0)
-        x, y = min(max(x, half), wide - half), y + 18.0 if below else y - 9.0
-        if all(abs(y - other_y) > 11.0 or abs(x - other_x) > half + other for other_x, other_y, other in placed):
-            placed.append((x, y, half))
-            out.append(text(x, y, words, "name mid"))
+        if inside and len(placed) < most:
+            decision = f": {about[agents.ids[i]].kind.value}" if agents.ids[i] in about else ""
+            below = y < 20.0 or (y > 0.5 * high and high - y > 20.0)
+            words = shortened(subject.scenario.short_names(agents.ids[i]), NAME_PX) + decision
+            place(x, y + 18.0 if below else y - 9.0, words)
     return "".join(out)

@@ -55,6 +55,10 @@ RULES = """
 .chart .a{stroke:$ego;stroke-width:1.8}
 .chart .b{stroke:$other;stroke-width:1.6;stroke-dasharray:7 3}
 .chart .c{stroke:$rare;stroke-width:1.6;stroke-dasharray:2 2.5}
+.chart path.one{stroke:$ego;stroke-width:1.8}
+.chart path.two{stroke:$rare;stroke-width:1.8;stroke-dasharray:7 3}
+.chart path.three{stroke:$plan;stroke-width:1.8;stroke-dasharray:2 2.5}
+.chart path.four{stroke:$unsure;stroke-width:1.8;stroke-dasharray:9 3 2 3}
 .chart .qp{stroke:$ego;stroke-width:2.2}
 .chart .dp{stroke:$other;stroke-width:1.6;stroke-dasharray:5 3}
 .chart .driven{stroke:$ego;stroke-width:1.4;stroke-dasharray:1 3;stroke-linecap:round}
@@ -68,6 +72,14 @@ RULES = """
 .chart .zebra{stroke:$lane;stroke-width:1;stroke-dasharray:3 3}
 .chart path.goal{fill:$free;fill-opacity:.12;stroke:$free;stroke-dasharray:4 3}
 .chart .ego{fill:$ego;stroke:$ink;stroke-width:.8}
+.chart .one .second{fill:$ego}
+.chart .one .driven{stroke:$ego}
+.chart .two .ego,.chart .two .second{fill:$rare}
+.chart .two .driven{stroke:$rare}
+.chart .three .ego,.chart .three .second{fill:$plan}
+.chart .three .driven{stroke:$plan}
+.chart .four .ego,.chart .four .second{fill:$unsure}
+.chart .four .driven{stroke:$unsure}
 .chart .other{fill:$other;stroke:$ink;stroke-width:.8}
 .chart .still{fill:$muted;fill-opacity:.55;stroke:$ink;stroke-width:.8}
 .chart .heading{stroke:$other;stroke-width:1.4}
@@ -89,6 +101,10 @@ RULES = """
 .chart .worse{stroke:$bad;stroke-width:1.6}
 .chart .better{stroke:$good;stroke-width:1.6;stroke-dasharray:4 2}
 """.replace("FONT", FONT)
+
+
+DRIVES = ("one", "two", "three", "four")
+"""Classes of the drives in one picture: colour and dash of their lines, colour of the ego in a group of the class."""
 
 
 def roles(theme: Theme) -> str:
@@ -116,8 +132,8 @@ KEPT_PX = 0.4
 """The largest distance of a simplified line from the exact one: less than half a pixel is invisible."""
 LETTER_PX = 5.9
 """Mean width of a letter at the font size of charts."""
-FAR_PX = 4000.0
-"""Coordinates are clipped to +- this value: nothing beyond it is visible, and renderers lose digits there."""
+FAR_PX = 20_000.0
+"""Coordinates are clipped to +- this value: no picture is taller, and renderers lose digits beyond."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +169,7 @@ class Chart:
     def alone(self, theme: Theme, width: float | None = None) -> str:
         """The chart as the text of an SVG file, with its own width or with `width` pixels."""
         wide = width or self.width
-        size = f'width="{px(wide)}" height="{px(wide * self.height / self.width)}"'
+        size = f'width="{wide:g}" height="{wide * self.height / self.width:.6g}"'
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" class="chart" {size} '
             f'viewBox="0 0 {px(self.width)} {px(self.height)}"><title>{escape(printable(self.title))}</title>'
@@ -318,11 +334,20 @@ def group(x: float, y: float, inside: str) -> str:
     return f'<g transform="translate({px(x)} {px(y)})">{inside}</g>'
 
 
+SAMPLE_PX = 32.0
+"""Width of an entry of a legend without its word, pixels."""
+
+
+def legend_word(word: str, most: float, entries: int) -> str:
+    """A word that is short enough for a legend of this width with as many equal entries."""
+    return shortened(word, most / entries - SAMPLE_PX)
+
+
 def legend(x: float, y: float, entries: Sequence[tuple[str, str, str]], most: float) -> str:
     """Samples in a row, each with element ("line", "area", "dot"), class and word; it omits those that do not fit."""
     out, at = [], x
     for element, kind, word in entries:
-        needed = 24.0 + LETTER_PX * len(word) + 8.0
+        needed = SAMPLE_PX + LETTER_PX * len(word)
         if at + needed > x + most + 8.0:
             break
         if element == "area":

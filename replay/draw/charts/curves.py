@@ -12,9 +12,20 @@ import numpy as np
 
 from logs.trace import Decision, DecisionKind, PlanStatus, PlanSummary
 from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
-from replay.draw.charts.canvas import LETTER_PX, Chart, legend, line, polyline, rect, shortened, text
+from replay.draw.charts.canvas import (
+    DRIVES,
+    LETTER_PX,
+    Chart,
+    legend,
+    legend_word,
+    line,
+    polyline,
+    rect,
+    shortened,
+    text,
+)
 from replay.draw.charts.subject import Subject
-from replay.draw.model import chart_panels
+from replay.draw.model import chart_panels, compared_panels
 from replay.explain.explanation import STATUS_WORDS
 
 WIDTH_PX, HEIGHT_PX = 440.0, 168.0
@@ -23,39 +34,53 @@ KINDS = ("a", "b", "c")
 LEAST_PX = 3.0
 BOLD_PX = 6.8
 """Width of a letter of a warning, pixels."""
+NAME_PX = 90.0
+"""Largest width of a drive's name before a warning, pixels."""
 
 
 def curves(subject: Subject) -> list[Chart]:
-    """All panels of a drive that have something to show."""
-    charts = []
-    for panel in chart_panels(subject.trace, subject.drive.steps):
-        plane = Plane(subject.span, panel.range, WIDTH_PX, HEIGHT_PX)
-        shown = list(zip(panel.curves, KINDS, strict=False))
+    """All panels of a drive that have something to show; of several drives, a panel for each of their curves."""
+    charts, drives = [], subject.drives
+    panels = {name: chart_panels(one.trace, one.drive.steps) for name, one in drives.items()}
+    several, (first, *_) = len(drives) > 1, panels.values()
+    kinds = dict(zip(drives, DRIVES, strict=False))
+    begins, ends = zip(*(one.span for one in drives.values()), strict=True)
+    for panel in compared_panels(panels) if several else first:
+        plane = Plane((min(begins), max(ends)), panel.range, WIDTH_PX, HEIGHT_PX)
+        classes = [kinds[curve.name] for curve in panel.curves] if several else KINDS
+        shown = list(zip(panel.curves, classes, strict=False))
         lines = "".join(polyline(plane.at_x(curve.t), plane.at_y(curve.values), kind) for curve, kind in shown)
-        broken = [some for some in subject.violations if some.series.startswith(panel.about) and panel.about]
+        broken = [
+            (f"{name}: " if several else "", some)
+            for name, one in drives.items()
+            for some in one.violations
+            if some.series.startswith(panel.about) and panel.about
+        ]
         wide, high = plane.inner
         boxes, words, until = "", "", -np.inf  # the intervals in which a gate is broken, and the metrics above them
-        found = [(begin, end, some) for some in broken for begin, end in some.spans]
-        for begin, end, some in sorted(found, key=lambda one: (one[0], one[1], one[2].gate)):
+        found = [(begin, end, some, of) for of, some in broken for begin, end in some.spans]
+        for begin, end, some, of in sorted(found, key=lambda one: (one[0], one[1], one[2].gate)):
             left, right = plane.at_x(np.array([begin, end])).tolist()
             left = min(max(left, 0.0), wide - LEAST_PX)
             right = max(right, left + LEAST_PX)
-            boxes += rect(left, 0.0, right - left, high, "broken", some.gate) + line(left, 0.0, left, high, "edge")
-            room = BOLD_PX * len(some.series) + 14.0
+            boxes += rect(left, 0.0, right - left, high, "broken", of + some.gate) + line(left, 0.0, left, high, "edge")
+            says = f"{shortened(of[:-2], NAME_PX)}: {some.series}" if several else some.series
+            room = BOLD_PX * len(says) + 14.0
             at = min(left + 2.0, wide - room)
             if at > until:
-                words += text(at, 9.0, f"\u26a0 {some.series}", "warn")
+                words += text(at, 9.0, f"\u26a0 {says}", "warn")
                 until = at + room
         inside = boxes + lines + now_line(plane, subject.moment.t)
         title, largest = panel.title, float(np.abs(panel.values).max())
         if any(curve.spiky for curve in panel.curves) and largest > 1.2 * max(map(abs, panel.range)):
             title += f", up to {largest:.0f} in single steps"
         head = text(2.0, 13.0, title, "title")
-        named = [("line", kind, curve.legend) for curve, kind in shown]
-        head += legend(plane.left, 28.0, named, WIDTH_PX - plane.left - 10.0)
+        room = WIDTH_PX - plane.left - 10.0
+        named = [("line", kind, legend_word(curve.legend, room, len(shown))) for curve, kind in shown]
+        head += legend(plane.left, 28.0, named, room)
         drawn = plane.drawn(inside, x_title="time [s]", over=words)
         spans = [f"{c.legend} {c.known.min():.3g} to {c.known.max():.3g}" for c in panel.curves]
-        failed = f"; breaks {', '.join(some.gate for some in broken)}" if broken else ""
+        failed = f"; breaks {', '.join(of + some.gate for of, some in broken)}" if broken else ""
         says = f"{panel.title} over time: {', '.join(spans)}{failed}"
         charts.append(Chart(panel.name, panel.title, says, WIDTH_PX, HEIGHT_PX, drawn + head))
     return charts

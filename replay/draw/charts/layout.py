@@ -17,7 +17,7 @@ from replay.draw.charts.canvas import Chart, Theme, group, shortened, text
 from replay.draw.charts.curves import curves, decisions
 from replay.draw.charts.plan_graphs import sl_graph, st_graph
 from replay.draw.charts.subject import Subject
-from replay.results.tables import write_file, write_text
+from replay.results.tables import safe_name, write_file, write_text
 
 Draw = Callable[[Subject], "Chart | Sequence[Chart]"]
 
@@ -32,6 +32,8 @@ LAYOUT: Mapping[str, tuple[str, ...]] = {
 """Names of charts by their place in the page of a drive, from top to bottom."""
 OWN = "pictures"
 """The place in the page for charts of users."""
+TOGETHER = ("scene", "curves")
+"""Charts that show several drives in one; the others are drawn for each drive, under its name."""
 BROKEN, BROKEN_PX = "broken", (440.0, 40.0)
 """Name and size of the placeholder of a chart that could not be drawn."""
 
@@ -73,17 +75,45 @@ def _broken(name: str, why: str) -> Chart:
     return Chart(BROKEN, name, f"The chart {name} could not be drawn: {why}", width, height, body)
 
 
-COLUMN_PX, GAP_PX, MARGIN_PX, HEAD_PX = 440.0, 16.0, 14.0, 44.0
+COLUMN_PX, GAP_PX, MARGIN_PX, HEAD_PX, NAME_PX = 440.0, 16.0, 14.0, 44.0, 16.0
 FORMATS = (".png", ".svg")
 ALL = "all"
 
 
-def charts_of(subject: Subject, kind: str, width: float) -> list[Chart]:
-    """The charts of one name (see `CHART`), or of all names (`ALL`), for a picture of this width in pixels."""
-    names = CHART.names() if kind == ALL else (kind,)
-    wide = row_width(width)
-    found = [[decisions(subject, wide)] if name == "decisions" else drawn(subject, name) for name in names]
-    return [chart for charts in found for chart in charts]
+def charts_of(seen: Subject, kind: str, width: float) -> list[Chart]:
+    """The charts of one name (see `CHART`), or of all names (`ALL`), for a picture of this width in pixels.
+
+    Of several drives, each chart shows all (`TOGETHER`), or there is one for each, side by side where they fit.
+    """
+    found = list[Chart]()
+    for name in CHART.names() if kind == ALL else (kind,):
+        if name in TOGETHER or not seen.beside:
+            found += _charts(seen, name, width)
+            continue
+        each = [_under(drive, one) for drive, of in seen.drives.items() for one in _charts(of, name, width)]
+        row = sum(one.width + GAP_PX for one in each) - GAP_PX
+        found += each if row > row_width(width) or not each else [_row(each, name, row)]
+    return found
+
+
+def _charts(seen: Subject, name: str, width: float) -> list[Chart]:
+    return [decisions(seen, row_width(width))] if name == "decisions" else drawn(seen, name)
+
+
+def _row(charts: Sequence[Chart], name: str, width: float) -> Chart:
+    """Charts side by side, as one."""
+    body, x = "", 0.0
+    for one in charts:
+        body, x = body + group(x, 0.0, one.body), x + one.width + GAP_PX
+    title, says = ("; ".join(words) for words in zip(*((one.title, one.says) for one in charts), strict=True))
+    return Chart(name, title, says, width, max(one.height for one in charts), body)
+
+
+def _under(drive: str, chart: Chart) -> Chart:
+    """A chart under the name of its drive."""
+    body = text(2.0, 13.0, shortened(drive, chart.width), "title") + group(0.0, NAME_PX, chart.body)
+    name, title = f"{chart.name}_{safe_name(drive)}", f"{drive}: {chart.title}"
+    return Chart(name, title, f"{drive}: {chart.says}", chart.width, chart.height + NAME_PX, body)
 
 
 def row_width(width: float) -> float:

@@ -1,10 +1,13 @@
 """The subject of a drive's pictures: its tables, its trace, one moment in it, and the times at which it broke gates.
 
+Other drives of the same log may be shown beside it, at the same moment.
+
 The moment and the broken gates are found in the tables of the run, without its trace.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, isfinite, isnan
@@ -25,6 +28,17 @@ GRAVE = ("collision_at_fault", "safety", "rules", "progress")
 """Metrics and groups of metrics, the gravest first: their failed gates come before all others."""
 NEAREST = (("ttc.min", "least time to a collision"), ("gap.min", "least distance to another road user"))
 """Metrics that give the moment if no gate failed at a known time."""
+MOST = 4
+"""Most drives in one picture: more lines cannot be told apart (`canvas.DRIVES`)."""
+ASKED = "as asked"
+"""The reason for a moment that was asked for."""
+NAMES: tuple[Callable[[DriveResult], str], ...] = (
+    lambda drive: drive.planner.rpartition(":")[2],
+    lambda drive: drive.planner,
+    lambda drive: f"{drive.planner} ({drive.mode})",
+    lambda drive: f"{drive.result.path.name}: {drive.planner} ({drive.mode})",
+)
+"""Names of drives in legends: of these, the first that tells them apart."""
 _GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
 
 
@@ -117,6 +131,7 @@ class Subject:
         trace: The trace, with only the newest plan at the moment.
         scenario: Road, goal, vehicle, lights.
         plans: The summaries of all plans.
+        beside: Other drives of the log at this moment, or at their end if it was earlier.
     """
 
     drive: DriveResult
@@ -124,6 +139,30 @@ class Subject:
     trace: Trace
     scenario: Scenario
     plans: tuple[PlanSummary, ...]
+    beside: tuple[Subject, ...] = ()
+
+    @cached_property
+    def drives(self) -> dict[str, Subject]:
+        """All drives by their names in legends: the planner, and loop and run where these differ."""
+        some = (self, *self.beside)
+        for name in NAMES:
+            named = {name(one.drive): one for one in some}
+            if len(named) == len(some):
+                break
+        return named
+
+    @property
+    def title(self) -> str:
+        """Log, planners and loop in words."""
+        if not self.beside:
+            return self.drive.title
+        loop = "" if any(one.drive.mode != self.drive.mode for one in self.beside) else f", {self.drive.mode} loop"
+        return f"{self.drive.log}, {', '.join(self.drives)}{loop}"
+
+    @property
+    def says(self) -> str:
+        """The moment, and the reason to look at it if it was not asked for."""
+        return f"at {self.moment.t:.2f} s" + ("" if self.moment.why == ASKED else f": {self.moment.why}")
 
     @cached_property
     def violations(self) -> list[Violation]:
@@ -152,18 +191,28 @@ class Subject:
         return self.trace.frames[0] if self.trace.frames else None
 
 
-def subject(drive: DriveResult, at: float | None = None) -> Subject:
-    """A drive at a time, or at its worst moment.
+def subject(drive: DriveResult, at: float | None = None, beside: Sequence[DriveResult] = ()) -> Subject:
+    """A drive at a time, or at its worst moment, and other drives of the same log beside it.
 
     Raises:
-        ConfigError: `at` is outside the time span of the drive.
-        LogError: The trace is damaged.
+        ConfigError: `at` is outside the time span of the drive; a drive is of another log or given twice, or there are
+            too many.
+        LogError: A trace is damaged.
     """
-    moment = worst_moment(drive) if at is None else Moment(at, "as asked")
+    moment = worst_moment(drive) if at is None else Moment(at, ASKED)
     trace, scenario, plans = read_moment(drive.trace_file, moment.t)
     begin, end = float(trace.ego.t[0]), float(trace.ego.t[-1])
     if not (isfinite(moment.t) and begin - 1e-9 <= moment.t <= end + 1e-9):
         raise ConfigError(
             f"{drive.log}, {drive.planner}, {drive.mode} loop: --at {moment.t:g} is not in its {begin:g} to {end:g} s"
         )
-    return Subject(drive, moment, trace, scenario, plans)
+    for other in beside:
+        if other.log != drive.log:
+            raise ConfigError(f"{other.title}: one picture is of one log, and the first is of {drive.log}")
+    if len(beside) >= MOST:
+        raise ConfigError(f"one picture shows at most {MOST} drives, got {1 + len(beside)}")
+    others = (subject(other, min(moment.t, float(other.info["t_end_s"]))) for other in beside)
+    seen = Subject(drive, moment, trace, scenario, plans, tuple(others))
+    if len(seen.drives) <= len(beside):
+        raise ConfigError(f"{drive.title}: the same drive is given twice")
+    return seen

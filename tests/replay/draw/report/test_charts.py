@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from itertools import pairwise
 from math import isfinite, nan
 from pathlib import Path
@@ -19,6 +20,7 @@ from hypothesis.extra import numpy as hnp
 from typer.testing import CliRunner
 
 from logs import Decision, DecisionKind, PlanStatus
+from logs.errors import ConfigError
 from logs.mcap import read_moment, read_trace
 from logs.trace import LaneOption, PlanSummary
 from replay.cli import app
@@ -38,6 +40,7 @@ from replay.draw.charts.canvas import (
     text,
 )
 from replay.draw.charts.curves import decided, statuses
+from replay.draw.charts.layout import charts_of
 from replay.draw.charts.subject import gravity, violations, worst_moment
 from replay.draw.model import ticks
 from replay.explain.explanation import events
@@ -91,7 +94,7 @@ def test_steps_between_rounded_points_do_not_add_errors(line: np.ndarray) -> Non
 def test_gaps_stay_gaps_and_numbers_are_short() -> None:
     t, values = np.arange(6.0), np.array([0.0, 10.0, nan, 30.0, 0.0, nan])
     assert polyline(t, values, "a").count("M") == 2
-    assert [px(v) for v in (0.04, -0.04, 0.5, -1.25, 12.0, 1e9)] == ["0", "0", ".5", "-1.2", "12", "4000"]
+    assert [px(v) for v in (0.04, -0.04, 0.5, -1.25, 12.0, 1e9)] == ["0", "0", ".5", "-1.2", "12", "20000"]
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6), st.integers(2, 9))
@@ -314,3 +317,65 @@ def test_the_gravest_failure_is_looked_at_first() -> None:
              "red_light.count <= 0 [closed]", "gap_kept.time_below_20cm <= 0 [closed]",
              "collision_at_fault.count <= 0 [closed]"]  # fmt: skip
     assert sorted(rules, key=gravity) == [*rules[:1:-1], *rules[:2]]
+
+
+def test_several_drives_of_a_log_are_in_one_picture_and_told_apart(run: Results) -> None:
+    result = load(run.path)
+    drive, other = result.drive(LOG, "dp_qp"), result.drive(LOG, "constant_speed")
+    seen = subject(drive, 3.0, [other])
+    assert list(seen.drives) == ["dp_qp", "constant_speed"] and seen.drives["constant_speed"].moment.t == 3.0
+    by_name = {chart.name: chart for chart in curves(seen)}
+    assert {"speed", "acceleration_lon_accel", "acceleration_lat_accel", "steer", "progress"} <= by_name.keys()
+    for chart in (*by_name.values(), *scenes(seen)):
+        root = ET.fromstring(chart.inline())
+        words = "".join(root.itertext())
+        assert "dp_qp" in words and "constant_speed" in words, chart.name
+        assert not re.search(r"nan|inf\b|<script|id=", chart.body), chart.name
+    assert 'class="one"' in by_name["speed"].body and 'class="two"' in by_name["speed"].body
+    assert (
+        "\u26a0 constant_speed: ttc" in by_name["ttc"].body and "constant_speed: collision" in by_name["gap_gap"].says
+    )
+    assert [chart.body.count('class="ego"') for chart in scenes(seen)] == [2, 2, 2]
+    single = {chart.name for chart in charts_of(subject(drive, 3.0), "all", 1400)}
+    both = charts_of(seen, "all", 1400)
+    assert {"st", "sl"} <= single & {chart.name for chart in both}
+    assert {chart.width for chart in both if chart.name in ("st", "sl")} == {440.0 + 16.0 + 440.0}
+    assert sum(chart.name.startswith("st") for chart in charts_of(seen, "st", 800)) == 2
+
+
+def test_a_drive_that_ended_is_shown_where_it_ended(run: Results) -> None:
+    result = load(run.path)
+    drives = [result.drive(LOG, name) for name in ("dp_qp", "constant_speed")]
+    first, last = sorted(drives, key=lambda one: one.info["t_end_s"])
+    at = last.info["t_end_s"]
+    if at - first.info["t_end_s"] > 0.1:
+        seen = subject(last, at, [first])
+        assert seen.beside[0].moment.t == first.info["t_end_s"]
+        assert ": ended" in scenes(seen)[-1].body
+
+
+def test_what_cannot_be_in_one_picture_is_one_line(run: Results) -> None:
+    result = load(run.path)
+    drive, other = result.drive(LOG, "dp_qp"), result.drive(LOG, "constant_speed")
+    strange = replace(other, log="paper/free_road")
+    for beside, words in (
+        ([drive], "given twice"),
+        ([other] * 4, "at most 4"),
+        ([strange], "one picture is of one log"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            subject(drive, 3.0, beside)
+
+
+def test_plot_draws_several_planners_and_so_does_the_drive(run: Results, tmp_path: Path) -> None:
+    asked = ("-p", "dp_qp", "-p", "constant_speed", "-p", "dp_qp", "--at", 3, "--chart", "curves")
+    said = replan("plot", run.path, *asked, "-o", tmp_path / "two.svg")
+    assert said.exit_code == 0 and "dp_qp, constant_speed, closed loop, at 3.00 s" in said.stdout
+    drives = [load(run.path).drive(LOG, name) for name in ("dp_qp", "constant_speed")]
+    chart = drives[0].plot(3.0, "curves", beside=drives[1:])
+    assert (tmp_path / "two.svg").read_text(encoding="utf-8") == chart.alone("auto", 1400)
+    assert replan("plot", run.path, *asked[:4], "--chart", "st", "-o", tmp_path / "each").exit_code == 0
+    names = sorted(file.name for file in (tmp_path / "each").iterdir())
+    assert names == [f"paper_crossing_pedestrian-dp_qp-constant_speed-closed-st{end}" for end in (".png", ".svg")]
+    refused = replan("plot", run.path, "-p", "dp_qp", "-p", "idm")
+    assert refused.exit_code == 2 and "no closed loop of idm" in refused.stderr

@@ -41,6 +41,8 @@ SMALL_PX = 3.2
 """An agent that would be smaller is drawn as a dot of this radius."""
 MAX_NAMES = 6
 NAME_M = 60.0
+APART_S = 0.05
+"""Instants that are nearer than this are drawn once."""
 
 
 def scene(subject: Subject, t: float, word: str) -> Chart:
@@ -89,11 +91,16 @@ def scenes(subject: Subject) -> list[Chart]:
     """The scenes at the start, the moment and the end; instants that coincide are drawn once."""
     first, last = float(subject.trace.ego.t[0]), float(subject.trace.ego.t[-1])
     instants = [(subject.moment.t, "this moment" if subject.moment.why == "as asked" else "worst moment")]
-    if subject.moment.t - first > 0.05:
+    if place_of_moment(subject):
         instants.insert(0, (first, "start"))
-    if last - subject.moment.t > 0.05:
+    if last - subject.moment.t > APART_S:
         instants.append((last, "end"))
     return [scene(subject, t, word) for t, word in instants]
+
+
+def place_of_moment(subject: Subject) -> int:
+    """The index of the scene at the moment in `scenes`."""
+    return int(subject.moment.t - float(subject.trace.ego.t[0]) > APART_S)
 
 
 class _View:

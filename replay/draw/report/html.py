@@ -113,7 +113,8 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
     )
     made = pages()
     first = list(islice(made, sum(row in overview.first for row in paged)))
-    page = _environment().get_template("report.html").render(
+    page = rendered(
+        "report.html",
         overview=overview,
         first=first,
         shares=share if shares else "",
@@ -122,14 +123,18 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
         pages=chain(first, made),
         paged=paged,
         comparison=None if overview.comparison is None else _comparison_rows(overview.comparison),
-        style=Markup(_read("style.css") + roles("auto") + filled(RULES, "auto")),  # files of replan: no escaping
-        script=Markup(_read("script.js")),
     )  # fmt: skip
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, page)
     each = (f"{error} ({times} of {counted(len(paged), 'drive')})" for error, times in broken.items())
     return (*attempt.broken, *each)
+
+
+def rendered(template: str, **content: Any) -> str:
+    """A page of templates/, with the style and the script of all pages."""
+    style = Markup(_read("style.css") + roles("auto") + filled(RULES, "auto"))  # files of replan: no escaping
+    return _environment().get_template(template).render(style=style, script=Markup(_read("script.js")), **content)
 
 
 def _markup(chart: Chart) -> Markup:

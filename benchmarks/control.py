@@ -20,7 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from replay.control import CONTROLLERS

@@ -21,9 +21,9 @@ from time import process_time
 import numpy as np
 from rich.console import Console
 
+from logs.arrays import FloatArray
 from logs.catalogue.family_parts import ADULT, CAR, Agent, tracks
 from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, two_way
-from logs.kernel import FloatArray
 from logs.mcap import read_scenario, write_scenario
 from logs.memory import trim_memory
 from logs.road import Lane, Road

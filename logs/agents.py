@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
 
 if TYPE_CHECKING:
     from logs.repair.tracker import Tracked

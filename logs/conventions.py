@@ -33,8 +33,9 @@ from functools import cached_property
 import numpy as np
 
 from logs.agents import AgentKind, among
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.errors import LogError
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import kernel
 from logs.scenario import Scenario, Tracks
 from logs.states import Trajectory, wrapped
 

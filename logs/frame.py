@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
+from logs.kernel import kernel
 from logs.road import Goal, Road, inside
 from logs.rules import Colour
 from logs.scenario import Agents

@@ -30,8 +30,8 @@ from typing import IO, overload
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
 from logs.errors import writing
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen
 from logs.motion import Motion
 from logs.observed import INTERVALS
 from logs.scenario import Tracks

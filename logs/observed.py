@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray
 
 MAX_AGE_S = 0.5
 """A frequently sampled agent is absent once it was not seen for longer than this, s."""

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.agents import OLDEST_S, AgentKind, Agents, Detections, Repair, among, codes_of
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
+from logs.kernel import inner_kernel, kernel
 from logs.motion import Motion, estimated
 from logs.names import ShortNames
 from logs.observed import MAX_AGE_S, MAX_GAP_S, Spans, inferred, patience

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, overload
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, Points, frozen
+from logs.arrays import FloatArray, IntArray, Points, frozen
 from logs.scenario import Tracks
 from logs.states import Controls, Trajectory
 

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from logs.agents import Detections
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.road import Goal, Road
 from logs.scenario import Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory

@@ -31,8 +31,8 @@ from types import MappingProxyType
 import numpy as np
 
 from logs.agents import USUAL_SIZE_M, AgentKind
+from logs.arrays import BoolArray, FloatArray
 from logs.errors import ConfigError, LogError, unknown_name
-from logs.kernel import BoolArray, FloatArray
 from logs.observed import MAX_AGE_S
 from logs.road import ReferenceLine, thinned
 from logs.scenario import Scenario, Tracks

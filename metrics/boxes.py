@@ -21,7 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.once import last, once
 from logs.scenario import Scenario, Tracks
 from logs.shapes import overlap, time_to_contact_turning

@@ -29,7 +29,7 @@ from math import atan2, cos, inf, pi
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.road import ReferenceLine, Road, RoadSource, line_project_many, nearest, thinned
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.scenario import Scenario
 from logs.states import Controls
 from logs.trace import Mode, SolverReport, Trace

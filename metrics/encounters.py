@@ -24,7 +24,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners, distance, overlap, time_to_contact

@@ -31,7 +31,7 @@ from functools import partial
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray
 from logs.observed import described, within
 from logs.rules import Colour
 from logs.scenario import Scenario

@@ -43,7 +43,8 @@ from math import atan2, cos, hypot, pi, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners

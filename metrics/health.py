@@ -53,8 +53,8 @@ import numpy as np
 import pandas as pd
 
 from logs.agents import among
+from logs.arrays import BoolArray, FloatArray
 from logs.conventions import ENOUGH, ENOUGH_M, MOVES_MPS, TURNED_RAD, Chords
-from logs.kernel import BoolArray, FloatArray
 from logs.observed import MAX_AGE_S, clipped
 from logs.road import RoadSource
 from logs.scenario import AgentKind, Scenario, Tracks

@@ -44,7 +44,8 @@ from math import cos, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.arrays import BoolArray, FloatArray
+from logs.kernel import kernel
 from logs.once import once
 from logs.road import ReferenceLine, line_project_many
 from logs.rules import Colour

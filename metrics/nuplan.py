@@ -36,7 +36,8 @@ from math import cos, hypot, prod, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.arrays import BoolArray, FloatArray
+from logs.kernel import kernel
 from logs.once import once
 from logs.road import RoadSource
 from logs.scenario import AgentKind, Scenario

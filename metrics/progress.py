@@ -48,7 +48,7 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.mcap.complete import MIN_PATH
 from logs.once import last
 from logs.road import Goal, ReferenceLine, Road, RoadSource, inside, line_project_many, thinned

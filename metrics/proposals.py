@@ -31,8 +31,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.frame import PLAN_HORIZON_S
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import kernel
 from logs.once import once
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners

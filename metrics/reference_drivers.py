@@ -68,7 +68,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray
+from logs.kernel import inner_kernel, kernel
 from logs.road import ReferenceLine, line_frame, line_project
 from logs.scenario import FINDING, Scenario, Tracks
 from logs.shapes import clearance

@@ -29,7 +29,8 @@ from math import cos, hypot, pi, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.arrays import BoolArray, FloatArray
+from logs.kernel import kernel
 from logs.once import once
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners

@@ -56,7 +56,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
 from logs.once import once
 from logs.road import RoadSource
 from logs.scenario import AgentKind, Scenario, Tracks

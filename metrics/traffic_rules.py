@@ -65,7 +65,8 @@ from math import hypot
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
 from logs.once import once
 from logs.road import inside
 from logs.route import ASIDE_M, BEHIND_M, on_lane

@@ -19,7 +19,7 @@ import osqp
 import piqp
 from scipy import sparse
 
-from logs.kernel import FloatArray, IntArray
+from logs.arrays import FloatArray, IntArray
 from logs.trace import SolverReport
 
 SOLVED = 1

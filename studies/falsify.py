@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from logs.arrays import BoolArray
 from logs.errors import ReplanError
 from logs.frame import Frame, PlannerContext, Predictions
-from logs.kernel import BoolArray
 from logs.readers import LogSettings
 from logs.trace import Plan
 from metrics.judge import CAREFUL

@@ -40,9 +40,9 @@ import pandas as pd
 
 import metrics
 from logs.agents import AgentKind
+from logs.arrays import FloatArray
 from logs.catalogue.raw import FAMILIES as RAW
 from logs.errors import LogError, ReplanError
-from logs.kernel import FloatArray
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log
 from logs.readers.cut import cut

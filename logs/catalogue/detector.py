@@ -13,7 +13,8 @@ from math import atan2, hypot
 import numpy as np
 
 from logs.agents import USUAL_SIZE_M, AgentKind, Detections, among, codes_of
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
 from logs.scenario import Tracks
 from logs.shapes import overlap
 from logs.states import Trajectory

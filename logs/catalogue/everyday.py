@@ -16,6 +16,7 @@ from math import copysign, pi, radians, sqrt
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.family import expects, family
 from logs.catalogue.family_parts import (
@@ -39,7 +40,6 @@ from logs.catalogue.family_parts import (
     walked,
 )
 from logs.catalogue.roads import LANE_WIDTH_M, curve, junction, lane_beside, one_lane, two_lanes, two_way, weaving
-from logs.kernel import FloatArray
 from logs.road import Road
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.scenario import AgentKind, Scenario

@@ -8,9 +8,9 @@ from math import ceil, copysign
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.catalogue.driver import SAMPLE_S
 from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, stretch
-from logs.kernel import FloatArray
 from logs.road import Goal, Road
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import Trajectory

@@ -20,6 +20,7 @@ from math import copysign, cos, inf, pi, radians, sin, sqrt
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.catalogue.driver import Ahead, Reaction, drive, waiting
 from logs.catalogue.family import expects, family
 from logs.catalogue.family_parts import (
@@ -41,7 +42,6 @@ from logs.catalogue.family_parts import (
     walked,
 )
 from logs.catalogue.roads import one_lane
-from logs.kernel import FloatArray
 from logs.scenario import AgentKind, Scenario
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters

@@ -22,9 +22,9 @@ from math import ceil
 
 import numpy as np
 
+from logs.arrays import TIE, FloatArray
 from logs.errors import LogError
 from logs.forward import described, forward_part, reversals
-from logs.kernel import TIE, FloatArray
 from logs.road import Road, thinned
 from logs.scenario import Tracks
 from logs.states import TRAJECTORY_COLUMNS, Trajectory

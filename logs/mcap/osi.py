@@ -27,8 +27,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 
 from logs.agents import USUAL_SIZE_M
+from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.kernel import FloatArray
 from logs.mcap.complete import ASSUMED, assumed_limit, completed, derived_curvature, road_along
 from logs.mcap.container import COPY_AGAIN, Stream
 from logs.observed import of_stream

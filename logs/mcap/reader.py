@@ -17,9 +17,9 @@ import numpy as np
 
 from logs import road as nouns
 from logs.agents import Detections, Repair, TrackChange, codes_of
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.codec import noun_of
 from logs.errors import LogError
-from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.mcap import native, osi
 from logs.mcap.complete import completed, road_along
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container

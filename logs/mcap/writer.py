@@ -24,9 +24,9 @@ from google.protobuf.message import Message
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from logs.agents import Detections
+from logs.arrays import BoolArray, FloatArray
 from logs.codec import message_of, scalar_as_number
 from logs.errors import LogError, writing
-from logs.kernel import BoolArray, FloatArray
 from logs.mcap import native
 from logs.rules import Colour
 from logs.scenario import Scenario, Tracks

@@ -33,8 +33,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from logs.agents import USUAL_SIZE_M, Detections
+from logs.arrays import BoolArray, FloatArray
 from logs.errors import LogError
-from logs.kernel import BoolArray, FloatArray
 from logs.mcap.complete import passed_width
 from logs.names import counted, visible_name
 from logs.readers.cut import framed

@@ -28,8 +28,8 @@ import msgspec
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.arrays import FloatArray, IntArray
 from logs.errors import LogError
-from logs.kernel import FloatArray, IntArray
 from logs.mcap.complete import ASSUMED, assumed_limit, completed, road_along
 from logs.observed import of_stream
 from logs.readers.arrow123d import AV2_CATEGORIES

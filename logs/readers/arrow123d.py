@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.arrays import FloatArray, IntArray
 from logs.errors import LogError
-from logs.kernel import FloatArray, IntArray
 from logs.mcap.complete import completed
 from logs.observed import of_stream
 from logs.readers.arrow123d_map import LIGHTS, map_of, road_of

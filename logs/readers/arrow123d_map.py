@@ -29,8 +29,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.kernel import FloatArray
 from logs.mcap.complete import ASSUMED, assumed_limit, road_along
 from logs.readers.arrow_tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, whole
 from logs.readers.base import beside

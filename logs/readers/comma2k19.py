@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.kernel import FloatArray
 from logs.mcap.complete import completed, road_along
 from logs.readers.base import LogContents, LogSettings, Reader, TopicSummary
 from logs.scenario import Scenario, Tracks

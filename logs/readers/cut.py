@@ -21,8 +21,8 @@ from typing import TypeVar
 import numpy as np
 
 from logs.agents import Detections, Repair
+from logs.arrays import BoolArray, FloatArray
 from logs.errors import LogError
-from logs.kernel import BoolArray, FloatArray
 from logs.mcap.complete import ONE_LANE, REVERSES, road_along
 from logs.observed import clipped
 from logs.road import RoadSource

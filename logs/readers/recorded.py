@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.mcap.complete import completed
 from logs.scenario import Tracks
 from logs.states import Trajectory

@@ -22,8 +22,8 @@ import numpy as np
 import pandas as pd
 
 from logs.agents import USUAL_SIZE_M
+from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.kernel import FloatArray
 from logs.mcap.complete import completed, road_along
 from logs.observed import Spans
 from logs.readers import track_table

@@ -24,8 +24,8 @@ import numpy as np
 import pandas as pd
 
 from logs.agents import USUAL_SIZE_M, AgentKind
+from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.kernel import FloatArray
 from logs.names import counted
 from logs.observed import Spans, of_stream
 from logs.readers.base import beside

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from logs.kernel import FloatArray, IntArray, frozen, kernel
+from logs.arrays import FloatArray, IntArray, frozen
+from logs.kernel import kernel
 from logs.repair.detected_boxes import DENSITY, VEHICLE, Boxes
 from logs.repair.kalman import ACROSS, ALONG, COS, SIN, WIDTH, X, Y, predict_all, update_one
 

@@ -14,7 +14,8 @@ from math import cos, hypot, sin
 import numpy as np
 
 from logs.agents import USUAL_SIZE_M, AgentKind, Detections, among
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
+from logs.kernel import kernel
 from logs.shapes import corners
 
 VEHICLE, PERSON, CLUSTER = 0, 1, 2

@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from logs.agents import Detections, Repair, TrackChange, codes_of
-from logs.kernel import FloatArray, IntArray, frozen
+from logs.arrays import FloatArray, IntArray, frozen
 from logs.repair.association import Association
 from logs.repair.detected_boxes import CLUSTER, NOISE, OTHER_PART, PERSON, VEHICLE, Boxes, shares, stronger_twins
 from logs.repair.users import Piece, User, fitted, stitched, user_of

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents, Detections
-from logs.kernel import FloatArray, frozen
+from logs.arrays import FloatArray, frozen
 from logs.repair.association import Association
 from logs.repair.detected_boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, Boxes, stronger_twins
 from logs.repair.kalman import ACROSS, ALONG, VX, VY, X, Y

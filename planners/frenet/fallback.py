@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.frame import Frame
-from logs.kernel import FloatArray, kernel
+from logs.kernel import kernel
 from logs.shapes import overlap
 from logs.states import EgoState, Trajectory
 from logs.trace import Artefact, Plan, PlanStart, PlanStatus

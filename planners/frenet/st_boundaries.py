@@ -27,7 +27,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.shapes import axis_gap
 from logs.states import wrap
 from logs.trace import Decision, DecisionKind, GraphObstacle

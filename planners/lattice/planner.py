@@ -11,8 +11,8 @@ from math import cos, floor, sin, tan
 
 import numpy as np
 
+from logs.arrays import FloatArray, IntArray
 from logs.frame import Frame, PlannerContext
-from logs.kernel import FloatArray, IntArray
 from logs.shapes import overlap
 from logs.states import Trajectory, wrap
 from logs.trace import (

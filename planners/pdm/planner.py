@@ -34,8 +34,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from logs.arrays import BoolArray, FloatArray
 from logs.frame import Frame, PlannerContext, Predictions
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.kernel import kernel
 from logs.states import EgoState, Trajectory, wrap
 from logs.trace import Artefact, Candidates, Corridor, CostTerms, Internals, Plan, SlGraph, StGraph
 from logs.vehicle import VehicleParameters

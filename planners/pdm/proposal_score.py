@@ -30,7 +30,8 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from logs.agents import AgentKind, among
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
+from logs.kernel import inner_kernel, kernel
 from logs.road import line_frame, line_project
 from logs.shapes import overlap
 from planners.frenet.profiles import STEP_S

@@ -33,7 +33,7 @@ from math import inf, isfinite
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray
+from logs.arrays import TIE, FloatArray
 from logs.road import Road
 from logs.rules import RED, Colour
 from logs.trace import DecisionKind

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from logs.arrays import TIE
 from logs.errors import LogError
-from logs.kernel import TIE
 from metrics import METRICS
 from metrics.judge import REFERENCE, Outcome, judge, outcomes
 from metrics.judge.gates import Gate, Gates

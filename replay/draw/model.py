@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray
+from logs.arrays import FloatArray, IntArray
 from logs.memory import loaded
 from logs.road import RoadSource
 from logs.scenario import Scenario

@@ -32,8 +32,8 @@ from math import cos, hypot, inf, nan, radians, sin
 import numpy as np
 
 from logs.agents import Agents
+from logs.arrays import BoolArray, FloatArray
 from logs.frame import PlannerContext, Predictions
-from logs.kernel import BoolArray, FloatArray
 from logs.road import line_project_many
 from logs.scenario import Scenario
 from logs.shapes import distance

@@ -26,7 +26,7 @@ from math import inf, log10
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray
 from logs.names import ShortNames
 from logs.trace import Decision, DecisionKind, Graph, LaneOption, Mode, Plan, PlannedFrame, SlGraph, StGraph, Trace
 from replay.explain.explanation import LONGITUDINAL

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.agents import Agents
+from logs.arrays import FloatArray
 from logs.frame import Predictions
-from logs.kernel import FloatArray
 from logs.rules import Colour
 from logs.scenario import Scenario, Tracks
 from logs.trace import DecisionKind, PlannedFrame, StGraph, Trace

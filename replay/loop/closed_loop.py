@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from math import inf
 from types import MappingProxyType
 
+from logs.arrays import FloatArray
 from logs.errors import PlannerError
-from logs.kernel import FloatArray
 from logs.scenario import Scenario, Tracks
 from logs.trace import EndReason, Mode, Plan, Trace
 from replay.config import DEFAULT_LOOP, LoopConfig

@@ -17,10 +17,10 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from logs.agents import NUMBERS
+from logs.arrays import FloatArray, IntArray, frozen
 from logs.errors import LogError
 from logs.extension import ExtensionKind
 from logs.frame import Frame, Predictions, Visibility
-from logs.kernel import FloatArray, IntArray, frozen
 from logs.memory import NearbyTracks
 from logs.repair.identities import Owners
 from logs.scenario import Agents, Scenario, Tracks

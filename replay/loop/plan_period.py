@@ -22,8 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.frame import Frame
-from logs.kernel import FloatArray, kernel
+from logs.kernel import kernel
 from logs.memory import FrameStore
 from logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
 from logs.trace import Plan, PlannedFrame, TrackingErrors

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.memory import NearbyTracks
 from logs.road import Goal, RoadSource, inside
 from logs.scenario import Scenario, Tracks

@@ -16,7 +16,8 @@ from math import hypot, inf
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
 from logs.once import once
 from logs.scenario import AgentKind
 from logs.shapes import clearance, overlap, time_to_contact

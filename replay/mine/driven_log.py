@@ -24,7 +24,8 @@ from functools import cached_property
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
 from logs.road import ReferenceLine, line_frame, line_project, thinned
 from logs.scenario import AgentKind, Scenario
 from logs.states import Trajectory, wrap

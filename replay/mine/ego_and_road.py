@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray
 from logs.once import once
 from logs.road import Lane, Road, RoadSource, inside
 from logs.route import on_lane

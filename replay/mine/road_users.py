@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from logs.kernel import BoolArray
+from logs.arrays import BoolArray
 from logs.scenario import AgentKind
 from metrics.lanes import points_inside
 from metrics.metric import Unavailable

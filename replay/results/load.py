@@ -23,9 +23,9 @@ import msgspec
 import numpy as np
 import pandas as pd
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError, unknown_name
 from logs.files import Near
-from logs.kernel import FloatArray
 from logs.mcap import read_trace
 from logs.names import counted
 from logs.scenario import Scenario

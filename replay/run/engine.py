@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 from uuid import uuid4
 
-from logs.kernel import is_cache_cold
+from logs.kernel_watch import is_cache_cold
 from replay.planner_process.batch import in_lockstep
 from replay.planner_process.processes import set_template_run
 from replay.run.one_log import evaluate_log

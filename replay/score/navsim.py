@@ -31,8 +31,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from logs.arrays import BoolArray, FloatArray
 from logs.errors import ConfigError
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.kernel import kernel
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.shapes import overlap

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray
+from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.road import inside
 from logs.route import straight_on

@@ -31,8 +31,8 @@ from math import floor, isfinite, nan
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError, unknown_name
-from logs.kernel import FloatArray
 from logs.trace import Mode
 from metrics import Metric
 from metrics.comparison import MIN_SIGNIFICANT, intervals, noise

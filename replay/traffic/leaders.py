@@ -31,7 +31,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.scenario import Tracks
 from logs.shapes import overlap
 from metrics.reference_drivers import CC_BRAKE_MPS2

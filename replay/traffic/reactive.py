@@ -35,7 +35,7 @@ from math import cos, hypot, inf, nan, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray
 from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.states import EgoState
 from metrics.boxes import name_of

@@ -34,7 +34,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.route import ASIDE_M, ASKEW_RAD, BEHIND_M, on_lane
 from logs.rules import RED, Colour
 from logs.scenario import AgentKind, Agents, Scenario, Tracks

@@ -30,8 +30,9 @@ from __future__ import annotations
 from math import atan, ceil, cos, sin, tan
 from typing import NamedTuple
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError
-from logs.kernel import FloatArray, inner_kernel, kernel
+from logs.kernel import inner_kernel, kernel
 from logs.states import Command, EgoState
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters

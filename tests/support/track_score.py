@@ -18,8 +18,8 @@ from scipy.optimize import linear_sum_assignment
 
 from logs import AgentKind, Scenario
 from logs.agents import Detections
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.catalogue.detector import Sight, detected, sight
-from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers import read_log
 from logs.repair import Tracked, repair
 from logs.scenario import Tracks

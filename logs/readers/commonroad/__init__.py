@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.kernel import FloatArray
 from logs.observed import Spans, inferred
 from logs.readers.base import LogSettings, Reader
 from logs.readers.commonroad.document import Document, Obstacle, PlanningProblem, parse

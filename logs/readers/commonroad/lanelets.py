@@ -18,7 +18,7 @@ from math import ceil
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.readers.commonroad.document import Document, PlanningProblem
 from logs.readers.strips import resampled
 from logs.road import Lane, Road

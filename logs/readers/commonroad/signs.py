@@ -31,7 +31,7 @@ from math import atan2, radians
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.readers.commonroad.document import PRIORITY_SIGNS, STOP_SIGNS, YIELD_SIGNS, Document, Incoming, Lanelet
 from logs.readers.strips import dense
 from logs.road import Lane, Road

@@ -39,7 +39,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.readers.commonroad.document import Document, Obstacle, OccupiedSet
 from logs.scenario import AgentKind, Tracks
 from logs.states import Trajectory, wrap

@@ -33,8 +33,8 @@ from typing import Any
 import numpy as np
 from zstandard import ZstdError, frame_content_size
 
+from logs.arrays import IntArray
 from logs.errors import LogError
-from logs.kernel import IntArray
 from logs.readers.base import LogContents, LogSettings, Reader, TopicSummary
 from logs.readers.ros.fields import SIMPLIFY, Types, Wanted, decoder, has_field
 from logs.scenario import Scenario

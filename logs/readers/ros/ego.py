@@ -32,8 +32,8 @@ from typing import Any
 
 import numpy as np
 
+from logs.arrays import FloatArray, IntArray
 from logs.errors import LogError
-from logs.kernel import FloatArray, IntArray
 from logs.readers.base import LogSettings
 from logs.readers.recorded import held_curvature, rotated, stands, unit_or_identity
 from logs.readers.ros import Bag, Topic, schemas

@@ -24,8 +24,8 @@ from pathlib import Path
 import numpy as np
 
 from logs.agents import Detections
+from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.kernel import FloatArray
 from logs.mcap.complete import derived_acceleration, derived_curvature, road_along
 from logs.observed import Spans, of_stream
 from logs.readers.admission import reason_to_repair

@@ -18,7 +18,8 @@ from math import hypot
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
 from logs.road import line_project
 from logs.shapes import corners
 from logs.trace import Decision, DecisionKind

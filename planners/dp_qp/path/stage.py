@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.arrays import TIE, FloatArray
 from logs.frame import PlannerContext
-from logs.kernel import TIE, FloatArray
 from logs.trace import (
     Artefact,
     Corridor,

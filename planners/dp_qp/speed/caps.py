@@ -39,8 +39,9 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.arrays import TIE, BoolArray, FloatArray
 from logs.frame import Visibility
-from logs.kernel import TIE, BoolArray, FloatArray, kernel
+from logs.kernel import kernel
 from logs.scenario import Agents
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters

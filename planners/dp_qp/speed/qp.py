@@ -19,7 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
+from logs.arrays import FloatArray
+from logs.kernel import kernel
 from logs.trace import CostTerms
 from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, SpeedLimits, braking
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.scenario import AgentKind, Agents
 from logs.shapes import corners
 from logs.states import EgoState

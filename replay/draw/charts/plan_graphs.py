@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.names import ShortNames
 from logs.trace import Graph, SlGraph, StGraph
 from replay.draw.charts.axes import Plane

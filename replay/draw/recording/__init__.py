@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.memory import NearbyTracks, light, trim_memory
 from logs.scenario import Scenario
 from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.scenario import AgentKind
 from logs.trace import DecisionKind, PlanStatus
 

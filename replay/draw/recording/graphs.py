@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from logs.kernel import FloatArray, IntArray
+from logs.arrays import FloatArray, IntArray
 from logs.trace import DecisionKind
 from replay.draw.model import DrawnGraph, DrawnObstacle, multiples, nice_step
 from replay.draw.recording import colours

@@ -16,8 +16,8 @@ from math import atan2, ceil, cos, hypot, pi, sin
 import numpy as np
 import rerun as rr
 
+from logs.arrays import FloatArray, IntArray
 from logs.frame import Visibility
-from logs.kernel import FloatArray, IntArray
 from logs.scenario import AgentKind, Agents, Scenario
 from logs.states import Trajectory
 from logs.trace import Decision, PlannedFrame, Trace

@@ -14,7 +14,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.road import Road, RoadSource
 from logs.trace import Decision, DecisionKind, PlannedFrame, Trace
 from replay.draw.model import Panel

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError
-from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.trace import PlannedFrame, StGraph, Trace

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from logs import AgentKind
 from logs.agents import Detections, codes_of
+from logs.arrays import BoolArray, FloatArray
 from logs.catalogue import CATALOGUE
 from logs.catalogue.detector import detected
-from logs.kernel import BoolArray, FloatArray
 from logs.readers import read_log
 from logs.repair import detections_of, needs_repair
 from logs.repair.detected_boxes import Boxes, shared_area, stronger_twins

@@ -15,8 +15,8 @@ from track_score import repaired_score
 
 from logs import AgentKind, Scenario, Trajectory
 from logs.agents import Detections, Repair, codes_of
+from logs.arrays import FloatArray, IntArray
 from logs.catalogue.detector import detected
-from logs.kernel import FloatArray, IntArray
 from logs.readers import read_log
 from logs.repair import detections_of, repair
 from logs.scenario import Tracks

@@ -13,9 +13,9 @@ from command_line import one_error, replan
 from handmade import drive, lanes_along, scenario, straight, track, tracks
 
 from logs import Decision, DecisionKind, EndReason, GraphObstacle, Mode, Plan, PlannedFrame, Scenario, StGraph, Trace
+from logs.arrays import FloatArray
 from logs.catalogue import CATALOGUE
 from logs.errors import LogError, PlannerError
-from logs.kernel import FloatArray
 from logs.mcap import write_scenario
 from planners.piecewise_jerk.solvers import solve
 from replay.config import RunConfig

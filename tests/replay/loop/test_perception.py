@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, Agents, ConfigError, EgoState, Frame, LogError, Scenario, Tracks, VehicleParameters
 from logs.agents import Detections, Repair
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.repair import detections_of
 from logs.repair.identities import named_as_tracked
 from logs.shapes import overlap

@@ -30,8 +30,8 @@ from logs import (
     Tracks,
 )
 from logs.agents import Repair
+from logs.arrays import FloatArray
 from logs.errors import ConfigError, OutputError
-from logs.kernel import FloatArray
 from logs.observed import MAX_AGE_S
 from logs.repair import detections_of
 from metrics import series

@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from logs.arrays import FloatArray
-from logs.trace import Plan
+from logs.plan import Plan
 from logs.vehicle import VehicleParameters
 from replay.control import CONTROLLERS
 from replay.loop.simulation_setup import controller_of

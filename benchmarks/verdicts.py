@@ -21,7 +21,8 @@ from scipy.interpolate import PchipInterpolator
 
 from logs.catalogue import CATALOGUE
 from logs.road import ReferenceLine
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
+from logs.tracks import Tracks
 from metrics.reference_drivers import DRIVERS, Avoidability, DriverVerdict
 from replay.loop.reference_drives import reference_line
 

@@ -71,10 +71,11 @@ import numpy as np
 from logs.arrays import BoolArray, FloatArray
 from logs.kernel import inner_kernel, kernel
 from logs.road import ReferenceLine, line_frame, line_project
-from logs.scenario import FINDING, Scenario, Tracks
+from logs.scenario import FINDING, Scenario
 from logs.shapes import clearance
 from logs.states import EgoState
 from logs.trace import Mode, Trace
+from logs.tracks import Tracks
 from metrics.boxes import (
     STANDING_MPS,
     EgoOutline,

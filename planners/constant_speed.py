@@ -11,8 +11,8 @@ import numpy as np
 
 from logs.arrays import FloatArray
 from logs.frame import Frame, PlannerContext
+from logs.plan import Plan
 from logs.states import EgoState, Trajectory
-from logs.trace import Plan
 
 
 class ConstantSpeed:

@@ -20,7 +20,7 @@ import piqp
 from scipy import sparse
 
 from logs.arrays import FloatArray, IntArray
-from logs.trace import SolverReport
+from logs.plan import SolverReport
 
 SOLVED = 1
 """OSQP's status of a solved problem."""

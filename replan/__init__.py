@@ -20,16 +20,19 @@ from typing import TYPE_CHECKING, Any
 import replan.own  # noqa: F401  # our packages before others of their names
 
 if TYPE_CHECKING:
+    from logs.agents import AgentKind, Agents
     from logs.catalogue.family import Family
     from logs.errors import ConfigError, LogError, OutputError, PlannerError, ReplanError
     from logs.frame import Frame, PlannerContext, Predictions, Visibility
     from logs.mcap.writer import write_scenario as write_log
+    from logs.plan import Decision, DecisionKind, Plan, PlanStatus
     from logs.readers import LogSettings, Reader, read_log
     from logs.readers.table import from_frames
     from logs.road import Goal, Lane, ReferenceLine, Road
-    from logs.scenario import AgentKind, Agents, Scenario, Tracks
+    from logs.scenario import Scenario
     from logs.states import Command, EgoState, Trajectory
-    from logs.trace import Decision, DecisionKind, Mode, Plan, PlanStatus, Trace
+    from logs.trace import Mode, Trace
+    from logs.tracks import Tracks
     from logs.vehicle import VehicleParameters
     from metrics.comparison import Comparison
     from metrics.metric import Metric, Reduction, Series, Unavailable
@@ -104,15 +107,18 @@ __all__ = [
 ]
 
 _NAMES = {
+    "logs.agents": "AgentKind Agents",
     "logs.errors": "ConfigError LogError OutputError PlannerError ReplanError",
     "logs.catalogue.family": "Family",
     "logs.frame": "Frame PlannerContext Predictions Visibility",
+    "logs.plan": "Decision DecisionKind Plan PlanStatus",
     "logs.readers": "LogSettings Reader read_log",
     "logs.readers.table": "from_frames",
     "logs.road": "Goal Lane ReferenceLine Road",
-    "logs.scenario": "AgentKind Agents Scenario Tracks",
+    "logs.scenario": "Scenario",
     "logs.states": "Command EgoState Trajectory",
-    "logs.trace": "Decision DecisionKind Mode Plan PlanStatus Trace",
+    "logs.trace": "Mode Trace",
+    "logs.tracks": "Tracks",
     "logs.vehicle": "VehicleParameters",
     "metrics.comparison": "Comparison",
     "metrics.metric": "Metric Reduction Series Unavailable",

@@ -25,11 +25,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from logs.agents import AgentKind, among
+from logs.agents import AgentKind, Agents, among
 from logs.arrays import FloatArray
 from logs.errors import ReplanError
 from logs.frame import Predictions
-from logs.scenario import Agents
 from replay.config import load_run
 from replay.diagnose.changes import NOT_FOUND, load_changes
 from replay.diagnose.diagnose import diagnose, question

@@ -29,8 +29,8 @@ import pandas as pd
 from logs.arrays import BoolArray
 from logs.errors import ReplanError
 from logs.frame import Frame, PlannerContext, Predictions
+from logs.plan import Plan
 from logs.readers import LogSettings
-from logs.trace import Plan
 from metrics.judge import CAREFUL
 from planners.idm import Idm, IdmConfig
 from replay.config import load_run

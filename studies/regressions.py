@@ -26,8 +26,8 @@ from logs.agents import AgentKind
 from logs.errors import ReplanError
 from logs.frame import Frame, PlannerContext, Predictions
 from logs.mcap import write_scenario
+from logs.plan import Plan
 from logs.scenario import Scenario
-from logs.trace import Plan
 from metrics.comparison import Comparison
 from metrics.judge.gates import GateRule, Outcome
 from planners.dp_qp.planner import DpQp

@@ -22,7 +22,8 @@ from logs.catalogue.family import Family, family
 from logs.catalogue.family_parts import BEYOND_M
 from logs.catalogue.roads import LANE_WIDTH_M
 from logs.road import Goal
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
+from logs.tracks import Tracks
 
 SCENES = (paper.crossing_pedestrian, everyday.follow, everyday.cut_in)
 SOURCE = "ours"

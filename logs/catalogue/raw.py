@@ -14,6 +14,7 @@ from math import pi
 
 import numpy as np
 
+from logs.agents import AgentKind
 from logs.arrays import FloatArray
 from logs.catalogue import paper
 from logs.catalogue.detector import detected
@@ -34,8 +35,9 @@ from logs.catalogue.family_parts import (
 )
 from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, stretch, two_way
 from logs.road import Goal, Road
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import Trajectory
+from logs.tracks import Tracks
 from logs.vehicle import VehicleParameters
 
 EARLY_M = 80.0

@@ -31,7 +31,7 @@ from logs.arrays import FloatArray, IntArray
 from logs.errors import LogError
 from logs.kernel import kernel
 from logs.maps.lanelet2_file import Element, Osm
-from logs.readers.strips import resampled
+from logs.maps.strips import resampled
 from logs.road import Lane
 
 SAME_M = 0.05

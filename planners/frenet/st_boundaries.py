@@ -29,9 +29,9 @@ import numpy as np
 
 from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.kernel import inner_kernel, kernel
+from logs.plan import Decision, DecisionKind, GraphObstacle
 from logs.shapes import axis_gap
 from logs.states import wrap
-from logs.trace import Decision, DecisionKind, GraphObstacle
 from planners.frenet.path import Path
 from planners.frenet.scene import STANDING_MPS, Bodies, Futures, Occupancy, Scene
 

@@ -13,9 +13,7 @@ import numpy as np
 
 from logs.arrays import FloatArray, IntArray
 from logs.frame import Frame, PlannerContext
-from logs.shapes import overlap
-from logs.states import Trajectory, wrap
-from logs.trace import (
+from logs.plan import (
     Artefact,
     Candidates,
     Corridor,
@@ -28,6 +26,8 @@ from logs.trace import (
     SlGraph,
     StGraph,
 )
+from logs.shapes import overlap
+from logs.states import Trajectory, wrap
 from logs.vehicle import VehicleParameters
 from planners.frenet.fallback import fall_back
 from planners.frenet.path import Path, path_through

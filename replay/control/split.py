@@ -13,8 +13,8 @@ import numpy as np
 
 from logs.arrays import FloatArray, frozen
 from logs.kernel import inner_kernel, kernel
+from logs.plan import Plan
 from logs.states import Command, EgoState
-from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from replay.control.dlqr import (
     DlqrLaw,

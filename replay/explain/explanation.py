@@ -14,23 +14,21 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from logs.names import counted
-from logs.scenario import Scenario
-from logs.trace import (
+from logs.plan import (
     Candidates,
     CostTerms,
     Decision,
     DecisionKind,
-    EndReason,
     Graph,
     LaneOption,
     Plan,
-    PlannedFrame,
     PlanStatus,
     PlanSummary,
     SolverReport,
     StGraph,
-    Trace,
 )
+from logs.scenario import Scenario
+from logs.trace import EndReason, PlannedFrame, Trace
 from replay.config import LoopConfig
 from replay.explain.causes import KEEP, Account, CauseKind, accounts, not_passed
 from replay.explain.sentences import brief, sentences

@@ -28,7 +28,8 @@ import numpy as np
 
 from logs.arrays import BoolArray, FloatArray
 from logs.names import ShortNames
-from logs.trace import Decision, DecisionKind, Graph, LaneOption, Mode, Plan, PlannedFrame, SlGraph, StGraph, Trace
+from logs.plan import Decision, DecisionKind, Graph, LaneOption, Plan, SlGraph, StGraph
+from logs.trace import Mode, PlannedFrame, Trace
 from replay.explain.explanation import LONGITUDINAL
 
 TOLERANCE = 1e-3

@@ -25,10 +25,10 @@ from threading import Timer
 
 import pandas as pd
 
+from logs.cut import cut as cut_scenario
+from logs.cut import in_nanoseconds
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.mcap import write_scenario
-from logs.readers.cut import cut as cut_scenario
-from logs.readers.cut import in_nanoseconds
 from logs.scenario import Scenario
 from metrics.boxes import ego_boxes
 from replay.config import load_run

@@ -17,8 +17,8 @@ import numpy as np
 
 from logs.errors import ConfigError, ReplanError, raised
 from logs.frame import Frame
+from logs.plan import Plan
 from logs.states import Trajectory
-from logs.trace import Plan
 from planners.base import Planner
 from replay.drive import Stopwatch
 from replay.planner_process import messages

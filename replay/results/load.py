@@ -28,8 +28,9 @@ from logs.errors import ConfigError, unknown_name
 from logs.files import Near
 from logs.mcap import read_trace
 from logs.names import counted
+from logs.plan import Decision, Plan
 from logs.scenario import Scenario
-from logs.trace import Decision, Plan, PlannedFrame, Trace
+from logs.trace import PlannedFrame, Trace
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Outcome
 from replay.config import RunConfig, load_run

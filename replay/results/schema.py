@@ -364,7 +364,7 @@ drive = result.drive("paper/free_road")  # one drive; with several planners: dri
 drive.series["gap"]  # a metric step by step, by t_s
 plan = drive.plan(at=6.5)  # the plan that was driven at 6.5 s
 plan.trajectory.v  # as arrays
-list(plan.internals)  # S-T and S-L graphs, decisions, costs: logs/trace.py
+list(plan.internals)  # S-T and S-L graphs, decisions, costs: logs/plan.py
 ```
 
 [examples/results.ipynb](../examples/results.ipynb) is a notebook that does this.

@@ -10,8 +10,9 @@ from typing import Any
 from logs.errors import ConfigError, PlannerError, ReplanError, of_users, raised
 from logs.frame import Frame
 from logs.names import counted
+from logs.plan import Plan, SolverReport
 from logs.scenario import Scenario
-from logs.trace import Plan, PlannedFrame, SolverReport
+from logs.trace import PlannedFrame
 from planners.piecewise_jerk.solvers import SolvedProblem, record_problems
 from replay.drive import Drive, Stopwatch
 from replay.explain.causes import Explainer

@@ -39,9 +39,9 @@ from typing import Any
 import pandas as pd
 
 from logs.errors import ConfigError, LogError
+from logs.log_settings import LogSettings
 from logs.mcap import write_scenario
 from logs.names import counted
-from logs.readers.base import LogSettings
 from metrics import METRICS
 from metrics.judge import CAREFUL, REFERENCE, worst
 from metrics.judge.gates import Gate, Outcome

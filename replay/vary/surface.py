@@ -27,9 +27,9 @@ from typing import Any
 import pandas as pd
 
 from logs.errors import ConfigError, LogError
+from logs.log_settings import LogSettings
 from logs.mcap import write_scenario
 from logs.names import counted
-from logs.readers.base import LogSettings
 from logs.scenario import Scenario
 from logs.trace import EndReason
 from logs.variations import VARIATIONS, varied

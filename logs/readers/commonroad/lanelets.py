@@ -19,8 +19,8 @@ from math import ceil
 import numpy as np
 
 from logs.arrays import FloatArray
+from logs.maps.strips import resampled
 from logs.readers.commonroad.document import Document, PlanningProblem
-from logs.readers.strips import resampled
 from logs.road import Lane, Road
 
 NOT_DRIVABLE = {"sidewalk", "crosswalk", "bicycleLane", "shoulder", "busLane", "busStop", "border", "restricted"}

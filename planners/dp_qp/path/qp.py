@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.arrays import FloatArray
-from logs.trace import CostTerms
+from logs.plan import CostTerms
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights, X
 from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.solver import QPResult

@@ -9,8 +9,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from logs.agents import AgentKind, Agents
 from logs.arrays import FloatArray
-from logs.scenario import AgentKind, Agents
 from logs.shapes import corners
 from logs.states import EgoState
 from replay.draw.charts.axes import Plane

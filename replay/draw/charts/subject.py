@@ -15,8 +15,9 @@ import numpy as np
 
 from logs.errors import ConfigError
 from logs.mcap import read_moment
+from logs.plan import PlanSummary
 from logs.scenario import Scenario
-from logs.trace import PlannedFrame, PlanSummary, Trace
+from logs.trace import PlannedFrame, Trace
 from metrics import GROUPS, METRICS
 from metrics.judge.gates import Outcome
 from replay.explain import Explanation, accounts

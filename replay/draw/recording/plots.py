@@ -15,8 +15,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from logs.arrays import FloatArray
+from logs.plan import Decision, DecisionKind
 from logs.road import Road, RoadSource
-from logs.trace import Decision, DecisionKind, PlannedFrame, Trace
+from logs.trace import PlannedFrame, Trace
 from replay.draw.model import Panel
 from replay.draw.recording import colours
 from replay.draw.recording.tape import SPACER, Instants, Tape, plain

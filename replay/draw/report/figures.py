@@ -14,9 +14,10 @@ import pandas as pd
 
 from logs.arrays import FloatArray
 from logs.errors import ConfigError
+from logs.plan import StGraph
 from logs.scenario import Scenario
 from logs.shapes import corners
-from logs.trace import PlannedFrame, StGraph, Trace
+from logs.trace import PlannedFrame, Trace
 from replay.results.tables import write_file
 from replay.world import box_center
 

@@ -15,7 +15,8 @@ from worlds import CAR, Other, along_x, driving, lanes, limit_of, reference, sce
 from logs import AgentKind, Colour, EgoState, Road, Scenario, StopLine, TrafficLight, Trajectory
 from logs.arrays import FloatArray
 from logs.frame import Visibility
-from logs.trace import Candidates, EndReason, Trace
+from logs.plan import Candidates
+from logs.trace import EndReason, Trace
 from planners.dp_qp.choice import endangered
 from planners.dp_qp.path.bounds import CorridorConfig
 from planners.dp_qp.path.passing import (

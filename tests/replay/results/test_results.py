@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from logs import ConfigError, StGraph
-from logs.trace import Decision
+from logs.plan import Decision
 from metrics.judge.aggregate import LogLabels, groups, standings
 from replay.config import RunConfig
 from replay.results.load import Results, load

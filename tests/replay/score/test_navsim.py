@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from logs import Scenario
 from logs.catalogue import scenario as catalogue
-from logs.readers.cut import cut
+from logs.cut import cut
 from logs.rules import Colour, TrafficLight
 from logs.transform import mirrored, moved
 from replay.config import DEFAULT_LOOP

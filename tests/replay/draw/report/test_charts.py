@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from logs import Decision, DecisionKind, PlanStatus
 from logs.mcap import read_moment, read_trace
-from logs.trace import LaneOption, PlanSummary
+from logs.plan import LaneOption, PlanSummary
 from replay.cli import app
 from replay.config import RunConfig
 from replay.draw.charts import Chart, curves, decisions, scenes, sl_graph, st_graph, subject

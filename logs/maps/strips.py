@@ -19,6 +19,8 @@ LARGEST_M = 1e7
 """A larger coordinate is not valid: UTM northings end at 1e7."""
 SHORTEST_M, LONGEST_M = 0.01, 1e5
 """Limits of the length of a boundary; a shorter or longer line is not used."""
+CAR_WIDTH_M = 2.0
+"""Cars on two centre lines that come nearer than this would touch."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """The public names of replan in one place: `import replan` (docs/api.md). Each is imported at its first use.
 
 result = replan.evaluate("my_logs", planners=["dp_qp", "my_planner:Mine"], out="results/mine")
-result = replan.load("results/mine")            the tables and drives of a run (`replay.results.load`, docs/results.md)
+result = replan.load("results/mine")            the tables and drives of a run (docs/results.md)
 replan.compare("results/main", result)          what got better, what worse, and since when
 
 scenario = replan.from_frames(ego, agents)      a team's own log from pandas tables, in ten lines
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from replay.config import LoopConfig, RunConfig
     from replay.draw.charts.canvas import Chart
     from replay.draw.charts.subject import Subject
+    from replay.draw.drawn_results import DriveResult, Results, load
     from replay.mine.driven_log import Event, EventKind
     from replay.prediction import LaneMap
-    from replay.results.load import DriveResult, Results, load
     from replay.traffic import Traffic
     from replay.vehicle.base import Controller, Vehicle
     from replay.world import World
@@ -128,8 +128,8 @@ _NAMES = {
     "replay.prediction": "LaneMap",
     "replay.draw.charts.canvas": "Chart",
     "replay.draw.charts.subject": "Subject",
+    "replay.draw.drawn_results": "DriveResult Results load",
     "replay.mine.driven_log": "Event EventKind",
-    "replay.results.load": "DriveResult Results load",
     "replay.traffic": "Traffic",
     "replay.vehicle.base": "Controller Vehicle",
     "replay.world": "World",

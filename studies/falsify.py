@@ -36,10 +36,10 @@ from planners.idm import Idm, IdmConfig
 from replay.config import load_run
 from replay.results.tables import write_file, write_text
 from replay.run.output import held
+from replay.run.study import Study
 from replay.search.falsify import FalsifyQuestion, SearchDrives, falsify
 from replay.search.mildest import BATCH, Point, norm
 from replay.search.search_space import agents_of, box_of, opened, search_axes
-from replay.search.study import Study
 
 GATES = """
 [[gate]]

@@ -27,8 +27,8 @@ from metrics.judge.verdicts import with_asked
 from metrics.metric import Direction
 from metrics.reference_drivers import APPLIES, AVOIDS
 from replay.config import RunConfig
+from replay.draw.drawn_results import DriveResult, Results
 from replay.explain.first_difference import first_difference, planners_part
-from replay.results.load import DriveResult, Results
 from replay.run.evaluate import evaluate_logs
 from replay.run.judging import gates_of
 

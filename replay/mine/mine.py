@@ -43,7 +43,7 @@ from replay.run.output import write_origin
 from replay.run.pool import WorkerLost, run_all
 from replay.run.resume import identity_of, stamp_of
 from replay.run.sources import LogSource, Selection, log_hash
-from replay.search.study import Study
+from replay.run.study import Study
 
 EVENTS, LOGS, HEALTH, CARD = "events.parquet", "logs.parquet", "health.parquet", "mined.json"
 CONTENTS = FolderContents(

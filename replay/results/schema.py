@@ -290,7 +290,7 @@ FRAMES: Mapping[str, Table] = {
         ),
     ),
 }
-"""Tables of `Results` only, made from summary.json and the traces."""
+"""Tables of `replay.results.load` only, made from summary.json and the traces."""
 
 
 def names_of(file: str) -> list[str]:

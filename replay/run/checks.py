@@ -68,7 +68,7 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
         if name in PLANNERS or name in ORACLES:
             planner_keywords(name, table)
     if run.charts:
-        from replay.draw.charts.layout import CHART  # here, because its import of the results would be circular
+        from replay.draw.charts.layout import CHART  # here: few runs draw charts, and it takes long to load
 
         for chart in run.charts:
             CHART.find(chart)

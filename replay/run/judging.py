@@ -20,7 +20,8 @@ from metrics.judge.discrimination import with_discrimination
 from metrics.judge.gates import Gates, Outcome, load_gates
 from metrics.judge.verdicts import LATE, judge_deadline, with_asked, with_ensemble
 from replay.config import RunConfig
-from replay.results.load import TIMING_WORDS, Results, load
+from replay.draw.drawn_results import Results, load
+from replay.results.load import TIMING_WORDS
 from replay.results.log_result import HEALTH, MEMBERS, METRICS, TIMINGS, Failure, LogResult, table_of, timings_of
 from replay.results.reading import read_table
 from replay.results.tables import (

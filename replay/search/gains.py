@@ -38,7 +38,7 @@ from metrics import Metric
 from metrics.comparison import MIN_SIGNIFICANT, intervals, noise
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Outcome
-from replay.results.load import Results
+from replay.draw.drawn_results import Results
 
 LEAST_LOGS = MIN_SIGNIFICANT
 SLACK = 1e-9

@@ -39,9 +39,9 @@ from replay.draw.charts.canvas import (
 )
 from replay.draw.charts.curves import decided, statuses
 from replay.draw.charts.subject import gravity, measured_by, violations, worst_moment
+from replay.draw.drawn_results import Results, load
 from replay.draw.model import ticks
 from replay.explain.explanation import events
-from replay.results.load import Results, load
 from replay.run import evaluate_logs
 
 LOG = "paper/crossing_pedestrian"

@@ -33,16 +33,7 @@ from planners.frenet.fallback import fall_back
 from planners.frenet.path import Path, path_through
 from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, limit_profile
 from planners.frenet.reference_path import ReferencePath
-from planners.frenet.scene import (
-    TRACK_M,
-    Occupancy,
-    RouteTracker,
-    Scene,
-    behind,
-    on_reference,
-    open_end,
-    upper_bound,
-)
+from planners.frenet.scene import TRACK_M, Occupancy, RouteTracker, Scene, behind, on_reference, open_end, upper_bound
 from planners.frenet.st_boundaries import StGraphConfig, decide_speed, outlines, st_boundaries
 from planners.lattice.candidates import (
     COST_PARTS,

@@ -27,16 +27,7 @@ from logs.scenario import Scenario
 from logs.trace import Mode, PlannedFrame
 from replay.config import RunConfig, dump_run
 from replay.diagnose.changes import ChangedRun, TriedChange, cause_of, changed_runs, driven
-from replay.diagnose.drives import (
-    MODE,
-    DrivenLogs,
-    as_driven,
-    drive_again,
-    failed_gates,
-    parting,
-    passes,
-    worsens,
-)
+from replay.diagnose.drives import MODE, DrivenLogs, as_driven, drive_again, failed_gates, parting, passes, worsens
 from replay.diagnose.failure import (
     AHEAD_S,
     PROGRESS,

@@ -23,13 +23,7 @@ from planners.base import Planner
 from replay.drive import Stopwatch
 from replay.planner_process import messages
 from replay.planner_process.channel import Channel, GoneError
-from replay.planner_process.planner_config import (
-    of_class,
-    planner_factory,
-    planner_keywords,
-    prepared,
-    resolved_table,
-)
+from replay.planner_process.planner_config import of_class, planner_factory, planner_keywords, prepared, resolved_table
 
 
 def main() -> None:

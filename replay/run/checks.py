@@ -20,12 +20,7 @@ from replay.loop.perception import ORACLE, PERCEPTION
 from replay.loop.simulation_setup import controller_of
 from replay.oracle import ORACLES
 from replay.planner_process.connection import describe_planner
-from replay.planner_process.planner_config import (
-    is_apart,
-    is_built_in,
-    planner_keywords,
-    resolved_table,
-)
+from replay.planner_process.planner_config import is_apart, is_built_in, planner_keywords, resolved_table
 from replay.prediction import PREDICTION, LaneMap, predict
 from replay.results.log_result import Failure
 from replay.settings import SETTINGS, configured, dotted, keywords_of, resolved

@@ -42,15 +42,7 @@ from metrics.comfort import savgol
 from metrics.drivable_lanes import DrivableLanes, along_line, lane_map
 from metrics.nuplan import AHEAD, comfort_signals, comfortable, corners_of
 from replay.score.navsim_tracker import LATERAL, STEP_S, TURN, TURN_RATE, YAW, A, V, X, Y, simulated
-from replay.score.window import (
-    Polyline,
-    RoadblockRoute,
-    WindowAgents,
-    box_on_polygon,
-    center_line,
-    red_lanes,
-    route_of,
-)
+from replay.score.window import Polyline, RoadblockRoute, WindowAgents, box_on_polygon, center_line, red_lanes, route_of
 
 HORIZON_S, POSES, POSE_S, PAST_S, LEAST_WAY_M = 4.0, 8, 0.5, 1.5, 5.0
 STEPS = round(HORIZON_S / STEP_S) + 1

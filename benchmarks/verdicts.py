@@ -20,10 +20,11 @@ import pandas as pd
 from scipy.interpolate import PchipInterpolator
 
 from logs.catalogue import CATALOGUE
+from logs.references import Avoidability, DriverVerdict
 from logs.road import ReferenceLine
 from logs.scenario import Scenario
 from logs.tracks import Tracks
-from metrics.reference_drivers import DRIVERS, Avoidability, DriverVerdict
+from metrics.reference_drivers import DRIVERS
 from replay.loop.reference_drives import reference_line
 
 NOISE_M = (0.02, 0.05)

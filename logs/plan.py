@@ -60,7 +60,7 @@ class Decision:
     Attributes:
         agent: Name of the agent in `Agents.ids`, or of the stop.
         kind: The decision.
-        stage: "path" or "speed".
+        stage: "path", "speed", or a name of the planner's own.
         reason: The reason, at most one sentence.
     """
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from logs.names import ShortNames
 from logs.observed import Spans, inferred
+from logs.references import References
 from logs.repair.detections import Detections, Repair
 from logs.road import Goal, Road
 from logs.rules import TrafficLight
@@ -18,8 +19,6 @@ from logs.states import Controls, OnboardPlan, Trajectory
 from logs.tracks import Tracks
 from logs.vehicle import VehicleParameters
 
-FINDING = "reference_"
-"""Prefix of metadata entries that the replay adds to a scenario; they are never read from a log."""
 EGO_POSE, CENTRE = "ego_pose", "box centre"
 """Metadata entry, and its value if the log has poses of the ego's box centre instead of its rear axle."""
 
@@ -41,7 +40,7 @@ class Scenario:
         source: Origin of the log; `licence` is its licence.
         origin: World offset `(x, y)` that the reader subtracted, m.
         start_ns: Log time of t = 0, nanoseconds.
-        metadata: Other data of the log (generator, parameters, seed), and findings of the reader (`FINDING`).
+        metadata: Other data of the log (generator, parameters, seed).
         notes: Assumptions of the reader, one sentence each, which are shown to the user.
         lights: The traffic lights that the road's stop lines name, sorted by id. A light that a stop line names and
             that is not among them was not observed.
@@ -49,6 +48,7 @@ class Scenario:
         traffic: Spans in which the other road users were observed, if the log states them (`traffic_spans`).
         detections: Raw boxes, of which `logs.readers` makes tracks; None: the tracks are complete.
         repair: The repair that made the tracks from detections; None: the tracks are the log's own.
+        references: What reference drivers do in it; the replay adds them, no log holds them.
 
     Raises:
         ValueError: The scenario is shorter than its ego log, two lights have one id, or a traffic span is invalid.
@@ -74,6 +74,7 @@ class Scenario:
     traffic: Spans | None = None
     detections: Detections | None = None
     repair: Repair | None = None
+    references: References = field(default_factory=References)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))

@@ -20,7 +20,7 @@ bends (station' = v / (1 - kappa l), kappa l up to 0.5), the 0.1 m for noise in 
 With the gain of a drive along the route; the yardstick is the whole log, even if the drive was shorter:
 
 (1) route_progress(t) = gain(t) / gain of the log's driver at the log's end
-    where the log has no drive: over the gain of the route follower (metadata `FOLLOWER_M`);
+    where the log has no drive: over the gain of the route follower (`Scenario.references`);
     unavailable if that yardstick is below 2 m: then it is unknown how far a planner should drive; below 5 m where the
     log has no lanes: its lane is then not what was driven (`logs.complete`)
 (2) progress = min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c;  c = 2 m      (nuPlan)
@@ -170,7 +170,6 @@ MISSED_STEPS = 500  # Steps of a drive that are looked at for what it missed
 LEAST_COVERED = 0.2  # A drive that covers less of its log shows almost nothing
 EXCESS_MPS = 2.23  # 5 mph
 OVER_MPS, OVER_RATIO = 1.0, 0.1
-FOLLOWER_M = "reference_follower.gain_m"  # Key of the metadata: gain of the route follower, m
 REACH_MPS2, REACH_MPS = 9.81, 70.0  # No road vehicle exceeds these (adhesion of 1 g)
 EASE_MPS2, SETTLE_S = 1.0, 1.0  # Comfortable deceleration, and a driver's reaction time
 _ALONE = Unavailable("the log holds one ego state only: there is no drive to compare with")
@@ -190,8 +189,8 @@ def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
             float(np.interp(until, scenario.ego.t, gain_along(route, scenario.ego).metres)),
             "the log's driver",
         )
-    elif FOLLOWER_M in scenario.metadata:
-        yardstick, who = float(scenario.metadata[FOLLOWER_M]), "the route follower"
+    elif scenario.references.follower_gain is not None:
+        yardstick, who = scenario.references.follower_gain, "the route follower"
     else:
         return Unavailable("the log holds one ego state only, and no route follower was driven")
     if yardstick < (FLOOR_M if scenario.road.source is RoadSource.LANES else MIN_PATH):

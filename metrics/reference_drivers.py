@@ -46,22 +46,14 @@ The margin of a verdict is the least distance between the driver's box and the a
 A verdict is marginal where its margin, or that of the drive without braking, is within `MARGINAL_M`, or if a driver
 that judges `JUDGED_S` earlier or later has another outcome; this shifts (2), (5) and the reaction time.
 
-The verdicts reach the metrics as metadata of the scenario. `replay.loop.reference_drives` writes them, because it knows
-the line; these keys are dropped when a log is read. Each driver has three rows: `reference_cc.applies` is 1 if an ego
-that does not brake would touch an agent, else 0; if it is 1, `reference_cc.avoids` is 1 or 0, and `reference_cc.margin`
-is the margin in metres (negative: not avoided). The entries of "cc" (those of "fsm" are alike):
-
-    reference_cc            "avoidable", "unavoidable" or "not applicable"
-    reference_cc.reason     a sentence, with the margin and whether it is marginal
-    reference_cc.agent      id of the agent that the driver touches, else of the one that it avoids; if it applies
-    reference_cc.margin     m, as a number
-    reference_cc.marginal   "yes" or "no"
+`replay.loop.reference_drives`, which knows the line, adds the verdicts to the scenario (`Scenario.references`). Each
+driver has three rows: `reference_cc.applies` is 1 if an ego that does not brake would touch an agent, else 0; if it is
+1, `reference_cc.avoids` is 1 or 0, and `reference_cc.margin` is the margin in metres (negative: not avoided).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 from functools import partial
 from math import cos, hypot, nan, sin
 from typing import NamedTuple
@@ -70,8 +62,9 @@ import numpy as np
 
 from logs.arrays import BoolArray, FloatArray
 from logs.kernel import inner_kernel, kernel
+from logs.references import Avoidability, DriverVerdict
 from logs.road import ReferenceLine, line_frame, line_project
-from logs.scenario import FINDING, Scenario
+from logs.scenario import Scenario
 from logs.shapes import clearance
 from logs.states import EgoState
 from logs.trace import Mode, Trace
@@ -107,38 +100,6 @@ NEAR_M, ASIDE_M = 150.0, 20.0  # A driver does not look farther ahead or sideway
 
 PASSIVE, CC, FSM = 0, 1, 2
 ANY = -1  # Value of `about`: the least distance to any agent
-
-
-class Avoidability(Enum):
-    """Whether a reference driver avoids a collision."""
-
-    AVOIDABLE = "avoidable"
-    UNAVOIDABLE = "unavoidable"
-    NOT_APPLICABLE = "not applicable"
-
-
-@dataclass(frozen=True, slots=True)
-class DriverVerdict:
-    """The verdict of a reference driver ("cc" or "fsm") on a scenario, and its reason.
-
-    Attributes:
-        brakes: When it begins to brake with more than 1 m/s2, s since the scenario's start; NaN: never.
-        meets: When it touches an agent, s; NaN: never.
-        speed: Speed at the touch, else at the end, m/s.
-        agent: Id of the agent that the driver touches, else of the one that it would touch without braking; "": none.
-        margin: (6), m; NaN without an agent.
-        marginal: Whether a small change would change the verdict (module docstring).
-    """
-
-    driver: str
-    outcome: Avoidability
-    reason: str
-    brakes: float = nan
-    meets: float = nan
-    speed: float = nan
-    agent: str = ""
-    margin: float = nan
-    marginal: bool = False
 
 
 class SpeedLine(NamedTuple):
@@ -481,24 +442,13 @@ APPLIES = Reduction("applies", lambda series: (1.0, -1), "1", "none", empty=0.0)
 MARGIN = Reduction("margin", lambda series: (float(series.value[0]), -1), "m", "higher")
 
 
-def metadata_of(verdict: DriverVerdict) -> dict[str, str]:
-    """Return the metadata entries of a verdict."""
-    key = f"{FINDING}{verdict.driver}"
-    entries = {key: verdict.outcome.value, f"{key}.reason": verdict.reason}
-    if verdict.agent:
-        entries[f"{key}.agent"] = verdict.agent
-    return {**entries, f"{key}.margin": repr(verdict.margin), f"{key}.marginal": "yes" if verdict.marginal else "no"}
-
-
 def _reference(trace: Trace, scenario: Scenario, *, driver: str) -> Measured:
-    key = f"{FINDING}{driver}"
-    found = scenario.metadata.get(key)
-    if found not in {outcome.value for outcome in Avoidability}:
+    found = scenario.references.verdicts.get(driver)
+    if found is None:
         return Unavailable("the reference drivers were not asked")
-    reason = scenario.metadata[f"{key}.reason"]
-    applies = Avoidability(found) is not Avoidability.NOT_APPLICABLE
-    value = np.array([float(scenario.metadata[f"{key}.margin"]) if applies else np.nan])
-    return Series(trace.ego.t[:1], value, (reason,), f"not applicable: {reason}")
+    applies = found.outcome is not Avoidability.NOT_APPLICABLE
+    value = np.array([found.margin if applies else np.nan])
+    return Series(trace.ego.t[:1], value, (found.reason,), f"not applicable: {found.reason}")
 
 
 REFERENCE = tuple(

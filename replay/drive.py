@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from time import perf_counter
 
 from logs.trace import Trace
 
-TRUSTED = "the planner was trusted: it ran in the process that holds the log"
-"""Note of a drive whose planner is not built in and ran in the process that holds the log."""
-BATCHED = "batched: the planner's process was shared with other logs, up to {} in all"
-"""Note of a drive whose frames were planned together with those of other logs."""
-NOT_DETERMINISTIC = "not deterministic: "
-"""Beginning of the note of a drive whose start differs when it is driven twice."""
+
+class Mark(Enum):
+    """What stands beside the planner's name of a drive in reports.
+
+    Attributes:
+        TRUSTED: The planner is not built in, and ran in the process that holds the log.
+        BATCHED: Its frames were planned together with those of other logs.
+        NOT_DETERMINISTIC: The drive's start differs when it is driven twice.
+    """
+
+    TRUSTED = "trusted"
+    BATCHED = "batched"
+    NOT_DETERMINISTIC = "not deterministic"
 
 
 @dataclass(frozen=True, order=True)
@@ -52,10 +60,11 @@ class StageTime:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Drive:
-    """A trace, and separately the planning times, which differ when the drive is repeated."""
+    """A trace, the marks of its planner, and the planning times, which differ when the drive is repeated."""
 
     trace: Trace
     timings: tuple[StageTime, ...]
+    marks: tuple[Mark, ...] = ()
 
 
 class Stopwatch:

@@ -27,7 +27,7 @@ from logs.names import counted
 from logs.observed import of_stream
 from logs.repair.detections import Detections, Repair, TrackChange
 from logs.rules import Colour, TrafficLight
-from logs.scenario import FINDING, Scenario
+from logs.scenario import Scenario
 from logs.states import Controls, OnboardPlan, Trajectory
 from logs.tracks import Tracks
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
@@ -109,7 +109,6 @@ def _native(container: Container) -> Scenario:
         traffic = of_stream(seconds(agents.times, start_ns))  # including empty messages
     noted = _from_record(record, "notes", list[str], [])
     free = container.metadata.get(native.FREE_RECORD, {})
-    free = {key: text for key, text in free.items() if not key.startswith(FINDING)}
     driven = {f"trace_{key}": value for key, value in container.metadata.get(native.TRACE_RECORD, {}).items()}
     try:
         return Scenario(

@@ -77,7 +77,9 @@ MEMBER, PERTURBATION = "member", "perturbation"  # Additional columns of a table
 LATE = "deadline.share"
 MAX_LATE = 0.01  # The share of a drive's plans that may be late
 MISS_COLUMNS = ("log", "planner", "mode", "plans", "misses", "share", "worst_s", "worst_t_s")
-OUTCOME_COLUMNS = ("gate", "log", "planner", "mode", "outcome", "value", "time_s", "reason")
+OUTCOME_COLUMNS = (
+    "gate", "log", "planner", "mode", "outcome", "value", "time_s", "reason", "metric", "over", "low", "high",
+)  # fmt: skip
 Drive = tuple[str, str, str]  # Log, planner, mode
 Values = dict[tuple[str, str, str, str], tuple[float, str]]  # Value and reason by log, planner, mode and metric
 DRIVE = ["log", "planner", "mode"]
@@ -164,11 +166,15 @@ def judge(
 def outcomes(verdicts: Sequence[Verdict]) -> pd.DataFrame:
     """Return the outcome of each gate on each log as `OUTCOME_COLUMNS`; one row even if a log is in several groups."""
     found = [
-        (str(v.gate), log.log, v.planner, v.mode, log.outcome.value, log.value, log.time_s, log.why)
+        (
+            str(v.gate), log.log, v.planner, v.mode, log.outcome.value, log.value, log.time_s, log.why,
+            v.gate.metric, v.gate.over, v.gate.min, v.gate.max,
+        )
         for v in verdicts
         for log in v.logs
-    ]
-    rows = pd.DataFrame(found, columns=list(OUTCOME_COLUMNS)).astype({"value": "float64", "time_s": "float64"})
+    ]  # fmt: skip
+    rows = pd.DataFrame(found, columns=list(OUTCOME_COLUMNS))
+    rows = rows.astype(dict.fromkeys(("value", "time_s", "low", "high"), "float64"))
     twice = [str(v.gate) for v in verdicts if v.gate.per == "tag"]
     again = rows.duplicated(["gate", "log", "planner", "mode"]) & rows["gate"].isin(twice)
     return rows[~again].reset_index(drop=True)

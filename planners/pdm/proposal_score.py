@@ -27,7 +27,6 @@ from math import cos, hypot, sin
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from logs.agents import AgentKind, among
 from logs.arrays import BoolArray, FloatArray, IntArray, frozen
@@ -235,6 +234,8 @@ def _filters(k: int) -> tuple[FloatArray, ...]:
     They smooth an acceleration, give its slope over the whole proposal, smooth an acceleration over the whole proposal,
     and give the first and second derivative of the yaw.
     """
+    from scipy.signal import savgol_filter  # imported here: it takes longer to import than all planners
+
     made = ((8, 2, 0), (k, 2, 1), (k, 2, 0), (5, 2, 1), (5, 3, 2))
     return tuple(
         frozen(savgol_filter(np.eye(k), min(window, k), degree, deriv=derivative, delta=STEP_S, axis=1))

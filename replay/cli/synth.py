@@ -14,7 +14,6 @@ from logs.errors import unknown_name
 from logs.mcap import is_written_here, write_scenario
 from logs.names import counted
 from logs.scenario import Scenario
-from replay.loop.reference_drives import with_avoidability
 from replay.results.tables import safe_name, write_text
 from replay.run.claim import check_file
 
@@ -90,7 +89,7 @@ def _written(one: Scenario, out: Path, form: str) -> Path:
         return path
     path = path.with_name(f"{path.name}.mcap")
     check_file(path, (".mcap",), is_written_here)
-    write_scenario(path, with_avoidability(one))
+    write_scenario(path, one)
     return path
 
 

@@ -22,14 +22,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from math import inf, log10
 
 import numpy as np
 
 from logs.arrays import BoolArray, FloatArray
 from logs.names import ShortNames
-from logs.plan import Decision, DecisionKind, Graph, LaneOption, Plan, SlGraph, StGraph
-from logs.trace import Mode, PlannedFrame, Trace
+from logs.plan import Candidates, CostTerms, Decision, DecisionKind, Graph, LaneOption, Plan, SlGraph, StGraph
+from logs.trace import Mode, PlannedFrame, Trace  # fmt: skip
 from replay.explain.explanation import LONGITUDINAL
 
 TOLERANCE = 1e-3
@@ -42,7 +43,11 @@ STAGES = (
     "vehicle", "input frame", "prediction", "route", "lane choice", "path DP", "path QP", "S-T graph", "speed DP",
     "speed QP", "plan", "controller", "end",
 )  # fmt: skip
-"""Stages in their order at one instant: earlier commands moved the car; its next command follows the plan."""
+"""Stages in their order at one instant: earlier commands moved the car; its next command follows the plan.
+
+Those from route to speed QP are the graphs, lanes and decisions of `logs.trace`. Stages that a planner names itself, in
+its decisions, costs and candidates, come before the plan, in the order of their first mention.
+"""
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,7 @@ class FirstDifference:
 
     Attributes:
         t: Time since the start of the scenario, s.
-        stage: One of `STAGES`.
+        stage: One of `STAGES`, or a name of the planner's own.
         what: "t = 3.20 s, speed QP: station at 4 s 12.31 -> 10.02 m".
     """
 
@@ -70,8 +75,8 @@ class _Difference:
     describe: Callable[[], str]
 
     @property
-    def place(self) -> tuple[float, int]:
-        return self.t, STAGES.index(self.stage)
+    def place(self) -> tuple[float, float]:
+        return self.t, STAGES.index(self.stage) if self.stage in STAGES else STAGES.index("plan") - 0.5
 
 
 def first_difference(one: Trace, two: Trace) -> FirstDifference | None:
@@ -235,6 +240,9 @@ def _inside(before: PlannedFrame, now: PlannedFrame, kept: set[type]) -> Iterato
         there = [any(isinstance(item, kind) for item in items) for items in (one, two)]
         if kind in kept and there[0] != there[1]:
             yield stage, iter([(inf, partial(str, "solved now" if there[1] else "no longer solved"))])
+    named = [item.stage for side in (one, two) for item in side if isinstance(item, Decision | CostTerms | Candidates)]
+    for stage in dict.fromkeys(name for name in named if name not in ("path", "speed", *STAGES)):
+        yield stage, chain(_decision_differences(one, two, stage), _count_differences(one, two, stage))
 
 
 def _graphs(one: Sequence[object], two: Sequence[object], kind: type[Graph]) -> tuple[Graph, Graph] | None:
@@ -280,6 +288,19 @@ def _decision_differences(one: Sequence[object], two: Sequence[object], stage: s
         before, now = (side.get(agent, "no decision") for side in decided)
         if before != now:
             yield inf, partial(str, f"{agent}: {before} -> {now}")
+
+
+def _count_differences(one: Sequence[object], two: Sequence[object], stage: str) -> _Found:
+    """Differences of the costs and the candidates of a stage, if both plans have them."""
+    counts = []
+    for side in (one, two):
+        costs = {name: value for x in side if isinstance(x, CostTerms) and x.stage == stage for name, value in x.terms}
+        mine = [x for x in side if isinstance(x, Candidates) and x.stage == stage]
+        rejected = {f"candidates rejected, {name}": float(count) for x in mine for name, count in x.rejected}
+        counts.append({f"cost of {name}": value for name, value in costs.items()} | rejected)
+    names = [name for name in counts[0] if name in counts[1]]
+    columns = [np.array([side[name] for name in names], np.float64) for side in counts]
+    yield from _largest(columns[0], columns[1], names.__getitem__, "")
 
 
 # numbers and words ------------------------------------------------------------------------------------------------

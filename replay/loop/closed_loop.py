@@ -88,7 +88,7 @@ def run_closed_loop(
         notes=(*planning.notes, *perception.notes, *setup.notes),
         perceived=perception.shown,
     )
-    return Drive(trace, planning.timings)
+    return Drive(trace, planning.timings, planning.marks)
 
 
 def _never_ends(_rows: FloatArray, _first: int, _end: int, _tracks: Tracks) -> Ended | None:

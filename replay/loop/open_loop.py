@@ -72,7 +72,7 @@ def run_open_loop(
         notes=(*planning.notes, *perception.notes),
         perceived=perception.shown,
     )
-    return Drive(trace, planning.timings)
+    return Drive(trace, planning.timings, planning.marks)
 
 
 def frame_times(log: Trajectory, period_ns: int) -> list[float]:

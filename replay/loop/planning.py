@@ -25,7 +25,7 @@ from logs.trace import EndReason, Trace
 from metrics.arrival import goal_of
 from planners.base import Planner
 from replay.config import LoopConfig
-from replay.drive import BATCHED, FIRST, NOT_DETERMINISTIC, TRUSTED, DriveKey, StageTime, Stopwatch
+from replay.drive import FIRST, Drive, DriveKey, Mark, StageTime, Stopwatch
 from replay.loop.plan_check import checked
 from replay.oracle import ORACLES
 from replay.planner_process.connection import ApartPlanner, FaultError, current_log
@@ -67,10 +67,15 @@ class Planning:
         goal, note = goal_of(scenario)
         self.is_oracle = spec in ORACLES
         known_path = DRIVEN_PATH_NOTE if scenario.road.source is RoadSource.DRIVEN_PATH else ""
-        trusted = "" if is_built_in(spec) or is_apart(spec, config.apart) else TRUSTED
-        shared = is_apart(spec, config.apart) and current_log() is not None
-        batched = BATCHED.format(config.apart.batch) if shared else ""
-        self.notes = tuple(filter(None, (note, known_path, trusted, batched)))
+        apart = is_apart(spec, config.apart)
+        marks = {
+            Mark.TRUSTED: ("the planner was trusted: it ran in the process that holds the log",
+                           not apart and not is_built_in(spec)),
+            Mark.BATCHED: (f"the planner's process was shared with other logs, up to {config.apart.batch} in all",
+                           apart and current_log() is not None),
+        }  # fmt: skip
+        self.marks = tuple(mark for mark, (_, holds) in marks.items() if holds and not self.is_oracle)
+        self.notes = tuple(filter(None, (note, known_path, *(text for text, holds in marks.values() if holds))))
         self.goal = goal
         self._keep = keep_internals
         self._name = f"planner '{spec}' on {scenario.name}"
@@ -80,12 +85,11 @@ class Planning:
         road = replace(scenario.road, lanes=lanes)  # drives share no objects that a planner could change
         self.context = PlannerContext(road, goal, scenario.vehicle, period, start, self._watch.lap)
         try:
-            if is_apart(spec, config.apart):
-                apart = ApartPlanner(
+            if apart:
+                self._planner: Planner = ApartPlanner(
                     spec, self.context, planner_config, config.apart, self._watch,
                     keep_internals=keep_internals, place=place,
                 )  # fmt: skip
-                self._planner: Planner = apart
             else:
                 factory = planner_factory(spec)
                 arguments = (self.context, scenario) if self.is_oracle else (self.context,)
@@ -146,16 +150,22 @@ def _breach(plan: object, frame: Frame) -> str:
     return ""
 
 
-def with_probe(trace: Trace, again: Trace, until_s: float) -> Trace:
-    """Return the trace, with a note if a second drive of the same start differs from it.
+def with_probe(drive: Drive, again: Trace, until_s: float) -> Drive:
+    """Return the drive, marked if a second drive of the same start differs from it.
 
     Args:
-        trace: The drive.
+        drive: The drive.
         again: The same scenario, planner and loop, driven once more up to `until_s`.
         until_s: s since the scenario's start; later frames are not compared.
     """
-    found = nondeterminism(trace, again, until_s)
-    return replace(trace, notes=(*trace.notes, f"{NOT_DETERMINISTIC}{found}")) if found else trace
+    found = nondeterminism(drive.trace, again, until_s)
+    return marked_random(drive, found) if found else drive
+
+
+def marked_random(drive: Drive, found: str) -> Drive:
+    """Return the drive with the mark and a note that its planner is not deterministic."""
+    notes = (*drive.trace.notes, f"not deterministic: {found}")
+    return replace(drive, trace=replace(drive.trace, notes=notes), marks=(*drive.marks, Mark.NOT_DETERMINISTIC))
 
 
 def nondeterminism(trace: Trace, again: Trace, until_s: float) -> str:

@@ -12,10 +12,9 @@ either. Its progress is measured until its time to collision falls below `metric
 yardstick. Because it takes time, the follower is driven only if the log holds no drive as a yardstick of progress, or
 if a planner of the run misses the goal.
 
-The reference drivers of `metrics.reference_drivers.DRIVERS` also judge each scenario: their verdicts go into its
-metadata (`with_avoidability`), as entries that `metrics.reference_drivers` reads and explains. Their line is the
-reference line of the planners' route up to its first lane change; from there on the driver keeps its lane, like that of
-UN R157.
+The reference drivers of `metrics.reference_drivers.DRIVERS` also judge each scenario; their verdicts go into its
+`references` (`with_avoidability`). Their line is the reference line of the planners' route up to its first lane change;
+from there on the driver keeps its lane, like that of UN R157.
 """
 
 from __future__ import annotations
@@ -32,9 +31,10 @@ import metrics
 from logs.errors import LogError
 from logs.forward import drivable_part
 from logs.once import once
+from logs.references import References
 from logs.road import Goal, ReferenceLine, Road
 from logs.route import find_route
-from logs.scenario import FINDING, Scenario
+from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import GROUPS, METRICS
@@ -47,8 +47,8 @@ from metrics.judge.discrimination import BAD_DRIVERS, Discrimination, discrimina
 from metrics.judge.excuses import CLEAN, needs_follower
 from metrics.judge.gates import Gates
 from metrics.metric import Series
-from metrics.progress import FOLLOWER_M, gain_along, route_of
-from metrics.reference_drivers import DRIVERS, RETURN_S, STEP_S, careful_drive, metadata_of
+from metrics.progress import gain_along, route_of
+from metrics.reference_drivers import DRIVERS, RETURN_S, STEP_S, careful_drive
 from metrics.safety import CLOSE_S, TTC, contacts
 from planners.frenet.reference_path import make_line
 from replay.config import LoopConfig
@@ -69,7 +69,7 @@ def reference_line(scenario: Scenario) -> ReferenceLine:
     return _line(scenario.road, scenario.ego.state(0), scenario.goal)
 
 
-@once  # needed before the scenario has its entries, and again for the reference drives
+@once  # needed before the scenario has its references, and again for the reference drives
 def _line(road: Road, start: EgoState, goal: Goal | None) -> ReferenceLine:
     route = find_route(road, start, goal)
     kept = 1
@@ -81,16 +81,14 @@ def _line(road: Road, start: EgoState, goal: Goal | None) -> ReferenceLine:
 
 
 def with_avoidability(scenario: Scenario) -> Scenario:
-    """Return the scenario with new verdicts of the reference drivers in its metadata."""
-    metadata = {key: text for key, text in scenario.metadata.items() if not key.startswith(FINDING)}
+    """Return the scenario with new verdicts of the reference drivers."""
     line = reference_line(scenario)
-    for driver in DRIVERS.values():
-        metadata |= metadata_of(driver(scenario, line, None))
-    return replace(scenario, metadata=metadata)
+    verdicts = {name: driver(scenario, line, None) for name, driver in DRIVERS.items()}
+    return replace(scenario, references=References(verdicts))
 
 
 def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.DataFrame]:
-    """Return the scenario with the follower's gain in its metadata (`metrics.progress.FOLLOWER_M`), and its rows.
+    """Return the scenario with the follower's gain in its references, and the follower's rows.
 
     Args:
         scenario: What is driven.
@@ -101,7 +99,7 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
     near = np.asarray(ttc.value < CLOSE_S) if isinstance(ttc, Series) else np.zeros(1, np.bool_)
     last = int(np.argmax(near)) if near.any() else -1
     gain = gain_along(route_of(scenario), trace.ego).metres[last]
-    scenario = replace(scenario, metadata={**scenario.metadata, FOLLOWER_M: repr(float(gain))})
+    scenario = replace(scenario, references=replace(scenario.references, follower_gain=float(gain)))
     return scenario, _measure_drives([(trace, ("safety", "rules", "progress", "comfort"))], scenario)
 
 

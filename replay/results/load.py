@@ -35,7 +35,7 @@ from replay.results.reading import AGAIN, read_json, read_table
 
 Run = TypeVar("Run", bound="StoredRun")
 LOG_COLUMNS = ("log", "source", "sha256", "folder", "family", "dataset", "tags", "notes")
-DRIVE_COLUMNS = ("log", "planner", "mode", "oracle", "end", "detail", "t_end_s", "notes", "files")
+DRIVE_COLUMNS = ("log", "planner", "mode", "oracle", "end", "detail", "t_end_s", "marks", "notes", "files")
 GATE_COLUMNS = ("gate", "planner", "mode", "group", "outcome", "value", "log", "time_s", "reason")
 FAILURE_COLUMNS = ("log", "planner", "mode", "message", "exit_code")
 DECISION_COLUMNS = ("log", "planner", "mode", "t_s", "agent", "decision", "stage", "reason")

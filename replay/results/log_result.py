@@ -81,6 +81,7 @@ class DriveRecord:
     t_end_s: float
     notes: tuple[str, ...]
     files: tuple[FileName, ...]
+    marks: tuple[str, ...] = ()
 
 
 class LogCard(msgspec.Struct, kw_only=True):

@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from logs.errors import ConfigError, LogError
 from logs.files import check_regular
 from metrics.judge.gates import Outcome
-from replay.results.schema import SCHEMA_VERSION, TABLES, is_of_kind
+from replay.results.schema import SCHEMA_VERSION, TABLES, is_of_kind, pa_type
 
 VERSION_KEY = "replan_schema_version"
 """Key of the version in the metadata of a table."""
@@ -99,6 +99,9 @@ def read_table(file: Path, without: Sequence[str] = (), again: str = AGAIN, *, w
         raise ConfigError(f"{file}: {is_of}, this replan reads {SCHEMA_VERSION}; {again}")
     table = table.replace_schema_metadata(None)
     check_table(table, file, file.name, without, again)
+    for at, column in enumerate(TABLES[file.name].columns):
+        if column.name not in table.column_names and column.older is not None:
+            table = table.add_column(at, column.name, pa.array([column.older] * len(table), pa_type(column.kind)))
     return table
 
 
@@ -114,7 +117,7 @@ def check_table(table: pa.Table, file: Path, name: str, without: Sequence[str] =
         refuse(f"is damaged: {error}")
     for column in TABLES[name].columns:
         if table.column_names.count(column.name) != 1:
-            if column.name not in without:
+            if column.name in table.column_names or not (column.name in without or column.older is not None):
                 refuse(f"has no column {column.name}, or several")
             continue
         values = table[column.name]

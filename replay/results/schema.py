@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import nan
 from typing import Any
 
 import pandas as pd
@@ -28,11 +29,13 @@ class Column:
         name: The name; its last part is the unit of a quantity with one unit.
         kind: "text", "number" (NaN if there is none), "count", "yes/no", "list" (of texts).
         meaning: Its meaning.
+        older: Its value in files of before the column; None: all files have it.
     """
 
     name: str
     kind: str
     meaning: str
+    older: str | float | None = None
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Table:
     columns: tuple[Column, ...]
 
 
-def _columns(*rows: tuple[str, str, str]) -> tuple[Column, ...]:
+def _columns(*rows: tuple[str, str, str] | tuple[str, str, str, str | float]) -> tuple[Column, ...]:
     return tuple(Column(*row) for row in rows)
 
 
@@ -92,6 +95,10 @@ TABLES: Mapping[str, Table] = {
                 ("value", "number", "of the gate's metric, in its unit; NaN where it has none"),
                 ("time_s", "number", "when the value occurred, s since the log's start"),
                 ("reason", "text", "why it is not passed, or which road user the value is about"),
+                ("metric", "text", "that the gate judges, as in metrics.parquet", ""),
+                ("over", "text", "what must be within the bounds: `worst`: each log; else of all logs", "worst"),
+                ("low", "number", "the gate's lower bound; NaN: none", nan),
+                ("high", "number", "the gate's upper bound; NaN: none", nan),
             ),
         ),
     ),
@@ -155,7 +162,7 @@ TABLES: Mapping[str, Table] = {
             ("value", "number", "what the kind measures, in `unit`; NaN: nothing"),
             ("unit", "text", "SI; `1`: a number"),
             ("what", "text", "more in words (the side, the stop line); may be empty"),
-            ("doubt", "text", "why it may be none: docs/events.md; empty: nothing speaks against it"),
+            ("doubt", "text", "why it may be none: docs/events.md; empty: nothing speaks against it", ""),
             ("planner", "text", "whose plans the event is about; empty: of the log alone"),
         ),
     ),
@@ -244,6 +251,7 @@ FRAMES: Mapping[str, Table] = {
                 ("end", "text", "why the drive ended"),
                 ("detail", "text", "which road user it met, or what went wrong; may be empty"),
                 ("t_end_s", "number", "when it ended, s since the log's start"),
+                ("marks", "list", "of the planner: `trusted`, `batched`, `not deterministic`"),
                 ("notes", "list", "what must be known to read it, a sentence each"),
                 ("files", "list", "trace and recording, relative to the result folder"),
             ),
@@ -309,6 +317,11 @@ def arrow(file: str, table: pd.DataFrame) -> pa.Table:
     kinds = {column.name: _TYPES[column.kind] for column in TABLES[file].columns}
     fields = pa.schema([(name, kinds[name]) for name in table.columns])
     return pa.Table.from_pandas(table, fields, preserve_index=False)
+
+
+def pa_type(kind: str) -> pa.DataType:
+    """The type of a kind of column in Parquet files."""
+    return _TYPES[kind]
 
 
 def is_of_kind(type_: pa.DataType, kind: str) -> bool:

@@ -32,10 +32,10 @@ from metrics import METRICS, Metric, health, load_metric
 from metrics.comfort import LON_JERK_STATE
 from metrics.judge.verdicts import MEMBER
 from replay.config import RunConfig
-from replay.drive import NOT_DETERMINISTIC, Drive, DriveKey
+from replay.drive import Drive, DriveKey, Mark
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
-from replay.loop.planning import Planning, with_probe
+from replay.loop.planning import Planning, marked_random, with_probe
 from replay.loop.reference_drives import discriminating_tables, late_follower, with_avoidability, with_references
 from replay.planner_process.planner_config import drive_keywords, is_built_in
 from replay.results.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, Steps, StepsFile, write_result
@@ -179,7 +179,7 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
             with progress.attempt(place.planner, place.mode):
                 loop = place.mode.value
                 stem = loop if len(run.planners) == 1 else f"{loop}.{safe_name(place.planner)}"
-                trace = _drive_one(scenario, place, run, folder / stem, progress, steps)
+                trace, marks = _drive_one(scenario, place, run, folder / stem, progress, steps)
                 if trace.end is EndReason.PLANNER_FAILURE:
                     progress.failures.append(Failure(progress.log, trace.detail, place.planner, loop))
                 files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
@@ -191,6 +191,7 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
                     end=trace.end.value,
                     detail=scenario.short_names(trace.detail),
                     t_end_s=float(trace.ego.t[-1]),
+                    marks=tuple(mark.value for mark in marks),
                     notes=tuple(map(scenario.short_names, trace.notes)),
                     files=files,
                 )
@@ -217,7 +218,7 @@ def _places(run: RunConfig, member: int = 0) -> Iterator[_DriveSpec]:
 
 def _drive_one(
     scenario: Scenario, place: _DriveSpec, run: RunConfig, file: Path, progress: _Progress, steps: StepsFile
-) -> Trace:
+) -> tuple[Trace, tuple[Mark, ...]]:
     """Drive, measure and write one planner in one loop: the trace as `file`.mcap, its recording as `file`.rrd."""
     drive = _probe_determinism(_drive_log(scenario, place, run, keep=run.keep_internals), scenario, place, run)
     found: dict[str, Steps] = {}
@@ -251,7 +252,7 @@ def _drive_one(
             from replay.draw.recording import write_recording
 
             write_recording(Path(f"{file}.rrd"), drive, scenario, table, shown)
-    return drive.trace
+    return drive.trace, drive.marks
 
 
 def _free_memory(trace: Trace) -> None:
@@ -281,9 +282,8 @@ def _probe_determinism(drive: Drive, scenario: Scenario, place: _DriveSpec, run:
         second = place._replace(key=replace(place.key, again=True))
         again = _drive_log(scenario, second, run, keep=False, until_s=until_s).trace
     except PlannerError as error:
-        note = f"{NOT_DETERMINISTIC}{planner}, driven twice: it can be built only once: {error}"
-        return replace(drive, trace=replace(drive.trace, notes=(*drive.trace.notes, note)))
-    return replace(drive, trace=with_probe(drive.trace, again, until_s))
+        return marked_random(drive, f"{planner}, driven twice: it can be built only once: {error}")
+    return with_probe(drive, again, until_s)
 
 
 def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Progress) -> None:

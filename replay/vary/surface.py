@@ -29,12 +29,13 @@ from logs.errors import ConfigError, LogError
 from logs.log_settings import LogSettings
 from logs.mcap import write_scenario
 from logs.names import counted
+from logs.references import Avoidability
 from logs.scenario import Scenario
 from logs.trace import EndReason
 from logs.variations import VARIATIONS, varied
 from metrics.judge import worst
 from metrics.judge.gates import Outcome
-from metrics.reference_drivers import APPLIES, AVOIDS, MARGIN, Avoidability
+from metrics.reference_drivers import APPLIES, AVOIDS, MARGIN
 from replay.config import RunConfig, dump_run
 from replay.draw.drawn_results import Results
 from replay.draw.report.figures import save

@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import EndReason, Goal, Lane, RoadSource, Scenario, TrackingErrors, Trajectory
+from logs.references import References
 from metrics import GROUPS, evaluate
 from metrics.metric import Series
-from metrics.progress import FOLLOWER_M, GOAL, gain_along, route_of
+from metrics.progress import GOAL, gain_along, route_of
 
 ASKED = {metric.name: metric for group in ("progress", "rules", "tracking") for metric in GROUPS[group]}
 
@@ -161,7 +162,7 @@ def test_without_a_logged_drive_the_route_follower_is_the_yardstick() -> None:
     table = judged(alone, ego)
     assert table.loc["progress.final", "reason"].startswith("the log holds one ego state only")
     assert "no route follower was driven" in table.loc["route_progress.final", "reason"]
-    told = replace(alone, metadata={FOLLOWER_M: "40.0"})
+    told = replace(alone, references=References(follower_gain=40.0))
     assert judged(told, ego).loc["route_progress.final", "value"] == pytest.approx(50.0 / 40.0, abs=1e-3)
     region = Goal((np.array([[95.0, -2.0], [99.0, -2.0], [99.0, 2.0], [95.0, 2.0]]),))
     way = judged(replace(told, goal=region), ego).loc["completion.final", "value"]
@@ -201,7 +202,7 @@ def test_progress_leads_around_bends_and_over_lane_changes() -> None:
     assert judged(log, bend(56.5)).loc["route_progress.final", "value"] == pytest.approx(1.0, abs=0.01)
     lanes = scenario(along(np.zeros(1), 10.0), road=straight_road(lanes=2), duration=12.0,
                      goal=Goal((np.array([[90.0, 1.8], [110.0, 1.8], [110.0, 5.0], [90.0, 5.0]]),)),
-                     metadata={FOLLOWER_M: "80"})  # fmt: skip
+                     references=References(follower_gain=80.0))  # fmt: skip
     s = grid(8.0)
     change = along(s, 10.0)
     change = replace(change, y=3.5 / (1.0 + np.exp(-(change.x - 40.0) / 5.0)))
@@ -222,7 +223,7 @@ def test_a_lane_change_in_the_middle_of_the_route_is_no_leap() -> None:
         lanes[i] = Lane(i, left, right, (i + 2,) if i < 2 else (), **beside)
     region = np.array([[200.0, 1.75], [220.0, 1.75], [220.0, 5.25], [200.0, 5.25]])
     log = scenario(along(np.zeros(1), 10.0), road=replace(straight_road(), lanes=lanes), duration=20.0,
-                   goal=Goal((region,)), metadata={FOLLOWER_M: "200"})  # fmt: skip
+                   goal=Goal((region,)), references=References(follower_gain=200.0))  # fmt: skip
     ego = along(grid(20.0), 10.0)
     ego = replace(ego, y=3.5 / (1.0 + np.exp(-(ego.x - 140.0) / 5.0)))
     assert gain_along(route_of(log), ego).cut == 0.0

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from logs import AgentKind, EndReason, Mode, Scenario, Trace
 from logs.arrays import FloatArray
 from logs.mcap import read_scenario, write_scenario
+from logs.references import Avoidability, DriverVerdict, References
 from logs.road import ReferenceLine
 from metrics import evaluate
 from metrics.reference_drivers import (
@@ -23,14 +24,11 @@ from metrics.reference_drivers import (
     JUDGED_S,
     MARGINAL_M,
     STEP_S,
-    Avoidability,
-    DriverVerdict,
     careful_drive,
     careful_driver,
     fsm_critical,
     fsm_proactive,
     fuzzy_driver,
-    metadata_of,
 )
 from replay.loop.reference_drives import reference_line, with_avoidability
 
@@ -243,35 +241,33 @@ def test_who_runs_into_the_driver_from_behind_does_not_count() -> None:
     assert careful_drive(log(10.0), LINE).touched == -1
 
 
-def test_the_line_and_the_metadata_come_from_replay() -> None:
+def test_the_line_and_the_verdicts_come_from_replay() -> None:
     made = log(15.0, standing(100.0))
     assert reference_line(made).length == pytest.approx(460.0, abs=2.0)
-    told = with_avoidability(made)
-    assert told.metadata["reference_cc"] == "avoidable"
-    assert "car obstacle" in told.metadata["reference_cc.reason"]
-    assert told.metadata["reference_cc.agent"] == told.metadata["reference_fsm.agent"] == "obstacle"
-    assert float(told.metadata["reference_cc.margin"]) > 0.0
-    nobody = with_avoidability(log(15.0)).metadata
-    assert nobody["reference_cc"] == "not applicable" and "reference_cc.agent" not in nobody
+    found = with_avoidability(made).references.verdicts
+    assert found["cc"].outcome is Avoidability.AVOIDABLE and found["cc"].margin > 0.0
+    assert found["cc"].agent == found["fsm"].agent == "obstacle"
+    nobody = with_avoidability(log(15.0)).references.verdicts["cc"]
+    assert nobody.outcome is Avoidability.NOT_APPLICABLE and not nobody.agent
 
 
 def test_what_a_log_says_of_itself_is_not_believed(tmp_path: Path) -> None:
     made = log(15.0, standing(100.0))
-    forged = {"reference_cc": "unavoidable", "reference_cc.reason": "because", "reference_hero": "yes", "seed": "7"}
-    told = with_avoidability(replace(made, metadata=forged))
-    assert told.metadata == with_avoidability(replace(made, metadata={"seed": "7"})).metadata
-    write_scenario(tmp_path / "log.mcap", replace(told, metadata={**told.metadata, **forged}))
-    assert read_scenario(tmp_path / "log.mcap").metadata == {"seed": "7"}
+    forged = {name: DriverVerdict(name, Avoidability.UNAVOIDABLE, "because") for name in ("cc", "hero")}
+    told = replace(made, references=References(forged, 80.0), metadata={"seed": "7"})
+    write_scenario(tmp_path / "log.mcap", told)
+    assert read_scenario(tmp_path / "log.mcap").references == References()
+    assert with_avoidability(told).references == with_avoidability(made).references
 
 
 def test_the_verdict_is_on_the_car_that_is_driven() -> None:
     """10 cm beside the band of a car of the log's width is in that of a wider one."""
     beside = track("b", [0.0], [80.0], [0.5 * (CAR.width + 1.9) + 0.1], static=True, **SIZE)
     made = with_avoidability(log(10.0, beside))
-    assert made.metadata["reference_cc"] == "not applicable"
+    assert made.references.verdicts["cc"].outcome is Avoidability.NOT_APPLICABLE
     wide = with_avoidability(replace(made, vehicle=replace(CAR, width=CAR.width + 0.4)))
-    assert wide.metadata["reference_cc"] == "avoidable"
-    assert with_avoidability(replace(wide, vehicle=CAR)).metadata == made.metadata
+    assert wide.references.verdicts["cc"].outcome is Avoidability.AVOIDABLE
+    assert with_avoidability(replace(wide, vehicle=CAR)).references == made.references
 
 
 # --- margins
@@ -376,7 +372,8 @@ def test_the_table_counts_all_three_outcomes(
     made = log(10.0)
     if outcome is not None:
         margin = {Avoidability.AVOIDABLE: 0.8, Avoidability.UNAVOIDABLE: -0.3}.get(outcome, 5.0)
-        made = replace(made, metadata=metadata_of(DriverVerdict("cc", outcome, "because", margin=margin)))
+        verdict = DriverVerdict("cc", outcome, "because", margin=margin)
+        made = replace(made, references=References({"cc": verdict}))
     trace = Trace(made.name, "p", Mode.CLOSED, False, made.ego, made.tracks, (), EndReason.END_OF_LOG)
     rows = evaluate(trace, made).set_index("metric")
     for name, value in (("reference_cc.applies", applies), ("reference_cc.avoids", avoids)):

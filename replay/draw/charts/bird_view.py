@@ -5,14 +5,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
+from typing import Protocol
 
 import numpy as np
 
 from logs.agents import AgentKind, Agents
 from logs.arrays import FloatArray
+from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import EgoState
+from logs.trace import PlannedFrame, Trace
 from replay.draw.charts.axes import Plane
 from replay.draw.charts.canvas import (
     LETTER_PX,
@@ -28,7 +31,7 @@ from replay.draw.charts.canvas import (
     shortened,
     text,
 )
-from replay.draw.charts.subject import Subject
+from replay.draw.charts.subject import Moment, Subject
 from replay.draw.model import decided, plan_seconds
 from replay.world import box_center
 
@@ -41,10 +44,25 @@ SMALL_PX = 3.2
 """An agent that would be smaller is drawn as a dot of this radius."""
 MAX_NAMES = 6
 NAME_M = 60.0
+APART_S = 0.05
+"""Instants that are nearer than this are drawn once."""
 
 
-def scene(subject: Subject, t: float, word: str) -> Chart:
-    """The scene at a time; `word` names that time ("start", "worst moment", "end")."""
+class SceneSubject(Protocol):
+    """What a scene shows: a `Subject`, or a log at a moment (`replay.mine.event_page`)."""
+
+    @property
+    def trace(self) -> Trace: ...  # noqa: D102
+    @property
+    def scenario(self) -> Scenario: ...  # noqa: D102
+    @property
+    def moment(self) -> Moment: ...  # noqa: D102
+    @property
+    def frame(self) -> PlannedFrame | None: ...  # noqa: D102
+
+
+def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = ()) -> Chart:
+    """The scene at a time; `word` names that time ("start", "worst moment", "end"), `about` road users to point out."""
     ego = subject.trace.ego.at(t)
     ahead = min(max(AHEAD_M, AHEAD_S * abs(ego.v)), MOST_M)
     plane = Plane((-BEHIND_M, ahead), (-1.0, 1.0), WIDTH_PX, HEIGHT_PX)
@@ -62,14 +80,14 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
             inside += polylines(view.lines(paths), "foreseen")
         inside += polylines(view.lines([np.column_stack([plan.x, plan.y])]), "planned")
         inside += "".join(dot(x, y, 2.4, "second") for x, y in view.of(plan_seconds(frame.plan)).tolist())
-    inside += "".join(_other(view, agents, i) for i in range(len(agents)))
+    inside += "".join(_other(view, agents, i, pointed=agents.ids[i] in about) for i in range(len(agents)))
     x, y = box_center(ego, car)
     box = view.of(corners(x, y, ego.yaw, car.length, car.width))
     front = box[np.argsort(box[:, 0])[2:]]
     nose = np.vstack([front[0], view.of(np.array([[x, y]]))[0], front[1]])
     inside += area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "nose")
     title = f"{word[:1].upper()}{word[1:]}: {t:.2f} s, {ego.v:.1f} m/s"
-    names = _names(view, agents, subject, planned=planned)
+    names = _names(view, agents, subject, about, planned=planned)
     drawn = plane.drawn(inside, x_title="ahead of the rear axle [m]", over=names)
     head = text(2.0, 13.0, title, "title") + text(2.0, 33.0, "left [m]", "tick")
     entries = [("area", "ego", "ego"), ("area", "other", "moves"), ("area", "still", "stands")]
@@ -89,11 +107,16 @@ def scenes(subject: Subject) -> list[Chart]:
     """The scenes at the start, the moment and the end; instants that coincide are drawn once."""
     first, last = float(subject.trace.ego.t[0]), float(subject.trace.ego.t[-1])
     instants = [(subject.moment.t, "this moment" if subject.moment.why == "as asked" else "worst moment")]
-    if subject.moment.t - first > 0.05:
+    if place_of_moment(subject):
         instants.insert(0, (first, "start"))
-    if last - subject.moment.t > 0.05:
+    if last - subject.moment.t > APART_S:
         instants.append((last, "end"))
     return [scene(subject, t, word) for t, word in instants]
+
+
+def place_of_moment(subject: Subject) -> int:
+    """The index of the scene at the moment in `scenes`."""
+    return int(subject.moment.t - float(subject.trace.ego.t[0]) > APART_S)
 
 
 class _View:
@@ -125,7 +148,7 @@ class _View:
         return [piece for line in shown if self.sees(line) for piece in cut_line(line, *self.plane.inner)]
 
 
-def _road(view: _View, subject: Subject) -> str:
+def _road(view: _View, subject: SceneSubject) -> str:
     """Lanes, crosswalks, the goal, and stop lines with the colour of their light as a word."""
     road, goal = subject.scenario.road, subject.scenario.goal
     lanes = list(road.lanes.values())
@@ -145,13 +168,13 @@ def _road(view: _View, subject: Subject) -> str:
     return drawn
 
 
-def _other(view: _View, agents: Agents, i: int) -> str:
+def _other(view: _View, agents: Agents, i: int, *, pointed: bool) -> str:
     """A box, or a dot for pedestrians and small boxes; a moving agent has a line to its position in one second."""
     box = view.of(corners(*(float(c[i]) for c in (agents.x, agents.y, agents.yaw, agents.length, agents.width))))
     if not view.sees(box):
         return ""
     moving = float(np.nan_to_num(agents.speed[i])) > SLOW_MPS
-    kind = "other" if moving else "still"
+    kind = "wrong" if pointed else "other" if moving else "still"
     here, velocity = np.array([agents.x[i], agents.y[i]]), np.array([agents.vx[i], agents.vy[i]])
     ends = view.of(np.array([here, here + ARROW_S * velocity]))
     arrow = polyline(ends[:, 0], ends[:, 1], "heading") if moving else ""
@@ -161,13 +184,14 @@ def _other(view: _View, agents: Agents, i: int) -> str:
     return arrow + area(box[:, 0], box[:, 1], kind)
 
 
-def _names(view: _View, agents: Agents, subject: Subject, *, planned: bool) -> str:
+def _names(view: _View, agents: Agents, subject: SceneSubject, pointed: Collection[str], *, planned: bool) -> str:
     """Ids of agents, those with a decision first, then the nearest; names that would overlap another are omitted."""
     wide, high = view.plane.inner
     about = decided(subject.frame.plan) if planned and subject.frame is not None else {}
+    first = pointed or about
     at = view.of(np.column_stack([agents.x, agents.y]))
     away = np.hypot(agents.x - view.ego.x, agents.y - view.ego.y)
-    order = sorted(range(len(agents)), key=lambda i: (agents.ids[i] not in about, float(away[i])))
+    order = sorted(range(len(agents)), key=lambda i: (agents.ids[i] not in first, float(away[i])))
     placed: list[tuple[float, float, float]] = []
     out = []
     for i in order:

@@ -5,10 +5,9 @@ The moment and the broken gates are found in the tables of the run, without its 
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from functools import cached_property
-from math import inf, isfinite
+from math import inf, isfinite, isnan
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,6 @@ GRAVE = ("collision_at_fault", "safety", "rules", "progress")
 NEAREST = (("ttc.min", "least time to a collision"), ("gap.min", "least distance to another road user"))
 """Metrics that give the moment if no gate failed at a known time."""
 _GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
-_RULE = re.compile(r"(?:(?P<low>\S+) <= )?(?P<metric>\S.*?) (?P<sign><=|>=) (?P<bound>\S+)")
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ def worst_moment(drive: StoredDrive) -> Moment:
     failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
     rows = [row for row in list[Any](failed.itertuples()) if isfinite(row.time_s)]
     if rows:
-        worst = min(rows, key=lambda row: gravity(str(row.gate)))
+        worst = min(rows, key=lambda row: gravity(row.metric))
         about = f" ({worst.reason})" if worst.reason else ""
         return Moment(float(worst.time_s), f"{worst.gate} fails: {worst.value:.4g}{about}")
     failure = "a gate fails, at no instant; " if len(failed) else "no gate of this loop fails; "
@@ -76,44 +74,37 @@ def worst_moment(drive: StoredDrive) -> Moment:
     return Moment(middle, f"{failure}no distance to others was measured: the middle of the drive")
 
 
-def gravity(gate: str) -> int:
-    """The place of a rule in `GRAVE`, by its metric, otherwise by the group of its metric."""
-    metric = measured_by(gate).partition(".")[0]
+def gravity(row: str) -> int:
+    """The place of a gate in `GRAVE`, by the metric of the row that it judges, otherwise by the group of the metric."""
+    metric = row.partition(".")[0]
     return next((i for i, word in enumerate(GRAVE) if word in (metric, _GROUP.get(metric, ""))), len(GRAVE))
-
-
-def measured_by(gate: str) -> str:
-    """The metric of a rule as text: "gap.min" of "gap.min >= 0.5 [closed]"; "" if there is none."""
-    found = _RULE.match(gate)
-    return found["metric"].rpartition("mean ")[2] if found else ""
 
 
 def violations(drive: StoredDrive) -> list[Violation]:
     """The failed gates of a drive, and the times at which it broke them."""
     found = list[Violation]()
     failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
-    for gate, time_s in zip(failed["gate"].astype(str), failed["time_s"].astype(float), strict=True):
-        series, _, reduction = measured_by(gate).rpartition(".")
+    for row in list[Any](failed.itertuples()):
+        series, _, reduction = row.metric.rpartition(".")
         t, values = drive.steps(series)
         known = np.isfinite(values)
         t, values = t[known], values[known]
         # the bounds that steps break: those of the reduction, otherwise those of the rule; infinite if there are none
         metric = METRICS.get(series.partition(".")[0])
         how = next((some for some in metric.reductions if some.name == reduction), None) if metric else None
-        rule = _RULE.match(gate)
         low, high = -inf, inf
         if how is not None and how.bounds is not None:
             low, high = how.bounds
         elif reduction in ("count", "rate"):
             high = 0.0
-        elif rule is not None and reduction in ("min", "max", "max_abs"):
-            bound = float(rule["bound"])
-            low, high = (bound, inf) if rule["sign"] == ">=" else (float(rule["low"] or -inf), bound)
+        elif reduction in ("min", "max", "max_abs"):
+            low, high = -inf if isnan(row.low) else row.low, inf if isnan(row.high) else row.high
             low = -high if reduction == "max_abs" else low
         edge = np.diff(np.r_[False, (values < low) | (values > high), False].astype(np.int64))
         stretches = zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)
         spans = tuple((float(t[first]), float(t[end - 1])) for first, end in stretches)
-        found.append(Violation(gate, series, spans or (((time_s, time_s),) if isfinite(time_s) else ())))
+        at = ((float(row.time_s),) * 2,) if isfinite(row.time_s) else ()
+        found.append(Violation(str(row.gate), series, spans or at))
     return found
 
 

@@ -31,11 +31,13 @@ from metrics.judge.verdicts import judge_deadline
 from replay.draw.charts.subject import GRAVE, gravity
 from replay.draw.drawn_results import Results
 from replay.draw.report.contents import (
+    ANSWERED,
     COLUMNS,
     COMPARED,
     FREE,
     NOTHING,
     WEIGHT,
+    Answer,
     Cell,
     Coverage,
     DriveRow,
@@ -45,8 +47,9 @@ from replay.draw.report.contents import (
     Overview,
     PassShare,
     StageQuantiles,
+    over_all_logs,
 )
-from replay.drive import BATCHED, NOT_DETERMINISTIC, TRUSTED
+from replay.drive import Mark
 from replay.results.tables import OUTCOMES
 
 """Outcomes as reports list them."""
@@ -86,7 +89,8 @@ def overview(
     stand = standings(verdicts, results.drives, list(labels), results.run.drives, crashed)
     names = ["kind", "group", "planner", "mode", "logs", "passed", "failed", "inconclusive", "missing", "mean"]
     rows = pass_shares(stand, labels)[[*names, "low", "high"]].itertuples(index=False)
-    shares = (PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows)
+    shares = [PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows]
+    shares = [] if "shard" in results.summary else shares
     failures = (
         f"{row['message']} [{row['planner']}, {row['mode']} loop]" if row["planner"] else str(row["message"])
         for row in results.summary["failures"]
@@ -101,12 +105,13 @@ def overview(
         columns=columns,
         drives=drives,
         planners=tuple(planners.values()),
+        answers=tuple(_answers(planners, shares, over_logs)),
         compared=tuple(compared),
         frames=int((results.timings["stage"] == "total").sum()),
         latency=tuple(latency),
         gates=gates,
         not_asked=tuple(not_asked),
-        shares=() if "shard" in results.summary else tuple(shares),
+        shares=tuple(shares),
         coverage=tuple(coverage),
         interactions=tuple(_interactions(stand, values)),
         ensembles=len(ensemble),
@@ -148,14 +153,9 @@ def combined(codes: Iterable[int]) -> int:
 
 def marked(drives: Sequence[Any]) -> str:
     """The name of the planner of drives, with marks: oracle, trusted, batched, not deterministic."""
-    notes, oracle = [str(note) for drive in drives for note in drive.notes], any(drive.oracle for drive in drives)
-    marks = {
-        "oracle": oracle,
-        "trusted": TRUSTED in notes and not oracle,
-        "batched": any(note.startswith(BATCHED.partition(":")[0]) for note in notes),
-        "not deterministic": any(note.startswith(NOT_DETERMINISTIC) for note in notes),
-    }
-    return " ".join([str(drives[0].planner), *(f"({mark})" for mark, holds in marks.items() if holds)])
+    marks = ["oracle"] if any(drive.oracle for drive in drives) else []
+    marks += [mark.value for mark in Mark if any(mark.value in drive.marks for drive in drives)]
+    return " ".join([str(drives[0].planner), *(f"({mark})" for mark in marks)])
 
 
 Values = Mapping[tuple[str, str, str, str], float]
@@ -172,11 +172,11 @@ def _drives(
 ) -> tuple[DriveRow, ...]:
     judged: dict[Key, list[Outcome]] = {}
     broken: dict[Key, list[int]] = {}
-    columns_of = (verdicts[name] for name in ("log", "planner", "outcome", "gate"))
-    for log, planner, outcome, gate in zip(*columns_of, strict=True):
+    columns_of = (verdicts[name] for name in ("log", "planner", "outcome", "metric"))
+    for log, planner, outcome, metric in zip(*columns_of, strict=True):
         judged.setdefault((log, planner), []).append(Outcome(outcome))
         if outcome == Outcome.FAIL.value:
-            broken.setdefault((log, planner), []).append(gravity(gate))
+            broken.setdefault((log, planner), []).append(gravity(metric))
     grouped: dict[Key, list[Any]] = {}
     for drive in results.drives.itertuples():
         grouped.setdefault((str(drive.log), str(drive.planner)), []).append(drive)
@@ -237,6 +237,14 @@ def _of_planners(
             km = sum(metres) / 1e3 if metres else nan
             coverage.append(Coverage(planner, mode, len(logged), sum(driven), sum(logged), km))
     return compared, latency, coverage
+
+
+def _answers(planners: Mapping[Any, str], shares: Sequence[PassShare], over_logs: OverLogs) -> Iterator[Answer]:
+    """The answer of each planner: its pass share over the loops that were run, and `ANSWERED` where available."""
+    share_of = {share.planner: share for share in over_all_logs(shares)}
+    for planner, shown in planners.items():
+        found = ((over_logs.get((planner, "closed", metric)), words) for metric, words in ANSWERED)
+        yield Answer(shown, share_of.get(planner), tuple(words(values) for values, words in found if values))
 
 
 def _interactions(stand: pd.DataFrame, values: Values) -> Iterator[Interactions]:

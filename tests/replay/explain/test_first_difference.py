@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from logs.catalogue import scenario
 from logs.frame import Predictions
-from logs.plan import Decision, DecisionKind, Graph, LaneOption, PlanStatus, SlGraph, StGraph
+from logs.plan import Candidates, CostTerms, Decision, DecisionKind, Graph, LaneOption, PlanStatus, SlGraph, StGraph
 from logs.states import Trajectory
 from logs.trace import EndReason, Mode, PlannedFrame, Trace
 from replay.explain.first_difference import (
@@ -163,6 +163,29 @@ def test_of_several_changes_the_first_in_time_and_then_in_stage_is_found(planted
     k, place = min((k, STAGES.index(PLANTED[name][0])) for k, name in planted)
     found = first_difference(drive(), other)
     assert found is not None and (found.t, STAGES.index(found.stage)) == (drive().frames[k].t, place)
+
+
+OWN: dict[str, tuple[Callable[[object], object], str]] = {
+    "a decision": (lambda x: replace(x, kind=DecisionKind.YIELD) if isinstance(x, Decision) else x, "truck 40: follow"),
+    "a cost": (lambda x: replace(x, terms=(("courtesy", 2.0),)) if isinstance(x, CostTerms) else x, "cost of courtesy"),
+    "candidates": (lambda x: replace(x, rejected=(("late", 3),)) if isinstance(x, Candidates) else x, "rejected, late"),
+}
+
+
+@settings(max_examples=10, deadline=None)
+@given(ANY_FRAME, st.sampled_from(list(OWN)))
+def test_a_stage_that_a_planner_names_itself_is_found(k: int, name: str) -> None:
+    inner = (
+        Decision("truck 40", DecisionKind.FOLLOW, "bargain", "it is ahead"),
+        CostTerms("bargain", (("courtesy", 1.0),)), Candidates("bargain", 9, (("late", 1),)),
+    )  # fmt: skip
+    frames = [replace(frame, plan=replace(frame.plan, internals=inner)) for frame in drive().frames]
+    trace = replace(drive(), frames=tuple(frames))
+    change, words = OWN[name]
+    other = changed(trace, k, lambda f: replace(f, plan=replace(f.plan, internals=tuple(map(change, inner)))))
+    found = first_difference(trace, other)
+    assert found is not None and (found.t, found.stage) == (trace.frames[k].t, "bargain")
+    assert words in found.what
 
 
 @settings(max_examples=10, deadline=None)

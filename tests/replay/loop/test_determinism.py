@@ -15,7 +15,7 @@ from logs.trace import EndReason
 from replay.config import LoopConfig, PlannerProcessConfig
 from replay.draw.drawn_results import load
 from replay.draw.report.overview import overview
-from replay.drive import NOT_DETERMINISTIC
+from replay.drive import Mark
 from replay.loop.planning import nondeterminism
 from replay.run import evaluate_logs
 from replay.run.one_log import LOOPS
@@ -61,15 +61,13 @@ def test_who_is_dealt_other_plans_is_marked_with_time_and_size(here: Path, trust
     config = replace(QUICK, planners=planners, loop=LoopConfig(apart=PlannerProcessConfig(trust=trust)))
     result = evaluate_logs([here / "a.mcap"], config, here / "out")
     for drive in result.drives.itertuples():
-        said = [note for note in drive.notes if note.startswith(NOT_DETERMINISTIC)]
+        assert (Mark.NOT_DETERMINISTIC.value in drive.marks) == (drive.planner == "dealt:Dicing"), drive
+        said = [note for note in drive.notes if "differ by up to 0 m and" in note and "m/s at 0.50 s" in note]
         assert len(said) == (drive.planner == "dealt:Dicing"), drive
-        assert all("differ by up to 0 m and" in note and "m/s at 0.50 s" in note for note in said), said
     marks = {drive.shown for drive in overview(load(here / "out")).drives}
     assert {"dealt:Dicing (trusted) (not deterministic)" if trust else "dealt:Dicing (not deterministic)"} <= marks
     silent = evaluate_logs([here / "a.mcap"], replace(config, repeat_s=0.0), here / "silent")
-    assert not [
-        note for drive in silent.drives.itertuples() for note in drive.notes if note.startswith(NOT_DETERMINISTIC)
-    ]
+    assert not any(Mark.NOT_DETERMINISTIC.value in drive.marks for drive in silent.drives.itertuples())
 
 
 @pytest.mark.slow
@@ -77,8 +75,8 @@ def test_a_planner_that_fails_only_the_second_time_is_marked(here: Path) -> None
     config = replace(QUICK, planners=("dealt:Failing",), mode="open", repeat_s=1.0)
     (drive,) = evaluate_logs([here / "a.mcap"], config, here / "out").drives.itertuples()
     assert drive.end == EndReason.END_OF_LOG.value
-    (note,) = (note for note in drive.notes if note.startswith(NOT_DETERMINISTIC))
-    assert "goes on only once" in note and "once is enough" in note
+    assert Mark.NOT_DETERMINISTIC.value in drive.marks
+    assert any("goes on only once" in note and "once is enough" in note for note in drive.notes)
 
 
 @pytest.mark.parametrize("mode", list(Mode))

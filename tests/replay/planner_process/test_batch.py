@@ -18,6 +18,7 @@ from logs import ConfigError, EndReason
 from logs.mcap import write_scenario
 from replay.config import LoopConfig, PlannerProcessConfig, RunConfig
 from replay.draw.drawn_results import Results
+from replay.drive import Mark
 from replay.planner_process.batch import in_lockstep
 from replay.run import evaluate_logs
 from replay.run.engine import teams_of
@@ -76,11 +77,9 @@ def test_the_numbers_are_those_of_logs_by_themselves(workers: int, logs: Path, t
     alone, together = run(planner, logs, tmp_path / "alone", 0), run(planner, logs, tmp_path / "two", 2, workers)
     assert not len(alone.failures) and not len(together.failures)
     assert tables(tmp_path / "alone") == tables(tmp_path / "two")
-    said = [any(note.startswith("batched: ") for note in drive.notes) for drive in together.drives.itertuples()]
-    assert said == [drive.planner == planner for drive in together.drives.itertuples()]
-    assert not any(
-        note.startswith(("batched", "not det")) for drive in alone.drives.itertuples() for note in drive.notes
-    )
+    for drive in together.drives.itertuples():
+        assert drive.marks == ([Mark.BATCHED.value] if drive.planner == planner else [])
+    assert not any(drive.marks for drive in alone.drives.itertuples())
     counts = sizes(f"same{workers}")
     assert {"2@0", "2@1", "1@0", "1@1"} <= set(counts), "a group of two, and the one that is left"
     assert max(int(size.partition("@")[0]) for size in counts) == 2

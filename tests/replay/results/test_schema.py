@@ -13,6 +13,7 @@ from short_logs import QUICK, short
 from logs.mcap import write_scenario
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results
+from replay.results.reading import VERSION_KEY, read_table
 from replay.results.schema import _TYPES, FRAMES, SCHEMA_VERSION, TABLES, arrow, markdown
 from replay.results.tables import TABLES as FILES
 from replay.run import evaluate_logs
@@ -78,3 +79,20 @@ def test_what_is_said_to_be_the_same_twice_is(result: Results, tmp_path: Path) -
 def test_a_column_that_the_schema_does_not_know_is_not_written() -> None:
     with pytest.raises(KeyError, match="surprise"):
         arrow("health.parquet", pd.DataFrame({"surprise": [1]}))
+
+
+NEWER = {name: [column for column in table.columns if column.older is not None] for name, table in TABLES.items()}
+
+
+@pytest.mark.parametrize("name", [name for name, newer in NEWER.items() if newer])
+def test_files_of_before_a_column_are_read_with_its_value_of_then(name: str, tmp_path: Path) -> None:
+    """Law: a table without its newer columns is read as one in which each row has their `older` value."""
+    values = {"text": "a", "number": 1.0, "count": 1, "yes/no": True, "list": ["a"], "mode": "open", "outcome": "pass"}
+    row = {column.name: [values.get(column.name, values[column.kind])] * 2 for column in TABLES[name].columns}
+    table, newer = arrow(name, pd.DataFrame(row)), NEWER[name]
+    metadata = {VERSION_KEY: str(SCHEMA_VERSION)}
+    pq.write_table(table.drop_columns([c.name for c in newer]).replace_schema_metadata(metadata), tmp_path / name)
+    found = read_table(tmp_path / name)
+    assert found.schema.names == table.schema.names and found.schema.types == table.schema.types
+    for column in newer:
+        assert {str(value) for value in found[column.name].to_pylist()} == {str(column.older)}

@@ -47,9 +47,9 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
+from logs.agents import AgentKind
+from logs.plan import DecisionKind
 from logs.rules import Colour
-from logs.scenario import AgentKind
-from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
 
 FORMAT_VERSION = 2

@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from logs.errors import ConfigError, LogError, ReplanError, of_users, raised
-from logs.kernel import is_cache_cold
+from logs.kernel_watch import is_cache_cold
 from logs.names import counted
 from logs.road import RoadSource
 from metrics import health
@@ -44,7 +44,7 @@ from replay.run.output import write_origin
 from replay.run.pool import WorkerLost, run_all
 from replay.run.resume import identity_of, stamp_of
 from replay.run.sources import LogSource, Selection, log_hash
-from replay.search.study import Study
+from replay.run.study import Study
 
 EVENTS, LOGS, HEALTH, CARD = "events.parquet", "logs.parquet", "health.parquet", "mined.json"
 CONTENTS = FolderContents(

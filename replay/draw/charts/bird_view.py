@@ -10,8 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
-from logs.kernel import FloatArray
-from logs.scenario import AgentKind, Agents, Scenario
+from logs.agents import AgentKind, Agents
+from logs.arrays import FloatArray
+from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import EgoState
 from logs.trace import PlannedFrame, Trace

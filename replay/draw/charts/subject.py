@@ -14,12 +14,13 @@ import numpy as np
 
 from logs.errors import ConfigError
 from logs.mcap import read_moment
+from logs.plan import PlanSummary
 from logs.scenario import Scenario
-from logs.trace import PlannedFrame, PlanSummary, Trace
+from logs.trace import PlannedFrame, Trace
 from metrics import GROUPS, METRICS
 from metrics.judge.gates import Outcome
 from replay.explain import Explanation, accounts
-from replay.results.load import DriveResult
+from replay.results.load import StoredDrive
 
 GRAVE = ("collision_at_fault", "safety", "rules", "progress")
 """Metrics and groups of metrics, the gravest first: their failed gates come before all others."""
@@ -51,7 +52,7 @@ class Violation:
     spans: tuple[tuple[float, float], ...]
 
 
-def worst_moment(drive: DriveResult) -> Moment:
+def worst_moment(drive: StoredDrive) -> Moment:
     """The time of the worst failed gate, otherwise of the least TTC or gap, otherwise the middle of the drive.
 
     Gates of safety and rules are worse than others; among equals, the first in the file of gates.
@@ -79,7 +80,7 @@ def gravity(row: str) -> int:
     return next((i for i, word in enumerate(GRAVE) if word in (metric, _GROUP.get(metric, ""))), len(GRAVE))
 
 
-def violations(drive: DriveResult) -> list[Violation]:
+def violations(drive: StoredDrive) -> list[Violation]:
     """The failed gates of a drive, and the times at which it broke them."""
     found = list[Violation]()
     failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
@@ -119,7 +120,7 @@ class Subject:
         plans: The summaries of all plans.
     """
 
-    drive: DriveResult
+    drive: StoredDrive
     moment: Moment
     trace: Trace
     scenario: Scenario
@@ -152,7 +153,7 @@ class Subject:
         return self.trace.frames[0] if self.trace.frames else None
 
 
-def subject(drive: DriveResult, at: float | None = None) -> Subject:
+def subject(drive: StoredDrive, at: float | None = None) -> Subject:
     """A drive at a time, or at its worst moment.
 
     Raises:

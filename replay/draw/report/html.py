@@ -32,10 +32,10 @@ from replay.draw.charts.bird_view import place_of_moment
 from replay.draw.charts.canvas import RULES, filled, printable, roles
 from replay.draw.charts.layout import BROKEN, placed
 from replay.draw.charts.subject import Subject
+from replay.draw.drawn_results import DriveResult, Results
 from replay.draw.report.charts import distributions, moved, pass_shares
 from replay.draw.report.contents import DriveRow, Overview, worst_flips
 from replay.explain.explanation import TimedEvent, events
-from replay.results.load import DriveResult, Results
 from replay.results.tables import safe_name, write_text
 
 T = TypeVar("T")

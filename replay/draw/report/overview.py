@@ -29,6 +29,7 @@ from metrics.judge.discrimination import BLIND_FAILS
 from metrics.judge.gates import Outcome
 from metrics.judge.verdicts import judge_deadline
 from replay.draw.charts.subject import GRAVE, gravity
+from replay.draw.drawn_results import Results
 from replay.draw.report.contents import (
     ANSWERED,
     COLUMNS,
@@ -49,7 +50,6 @@ from replay.draw.report.contents import (
     over_all_logs,
 )
 from replay.drive import Mark
-from replay.results.load import Results
 from replay.results.tables import OUTCOMES
 
 """Outcomes as reports list them."""
@@ -66,7 +66,7 @@ def overview(
     """The overview of a finished run.
 
     Args:
-        results: The results, from `replay.results.load.load`.
+        results: The results, from `replay.draw.drawn_results.load`.
         comparison: The comparison with a baseline; outcome and exit code are then the worse of both.
         diagnosis: The contents of diagnosis.json of the run.
     """

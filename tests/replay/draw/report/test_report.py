@@ -27,13 +27,13 @@ from metrics.comparison import FLIP_COLUMNS, GROUP_COLUMNS, PAIR_COLUMNS, Compar
 from metrics.judge.gates import Outcome
 from replay.cli import app
 from replay.config import RunConfig
+from replay.draw.drawn_results import Results, load
 from replay.draw.report.console import SafeConsole
 from replay.draw.report.contents import MOST_FIRST
 from replay.draw.report.markdown import STEP_BYTES, append_step_summary, markdown, shortened
 from replay.draw.report.overview import overview
 from replay.draw.report.terminal import print_report
 from replay.draw.report.write import junit, write_reports
-from replay.results.load import Results, load
 from replay.results.tables import REPORTS
 from replay.run import evaluate_logs
 

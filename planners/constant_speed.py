@@ -20,9 +20,11 @@ class ConstantSpeed:
 
     Args:
         context: The constant inputs: `context.road`, `context.goal`, `context.vehicle`, `context.period`.
-        horizon_s: How far the plan reaches, s. Every keyword after the context is a key of `[planner.NAME]` in a
-            run's configuration; give it a default and its unit.
+        horizon_s: How far the plan reaches, s.
         step_s: Time between two samples of the plan, s.
+
+    Every keyword after the context is a key of `[planner.NAME]` in a run's configuration: give it a default, a name
+    with its unit, and a line above, which `replan list NAME` prints.
     """
 
     def __init__(self, context: PlannerContext, *, horizon_s: float = 8.0, step_s: float = 0.1) -> None:

@@ -60,11 +60,11 @@ class SensorConfig:
 
     Attributes:
         range_m: Agents farther away are not seen.
-        field_of_view_deg: Centred on the ego's heading; 360 covers all directions.
+        field_of_view_deg: Angle of view, centred on the ego's heading; 360 covers all directions.
         occlusion: Whether road users hide others behind them.
-        position_noise_m: Standard deviation along and across the agent's heading; drawn for each measurement.
-        yaw_noise_deg: Standard deviation.
-        velocity_noise_mps: Standard deviation along and across the agent's heading.
+        position_noise_m: Standard deviation of positions along and across the agent's heading, for each measurement.
+        yaw_noise_deg: Standard deviation of headings.
+        velocity_noise_mps: Standard deviation of velocities along and across the agent's heading.
         latency_s: Time from the measurement to the planner; counted in whole frames.
         dropout: Probability that an agent is not measured in a slot.
         dropout_s: Length of the slots.

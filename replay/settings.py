@@ -48,7 +48,7 @@ def keywords_of(factory: Callable[..., Any], table: Table, where: str) -> dict[s
     Raises:
         ConfigError: A key is unknown, or a value has the wrong type or is refused.
     """
-    config = _config_class(factory)
+    config = config_class(factory)
     if config is not None:
         return {"config": strict(config, table, where)} if table else {}
     parameters = inspect.signature(factory).parameters.values()
@@ -76,7 +76,7 @@ def resolved(factory: Callable[..., Any], table: Table, where: str, what: str, g
     Raises:
         ConfigError: As `keywords_of`; or a keyword is missing or not accepted.
     """
-    keywords, config = keywords_of(factory, table, where), _config_class(factory)
+    keywords, config = keywords_of(factory, table, where), config_class(factory)
     try:
         inspect.signature(factory).bind(*given * (None,), **keywords)
     except TypeError as error:
@@ -105,7 +105,7 @@ def check_members(kind: str, name: str, thing: object, protocol: type) -> None:
         raise ConfigError(f"{kind} '{name}': it built a {type(thing).__name__} without {lacking[0]} ({of})")
 
 
-def _config_class(factory: Callable[..., Any]) -> type | None:
+def config_class(factory: Callable[..., Any]) -> type | None:
     """Return the dataclass in the annotation of the keyword `config`, or None."""
     while isinstance(factory, partial):
         factory = factory.func

@@ -56,8 +56,8 @@ class DpQpConfig:
         lane: The choice between lanes, and of passing.
         rules: Settings of the traffic rules.
         solver: Solver of the path and speed QPs: "interior_point", "osqp" or "piqp".
-        stitch_m: The plan starts on the previous one where the ego is nearer to it than this ...
-        stitch_mps: ... and its speed nearer than this; else at the ego.
+        stitch_m: The plan starts on the previous one where the ego is nearer to it than this; else at the ego.
+        stitch_mps: The plan starts on the previous one where the ego's speed is nearer to its speed than this.
     """
 
     path: PathConfig = field(default_factory=PathConfig)

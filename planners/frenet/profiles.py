@@ -32,7 +32,13 @@ class KnotLimits(NamedTuple):
 
 @dataclass(frozen=True)
 class SpeedLimits:
-    """Acceleration and jerk that a profile may use; decelerations positive."""
+    """Acceleration and jerk that a profile may use.
+
+    Attributes:
+        accel_mps2: Greatest acceleration.
+        decel_mps2: Greatest deceleration, positive.
+        jerk_mps3: Greatest jerk, in both directions.
+    """
 
     accel_mps2: float
     decel_mps2: float

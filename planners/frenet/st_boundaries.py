@@ -58,11 +58,12 @@ class StGraphConfig:
     """Margins of the swept footprint, added to each side of the ego, m.
 
     Attributes:
-        margin_m: Margin to vehicles and objects; `vulnerable_margin_m` to pedestrians and riders.
+        margin_m: Margin to vehicles and objects.
+        vulnerable_margin_m: Margin to pedestrians and riders.
         passed_margin_m: Margin to an obstacle that the path passes on purpose.
         step_s: Time between two samples.
         early_s: An agent that crosses may come sooner by this, at most by a third of the time left until then.
-        late_s: It may leave later by this, at most by half of the time left.
+        late_s: An agent that crosses may leave later by this, at most by half of the time left until then.
     """
 
     margin_m: float = 0.3

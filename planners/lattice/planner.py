@@ -84,9 +84,14 @@ class LatticeConfig:
         durations_s: Durations of longitudinal polynomials (T).
         lateral_durations_s: Durations of lateral polynomials (T_l).
         offset_spacing_m: Distance between two end offsets.
-        w_jerk: Weight k_j; `w_time` k_t, `w_offset` k_l, `w_speed` k_v, `w_point` k_s, `w_gap` k_gap.
+        w_jerk: Weight of the squared jerk (k_j).
+        w_time: Weight of the duration (k_t).
+        w_offset: Weight of the squared offset at the end (k_l).
+        w_speed: Weight of the squared difference from the wanted speed (k_v).
+        w_point: Weight of the squared distance to a stopping point (k_s).
+        w_gap: Weight of a gap that is smaller than the wanted one (k_gap).
         w_lateral: Weight of the lateral part (K_LAT).
-        w_lateral_time: Weight of the lateral duration (k_u): so small that `offset_spacing_m` is undone.
+        w_lateral_time: Weight of the lateral duration (k_u); small, so that an offset of `offset_spacing_m` is undone.
         standstill_gap_m: Wanted gap at standstill (g0).
         time_gap_s: Wanted time gap (tau).
         accel_mps2: Greatest acceleration.
@@ -94,7 +99,8 @@ class LatticeConfig:
         lat_accel_mps2: Greatest lateral acceleration.
         curve_accel_mps2: Lateral acceleration of the wanted speed in curves.
         ease_mps2: Deceleration towards lower limits and curves.
-        margin_m: Distance to vehicles and objects; `vulnerable_margin_m` to pedestrians and riders.
+        margin_m: Distance to vehicles and objects.
+        vulnerable_margin_m: Distance to pedestrians and riders.
         edge_m: Distance to the road's edge.
     """
 

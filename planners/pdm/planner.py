@@ -82,10 +82,12 @@ class PdmConfig:
         exponent: Exponent of the term for the free road (delta).
         horizon_s: How long proposals are simulated and scored.
         radius_m: Only the traffic rules consider agents farther away than this.
-        w_progress: Weight of progress in the score; `w_ttc` of the time to collision, `w_comfort` of comfort.
-        brake_within_s: Where the best proposal has a contact at fault within this time ...
-        brake_below_mps: ... and the ego is not faster than this, it brakes ...
-        brake_mps2: ... with this deceleration, positive.
+        w_progress: Weight of progress in the score.
+        w_ttc: Weight of the time to collision in the score.
+        w_comfort: Weight of comfort in the score.
+        brake_within_s: The ego brakes where the best proposal has a contact at fault within this time.
+        brake_below_mps: It brakes so only where it is not faster than this.
+        brake_mps2: Deceleration of this braking, positive.
     """
 
     speed_shares: tuple[float, ...] = (0.2, 0.4, 0.6, 0.8, 1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,31 +14,36 @@ from replay.cli.options import completion, run_config
 
 @app.command("list")
 def listed(
-    kind: Annotated[
+    name: Annotated[
         str | None,
         typer.Argument(
-            help="planners, controllers, metrics ... Default: the number of names of each kind.",
-            autocompletion=completion("kind"),
+            metavar="[KIND|NAME]",
+            help="A kind (planners, metrics ...), or a name: idm, my_pkg.mine:Mine. Default: the kinds.",
+            autocompletion=completion("listed"),
         ),
     ] = None,
     as_json: opt.Json = False,
 ) -> None:
-    """List the names of a kind, each with one line and its place in the code.
+    """List the names of a kind, each with one line and its place in the code; or a name, with its settings.
+
+    A setting has its key for --set, its default, unit, permitted range with the other defaults, and meaning.
 
     [bold]Examples[/bold]
 
       replan list
       replan list controllers
+      replan list dp_qp
     """
     with handle_errors():
         from replay.cli import listing
 
-        if as_json:
-            kinds = listing.KINDS if kind is None else (kind,)
-            found = {one: listing.entries(one) for one in kinds}
-            say_json(found if kind is None else found[kind])
+        if name is None:
+            found: Any = {kind: listing.entries(kind) for kind in listing.KINDS} if as_json else listing.counts()
+        elif name in listing.KINDS:
+            found = listing.entries(name) if as_json else listing.lines(listing.entries(name))
         else:
-            say("\n".join(listing.counts() if kind is None else listing.lines(listing.entries(kind))))
+            found = listing.described(name) if as_json else listing.page(listing.described(name))
+        say_json(found) if as_json else say("\n".join(found))
 
 
 @app.command()

@@ -1,8 +1,7 @@
 """Lists all that replan knows by name, each with one line and its place in the code. `replan list` prints it.
 
-The lines come from the code: for a class or function, the first line of its docstring; for a table of names, the entry
-in the docstring of its module; for a metric, family, reader or suite, its summary; for a car, the first comment of its
-file.
+The lines come from the code: for a class or function, the first line of its docstring; for a metric, family, reader or
+suite, its summary; for a car, the first comment of its file.
 """
 
 from __future__ import annotations
@@ -12,24 +11,18 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from importlib.resources import files
 from typing import Any
 
 from logs.catalogue import SUITES, families
-from logs.errors import unknown_name
+from logs.errors import ConfigError, unknown_name
 from logs.extension import ExtensionKind
 from logs.readers import readers
 from logs.vehicle import vehicle_names
 from metrics import METRIC
-from planners import PLANNER
-from replay.control import CONTROLLER
+from replay.cli.listed_settings import ANY, PARTS, ListedSetting, setting_lines, settings_of
 from replay.draw.charts.layout import CHART
-from replay.loop.perception import PERCEPTION, PREDICTIONS
 from replay.oracle import ORACLES
-from replay.prediction import PREDICTION
-from replay.traffic import TRAFFIC_KIND
-from replay.vehicle import VEHICLE
 
 
 @dataclass(frozen=True)
@@ -47,11 +40,56 @@ class ListedName:
     where: str
 
 
+@dataclass(frozen=True)
+class DescribedName:
+    """A name of a kind, with its settings; None for a kind without settings."""
+
+    kind: str
+    name: str
+    says: str
+    where: str
+    settings: tuple[ListedSetting, ...] | None
+
+
 def entries(kind: str) -> tuple[ListedName, ...]:
     """All names of a kind, in the order of its table; ConfigError if there is no such kind."""
     if kind not in KINDS:
         raise unknown_name("kind", kind, KINDS)
     return tuple(KINDS[kind]())
+
+
+def described(name: str) -> list[DescribedName]:
+    """A name in each kind that has it, or a planner, controller ... "module:NAME" of a user.
+
+    Raises:
+        ConfigError: Nothing has this name.
+        PlannerError: The user's module cannot be imported.
+    """
+    if all(name.partition(":")):
+        thing = ANY.find(name)
+        found = {part.kind.plural: _entries_of_code({name: thing}) for part in PARTS.values() if part.fits(thing)}
+    else:
+        found = {kind: (one for one in entries(kind) if one.name == name) for kind in KINDS}
+    parts = {part.kind.plural: part for part in PARTS.values()}
+    all_of = [
+        DescribedName(kind, one.name, one.says, one.where, settings_of(parts[kind], name) if kind in parts else None)
+        for kind, some in found.items()
+        for one in some
+    ]
+    if not all_of:
+        if ":" in name:
+            raise ConfigError(f"'{name}' takes the arguments of no {', '.join(p.kind.name for p in PARTS.values())}")
+        raise unknown_name("kind or name", name, [*KINDS, *(one.name for kind in parts for one in entries(kind))])
+    return all_of
+
+
+def page(found: Iterable[DescribedName]) -> list[str]:
+    """Names with their settings for a terminal."""
+    shown = list[str]()
+    for one in found:
+        settings = ["no settings"] if one.settings == () else setting_lines(one.settings or ())
+        shown += [f"{one.name} ({one.kind}): {one.says}", f"    {one.where}", *settings]
+    return shown
 
 
 def lines(found: Iterable[ListedName]) -> list[str]:
@@ -65,10 +103,10 @@ def counts() -> list[str]:
     return [f"{kind:{width}}  {len(entries(kind)):4d}" for kind in KINDS]
 
 
-def _planners() -> Iterator[ListedName]:
-    yield from _entries_of_code(_all(PLANNER))
-    for one in _entries_of_code(ORACLES):
-        yield ListedName(one.name, f"{one.says} (oracle)", one.where)
+def _parts(kind: str) -> Iterator[ListedName]:
+    for one in _entries_of_code(_all(PARTS[kind].kind)):
+        oracle = kind == "planner" and one.name in ORACLES
+        yield ListedName(one.name, f"{one.says} (oracle)" if oracle else one.says, one.where)
 
 
 def _entries_of_code(table: Mapping[str, Callable[..., Any]]) -> Iterator[ListedName]:
@@ -80,23 +118,6 @@ def _entries_of_code(table: Mapping[str, Callable[..., Any]]) -> Iterator[Listed
 def _all(kind: ExtensionKind[Any]) -> dict[str, Any]:
     """The built-in names, then those of other distributions."""
     return {**kind.builtin, **kind.installed()}
-
-
-def _entries_of_table(module: str, names: Mapping[str, Callable[..., Any]] | Iterable[str]) -> Iterator[ListedName]:
-    """Entries that are described by the table in a module's docstring: `"name"    what it is`."""
-    doc = inspect.getdoc(import_module(module)) or ""
-    code = names if isinstance(names, Mapping) else {}
-    for name in names:
-        found = re.search(rf'^ *"?{name}"?  +(\S.*(?:\n {{10,}}\S.*)*)', doc, re.MULTILINE)
-        says = " ".join(found[1].split()) if found else _first_line(code[name]) if name in code else ""
-        yield ListedName(name, re.sub(r" *\(`[^)]*\)$", "", says), _where(code[name]) if name in code else module)
-
-
-def _predictions() -> Iterator[ListedName]:
-    where = {one.name: one for one in _entries_of_code(_all(PREDICTION))}
-    for one in _entries_of_table("replay.prediction", tuple(dict.fromkeys((*PREDICTIONS, *where)))):
-        own = where.get(one.name, one)
-        yield ListedName(one.name, one.says or own.says, "replay.loop.perception" if own is one else own.where)
 
 
 def _cars() -> Iterator[ListedName]:
@@ -120,17 +141,20 @@ def _where(thing: Any) -> str:
         thing = thing.func
     if not inspect.isroutine(thing) and not isinstance(thing, type):
         thing = type(thing)
-    return f"{thing.__module__}:{inspect.getsourcelines(thing)[1]}"
+    try:
+        return f"{thing.__module__}:{inspect.getsourcelines(thing)[1]}"
+    except (OSError, TypeError):  # code without source
+        return str(thing.__module__)
 
 
 KINDS: Mapping[str, Callable[[], Iterable[ListedName]]] = {
-    "planners": _planners,
-    "controllers": lambda: _entries_of_code(_all(CONTROLLER)),
-    "vehicles": lambda: _entries_of_code(_all(VEHICLE)),
+    "planners": lambda: _parts("planner"),
+    "controllers": lambda: _parts("controller"),
+    "vehicles": lambda: _parts("vehicle"),
     "cars": _cars,
-    "traffic": lambda: _entries_of_table("replay.traffic", _all(TRAFFIC_KIND)),
-    "predictions": _predictions,
-    "perceptions": lambda: _entries_of_table("replay.loop.perception", _all(PERCEPTION)),
+    "traffic": lambda: _parts("traffic"),
+    "predictions": lambda: _parts("prediction"),
+    "perceptions": lambda: _parts("perception"),
     "charts": lambda: _entries_of_code(_all(CHART)),
     "metrics": lambda: (ListedName(name, one.meaning, _where(one.measure)) for name, one in _all(METRIC).items()),
     "families": lambda: (ListedName(name, one.summary, _where(one.build)) for name, one in families().items()),

@@ -32,6 +32,7 @@ TABLES = {
     "suite": (("logs/catalogue/__init__.py", "SUITES"),),
     "kind": (("replay/cli/listing.py", "KINDS"),),
 }
+TABLES["listed"] = tuple(place for places in TABLES.values() for place in places)
 """For each option, the tables of its names: file and variable."""
 
 BESIDES = {"prediction": ("oracle",), "chart": ("all",)}
@@ -73,9 +74,15 @@ def complete_setting(incomplete: str) -> list[str]:
 
     tables = {"planner": "planner", **{table: option for option, table in SETTINGS.items()}}
     keys: list[str] = []
+    table, _, rest = incomplete.partition(".")
+    for name in names(tables[table]) if table in tables else ():
+        if rest.startswith(f"{name}."):  # this one is imported, with its settings
+            from replay.cli.listed_settings import PARTS, settings_of
+
+            keys += [f"{one.key}=" for one in settings_of(PARTS[tables[table]], name)]
     for key in dotted_keys(RunConfig):
         keys += [f"{key}.{name}." for name in names(tables[key])] if key in tables else [f"{key}="]
-    return [key for key in keys if key.startswith(incomplete)]
+    return [key for key in keys if key.startswith(incomplete) and key != incomplete]
 
 
 # options of several commands -----------------------------------------------------------------------------------------

@@ -72,18 +72,18 @@ class MpcConfig:
         steps: Number of steps of the horizon.
         step_s: Length of a step of the prediction.
         period_s: Time between two solves.
-        station_weight: 1/m2.
-        speed_weight: (s/m)2.
-        lateral_weight: 1/m2.
-        heading_weight: 1/rad2.
-        steer_weight: Of sigma, 1/rad2.
-        accel_weight: Of the acceleration's deviation as input, (s2/m)2.
-        steer_rate_weight: Of w, (s/rad)2.
-        accel_change_weight: Of the change of the acceleration from step to step.
-        steer_rate_change_weight: Of the change of w from step to step.
-        terminal: Factor on the errors at the last step.
-        speed_mps: v_0 of the prediction's (3).
-        friction_share: Of the tyres' friction that may be used.
+        station_weight: Weight of the squared error along the path, 1/m2.
+        speed_weight: Weight of the squared error of the speed, (s/m)2.
+        lateral_weight: Weight of the squared error across the path, 1/m2.
+        heading_weight: Weight of the squared error of the heading, 1/rad2.
+        steer_weight: Weight of the squared deviation of the steering angle (sigma), 1/rad2.
+        accel_weight: Weight of the squared deviation of the acceleration, (s2/m)2.
+        steer_rate_weight: Weight of the squared deviation of the steering rate (w), (s/rad)2.
+        accel_change_weight: Weight of the squared change of the acceleration from step to step, (s2/m)2.
+        steer_rate_change_weight: Weight of the squared change of w from step to step, (s/rad)2.
+        terminal: Factor on the weights of errors at the last step.
+        speed_mps: The weights of the steering grow with the speed over this one (v_0 of the prediction's (3)).
+        friction_share: Share of the tyres' friction that may be used.
     """
 
     steps: int = 20

@@ -1,10 +1,4 @@
-"""Makes the frames that the planner sees from the World.
-
-    "ground_truth"    every agent at its last sample not later than the frame's time, extrapolated with its velocity
-                      (`Tracks.perceived`)
-    "recorded"        what a tracker could know at that time from the log's own detections (`Recorded`)
-    "auto"            "recorded" where the log's tracks are made of detections, else "ground_truth"
-    "sensor"          what a sensor on the ego would measure (`replay.loop.sensor`), and the ground hidden from it
+"""Makes the frames that the planner sees from the World (`PERCEPTIONS`).
 
 A frame contains no later samples, with one exception: the prediction "oracle" is the log's own future, the upper bound
 for better predictions. Such a drive is marked as that of an oracle.
@@ -127,11 +121,31 @@ def shows_truth(perception: str, scenario: Scenario) -> bool:
     return perception == "ground_truth" or (perception == "auto" and scenario.repair is None)
 
 
+def _auto(scenario: Scenario, config: LoopConfig) -> Sight:
+    """As recorded where the log's tracks are made of detections, else as ground_truth."""
+    return (GroundTruth() if shows_truth("auto", scenario) else Recorded(scenario)).see
+
+
+def _ground_truth(scenario: Scenario, config: LoopConfig) -> Sight:
+    """Every agent at its last sample not later than the frame's time, extrapolated with its velocity."""
+    return GroundTruth().see
+
+
+def _recorded(scenario: Scenario, config: LoopConfig) -> Sight:
+    """What a tracker could know at that time from the log's own detections."""
+    return Recorded(scenario).see
+
+
+def _sensor(scenario: Scenario, config: LoopConfig) -> Sight:
+    """What a sensor on the ego would measure, and the ground that is hidden from it."""
+    return Sensor(scenario, config.sensor).see
+
+
 PERCEPTIONS: dict[str, Callable[..., Sight]] = {
-    "auto": lambda scenario, config: (GroundTruth() if shows_truth("auto", scenario) else Recorded(scenario)).see,
-    "ground_truth": lambda scenario, config: GroundTruth().see,
-    "recorded": lambda scenario, config: Recorded(scenario).see,
-    "sensor": lambda scenario, config: Sensor(scenario, config.sensor).see,
+    "auto": _auto,
+    "ground_truth": _ground_truth,
+    "recorded": _recorded,
+    "sensor": _sensor,
 }
 """Each is built once per drive as `factory(scenario, config, **settings)`."""
 PERCEPTION: ExtensionKind[Callable[..., Sight]] = ExtensionKind("perception", "perceptions", PERCEPTIONS)
@@ -214,9 +228,12 @@ class Perception:
 
 
 def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
-    """Return the agents' logged positions at the times `t` `(k,)`, s; after its log, each keeps its last velocity.
+    """The log's own future: the logged positions of the agents.
 
-    Agents that are not in the log (false alarms of a perception) keep their present velocity.
+    Args:
+        log: The tracks of the log; after its track, an agent keeps its last velocity.
+        agents: Those that are present; one that the log does not have (a false alarm) keeps its present velocity.
+        t: Times `(k,)`, s.
     """
     index = {name: i for i, name in enumerate(log.ids)}
     last = log.offsets[1:] - 1

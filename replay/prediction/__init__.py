@@ -1,14 +1,8 @@
 """Predicts the futures of the other road users at a frame; the loop puts them into `Frame.predictions`.
 
-    constant_velocity        straight on                                                          (`off_lanes`)
-    constant_turn_rate       round a circle; pedestrians straight on                              (`off_lanes`)
-    lane_following           vehicles along their lanes, others as constant_turn_rate           (`lane_following`)
-    pedestrian               pedestrians go on, stop, turn back; others at constant velocity    (`off_lanes`)
-    lanes_and_pedestrians    vehicles as lane_following, pedestrians as pedestrian
-    oracle                   the log's own future, made by `replay.loop.perception`
-
 A predictor receives only the lanes and the agents as perceived at one instant: it has no memory and no access to the
-log. Its settings are keywords. To add one, write a function and list it in PREDICTORS.
+log. Its settings are keywords. To add one, write a function and list it in PREDICTORS; `replan list predictions` shows
+the first line of its docstring. "oracle", the log's own future, is made by `replay.loop.perception`.
 """
 
 from __future__ import annotations
@@ -35,19 +29,29 @@ Predictor = Callable[..., Predictions]
 time at which they were perceived."""
 
 
+def _straight_on(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+    """All go straight on at constant velocity."""
+    return constant_velocity(agents, t)
+
+
+def _round_a_circle(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+    """All keep a constant turn rate; pedestrians go straight on."""
+    return everybody(agents, t, NO_LANES)
+
+
 def _pedestrian(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """Pedestrians have several hypotheses; all others go on at constant velocity."""
+    """Pedestrians go on, stop or turn back; all others go on at constant velocity."""
     return _instead(constant_velocity(agents, t), walkers(agents, t, lanes))
 
 
 def _lanes_and_pedestrians(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """Vehicles follow their lanes, pedestrians have several hypotheses, others keep a constant turn rate."""
+    """Vehicles follow their lanes, pedestrians go on, stop or turn back, others keep a constant turn rate."""
     return _instead(everybody(agents, t, lanes), walkers(agents, t, lanes))
 
 
 PREDICTORS: dict[str, Predictor] = {
-    "constant_velocity": lambda agents, t, lanes: constant_velocity(agents, t),
-    "constant_turn_rate": lambda agents, t, lanes: everybody(agents, t, NO_LANES),
+    "constant_velocity": _straight_on,
+    "constant_turn_rate": _round_a_circle,
     "lane_following": everybody,
     "pedestrian": _pedestrian,
     "lanes_and_pedestrians": _lanes_and_pedestrians,

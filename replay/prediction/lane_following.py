@@ -58,7 +58,7 @@ def followers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
 
 
 def everybody(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """Predict all agents; those that follow no lane keep a constant turn rate (`off_lanes`)."""
+    """Vehicles follow their lanes; all that follow none keep a constant turn rate, pedestrians go straight on."""
     return _predict_vehicles(agents, t, lanes, others=True)
 
 

@@ -1,12 +1,4 @@
-"""Moves the other road users while the ego is driven.
-
-"give_way"        as in the log, except that road users give way if they would hit the ego from behind, or if the ego
-has the right of way (`reactive`, `right_of_way`)
-"time"            each road user is at its logged position of this time, independent of the ego
-"ego_position"    all are at their logged positions of when the logged ego was where the ego is now (`phase_replay`)
-"reactive"        vehicles follow their logged paths and keep behind every road user on them, the ego included
-                  (`reactive`); late vehicles stop at red lights
-"""
+"""Moves the other road users while the ego is driven: `TRAFFIC` by name; `replan list traffic` describes each."""
 
 from __future__ import annotations
 
@@ -47,7 +39,7 @@ class Traffic(Protocol):
 
 
 class ReplayedByTime:
-    """Replays the log's tracks, independent of the ego."""
+    """Each road user is at its logged position of this time, independent of the ego."""
 
     due = inf
     notes: tuple[str, ...] = ()
@@ -61,7 +53,7 @@ class ReplayedByTime:
 
 
 def give_way(scenario: Scenario) -> Traffic:
-    """Build traffic as in the log, except for road users that give way."""
+    """As in the log, but road users give way to an ego that they would hit from behind or that has the right of way."""
     return Reactive(scenario, GIVE_WAY)
 
 

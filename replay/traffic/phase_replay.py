@@ -222,7 +222,7 @@ def _merge_samples(
 
 
 class ReplayedByEgoPosition:
-    """Replays all others by the ego's position.
+    """All are at their logged positions of when the logged ego was where the ego is now.
 
     Args:
         scenario: Its ego's log must lead somewhere.

@@ -91,7 +91,7 @@ GIVE_WAY = ReactionRule((*FOLLOWING, AgentKind.BICYCLE), only_ahead=CC_REACT_S, 
 
 
 class Reactive:
-    """See the module docstring.
+    """Vehicles keep to their logged paths behind every road user on them, the ego included; late ones stop at red.
 
     Args:
         scenario: Its tracks, road, lights and ego.

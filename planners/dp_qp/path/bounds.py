@@ -49,8 +49,8 @@ class CorridorConfig:
         min_clearance_m: Least such distance, where there is no more space; with less the ego stops.
         edge_m: Distance to the lane's edge.
         gap_m: Distance ahead of and behind an obstacle, added to its length.
-        neighbour_behind_m: A neighbouring lane may be borrowed if no agent moves on it from this far behind ...
-        neighbour_ahead_m: ... to this far ahead.
+        neighbour_behind_m: A neighbouring lane may be borrowed if no agent moves on it up to this far behind the ego.
+        neighbour_ahead_m: A neighbouring lane may be borrowed if no agent moves on it up to this far ahead of the ego.
         facing_margin_s: The facing lane may be borrowed if no agent comes within this time after the ego has left it.
         patience_s: The facing lane may be used to pass a vehicle that has stood for this long.
     """

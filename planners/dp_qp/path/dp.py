@@ -58,7 +58,9 @@ class PathDpConfig:
         columns: Stations of the grid.
         rows: Offsets of the grid, odd, so that one is the reference line.
         row_spacing_m: Distance between two offsets.
-        w_ref: Weight of l^2; `w_dl` of l'^2; `w_ddl` of l''^2.
+        w_ref: Weight of the squared offset from the reference line.
+        w_dl: Weight of the squared slope of the path, l'.
+        w_ddl: Weight of the squared second derivative of the path, l''.
         w_near: Weight of coming near an obstacle.
         reach_m: Distance from which an obstacle has no cost.
         w_switch: Cost per m of passing an obstacle on the other side than before.

@@ -45,10 +45,10 @@ class PathQpConfig:
 
     Attributes:
         knots: Number of knots.
-        w_ref: Weight of l^2, 1/m2.
-        w_mid: Weight of the distance to the middle of the corridor, 1/m2.
-        settle_s: Settling length per speed, s.
-        min_settle_m: Least settling length, m.
+        w_ref: Weight of the squared offset from the reference line, 1/m2.
+        w_mid: Weight of the squared distance to the middle of the corridor, 1/m2.
+        settle_s: Length of a lane shift per speed; the weights of the path's derivatives grow with it.
+        min_settle_m: Least length of a lane shift.
     """
 
     knots: int = 80

@@ -55,13 +55,17 @@ class SpeedDpConfig:
     """Weights and limits of the speed DP.
 
     Attributes:
-        columns: Seconds of horizon.
-        w_t: Weight of lost time; `w_v` of speed above the limit, `w_a` of acceleration, `w_j` of jerk, `w_near` of
-            nearness.
+        columns: Columns of the grid, one second apart.
+        w_t: Weight of the time lost against driving at the limit.
+        w_v: Weight of the squared speed above the limit.
+        w_a: Weight of the squared acceleration.
+        w_j: Weight of the squared jerk.
+        w_near: Weight of a gap that is smaller than the wanted one.
         gap_m: Smallest gap to a blocked interval.
         standstill_gap_m: Wanted gap to an agent that stands.
         time_gap_s: Wanted gap per speed of the agent.
-        max_accel_mps2: Acceleration of an edge; `max_decel_mps2` its deceleration.
+        max_accel_mps2: Greatest acceleration between two columns.
+        max_decel_mps2: Greatest deceleration between two columns, positive.
     """
 
     columns: int = 8

@@ -49,11 +49,14 @@ class SpeedQpConfig:
 
     Attributes:
         knots: Number of knots, 0.1 s apart.
-        w_s: Weight of (1); `w_v`, `w_a`, `w_j` likewise.
+        w_s: Weight of the squared distance to the reference station.
+        w_v: Weight of the squared difference from the reference speed.
+        w_a: Weight of the squared acceleration.
+        w_j: Weight of the squared jerk.
         comfort: Limits to try first.
         emergency: Limits where comfort cannot keep a bound.
-        curve_accel_mps2: Lateral acceleration in curves.
-        ease_mps2: Deceleration b of `planners.frenet.profiles`, (1).
+        curve_accel_mps2: Greatest lateral acceleration in curves.
+        ease_mps2: Deceleration towards lower limits and curves.
     """
 
     knots: int = 81

@@ -8,6 +8,8 @@ scenario = replan.from_frames(ego, agents)      a team's own log from pandas tab
 scenario = replan.read_log("drive.mcap")        a log of any format (`replan convert --formats`)
 replan.write_log("drive.mcap", scenario)        as native MCAP, for `evaluate`
 
+replan.check_planner("my_planner:Mine")         the contract of a planner
+
 The nouns of a planner (Frame, Plan, Trajectory), a metric (Trace, Scenario, Series) and all else that can be added
 (docs/extend.md) have their names here, too. `python -m replan` is the command line.
 """
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from planners.base import Planner
     from replay.api import compare, evaluate
     from replay.config import LoopConfig, RunConfig
+    from replay.contract import ContractError, check_planner
     from replay.draw.charts.canvas import Chart
     from replay.draw.charts.subject import Subject
     from replay.draw.drawn_results import DriveResult, Results, load
@@ -55,6 +58,7 @@ __all__ = [
     "Command",
     "Comparison",
     "ConfigError",
+    "ContractError",
     "Controller",
     "Decision",
     "DecisionKind",
@@ -98,6 +102,7 @@ __all__ = [
     "VehicleParameters",
     "Visibility",
     "World",
+    "check_planner",
     "compare",
     "evaluate",
     "from_frames",
@@ -125,6 +130,7 @@ _NAMES = {
     "planners.base": "Planner",
     "replay.api": "compare evaluate",
     "replay.config": "LoopConfig RunConfig",
+    "replay.contract": "ContractError check_planner",
     "replay.prediction": "LaneMap",
     "replay.draw.charts.canvas": "Chart",
     "replay.draw.charts.subject": "Subject",

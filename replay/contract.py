@@ -21,9 +21,11 @@ import numpy as np
 from logs.catalogue import scenario as catalogue_scenario
 from logs.errors import ReplanError, raised
 from logs.frame import PLAN_HORIZON_S, Frame, PlannerContext
-from logs.scenario import Scenario, Tracks
+from logs.plan import Plan, PlanStart, PlanStatus
+from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS
-from logs.trace import EndReason, Plan, PlanStart, PlanStatus
+from logs.trace import EndReason
+from logs.tracks import Tracks
 from metrics.arrival import goal_of
 from planners import PlannerFactory, load_planner
 from planners.base import Planner

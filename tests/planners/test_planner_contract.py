@@ -17,17 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import logs.catalogue
-from logs import (
-    AgentKind,
-    ConfigError,
-    EgoState,
-    Frame,
-    Goal,
-    Plan,
-    PlannerContext,
-    PlannerError,
-    Scenario,
-)
+from logs import AgentKind, ConfigError, EgoState, Frame, Goal, Plan, PlannerContext, PlannerError, Scenario
 from logs.states import OnboardPlan
 from planners import PLANNERS, load_planner
 from planners.constant_speed import arc

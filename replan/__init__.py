@@ -8,7 +8,7 @@ scenario = replan.from_frames(ego, agents)      a team's own log from pandas tab
 scenario = replan.read_log("drive.mcap")        a log of any format (`replan convert --formats`)
 replan.write_log("drive.mcap", scenario)        as native MCAP, for `evaluate`
 
-replan.check_planner("my_planner:Mine")         the contract of a planner
+replan.check_planner("my_planner:Mine")         the contract of a planner; check_metric, check_reader
 
 The nouns of a planner (Frame, Plan, Trajectory), a metric (Trace, Scenario, Series) and all else that can be added
 (docs/extend.md) have their names here, too. `python -m replan` is the command line.
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from planners.base import Planner
     from replay.api import compare, evaluate
     from replay.config import LoopConfig, RunConfig
-    from replay.contract import ContractError, check_planner
+    from replay.contract import ContractError, check_metric, check_planner, check_reader
     from replay.draw.charts.canvas import Chart
     from replay.draw.charts.subject import Subject
     from replay.draw.drawn_results import DriveResult, Results, load
@@ -102,7 +102,9 @@ __all__ = [
     "VehicleParameters",
     "Visibility",
     "World",
+    "check_metric",
     "check_planner",
+    "check_reader",
     "compare",
     "evaluate",
     "from_frames",
@@ -130,7 +132,7 @@ _NAMES = {
     "planners.base": "Planner",
     "replay.api": "compare evaluate",
     "replay.config": "LoopConfig RunConfig",
-    "replay.contract": "ContractError check_planner",
+    "replay.contract": "ContractError check_metric check_planner check_reader",
     "replay.prediction": "LaneMap",
     "replay.draw.charts.canvas": "Chart",
     "replay.draw.charts.subject": "Subject",

@@ -13,27 +13,37 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from itertools import zip_longest
-from math import hypot
+from math import hypot, inf, isfinite
+from os.path import commonpath
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 import numpy as np
 
 from logs.catalogue import scenario as catalogue_scenario
-from logs.errors import ReplanError, raised
+from logs.errors import ConfigError, LogError, PlannerError, ReplanError, raised
+from logs.files import local_path
 from logs.frame import PLAN_HORIZON_S, Frame, PlannerContext
 from logs.plan import Plan, PlanStart, PlanStatus
+from logs.readers import READER, LogSettings, Reader, read_log
+from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS
-from logs.trace import EndReason
+from logs.trace import EndReason, Mode, Trace
 from logs.tracks import Tracks
+from metrics import load_metric
 from metrics.arrival import goal_of
+from metrics.metric import Metric, Series, Unavailable
 from planners import PlannerFactory, load_planner
 from planners.base import Planner
 from replay.config import LoopConfig
+from replay.drive import Drive
 from replay.loop.closed_loop import run_closed_loop
+from replay.loop.open_loop import run_open_loop
 from replay.loop.perception import Perception
 from replay.loop.plan_check import START_M, START_MPS, SWING_MPS, checked
-from replay.loop.planning import Planning
+from replay.loop.planning import Planning, Seat
 from replay.planner_process.planner_config import of_class
 from replay.world import World, logged_ego
 
@@ -53,6 +63,29 @@ PLANNER_RULES: Mapping[str, str] = {
     "batch": "return a list from plan_batch: a plan for each frame",
 }
 """The rules for planners, with their remedies."""
+METRIC_RULES: Mapping[str, str] = {
+    "answer": "return a Series, Unavailable, or a mapping from parts to these",
+    "modes": "declare only the modes in which it is defined",
+    "parts": "return the parts that the metric declares",
+    "reason": "say in Unavailable(reason) or Series(missing=) why there is no value",
+    "needs": "name in `needs` what the log or drive must contain",
+    "times": "give each step a time of the drive, in increasing order",
+    "finite": "return Unavailable, or NaN for a step, where there is no value",
+    "inputs": "copy arrays of the trace and the scenario before changing them",
+    "pure": "use no clock, no random numbers, and no memory of other drives",
+}
+"""The rules for metrics, likewise."""
+READER_RULES: Mapping[str, str] = {
+    "claims": "claim the logs of the format and no other path, and raise nothing",
+    "files": "name the files of the log, in a fixed order",
+    "contents": "return an empty LogContents where the topics cannot be read",
+    "read": "return a Scenario",
+    "admitted": "return what `replan.read_log` accepts",
+    "same": "read equal scenarios from equal bytes",
+    "damaged": "raise LogError for a log that cannot be read, and nothing else",
+    "beside": "write nothing",
+}
+"""The rules for readers, likewise."""
 SCENARIOS = (
     "paper/free_road", "paper/crossing_pedestrian", "everyday/follow", "everyday/cut_in", "everyday/traffic_light",
     "everyday/junction",
@@ -330,3 +363,237 @@ def _check_batch(factory: PlannerFactory, scenario: Scenario, found: _Findings) 
         return
     for plan, frame in zip(plans, frames, strict=True):
         check_plan(plan, frame, f"{where}, {frame.t:.2f} s", found)
+
+
+# metrics ------------------------------------------------------------------------------------------------
+
+MetricDrive = tuple[Trace, Scenario]
+Loop = Callable[..., Drive]
+
+
+def check_metric(metric: Metric | str, *, scenarios: Iterable[Scenario] | None = None) -> None:
+    """Check the contract of a metric: on drives in its modes, among them some that hardly are any.
+
+    The rules are those of `replay.contract.METRIC_RULES`.
+
+    Args:
+        metric: The metric, its name, or "module:NAME".
+        scenarios: The scenarios to drive in; None: some of the catalogue.
+
+    Raises:
+        ContractError: A rule is broken.
+        ConfigError: The metric cannot be loaded.
+    """
+    check_metric_on(load_metric(metric) if isinstance(metric, str) else metric, metric_drives(_scenarios(scenarios)))
+
+
+def metric_drives(scenarios: Iterable[Scenario]) -> list[MetricDrive]:
+    """Return drives of `constant_speed` in both modes: whole ones, and ones that lack what a metric may need."""
+    drives: list[MetricDrive] = []
+
+    def drive(run: Loop, log: Scenario, seat: Seat = Planning, until_s: float = inf) -> None:
+        copy = replace(log)  # a metric that writes does not reach the caller's
+        drives.append((run(copy, "constant_speed", config=_CONFIG, seat=seat, until_s=until_s).trace, copy))
+
+    for k, scenario in enumerate(scenarios):
+        bare = replace(scenario, tracks=Tracks.empty(), goal=None, lights=())
+        path = replace(bare, road=replace(bare.road, source=RoadSource.DRIVEN_PATH))
+        for run in (run_open_loop, run_closed_loop):
+            drive(run, scenario)
+            if k == 0:
+                drive(run, path, until_s=1.0)
+                drive(run, scenario, _failing(0.0))  # no plan
+                drive(run, scenario, _failing(0.1))  # one plan
+    return drives
+
+
+def _failing(at_s: float) -> Seat:
+    """Return the seat of a planner that fails at a time."""
+
+    class Failing(Planning):
+        """Raises from `at_s` on."""
+
+        def plan(self, frame: Frame) -> Plan:
+            """As `Planning.plan`."""
+            if frame.t >= at_s - 1e-9:
+                raise PlannerError("the planner failed")
+            return super().plan(frame)
+
+    return Failing
+
+
+def check_metric_on(metric: Metric, drives: Sequence[MetricDrive]) -> None:
+    """Check a metric on drives, and once more in reverse order on copies.
+
+    Raises:
+        ContractError: A rule is broken.
+    """
+    found = _Findings(METRIC_RULES)
+    judged = [(trace, scenario) for trace, scenario in drives if trace.mode in metric.modes]
+    results, failed = list[object](), dict[Mode, dict[str, str]]()
+    for trace, scenario in judged:
+        where = f"{scenario.name}, {trace.mode.value} loop, {len(trace.frames)} plans"
+        before = [*_leaves((trace, scenario))]
+        try:
+            measured = metric.measure(trace, scenario)
+        except (Exception, SystemExit) as error:
+            failed.setdefault(trace.mode, {})[where] = f"it raised {raised(error, of=metric.measure)}"
+            measured = None
+        else:
+            _check_measured(metric, measured, trace, where, found)
+        if before != [*_leaves((trace, scenario))]:
+            found.add("inputs", where, "it changed the trace or the scenario")
+        results.append(measured)
+    for mode, places in failed.items():
+        never = len(failed) < len(metric.modes) and len(places) == sum(trace.mode is mode for trace, _ in judged)
+        found.add("modes" if never else "answer", *next(iter(places.items())))
+    if not {"answer", "modes", "inputs"} & found.found.keys():
+        for (trace, scenario), first in zip(reversed(judged), reversed(results), strict=True):
+            where = f"{scenario.name}, {trace.mode.value} loop"
+            again = _call(found, "pure", where, metric.measure, replace(trace), replace(scenario))
+            differs = _difference(first, again)
+            if differs:
+                found.add("pure", where, f"measured twice, it differs in {differs}")
+    found.report(f"metric {metric.name}")
+
+
+def _check_measured(metric: Metric, measured: object, trace: Trace, where: str, found: _Findings) -> None:
+    """Check one result of `measure`."""
+    parts: Mapping[Any, object] = measured if isinstance(measured, Mapping) else {"": measured}
+    strange = set(parts) - set(metric.parts) if metric.parts != ("*",) else set()
+    if isinstance(measured, Mapping) and strange:
+        found.add("parts", where, f"it returned the part {min(map(repr, strange))}")
+    if isinstance(measured, Series) and metric.parts:
+        found.add("parts", where, "it returned one series")
+    for part, one in parts.items():
+        place = f"{where}, part {part}" if part else where
+        if isinstance(one, Series):
+            _check_series(metric, one, trace, place, found)
+        elif not isinstance(one, Unavailable):
+            found.add("answer", place, f"it returned {type(one).__name__}")
+        elif not isinstance(one.reason, str) or not one.reason.strip():
+            found.add("reason", place, "it is unavailable without a reason")
+        elif not metric.needs:
+            found.add("needs", place, f"it is unavailable: {one.reason}")
+
+
+def _check_series(metric: Metric, series: Series, trace: Trace, where: str, found: _Findings) -> None:
+    """Check the times of a series, and the numbers that it is reduced to."""
+    first, last = float(trace.ego.t[0]), float(trace.ego.t[-1])
+    if series.t[0] < first - 1e-6 or series.t[-1] > last + 1e-6 or (np.diff(series.t) <= 0.0).any():
+        found.add("times", where, f"its times are {series.t[0]:.2f} to {series.t[-1]:.2f} s, the drive's {last:.2f} s")
+    if not series.known.any():
+        if not series.missing.strip():
+            found.add("reason", where, "no step has a value, and `missing` is empty")
+        elif not metric.needs and any(reduction.empty is None for reduction in metric.reductions):
+            found.add("needs", where, f"it is unavailable: {series.missing}")
+        return
+    for reduction in metric.reductions:
+        reduced = _call(found, "answer", f"{where}, {reduction.name}", reduction.reduce, series)
+        if reduced is not None:
+            value, step = reduced
+            if not isfinite(value) or not -1 <= step < len(series.t):
+                found.add("finite", where, f"{reduction.name} is {value} at step {step}")
+
+
+# readers ------------------------------------------------------------------------------------------------
+
+MOST_DAMAGED = 8
+"""Of a log of many files, the number of those that are damaged in turn."""
+
+
+def check_reader(reader: Reader | str, path: Path | str, settings: LogSettings | None = None) -> None:
+    """Check the contract of a reader on a log of its format, and on damaged copies of it.
+
+    The rules are those of `replay.contract.READER_RULES`.
+
+    Args:
+        reader: The reader, its name, or "module:READER".
+        path: A log that it reads; it is not changed.
+        settings: The settings to read it with.
+
+    Raises:
+        ContractError: A rule is broken.
+        ConfigError: The reader cannot be loaded.
+        LogError: There is no such log.
+    """
+    reader = READER.find(reader) if isinstance(reader, str) else reader
+    path, settings, found = local_path(path), settings or LogSettings(), _Findings(READER_RULES)
+    beside = _entries(path)
+    claimed = _call(found, "claims", path.name, reader.claims, path)
+    if claimed is False and not reader.claims_with(path, settings):
+        found.add("claims", path.name, "it does not claim the log")
+    files = _call(found, "files", path.name, reader.files, path) or ()
+    if not files or not all(file.is_file() for file in files) or reader.files(path) != files:
+        found.add("files", path.name, f"its {len(files)} files do not all exist, or differ when asked again")
+        files = ()
+    _call(found, "contents", path.name, reader.contents, path)
+    _check_read(reader, path, settings, found)
+    with TemporaryDirectory() as folder:
+        _check_foreign(reader, Path(folder), found)
+    for file in files[:: max(1, len(files) // MOST_DAMAGED)]:
+        for share in (0.0, 0.5):
+            with TemporaryDirectory() as folder:
+                _check_damaged(reader, _damaged(path, files, file, share, Path(folder)), share, settings, found)
+    changed = sorted({name for name, _ in beside ^ _entries(path)})
+    if changed:
+        found.add("beside", path.name, f"it wrote {changed[0]}")
+    found.report(f"reader {reader.name}")
+
+
+def _check_read(reader: Reader, path: Path, settings: LogSettings, found: _Findings) -> None:
+    """Check what is read of the log."""
+    with np.errstate(all="ignore"):  # as `read_log`
+        one = _call(found, "read", path.name, reader.read, path, settings)
+        if one is None or not isinstance(one, Scenario):
+            found.add("read", path.name, f"it returned {type(one).__name__}")
+            return
+        differs = _difference(one, _call(found, "same", path.name, reader.read, path, settings))
+    if differs:
+        found.add("same", path.name, f"read twice, it differs in {differs}")
+    _call(found, "admitted", path.name, lambda: read_log(path, settings, reader))
+
+
+def _check_foreign(reader: Reader, folder: Path, found: _Findings) -> None:
+    """Check that it claims no path of another kind."""
+    (folder / "notes.of-no-format").write_bytes(b"no log\n")
+    (folder / "empty").mkdir()
+    for name in ("notes.of-no-format", "empty", "missing.of-no-format"):
+        if _call(found, "claims", name, reader.claims, folder / name):
+            found.add("claims", name, "it claims a path that is no log of its format")
+
+
+def _damaged(path: Path, files: Sequence[Path], file: Path, share: float, folder: Path) -> Path:
+    """Copy a log into a folder, with only the first `share` of the bytes of one of its files; return the copy."""
+    root = Path(commonpath([path.parent, *(each.parent for each in files)]))
+    for each in files:
+        copy = folder / each.relative_to(root)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        content = each.read_bytes()
+        copy.write_bytes(content[: int(share * len(content))] if each == file else content)
+    return folder / path.relative_to(root)
+
+
+def _check_damaged(reader: Reader, path: Path, share: float, settings: LogSettings, found: _Findings) -> None:
+    """Check what is raised for a damaged copy of the log, and that nothing is written beside it."""
+    where, before = f"{path.name} with {share:.0%} of a file", _entries(path)
+    _call(found, "claims", where, reader.claims, path)
+    _call(found, "contents", where, reader.contents, path)
+    try:
+        with np.errstate(all="ignore"):
+            reader.read(path, settings)
+    except (LogError, ConfigError):
+        pass
+    except (Exception, SystemExit) as error:
+        found.add("damaged", where, f"it raised {raised(error, of=reader.read)}")
+    else:
+        if share == 0.0 and path.is_file():
+            found.add("damaged", where, "it read a drive from an empty file")
+    if before != _entries(path):
+        found.add("beside", where, "it wrote a file")
+
+
+def _entries(path: Path) -> set[tuple[str, int]]:
+    """Return the names and sizes of what is beside a log, and in its folder."""
+    within = path.rglob("*") if path.is_dir() else ()
+    return {(str(each), each.stat().st_size) for each in (*path.parent.iterdir(), *within) if each.is_file()}

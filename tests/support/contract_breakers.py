@@ -6,12 +6,18 @@ import os
 import sys
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 from typing import Self
 
 import numpy as np
+import pandas as pd
 
-from logs import Frame, Plan, PlannerContext, PlanStatus, Scenario, Trajectory
+from logs import Frame, LogError, Mode, Plan, PlannerContext, PlanStatus, Scenario, Trace, Trajectory
+from logs.readers import LogSettings, Reader
+from logs.readers.base import LogContents
+from logs.readers.table import from_frames
 from logs.rules import Colour
+from metrics.metric import MEAN, Metric, Reduction, Series, Unavailable
 from planners.constant_speed import ConstantSpeed, arc
 
 AHEAD = np.arange(0.0, 8.0, 0.1)
@@ -114,5 +120,92 @@ PLANNERS = {
     "memory": Memory,
     "future": Future,
     "batch": Batch,
+}
+"""By the rule that they break."""
+
+
+# --- metrics
+
+
+def _steps(trace: Trace, value: float = 1.0) -> Series:
+    return Series(trace.ego.t, np.full(len(trace.ego), value))
+
+
+def _open_only(trace: Trace, scenario: Scenario) -> Series:
+    if trace.mode is Mode.OPEN:
+        raise ValueError("no commands")
+    return _steps(trace)
+
+
+def _later(trace: Trace, scenario: Scenario) -> Series:
+    return Series(trace.ego.t + 1.0, trace.ego.v)
+
+
+def _writes(trace: Trace, scenario: Scenario) -> Series:
+    object.__setattr__(scenario, "duration", 7.0)
+    return _steps(trace)
+
+
+_calls = count()
+GOOD = Metric("good", "m/s", "none", tuple(Mode), lambda trace, scenario: _steps(trace), (MEAN,), "For a test.")
+METRICS = {
+    "answer": replace(GOOD, measure=lambda trace, scenario: trace.ego.v),  # type: ignore[arg-type, return-value]
+    "modes": replace(GOOD, measure=_open_only),
+    "parts": replace(GOOD, measure=lambda trace, scenario: {"b": _steps(trace)}, parts=("a",)),
+    "reason": replace(GOOD, measure=lambda trace, scenario: Unavailable(""), needs="luck"),
+    "needs": replace(GOOD, measure=lambda trace, scenario: Unavailable("the log names no goal")),
+    "times": replace(GOOD, measure=_later),
+    "finite": replace(GOOD, reductions=(Reduction("inverse", lambda series: (float("inf"), -1)),)),
+    "inputs": replace(GOOD, measure=_writes),
+    "pure": replace(GOOD, measure=lambda trace, scenario: _steps(trace, float(next(_calls)))),
+}
+"""By the rule that they break."""
+
+
+# --- readers: of lines "t x y yaw"
+
+
+def _read(path: Path, settings: LogSettings) -> Scenario:
+    try:
+        rows = np.array([line.split() for line in path.read_text().splitlines()], float).reshape(-1, 4)
+        return from_frames(pd.DataFrame(rows, columns=["t", "x", "y", "yaw"]), name=path.stem)
+    except (ValueError, OSError) as error:
+        raise LogError(str(error), file=path) from None
+
+
+def _raises(path: Path) -> LogContents:
+    raise ValueError("no topics")
+
+
+def _jumps(path: Path, settings: LogSettings) -> Scenario:
+    whole = _read(path, settings)
+    return replace(whole, ego=replace(whole.ego, x=1e6 * whole.ego.x))
+
+
+def _at_random(path: Path, settings: LogSettings) -> Scenario:
+    return replace(_read(path, settings), name=str(next(_calls)))
+
+
+def _crashes(path: Path, settings: LogSettings) -> Scenario:
+    if not path.read_text():
+        raise IndexError("list index out of range")
+    return _read(path, settings)
+
+
+def _writes_index(path: Path, settings: LogSettings) -> Scenario:
+    path.with_suffix(".index").write_text("7")
+    return _read(path, settings)
+
+
+TXY = Reader("txy", "t x y yaw, a line each", "*.txy", (".txy",), lambda path: path.suffix == ".txy", _read)
+READERS = {
+    "claims": replace(TXY, claims=lambda path: True),
+    "files": replace(TXY, files=lambda path: (path.with_suffix(".other"),)),
+    "contents": replace(TXY, contents=_raises),
+    "read": replace(TXY, read=lambda path, settings: _read(path, settings).ego),  # type: ignore[arg-type, return-value]
+    "admitted": replace(TXY, read=_jumps),
+    "same": replace(TXY, read=_at_random),
+    "damaged": replace(TXY, read=_crashes),
+    "beside": replace(TXY, read=_writes_index),
 }
 """By the rule that they break."""

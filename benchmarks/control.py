@@ -20,8 +20,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from logs.kernel import FloatArray
-from logs.trace import Plan
+from logs.arrays import FloatArray
+from logs.plan import Plan
 from logs.vehicle import VehicleParameters
 from replay.control import CONTROLLERS
 from replay.loop.simulation_setup import controller_of

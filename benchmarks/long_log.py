@@ -21,13 +21,14 @@ from time import process_time
 import numpy as np
 from rich.console import Console
 
+from logs.agents import AgentKind
+from logs.arrays import FloatArray
 from logs.catalogue.family_parts import ADULT, CAR, Agent, tracks
 from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, two_way
-from logs.kernel import FloatArray
 from logs.mcap import read_scenario, write_scenario
 from logs.memory import trim_memory
 from logs.road import Lane, Road
-from logs.scenario import AgentKind, Scenario
+from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Mode
 

@@ -22,8 +22,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rich.console import Console
 from rich.table import Table
 
+from logs.plan import Plan
 from logs.scenario import Scenario
-from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from replay.config import LoopConfig
 from replay.control import CONTROLLERS

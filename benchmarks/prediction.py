@@ -22,10 +22,11 @@ import numpy as np
 import pandas as pd
 from crowds import CROWDS, crowded
 
+from logs.agents import Agents
 from logs.catalogue import CATALOGUE
 from logs.frame import Predictions
 from logs.readers.commonroad import read_commonroad
-from logs.scenario import Agents, Scenario
+from logs.scenario import Scenario
 from replay.config import DEFAULT_LOOP
 from replay.loop.perception import Perception
 from replay.prediction import PREDICTORS, LaneMap, predict

@@ -17,7 +17,7 @@ from logs.readers import LogSettings, reader_of
 from metrics.judge import worst
 from metrics.judge.gates import Outcome
 from replay.config import RunConfig
-from replay.results.load import Results
+from replay.draw.drawn_results import Results
 from replay.run import evaluate_logs
 from replay.run.sources import select
 

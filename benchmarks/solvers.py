@@ -28,7 +28,7 @@ from rich.console import Console
 from scipy import sparse
 from scipy.optimize import linprog
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from planners.dp_qp.path import qp as path_qp
 from planners.dp_qp.speed import qp as speed_qp
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from logs import Frame, Lane, Plan, PlannerContext, ReferenceLine, Trajectory
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 
 STEP_S, STEPS = 0.1, 51
 SIGHT_M = 300.0

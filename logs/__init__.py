@@ -23,33 +23,31 @@ from typing import TYPE_CHECKING, Any
 import replan.own
 
 if TYPE_CHECKING:
+    from logs.agents import AgentKind, Agents
     from logs.errors import ConfigError, LogError, PlannerError, ReplanError
     from logs.frame import Frame, PlannerContext, Predictions, Visibility
-    from logs.road import Goal, Lane, ReferenceLine, Road, RoadSource
-    from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
-    from logs.scenario import AgentKind, Agents, Scenario, Tracks
-    from logs.states import Command, Controls, EgoState, Trajectory, wrap
-    from logs.trace import (
+    from logs.plan import (
         Candidates,
         Corridor,
         CostTerms,
         Decision,
         DecisionKind,
-        EndReason,
         GraphObstacle,
         GridCost,
         LaneOption,
-        Mode,
         Plan,
-        PlannedFrame,
         PlanStart,
         PlanStatus,
         SlGraph,
         SolverReport,
         StGraph,
-        Trace,
-        TrackingErrors,
     )
+    from logs.road import Goal, Lane, ReferenceLine, Road, RoadSource
+    from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+    from logs.scenario import Scenario
+    from logs.states import Command, Controls, EgoState, Trajectory, wrap
+    from logs.trace import EndReason, Mode, PlannedFrame, Trace, TrackingErrors
+    from logs.tracks import Tracks
     from logs.vehicle import VehicleParameters
 
 __all__ = [
@@ -62,14 +60,17 @@ __all__ = [
 ]  # fmt: skip
 
 _NAMES = {
+    "logs.agents": "AgentKind Agents",
     "logs.errors": "ConfigError LogError PlannerError ReplanError",
     "logs.frame": "Frame PlannerContext Predictions Visibility",
+    "logs.plan": "Candidates Corridor CostTerms Decision DecisionKind GraphObstacle GridCost LaneOption Plan PlanStart "
+    "PlanStatus SlGraph SolverReport StGraph",
     "logs.road": "Goal Lane ReferenceLine Road RoadSource",
     "logs.rules": "Colour Crosswalk StopLine TrafficLight",
-    "logs.scenario": "AgentKind Agents Scenario Tracks",
+    "logs.scenario": "Scenario",
     "logs.states": "Command Controls EgoState Trajectory wrap",
-    "logs.trace": "Candidates Corridor CostTerms Decision DecisionKind EndReason GraphObstacle GridCost LaneOption "
-    "Mode Plan PlannedFrame PlanStart PlanStatus SlGraph SolverReport StGraph Trace TrackingErrors",
+    "logs.trace": "EndReason Mode PlannedFrame Trace TrackingErrors",
+    "logs.tracks": "Tracks",
     "logs.vehicle": "VehicleParameters",
 }
 _FROM = {name: module for module, names in _NAMES.items() for name in names.split()}

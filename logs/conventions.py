@@ -33,10 +33,12 @@ from functools import cached_property
 import numpy as np
 
 from logs.agents import AgentKind, among
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.errors import LogError
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
-from logs.scenario import Scenario, Tracks
+from logs.kernel import kernel
+from logs.scenario import Scenario
 from logs.states import Trajectory, wrapped
+from logs.tracks import Tracks
 
 WAY_M = 1.0
 """Least length of a chord, m: more than the noise of positions."""

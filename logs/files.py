@@ -53,6 +53,35 @@ def special_kind(path: Path) -> str:
     return next((name for test, name in SPECIAL if test(mode)), "")
 
 
+def beside(folder: Path, names: Sequence[str]) -> Path | None:
+    """Return the optional file of a log's folder that has one of the `names`; None if there is none.
+
+    Raises:
+        LogError: The entry is not a file, several of the names exist, or a name differs from these by case only (its
+            content would silently be left out).
+    """
+    try:
+        held = {entry.name for entry in folder.iterdir()}
+    except OSError as error:
+        raise LogError(f"the folder cannot be read: {error.strerror}", file=folder) from None
+    found = [name for name in names if name in held]
+    known = {name.casefold(): name for name in names}
+    for name in sorted(held - set(names)):
+        if name.casefold() in known:
+            meant = known[name.casefold()]
+            what = f"{name} is not read: the file's name is {meant}"
+            raise LogError(what, topic=name, remedy=f"rename it to {meant}")
+    if len(found) > 1:
+        raise LogError(f"{' and '.join(found)} are both there", topic=found[0], remedy="keep one of them")
+    if not found:
+        return None
+    path = folder / found[0]
+    if not path.is_file():
+        remedy = "put a file there, or remove it if there is none"
+        raise LogError(f"{path.name} is {special_kind(path) or 'a folder'}, not a file", topic=path.name, remedy=remedy)
+    return path
+
+
 def check_regular(*paths: Path) -> None:
     """Raise LogError for pipes, sockets and devices, which may block or never end, broken links, Git LFS pointers."""
     for path in paths:

@@ -21,8 +21,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.kernel import FloatArray
 from logs.road import RoadSource, thinned
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, Trajectory, wrapped

@@ -8,19 +8,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import atan2, hypot
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
+from logs.agents import Agents
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
+from logs.kernel import kernel
+from logs.plan import Plan
 from logs.road import Goal, Road, inside
 from logs.rules import Colour
-from logs.scenario import Agents
 from logs.states import EgoState, wrap
 from logs.vehicle import VehicleParameters
-
-if TYPE_CHECKING:
-    from logs.trace import Plan
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -8,7 +8,7 @@ Road users. For every instant in its span, a part of the tracks gives the same r
 positions of boxes), to the bit, so that a step of a long log does not process all tracks. A part holds the samples
 within the span, one after it, and those of `BACK_S` before it, at least `OWN` of each track. `BACK_S` is longer than
 the time for which a sample is valid (`logs.observed.MAX_GAP_S`) plus the time over which trends are computed
-(`logs.scenario.TREND_S`).
+(`logs.tracks.TREND_S`).
 
 Free memory. After a stage of a run, the C library keeps fragmented free memory, and Arrow keeps a pool. For a drive of
 an hour both take 100 to 200 MB, in addition to the memory of the next stage.
@@ -30,13 +30,14 @@ from typing import IO, overload
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
 from logs.errors import writing
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen
 from logs.motion import Motion
 from logs.observed import INTERVALS
-from logs.scenario import Tracks
+from logs.plan import Candidates, CostTerms, Graph
 from logs.states import TRAJECTORY_COLUMNS, Trajectory
-from logs.trace import Candidates, CostTerms, Graph, PlannedFrame
+from logs.trace import PlannedFrame
+from logs.tracks import Tracks
 
 WHOLE = 600
 """Number of frames that stay whole in memory: a minute at 10 Hz, 28 MB with thirty road users."""

@@ -31,7 +31,8 @@ from math import log
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
+from logs.kernel import kernel
 
 JERK = {
     AgentKind.CAR: 64.0,

@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray
 
 MAX_AGE_S = 0.5
 """A frequently sampled agent is absent once it was not seen for longer than this, s."""
@@ -97,7 +97,7 @@ def of_stream(t: FloatArray) -> Spans:
 
 
 def inferred(offsets: IntArray, static: BoolArray, t: FloatArray) -> Spans:
-    """Return the span of ragged tracks (`logs.scenario.Tracks`) by (1) and (2); empty if no track moves."""
+    """Return the span of ragged tracks (`logs.tracks.Tracks`) by (1) and (2); empty if no track moves."""
     moving = np.flatnonzero(~static)
     if not len(moving):
         return ()

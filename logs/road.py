@@ -22,7 +22,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, IntArray, Points, frozen, inner_kernel, kernel
+from logs.arrays import TIE, FloatArray, IntArray, Points, frozen
+from logs.kernel import inner_kernel, kernel
 from logs.rules import Crosswalk, StopLine
 
 

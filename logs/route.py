@@ -24,7 +24,8 @@ from math import atan2, cos, hypot, inf, pi, sin
 
 import numpy as np
 
-from logs.kernel import TIE, BoolArray, FloatArray, kernel
+from logs.arrays import TIE, BoolArray, FloatArray
+from logs.kernel import kernel
 from logs.road import Goal, Lane, Road, inside, nearest
 from logs.shapes import point_segment
 from logs.states import EgoState, Trajectory, wrap

@@ -11,7 +11,7 @@ from enum import Enum
 
 import numpy as np
 
-from logs.kernel import FloatArray, Points, frozen
+from logs.arrays import FloatArray, Points, frozen
 
 
 class Colour(Enum):

@@ -23,7 +23,8 @@ from math import cos, hypot, inf, sin
 
 import numpy as np
 
-from logs.kernel import FloatArray, inner_kernel, kernel
+from logs.arrays import FloatArray
+from logs.kernel import inner_kernel, kernel
 
 PIECE_S = 0.1
 

@@ -16,7 +16,8 @@ from math import floor, pi
 
 import numpy as np
 
-from logs.kernel import FloatArray, frozen, kernel
+from logs.arrays import FloatArray, frozen
+from logs.kernel import kernel
 
 
 @kernel

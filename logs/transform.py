@@ -19,11 +19,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from logs.agents import Detections
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
+from logs.repair.detections import Detections
 from logs.road import Goal, Road
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import Controls, OnboardPlan, Trajectory
+from logs.tracks import Tracks
 
 MIRRORED = "~mirrored"
 _FLIP = np.array([1.0, -1.0])

@@ -31,13 +31,14 @@ from types import MappingProxyType
 import numpy as np
 
 from logs.agents import USUAL_SIZE_M, AgentKind
+from logs.arrays import BoolArray, FloatArray
 from logs.errors import ConfigError, LogError, unknown_name
-from logs.kernel import BoolArray, FloatArray
 from logs.observed import MAX_AGE_S
 from logs.road import ReferenceLine, thinned
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.shapes import overlap
 from logs.states import Trajectory
+from logs.tracks import Tracks
 
 VARIED = "varied"
 """Tag of a varied log, and prefix of its metadata entries: `varied.of`, `varied.agents` (JSON), `varied.NAME`."""

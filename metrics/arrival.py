@@ -15,7 +15,7 @@ from math import cos, sin
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.road import Goal
 from logs.route import GoalFault, goal_fault, visits
 from logs.scenario import Scenario

@@ -21,12 +21,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.once import last, once
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.shapes import overlap, time_to_contact_turning
 from logs.states import Trajectory
 from logs.trace import Trace
+from logs.tracks import Tracks
 
 GRID_S = 0.1  # Time step of metrics that do not use every step of the drive, s
 MOST_CELLS = 1_000_000  # Most (agent, time) pairs in memory at once: 57 bytes each

@@ -36,7 +36,7 @@ from functools import partial
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Mode, Trace

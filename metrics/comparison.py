@@ -41,7 +41,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray
 from metrics.evidence import ENSEMBLE
 from metrics.judge.aggregate import SUITE, LogLabels, membership
 from metrics.judge.excuses import REFERENCE

@@ -29,12 +29,14 @@ from math import atan2, cos, inf, pi
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.road import ReferenceLine, Road, RoadSource, line_project_many, nearest, thinned
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import Trajectory, wrap
 from logs.trace import Mode, Trace
+from logs.tracks import Tracks
 from metrics.boxes import GRID_S, each, ego_boxes, name_of, some_at
 from metrics.metric import MAX, Measured, Metric, Series, Unavailable
 

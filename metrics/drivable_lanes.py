@@ -21,7 +21,8 @@ from math import hypot, inf
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, Points, kernel
+from logs.arrays import BoolArray, FloatArray, Points
+from logs.kernel import kernel
 from logs.once import once
 from logs.road import Lane, Road
 from logs.shapes import point_segment

@@ -29,8 +29,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from logs.agents import AgentKind
 from logs.once import once
-from logs.scenario import AgentKind, Scenario
+from logs.scenario import Scenario
 from logs.trace import Mode, Trace
 from metrics import nuplan, plans, progress, safety, traffic_rules
 from metrics.metric import FINAL, Measured, Metric, Series, Unavailable

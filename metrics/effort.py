@@ -12,10 +12,11 @@ from functools import partial
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
+from logs.plan import SolverReport
 from logs.scenario import Scenario
 from logs.states import Controls
-from logs.trace import Mode, SolverReport, Trace
+from logs.trace import Mode, Trace
 from metrics import metric
 from metrics.boxes import phantoms
 from metrics.comfort import WINDOW_S

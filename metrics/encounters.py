@@ -24,9 +24,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, inner_kernel, kernel
+from logs.agents import AgentKind
+from logs.arrays import FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.once import once
-from logs.scenario import AgentKind, Scenario
+from logs.scenario import Scenario
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import wrap
 from logs.trace import Mode, Trace

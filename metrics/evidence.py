@@ -31,11 +31,12 @@ from functools import partial
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray
 from logs.observed import described, within
+from logs.plan import PlanStatus
 from logs.rules import Colour
 from logs.scenario import Scenario
-from logs.trace import EndReason, Mode, PlanStatus, Trace
+from logs.trace import EndReason, Mode, Trace
 from metrics import metric
 from metrics.boxes import each, ego_boxes, name_of, phantoms, some_at
 from metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes, where_followed

@@ -43,9 +43,11 @@ from math import atan2, cos, hypot, pi, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.once import once
-from logs.scenario import AgentKind, Scenario
+from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
 from metrics.boxes import GRID_S, STANDING_MPS, EgoOutline, OtherBoxes, car_of, grid_of, labels_of, nearest

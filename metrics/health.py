@@ -52,13 +52,14 @@ from math import isfinite
 import numpy as np
 import pandas as pd
 
-from logs.agents import among
+from logs.agents import AgentKind, among
+from logs.arrays import BoolArray, FloatArray
 from logs.conventions import ENOUGH, ENOUGH_M, MOVES_MPS, TURNED_RAD, Chords
-from logs.kernel import BoolArray, FloatArray
 from logs.observed import MAX_AGE_S, clipped
 from logs.road import RoadSource
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import wrapped
+from logs.tracks import Tracks
 from metrics.arrival import fault_of, passed_early
 from metrics.boxes import name_of, phantoms, pieces
 

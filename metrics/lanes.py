@@ -13,8 +13,9 @@ from typing import NamedTuple, ParamSpec
 
 import numpy as np
 
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
 from logs.forward import tighter_than_vehicle
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
+from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.road import Road, RoadSource, inside
 from logs.scenario import Scenario

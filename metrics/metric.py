@@ -21,7 +21,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, frozen
+from logs.arrays import BoolArray, FloatArray, frozen
 from logs.once import last
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace

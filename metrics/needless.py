@@ -44,13 +44,15 @@ from math import cos, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.arrays import BoolArray, FloatArray
+from logs.kernel import kernel
 from logs.once import once
 from logs.road import ReferenceLine, line_project_many
 from logs.rules import Colour
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
+from logs.tracks import Tracks
 from metrics.boxes import GRID_S, EgoOutline, OtherBoxes, car_of, each, grid_of, labels_of, others_at, phantoms, touches
 from metrics.following import ahead_of
 from metrics.lanes import drivable_lanes, limits_at, points_inside

@@ -36,10 +36,12 @@ from math import cos, hypot, prod, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray
+from logs.kernel import kernel
 from logs.once import once
 from logs.road import RoadSource
-from logs.scenario import AgentKind, Scenario
+from logs.scenario import Scenario
 from logs.shapes import overlap
 from logs.states import Trajectory
 from logs.trace import Trace

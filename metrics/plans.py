@@ -42,8 +42,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from logs.arrays import FloatArray, IntArray
 from logs.frame import PLAN_HORIZON_S
-from logs.kernel import FloatArray, IntArray, kernel
+from logs.kernel import kernel
 from logs.memory import light, loaded
 from logs.once import last, once
 from logs.road import RoadSource

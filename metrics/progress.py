@@ -22,7 +22,7 @@ With the gain of a drive along the route; the yardstick is the whole log, even i
 (1) route_progress(t) = gain(t) / gain of the log's driver at the log's end
     where the log has no drive: over the gain of the route follower (`Scenario.references`);
     unavailable if that yardstick is below 2 m: then it is unknown how far a planner should drive; below 5 m where the
-    log has no lanes: its lane is then not what was driven (`logs.mcap.complete`)
+    log has no lanes: its lane is then not what was driven (`logs.complete`)
 (2) progress = min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c;  c = 2 m      (nuPlan)
 (3) completion = gain / length of the route, in 0 .. 1                                                   (CARLA)
     all three: at least 1 if the drive ended in the goal's region, unless more than 2 m of its gain were cut, or (8) is
@@ -48,8 +48,8 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from logs.kernel import FloatArray
-from logs.mcap.complete import MIN_PATH
+from logs.arrays import FloatArray
+from logs.complete import MIN_PATH
 from logs.once import last
 from logs.road import Goal, ReferenceLine, Road, RoadSource, inside, line_project_many, thinned
 from logs.route import counting_stay, find_route, first_nearest, straight_on

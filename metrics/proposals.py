@@ -31,12 +31,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.frame import PLAN_HORIZON_S
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import kernel
 from logs.once import once
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
+from logs.tracks import Tracks
 from metrics import comfort, metric, plans, safety
 from metrics.boxes import (
     NO_TTC_MPS,

@@ -60,13 +60,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray
+from logs.kernel import inner_kernel, kernel
 from logs.references import Avoidability, DriverVerdict
 from logs.road import ReferenceLine, line_frame, line_project
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.shapes import clearance
 from logs.states import EgoState
 from logs.trace import Mode, Trace
+from logs.tracks import Tracks
 from metrics.boxes import (
     STANDING_MPS,
     EgoOutline,

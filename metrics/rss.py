@@ -29,9 +29,11 @@ from math import cos, hypot, pi, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray
+from logs.kernel import kernel
 from logs.once import once
-from logs.scenario import AgentKind, Scenario
+from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
 from metrics.boxes import GRID_S, STANDING_MPS, EgoOutline, OtherBoxes, car_of, each, grid_of, name_of

@@ -56,13 +56,16 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
 from logs.once import once
 from logs.road import RoadSource
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import Scenario
 from logs.shapes import corners, distance, overlap
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
+from logs.tracks import Tracks
 from logs.vehicle import VehicleParameters
 from metrics import metric
 from metrics.boxes import (

@@ -23,7 +23,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
 from metrics.boxes import GRID_S, ego_boxes, grid_of

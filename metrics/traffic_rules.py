@@ -65,14 +65,17 @@ from math import hypot
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
 from logs.once import once
 from logs.road import inside
 from logs.route import ASIDE_M, BEHIND_M, on_lane
 from logs.rules import RED, Colour, StopLine
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
+from logs.tracks import Tracks
 from metrics import metric
 from metrics.boxes import (
     GRID_S,

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from logs.frame import Frame
-from logs.trace import Plan
+from logs.plan import Plan
 
 
 class Planner(Protocol):

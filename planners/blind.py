@@ -19,8 +19,8 @@ import numpy as np
 
 from logs.frame import Frame, PlannerContext, Predictions
 from logs.once import once
+from logs.plan import Plan
 from logs.road import Road
-from logs.trace import Plan
 from planners.frenet.fallback import trajectory_along
 from planners.frenet.path import path_through
 from planners.frenet.profiles import COMFORT, HORIZON_KNOTS, STEP_S, braking

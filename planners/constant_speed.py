@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.frame import Frame, PlannerContext
-from logs.kernel import FloatArray
+from logs.plan import Plan
 from logs.states import EgoState, Trajectory
-from logs.trace import Plan
 
 
 class ConstantSpeed:

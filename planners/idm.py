@@ -23,10 +23,11 @@ from math import cos, inf, sin, sqrt
 
 import numpy as np
 
+from logs.arrays import FloatArray, IntArray
 from logs.frame import Frame, PlannerContext
-from logs.kernel import FloatArray, IntArray, kernel
+from logs.kernel import kernel
+from logs.plan import Artefact, Corridor, Internals, Plan, SlGraph, StGraph
 from logs.states import EgoState
-from logs.trace import Artefact, Corridor, Internals, Plan, SlGraph, StGraph
 from planners.frenet.fallback import fall_back, trajectory_along
 from planners.frenet.path import Path, make_path, quintic
 from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, limit_profile

@@ -19,8 +19,8 @@ import osqp
 import piqp
 from scipy import sparse
 
-from logs.kernel import FloatArray, IntArray
-from logs.trace import SolverReport
+from logs.arrays import FloatArray, IntArray
+from logs.plan import SolverReport
 
 SOLVED = 1
 """OSQP's status of a solved problem."""

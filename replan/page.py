@@ -26,6 +26,7 @@ SECTIONS = {
     "What a metric is": "Metric Series Reduction Unavailable Mode",
     "What else can be added (docs/extend.md)": "Vehicle Controller Command Traffic World LaneMap Reader Chart Subject "
     "Family Event EventKind",
+    "Check your own": "check_planner check_metric check_reader ContractError",
     "Errors": "ReplanError ConfigError LogError PlannerError OutputError",
 }
 

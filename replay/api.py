@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from logs.errors import ConfigError
 from metrics.comparison import Comparison
+from replay.compare import compare_runs, read_run
 from replay.config import Internals, RunConfig, RunMode, load_run
-from replay.results.load import Results
+from replay.draw.drawn_results import Results
 from replay.run import evaluate_logs
 
 if TYPE_CHECKING:
@@ -101,8 +102,6 @@ def compare(
         ConfigError: The results do not exist, or do not contain the planner.
         LogError: The results are damaged.
     """
-    from replay.compare import compare_runs, read_run
-
     one, two = (run if isinstance(run, Results) else read_run(run) for run in (baseline, candidate))
     return compare_runs(one, two, tuple(planners), gates=None if gates is None else Path(gates))
 

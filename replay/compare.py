@@ -28,8 +28,9 @@ from metrics.comparison import PARTING_COLUMNS, Comparison, Side, compare, judge
 from metrics.judge import REFERENCE
 from metrics.judge.gates import GateRule, load_gates, load_rules
 from metrics.judge.verdicts import DRIVE
+from replay.draw.drawn_results import Results, loaded
 from replay.explain.first_difference import first_difference, planners_part
-from replay.results.load import RECORDINGS, Results, loaded
+from replay.results.load import RECORDINGS
 from replay.results.log_result import LogFileCard
 from replay.results.reading import check_table, checked, read_json
 from replay.results.schema import SCHEMA_VERSION

@@ -37,9 +37,9 @@ import tomli_w
 
 from logs.errors import ConfigError
 from logs.files import read_toml
+from logs.log_settings import LogSettings
 from logs.names import visible_name
 from logs.observed import MAX_AGE_S
-from logs.readers.base import LogSettings
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_parameters
 from metrics.judge.gates import PACKAGED

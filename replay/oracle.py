@@ -13,9 +13,9 @@ import numpy as np
 
 from logs.errors import PlannerError
 from logs.frame import Frame, PlannerContext
+from logs.plan import Plan, PlanStart, PlanStatus
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, Trajectory
-from logs.trace import Plan, PlanStart, PlanStatus
 from planners.base import Planner
 from planners.constant_speed import arc
 

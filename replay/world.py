@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
-from logs.scenario import Tracks
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.shapes import overlap
 from logs.states import EgoState, Trajectory
+from logs.tracks import Tracks
 from logs.vehicle import VehicleParameters
 from metrics.boxes import Phantom
 from planners.constant_speed import arc

@@ -28,7 +28,7 @@ from metrics.judge import CAREFUL, worst
 from metrics.judge import REFERENCE as JUDGED_BY
 from metrics.judge.gates import Outcome
 from replay.config import LoopConfig, RunConfig
-from replay.results.load import Results
+from replay.draw.drawn_results import Results
 from replay.results.tables import write_file, write_text
 from replay.run import evaluate_logs
 from replay.traffic import TRAFFIC

@@ -27,8 +27,8 @@ import numpy as np
 import pandas as pd
 
 from logs.agents import AgentKind
+from logs.arrays import FloatArray
 from logs.errors import ReplanError
-from logs.kernel import FloatArray
 from logs.readers import LogSettings
 from logs.road import thinned
 from logs.scenario import Scenario

@@ -25,18 +25,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from logs.agents import AgentKind, among
+from logs.agents import AgentKind, Agents, among
+from logs.arrays import FloatArray
 from logs.errors import ReplanError
 from logs.frame import Predictions
-from logs.kernel import FloatArray
-from logs.scenario import Agents
 from replay.config import load_run
 from replay.diagnose.changes import NOT_FOUND, load_changes
 from replay.diagnose.diagnose import diagnose, question
 from replay.diagnose.findings import Diagnosis
+from replay.draw.drawn_results import Results
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import everybody
-from replay.results.load import Results
 from replay.results.tables import write_file
 from replay.run import evaluate_logs
 

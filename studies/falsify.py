@@ -26,20 +26,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from logs.arrays import BoolArray
 from logs.errors import ReplanError
 from logs.frame import Frame, PlannerContext, Predictions
-from logs.kernel import BoolArray
+from logs.plan import Plan
 from logs.readers import LogSettings
-from logs.trace import Plan
 from metrics.judge import CAREFUL
 from planners.idm import Idm, IdmConfig
 from replay.config import load_run
 from replay.results.tables import write_file, write_text
 from replay.run.output import held
+from replay.run.study import Study
 from replay.search.falsify import FalsifyQuestion, SearchDrives, falsify
 from replay.search.mildest import BATCH, Point, norm
 from replay.search.search_space import agents_of, box_of, opened, search_axes
-from replay.search.study import Study
 
 GATES = """
 [[gate]]

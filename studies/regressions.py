@@ -26,14 +26,14 @@ from logs.agents import AgentKind
 from logs.errors import ReplanError
 from logs.frame import Frame, PlannerContext, Predictions
 from logs.mcap import write_scenario
+from logs.plan import Plan
 from logs.scenario import Scenario
-from logs.trace import Plan
 from metrics.comparison import Comparison
 from metrics.judge.gates import GateRule, Outcome
 from planners.dp_qp.planner import DpQp
 from replay.compare import compare_runs
 from replay.config import RunConfig
-from replay.results.load import Results
+from replay.draw.drawn_results import Results
 from replay.results.tables import safe_name, write_file
 from replay.run import evaluate_logs
 from replay.run.sources import LogSource, builtin_suite, select

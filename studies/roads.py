@@ -40,12 +40,12 @@ import pandas as pd
 
 import metrics
 from logs.agents import AgentKind
+from logs.arrays import FloatArray
 from logs.catalogue.raw import FAMILIES as RAW
+from logs.cut import cut
 from logs.errors import LogError, ReplanError
-from logs.kernel import FloatArray
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log
-from logs.readers.cut import cut
 from logs.scenario import Scenario
 from logs.trace import EndReason
 from logs.transform import mirrored

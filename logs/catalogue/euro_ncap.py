@@ -42,8 +42,8 @@ from logs.catalogue.protocols import (
     tested,
 )
 from logs.catalogue.roads import LANE_WIDTH_M, junction, one_lane, two_way
+from logs.plan import DecisionKind
 from logs.scenario import Scenario
-from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
 
 SOURCES = {

@@ -16,6 +16,8 @@ from math import copysign, pi, radians, sqrt
 
 import numpy as np
 
+from logs.agents import AgentKind
+from logs.arrays import FloatArray
 from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.family import expects, family
 from logs.catalogue.family_parts import (
@@ -39,11 +41,10 @@ from logs.catalogue.family_parts import (
     walked,
 )
 from logs.catalogue.roads import LANE_WIDTH_M, curve, junction, lane_beside, one_lane, two_lanes, two_way, weaving
-from logs.kernel import FloatArray
+from logs.plan import DecisionKind
 from logs.road import Road
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
-from logs.scenario import AgentKind, Scenario
-from logs.trace import DecisionKind
+from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
 
 STOP_SHORT_M = 1.5

@@ -18,9 +18,9 @@ from math import cos, isfinite, sin
 from types import MappingProxyType
 
 from logs.errors import ConfigError
+from logs.plan import DecisionKind
 from logs.scenario import Scenario
 from logs.shapes import overlap
-from logs.trace import DecisionKind
 
 VERSION = "1"
 

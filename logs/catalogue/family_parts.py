@@ -8,13 +8,15 @@ from math import ceil, copysign
 
 import numpy as np
 
+from logs.agents import AgentKind
+from logs.arrays import FloatArray
 from logs.catalogue.driver import SAMPLE_S
 from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, stretch
-from logs.kernel import FloatArray
+from logs.plan import DecisionKind
 from logs.road import Goal, Road
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import Trajectory
-from logs.trace import DecisionKind
+from logs.tracks import Tracks
 
 CAR = (4.5, 1.8)
 ADULT = (0.5, 0.6)

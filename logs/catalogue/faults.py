@@ -15,14 +15,15 @@ from math import cos, radians, sin, tan
 
 import numpy as np
 
+from logs.arrays import BoolArray, FloatArray
 from logs.catalogue import everyday, paper
 from logs.catalogue.driver import SAMPLE_S
 from logs.catalogue.family import Family, family
 from logs.catalogue.family_parts import BEYOND_M
 from logs.catalogue.roads import LANE_WIDTH_M
-from logs.kernel import BoolArray, FloatArray
 from logs.road import Goal
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
+from logs.tracks import Tracks
 
 SCENES = (paper.crossing_pedestrian, everyday.follow, everyday.cut_in)
 SOURCE = "ours"

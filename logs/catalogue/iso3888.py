@@ -22,12 +22,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.catalogue.driver import drive
 from logs.catalogue.family import Family
 from logs.catalogue.family_parts import BEYOND_M, HALF_LANE, SPARE_S, finished, tenths
 from logs.catalogue.protocols import KMH, speeds
 from logs.catalogue.roads import curve, weaving
-from logs.kernel import FloatArray
 from logs.road import Lane, Road
 from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters

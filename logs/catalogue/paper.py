@@ -28,8 +28,8 @@ from logs.catalogue.family_parts import (
     tenths,
 )
 from logs.catalogue.roads import curve, one_lane, two_lanes, weaving
+from logs.plan import DecisionKind
 from logs.scenario import Scenario
-from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
 
 

@@ -20,6 +20,8 @@ from math import copysign, cos, inf, pi, radians, sin, sqrt
 
 import numpy as np
 
+from logs.agents import AgentKind
+from logs.arrays import FloatArray
 from logs.catalogue.driver import Ahead, Reaction, drive, waiting
 from logs.catalogue.family import expects, family
 from logs.catalogue.family_parts import (
@@ -41,9 +43,8 @@ from logs.catalogue.family_parts import (
     walked,
 )
 from logs.catalogue.roads import one_lane
-from logs.kernel import FloatArray
-from logs.scenario import AgentKind, Scenario
-from logs.trace import DecisionKind
+from logs.plan import DecisionKind
+from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
 
 RAMP_S = 0.4

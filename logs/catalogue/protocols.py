@@ -18,6 +18,8 @@ from math import copysign, pi
 
 import numpy as np
 
+from logs.agents import AgentKind
+from logs.arrays import FloatArray
 from logs.catalogue.driver import Ahead, Reaction, drive, waiting
 from logs.catalogue.family import before_contact, expects
 from logs.catalogue.family_parts import (
@@ -39,10 +41,9 @@ from logs.catalogue.family_parts import (
 )
 from logs.catalogue.pedestrians import CHILD
 from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, two_way
-from logs.kernel import FloatArray
+from logs.plan import DecisionKind
 from logs.road import Road
-from logs.scenario import AgentKind, Scenario
-from logs.trace import DecisionKind
+from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
 
 KMH = 1.0 / 3.6

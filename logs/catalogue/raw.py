@@ -14,6 +14,8 @@ from math import pi
 
 import numpy as np
 
+from logs.agents import AgentKind
+from logs.arrays import FloatArray
 from logs.catalogue import paper
 from logs.catalogue.detector import detected
 from logs.catalogue.driver import Ahead, drive
@@ -32,10 +34,10 @@ from logs.catalogue.family_parts import (
     tracks,
 )
 from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, stretch, two_way
-from logs.kernel import FloatArray
 from logs.road import Goal, Road
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import Trajectory
+from logs.tracks import Tracks
 from logs.vehicle import VehicleParameters
 
 EARLY_M = 80.0

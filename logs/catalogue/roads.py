@@ -26,7 +26,7 @@ from math import pi
 
 import numpy as np
 
-from logs.kernel import FloatArray, frozen
+from logs.arrays import FloatArray, frozen
 from logs.road import Lane, Road
 from logs.rules import StopLine
 

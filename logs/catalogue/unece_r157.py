@@ -15,6 +15,7 @@ from math import pi
 
 import numpy as np
 
+from logs.agents import AgentKind
 from logs.catalogue.driver import Ahead
 from logs.catalogue.family import Build, Family, family
 from logs.catalogue.family_parts import BEYOND_M, CAR, HALF_LANE, SPARE_S, START_M, grid, moving, parked, walked
@@ -36,8 +37,8 @@ from logs.catalogue.protocols import (
     travelled,
 )
 from logs.catalogue.roads import LANE_WIDTH_M, curve, one_lane, two_lanes
-from logs.scenario import AgentKind, Scenario
-from logs.trace import DecisionKind
+from logs.plan import DecisionKind
+from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
 
 SOURCE = "UN R157 (ALKS), per openMSL/sl-3-1-osc-alks-scenarios b49dc1dd"

@@ -9,6 +9,8 @@ Modules:
     lanelet2_lanes.py   the lanes of Lanelet2 maps
     lanelet2.py         the regulatory elements and the road of Lanelet2 maps
     opendrive.py        OpenDRIVE maps, by pyxodr
+    arrow123d_map.py    maps of 123D
+    strips.py           lanes between two lines
 """
 
 from __future__ import annotations
@@ -19,9 +21,10 @@ from pathlib import Path
 
 from logs.errors import LogError
 from logs.files import check_regular
+from logs.log_settings import LogSettings
 from logs.maps import lanelet2, opendrive
+from logs.maps.arrow123d_map import road_of_map
 from logs.maps.base import MapFile, MapReader, on_map
-from logs.readers.base import LogSettings
 from logs.scenario import Scenario
 
 __all__ = ["BUILTIN", "MapFile", "MapReader", "map_files", "map_reader_of", "read_map", "with_map"]
@@ -29,8 +32,6 @@ __all__ = ["BUILTIN", "MapFile", "MapReader", "map_files", "map_reader_of", "rea
 
 def read_123d(path: Path, settings: Mapping[str, str]) -> MapFile:
     """Read a whole 123D map, of one log or of a place; LogError if the file is not a map."""
-    from logs.readers.arrow123d_map import road_of_map
-
     notes: list[str] = []
     return MapFile(road_of_map(path, notes=notes), "as in the 123D map", tuple(notes))
 

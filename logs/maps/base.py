@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from logs.arrays import BoolArray
+from logs.complete import ASSUMED, NO_LANES, assumed_limit
 from logs.errors import LogError
-from logs.kernel import BoolArray
-from logs.mcap.complete import ASSUMED, NO_LANES, assumed_limit
 from logs.road import Lane, Road, RoadSource
 from logs.route import on_lane
 from logs.scenario import Scenario

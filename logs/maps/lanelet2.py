@@ -23,13 +23,12 @@ from pathlib import Path
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.kernel import FloatArray
 from logs.maps.base import MapFile, MapReader
 from logs.maps.lanelet2_file import PROJECTOR_INFO, Element, Osm, placed_points, read_osm
 from logs.maps.lanelet2_lanes import LONGEST_M, DirectedLanelet, divided, lanes_of, strips_of, way_points
-from logs.readers.commonroad.signs import CAR_WIDTH_M
-from logs.readers.strips import predecessors
+from logs.maps.strips import CAR_WIDTH_M, predecessors
 from logs.road import Lane, Road
 from logs.rules import Crosswalk, StopLine
 

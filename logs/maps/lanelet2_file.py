@@ -21,8 +21,8 @@ from xml.etree.ElementTree import ParseError, XMLParser
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.kernel import FloatArray
 from logs.maps.projections import UTM_SCALE, Projection, check_on_earth, parse_projection
 
 LARGEST_BYTES = 1 << 30

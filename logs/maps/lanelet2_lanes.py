@@ -27,10 +27,11 @@ from math import hypot, isfinite, nan
 
 import numpy as np
 
+from logs.arrays import FloatArray, IntArray
 from logs.errors import LogError
-from logs.kernel import FloatArray, IntArray, kernel
+from logs.kernel import kernel
 from logs.maps.lanelet2_file import Element, Osm
-from logs.readers.strips import resampled
+from logs.maps.strips import resampled
 from logs.road import Lane
 
 SAME_M = 0.05

@@ -47,9 +47,9 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
+from logs.agents import AgentKind
+from logs.plan import DecisionKind
 from logs.rules import Colour
-from logs.scenario import AgentKind
-from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
 
 FORMAT_VERSION = 2
@@ -446,7 +446,10 @@ def schema_name(kind: type[msgspec.Struct]) -> str:
 
 @cache
 def json_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:
-    """The JSON Schema of a message, references written out: an object at its root, as viewers want it."""
+    """The JSON Schema of a message, references written out: an object at its root, as viewers want it.
+
+    Docstrings are left out: the bytes of a log do not depend on words.
+    """
     (root,), components = msgspec.json.schema_components((kind,))
     schema: dict[str, Any] = _written_out(root, components)
     return schema
@@ -459,9 +462,9 @@ def _written_out(part: Any, components: dict[str, Any]) -> Any:
         return part
     if "$ref" in part:
         return _written_out(components[part["$ref"].rpartition("/")[2]], components)
-    if "enum" in part:
-        return {**part, "type": "string"}
-    return {key: _written_out(value, components) for key, value in part.items()}
+    worded = isinstance(part.get("description"), str)  # a docstring; a field of this name has a schema
+    kept = {key: _written_out(value, components) for key, value in part.items() if key != "description" or not worded}
+    return {**kept, "type": "string"} if "enum" in part else kept
 
 
 _NAMES = {float: "number", int: "integer", str: "text", bool: "boolean", type(None): "null", Any: "any"}

@@ -26,15 +26,16 @@ import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 
-from logs.agents import USUAL_SIZE_M
+from logs.agents import USUAL_SIZE_M, AgentKind
+from logs.arrays import FloatArray
+from logs.complete import ASSUMED, assumed_limit, completed, derived_curvature, road_along
 from logs.errors import LogError
-from logs.kernel import FloatArray
-from logs.mcap.complete import ASSUMED, assumed_limit, completed, derived_curvature, road_along
 from logs.mcap.container import COPY_AGAIN, Stream
 from logs.observed import of_stream
 from logs.road import Lane, Road, paired
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import Trajectory
+from logs.tracks import Tracks
 from logs.vehicle import VehicleParameters
 
 SCHEMAS = ("osi3.GroundTruth", "osi3.SensorView")

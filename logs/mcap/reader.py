@@ -16,18 +16,20 @@ import msgspec
 import numpy as np
 
 from logs import road as nouns
-from logs.agents import Detections, Repair, TrackChange, codes_of
+from logs.agents import codes_of
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.codec import noun_of
+from logs.complete import completed, road_along
 from logs.errors import LogError
-from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.mcap import native, osi
-from logs.mcap.complete import completed, road_along
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
 from logs.names import counted
 from logs.observed import of_stream
+from logs.repair.detections import Detections, Repair, TrackChange
 from logs.rules import Colour, TrafficLight
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import Controls, OnboardPlan, Trajectory
+from logs.tracks import Tracks
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 T = TypeVar("T")

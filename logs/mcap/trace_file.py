@@ -21,7 +21,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from logs import trace as nouns
+from logs import plan as nouns
 from logs.codec import message_of, noun_of
 from logs.errors import LogError
 from logs.frame import Predictions
@@ -40,8 +40,10 @@ from logs.mcap.writer import (
     write_log,
 )
 from logs.memory import light
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, Controls
+from logs.trace import EndReason, Mode, PlannedFrame, Trace, TrackingErrors, kept_samples
+from logs.tracks import Tracks
 
 Internals = Literal["none", "summary", "full"]
 SUMMARY_STEP_S = 2.0
@@ -49,7 +51,7 @@ SUMMARY_STEP_S = 2.0
 
 
 def write_trace(
-    path: Path, trace: nouns.Trace, scenario: Scenario, *, internals: Internals = "summary",
+    path: Path, trace: Trace, scenario: Scenario, *, internals: Internals = "summary",
     beside: Iterable[Entry] = (),
 ) -> None:  # fmt: skip
     """Write a trace as a native log, and messages `beside` it on other topics.
@@ -69,7 +71,7 @@ def write_trace(
         raise error.at(path) from None
 
 
-def driven_scenario(trace: nouns.Trace, scenario: Scenario) -> Scenario:
+def driven_scenario(trace: Trace, scenario: Scenario) -> Scenario:
     """The scenario as it was driven, until the ego's last state; the data before its repair stays in the log."""
     return replace(
         scenario,
@@ -83,7 +85,7 @@ def driven_scenario(trace: nouns.Trace, scenario: Scenario) -> Scenario:
     )
 
 
-def trace_record(trace: nouns.Trace, internals: Internals) -> dict[str, str]:
+def trace_record(trace: Trace, internals: Internals) -> dict[str, str]:
     """The metadata record of a trace."""
     return {
         "scenario": trace.scenario,
@@ -97,7 +99,7 @@ def trace_record(trace: nouns.Trace, internals: Internals) -> dict[str, str]:
     }
 
 
-def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> Iterator[Entry]:
+def _trace_entries(trace: Trace, start_ns: int, internals: Internals) -> Iterator[Entry]:
     times = log_times(np.array([frame.t for frame in light(trace.frames)]), start_ns, "/plan")
     for time, frame in zip(times, trace.frames, strict=True):
         yield time, "/plan", plan_message(frame.plan, internals)
@@ -105,7 +107,7 @@ def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> I
             futures = frame.predictions
             ids = [frame.agents[i] for i in futures.agent]
             probability = column(futures.probability, "/predictions", "probability")
-            kept = slice(None) if internals == "full" else nouns.kept_samples(futures.t, SUMMARY_STEP_S)
+            kept = slice(None) if internals == "full" else kept_samples(futures.t, SUMMARY_STEP_S)
             x, y = ([column(row[kept], "/predictions", name) for row in getattr(futures, name)] for name in ("x", "y"))
             message = native.Predictions(futures.method, futures.t[kept].tolist(), ids, probability, x, y)
             yield time, "/predictions", message
@@ -139,7 +141,7 @@ def _who(tracks: Tracks) -> dict[str, tuple[object, ...]]:
 def plan_message(plan: nouns.Plan, internals: Internals) -> native.Plan:
     """The message of a plan, with the part of its internals that `internals` selects."""
     planned = plan.trajectory
-    kept = nouns.kept_samples(planned.t) if internals == "none" else slice(None)
+    kept = kept_samples(planned.t) if internals == "none" else slice(None)
     columns = native.TrajectoryColumns(*(getattr(planned, name)[kept].tolist() for name in TRAJECTORY_COLUMNS))
     inside = {} if internals == "none" else inside_of(plan.internals, full=internals == "full")
     return message_of(native.Plan, plan, trajectory=columns, **inside)
@@ -175,7 +177,7 @@ def artefacts_of(message: msgspec.Struct) -> Iterator[nouns.Artefact]:
             yield noun_of(kind, each)
 
 
-def read_trace(path: Path) -> tuple[nouns.Trace, Scenario]:
+def read_trace(path: Path) -> tuple[Trace, Scenario]:
     """The drive in a file that `write_trace` wrote, and the scenario as it was driven (road, goal, vehicle, lights).
 
     Raises:
@@ -189,7 +191,7 @@ def read_trace(path: Path) -> tuple[nouns.Trace, Scenario]:
         raise error.at(path) from None
 
 
-def read_moment(path: Path, t: float) -> tuple[nouns.Trace, Scenario, tuple[nouns.PlanSummary, ...]]:
+def read_moment(path: Path, t: float) -> tuple[Trace, Scenario, tuple[nouns.PlanSummary, ...]]:
     """As `read_trace`, with only the newest plan at `t` (s), and a summary of each plan; four times faster.
 
     Raises:
@@ -218,25 +220,25 @@ def read_moment(path: Path, t: float) -> tuple[nouns.Trace, Scenario, tuple[noun
         raise error.at(path) from None
 
 
-def _trace(container: Container, scenario: Scenario, frames: Iterator[nouns.PlannedFrame]) -> nouns.Trace:
+def _trace(container: Container, scenario: Scenario, frames: Iterator[PlannedFrame]) -> Trace:
     record = container.metadata.get(native.TRACE_RECORD)
     if record is None:
         raise LogError("a log, and no drive of a planner", remedy="name a trace: open.mcap or closed.mcap of a result")
     streams, start = container.streams, scenario.start_ns
     try:
-        mode, end = nouns.Mode(record["mode"]), nouns.EndReason[record["end"].upper()]
+        mode, end = Mode(record["mode"]), EndReason[record["end"].upper()]
     except (KeyError, ValueError) as error:
         raise LogError(f"bad or missing {error}", topic=native.TRACE_RECORD, remedy=MEND) from None
     asked, done = (
         Controls(**sampled(streams[name], native.Controls, start)) if name in streams else None
         for name in ("/command", "/actuation")
     )
-    tracking = nouns.TrackingErrors(**sampled(streams["/tracking"], native.Tracking, start)) if done else None
+    tracking = TrackingErrors(**sampled(streams["/tracking"], native.Tracking, start)) if done else None
     perceived = Tracks.empty() if "/perceived" in streams else None
     table = streams.get("/perceived/table", streams.get("/agents/table"))
     if "/perceived" in streams and table is not None:
         perceived, _ = marked_tracks({"/agents/table": table, "/agents": streams["/perceived"]}, start, [])
-    return nouns.Trace(
+    return Trace(
         scenario=record.get("scenario", scenario.name),
         planner=record.get("planner", ""),
         mode=mode,
@@ -258,7 +260,7 @@ def _none(topic: str) -> Stream:
     return Stream(topic, "json", "", "jsonschema", b"")
 
 
-def _frames(streams: dict[str, Stream], start_ns: int) -> Iterator[nouns.PlannedFrame]:
+def _frames(streams: dict[str, Stream], start_ns: int) -> Iterator[PlannedFrame]:
     plans = streams.get("/plan", _none("/plan"))
     plans.check_order(strictly=True)
     expected = streams.get("/predictions", _none("/predictions"))
@@ -276,6 +278,6 @@ def _frames(streams: dict[str, Stream], start_ns: int) -> Iterator[nouns.Planned
                 x, y = (np.array(some, np.float64).reshape(shape) for some in (shown.x, shown.y))
                 futures = noun_of(Predictions, shown, agent=rows, x=x, y=y, yaw=np.full(shape, np.nan))
             plan = noun_of(nouns.Plan, message, internals=tuple(artefacts_of(message)))
-            yield nouns.PlannedFrame(t, plan, agents, futures)
+            yield PlannedFrame(t, plan, agents, futures)
         except (KeyError, ValueError) as error:
             raise LogError(str(error), topic="/plan", time_ns=time, remedy=MEND) from None

@@ -23,13 +23,14 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from logs.agents import Detections
+from logs.arrays import BoolArray, FloatArray
 from logs.codec import message_of, scalar_as_number
 from logs.errors import LogError, writing
-from logs.kernel import BoolArray, FloatArray
 from logs.mcap import native
+from logs.repair.detections import Detections
 from logs.rules import Colour
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
+from logs.tracks import Tracks
 
 PROFILE = "replan"
 CHUNK_BYTES = 128 * 1024

@@ -7,9 +7,8 @@ A new format needs one file with a `Reader` and one line in `BUILTIN`. A reader 
     mine = "my_package.reader:READER"
 
 Modules:
-    base.py         the class of readers, and the settings of a run's [log] table
+    base.py         the class of readers
     admission.py    the checks of every log; the repair of raw detections
-    cut.py          a part of a scenario by time, and times in whole nanoseconds
     commonroad/     CommonRoad XML
     comma2k19.py    segments of comma2k19
     foreign.py      formats that are not read, and what to do with them
@@ -17,11 +16,9 @@ Modules:
     track_table.py  tables of tracks without an ego
     csv_table.py, columns.py, clocks.py   shared by tables: files, names and units, times
     ros/            ROS 2 and ROS 1 bags
-    arrow123d.py    123D's Arrow logs; arrow123d_map.py their maps
+    arrow123d.py    123D's Arrow logs
     argoverse2.py   Argoverse 2: sensor logs, motion-forecasting scenarios
     recorded.py     shared by readers of data sets: rotations, boxes as tracks, poses as ego states
-    arrow_tables.py Arrow and Parquet tables as arrays
-    strips.py       lanes between two lines
     own_mcap.py     replan's own MCAP, and ASAM OSI
 """
 
@@ -36,13 +33,15 @@ from pathlib import Path
 import numpy as np
 
 from logs.conventions import checked
+from logs.cut import cut, in_nanoseconds
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.extension import ExtensionKind, an_instance
 from logs.files import check_regular, local_path, special_kind
+from logs.log_settings import LogSettings
+from logs.maps import with_map
 from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, own_mcap, ros, table
 from logs.readers.admission import admitted, check_clocks, check_road, named, repaired
-from logs.readers.base import LogSettings, Reader
-from logs.readers.cut import cut, in_nanoseconds
+from logs.readers.base import Reader
 from logs.readers.foreign import FORMATS, foreign, known_format
 from logs.scenario import Scenario
 
@@ -148,8 +147,6 @@ def read_log(path: Path | str, settings: LogSettings | None = None, reader: Read
                 raise LogError(f"the log lasts {scenario.duration:g} s", remedy=remedy)
             scenario = admitted(scenario)
             if settings.map:
-                from logs.maps import with_map
-
                 scenario = with_map(scenario, settings)
             return check_road(scenario)
     except LogError as error:

@@ -32,14 +32,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from logs.agents import USUAL_SIZE_M, Detections
+from logs.agents import USUAL_SIZE_M
+from logs.arrays import BoolArray, FloatArray
+from logs.complete import passed_width
+from logs.cut import framed
 from logs.errors import LogError
-from logs.kernel import BoolArray, FloatArray
-from logs.mcap.complete import passed_width
 from logs.names import counted, visible_name
-from logs.readers.cut import framed
+from logs.repair.detections import Detections
+from logs.repair.identities import named_as_tracked, needs_repair
+from logs.repair.offline import detections_of, repair
 from logs.road import RoadSource
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
+from logs.tracks import Tracks
 
 
 class Limit(NamedTuple):
@@ -329,8 +333,6 @@ def reason_to_repair(choice: str, found: Detections | None) -> str | None:
         return None
     if choice == "on":
         return "It was asked for."
-    from logs.repair import needs_repair
-
     return needs_repair(found)
 
 
@@ -344,15 +346,11 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
         if scenario.repair is not None:
             found = scenario.repair.detections
         else:
-            from logs.repair import detections_of
-
             tracks = scenario.tracks
             found = detections_of(tracks.taken(np.repeat(~tracks.static, np.diff(tracks.offsets))))
     reason = reason_to_repair(choice, found)
     if found is None or reason is None:
         return scenario if scenario.detections is None else replace(scenario, detections=None)
-    from logs.repair import repair
-
     found, left_out = _detections_within(scenario, framed(found))
     tracks, made = repair(found, scenario.ego, scenario.vehicle)
     if scenario.detections is None and scenario.repair is None:
@@ -379,7 +377,5 @@ def named(scenario: Scenario) -> Scenario:
     """Give the repaired tracks the names of the causal tracker's tracks (`logs.repair.identities`)."""
     made = scenario.repair
     assert made is not None and made.tracks is scenario.tracks
-    from logs.repair.identities import named_as_tracked
-
     made = named_as_tracked(made)
     return replace(scenario, tracks=made.tracks, repair=made)

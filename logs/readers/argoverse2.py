@@ -28,13 +28,16 @@ import msgspec
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.arrays import FloatArray, IntArray
+from logs.arrow_tables import ipc_table, numbers, parquet_table, reading, whole, words
+from logs.complete import ASSUMED, assumed_limit, completed, road_along
 from logs.errors import LogError
-from logs.kernel import FloatArray, IntArray
-from logs.mcap.complete import ASSUMED, assumed_limit, completed, road_along
+from logs.files import beside
+from logs.log_settings import LogSettings
+from logs.maps.strips import LARGEST_M, LaneStrip, lanes_of
 from logs.observed import of_stream
 from logs.readers.arrow123d import AV2_CATEGORIES
-from logs.readers.arrow_tables import ipc_table, numbers, parquet_table, reading, whole, words
-from logs.readers.base import LogContents, LogSettings, Reader, TopicSummary, beside
+from logs.readers.base import LogContents, Reader, TopicSummary
 from logs.readers.recorded import (
     RecordedBoxes,
     car_of,
@@ -51,7 +54,6 @@ from logs.readers.recorded import (
     tracks_of,
     unit_of_wxyz,
 )
-from logs.readers.strips import LARGEST_M, LaneStrip, lanes_of
 from logs.road import Road
 from logs.rules import Crosswalk
 from logs.scenario import Scenario

@@ -30,13 +30,15 @@ from typing import Any
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.arrays import FloatArray, IntArray
+from logs.arrow_tables import Lists, ipc_table, metadata_of, reading, vectors, whole
+from logs.complete import completed
 from logs.errors import LogError
-from logs.kernel import FloatArray, IntArray
-from logs.mcap.complete import completed
+from logs.files import beside
+from logs.log_settings import LogSettings
+from logs.maps.arrow123d_map import LIGHTS, map_of, road_of
 from logs.observed import of_stream
-from logs.readers.arrow123d_map import LIGHTS, map_of, road_of
-from logs.readers.arrow_tables import Lists, ipc_table, metadata_of, reading, vectors, whole
-from logs.readers.base import LogContents, LogSettings, Reader, TopicSummary, beside
+from logs.readers.base import LogContents, Reader, TopicSummary
 from logs.readers.recorded import (
     RecordedBoxes,
     car_of,

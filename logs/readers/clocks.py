@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from logs.arrays import FloatArray, IntArray
 from logs.errors import LogError
-from logs.kernel import FloatArray, IntArray
 from logs.readers.admission import GAP_S
 
 LAST_S = 9e9

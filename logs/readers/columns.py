@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from logs.arrays import FloatArray, IntArray
 from logs.errors import LogError
-from logs.kernel import FloatArray, IntArray
 from logs.readers.clocks import nanoseconds
 from logs.readers.recorded import heading, is_unit
 

@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from logs.arrays import FloatArray
+from logs.complete import completed, road_along
 from logs.errors import LogError
-from logs.kernel import FloatArray
-from logs.mcap.complete import completed, road_along
-from logs.readers.base import LogContents, LogSettings, Reader, TopicSummary
-from logs.scenario import Scenario, Tracks
+from logs.log_settings import LogSettings
+from logs.readers.base import LogContents, Reader, TopicSummary
+from logs.scenario import Scenario
+from logs.tracks import Tracks
 
 POSE = "global_pose"
 NAMES = ("frame_positions", "frame_velocities", "frame_orientations", "frame_times", "frame_gps_times")

@@ -13,22 +13,20 @@ import struct
 from pathlib import Path
 
 from logs.errors import LogError
-from logs.mcap.container import Stream
-from logs.readers.base import LogContents, LogSettings, Reader, TopicSummary, files_named
+from logs.log_settings import LogSettings
+from logs.mcap import native, osi
+from logs.mcap.container import COPY_AGAIN, Stream, content_of, read_container
+from logs.mcap.reader import read_scenario
+from logs.readers.base import LogContents, Reader, TopicSummary, files_named
 from logs.scenario import Scenario
 
 
 def _read(path: Path, settings: LogSettings) -> Scenario:
-    from logs.mcap.reader import read_scenario
-
     return read_scenario(path, settings.ego)
 
 
 def _contents(path: Path) -> LogContents:
     """Return the topics up to the file's end or damage."""
-    from logs.mcap import native, osi
-    from logs.mcap.container import read_container
-
     container = read_container(path)
     topics = []
     for stream in container.streams.values():
@@ -72,8 +70,6 @@ def trace_of(path: Path) -> Stream:
     from osi3 import osi_sensorview_pb2
     from osi3.osi_sensorview_pb2 import SensorView
 
-    from logs.mcap.container import COPY_AGAIN, content_of
-
     raw, payloads, at = content_of(path), list[bytes](), 0
     while at < len(raw):
         size = struct.unpack_from("<I", raw, at)[0] if at + LENGTH <= len(raw) else MOST_BYTES
@@ -103,9 +99,7 @@ def trace_of(path: Path) -> Stream:
 
 
 def _read_osi(path: Path, settings: LogSettings) -> Scenario:
-    from logs.mcap.osi import scenario_of
-
-    return scenario_of(trace_of(path), path.stem, settings.ego)
+    return osi.scenario_of(trace_of(path), path.stem, settings.ego)
 
 
 def _contents_osi(path: Path) -> LogContents:

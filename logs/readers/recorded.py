@@ -30,10 +30,10 @@ from typing import Any
 import numpy as np
 
 from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.kernel import BoolArray, FloatArray, IntArray
-from logs.mcap.complete import completed
-from logs.scenario import Tracks
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.complete import completed
 from logs.states import Trajectory
+from logs.tracks import Tracks
 from logs.vehicle import VehicleParameters
 
 ROUNDED = 0.01

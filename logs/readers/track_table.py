@@ -24,11 +24,11 @@ import numpy as np
 import pandas as pd
 
 from logs.agents import USUAL_SIZE_M, AgentKind
+from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.kernel import FloatArray
+from logs.files import beside
 from logs.names import counted
 from logs.observed import Spans, of_stream
-from logs.readers.base import beside
 from logs.readers.clocks import check_restart, continued
 from logs.readers.columns import NAMES, TIMES, NamedColumns, check_names, holds
 from logs.readers.csv_table import SUFFIXES, header_of, load_table

@@ -1,7 +1,10 @@
-"""Makes tracks from raw detections: offline for metrics, causally for planners."""
+"""Makes tracks from raw detections: offline for metrics, causally for planners.
 
-from logs.repair.identities import needs_repair
-from logs.repair.offline import detections_of, repair
-from logs.repair.tracker import Tracked, tracked
-
-__all__ = ["Tracked", "detections_of", "needs_repair", "repair", "tracked"]
+Modules:
+    detected_boxes.py   boxes of one frame: constants by group, overlap, two boxes of one object
+    kalman.py, association.py   the filter of a track; detections joined to tracks
+    tracker.py          road users from the frames up to now
+    detections.py       raw detections; the record of a repair
+    users.py, offline.py   tracks from the whole log
+    identities.py       names of tracks
+"""

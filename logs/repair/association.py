@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
-from logs.kernel import FloatArray, IntArray, frozen, kernel
+from logs.arrays import FloatArray, IntArray, frozen
+from logs.kernel import kernel
 from logs.repair.detected_boxes import DENSITY, VEHICLE, Boxes
 from logs.repair.kalman import ACROSS, ALONG, COS, SIN, WIDTH, X, Y, predict_all, update_one
 
@@ -74,6 +74,8 @@ class Association:
             cost = _costs(
                 tracks["state"], tracks["group"], tracks["size"], place, found["group"], variance, found["size"], REACH
             )
+            from scipy.optimize import linear_sum_assignment  # here: it takes long to load
+
             old, new = linear_sum_assignment(cost)
             good = cost[old, new] < _NEVER
             old, new = old[good], new[good]

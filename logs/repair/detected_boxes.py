@@ -13,8 +13,9 @@ from math import cos, hypot, sin
 
 import numpy as np
 
-from logs.agents import USUAL_SIZE_M, AgentKind, Detections, among
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
+from logs.agents import USUAL_SIZE_M, AgentKind, among
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
+from logs.kernel import kernel
 from logs.shapes import corners
 
 VEHICLE, PERSON, CLUSTER = 0, 1, 2
@@ -76,18 +77,21 @@ class Boxes:
         return np.where(np.isfinite(self.score), np.maximum(self.score, 0.05), 0.5)
 
     @classmethod
-    def of(cls, found: Detections) -> Boxes:
-        """Make the boxes of detections; the result does not depend on the order of detections within a frame."""
-        order = np.lexsort((found.length, found.yaw, found.y, found.x, found.codes, found.t))
-        t, x, y, yaw = (column[order] for column in (found.t, found.x, found.y, found.yaw))
-        codes, sizes = found.codes[order], np.column_stack([found.length, found.width])[order]
+    def of(
+        cls, frames: FloatArray, t: FloatArray, codes: IntArray, x: FloatArray, y: FloatArray, yaw: FloatArray,
+        length: FloatArray, width: FloatArray, score: FloatArray,
+    ) -> Boxes:  # fmt: skip
+        """Make the boxes of the columns of detections, in an order that does not depend on theirs within a frame."""
+        order = np.lexsort((length, yaw, y, x, codes, t))
+        t, x, y, yaw, score = (column[order] for column in (t, x, y, yaw, score))
+        codes, sizes = codes[order], np.column_stack([length, width])[order]
         group = _GROUP[codes]
         sizes = np.maximum(np.where(np.isfinite(sizes), sizes, _USUAL[codes]), LEAST_SIZE_M)
         lying = (group == CLUSTER) & (sizes[:, 0] < sizes[:, 1])
         length, width = np.where(lying, sizes[:, ::-1].T, sizes.T)
-        score = np.where(found.score > 0.0, found.score, np.nan)[order]
+        score = np.where(score > 0.0, score, np.nan)
         noise, yaw = NOISE[group] * np.where(score < SURE, UNSURE_NOISE, 1.0), yaw + np.where(lying, 0.5 * np.pi, 0.0)
-        frame = np.searchsorted(found.frames, t)
+        frame = np.searchsorted(frames, t)
         return cls(order, frame, t, x, y, yaw, length, width, score, codes, group, noise)
 
 

@@ -15,8 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.agents import Agents, Detections, Repair
-from logs.kernel import FloatArray
+from logs.agents import Agents
+from logs.arrays import FloatArray
+from logs.repair.detections import Detections, Repair
 
 STEP_S, FASTEST_MPS, JUMPS = 0.5, 60.0, 0.02
 """Ids are not identities if more than `JUMPS` of the steps of equal ids within `STEP_S` are faster than `FASTEST_MPS`,

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray
+from logs.kernel import inner_kernel, kernel
 
 STAND_MPS, FIRST_MPS = 0.02, 10.0
 """Standard deviations of the velocity of a standing agent, and of the first sample of a smoothed track."""

@@ -19,14 +19,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.agents import Detections, Repair, TrackChange, codes_of
-from logs.kernel import FloatArray, IntArray, frozen
+from logs.agents import codes_of
+from logs.arrays import FloatArray, IntArray, frozen
 from logs.repair.association import Association
 from logs.repair.detected_boxes import CLUSTER, NOISE, OTHER_PART, PERSON, VEHICLE, Boxes, shares, stronger_twins
+from logs.repair.detections import Detections, Repair, TrackChange
 from logs.repair.users import Piece, User, fitted, stitched, user_of
-from logs.scenario import Tracks
 from logs.shapes import clearance
 from logs.states import Trajectory
+from logs.tracks import Tracks
 from logs.vehicle import VehicleParameters
 
 STEADY, STEADY_MPS = 3, 5.0
@@ -73,7 +74,7 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
     `ego` is the drive of the log (rear axle): far boxes have less weight, and objects in its way are removed. A track
     keeps the id of the log if exactly its detections have this id; else its id is a number in order of birth.
     """
-    every, frames = Boxes.of(detections), detections.frames
+    every, frames = detections.boxes, detections.frames
     twin_of = stronger_twins(every)
     boxes = every.taken(np.flatnonzero(twin_of < 0))
     names = np.concatenate([np.empty(0, np.int64), *(found for _, _, found in Association().steps(boxes, frames))])

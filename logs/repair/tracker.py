@@ -22,8 +22,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents, Detections
-from logs.kernel import FloatArray, frozen
+from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents
+from logs.arrays import FloatArray, frozen
 from logs.repair.association import Association
 from logs.repair.detected_boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, Boxes, stronger_twins
 from logs.repair.kalman import ACROSS, ALONG, VX, VY, X, Y
@@ -114,15 +114,14 @@ class Tracked:
         return carried.some(np.flatnonzero(carried.unseen <= self.patience[k] + 1e-9))
 
 
-def tracked(detections: Detections) -> Tracked:
-    """Track raw detections: return the road users known after each frame, without later frames."""
-    every = Boxes.of(detections)
+def tracked(every: Boxes, frames: FloatArray) -> Tracked:
+    """Track detected boxes: return the road users known after each of the `frames`, s, without later frames."""
     boxes = every.taken(np.flatnonzero(stronger_twins(every) < 0))
     joining, tracks, out = Association(), dict[int, _Track](), []
-    for t, rows, names in joining.steps(boxes, detections.frames):
+    for t, rows, names in joining.steps(boxes, frames):
         for name, i in zip(names.tolist(), range(rows.start, rows.stop), strict=True):
             if name not in tracks:
-                tracks[name] = _Track(t, t > detections.frames[0], float(boxes.yaw[i]))
+                tracks[name] = _Track(t, t > frames[0], float(boxes.yaw[i]))
             tracks[name].see(boxes, i)
         tracks = {name: tracks[name] for name in joining.tracks["name"].tolist()}
         ids, codes, columns, growth, patience = [], [], [], [], []  # of the tracks reported at t (1)
@@ -151,7 +150,7 @@ def tracked(detections: Detections) -> Tracked:
             patience.append(most)
         out.append((_agents(ids, codes, columns), np.array(growth), np.array(patience)))
     agents, growths, patiences = zip(*out, strict=True) if out else ((), (), ())
-    return Tracked(tuple(detections.frames.tolist()), agents, growths, patiences)
+    return Tracked(tuple(frames.tolist()), agents, growths, patiences)
 
 
 def _agents(ids: Sequence[str], codes: Sequence[int], columns: Sequence[tuple[float, ...]]) -> Agents:

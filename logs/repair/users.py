@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.repair.detected_boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, STILL, VEHICLE, Boxes
 from logs.repair.kalman import smoothed
 from logs.states import Trajectory

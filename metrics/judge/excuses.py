@@ -2,7 +2,9 @@
 
 A value out of bounds is excused by a reference drive of `EXCUSED` that breaks the same bound in the same event: the
 values are about the same road user or object, at most `SAME_S` apart, and the planner's is not clearly worse (`WORSE`).
-In comfort an event without a road user excuses nothing. A collision is not excused where the careful driver of UN R157
+In comfort an event without a road user excuses nothing; but if the careful driver collides with the road user, how
+far out of bounds does not matter, since a planner that avoids the collision brakes for longer, unless the recorded
+driver stays within the bound. A collision is not excused where the careful driver of UN R157
 collides more slowly by more than `SLOWER_MPS`. The careful driver, who only brakes, excuses nothing that the route
 follower avoids. A fallback is excused where both come too near to a road user (`TOO_NEAR`) at that time. In the first
 `SAME_S` of a drive the route follower excuses, too, since there the log's start state breaks the bound. A replayed road
@@ -204,6 +206,8 @@ def _any_yardstick_holds(case: GateCase) -> bool:
 def _excuse_by_reference(gate: Gate, case: GateCase) -> str:
     """Return which reference drive breaks the bound in the same event (module docstring), as text; empty: none."""
     row, group = case.row(gate.metric), group_of(gate)
+    if group == "comfort" and (met := _met_by_careful(gate, case)):
+        return met
     impact, careful = case.row(IMPACT), case.reference(CAREFUL, IMPACT)
     harder = impact.known and not (careful.known and impact.value <= careful.value + SLOWER_MPS)
     follower = case.reference(FOLLOWER, gate.metric)
@@ -217,6 +221,19 @@ def _excuse_by_reference(gate: Gate, case: GateCase) -> str:
             about = f" ({found.reason})" if found.reason else ""
             return f"{REFERENCES[planner]} breaks {gate} too: {found.value:.4g}{unit_of(found.unit)}{about}"
     return ""
+
+
+def _met_by_careful(gate: Gate, case: GateCase) -> str:
+    """Return the collision of the careful driver with the road user that a comfort value is about; empty: none."""
+    row, met, driver = (
+        case.row(gate.metric),
+        case.reference(CAREFUL, NO_COLLISION.metric),
+        case.reference(DRIVER, gate.metric),
+    )
+    collides = met.known and NO_COLLISION.margin(met.value) < 0.0 and met.about == row.about
+    same = collides and abs(row.time_s - met.time_s) <= SAME_S
+    smooth = driver.known and gate.margin(driver.value) >= 0.0
+    return f"{REFERENCES[CAREFUL]} collides ({met.reason})" if same and row.about and not smooth else ""
 
 
 def _excuse_fallback(case: GateCase) -> str:

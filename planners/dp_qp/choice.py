@@ -24,8 +24,8 @@ from math import inf
 
 import numpy as np
 
-from logs.kernel import FloatArray
-from logs.trace import Artefact, Candidates, CostTerms, LaneOption
+from logs.arrays import FloatArray
+from logs.plan import Artefact, Candidates, CostTerms, LaneOption
 from planners.dp_qp.lane import FORGET_S, LaneMemory, LanePlan, LanePlanner, PassWay
 from planners.dp_qp.parameters import DpQpConfig, LaneConfig
 from planners.dp_qp.path.bounds import CorridorConfig

@@ -23,7 +23,8 @@ from math import sqrt
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
+from logs.arrays import FloatArray
+from logs.kernel import kernel
 from logs.road import Goal
 from logs.vehicle import VehicleParameters
 from planners.frenet.profiles import COMFORT

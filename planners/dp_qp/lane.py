@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 from math import inf
 
 from logs.frame import Frame, PlannerContext
+from logs.plan import Artefact, CostTerms, SolverReport
 from logs.states import EgoState
-from logs.trace import Artefact, CostTerms, SolverReport
 from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
 from planners.dp_qp.parameters import DpQpConfig
 from planners.dp_qp.path.bounds import InTheWay

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from math import inf
 
 from logs.frame import Frame, PlannerContext
+from logs.plan import Artefact, Internals, Plan, PlanStatus
 from logs.states import EgoState
-from logs.trace import Artefact, Internals, Plan, PlanStatus
 from planners.dp_qp.choice import PassMemory, choose, hopeless, passing, worth_looking
 from planners.dp_qp.lane import LaneMemory, LanePlan, LanePlanner
 from planners.dp_qp.parameters import DpQpConfig

@@ -12,11 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.frame import Frame
-from logs.kernel import FloatArray, kernel
+from logs.kernel import kernel
+from logs.plan import Artefact, Plan, PlanStart, PlanStatus
 from logs.shapes import overlap
 from logs.states import EgoState, Trajectory
-from logs.trace import Artefact, Plan, PlanStart, PlanStatus
 from logs.vehicle import VehicleParameters
 from planners.frenet.path import Path, path_through, states_on_path
 from planners.frenet.profiles import COMFORT, EMERGENCY, HORIZON_KNOTS, STEP_S, SpeedLimits, braking

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from logs.arrays import TIE
 from logs.frame import PlannerContext
-from logs.kernel import TIE
 from logs.route import CostToGo, Route, costs_to_go, start_lanes, straight_on
 from logs.states import EgoState
 from planners.frenet.reference_path import BEYOND_M, ReferencePath, make_reference_path

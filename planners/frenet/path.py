@@ -18,7 +18,8 @@ from math import atan2, ceil, cos, hypot, inf, pi, sin, tan
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
+from logs.arrays import FloatArray
+from logs.kernel import inner_kernel, kernel
 from logs.road import ReferenceLine, line_curvature, line_frame
 from logs.states import EgoState, wrap
 
@@ -186,3 +187,15 @@ def quintic(l0: float, dl0: float, ddl0: float, l1: float, length: float) -> tup
     c4 = (-15.0 * delta + 7.0 * slope * h - bend * h * h) / h**4
     c5 = (6.0 * delta - 3.0 * slope * h + 0.5 * bend * h * h) / h**5
     return c3, c4, c5
+
+
+@inner_kernel
+def interpolated(x: float, xp: FloatArray, fp: FloatArray) -> float:
+    """Return `np.interp` of one number, to the bit: `fp` `(n,)` over increasing `xp`, constant outside."""
+    last = len(xp) - 1
+    if x >= xp[last]:
+        return fp[last]
+    if x < xp[0]:
+        return fp[0]
+    k = np.searchsorted(xp, x, side="right") - 1
+    return (fp[k + 1] - fp[k]) / (xp[k + 1] - xp[k]) * (x - xp[k]) + fp[k]

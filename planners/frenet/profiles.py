@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
+from logs.arrays import FloatArray
+from logs.kernel import kernel
 
 STEP_S = 0.1
 """Time between two knots of a speed profile, and between two samples of a plan, s."""

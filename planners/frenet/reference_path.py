@@ -24,7 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from logs.kernel import TIE, FloatArray, frozen, inner_kernel, kernel
+from logs.arrays import TIE, FloatArray, frozen
+from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.road import Lane, ReferenceLine, Road, nearest, thinned
 from logs.route import Route, straight_on

@@ -21,14 +21,15 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.agents import AgentKind, among
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.frame import Frame, PlannerContext
-from logs.kernel import BoolArray, FloatArray, IntArray, interpolated, kernel
+from logs.kernel import kernel
+from logs.plan import Decision, DecisionKind, PlanStart
 from logs.road import line_frame, line_project
 from logs.route import find_route
 from logs.states import EgoState, wrap
-from logs.trace import Decision, DecisionKind, PlanStart
 from logs.vehicle import VehicleParameters
-from planners.frenet.path import Path, frenet_start, out_of_frame
+from planners.frenet.path import Path, frenet_start, interpolated, out_of_frame
 from planners.frenet.reference_path import CrossSections, ReferencePath, make_reference_path, write_sections
 
 STITCH_M = 0.5

@@ -27,10 +27,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
+from logs.plan import Decision, DecisionKind, GraphObstacle
 from logs.shapes import axis_gap
 from logs.states import wrap
-from logs.trace import Decision, DecisionKind, GraphObstacle
 from planners.frenet.path import Path
 from planners.frenet.scene import STANDING_MPS, Bodies, Futures, Occupancy, Scene
 

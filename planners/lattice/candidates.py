@@ -33,7 +33,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.road import line_curvature, line_frame, line_project
 from logs.shapes import overlap
 from logs.states import wrap

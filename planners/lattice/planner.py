@@ -11,11 +11,9 @@ from math import cos, floor, sin, tan
 
 import numpy as np
 
+from logs.arrays import FloatArray, IntArray
 from logs.frame import Frame, PlannerContext
-from logs.kernel import FloatArray, IntArray
-from logs.shapes import overlap
-from logs.states import Trajectory, wrap
-from logs.trace import (
+from logs.plan import (
     Artefact,
     Candidates,
     Corridor,
@@ -28,21 +26,14 @@ from logs.trace import (
     SlGraph,
     StGraph,
 )
+from logs.shapes import overlap
+from logs.states import Trajectory, wrap
 from logs.vehicle import VehicleParameters
 from planners.frenet.fallback import fall_back
 from planners.frenet.path import Path, path_through
 from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, limit_profile
 from planners.frenet.reference_path import ReferencePath
-from planners.frenet.scene import (
-    TRACK_M,
-    Occupancy,
-    RouteTracker,
-    Scene,
-    behind,
-    on_reference,
-    open_end,
-    upper_bound,
-)
+from planners.frenet.scene import TRACK_M, Occupancy, RouteTracker, Scene, behind, on_reference, open_end, upper_bound
 from planners.frenet.st_boundaries import StGraphConfig, decide_speed, outlines, st_boundaries
 from planners.lattice.candidates import (
     COST_PARTS,

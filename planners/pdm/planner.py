@@ -34,10 +34,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from logs.arrays import BoolArray, FloatArray
 from logs.frame import Frame, PlannerContext, Predictions
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.kernel import kernel
+from logs.plan import Artefact, Candidates, Corridor, CostTerms, Internals, Plan, SlGraph, StGraph
 from logs.states import EgoState, Trajectory, wrap
-from logs.trace import Artefact, Candidates, Corridor, CostTerms, Internals, Plan, SlGraph, StGraph
 from logs.vehicle import VehicleParameters
 from planners.frenet.fallback import fall_back, trajectory_along
 from planners.frenet.path import Path, make_path, states_on_path

@@ -29,7 +29,8 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.agents import AgentKind, among
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
+from logs.kernel import inner_kernel, kernel
 from logs.road import line_frame, line_project
 from logs.shapes import overlap
 from planners.frenet.profiles import STEP_S

@@ -44,7 +44,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, inner_kernel, kernel
+from logs.arrays import FloatArray
+from logs.kernel import inner_kernel, kernel
 from planners.piecewise_jerk.problem import (
     DDDX,
     PiecewiseJerkProblem,

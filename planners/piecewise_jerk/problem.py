@@ -40,7 +40,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, inner_kernel, kernel
+from logs.arrays import FloatArray
+from logs.kernel import inner_kernel, kernel
 
 X, DX, DDX, DDDX, LEADS = 0, 1, 2, 3, 4
 """Rows of the bounds; rows x + lead x' from `LEADS` on."""

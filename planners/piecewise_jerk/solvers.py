@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import sparse
 
+from logs.arrays import FloatArray
 from logs.errors import unknown_name
-from logs.kernel import FloatArray
-from logs.trace import SolverReport
+from logs.plan import SolverReport
 from planners.piecewise_jerk import interior_point
 from planners.piecewise_jerk.problem import DDX, PiecewiseJerkProblem, Weights
 from planners.solver import QPConfig, QPResult, QuadraticProgram

@@ -33,10 +33,10 @@ from math import inf, isfinite
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray
+from logs.arrays import TIE, FloatArray
+from logs.plan import DecisionKind
 from logs.road import Road
 from logs.rules import RED, Colour
-from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
 from planners.frenet.profiles import HORIZON_KNOTS, STEP_S, braking, cruising, limit_profile
 from planners.frenet.reference_path import ReferencePath

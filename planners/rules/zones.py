@@ -30,11 +30,12 @@ from math import hypot, inf
 
 import numpy as np
 
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray
 from logs.frame import Frame
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.kernel import kernel
 from logs.road import Lane, ReferenceLine, Road, inside, line_project_many
 from logs.rules import RED, Crosswalk, StopLine
-from logs.scenario import AgentKind
 from logs.shapes import overlap, point_segment
 from logs.states import wrap
 from logs.vehicle import VehicleParameters

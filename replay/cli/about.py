@@ -95,12 +95,12 @@ def warmup(
     with handle_errors():
         run = run_config(config, {"planners": planner})
         from replay.cli.progress_bar import sign_of_life, with_kernels
-        from replay.run.warmup import everything, warm_up
+        from replay.run.warmup import SCENES, everything, warm_up
 
         if not quiet:
             say("compiling kernels (a minute or two; seconds if they were compiled before)", err=True)
         with sign_of_life(progress_lines(quiet=quiet), with_kernels(lambda: "driving built-in logs")):
-            done = warm_up(run, *(everything() if every else ()))
+            done = warm_up([(run, SCENES), *(everything() if every else ())])
         for failure in done.failures:
             say_error(failure.message)
         where = "nowhere: no folder can be written" if done.folder is None else done.folder

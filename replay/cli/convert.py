@@ -11,11 +11,11 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from logs.agents import TrackChange
 from logs.errors import ConfigError, LogError, writing
 from logs.mcap import is_written_here, write_scenario
 from logs.mcap.writer import Entry
 from logs.readers import READER, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
+from logs.repair.detections import TrackChange
 from logs.scenario import Scenario
 from metrics.judge import load_gates
 from metrics.judge.discrimination import Discrimination
@@ -25,7 +25,7 @@ from replay.results.tables import write_text
 from replay.run.claim import check_file, claimed_file
 
 CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(TrackChange))
-"""Columns of the table: the fields of `logs.agents.TrackChange`."""
+"""Columns of the table: the fields of `logs.repair.detections.TrackChange`."""
 CHANGES_HEADER = ",".join(CHANGE_COLUMNS) + "\n"
 
 

@@ -24,7 +24,7 @@ from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import EndReason
 from logs.vehicle import vehicle_parameters
-from replay.results.load import load
+from replay.draw.drawn_results import load
 from replay.results.tables import safe_names
 
 TYPES = {"bmw_320i": 2, "vw_vanagon": 3}

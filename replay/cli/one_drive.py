@@ -17,7 +17,7 @@ from replay.cli.options import RenamingCommand, completion, log_table, option, r
 
 if TYPE_CHECKING:
     from logs.readers import LogSettings
-    from replay.results.load import DriveResult, Results
+    from replay.draw.drawn_results import DriveResult, Results
 
 
 class ChosenDrive(NamedTuple):
@@ -178,8 +178,8 @@ def _files(
     """The recordings to open, made as `save` or in `scratch`; with `one` only the worst, and a remark that names it."""
     from logs.files import check_named
     from logs.readers import reader_of
+    from replay.draw.drawn_results import load
     from replay.draw.view import pair, save_log, to_open, write_pair
-    from replay.results.load import load
 
     for target in targets:
         check_named(target)
@@ -218,8 +218,8 @@ def _files(
 
 def _recordings(target: Path, which: Which) -> list[Path]:
     """The recordings of a folder, of a run only those of the drives that fit; a file is its own."""
+    from replay.draw.drawn_results import load
     from replay.draw.view import recordings
-    from replay.results.load import load
 
     if target.is_file():
         return [target]
@@ -288,7 +288,7 @@ def plot(
     with handle_errors():
         from replay.draw.charts.layout import charts_of, save, together
         from replay.draw.charts.subject import subject
-        from replay.results.load import load
+        from replay.draw.drawn_results import load
         from replay.results.tables import safe_name
 
         run, planners = load(result), list(dict.fromkeys(planner or ()))
@@ -330,8 +330,8 @@ def explain(
       replan explain results/run-001 --log paper/crossing_pedestrian --at 6.5
     """
     with handle_errors():
+        from replay.draw.drawn_results import load
         from replay.explain.explanation import explained, lines_of, summary
-        from replay.results.load import load
 
         chosen = chosen_drive(load(result), log, planner, mode)
         drive = chosen.drive
@@ -373,7 +373,7 @@ def frame(
       replan frame results/run-001 --at 6.5 --with idm
     """
     with handle_errors():
-        from replay.results.load import load
+        from replay.draw.drawn_results import load
         from replay.run.frame_again import replan_frame, report_of
         from replay.run.frame_dump import dump as write_dump
 

@@ -15,7 +15,7 @@ from replay.cli.options import option
 if TYPE_CHECKING:
     from replay.compare import Run
     from replay.config import RunConfig
-    from replay.results.load import Results
+    from replay.draw.drawn_results import Results
 
 EXIT_CODES = (
     "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
@@ -153,9 +153,9 @@ def report(
         from logs.files import url_of
         from replay.compare import compare_runs, read_run
         from replay.diagnose.findings import read_diagnosis
+        from replay.draw.drawn_results import load
         from replay.draw.report.overview import overview
         from replay.draw.report.write import write_reports
-        from replay.results.load import load
         from replay.results.tables import REPORTS
         from replay.run.claim import FolderContents, claimed_folder
         from replay.run.output import held

@@ -20,8 +20,9 @@ from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from logs.agents import AgentKind, Detections
+from logs.agents import AgentKind
 from logs.errors import ConfigError, writing
+from logs.repair.detections import Detections
 from logs.scenario import Scenario
 
 START_NS = 1_700_000_000_000_000_000

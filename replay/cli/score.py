@@ -14,7 +14,7 @@ from replay.cli.app import app, handle_errors, progress_lines, say, say_json
 
 if TYPE_CHECKING:
     from logs.scenario import Scenario
-    from replay.results.load import Results
+    from replay.draw.drawn_results import Results
     from replay.score.trajectories import Asked
 
 MOST_ROWS = 40
@@ -84,7 +84,7 @@ def score(
 
 def _run(targets: list[Path]) -> Results:
     """The run to be scored; ConfigError if it is none."""
-    from replay.results.load import load
+    from replay.draw.drawn_results import load
 
     if len(targets) != 1 or not (targets[0] / "summary.json").is_file():
         raise ConfigError(f"{targets[0]}: nuplan-cls scores the drives of a run: name a folder of results")
@@ -95,7 +95,7 @@ def _plans(
     targets: list[Path], trajectories: Path | None, *, relative: bool
 ) -> tuple[list[Asked], dict[str, Scenario]]:
     """The plans to be scored, and their logs by name."""
-    from replay.results.load import load
+    from replay.draw.drawn_results import load
     from replay.run.sources import select
     from replay.score.trajectories import of_table, of_trace
 

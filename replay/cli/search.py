@@ -147,7 +147,7 @@ def tune(
     with handle_errors():
         from replay.cli.compare import print_tables
         from replay.cli.evaluate import engine_of
-        from replay.results.load import load
+        from replay.draw.drawn_results import load
         from replay.run.evaluate import selected
         from replay.run.one_log import all_metrics
         from replay.search.gains import DEFAULT_OBJECTIVES, objectives
@@ -214,7 +214,7 @@ def diagnose(
         from replay.diagnose.changes import load_changes
         from replay.diagnose.diagnose import diagnose as diagnosed
         from replay.diagnose.diagnose import question
-        from replay.results.load import load
+        from replay.draw.drawn_results import load
         from replay.search.space import load_space
 
         asked = question(load(run), planner, log or (), load_changes(changes))

@@ -49,8 +49,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from logs.arrays import FloatArray, frozen
 from logs.errors import ConfigError, unknown_name
-from logs.kernel import FloatArray, frozen, inner_kernel, kernel
+from logs.kernel import inner_kernel, kernel
 from logs.vehicle import VehicleParameters
 from replay.control import estimation
 from replay.control.estimation import DelayModel, DelayState, SlipModel, SlipState

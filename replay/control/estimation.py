@@ -33,7 +33,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, inner_kernel, kernel
+from logs.arrays import FloatArray
+from logs.kernel import inner_kernel, kernel
 from logs.vehicle import VehicleParameters
 from replay.control.lateral_model import Series, at_speed, kappa_rate, lateral_table, steer_for
 from replay.vehicle.base import MotionState

@@ -24,7 +24,8 @@ from __future__ import annotations
 from math import atan, atan2, cos, hypot, sin
 from typing import NamedTuple
 
-from logs.kernel import FloatArray, inner_kernel
+from logs.arrays import FloatArray
+from logs.kernel import inner_kernel
 from logs.states import wrap
 from replay.vehicle.base import MotionState
 from replay.vehicle.plan_path import Deviation, path_foot, path_point

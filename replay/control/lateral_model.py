@@ -40,7 +40,8 @@ from math import inf, isfinite
 import numpy as np
 from scipy.linalg import expm
 
-from logs.kernel import FloatArray, frozen, kernel
+from logs.arrays import FloatArray, frozen
+from logs.kernel import kernel
 from logs.vehicle import VehicleParameters
 from replay.vehicle.plan_path import path_kappa
 

@@ -30,10 +30,10 @@ from math import nan
 import numpy as np
 from scipy import sparse
 
+from logs.arrays import FloatArray, IntArray
 from logs.errors import ConfigError
-from logs.kernel import FloatArray, IntArray
+from logs.plan import Plan
 from logs.states import Command, EgoState
-from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from planners.solver import QPConfig, QPResult, QuadraticProgram
 from replay.control import pedals

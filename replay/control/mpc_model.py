@@ -31,7 +31,8 @@ from math import atan2, cos, exp, hypot, pi, sin
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, frozen, kernel
+from logs.arrays import FloatArray, IntArray, frozen
+from logs.kernel import kernel
 from logs.states import Trajectory, wrap
 from replay.control.lateral_model import at_speed, following_at, steer_for
 from replay.vehicle.pedal_map import PedalMap, reach

@@ -39,8 +39,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from logs.arrays import FloatArray, frozen
 from logs.errors import ConfigError
-from logs.kernel import FloatArray, frozen, kernel
+from logs.kernel import kernel
 from replay.vehicle.base import Powertrain
 from replay.vehicle.pedal_map import PedalMap, coasting, full_throttle
 from replay.vehicle.plan_path import timed

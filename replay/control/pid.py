@@ -24,7 +24,8 @@ from __future__ import annotations
 from math import isnan, nan, sin
 from typing import NamedTuple
 
-from logs.kernel import FloatArray, inner_kernel, kernel
+from logs.arrays import FloatArray
+from logs.kernel import inner_kernel, kernel
 from replay.control.pedals import compensated
 from replay.vehicle.base import MotionState
 from replay.vehicle.pedal_map import PedalMap, reach

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, frozen, inner_kernel, kernel
+from logs.arrays import FloatArray, frozen
+from logs.kernel import inner_kernel, kernel
+from logs.plan import Plan
 from logs.states import Command, EgoState
-from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from replay.control.dlqr import (
     DlqrLaw,

@@ -27,16 +27,7 @@ from logs.scenario import Scenario
 from logs.trace import Mode, PlannedFrame
 from replay.config import RunConfig, dump_run
 from replay.diagnose.changes import ChangedRun, TriedChange, cause_of, changed_runs, driven
-from replay.diagnose.drives import (
-    MODE,
-    DrivenLogs,
-    as_driven,
-    drive_again,
-    failed_gates,
-    parting,
-    passes,
-    worsens,
-)
+from replay.diagnose.drives import MODE, DrivenLogs, as_driven, drive_again, failed_gates, parting, passes, worsens
 from replay.diagnose.failure import (
     AHEAD_S,
     PROGRESS,
@@ -49,16 +40,17 @@ from replay.diagnose.failure import (
 )
 from replay.diagnose.findings import AS_IT_WAS, Diagnosis, Found
 from replay.diagnose.remedy import Remedy, smallest_change
+from replay.draw.drawn_results import DriveResult, Results, load
 from replay.explain.causes import accounts
 from replay.explain.explanation import Explanation
-from replay.results.load import DriveResult, Results, load, named_logs
+from replay.results.load import named_logs
 from replay.results.tables import PARTIAL
 from replay.run.claim import FolderContents, claimed_folder
 from replay.run.output import scenario_of
 from replay.run.perturb import PERTURBATIONS, perturbed
 from replay.run.resume import stamp_of
+from replay.run.study import Study
 from replay.search.space import Setting, Value, shown, with_values
-from replay.search.study import Study
 
 KIND = "diagnose"
 CONTENTS = FolderContents(KIND, ("diagnosis.*", "changes.csv", "changes", "logs"))

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from logs.arrays import TIE
 from logs.errors import LogError
-from logs.kernel import TIE
 from metrics import METRICS
 from metrics.judge import REFERENCE, Outcome, judge, outcomes
 from metrics.judge.gates import Gate, Gates
@@ -27,8 +27,8 @@ from metrics.judge.verdicts import with_asked
 from metrics.metric import Direction
 from metrics.reference_drivers import APPLIES, AVOIDS
 from replay.config import RunConfig
+from replay.draw.drawn_results import DriveResult, Results
 from replay.explain.first_difference import first_difference, planners_part
-from replay.results.load import DriveResult, Results
 from replay.run.evaluate import evaluate_logs
 from replay.run.judging import gates_of
 

@@ -22,7 +22,7 @@ from math import hypot, inf
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.states import EgoState, Trajectory
 from logs.trace import Trace
 from replay.explain.causes import KEEP, Account

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from logs.agents import AgentKind, Agents
+from logs.arrays import FloatArray
 from logs.errors import ConfigError
-from logs.kernel import FloatArray
 from logs.mcap.trace_file import driven_scenario
 from logs.mcap.writer import Entry, log_times
 from logs.names import ShortNames

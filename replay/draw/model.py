@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray
+from logs.arrays import FloatArray, IntArray
 from logs.memory import loaded
+from logs.plan import Corridor, Decision, DecisionKind, Graph, GraphObstacle, GridCost, Plan
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.states import Controls
-from logs.trace import Corridor, Decision, DecisionKind, Graph, GraphObstacle, GridCost, Mode, Plan, Trace
+from logs.trace import Mode, Trace
 from metrics.comfort import LON_JERK_STATE
 from replay.vehicle.tyres import tyre_use
 

@@ -20,12 +20,13 @@ from logs.errors import ConfigError, ReplanError, writing
 from logs.mcap import read_trace
 from logs.names import counted
 from logs.readers import LogSettings, read_log
+from replay.draw.drawn_results import load
 from replay.draw.recording import pair as pairs
 from replay.draw.recording import write_log_recording
 from replay.draw.recording.pictures import LOOPBACK, Picture, Theme, environment, free_port, in_use, take_pictures
 from replay.draw.recording.tape import MARKDOWN, cell, document, link, recording_file, table
 from replay.draw.report.overview import overview
-from replay.results.load import load, named_logs
+from replay.results.load import named_logs
 
 ELSEWHERE = (
     "copy the .rrd to a machine with one and open it there with `rerun FILE.rrd`, or add --web to see it in a browser"

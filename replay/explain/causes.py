@@ -32,9 +32,10 @@ from math import isfinite, nan
 
 import numpy as np
 
+from logs.plan import Candidates, Decision, DecisionKind, LaneOption, Plan, StGraph
 from logs.rules import RED, Colour
 from logs.scenario import Scenario
-from logs.trace import Candidates, Decision, DecisionKind, LaneOption, Plan, StGraph, Trace
+from logs.trace import Trace
 from replay.config import LoopConfig
 from replay.explain.course import (
     BRAKES_MPS2,

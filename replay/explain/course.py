@@ -32,13 +32,13 @@ from math import cos, hypot, inf, nan, radians, sin
 import numpy as np
 
 from logs.agents import Agents
+from logs.arrays import BoolArray, FloatArray
 from logs.frame import PlannerContext, Predictions
-from logs.kernel import BoolArray, FloatArray
+from logs.plan import Plan
 from logs.road import line_project_many
 from logs.scenario import Scenario
 from logs.shapes import distance
 from logs.states import Trajectory, wrap
-from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from planners.frenet.lane_sequence import LaneSequences
 from planners.frenet.scene import STANDING_MPS as AGENT_STANDS_MPS

@@ -14,27 +14,25 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from logs.names import counted
-from logs.scenario import Scenario
-from logs.trace import (
+from logs.plan import (
     Candidates,
     CostTerms,
     Decision,
     DecisionKind,
-    EndReason,
     Graph,
     LaneOption,
     Plan,
-    PlannedFrame,
     PlanStatus,
     PlanSummary,
     SolverReport,
     StGraph,
-    Trace,
 )
+from logs.scenario import Scenario
+from logs.trace import EndReason, PlannedFrame, Trace
 from replay.config import LoopConfig
 from replay.explain.causes import KEEP, Account, CauseKind, accounts, not_passed
 from replay.explain.sentences import brief, sentences
-from replay.results.load import DriveResult
+from replay.results.load import StoredDrive
 
 A = TypeVar("A")
 
@@ -169,7 +167,7 @@ class Explanation:
                 yield Section(title, lines)
 
 
-def explained(drive: DriveResult, at: float | None = None) -> list[Explanation]:
+def explained(drive: StoredDrive, at: float | None = None) -> list[Explanation]:
     """Explain the plan at a time, or each plan that differs from the one before it as `changes`.
 
     Raises:
@@ -203,7 +201,7 @@ MOST_PHASES = 8
 """Largest number of phases of a summary."""
 
 
-def summary(drive: DriveResult) -> list[str]:
+def summary(drive: StoredDrive) -> list[str]:
     """The phases of a drive with fallbacks and the hardest planned braking, in the order of time, a line each.
 
     A phase is consecutive plans with the same action and first cause. Errors as `explained`.

@@ -27,22 +27,10 @@ from math import inf, log10
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray
 from logs.names import ShortNames
-from logs.trace import (
-    Candidates,
-    CostTerms,
-    Decision,
-    DecisionKind,
-    Graph,
-    LaneOption,
-    Mode,
-    Plan,
-    PlannedFrame,
-    SlGraph,
-    StGraph,
-    Trace,
-)  # fmt: skip
+from logs.plan import Candidates, CostTerms, Decision, DecisionKind, Graph, LaneOption, Plan, SlGraph, StGraph
+from logs.trace import Mode, PlannedFrame, Trace  # fmt: skip
 from replay.explain.explanation import LONGITUDINAL
 
 TOLERANCE = 1e-3

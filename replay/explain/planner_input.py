@@ -13,11 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.agents import Agents
+from logs.arrays import FloatArray
 from logs.frame import Predictions
-from logs.kernel import FloatArray
+from logs.plan import DecisionKind, StGraph
 from logs.rules import Colour
-from logs.scenario import Scenario, Tracks
-from logs.trace import DecisionKind, PlannedFrame, StGraph, Trace
+from logs.scenario import Scenario
+from logs.trace import PlannedFrame, Trace
+from logs.tracks import Tracks
 from planners.frenet.scene import Bodies, Futures
 from planners.frenet.st_boundaries import Roles, Swept, SweptPath, sweep
 from replay.config import LoopConfig

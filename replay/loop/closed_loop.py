@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from math import inf
 from types import MappingProxyType
 
+from logs.arrays import FloatArray
 from logs.errors import PlannerError
-from logs.kernel import FloatArray
-from logs.scenario import Scenario, Tracks
-from logs.trace import EndReason, Mode, Plan, Trace
+from logs.plan import Plan
+from logs.scenario import Scenario
+from logs.trace import EndReason, Mode, Trace
+from logs.tracks import Tracks
 from replay.config import DEFAULT_LOOP, LoopConfig
 from replay.drive import Drive
 from replay.loop.perception import Perception

@@ -10,16 +10,17 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from logs.agents import NUMBERS
+from logs.agents import NUMBERS, Agents
+from logs.arrays import FloatArray, IntArray, frozen
 from logs.errors import LogError
 from logs.extension import ExtensionKind
 from logs.frame import Frame, Predictions, Visibility
-from logs.kernel import FloatArray, IntArray, frozen
 from logs.memory import NearbyTracks
+from logs.plan import Plan
 from logs.repair.identities import Owners
-from logs.scenario import Agents, Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import wrapped
-from logs.trace import Plan
+from logs.tracks import Tracks
 from replay.config import LoopConfig
 from replay.loop.sensor import Sensor
 from replay.prediction import PREDICTION, PREDICTORS, LaneMap, predict

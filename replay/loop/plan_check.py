@@ -26,10 +26,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.frame import Frame
-from logs.kernel import FloatArray, kernel
+from logs.kernel import kernel
+from logs.plan import Plan, PlanStart, PlanStatus
 from logs.states import EgoState, Trajectory, wrap
-from logs.trace import Plan, PlanStart, PlanStatus
 from replay.planner_process.messages import LONGEST_REASON, MOST_POINTS, shortened
 
 START_M, START_MPS = 0.03, 0.05

@@ -22,11 +22,13 @@ from typing import Any
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.frame import Frame
-from logs.kernel import FloatArray, kernel
+from logs.kernel import kernel
 from logs.memory import FrameStore
+from logs.plan import Plan
 from logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
-from logs.trace import Plan, PlannedFrame, TrackingErrors
+from logs.trace import PlannedFrame, TrackingErrors
 from replay.control.split import SplitController, control_row, named_law
 from replay.vehicle import kinematic_bicycle, single_track
 from replay.vehicle.base import (

@@ -17,10 +17,11 @@ import numpy as np
 
 from logs.errors import ConfigError, PlannerError, ReplanError, raised
 from logs.frame import Frame, PlannerContext
+from logs.plan import Plan
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, EgoState
-from logs.trace import EndReason, Plan, Trace
+from logs.trace import EndReason, Trace
 from metrics.arrival import goal_of
 from planners.base import Planner
 from replay.config import LoopConfig

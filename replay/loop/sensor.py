@@ -23,11 +23,12 @@ from math import atan2, cos, hypot, nan, pi, radians, sin
 
 import numpy as np
 
-from logs.agents import NUMBERS, OLDEST_S, codes_of
+from logs.agents import NUMBERS, OLDEST_S, Agents, codes_of
+from logs.arrays import BoolArray, FloatArray
 from logs.frame import Visibility
-from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from logs.kernel import inner_kernel, kernel
 from logs.memory import NearbyTracks
-from logs.scenario import Agents, Scenario
+from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import wrap
 from replay.config import SensorConfig

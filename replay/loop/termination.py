@@ -11,13 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.memory import NearbyTracks
 from logs.road import Goal, RoadSource, inside
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.shapes import point_segment
 from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
 from logs.trace import EndReason
+from logs.tracks import Tracks
 from metrics.arrival import Arrival
 from metrics.boxes import name_of, phantoms, without_phantoms
 from metrics.cut_in import LOOK_BACK_S

@@ -16,9 +16,10 @@ from math import hypot, inf
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
 from logs.once import once
-from logs.scenario import AgentKind
 from logs.shapes import clearance, overlap, time_to_contact
 from logs.states import wrap
 from metrics.boxes import NO_TTC_MPS, EgoOutline, is_behind

@@ -26,6 +26,7 @@ from logs.catalogue import families
 from logs.errors import ConfigError
 from logs.files import local_path, url_of
 from logs.names import counted, visible_name
+from replay.draw.report.figures import STYLE, empty_figure, save
 from replay.mine.mine import ALONE, FASTER, ROADS, SPEEDS, Mined
 from replay.results.tables import write_file, write_text
 from replay.run.claim import FolderContents, claimed_file
@@ -70,8 +71,6 @@ def figure(events: pd.DataFrame, title: str) -> Figure:
     import matplotlib as mpl
     import numpy as np
 
-    from replay.draw.report.figures import STYLE, empty_figure
-
     kinds = sorted(events["kind"].unique())
     with mpl.rc_context({**STYLE, "axes.grid": False}):
         drawn = empty_figure(13.0, 1.6 + 0.27 * max(len(kinds), 1))
@@ -102,8 +101,6 @@ COVERAGE = FolderContents("coverage", ("coverage.csv", "coverage.png"), resumes=
 def write_coverage(out: Path, events: pd.DataFrame, rows: pd.DataFrame) -> None:
     """Write coverage.csv and coverage.png into a folder of mined logs; OutputError if that fails."""
     write_file(out / "coverage.csv", lambda partial: rows.to_csv(partial, index=False, lineterminator="\n"))
-    from replay.draw.report.figures import save
-
     title = f"{counted(len(events), 'event')} in {counted(events['log'].nunique(), 'log')}"
     save(figure(events, title), out / "coverage.png")
 

@@ -24,9 +24,11 @@ from functools import cached_property
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
 from logs.road import ReferenceLine, line_frame, line_project, thinned
-from logs.scenario import AgentKind, Scenario
+from logs.scenario import Scenario
 from logs.states import Trajectory, wrap
 from metrics.boxes import GRID_S, car_of, ego_boxes, in_spans, phantoms, without_phantoms
 from metrics.metric import Unavailable, rate_of_change

@@ -12,12 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray
 from logs.once import once
 from logs.road import Lane, Road, RoadSource, inside
 from logs.route import on_lane
 from logs.rules import RED, StopLine
-from logs.scenario import AgentKind
 from logs.states import wrap
 from metrics.metric import Unavailable
 from replay.mine.driven_log import DrivenLog, Event, EventKind, runs, steps

@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from logs.errors import ConfigError, LogError, ReplanError, of_users, raised
-from logs.kernel import is_cache_cold
+from logs.kernel_watch import is_cache_cold
 from logs.names import counted
 from logs.road import RoadSource
 from metrics import health
@@ -32,6 +32,7 @@ from replay.config import RunConfig, dump_run
 from replay.loop.reference_drives import discriminate
 from replay.mine.driven_log import DrivenLog, Event, EventKind
 from replay.mine.ego_and_road import crosses_others, in_roundabout, stays
+from replay.mine.event_page import PAGE, PICTURES, draw_events, write_events_page
 from replay.mine.kinds import EVENT_KIND, KINDS, PLAN_KINDS, plan_events
 from replay.results.reading import read_json, read_table
 from replay.results.schema import names_of, typed
@@ -43,11 +44,11 @@ from replay.run.output import write_origin
 from replay.run.pool import WorkerLost, run_all
 from replay.run.resume import identity_of, stamp_of
 from replay.run.sources import LogSource, Selection, log_hash
-from replay.search.study import Study
+from replay.run.study import Study
 
 EVENTS, LOGS, HEALTH, CARD = "events.parquet", "logs.parquet", "health.parquet", "mined.json"
 CONTENTS = FolderContents(
-    "mine", ("run.toml", "origin.json", EVENTS, LOGS, HEALTH, CARD, "coverage.csv", "coverage.png")
+    "mine", ("run.toml", "origin.json", EVENTS, LOGS, HEALTH, CARD, PAGE, PICTURES, "coverage.csv", "coverage.png")
 )
 BREAKS = tuple(f"{driver}_breaks" for driver in BAD_DRIVERS)
 CURVE_KAPPA = 1.0 / 150.0
@@ -107,6 +108,7 @@ def mine(
     planners: Sequence[str] = (),
     workers: int = 0,
     study: Study | None = None,
+    pictures: Path | None = None,
     on_log: Callable[[MinedLog], None] = lambda log: None,
 ) -> Mined:
     """Find events in logs.
@@ -118,13 +120,14 @@ def mine(
         planners: Planners that plan open loop over each log: the kinds of `replay.mine.kinds`.
         workers: Number of child processes; 0: this process.
         study: Has what is found in logs that need not be mined again, and gets what is found in the others.
+        pictures: Folder for pictures of events; None: none are drawn.
         on_log: Called when each log ends, in order of ending.
 
     Raises:
         ConfigError: A kind or planner is unknown.
     """
     _load_kinds(kinds)
-    job = partial(mine_log, run=run, kinds=tuple(kinds), planners=tuple(planners))
+    job = partial(mine_log, run=run, kinds=tuple(kinds), planners=tuple(planners), pictures=pictures)
     keys = [] if study is None else [identity_of(source) for source in selection.sources]
     rows = {} if study is None else {index: study.known(key) for index, key in enumerate(keys)}
     found = {index: MinedLog(**row["mined"]) for index, row in rows.items() if row is not None}
@@ -195,9 +198,12 @@ def mine_into(
         study = Study(folder, head, resume=resume)
         write_text(folder / "run.toml", dump_run(run))
         write_origin(folder)
-        mined = mine(selection, run, kinds=kinds, planners=planners, workers=workers, study=study, on_log=on_log)
+        mined = mine(
+            selection, run, kinds=kinds, planners=planners, workers=workers, study=study, pictures=folder, on_log=on_log
+        )
         for name, table in ((EVENTS, mined.events), (LOGS, mined.logs), (HEALTH, mined.health)):
             write_parquet(folder / name, table)
+        write_events_page(folder, mined.events, mined.logs)
         card = {
             "replan": replan_version(), "kinds": [*KINDS, *kinds], "planners": list(planners), "logs": len(mined.logs),
             "events": dict(sorted(Counter(mined.events["kind"]).items())), "failures": list(mined.failures),
@@ -206,8 +212,10 @@ def mine_into(
     return folder, mined
 
 
-def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners: tuple[str, ...]) -> MinedLog:
-    """Mine one log; errors are part of the result."""
+def mine_log(
+    source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners: tuple[str, ...], pictures: Path | None = None
+) -> MinedLog:
+    """Mine one log, and draw its events into a folder; errors are part of the result."""
     try:
         with source.fetched() as near:
             scenario = near.read()
@@ -255,6 +263,8 @@ def mine_log(source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners
         "weather": next((about[key] for key in WEATHERS if about.get(key)), ""), "not_asked": not_asked,
         "error": "", **dict.fromkeys(BREAKS, ""), **apart,
     }  # fmt: skip
+    if pictures is not None:
+        draw_events(pictures, scenario, digest, rows)
     findings = health.table(scenario.name, health.findings(scenario)).to_dict("records")
     return MinedLog(scenario.name, _plain(row), [*map(_plain, rows)], [*map(_plain, findings)], tuple(failures))
 

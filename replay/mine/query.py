@@ -25,19 +25,20 @@ from threading import Timer
 
 import pandas as pd
 
+from logs.cut import cut as cut_scenario
+from logs.cut import in_nanoseconds
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.mcap import write_scenario
-from logs.readers.cut import cut as cut_scenario
-from logs.readers.cut import in_nanoseconds
 from logs.scenario import Scenario
 from metrics.boxes import ego_boxes
 from replay.config import load_run
+from replay.draw.drawn_results import load
 from replay.mine.mine import CARD, EVENTS, HEALTH, LOGS, read_mined
 from replay.results.tables import safe_names
 from replay.results.version import replan_version
 from replay.run.claim import FolderContents, claimed_folder
 from replay.run.output import scenario_of
-from replay.search.study import Study
+from replay.run.study import Study
 
 RUN_VIEWS = (
     "metrics", "verdicts", "groups", "health", "timings", "frames", "logs", "drives", "gates", "failures", "decisions",
@@ -70,8 +71,6 @@ def views(folder: Path) -> Mapping[str, Callable[[], pd.DataFrame]]:
     """
     if (folder / CARD).is_file():
         return {name: lambda name=name: getattr(read_mined(folder), name) for name in MINED_VIEWS}  # type: ignore[misc]
-    from replay.results.load import load
-
     run = load(folder)
     return {name: lambda name=name: getattr(run, name) for name in RUN_VIEWS}  # type: ignore[misc]
 

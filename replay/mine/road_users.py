@@ -10,8 +10,8 @@ from functools import partial
 
 import numpy as np
 
-from logs.kernel import BoolArray
-from logs.scenario import AgentKind
+from logs.agents import AgentKind
+from logs.arrays import BoolArray
 from metrics.lanes import points_inside
 from metrics.metric import Unavailable
 from replay.mine.driven_log import FELT_S, DrivenLog, Event, EventKind, Neighbour, runs, steps

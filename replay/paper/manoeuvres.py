@@ -26,11 +26,11 @@ import pandas as pd
 from scipy import sparse
 from scipy.interpolate import make_interp_spline
 
+from logs.arrays import FloatArray
 from logs.catalogue import iso3888
 from logs.errors import ConfigError
-from logs.kernel import FloatArray
+from logs.plan import Plan
 from logs.states import Command, Trajectory
-from logs.trace import Plan
 from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from planners.solver import QPConfig, QuadraticProgram
 from replay.control import CONTROLLERS

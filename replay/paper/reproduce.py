@@ -25,11 +25,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from logs.arrays import FloatArray
 from logs.catalogue import paper
 from logs.errors import ConfigError, unknown_name
-from logs.kernel import FloatArray
+from logs.plan import StGraph
 from logs.scenario import Scenario
-from logs.trace import PlannedFrame, StGraph, Trace
+from logs.trace import PlannedFrame, Trace
 from metrics import METRICS, evaluate, evaluate_with_series
 from planners.frenet.st_boundaries import StGraphConfig
 from replay.control import CONTROLLERS

@@ -17,19 +17,13 @@ import numpy as np
 
 from logs.errors import ConfigError, ReplanError, raised
 from logs.frame import Frame
+from logs.plan import Plan
 from logs.states import Trajectory
-from logs.trace import Plan
 from planners.base import Planner
 from replay.drive import Stopwatch
 from replay.planner_process import messages
 from replay.planner_process.channel import Channel, GoneError
-from replay.planner_process.planner_config import (
-    of_class,
-    planner_factory,
-    planner_keywords,
-    prepared,
-    resolved_table,
-)
+from replay.planner_process.planner_config import of_class, planner_factory, planner_keywords, prepared, resolved_table
 
 
 def main() -> None:

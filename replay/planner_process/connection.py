@@ -16,7 +16,7 @@ import msgspec
 
 from logs.errors import ConfigError, PlannerError
 from logs.frame import Frame, PlannerContext
-from logs.trace import Plan
+from logs.plan import Plan
 from replay.config import PlannerProcessConfig
 from replay.drive import FIRST, DriveKey, Stopwatch
 from replay.planner_process import messages

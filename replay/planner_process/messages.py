@@ -21,7 +21,8 @@ from typing import Any
 
 import msgspec
 
-from logs import agents, frame, states, trace
+from logs import agents, frame, states
+from logs import plan as nouns
 from logs.agents import AgentKind
 from logs.codec import Column, array_as_bytes, array_of, message_of, noun_of, packed, unpacked
 from logs.mcap import native
@@ -149,7 +150,7 @@ class Inside(msgspec.Struct, omit_defaults=True):
 
 
 class Plan(msgspec.Struct, tag="plan", omit_defaults=True):
-    """`logs.trace.Plan`: only the trajectory is required.
+    """`logs.plan.Plan`: only the trajectory is required.
 
     Attributes:
         trajectory: The trajectory from the frame's time on.
@@ -285,7 +286,7 @@ def frame_of(message: Frame) -> frame.Frame:
     )
 
 
-def plan_message(plan: trace.Plan, laps: dict[str, float] | None = None, *, inside: bool = False) -> Plan:
+def plan_message(plan: nouns.Plan, laps: dict[str, float] | None = None, *, inside: bool = False) -> Plan:
     """The message of a plan, with or without its internals."""
     shown = Inside(**inside_of(plan.internals)) if inside and len(plan.internals) else None
     columns = (packed(getattr(plan.trajectory, name)) for name in TRAJECTORY_COLUMNS)
@@ -293,7 +294,7 @@ def plan_message(plan: trace.Plan, laps: dict[str, float] | None = None, *, insi
     return Plan(Trajectory(*columns), status, shortened(plan.reason), start, laps or {}, shown)
 
 
-def plan_of(message: Plan) -> trace.Plan:
+def plan_of(message: Plan) -> nouns.Plan:
     """The plan of a message.
 
     Raises:
@@ -305,10 +306,10 @@ def plan_of(message: Plan) -> trace.Plan:
         raise ValueError(f"its inside has {size} bytes, more than {LARGEST_INSIDE_BYTES}: keep less of it")
     if len(message.laps) > MOST_STAGES:
         raise ValueError(f"it names {len(message.laps)} stages, more than {MOST_STAGES}")
-    for name, known in (("status", trace.PlanStatus), ("start", trace.PlanStart)):
+    for name, known in (("status", nouns.PlanStatus), ("start", nouns.PlanStart)):
         if getattr(message, name).upper() not in known.__members__:
             raise ValueError(f"{name} '{getattr(message, name)}' is none of {', '.join(known.__members__).lower()}")
     columns = (unpacked(getattr(message.trajectory, name)) for name in TRAJECTORY_COLUMNS)
-    status, start = trace.PlanStatus[message.status.upper()], trace.PlanStart[message.start.upper()]
+    status, start = nouns.PlanStatus[message.status.upper()], nouns.PlanStart[message.start.upper()]
     internals = tuple(artefacts_of(message.inside)) if message.inside else ()
-    return trace.Plan(states.Trajectory(*columns), status, message.reason, start, internals)
+    return nouns.Plan(states.Trajectory(*columns), status, message.reason, start, internals)

@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from logs.agents import Agents
+from logs.arrays import FloatArray
 from logs.errors import ConfigError
 from logs.extension import ExtensionKind
 from logs.frame import Predictions
-from logs.kernel import FloatArray
-from logs.scenario import Agents
 from replay.prediction.lane_following import everybody
 from replay.prediction.lane_map import LaneMap
 from replay.prediction.off_lanes import constant_velocity, walkers

@@ -25,8 +25,9 @@ from math import atan2, cos, exp, hypot, pi, sin, sqrt
 import numpy as np
 
 from logs.agents import AgentKind, Agents, among
+from logs.arrays import TIE, FloatArray, IntArray, frozen
 from logs.frame import Predictions
-from logs.kernel import TIE, FloatArray, IntArray, frozen, inner_kernel, kernel
+from logs.kernel import inner_kernel, kernel
 from logs.states import wrap
 from replay.prediction.lane_map import LaneMap, LaneSamples, lane_point, lane_project, matches
 from replay.prediction.off_lanes import turn_rate, turned

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, IntArray, frozen, kernel
+from logs.arrays import TIE, FloatArray, IntArray, frozen
+from logs.kernel import kernel
 from logs.once import once
 from logs.road import Road
 from logs.states import wrap

@@ -28,8 +28,9 @@ from math import cos, pi, sin
 import numpy as np
 
 from logs.agents import AgentKind, Agents, among
+from logs.arrays import FloatArray
 from logs.frame import Predictions
-from logs.kernel import FloatArray, inner_kernel
+from logs.kernel import inner_kernel
 from replay.prediction.lane_map import LaneMap, road_ahead
 
 SLOWEST_MPS = 1.0

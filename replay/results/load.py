@@ -1,8 +1,4 @@
-"""Reads a result folder: every table of a run as a tidy frame, every drive with its plans (`replan.load`).
-
-result = load("results/run-001")
-result.metrics                                   # one row per log, planner, mode and metric
-result.drive("paper/free_road").plan(at=6.5)     # the plan that was driven at 6.5 s, with its internals as arrays
+"""The tables of a run in its result folder, and the traces of its drives (`replay.draw.drawn_results` adds pictures).
 
 A table is read when it is first used. All tables about drives have the columns log, planner and mode; docs/results.md
 describes each column. `SCHEMA_VERSION` increases when a column changes its meaning or is removed.
@@ -17,28 +13,27 @@ from functools import cached_property
 from html import escape
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
 import pandas as pd
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError, unknown_name
 from logs.files import Near
-from logs.kernel import FloatArray
 from logs.mcap import read_trace
 from logs.names import counted
+from logs.plan import Decision, Plan
 from logs.scenario import Scenario
-from logs.trace import Decision, Plan, PlannedFrame, Trace
+from logs.trace import PlannedFrame, Trace
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Outcome
 from replay.config import RunConfig, load_run
 from replay.results.log_result import Failure, LogCard
 from replay.results.reading import AGAIN, read_json, read_table
 
-if TYPE_CHECKING:
-    from replay.draw.charts.canvas import Chart
-
+Run = TypeVar("Run", bound="StoredRun")
 LOG_COLUMNS = ("log", "source", "sha256", "folder", "family", "dataset", "tags", "notes")
 DRIVE_COLUMNS = ("log", "planner", "mode", "oracle", "end", "detail", "t_end_s", "marks", "notes", "files")
 GATE_COLUMNS = ("gate", "planner", "mode", "group", "outcome", "value", "log", "time_s", "reason")
@@ -76,21 +71,12 @@ class Summary(msgspec.Struct):
     logs_left_out: tuple[str, ...] = ()
 
 
-def load(path: Path | str) -> Results:
-    """The results of a run.
-
-    Args:
-        path: The result folder, or its URL: its files except recordings are fetched, and kept as long as the results.
+def stored(near: Near, kind: type[Run]) -> Run:
+    """The results of a run in a folder that is here, or has been fetched.
 
     Raises:
         ConfigError: The path is not a result folder, or is of another version.
-        LogError: It cannot be fetched.
     """
-    return loaded(Near(path, RECORDINGS))
-
-
-def loaded(near: Near) -> Results:
-    """`load` of a folder that is here, or has been fetched."""
     folder = near.path
     file = folder / "summary.json"
     if not file.exists():
@@ -106,7 +92,7 @@ def loaded(near: Near) -> Results:
     if len(set(names)) < len(names) or len(keys) < len(drives):
         raise ConfigError(f"{file}: names a log or a drive twice, or a drive with the name of another log; {AGAIN}")
     whole = {"logs": card.logs, "failures": card.failures}  # with defaults
-    results = Results(folder, summary | msgspec.json.decode(msgspec.json.encode(whole)), near)
+    results = kind(folder, summary | msgspec.json.decode(msgspec.json.encode(whole)), near)
     other = {drive.planner for drive in drives} - {*results.run.planners} | {drive.mode for drive in drives} - MODES
     if other:
         raise ConfigError(f"{file}: has drives of {min(other)}, which the run in run.toml has not; {AGAIN}")
@@ -114,7 +100,7 @@ def loaded(near: Near) -> Results:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Results:
+class StoredRun:
     """The tables of a run, each read when it is first asked for.
 
     Attributes:
@@ -219,7 +205,7 @@ class Results:
         """A row per frame and decision, of all drives: reads every trace."""
         rows = []
         for key in self.drives[["log", "planner", "mode"]].itertuples(index=False, name=None):
-            one = self.drive(*key)
+            one = StoredDrive(self, *key)
             for frame in one.trace.frames:
                 for item in frame.plan.internals:
                     if isinstance(item, Decision):
@@ -227,23 +213,15 @@ class Results:
                         rows.append((*where, item.agent, item.kind.value, item.stage, item.reason))
         return pd.DataFrame(rows, columns=list(DECISION_COLUMNS))
 
-    def drive(self, log: str, planner: str | None = None, mode: str = "closed") -> DriveResult:
-        """One drive.
-
-        Args:
-            log: Name of the log.
-            planner: Name of the planner; None: the only one of the run.
-            mode: "open" or "closed".
-
-        Raises:
-            ConfigError: There is no such drive, or several.
-        """
+    def key_of(self, log: str, planner: str | None, mode: str) -> tuple[str, str, str]:
+        """Log, planner and mode of one drive; ConfigError if there is none, or several."""
         table = self.drives
         found = table[(table["log"] == log) & (table["mode"] == mode)]
         if planner is not None:
             found = found[found["planner"] == planner]
         if len(found) == 1:
-            return DriveResult(self, *found.iloc[0][["log", "planner", "mode"]])
+            row = found.iloc[0]
+            return row["log"], row["planner"], row["mode"]
         if log not in set(table["log"]):
             raise unknown_name("log", log, list(dict.fromkeys(table["log"])))
         mine = table[table["log"] == log]
@@ -276,7 +254,7 @@ class Results:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DriveResult:
+class StoredDrive:
     """One drive of a run: its rows of the tables, and the trace with its plans.
 
     Attributes:
@@ -284,20 +262,20 @@ class DriveResult:
         log: Name of the log; `planner` and `mode` likewise.
     """
 
-    result: Results
+    result: StoredRun
     log: str
     planner: str
     mode: str
 
     @cached_property
     def metrics(self) -> pd.DataFrame:
-        """Its rows of `Results.metrics`."""
+        """Its rows of `StoredRun.metrics`."""
         rows = self.result._metric_rows.get((self.log, self.planner, self.mode), [])
         return self.result.metrics.take(rows).reset_index(drop=True)
 
     @cached_property
     def verdicts(self) -> pd.DataFrame:
-        """Its rows of `Results.verdicts`."""
+        """Its rows of `StoredRun.verdicts`."""
         return self._mine(self.result.verdicts)
 
     @cached_property
@@ -334,7 +312,7 @@ class DriveResult:
 
     @cached_property
     def info(self) -> pd.Series[Any]:
-        """Its row of `Results.drives`."""
+        """Its row of `StoredRun.drives`."""
         return self._mine(self.result.drives).iloc[0]
 
     @property
@@ -376,26 +354,6 @@ class DriveResult:
         """The plan that was the newest at a time, as `frame`."""
         return self.frame(at).plan
 
-    def plot(
-        self, at: float | None = None, chart: str = "all", width: int = 1400, *, beside: Sequence[DriveResult] = ()
-    ) -> Chart:
-        """A picture of the drive, which shows itself in a notebook; `str(chart.alone("light"))` is SVG.
-
-        Args:
-            at: Time, s since the scenario's start; None: the worst moment.
-            chart: What is drawn, as `replan plot --chart`.
-            width: Pixels.
-            beside: Other drives of the log to show in the same picture, at the same moment.
-
-        Raises:
-            ConfigError: There is no such chart, or no plan at this time; or the others are of another log, or too many.
-        """
-        from replay.draw.charts.layout import charts_of, together
-        from replay.draw.charts.subject import subject
-
-        seen = subject(self, at, beside)
-        return together(charts_of(seen, chart, width), seen.title, seen.says, width)
-
     @property
     def title(self) -> str:
         """Log, planner and loop in words."""
@@ -405,10 +363,6 @@ class DriveResult:
         info, failed = self.info, self.verdicts[self.verdicts["outcome"] == "fail"]
         gates = f"; fails {', '.join(failed['gate'])}" if len(failed) else ""
         return f"<{self.title}: {info['end']} after {info['t_end_s']:.2f} s{gates}>"
-
-    def _repr_html_(self) -> str:
-        """The drive in a notebook: its worst moment."""
-        return self.plot()._repr_html_()
 
     def _mine(self, table: pd.DataFrame) -> pd.DataFrame:
         mine = (table["log"] == self.log) & (table["planner"] == self.planner) & (table["mode"] == self.mode)

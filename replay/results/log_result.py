@@ -25,8 +25,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from logs.arrays import FloatArray
 from logs.errors import ReplanError, writing
-from logs.kernel import FloatArray
 from metrics import Series
 from replay.results.reading import FileName, Name, Place, read_json, read_table
 from replay.results.schema import SCHEMA_VERSION, arrow

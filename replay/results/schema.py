@@ -298,7 +298,7 @@ FRAMES: Mapping[str, Table] = {
         ),
     ),
 }
-"""Tables of `Results` only, made from summary.json and the traces."""
+"""Tables of `replay.results.load` only, made from summary.json and the traces."""
 
 
 def names_of(file: str) -> list[str]:
@@ -377,7 +377,7 @@ drive = result.drive("paper/free_road")  # one drive; with several planners: dri
 drive.series["gap"]  # a metric step by step, by t_s
 plan = drive.plan(at=6.5)  # the plan that was driven at 6.5 s
 plan.trajectory.v  # as arrays
-list(plan.internals)  # S-T and S-L graphs, decisions, costs: logs/trace.py
+list(plan.internals)  # S-T and S-L graphs, decisions, costs: logs/plan.py
 ```
 
 [examples/results.ipynb](../examples/results.ipynb) is a notebook that does this.

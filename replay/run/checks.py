@@ -20,12 +20,7 @@ from replay.loop.perception import ORACLE, PERCEPTION
 from replay.loop.simulation_setup import controller_of
 from replay.oracle import ORACLES
 from replay.planner_process.connection import describe_planner
-from replay.planner_process.planner_config import (
-    is_apart,
-    is_built_in,
-    planner_keywords,
-    resolved_table,
-)
+from replay.planner_process.planner_config import is_apart, is_built_in, planner_keywords, resolved_table
 from replay.prediction import PREDICTION, LaneMap, predict
 from replay.results.log_result import Failure
 from replay.settings import SETTINGS, configured, dotted, keywords_of, resolved
@@ -68,7 +63,7 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
         if name in PLANNERS or name in ORACLES:
             planner_keywords(name, table)
     if run.charts:
-        from replay.draw.charts.layout import CHART  # here, because its import of the results would be circular
+        from replay.draw.charts.layout import CHART  # here: few runs draw charts, and it takes long to load
 
         for chart in run.charts:
             CHART.find(chart)

@@ -17,19 +17,17 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import Protocol, TypeVar
 from uuid import uuid4
 
-from logs.kernel import is_cache_cold
+from logs.kernel_watch import is_cache_cold
+from replay.config import RunConfig
 from replay.planner_process.batch import in_lockstep
 from replay.planner_process.processes import set_template_run
+from replay.results.log_result import LogResult, Stamp
 from replay.run.one_log import evaluate_log
 from replay.run.pool import WorkerLost, run_all
-
-if TYPE_CHECKING:
-    from replay.config import RunConfig
-    from replay.results.log_result import LogResult, Stamp
-    from replay.run.sources import LogSource
+from replay.run.sources import LogSource
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -11,7 +11,7 @@ from pathlib import Path
 from logs.errors import ConfigError, OutputError
 from logs.readers import LogSettings
 from replay.config import RunConfig, dump_run
-from replay.results.load import Results
+from replay.draw.drawn_results import Results
 from replay.results.log_result import Failure, LogResult
 from replay.results.tables import clear_partial, write_text
 from replay.run.checks import checked

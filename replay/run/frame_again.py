@@ -10,9 +10,11 @@ from typing import Any
 from logs.errors import ConfigError, PlannerError, ReplanError, of_users, raised
 from logs.frame import Frame
 from logs.names import counted
+from logs.plan import Plan, SolverReport
 from logs.scenario import Scenario
-from logs.trace import Plan, PlannedFrame, SolverReport
+from logs.trace import PlannedFrame
 from planners.piecewise_jerk.solvers import SolvedProblem, record_problems
+from replay.draw.drawn_results import DriveResult
 from replay.drive import Drive, Stopwatch
 from replay.explain.causes import Explainer
 from replay.explain.explanation import Explanation, lines_of
@@ -21,7 +23,6 @@ from replay.loop.plan_check import checked
 from replay.loop.planning import Planning
 from replay.oracle import ORACLES
 from replay.planner_process.planner_config import is_foreign, planner_factory, planner_keywords
-from replay.results.load import DriveResult
 from replay.run.frame_dump import FrameDump
 from replay.run.one_log import LOOPS
 from replay.run.output import scenario_of

@@ -23,7 +23,7 @@ import numpy as np
 from logs.codec import WIRE, packed
 from logs.errors import LogError, writing
 from logs.frame import Frame, PlannerContext
-from logs.trace import Plan, SolverReport
+from logs.plan import Plan, SolverReport
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from planners.piecewise_jerk.solvers import SolvedProblem
 from planners.solver import QPResult

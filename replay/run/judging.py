@@ -20,18 +20,11 @@ from metrics.judge.discrimination import with_discrimination
 from metrics.judge.gates import Gates, Outcome, load_gates
 from metrics.judge.verdicts import LATE, judge_deadline, with_asked, with_ensemble
 from replay.config import RunConfig
-from replay.results.load import TIMING_WORDS, Results, load
+from replay.draw.drawn_results import Results, load
+from replay.results.load import TIMING_WORDS
 from replay.results.log_result import HEALTH, MEMBERS, METRICS, TIMINGS, Failure, LogResult, table_of, timings_of
 from replay.results.reading import read_table
-from replay.results.tables import (
-    KEYS,
-    OUTCOMES,
-    joined,
-    write_json,
-    write_metrics,
-    write_parquet,
-    write_timings,
-)
+from replay.results.tables import KEYS, OUTCOMES, joined, write_json, write_metrics, write_parquet, write_timings
 from replay.results.version import replan_version
 from replay.run.one_log import all_metrics
 from replay.run.sources import LogSource, Selection

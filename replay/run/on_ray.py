@@ -29,7 +29,7 @@ from typing import Any, TypeVar
 from uuid import uuid4
 
 from logs.errors import ConfigError, LogError, writing
-from logs.readers.base import LogSettings
+from logs.log_settings import LogSettings
 from replay.config import LoopConfig, RunConfig
 from replay.planner_process.connection import command_of
 from replay.results.log_result import Failure, LogResult, Stamp

@@ -29,8 +29,8 @@ from logs.errors import ConfigError, writing
 from logs.files import read_toml
 from logs.names import counted
 from replay.config import RunConfig, load_run
+from replay.draw.drawn_results import Results
 from replay.planner_process.planner_config import planner_factory
-from replay.results.load import Results
 from replay.results.log_result import Failure, LogResult, Stamp, load_result
 from replay.results.reading import Name, Place, read_json
 from replay.results.tables import PARTIAL, SHARD_CARD, finish_folder, write_json, write_text

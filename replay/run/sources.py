@@ -19,6 +19,7 @@ from logs.errors import ConfigError, LogError
 from logs.files import RemoteFile, check_regular, fetch, heads, listed, local_path, ranged, read_toml, url_of
 from logs.maps import map_files
 from logs.mcap import write_scenario
+from logs.mcap.records import write_part
 from logs.readers import (
     FORMATS,
     LogSettings,
@@ -100,8 +101,6 @@ class LogSource:
             begin, end, (file, *more) = self.settings.begin, self.settings.end, self.remote
             fetched = False
             if self.format == "native" and not more and (begin > 0.0 or end < inf):  # its window is enough
-                from logs.mcap.records import write_part
-
                 fetched = write_part(ranged(file), file.size, begin, end, Path(scratch, self._entry))
             if not fetched:
                 fetch(self.remote, Path(scratch))

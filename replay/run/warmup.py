@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,7 +10,7 @@ from time import perf_counter
 from typing import Any
 
 from logs.errors import OutputError
-from logs.kernel import cache_folder, compiled_count
+from logs.kernel_watch import cache_folder, compiled_count
 from planners import PLANNERS
 from replay.config import RunConfig
 from replay.results.log_result import Failure, LogResult
@@ -30,6 +30,8 @@ SCENES = (
     "raw/crossing",
 )
 """Scenes with walkers, cyclists, cars that pull out, obstacles, junctions, lights, raw detections: as in the suite."""
+OF_A_CHOICE = ("everyday/traffic_light", "everyday/junction", "raw/crossing")
+"""Scenes that need all kernels of one choice beside the default: a stop, others from the side, raw detections."""
 
 
 @dataclass(frozen=True)
@@ -53,20 +55,20 @@ ELSEWHERE = ("multibody", "recorded")
 """Choices that are left out: the first has no kernels and an optional package; "auto" uses the second for raw logs."""
 
 
-def everything() -> Iterator[RunConfig]:
-    """Runs that need all built-in kernels: those of all planners, and of each other choice in turn."""
-    yield RunConfig(planners=tuple(PLANNERS))
+def everything() -> Iterator[tuple[RunConfig, Sequence[str]]]:
+    """Runs, and their scenes, that need all built-in kernels: of all planners, and of each other choice in turn."""
+    yield RunConfig(planners=tuple(PLANNERS)), SCENES
     apart = RunConfig(mode="closed", recording=False, internals="none")
-    yield replace(apart, planner={"dp_qp": {"solver": "osqp"}})
+    yield replace(apart, planner={"dp_qp": {"solver": "osqp"}}), OF_A_CHOICE
     for key, (kind, _) in KINDS.items():
         for name in kind.builtin:
             if name not in (getattr(apart.loop, key), *ELSEWHERE):
                 instead: dict[str, Any] = {key: name}
-                yield replace(apart, loop=replace(apart.loop, **instead))
+                yield replace(apart, loop=replace(apart.loop, **instead)), OF_A_CHOICE
 
 
-def warm_up(*runs: RunConfig) -> Warmed:
-    """Compile the kernels that runs need, in this process.
+def warm_up(runs: Iterable[tuple[RunConfig, Sequence[str]]]) -> Warmed:
+    """Compile the kernels that runs need on built-in logs, in this process.
 
     Raises:
         ConfigError, PlannerError: As `replay.run.evaluate_logs`.
@@ -74,11 +76,11 @@ def warm_up(*runs: RunConfig) -> Warmed:
     """
     begin = perf_counter()
     failures: list[Failure] = []
-    for run in runs:
-        run, refused = checked(run)
+    for named, scenes in runs:
+        run, refused = checked(named)
         failures += refused
         with TemporaryDirectory(prefix="replan-warmup-") as folder:
-            sources = [LogSource(scene) for scene in SCENES]
+            sources = [LogSource(scene) for scene in scenes]
             ended = [result for _, result in Local().evaluate(sources, run, Path(folder), stamp_of(run))]
         results = [result for result in ended if isinstance(result, LogResult)]
         for stopped in filter(None, (result.stopped for result in results)):

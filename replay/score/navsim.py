@@ -26,13 +26,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import cos, hypot, nan, prod, sin
+from math import cos, hypot, prod, sin
 from types import MappingProxyType
 
 import numpy as np
 
+from logs.arrays import BoolArray, FloatArray
 from logs.errors import ConfigError
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.kernel import kernel
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.shapes import overlap
@@ -41,16 +42,7 @@ from metrics.comfort import savgol
 from metrics.drivable_lanes import DrivableLanes, along_line, lane_map
 from metrics.nuplan import AHEAD, comfort_signals, comfortable, corners_of
 from replay.score.navsim_tracker import LATERAL, STEP_S, TURN, TURN_RATE, YAW, A, V, X, Y, simulated
-from replay.score.window import (
-    Polyline,
-    RoadblockRoute,
-    WindowAgents,
-    box_on_polygon,
-    center_line,
-    logged_others,
-    red_lanes,
-    route_of,
-)
+from replay.score.window import Polyline, RoadblockRoute, WindowAgents, box_on_polygon, center_line, red_lanes, route_of
 
 HORIZON_S, POSES, POSE_S, PAST_S, LEAST_WAY_M = 4.0, 8, 0.5, 1.5, 5.0
 STEPS = round(HORIZON_S / STEP_S) + 1
@@ -303,71 +295,3 @@ def extended_comfort(now: FloatArray, before: FloatArray, steps: int) -> float:
 
     pairs = zip(features(now[:-steps]), features(before[steps:]), EC_BOUNDS, strict=True)
     return float(all(np.sqrt(np.mean((one - two) ** 2)) <= bound for one, two, bound in pairs))
-
-
-def total(parts: Mapping[str, float], version: Version) -> float:
-    """Return the score of parts; a part that is NaN leaves with its weight."""
-    known = {name: weight for name, weight in version.weights.items() if not np.isnan(parts[name])}
-    mean = sum(weight * parts[name] for name, weight in known.items()) / sum(known.values())
-    return multiplied(parts, version) * mean
-
-
-@dataclass(frozen=True, eq=False)
-class ScoredPlan:
-    """The parts and the score of a plan, and its tracked states, which the next plan's EC needs."""
-
-    parts: Mapping[str, float]
-    score: float
-    states: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Yardstick:
-    """What the plans of a window are compared with.
-
-    Attributes:
-        others: The road users as logged.
-        best: PDM-Closed's way along its centre line times its multipliers, m.
-        human: The parts of the log's driver; empty without the human filter.
-    """
-
-    others: WindowAgents
-    best: float
-    human: Mapping[str, float]
-
-
-def yardstick(at: ScoredWindow, version: Version) -> Yardstick:
-    """Return what all plans of a window are compared with."""
-    from replay.score.pdm_closed import plan_of  # it judges its proposals with this module
-
-    car = at.scenario.vehicle
-    x, y = at.start[X] + car.axle_to_center * cos(at.start[YAW]), at.start[Y] + car.axle_to_center * sin(at.start[YAW])
-    own = EgoOutline(car.axle_to_center, car.length, car.width, car.axle_to_front)
-    others = logged_others(at.scenario, at.t, version.seen_s)
-    others = others.apart(x, y, at.start[YAW], own) if version.drops else others
-    rival, way = judged(simulated(plan_of(at, version), at.start, car.wheelbase), others, at.ground, version)
-    human = judged(driven(at, human_poses(at)), others, at.ground, version)[0] if version.filters else {}
-    return Yardstick(others, multiplied(rival, version) * way, human)
-
-
-def scored(
-    at: ScoredWindow,
-    poses: FloatArray,
-    version: Version,
-    before: ScoredPlan | None = None,
-    beside: Yardstick | None = None,
-) -> ScoredPlan:
-    """Score a plan: eight poses x, y, yaw of the rear axle `(8, 3)`, every 0.5 s from the window's begin.
-
-    `before` is the plan of 0.5 s earlier; `beside` is `yardstick(at, version)`, if it is known.
-    """
-    beside = beside or yardstick(at, version)
-    states = driven(at, poses)
-    parts, way = judged(states, beside.others, at.ground, version)
-    product = multiplied(parts, version)
-    best = max(product * way, beside.best)
-    parts["EP"] = progress(way, best, multiplier=product, masks=version.masks)
-    parts["HC"] = history_comfort(at, states, version)
-    parts["EC"] = nan if before is None else extended_comfort(states, before.states, round(POSE_S / STEP_S))
-    filtered = parts | {name: 1.0 for name, value in beside.human.items() if value == 0.0}
-    return ScoredPlan(filtered, total(filtered if version.scores_filtered else parts, version), states)

@@ -22,7 +22,8 @@ from math import atan2, cos, pi, sin, tan
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
+from logs.arrays import FloatArray
+from logs.kernel import kernel
 from logs.states import wrapped
 from planners.pdm.planner import (
     ACCEL_LAG_S,

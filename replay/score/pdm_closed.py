@@ -18,7 +18,7 @@ from math import cos, sin, sqrt
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.shapes import distance
 from logs.states import wrapped
 from metrics.boxes import EgoOutline

@@ -13,20 +13,10 @@ from logs.errors import ConfigError
 from logs.scenario import Scenario
 from logs.trace import EndReason
 from metrics.drivable_lanes import IN_JUNCTION
-from replay.results.load import Results
-from replay.score.navsim import (
-    NUPLAN_CAR,
-    PAST_S,
-    POSE_S,
-    VERSIONS,
-    ScoredPlan,
-    ScoredWindow,
-    Yardstick,
-    scored,
-    window,
-    yardstick,
-)
+from replay.draw.drawn_results import Results
+from replay.score.navsim import NUPLAN_CAR, PAST_S, POSE_S, VERSIONS, ScoredWindow, window
 from replay.score.trajectories import Asked
+from replay.score.yardstick import ScoredPlan, Yardstick, scored, yardstick
 
 NUPLAN_CLS = "nuplan-cls"
 NAMES = (NUPLAN_CLS, *VERSIONS)

@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError, unknown_name
 from logs.files import check_regular
-from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.trace import Trace
 from replay.results.tables import safe_name

@@ -8,14 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray
+from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.road import inside
 from logs.route import straight_on
 from logs.rules import RED
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import Scenario
 from logs.shapes import distance, overlap
 from logs.states import wrap, wrapped
+from logs.tracks import Tracks
 from metrics.boxes import EgoOutline, ego_boxes, others_at
 from metrics.drivable_lanes import DrivableLanes, along_line
 from metrics.nuplan import route_lanes

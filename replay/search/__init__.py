@@ -7,8 +7,8 @@
     gains.py           training and held-out logs; metrics of a run against those of the defaults
     trials.py          the settings to try next, and the rows of trials
     tune.py            a whole tuning, from its space to its files
-    study.py           the file of trials of both, from which an interrupted search continues
     search_figures.py  their pictures
 
-optuna and cmaes are an extra, and are imported when a search begins.
+optuna and cmaes are an extra, and are imported when a search begins. `replay.run.study` is the file of
+trials of both, from which an interrupted search continues.
 """

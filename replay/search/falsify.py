@@ -39,16 +39,16 @@ from typing import Any
 import pandas as pd
 
 from logs.errors import ConfigError, LogError
+from logs.log_settings import LogSettings
 from logs.mcap import write_scenario
 from logs.names import counted
-from logs.readers.base import LogSettings
 from metrics import METRICS
 from metrics.judge import CAREFUL, REFERENCE, worst
 from metrics.judge.gates import Gate, Outcome
 from metrics.reference_drivers import APPLIES, AVOIDS
 from replay.config import RunConfig, dump_run
+from replay.draw.drawn_results import Results
 from replay.draw.report.figures import save
-from replay.results.load import Results
 from replay.results.tables import PARTIAL, write_file, write_json, write_parquet
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
@@ -56,10 +56,10 @@ from replay.run.checks import checked
 from replay.run.claim import FolderContents, claimed_folder
 from replay.run.judging import gates_of
 from replay.run.resume import stamp_of
+from replay.run.study import Study
 from replay.search.mildest import Mildest, Point, ScoredPoint, cma_class, norm, search
 from replay.search.search_figures import falsify_figure
 from replay.search.search_space import SearchAxis, SearchSubject, box_of, values_at
-from replay.search.study import Study
 
 KIND = "falsify"
 CONTENTS = FolderContents(KIND, ("falsify.*", "trials.*", "case", "case.mcap"))

@@ -31,14 +31,14 @@ from math import floor, isfinite, nan
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError, unknown_name
-from logs.kernel import FloatArray
 from logs.trace import Mode
 from metrics import Metric
 from metrics.comparison import MIN_SIGNIFICANT, intervals, noise
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Outcome
-from replay.results.load import Results
+from replay.draw.drawn_results import Results
 
 LEAST_LOGS = MIN_SIGNIFICANT
 SLACK = 1e-9

@@ -27,8 +27,8 @@ from typing import Any
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError
-from logs.kernel import FloatArray
 
 BATCH = 8
 PATIENCE = 4

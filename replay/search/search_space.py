@@ -32,11 +32,11 @@ from math import isfinite
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.catalogue import FAMILY, families
 from logs.catalogue.family import Family
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.files import here
-from logs.kernel import FloatArray
 from logs.readers import LogSettings
 from logs.scenario import Scenario
 from logs.variations import VARIATIONS, varied

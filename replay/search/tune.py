@@ -32,8 +32,8 @@ from metrics.comparison import Comparison
 from metrics.judge.aggregate import LogLabels
 from replay.compare import compare_runs
 from replay.config import RunConfig
+from replay.draw.drawn_results import Results
 from replay.draw.report.figures import save
-from replay.results.load import Results
 from replay.results.tables import PARTIAL, write_file, write_json, write_parquet, write_text
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
@@ -42,6 +42,7 @@ from replay.run.claim import FolderContents, claimed_folder
 from replay.run.engine import Engine, Local
 from replay.run.resume import identity_of
 from replay.run.sources import Selection
+from replay.run.study import Study
 from replay.search.gains import (
     LEAST_LOGS,
     MeanGain,
@@ -56,7 +57,6 @@ from replay.search.gains import (
 )  # fmt: skip
 from replay.search.search_figures import pareto_figure
 from replay.search.space import chosen_table, listed, with_values
-from replay.search.study import Study
 from replay.search.trials import KIND, Trials, TuningInputs, Values, key_of, optuna_module
 
 CONTENTS = FolderContents(

@@ -7,8 +7,9 @@ from math import inf
 from typing import Protocol
 
 from logs.extension import ExtensionKind
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import EgoState
+from logs.tracks import Tracks
 from replay.traffic.phase_replay import ReplayedByEgoPosition
 from replay.traffic.reactive import GIVE_WAY, Reactive
 

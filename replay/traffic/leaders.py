@@ -31,9 +31,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
-from logs.scenario import Tracks
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.shapes import overlap
+from logs.tracks import Tracks
 from metrics.reference_drivers import CC_BRAKE_MPS2
 
 ACCEL_MPS2, DECEL_MPS2, TIME_GAP_S, STANDSTILL_M, COOLNESS = 2.0, 3.0, 1.0, 2.0, 0.99

@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from replay.traffic.leaders import (
     ACCEL_MPS2,
     STANDING_MPS,

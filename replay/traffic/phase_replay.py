@@ -25,12 +25,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
 from logs.errors import LogError
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
+from logs.kernel import kernel
 from logs.memory import BACK_S, Recent, Spans, heads
 from logs.road import ReferenceLine, thinned
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import EgoState
+from logs.tracks import Tracks
 from metrics.boxes import present_between
 
 PERIOD_S = 0.1

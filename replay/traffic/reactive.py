@@ -35,9 +35,11 @@ from math import cos, hypot, inf, nan, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
-from logs.scenario import AgentKind, Agents, Scenario, Tracks
+from logs.agents import AgentKind, Agents
+from logs.arrays import BoolArray, FloatArray
+from logs.scenario import Scenario
 from logs.states import EgoState
+from logs.tracks import Tracks
 from metrics.boxes import name_of
 from metrics.reference_drivers import CC_REACT_S
 from replay.prediction import LaneMap

@@ -34,12 +34,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.agents import AgentKind, Agents
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from logs.route import ASIDE_M, ASKEW_RAD, BEHIND_M, on_lane
 from logs.rules import RED, Colour
-from logs.scenario import AgentKind, Agents, Scenario, Tracks
+from logs.scenario import Scenario
 from logs.shapes import overlap_turned
 from logs.states import EgoState
+from logs.tracks import Tracks
 from metrics.traffic_rules import SERIOUS_S
 from planners.rules.zones import turned
 from replay.prediction import LaneMap

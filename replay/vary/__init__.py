@@ -2,7 +2,8 @@
 
     question.py    the varied parameters and their values
     conflict.py    distances of road users to the ego, to choose the agents to vary
-    surface.py     cells -> varied logs -> `replay.run` -> table, edges (where a row stops passing), picture
+    brackets.py    where a row stops passing, by bisection
+    surface.py     cells -> varied logs -> `replay.run` -> table, edges, picture
 
 The picture is drawn by `replay.vary.surface_figure`.
 """

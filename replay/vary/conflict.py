@@ -16,10 +16,10 @@ from math import cos, hypot, inf, isnan, nan, sin
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.arrays import FloatArray
 from logs.catalogue import CATALOGUE
 from logs.errors import ConfigError
 from logs.files import here
-from logs.kernel import FloatArray
 from logs.names import ShortNames
 from logs.readers import LogSettings
 from logs.scenario import Scenario

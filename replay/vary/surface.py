@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
-from itertools import pairwise
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -27,9 +26,9 @@ from typing import Any
 import pandas as pd
 
 from logs.errors import ConfigError, LogError
+from logs.log_settings import LogSettings
 from logs.mcap import write_scenario
 from logs.names import counted
-from logs.readers.base import LogSettings
 from logs.references import Avoidability
 from logs.scenario import Scenario
 from logs.trace import EndReason
@@ -38,83 +37,22 @@ from metrics.judge import worst
 from metrics.judge.gates import Outcome
 from metrics.reference_drivers import APPLIES, AVOIDS, MARGIN
 from replay.config import RunConfig, dump_run
+from replay.draw.drawn_results import Results
 from replay.draw.report.figures import save
-from replay.results.load import Results
 from replay.results.tables import LONGEST_SAFE, safe_name, write_file, write_json, write_parquet
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
 from replay.run.claim import FolderContents, claimed_folder
 from replay.run.resume import stamp_of
-from replay.search.study import Study
+from replay.run.study import Study
+from replay.vary.brackets import ERROR, Bracket, Cell, bisect_brackets, brackets
 from replay.vary.question import SurfaceQuestion
 from replay.vary.surface_figure import surface_figure
 
-PASS, ERROR, UNAVOIDABLE = "pass", "error", "unavoidable"
+UNAVOIDABLE = "unavoidable"
 CARD = "vary.json"
 CONTENTS = FolderContents("vary", (CARD, "logs", "grid", "edge-*", "surface.*", "edges.csv"))
 _CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
-
-Cell = tuple[float, ...]
-
-
-# edges ------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Bracket:
-    """Two points of a row, of which one has the outcome pass and the other has not.
-
-    Attributes:
-        row: Value of the second axis; empty with one axis.
-        low: The lower point; `high` is the higher one.
-        at_low: The outcome there; `at_high` likewise.
-        is_open: Whether it can be halved; False after a point between could not be evaluated.
-    """
-
-    row: tuple[float, ...]
-    low: float
-    high: float
-    at_low: str
-    at_high: str
-    is_open: bool = True
-
-    @property
-    def middle(self) -> float:
-        """The midpoint."""
-        return 0.5 * (self.low + self.high)
-
-    def halved(self, outcome: str) -> Bracket:
-        """The half that contains the edge, by the outcome in the middle."""
-        if outcome == ERROR:
-            return replace(self, is_open=False)
-        if (outcome == PASS) == (self.at_low == PASS):
-            return replace(self, low=self.middle, at_low=outcome)
-        return replace(self, high=self.middle, at_high=outcome)
-
-
-def brackets(outcomes: Mapping[Cell, str]) -> tuple[Bracket, ...]:
-    """Neighbouring cells `(x, *row)` that differ in whether they pass; a cell with an error ends no bracket."""
-    found = []
-    for row in sorted({cell[1:] for cell in outcomes}):
-        line = sorted((cell[0], outcome) for cell, outcome in outcomes.items() if cell[1:] == row)
-        for (low, at_low), (high, at_high) in pairwise(line):
-            if ERROR not in (at_low, at_high) and (at_low == PASS) != (at_high == PASS):
-                found.append(Bracket(row, low, high, at_low, at_high))
-    return tuple(found)
-
-
-def bisect_brackets(
-    found: Sequence[Bracket], evaluate: Callable[[Sequence[Cell]], Sequence[str]], resolution: float
-) -> tuple[Bracket, ...]:
-    """The brackets halved until they are no wider than `resolution`; `evaluate` gives the outcomes of cells."""
-    current = list(found)
-    while True:
-        wide = [k for k, one in enumerate(current) if one.is_open and one.high - one.low > resolution * (1.0 + 1e-9)]
-        if not wide:
-            return tuple(current)
-        outcomes = evaluate([(current[k].middle, *current[k].row) for k in wide])
-        for k, outcome in zip(wide, outcomes, strict=True):
-            current[k] = current[k].halved(outcome)
 
 
 # surface ----------------------------------------------------------------------------------------------------------

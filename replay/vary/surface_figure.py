@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from replay.vary.brackets import Bracket
     from replay.vary.question import SurfaceQuestion
-    from replay.vary.surface import Bracket
 
 LOOKS = {
     "pass": ("P", "#56b4e9", "passes all gates"),

@@ -13,9 +13,10 @@ from __future__ import annotations
 from math import nan
 from typing import Any, NamedTuple, Protocol
 
-from logs.kernel import FloatArray, inner_kernel
+from logs.arrays import FloatArray
+from logs.kernel import inner_kernel
+from logs.plan import Plan
 from logs.states import Command, EgoState
-from logs.trace import Plan
 from replay.vehicle.pedal_map import PedalMap
 from replay.vehicle.plan_path import Deviation
 

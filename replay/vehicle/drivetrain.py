@@ -29,7 +29,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, frozen, kernel
+from logs.arrays import FloatArray, IntArray, frozen
+from logs.kernel import kernel
 from logs.vehicle import VehicleParameters
 from replay.vehicle.pedal_map import SPEED_STEP_MPS, PedalMap, at_speed, coasting, full_throttle, pedal_map
 

@@ -30,10 +30,11 @@ from __future__ import annotations
 from math import atan, ceil, cos, sin, tan
 from typing import NamedTuple
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError
-from logs.kernel import FloatArray, inner_kernel, kernel
+from logs.kernel import inner_kernel, kernel
+from logs.plan import Plan
 from logs.states import Command, EgoState
-from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from replay.vehicle.base import Controller, MotionState, Plain, plain, steady_pedals
 from replay.vehicle.drivetrain import SHORTEST_LAG_S, Steering, steer_rate

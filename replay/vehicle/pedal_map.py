@@ -24,7 +24,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, frozen, inner_kernel, kernel
+from logs.arrays import FloatArray, frozen
+from logs.kernel import inner_kernel, kernel
 from logs.vehicle import VehicleParameters
 
 SPEED_STEP_MPS = 0.25

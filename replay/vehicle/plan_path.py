@@ -21,9 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, inner_kernel, kernel
+from logs.arrays import FloatArray
+from logs.kernel import inner_kernel, kernel
+from logs.plan import Plan
 from logs.states import EgoState, Trajectory, wrap
-from logs.trace import Plan
 
 WINDOW_M = 20.0
 KNOT_SPACING_M = 0.05

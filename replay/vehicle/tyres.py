@@ -34,8 +34,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError, unknown_name
-from logs.kernel import FloatArray, kernel
+from logs.kernel import kernel
 from logs.states import Controls, Trajectory
 from logs.vehicle import VehicleParameters
 

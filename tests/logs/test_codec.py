@@ -13,7 +13,7 @@ from logs import Goal, Road, StopLine, Trajectory
 from logs.codec import array_as_bytes, array_of, message_of, noun_of
 from logs.frame import PlannerContext
 from logs.mcap import native
-from logs.trace import Corridor, GridCost
+from logs.plan import Corridor, GridCost
 from replay.planner_process import messages
 
 FIELDS = {

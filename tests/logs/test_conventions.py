@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import AgentKind, LogError, Road, Scenario, Tracks, Trajectory
+from logs.arrays import FloatArray
 from logs.conventions import READINGS, Chords, checked
-from logs.kernel import FloatArray
 from logs.mcap import write_scenario
 from logs.readers import LogSettings, read_log
 

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import Trajectory, VehicleParameters
+from logs.complete import ONE_LANE, REVERSES
 from logs.errors import LogError
 from logs.forward import drivable_part, forward_part, reversals, tighter_than_vehicle
 from logs.mcap import write_scenario
-from logs.mcap.complete import ONE_LANE, REVERSES
 from logs.readers import LogSettings, read_log
 from logs.readers.table import from_frames
 from logs.road import Road, RoadSource

@@ -13,7 +13,8 @@ from typing import Any, cast
 
 import pytest
 
-from logs.kernel import KernelIndex, interpolated
+from logs.kernel_cache import KernelIndex
+from logs.states import wrap
 
 NO_PLACE = """
 import numba.core.caching as c
@@ -46,7 +47,8 @@ def test_without_a_cache_kernels_are_compiled_anew_and_it_is_said_once(without: 
 OUTER = """
 from constants import RATE
 from inner import times
-from logs.kernel import compiled_count, kernel
+from logs.kernel import kernel
+from logs.kernel_watch import compiled_count
 
 @kernel
 def outer(x: float) -> float:
@@ -166,7 +168,8 @@ if os.environ.get("READ_ONLY"):  # stands for file systems that are read-only: r
     def refused(*_, **__):
         raise OSError("read-only file system")
     os.makedirs = os.mkdir = os.replace = tempfile.TemporaryFile = refused
-from logs.kernel import compiled_count, kernel
+from logs.kernel import kernel
+from logs.kernel_watch import compiled_count
 
 @kernel
 def times(x: float) -> float:
@@ -206,7 +209,7 @@ def test_code_beside_the_sources_is_found_where_they_are_copied_and_only_what_it
 @pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled")
 def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(tmp_path: Path) -> None:
     """Law over the orders in which two processes look, keep the index, and keep the code of their own arguments."""
-    compiled = cast("Any", interpolated)
+    compiled = cast("Any", wrap)
     for order in itertools.permutations(("look a", "data a", "index a", "look b", "data b", "index b")):
         if any(order.index(f"look {x}") > min(order.index(f"data {x}"), order.index(f"index {x}")) for x in "ab"):
             continue
@@ -244,7 +247,7 @@ class FromMovedModule:
 
 @pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled")
 def test_code_with_a_kernel_of_a_module_that_was_moved_is_not_found(tmp_path: Path) -> None:
-    index = KernelIndex(cast("Any", interpolated), str(tmp_path))
+    index = KernelIndex(cast("Any", wrap), str(tmp_path))
     index.save("kind", FromMovedModule())
     assert index.load("kind") is None
     index.save("kind", "code compiled anew")

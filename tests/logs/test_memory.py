@@ -17,8 +17,9 @@ from logs.catalogue import scenario
 from logs.mcap import write_trace
 from logs.mcap.trace_file import plan_message
 from logs.memory import BACK_S, SPAN_S, FrameStore, NearbyTracks, Recent, SpilledTrajectory, light
+from logs.plan import Graph
 from logs.states import EgoState
-from logs.trace import Graph, PlannedFrame
+from logs.trace import PlannedFrame
 from logs.vehicle import VehicleParameters
 from metrics import evaluate
 from replay.drive import Drive

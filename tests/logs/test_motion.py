@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import AgentKind, EndReason, Mode, Trace, Tracks
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from metrics.boxes import others_at
 from metrics.safety import TTC
 

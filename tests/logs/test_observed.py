@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 
 from logs import Scenario, Tracks
 from logs.catalogue import scenario as built_in
+from logs.cut import cut
 from logs.mcap import read_scenario, write_scenario
 from logs.observed import clipped, described, of_stream, within
 from logs.readers.commonroad import read_commonroad
-from logs.readers.cut import cut
 
 LOG = drive(ahead, 10.0, 12.0)
 

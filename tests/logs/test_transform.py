@@ -16,19 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap_cases import repaired_scenario
 
-from logs import (
-    Colour,
-    Controls,
-    Crosswalk,
-    Goal,
-    Lane,
-    Road,
-    Scenario,
-    StopLine,
-    Tracks,
-    TrafficLight,
-    Trajectory,
-)
+from logs import Colour, Controls, Crosswalk, Goal, Lane, Road, Scenario, StopLine, Tracks, TrafficLight, Trajectory
 from logs.catalogue import CATALOGUE
 from logs.transform import (
     jittered,

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from worlds import strip
 
 from logs import EndReason, Goal, Road, Scenario, Trajectory
+from logs.cut import cut
 from logs.mcap import read_scenario, write_scenario
-from logs.readers.cut import cut
 from logs.states import TRAJECTORY_COLUMNS
 from logs.variations import varied
 from metrics import METRICS, evaluate

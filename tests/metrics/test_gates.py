@@ -277,6 +277,26 @@ def test_hard_braking_for_nothing_is_not_excused(mine: str, careful: str, outcom
     assert verdict(gate, older).outcome is outcome
 
 
+@pytest.mark.parametrize(
+    ("changes", "others", "outcome"),
+    [
+        ({}, (), INCONCLUSIVE),  # twice as long as the careful driver, who collides
+        ({}, (reference("driver", 0.5, metric="lon_accel.worst_episode"),), FAIL),  # the recorded driver needs it not
+        ({}, (reference("driver", 3.0, metric="lon_accel.worst_episode"),), INCONCLUSIVE),
+        ({"reason": "car 8"}, (), FAIL),
+        ({"time_s": 9.0}, (), FAIL),
+        ({"reason": ""}, (), FAIL),
+    ],
+)
+def test_braking_hard_for_whom_even_the_careful_driver_hits_is_no_evidence(
+    changes: dict[str, object], others: tuple[dict[str, object], ...], outcome: Outcome
+) -> None:
+    gate, name = Gate("lon_accel.worst_episode", max=1.0), {"metric": "lon_accel.worst_episode", "unit": "s"}
+    mine, careful = row("a", 2.0, **{**name, **changes}), reference("careful", 1.02, **name)
+    assert verdict(gate, table(mine, careful, collision("careful", 1.0), *others)).outcome is outcome
+    assert verdict(gate, table(mine, careful, collision("careful", 0.0), *others)).outcome is FAIL
+
+
 def test_a_goal_is_missed_where_a_reference_drive_reaches_it_whoever_else_ran() -> None:
     gate = Gate("goal.final", min=1, reachable=True, optional=True)
 

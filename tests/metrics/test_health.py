@@ -14,13 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import Road, Scenario
+from logs.agents import AgentKind
 from logs.catalogue import CATALOGUE
 from logs.conventions import checked
 from logs.mcap import write_scenario
 from logs.road import Lane, RoadSource
 from logs.rules import Colour, StopLine, TrafficLight
-from logs.scenario import AgentKind, Tracks
 from logs.states import Trajectory
+from logs.tracks import Tracks
 from metrics.health import CHECKS, FaultKind, findings, report, sentences, table
 from replay.config import RunConfig
 from replay.run import evaluate_logs

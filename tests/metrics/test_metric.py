@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from logs import AgentKind, ConfigError, EndReason, Goal, Mode, RoadSource, Scenario, Trace
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.once import last, once
 from metrics import COLUMNS, GROUPS, METRICS, evaluate, evaluate_with_series, load_metric, series
 from metrics.metric import (

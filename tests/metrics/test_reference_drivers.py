@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import AgentKind, EndReason, Mode, Scenario, Trace
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.mcap import read_scenario, write_scenario
 from logs.references import Avoidability, DriverVerdict, References
 from logs.road import ReferenceLine

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import AgentKind, Lane, Mode, Road, RoadSource, Scenario, Tracks, Trajectory
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.road import inside
 from logs.shapes import distance, point_segment, time_to_contact
 from metrics import evaluate, series

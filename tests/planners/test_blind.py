@@ -5,7 +5,7 @@ import pytest
 from drives import along, grid, moving, scenario, straight_road
 
 from logs import AgentKind, EndReason
-from logs.trace import PlanStatus
+from logs.plan import PlanStatus
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.reference_drives import BAD_PERIODS_S

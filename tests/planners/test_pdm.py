@@ -29,9 +29,9 @@ from worlds import (
 )
 
 from logs import AgentKind, Candidates, CostTerms, DecisionKind, EgoState, Goal, PlannerContext, Road
+from logs.arrays import FloatArray
 from logs.catalogue import CATALOGUE
-from logs.kernel import FloatArray
-from logs.trace import SlGraph, StGraph
+from logs.plan import SlGraph, StGraph
 from planners.frenet.profiles import HORIZON_KNOTS, STEP_S
 from planners.pdm import Pdm, PdmConfig
 from planners.pdm.planner import Driver, constant_velocity, drive_track, idm_acceleration, track_proposal

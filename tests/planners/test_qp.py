@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 from scipy.optimize import nnls
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from planners.solver import QPConfig, QPResult, QuadraticProgram
 
 FAST = QPConfig(eps=1e-6, max_iterations=20_000)

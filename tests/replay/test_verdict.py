@@ -15,8 +15,8 @@ from handmade import crossing_without_a_map
 
 from logs import AgentKind, EndReason, Goal, Mode, PlanStatus, Road, Scenario
 from logs.catalogue import CATALOGUE
+from logs.cut import cut
 from logs.readers import read_log
-from logs.readers.cut import cut
 from metrics import evaluate
 from metrics.boxes import phantoms
 from metrics.judge import CAREFUL, DRIVER, REFERENCE, Verdict, judge

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from logs import AgentKind, Road, Scenario
-from logs.scenario import Tracks
 from logs.states import Trajectory
+from logs.tracks import Tracks
 from studies.crossings import DrivenPath, compared, crossing_of, main
 
 T = np.arange(0.0, 16.0, 0.1)

@@ -22,8 +22,8 @@ import numpy as np
 from drives import along, grid, moving, scenario, straight_road
 
 from logs import AgentKind, EgoState, Frame, Plan, PlannerContext, Predictions, Road, Scenario, Trajectory
+from logs.arrays import FloatArray
 from logs.catalogue import BUILTIN, CATALOGUE
-from logs.kernel import FloatArray
 from logs.road import ReferenceLine
 from logs.rules import Colour, StopLine
 from planners.constant_speed import arc

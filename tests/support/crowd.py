@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs import AgentKind, Trajectory
-from logs.kernel import FloatArray
-from logs.scenario import Tracks
+from logs.arrays import FloatArray
+from logs.tracks import Tracks
 
 T = np.round(0.1 * np.arange(201), 6)
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from logs import AgentKind, Frame, Goal, Plan, PlannerContext, Road, Scenario, Tracks, Trajectory, VehicleParameters
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 
 Curvature = Callable[[FloatArray], FloatArray]
 

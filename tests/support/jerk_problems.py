@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from planners.piecewise_jerk import interior_point
 from planners.piecewise_jerk.interior_point import ACCURACY_M, MAX_ITERATIONS, Solution
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights

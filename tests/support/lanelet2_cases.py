@@ -10,7 +10,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from logs import ReferenceLine, Road, Scenario, Tracks, Trajectory
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 
 NORTH, EAST = 110_574.27582, 111_319.49079
 """Metres of a degree at latitude 0, longitude 0."""

@@ -27,7 +27,7 @@ from logs import (
     Trajectory,
     VehicleParameters,
 )
-from logs.agents import Detections, Repair, TrackChange
+from logs.repair.detections import Detections, Repair, TrackChange
 
 START_NS = 1_700_000_000_123_456_789
 RECORD = {"replan.scenario": {"format_version": "1", "name": "by hand"}}

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 from rerun.chunk import RrdReader
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 
 
 class Recording:

@@ -37,7 +37,7 @@ from logs import (
     Tracks,
     Trajectory,
 )
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from replay.drive import Drive, StageTime
 
 END_S = 20.0

@@ -10,7 +10,7 @@ from handmade import drive, lanes_along, scenario, square, straight, track, trac
 
 from logs import Goal, Scenario
 from replay.config import RunConfig
-from replay.results.load import Results
+from replay.draw.drawn_results import Results
 from replay.run import evaluate_logs
 
 QUICK = RunConfig(planners=("constant_speed",), recording=False)

@@ -17,13 +17,14 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from logs import AgentKind, Scenario
-from logs.agents import Detections
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.catalogue.detector import Sight, detected, sight
-from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers import read_log
-from logs.repair import Tracked, repair
-from logs.scenario import Tracks
+from logs.repair.detections import Detections
+from logs.repair.offline import repair
+from logs.repair.tracker import Tracked
 from logs.states import Trajectory
+from logs.tracks import Tracks
 
 REACH_M, NEAR_M = 2.0, 15.0
 LEAST_FRAMES = 10

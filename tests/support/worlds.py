@@ -25,7 +25,7 @@ from logs import (
     VehicleParameters,
     Visibility,
 )
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.route import Route, find_route
 from logs.shapes import distance
 from logs.transform import mirrored

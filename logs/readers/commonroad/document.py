@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from logs.arrays import FloatArray, frozen
 from logs.errors import LogError
-from logs.kernel import FloatArray, frozen
 from logs.rules import Colour
 
 if TYPE_CHECKING:

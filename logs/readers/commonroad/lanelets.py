@@ -18,9 +18,9 @@ from math import ceil
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
+from logs.maps.strips import resampled
 from logs.readers.commonroad.document import Document, PlanningProblem
-from logs.readers.strips import resampled
 from logs.road import Lane, Road
 
 NOT_DRIVABLE = {"sidewalk", "crosswalk", "bicycleLane", "shoulder", "busLane", "busStop", "border", "restricted"}

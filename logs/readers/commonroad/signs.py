@@ -31,14 +31,13 @@ from math import atan2, radians
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
+from logs.maps.strips import CAR_WIDTH_M, dense
 from logs.readers.commonroad.document import PRIORITY_SIGNS, STOP_SIGNS, YIELD_SIGNS, Document, Incoming, Lanelet
-from logs.readers.strips import dense
 from logs.road import Lane, Road
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.states import wrap
 
-CAR_WIDTH_M = 2.0
 MERGING, OPPOSITE, TURNING = radians(30.0), radians(135.0), radians(30.0)
 SPACING_M = 0.5
 UNSIGNED = 1

@@ -39,10 +39,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.agents import AgentKind
+from logs.arrays import FloatArray
 from logs.readers.commonroad.document import Document, Obstacle, OccupiedSet
-from logs.scenario import AgentKind, Tracks
 from logs.states import Trajectory, wrap
+from logs.tracks import Tracks
 from logs.vehicle import VehicleParameters
 
 KINDS = {

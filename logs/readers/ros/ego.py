@@ -32,11 +32,12 @@ from typing import Any
 
 import numpy as np
 
+from logs.arrays import FloatArray, IntArray
 from logs.errors import LogError
-from logs.kernel import FloatArray, IntArray
-from logs.readers.base import LogSettings
+from logs.log_settings import LogSettings
 from logs.readers.recorded import held_curvature, rotated, stands, unit_or_identity
-from logs.readers.ros import Bag, Topic, schemas
+from logs.readers.ros import schemas
+from logs.readers.ros.bag import Bag, Topic
 from logs.readers.ros.fields import Wanted
 from logs.readers.ros.frames import (
     HELD,

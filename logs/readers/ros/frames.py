@@ -26,8 +26,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from logs.arrays import FloatArray, IntArray
 from logs.errors import LogError
-from logs.kernel import FloatArray, IntArray
 from logs.readers.recorded import heading, product, rotated, unit_or_identity
 
 HELD, BETWEEN = "held", "between"

@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.conventions import Chords
-from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers.recorded import heading, rotated, unit_or_identity
-from logs.readers.ros import Bag, Topic, schemas
+from logs.readers.ros import schemas
+from logs.readers.ros.bag import Bag, Topic
 from logs.readers.ros.ego import POSITION, BagPart
 from logs.readers.ros.frames import BETWEEN, FrameTree, Poses, composed
 from logs.readers.ros.schemas import ObjectSchema

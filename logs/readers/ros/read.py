@@ -23,16 +23,16 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.agents import Detections
+from logs.arrays import FloatArray
+from logs.complete import derived_acceleration, derived_curvature, road_along
+from logs.cut import DETECTED_S, HISTORY_S
 from logs.errors import LogError
-from logs.kernel import FloatArray
-from logs.mcap.complete import derived_acceleration, derived_curvature, road_along
+from logs.log_settings import LogSettings
 from logs.observed import Spans, of_stream
 from logs.readers.admission import reason_to_repair
-from logs.readers.base import LogSettings
-from logs.readers.cut import DETECTED_S, HISTORY_S
 from logs.readers.recorded import car_of, unit_or_identity
-from logs.readers.ros import Bag, opened, schemas
+from logs.readers.ros import schemas
+from logs.readers.ros.bag import Bag, opened
 from logs.readers.ros.ego import POSITION, BagPart, EgoLog, at_poses, begin_of, read_ego, signal, states
 from logs.readers.ros.frames import (
     HELD,
@@ -48,11 +48,13 @@ from logs.readers.ros.frames import (
 from logs.readers.ros.objects import read_messages, samples_of
 from logs.readers.ros.schemas import STAMP
 from logs.readers.ros.tracks import identified, tracks_of
+from logs.repair.detections import Detections
 from logs.road import Goal
 from logs.rules import Colour, TrafficLight
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import Controls, OnboardPlan, Trajectory
+from logs.tracks import Tracks
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 HEAD_S = 2.0

@@ -20,11 +20,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from logs.agents import USUAL_SIZE_M, AgentKind, Detections, codes_of
-from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.agents import USUAL_SIZE_M, AgentKind, codes_of
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.readers.ros.ego import AGENT_WINDOW_S, OBJECT_WINDOW_S, rates, spread
+from logs.repair.detections import Detections
 from logs.repair.identities import no_identities
-from logs.scenario import Tracks
+from logs.tracks import Tracks
 
 NOISE_M = {
     AgentKind.PEDESTRIAN: 0.07, AgentKind.BICYCLE: 0.07, AgentKind.MOTORCYCLE: 0.17, AgentKind.TRUCK: 0.17,

@@ -18,10 +18,11 @@ from math import hypot
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
+from logs.plan import Decision, DecisionKind
 from logs.road import line_project
 from logs.shapes import corners
-from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.corridor import Borrowed, lane_edges, narrowed_beside, room_beside
 from planners.frenet.reference_path import ReferencePath

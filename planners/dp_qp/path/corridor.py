@@ -33,7 +33,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import TIE, BoolArray, FloatArray, frozen, inner_kernel, kernel
+from logs.arrays import TIE, BoolArray, FloatArray, frozen
+from logs.kernel import inner_kernel, kernel
 from planners.frenet.path import MIN_REGULAR, quintic
 from planners.frenet.reference_path import CrossSections, sections
 from planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, X

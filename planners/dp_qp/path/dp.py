@@ -25,7 +25,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import TIE, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from planners.frenet.path import quintic
 
 COLLISION = 1e4

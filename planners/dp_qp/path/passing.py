@@ -35,10 +35,12 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.agents import AgentKind, among
-from logs.kernel import BoolArray, FloatArray, interpolated, kernel
+from logs.arrays import BoolArray, FloatArray
+from logs.kernel import kernel
 from logs.road import line_project, line_project_many
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.bounds import CorridorConfig, InTheWay, PathBounds, side_gaps, swing_span
+from planners.frenet.path import interpolated
 from planners.frenet.profiles import STEP_S
 from planners.frenet.reference_path import CrossSections, ReferencePath
 from planners.frenet.scene import UNLIKELY, AgentsAlong, Bodies, Futures, Occupancy, Scene

@@ -27,8 +27,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.kernel import FloatArray
-from logs.trace import CostTerms
+from logs.arrays import FloatArray
+from logs.plan import CostTerms
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights, X
 from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.solver import QPResult

@@ -8,18 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from logs.agents import AgentKind
+from logs.arrays import TIE, FloatArray
 from logs.frame import PlannerContext
-from logs.kernel import TIE, FloatArray
-from logs.trace import (
-    Artefact,
-    Corridor,
-    Decision,
-    DecisionKind,
-    GraphObstacle,
-    GridCost,
-    SlGraph,
-    SolverReport,
-)
+from logs.plan import Artefact, Corridor, Decision, DecisionKind, GraphObstacle, GridCost, SlGraph, SolverReport
 from planners.dp_qp.goal_window import GoalWindow
 from planners.dp_qp.path import bounds
 from planners.dp_qp.path.bounds import SIDES, CorridorConfig, InTheWay, PathBounds

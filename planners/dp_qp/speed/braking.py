@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray
-from logs.trace import SolverReport
+from logs.arrays import FloatArray
+from logs.plan import SolverReport
 from planners.dp_qp.speed.qp import RELEASE_MPS3, SpeedProblem, SpeedQp, SpeedQpConfig, ease_problem, tidy_profile
 from planners.frenet.profiles import STEP_S, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig

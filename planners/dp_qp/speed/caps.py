@@ -38,11 +38,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.agents import AgentKind
+from logs.agents import AgentKind, Agents
+from logs.arrays import TIE, BoolArray, FloatArray
 from logs.frame import Visibility
-from logs.kernel import TIE, BoolArray, FloatArray, kernel
-from logs.scenario import Agents
-from logs.trace import Decision, DecisionKind
+from logs.kernel import kernel
+from logs.plan import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
 from planners.dp_qp.path.passing import NEAR_M, PassTarget

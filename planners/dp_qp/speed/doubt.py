@@ -30,7 +30,8 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.agents import AgentKind, among
-from logs.kernel import TIE, BoolArray, FloatArray, IntArray, kernel
+from logs.arrays import TIE, BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
 from logs.road import line_frame
 from planners.frenet.path import Path
 from planners.frenet.scene import STANDING_MPS, UNLIKELY, AgentsAlong, Bodies, Scene

@@ -24,7 +24,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, IntArray, inner_kernel, kernel
+from logs.arrays import TIE, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 
 COLLISION = 1e5
 """Cost of a second inside a blocked interval (2): more than all other costs together."""

@@ -17,9 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, interpolated, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import inner_kernel, kernel
 from planners.dp_qp.speed.dp import DS_M, DT_S, LIKELY, SpeedDpWeights, cost_map, occupied_rows, speed_dp
 from planners.dp_qp.speed.qp import SpeedProblem
+from planners.frenet.path import interpolated
 from planners.frenet.profiles import STEP_S, KnotLimits, braking, cruising, limit_profile
 from planners.frenet.scene import STANDING_MPS
 from planners.frenet.st_boundaries import OVERTAKE, YIELD, decide

@@ -19,8 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
-from logs.trace import CostTerms
+from logs.arrays import FloatArray
+from logs.kernel import kernel
+from logs.plan import CostTerms
 from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, SpeedLimits, braking
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from planners.piecewise_jerk.solvers import DEFAULT, solve

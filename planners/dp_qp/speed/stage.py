@@ -12,9 +12,9 @@ from functools import partial
 
 import numpy as np
 
+from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.frame import PlannerContext
-from logs.kernel import BoolArray, FloatArray, IntArray
-from logs.trace import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
+from logs.plan import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
 from planners.dp_qp.goal_window import HURRIED_GAP_S
 from planners.dp_qp.speed import doubt
 from planners.dp_qp.speed.braking import RESERVE, Attempts, BrakingLadder, SolvedSpeed

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from replay.draw.charts.canvas import LETTER_PX, px, text, window
 from replay.draw.model import ticks
 

@@ -5,14 +5,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
-from logs.kernel import FloatArray
-from logs.scenario import AgentKind, Agents
+from logs.agents import AgentKind, Agents
+from logs.arrays import FloatArray
+from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import EgoState
+from logs.trace import PlannedFrame, Trace
 from replay.draw.charts.axes import Plane
 from replay.draw.charts.canvas import (
     DRIVES,
@@ -30,7 +33,7 @@ from replay.draw.charts.canvas import (
     shortened,
     text,
 )
-from replay.draw.charts.subject import ASKED, Subject
+from replay.draw.charts.subject import ASKED, Moment, Subject
 from replay.draw.model import decided, plan_seconds
 from replay.world import box_center
 
@@ -47,10 +50,27 @@ NAME_PX = 110.0
 """Largest width of a name."""
 FAR_M, AROUND_M = 80.0, 8.0
 """Other egos are in view up to this distance, with so much ground around them."""
+APART_S = 0.05
+"""Instants that are nearer than this are drawn once."""
 
 
-def scene(subject: Subject, t: float, word: str) -> Chart:
-    """The scene at a time; `word` names that time ("start", "worst moment", "end").
+class SceneSubject(Protocol):
+    """What a scene shows: a `Subject`, or a log at a moment (`replay.mine.event_page`)."""
+
+    @property
+    def trace(self) -> Trace: ...  # noqa: D102
+    @property
+    def scenario(self) -> Scenario: ...  # noqa: D102
+    @property
+    def moment(self) -> Moment: ...  # noqa: D102
+    @property
+    def frame(self) -> PlannedFrame | None: ...  # noqa: D102
+    @property
+    def drives(self) -> Mapping[str, SceneSubject]: ...  # noqa: D102
+
+
+def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = ()) -> Chart:
+    """The scene at a time; `word` names that time ("start", "worst moment", "end"), `about` road users to point out.
 
     Of several drives, the road users are those of the first; an ego whose drive has ended is where it ended.
     """
@@ -66,7 +86,7 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
         ways += f'<g class="{kind}">{way}</g>' if several else way
         boxes = (f'<g class="{kind}">{box}</g>' if several else box) + boxes  # the first on top
     inside = _road(view, subject) + (_foreseen(view, subject) if planned else "") + ways
-    inside += "".join(_other(view, agents, i) for i in range(len(agents))) + boxes
+    inside += "".join(_other(view, agents, i, pointed=agents.ids[i] in about) for i in range(len(agents))) + boxes
     title, named = f"{word[:1].upper()}{word[1:]}: {t:.2f} s", {}
     if several:
         for (name, one), state in zip(drives.items(), states, strict=True):
@@ -74,7 +94,7 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
             named[f"{shortened(name, NAME_PX)}: {does}"] = state
     else:
         title += f", {ego.v:.1f} m/s"
-    names = _names(view, agents, subject, named, planned=planned)
+    names = _names(view, agents, subject, named, about, planned=planned)
     x_title = "ahead of the rear axle [m]"
     if several:
         x_title = f"ahead of the rear axle of {shortened(next(iter(drives)), NAME_PX)} [m]; road users as in its drive"
@@ -103,9 +123,9 @@ def scenes(subject: Subject) -> list[Chart]:
     """The scenes at the start, the moment and the end; instants that coincide are drawn once."""
     first, last = float(subject.trace.ego.t[0]), float(subject.trace.ego.t[-1])
     instants = [(subject.moment.t, "this moment" if subject.moment.why == ASKED else "worst moment")]
-    if subject.moment.t - first > 0.05:
+    if place_of_moment(subject):
         instants.insert(0, (first, "start"))
-    if last - subject.moment.t > 0.05:
+    if last - subject.moment.t > APART_S:
         instants.append((last, "end"))
     return [scene(subject, t, word) for t, word in instants]
 
@@ -126,6 +146,11 @@ def _plane(ego: EgoState, shown: Sequence[EgoState]) -> Plane:
     ratio = 0.5 * plane.inner[1] / plane.inner[0]
     half = max(ratio * (high - low), np.abs(others[:, 1]).max() + AROUND_M if len(others) > 1 else 0.0)
     return Plane((low, low + half / ratio), (-half, half), WIDTH_PX, HEIGHT_PX)
+
+
+def place_of_moment(subject: Subject) -> int:
+    """The index of the scene at the moment in `scenes`."""
+    return int(subject.moment.t - float(subject.trace.ego.t[0]) > APART_S)
 
 
 class _View:
@@ -156,7 +181,7 @@ class _View:
         return [piece for line in shown if self.sees(line) for piece in cut_line(line, *self.plane.inner)]
 
 
-def _road(view: _View, subject: Subject) -> str:
+def _road(view: _View, subject: SceneSubject) -> str:
     """Lanes, crosswalks, the goal, and stop lines with the colour of their light as a word."""
     road, goal = subject.scenario.road, subject.scenario.goal
     lanes = list(road.lanes.values())
@@ -176,14 +201,14 @@ def _road(view: _View, subject: Subject) -> str:
     return drawn
 
 
-def _foreseen(view: _View, subject: Subject) -> str:
+def _foreseen(view: _View, subject: SceneSubject) -> str:
     """The predictions of other road users in the newest frame."""
     futures = None if subject.frame is None else subject.frame.predictions
     paths = () if futures is None else map(np.column_stack, zip(futures.x, futures.y, strict=True))
     return polylines(view.lines(paths), "foreseen")
 
 
-def _way(view: _View, subject: Subject, kind: str, *, planned: bool) -> str:
+def _way(view: _View, subject: SceneSubject, kind: str, *, planned: bool) -> str:
     """The driven path, and the newest plan as a line of a kind with a dot per second."""
     driven = subject.trace.ego
     drawn = polylines(view.lines([np.column_stack([driven.x, driven.y])]), "driven")
@@ -194,7 +219,7 @@ def _way(view: _View, subject: Subject, kind: str, *, planned: bool) -> str:
     return drawn
 
 
-def _box(view: _View, subject: Subject, ego: EgoState) -> str:
+def _box(view: _View, subject: SceneSubject, ego: EgoState) -> str:
     """The ego's box, with its front marked."""
     car = subject.scenario.vehicle
     x, y = box_center(ego, car)
@@ -206,13 +231,13 @@ def _box(view: _View, subject: Subject, ego: EgoState) -> str:
     return area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "nose")
 
 
-def _other(view: _View, agents: Agents, i: int) -> str:
+def _other(view: _View, agents: Agents, i: int, *, pointed: bool) -> str:
     """A box, or a dot for pedestrians and small boxes; a moving agent has a line to its position in one second."""
     box = view.of(corners(*(float(c[i]) for c in (agents.x, agents.y, agents.yaw, agents.length, agents.width))))
     if not view.sees(box):
         return ""
     moving = float(np.nan_to_num(agents.speed[i])) > SLOW_MPS
-    kind = "other" if moving else "still"
+    kind = "wrong" if pointed else "other" if moving else "still"
     here, velocity = np.array([agents.x[i], agents.y[i]]), np.array([agents.vx[i], agents.vy[i]])
     ends = view.of(np.array([here, here + ARROW_S * velocity]))
     arrow = polyline(ends[:, 0], ends[:, 1], "heading") if moving else ""
@@ -222,13 +247,17 @@ def _other(view: _View, agents: Agents, i: int) -> str:
     return arrow + area(box[:, 0], box[:, 1], kind)
 
 
-def _names(view: _View, agents: Agents, subject: Subject, egos: Mapping[str, EgoState], *, planned: bool) -> str:
+def _names(
+    view: _View, agents: Agents, subject: SceneSubject, egos: Mapping[str, EgoState], pointed: Collection[str], *,
+    planned: bool,
+) -> str:  # fmt: skip
     """Names of egos, then ids of agents: those with a decision, then the nearest; without those that would overlap."""
     wide, high = view.plane.inner
     about = decided(subject.frame.plan) if planned and subject.frame is not None else {}
+    first = pointed or about
     at = view.of(np.column_stack([agents.x, agents.y]))
     away = np.hypot(agents.x - view.ego.x, agents.y - view.ego.y)
-    order = sorted(range(len(agents)), key=lambda i: (agents.ids[i] not in about, float(away[i])))
+    order = sorted(range(len(agents)), key=lambda i: (agents.ids[i] not in first, float(away[i])))
     placed: list[tuple[float, float, float]] = []
     out = []
 

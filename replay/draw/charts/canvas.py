@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray
 
 Theme = Literal["auto", "light", "dark"]
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.trace import Decision, DecisionKind, PlanStatus, PlanSummary
+from logs.plan import Decision, DecisionKind, PlanStatus, PlanSummary
 from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
 from replay.draw.charts.canvas import (
     DRIVES,

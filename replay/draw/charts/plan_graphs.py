@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.names import ShortNames
-from logs.trace import Graph, SlGraph, StGraph
+from logs.plan import Graph, SlGraph, StGraph
 from replay.draw.charts.axes import Plane
 from replay.draw.charts.canvas import LETTER_PX, Chart, area, legend, polyline, shortened, text
 from replay.draw.charts.subject import Subject

@@ -17,12 +17,13 @@ import numpy as np
 
 from logs.errors import ConfigError
 from logs.mcap import read_moment
+from logs.plan import PlanSummary
 from logs.scenario import Scenario
-from logs.trace import PlannedFrame, PlanSummary, Trace
+from logs.trace import PlannedFrame, Trace
 from metrics import GROUPS, METRICS
 from metrics.judge.gates import Outcome
 from replay.explain import Explanation, accounts
-from replay.results.load import DriveResult
+from replay.results.load import StoredDrive
 
 GRAVE = ("collision_at_fault", "safety", "rules", "progress")
 """Metrics and groups of metrics, the gravest first: their failed gates come before all others."""
@@ -32,7 +33,7 @@ MOST = 4
 """Most drives in one picture: more lines cannot be told apart (`canvas.DRIVES`)."""
 ASKED = "as asked"
 """The reason for a moment that was asked for."""
-NAMES: tuple[Callable[[DriveResult], str], ...] = (
+NAMES: tuple[Callable[[StoredDrive], str], ...] = (
     lambda drive: drive.planner.rpartition(":")[2],
     lambda drive: drive.planner,
     lambda drive: f"{drive.planner} ({drive.mode})",
@@ -65,7 +66,7 @@ class Violation:
     spans: tuple[tuple[float, float], ...]
 
 
-def worst_moment(drive: DriveResult) -> Moment:
+def worst_moment(drive: StoredDrive) -> Moment:
     """The time of the worst failed gate, otherwise of the least TTC or gap, otherwise the middle of the drive.
 
     Gates of safety and rules are worse than others; among equals, the first in the file of gates.
@@ -93,7 +94,7 @@ def gravity(row: str) -> int:
     return next((i for i, word in enumerate(GRAVE) if word in (metric, _GROUP.get(metric, ""))), len(GRAVE))
 
 
-def violations(drive: DriveResult) -> list[Violation]:
+def violations(drive: StoredDrive) -> list[Violation]:
     """The failed gates of a drive, and the times at which it broke them."""
     found = list[Violation]()
     failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
@@ -134,7 +135,7 @@ class Subject:
         beside: Other drives of the log at this moment, or at their end if it was earlier.
     """
 
-    drive: DriveResult
+    drive: StoredDrive
     moment: Moment
     trace: Trace
     scenario: Scenario
@@ -191,7 +192,7 @@ class Subject:
         return self.trace.frames[0] if self.trace.frames else None
 
 
-def subject(drive: DriveResult, at: float | None = None, beside: Sequence[DriveResult] = ()) -> Subject:
+def subject(drive: StoredDrive, at: float | None = None, beside: Sequence[StoredDrive] = ()) -> Subject:
     """A drive at a time, or at its worst moment, and other drives of the same log beside it.
 
     Raises:

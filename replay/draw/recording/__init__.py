@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.memory import NearbyTracks, light, trim_memory
+from logs.plan import Graph, SlGraph, StGraph
 from logs.scenario import Scenario
-from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
+from logs.trace import EndReason, Mode, PlannedFrame, Trace
 from replay.draw.model import DrawnGraph, motion_panels, stage_panel, steps_of
 from replay.draw.recording import pages, plots
 from replay.draw.recording.blueprint import RecordingContents, blueprint

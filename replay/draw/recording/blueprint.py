@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import rerun.blueprint as rrb
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from replay.draw.model import Panel
 from replay.draw.recording.graphs import HEIGHT, MARGIN_BOTTOM, MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, WIDTH, Axes
 from replay.draw.recording.plots import plot, time_axis

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.kernel import FloatArray
-from logs.scenario import AgentKind
-from logs.trace import DecisionKind, PlanStatus
+from logs.agents import AgentKind
+from logs.arrays import FloatArray
+from logs.plan import DecisionKind, PlanStatus
 
 PackedArray = NDArray[np.uint32]
 

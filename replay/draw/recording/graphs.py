@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from logs.kernel import FloatArray, IntArray
-from logs.trace import DecisionKind
+from logs.arrays import FloatArray, IntArray
+from logs.plan import DecisionKind
 from replay.draw.model import DrawnGraph, DrawnObstacle, multiples, nice_step
 from replay.draw.recording import colours
 from replay.draw.recording.tape import Instants, PlaneWindow, Tape, joined, outline_segments, pixels, plain, strokes

@@ -16,11 +16,13 @@ from math import atan2, ceil, cos, hypot, pi, sin
 import numpy as np
 import rerun as rr
 
+from logs.agents import AgentKind, Agents
+from logs.arrays import FloatArray, IntArray
 from logs.frame import Visibility
-from logs.kernel import FloatArray, IntArray
-from logs.scenario import AgentKind, Agents, Scenario
+from logs.plan import Decision
+from logs.scenario import Scenario
 from logs.states import Trajectory
-from logs.trace import Decision, PlannedFrame, Trace
+from logs.trace import PlannedFrame, Trace
 from replay.draw.model import decided, in_full, plan_seconds
 from replay.draw.recording import colours
 from replay.draw.recording.plots import places

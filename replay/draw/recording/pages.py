@@ -10,8 +10,9 @@ import numpy as np
 import rerun as rr
 
 from logs.names import counted
+from logs.plan import Decision, Graph, PlanStatus
 from logs.scenario import Scenario
-from logs.trace import Decision, Graph, PlannedFrame, PlanStatus, Trace
+from logs.trace import PlannedFrame, Trace
 from replay.draw.recording.moving import unseen
 from replay.draw.recording.plots import LaneChange, changes_under_way, lanes_driven
 from replay.draw.recording.tape import MARKDOWN, Instants, Tape, cell, document, plain, table

@@ -19,8 +19,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError
-from logs.kernel import FloatArray
 from logs.trace import Trace
 from replay.draw.model import SERIES, Curve, Panel
 from replay.draw.recording.blueprint import graph_view, lanes_beside_numbers, scene_behind, state_view, window

@@ -14,9 +14,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
+from logs.plan import Decision, DecisionKind
 from logs.road import Road, RoadSource
-from logs.trace import Decision, DecisionKind, PlannedFrame, Trace
+from logs.trace import PlannedFrame, Trace
 from replay.draw.model import Panel
 from replay.draw.recording import colours
 from replay.draw.recording.tape import SPACER, Instants, Tape, plain

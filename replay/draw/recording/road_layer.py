@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import rerun as rr
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.kernel import kernel
 from logs.road import Lane, Road, inside
 from logs.rules import Colour
 from logs.scenario import Scenario

@@ -28,8 +28,8 @@ import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
+from logs.arrays import FloatArray, IntArray
 from logs.errors import writing
-from logs.kernel import FloatArray, IntArray
 from logs.names import ShortNames
 from replay.draw.recording.colours import PackedArray
 

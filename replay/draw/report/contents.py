@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
 from typing import Any
@@ -116,6 +116,16 @@ COMPARED: tuple[tuple[str, str, str, Callable[[list[float]], str]], ...] = (
     ("frames with fallback, mean (closed)", "closed", "fallback.rate", _mean_percent),
 )
 """Label, loop, metric, and how its values over the logs are combined."""
+
+ANSWERED: tuple[tuple[str, Callable[[list[float]], str]], ...] = (
+    ("collision_at_fault.count", lambda v: f"{sum(v):.0f} collisions at fault"),
+    ("goal.final", lambda v: f"{sum(v):.0f} of {counted(len(v), 'goal')}"),
+    ("lon_accel.time_out_of_bounds", lambda v: f"{sum(v):.1f} s beyond -4.05 or 2.40 m/s2"),
+    ("nuplan_closed.score.final", lambda v: f"nuPlan's score {sum(v) / len(v):.2f}"),
+)
+"""Metric of the closed loop, and its values over the logs in words: the answer of a report."""
+MOST_FIRST = 3
+"""Number of drives that a report shows first."""
 
 
 @dataclass(frozen=True)
@@ -237,6 +247,37 @@ class PassShare:
         return f"{self.passed} of {self.logs} pass: {100.0 * self.share:.0f}%, 95% interval {interval}"
 
 
+def over_all_logs(shares: Iterable[PassShare]) -> tuple[PassShare, ...]:
+    """The pass shares over all logs, one per planner: of both loops together where both were run."""
+    mine = [share for share in shares if share.kind == SUITE]
+    together = {share.planner for share in mine if share.mode == BOTH}
+    return tuple(share for share in mine if share.mode == BOTH or share.planner not in together)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How a planner did: the logs that it passes, and `ANSWERED` in the closed loop.
+
+    Attributes:
+        planner: Its name, with marks.
+        share: The logs that it passes; None where nothing was judged.
+        values: Only what is available.
+    """
+
+    planner: str
+    share: PassShare | None
+    values: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """One line, without the planner."""
+        share, counts = self.share, list[str]()
+        if share is not None:
+            lost = ((share.inconclusive, "inconclusive"), (share.missing, "could not be evaluated"))
+            counts = [", ".join([share.text, *(f"{count} {word}" for count, word in lost if count)])]
+        return "; ".join([*counts, *self.values])
+
+
 @dataclass(frozen=True)
 class Coverage:
     """The time and distance that were driven or planned along; `km` is NaN in open loop, where nothing is driven."""
@@ -304,7 +345,7 @@ class Overview:
         config: First 12 hex digits of the SHA-256 of the resolved configuration.
         logs: The number of requested logs.
         drives: The drives in the order of the run; `columns` are the columns of their table.
-        planners: Names of the planners, with marks.
+        planners: Names of the planners, with marks; `answers` has a line about each.
         compared: A label, and a text per planner.
         frames: The number of plans behind the latencies.
         latency: Stage times by planner and stage, the whole plan last.
@@ -331,6 +372,7 @@ class Overview:
     columns: tuple[MetricColumn, ...]
     drives: tuple[DriveRow, ...]
     planners: tuple[str, ...]
+    answers: tuple[Answer, ...]
     compared: tuple[tuple[str, tuple[str, ...]], ...]
     frames: int
     latency: tuple[StageQuantiles, ...]
@@ -358,6 +400,11 @@ class Overview:
         return min(self.drives, key=lambda row: row.rank, default=None)
 
     @property
+    def first(self) -> tuple[DriveRow, ...]:
+        """The drives to look at first: the worst of those that do not pass, at most `MOST_FIRST`."""
+        return tuple(row for row in self.ranked[:MOST_FIRST] if row.verdict != Outcome.PASS.value)
+
+    @property
     def driven(self) -> tuple[str, ...]:
         """The time and distance driven, and the passes that rest on an interaction, a line each."""
         return (*(each.text for each in self.coverage), *(each.text for each in self.interactions))
@@ -370,9 +417,7 @@ class Overview:
     @property
     def whole(self) -> tuple[PassShare, ...]:
         """The pass shares over all logs, one per planner, over the loops that were run."""
-        mine = [share for share in self.shares if share.kind == SUITE]
-        together = {share.planner for share in mine if share.mode == BOTH}
-        return tuple(share for share in mine if share.mode == BOTH or share.planner not in together)
+        return over_all_logs(self.shares)
 
     @property
     def grouped(self) -> tuple[PassShare, ...]:

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError
-from logs.kernel import FloatArray
+from logs.plan import StGraph
 from logs.scenario import Scenario
 from logs.shapes import corners
-from logs.trace import PlannedFrame, StGraph, Trace
+from logs.trace import PlannedFrame, Trace
 from replay.results.tables import write_file
 from replay.world import box_center
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib import resources
+from itertools import chain, islice
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,13 +28,14 @@ from logs.names import counted
 from metrics.comparison import Comparison
 from metrics.judge.gates import Outcome
 from replay.draw.charts import Chart, subject
+from replay.draw.charts.bird_view import place_of_moment
 from replay.draw.charts.canvas import RULES, filled, printable, roles
 from replay.draw.charts.layout import BROKEN, placed
 from replay.draw.charts.subject import Subject
+from replay.draw.drawn_results import DriveResult, Results
 from replay.draw.report.charts import distributions, moved, pass_shares
 from replay.draw.report.contents import DriveRow, Overview, worst_flips
 from replay.explain.explanation import TimedEvent, events
-from replay.results.load import DriveResult, Results
 from replay.results.tables import safe_name, write_text
 
 T = TypeVar("T")
@@ -109,22 +111,30 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
     drawn = attempt(
         "The charts of distributions", lambda: distributions(overview.columns, overview.drives), list[Chart]()
     )
-    page = _environment().get_template("report.html").render(
+    made = pages()
+    first = list(islice(made, sum(row in overview.first for row in paged)))
+    page = rendered(
+        "report.html",
         overview=overview,
+        first=first,
         shares=share if shares else "",
         distributions=[_markup(chart) for chart in drawn],
         anchors=anchors,
-        pages=pages(),
+        pages=chain(first, made),
         paged=paged,
         comparison=None if overview.comparison is None else _comparison_rows(overview.comparison),
-        style=Markup(_read("style.css") + roles("auto") + filled(RULES, "auto")),  # files of replan: no escaping
-        script=Markup(_read("script.js")),
     )  # fmt: skip
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, page)
     each = (f"{error} ({times} of {counted(len(paged), 'drive')})" for error, times in broken.items())
     return (*attempt.broken, *each)
+
+
+def rendered(template: str, **content: Any) -> str:
+    """A page of templates/, with the style and the script of all pages."""
+    style = Markup(_read("style.css") + roles("auto") + filled(RULES, "auto"))  # files of replan: no escaping
+    return _environment().get_template(template).render(style=style, script=Markup(_read("script.js")), **content)
 
 
 def _markup(chart: Chart) -> Markup:
@@ -221,6 +231,7 @@ class DrivePage:
         end: How the drive ended.
         verdicts: The rows of `DriveResult.verdicts` of both loops, failed ones first.
         pictures: Charts of scenes and graphs; `decided` and `curves` follow them.
+        scene: Index of the scene at the moment among them.
         events: The changes, with their times.
         more_events: The number of events that are left out.
         metrics: The rows of the available metrics of each loop.
@@ -240,6 +251,7 @@ class DrivePage:
     end: str = ""
     verdicts: tuple[Any, ...] = ()
     pictures: tuple[Markup, ...] = ()
+    scene: int = 0
     decided: Markup = field(default_factory=Markup)
     curves: tuple[Markup, ...] = ()
     events: tuple[TimedEvent, ...] = ()
@@ -315,7 +327,8 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
         anchor, row, shown.mode, labels.tags if labels else (),
         seen.moment.t if seen else nan, seen.moment.why if seen else why, because,
         f"{shown.info['end']}{detail}, after {shown.info['t_end_s']:.2f} s", tuple(verdicts),
-        markup.get("pictures", ()), Markup().join(markup.get("decided", ())), markup.get("curves", ()),
+        markup.get("pictures", ()), place_of_moment(seen) if seen else 0,
+        Markup().join(markup.get("decided", ())), markup.get("curves", ()),
         tuple(found[:MOST_EVENTS]), max(len(found) - MOST_EVENTS, 0), tuple(metrics),
         tuple((reason, ", ".join(dict.fromkeys(names))) for reason, names in missing.items()), tuple(files), plot,
         (*(chart.says for some in charts.values() for chart in some if chart.name == BROKEN), *attempt.broken),

@@ -46,10 +46,10 @@ def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
     else:
         fail, unsure = (sum(gate.outcome == word for gate in over.gates) for word in ("fail", "inconclusive"))
         verdicts = f"{fail} of {len(rows)} verdicts of the gates fail, {unsure} are inconclusive"
-        look = over.worst
-        worst = f" Worst: {_text(look.log)} with {_text(look.planner)}." if look is not None and fail else ""
-        shares = "".join(f" {_text(share.planner)}: {share.text}." for share in over.whole)
-        parts.append(f"**{over.outcome.upper()}** (exit code {over.exit_code}): {verdicts}.{worst}{shares}")
+        parts.append(f"**{over.outcome.upper()}** (exit code {over.exit_code}): {verdicts}.")
+        parts.append("\n".join(f"- **{_text(each.planner)}**: {_text(each.text)}" for each in over.answers))
+        look = [(row.log, row.shown, row.verdict.upper() or NOTHING, row.end.text) for row in over.first]
+        parts.append(_table(("look first at", "planner", "verdict", "closed loop ended by"), look) if look else "")
         parts.append(f"replan {_text(over.replan)}, configuration {over.config}")
     parts.append(", ".join(f"[{_text(link)}]({quote(link)})" for link in links or ()))
     parts.append(_list(f"Could not be evaluated ({len(over.failures)})", over.failures))

@@ -29,12 +29,15 @@ from metrics.judge.discrimination import BLIND_FAILS
 from metrics.judge.gates import Outcome
 from metrics.judge.verdicts import judge_deadline
 from replay.draw.charts.subject import GRAVE, gravity
+from replay.draw.drawn_results import Results
 from replay.draw.report.contents import (
+    ANSWERED,
     COLUMNS,
     COMPARED,
     FREE,
     NOTHING,
     WEIGHT,
+    Answer,
     Cell,
     Coverage,
     DriveRow,
@@ -44,9 +47,9 @@ from replay.draw.report.contents import (
     Overview,
     PassShare,
     StageQuantiles,
+    over_all_logs,
 )
 from replay.drive import Mark
-from replay.results.load import Results
 from replay.results.tables import OUTCOMES
 
 """Outcomes as reports list them."""
@@ -63,7 +66,7 @@ def overview(
     """The overview of a finished run.
 
     Args:
-        results: The results, from `replay.results.load.load`.
+        results: The results, from `replay.draw.drawn_results.load`.
         comparison: The comparison with a baseline; outcome and exit code are then the worse of both.
         diagnosis: The contents of diagnosis.json of the run.
     """
@@ -86,7 +89,8 @@ def overview(
     stand = standings(verdicts, results.drives, list(labels), results.run.drives, crashed)
     names = ["kind", "group", "planner", "mode", "logs", "passed", "failed", "inconclusive", "missing", "mean"]
     rows = pass_shares(stand, labels)[[*names, "low", "high"]].itertuples(index=False)
-    shares = (PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows)
+    shares = [PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows]
+    shares = [] if "shard" in results.summary else shares
     failures = (
         f"{row['message']} [{row['planner']}, {row['mode']} loop]" if row["planner"] else str(row["message"])
         for row in results.summary["failures"]
@@ -101,12 +105,13 @@ def overview(
         columns=columns,
         drives=drives,
         planners=tuple(planners.values()),
+        answers=tuple(_answers(planners, shares, over_logs)),
         compared=tuple(compared),
         frames=int((results.timings["stage"] == "total").sum()),
         latency=tuple(latency),
         gates=gates,
         not_asked=tuple(not_asked),
-        shares=() if "shard" in results.summary else tuple(shares),
+        shares=tuple(shares),
         coverage=tuple(coverage),
         interactions=tuple(_interactions(stand, values)),
         ensembles=len(ensemble),
@@ -232,6 +237,14 @@ def _of_planners(
             km = sum(metres) / 1e3 if metres else nan
             coverage.append(Coverage(planner, mode, len(logged), sum(driven), sum(logged), km))
     return compared, latency, coverage
+
+
+def _answers(planners: Mapping[Any, str], shares: Sequence[PassShare], over_logs: OverLogs) -> Iterator[Answer]:
+    """The answer of each planner: its pass share over the loops that were run, and `ANSWERED` where available."""
+    share_of = {share.planner: share for share in over_all_logs(shares)}
+    for planner, shown in planners.items():
+        found = ((over_logs.get((planner, "closed", metric)), words) for metric, words in ANSWERED)
+        yield Answer(shown, share_of.get(planner), tuple(words(values) for values, words in found if values))
 
 
 def _interactions(stand: pd.DataFrame, values: Values) -> Iterator[Interactions]:

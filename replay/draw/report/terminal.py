@@ -84,7 +84,8 @@ def print_ending(over: Overview, console: Console, folder: Path, place: str = ""
     """Print the place of the results (`place`, or the folder), and as the last line the outcome."""
     place = place or str(folder)
     there = [name for name in ("report.html", "metrics.csv", "summary.json") if (folder / name).is_file()]
-    lines = [Text(f"Results: {place}  ({', '.join((*there, 'a folder per log'))})")]
+    lines = [Text(f"{each.planner}: {each.text}") for each in over.answers]
+    lines.append(Text(f"Results: {place}  ({', '.join((*there, 'a folder per log'))})"))
     if over.worst is not None and over.worst.recording:
         lines.append(Text.assemble("Look at a drive:  ", (f"replan view {place}/{over.worst.recording}", "bold")))
     words = f"Outcome: {over.outcome.upper()} (exit code {over.exit_code})"

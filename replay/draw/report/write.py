@@ -33,11 +33,11 @@ import pandas as pd
 
 from logs.errors import writing
 from metrics.judge.gates import Outcome
+from replay.draw.drawn_results import Results
 from replay.draw.report.contents import Overview
 from replay.draw.report.html import Attempts, write_html
 from replay.draw.report.markdown import append_step_summary, markdown
 from replay.draw.report.overview import log_outcomes, without_folders
-from replay.results.load import Results
 from replay.results.tables import REPORTS, write_text
 
 TIMESTAMP = "1970-01-01T00:00:00"

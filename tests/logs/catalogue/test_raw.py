@@ -9,10 +9,10 @@ import pytest
 from track_score import repaired_score
 
 from logs import ConfigError, Scenario
-from logs.agents import Detections
 from logs.catalogue import CATALOGUE, FAMILIES, raw
 from logs.readers import read_log
-from logs.repair import needs_repair
+from logs.repair.detections import Detections
+from logs.repair.identities import needs_repair
 from replay.cli.synth import ROS2, synthesise
 from replay.run.sources import LogSource
 

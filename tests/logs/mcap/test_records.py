@@ -20,13 +20,13 @@ from mcap.writer import CompressionType, Writer
 from mcap_cases import differences, rich_scenario
 
 from logs import LogError, Scenario
-from logs.agents import Repair
+from logs.cut import cut, in_nanoseconds
 from logs.mcap import read_scenario, write_scenario
 from logs.mcap.container import read_container
 from logs.mcap.records import BEGIN, HEAD, salvage, write_part
 from logs.readers import LogSettings, read_log
-from logs.readers.cut import cut, in_nanoseconds
-from logs.repair import detections_of
+from logs.repair.detections import Repair
+from logs.repair.offline import detections_of
 
 Messages = dict[str, list[tuple[int, bytes]]]
 

@@ -17,12 +17,12 @@ from mcap_cases import differences
 from recorded_cases import START_US, lane, packed, street, turn, wkb, write_123d, write_ipc, write_map
 
 from logs import AgentKind, Colour, LogError, RoadSource, Scenario
+from logs.arrow_tables import Lists, array_of, ipc_table, metadata_of, vectors
+from logs.maps.arrow123d_map import LANE, read_objects, road_of_map
+from logs.maps.strips import crossable
 from logs.readers import read_log, reader_of
 from logs.readers.arrow123d import BOXES, READER, read_ego, read_frames
-from logs.readers.arrow123d_map import LANE, read_objects, road_of_map
-from logs.readers.arrow_tables import Lists, array_of, ipc_table, metadata_of, vectors
 from logs.readers.recorded import fitted, heading, kept, product, rotated, unit_of_wxyz
-from logs.readers.strips import crossable
 from replay.run.sources import select
 
 SAMPLES = ("av2_sync", "av2_async", "av2_v010", "madeup")

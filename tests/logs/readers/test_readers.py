@@ -21,9 +21,9 @@ from mcap_cases import rich_scenario
 
 from logs import ConfigError, LogError, Scenario, extension
 from logs.catalogue import CATALOGUE
+from logs.cut import cut
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, Reader, logs_in, read_log, reader_of, readers, windows
-from logs.readers.cut import cut
 from logs.summary import summarise
 from replay.config import RunConfig
 from replay.run import evaluate_logs

@@ -15,13 +15,13 @@ from crowd import street, street_ego
 from mcap_cases import differences, repaired_scenario, rich_scenario
 
 from logs import AgentKind, LogError, Road, Scenario
-from logs.agents import Detections
 from logs.catalogue.detector import detected
+from logs.complete import passed_width
+from logs.cut import DETECTED_S, cut
 from logs.mcap import read_scenario, write_scenario
-from logs.mcap.complete import passed_width
 from logs.readers import LogSettings, read_log, with_tracks
-from logs.readers.cut import DETECTED_S, cut
-from logs.scenario import Tracks
+from logs.repair.detections import Detections
+from logs.tracks import Tracks
 
 EGO = street_ego()
 

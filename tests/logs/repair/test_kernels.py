@@ -12,14 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import AgentKind
-from logs.agents import Detections, codes_of
+from logs.agents import codes_of
+from logs.arrays import BoolArray, FloatArray
 from logs.catalogue import CATALOGUE
 from logs.catalogue.detector import detected
-from logs.kernel import BoolArray, FloatArray
 from logs.readers import read_log
-from logs.repair import detections_of, needs_repair
 from logs.repair.detected_boxes import Boxes, shared_area, stronger_twins
+from logs.repair.detections import Detections
+from logs.repair.identities import needs_repair
 from logs.repair.kalman import FIRST_MPS, STAND_MPS, smoothed
+from logs.repair.offline import detections_of
 
 Q = 1.6
 
@@ -93,13 +95,10 @@ def frame(*rows: tuple[AgentKind, float, float, float, float, float]) -> Boxes:
     """Boxes of one frame: kind, x, y, length, width, score."""
     kinds, x, y, length, width, score = zip(*rows, strict=True)
     nothing, n = np.full(len(rows), np.nan), len(rows)
-    return Boxes.of(
-        Detections(
-            t=np.zeros(n), frames=np.zeros(1), ids=("",) * n, codes=codes_of(kinds), x=np.array(x), y=np.array(y),
-            yaw=np.zeros(n), length=np.array(length), width=np.array(width), vx=nothing, vy=nothing,
-            score=np.array(score),
-        )
-    )  # fmt: skip
+    return Detections(
+        t=np.zeros(n), frames=np.zeros(1), ids=("",) * n, codes=codes_of(kinds), x=np.array(x), y=np.array(y),
+        yaw=np.zeros(n), length=np.array(length), width=np.array(width), vx=nothing, vy=nothing, score=np.array(score),
+    ).boxes  # fmt: skip
 
 
 @pytest.mark.parametrize(

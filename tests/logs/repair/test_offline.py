@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 from track_score import repaired_score
 
 from logs import AgentKind, Scenario, Trajectory
-from logs.agents import Detections, Repair, codes_of
+from logs.agents import codes_of
+from logs.arrays import FloatArray, IntArray
 from logs.catalogue.detector import detected
-from logs.kernel import FloatArray, IntArray
 from logs.readers import read_log
-from logs.repair import detections_of, repair
-from logs.scenario import Tracks
+from logs.repair.detections import Detections, Repair
+from logs.repair.offline import detections_of, repair
 from logs.shapes import overlap
+from logs.tracks import Tracks
 from logs.vehicle import VehicleParameters
 
 VEHICLE = VehicleParameters()

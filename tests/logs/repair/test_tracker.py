@@ -14,10 +14,12 @@ from hypothesis import strategies as st
 from track_score import near_ego, reported, score, tracked_points, true_points
 
 from logs import Agents, Scenario
-from logs.agents import NUMBERS, OLDEST_S, Detections
+from logs.agents import NUMBERS, OLDEST_S
 from logs.catalogue.detector import detected, sight
 from logs.readers import read_log
-from logs.repair import Tracked, detections_of, tracked
+from logs.repair.detections import Detections
+from logs.repair.offline import detections_of
+from logs.repair.tracker import Tracked
 
 EGO = street_ego()
 
@@ -29,7 +31,7 @@ def seen() -> Detections:
 
 @cache
 def known() -> Tracked:
-    return tracked(seen())
+    return seen().tracked
 
 
 def until(found: Detections, t: float) -> Detections:
@@ -47,7 +49,7 @@ def same(one: Agents, two: Agents) -> bool:
 @settings(max_examples=10)
 @given(st.floats(0.0, 20.0), st.floats(0.0, 1.0))
 def test_what_comes_later_changes_nothing(end: float, share: float) -> None:
-    cut = tracked(until(seen(), end))
+    cut = until(seen(), end).tracked
     for t in (end, share * end):
         assert same(cut.at(t), known().at(t))
 
@@ -58,12 +60,12 @@ def test_the_order_within_a_frame_does_not_count() -> None:
     mixed = mixed[np.argsort(found.t[mixed], kind="stable")]
     names = ("t", "codes", "x", "y", "yaw", "length", "width", "vx", "vy", "score")
     columns = {name: getattr(found, name)[mixed] for name in names}
-    other = tracked(replace(found, ids=tuple(found.ids[i] for i in mixed), **columns))
+    other = replace(found, ids=tuple(found.ids[i] for i in mixed), **columns).tracked
     assert all(same(other.at(t), known().at(t)) for t in (1.0, 5.0, 12.3, 20.0))
 
 
 def test_exact_boxes_are_followed() -> None:
-    truth, found = street(), tracked(detections_of(street()))
+    truth, found = street(), detections_of(street()).tracked
     for t in (3.0, 11.0, 19.0):
         agents, true = found.at(t), truth.truth(t)
         assert len(agents) == len(true)
@@ -102,7 +104,7 @@ def one_car(frames: np.ndarray, at: np.ndarray) -> Detections:
 
 def test_age_unseen_and_deviation_say_how_well_somebody_is_known() -> None:
     frames = np.round(0.1 * np.arange(60), 6)
-    found = tracked(one_car(frames, np.arange(10, 40)))
+    found = one_car(frames, np.arange(10, 40)).tracked
     assert len(found.at(1.1)) == 0  # two detections are no evidence
     young, old = found.at(1.2), found.at(3.9)
     assert (young.age[0], old.age[0]) == (pytest.approx(0.2), pytest.approx(2.9))
@@ -113,7 +115,7 @@ def test_age_unseen_and_deviation_say_how_well_somebody_is_known() -> None:
     assert lost.velocity_sigma[0] > old.velocity_sigma[0]
     assert lost.x[0] == pytest.approx(5.0 * 4.55, abs=0.2)
     assert len(found.at(4.8)) == 0
-    there = tracked(one_car(frames, np.arange(40))).at(3.0)
+    there = one_car(frames, np.arange(40)).tracked.at(3.0)
     assert np.isnan(there.age[0])
     assert there.age.shape == there.unseen.shape == (1,)
     assert old.age[0] <= OLDEST_S
@@ -126,7 +128,7 @@ def test_recordings_are_followed_as_a_detector_sees_them(shared_data: Path, patt
     around = sight(scenario.tracks, scenario.ego)
     true, other = true_points(scenario, around)
     boxes = detected(scenario.tracks, scenario.ego, 1)
-    found = tracked_points(tracked(boxes), around.frames, true, other)
+    found = tracked_points(boxes.tracked, around.frames, true, other)
     numbers = score(true, found, near_ego(true, scenario.ego), reported(true, boxes))
     assert numbers.hota > 0.7
     assert numbers.idf1 > 0.82

@@ -13,8 +13,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from logs import AgentKind, ConfigError, Goal, LogError, Scenario
+from logs.arrays import FloatArray
 from logs.catalogue import CATALOGUE
-from logs.kernel import FloatArray
 from logs.mcap import read_scenario, write_scenario
 from logs.variations import VARIATIONS, driven_line, varied
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from planners.dp_qp.speed.braking import BrakingLadder, SolvedSpeed
 from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
 from planners.frenet.profiles import STEP_S, SpeedLimits

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from worlds import CAR, Other, along_x, curve, driving, followed, frame, gaps, lanes, planner, standing, strip
 
 from logs import Decision, DecisionKind, EgoState, Frame, Plan, PlanStatus, Road
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 
 LOCK_SLACK = 1.05
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from worlds import CAR, along_x, lanes, reference, strip
 
 from logs import EgoState, Goal, Road, Scenario, Tracks, Trajectory
+from logs.arrays import FloatArray
 from logs.catalogue import CATALOGUE
-from logs.kernel import FloatArray
 from logs.trace import EndReason, Trace
 from planners.dp_qp.goal_window import LEAST, GoalWindow, SpeedTarget
 from replay.loop.closed_loop import run_closed_loop

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from logs.arrays import FloatArray
 from logs.catalogue import CATALOGUE
-from logs.kernel import FloatArray
 from planners.dp_qp.speed import stage
 from planners.dp_qp.speed.caps import LEAST_MPS, OTHERS, LoweredLimit, PathView, Producer, SpeedCap, lower_limit
 from planners.dp_qp.speed.qp import SpeedQpConfig

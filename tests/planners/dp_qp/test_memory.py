@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from worlds import CAR, PERIOD, Drive, Other, along_x, driving, followed, frame, lanes, planner, standing, two_way
 
 from logs import AgentKind, EgoState, PlannerContext, PlanStatus, SolverReport, StGraph
-from logs.trace import Artefact, Internals
+from logs.plan import Artefact, Internals
 from planners.dp_qp import DpQpConfig
 from planners.dp_qp.choice import PassMemory, passing
 from planners.dp_qp.lane import LaneMemory, LanePlan, LanePlanner

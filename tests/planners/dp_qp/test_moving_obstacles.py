@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from worlds import CAR, Other, along_x, driving, lanes, limit_of, reference, scene, two_way, view
 
 from logs import AgentKind, Colour, EgoState, Road, Scenario, StopLine, TrafficLight, Trajectory
+from logs.arrays import FloatArray
 from logs.frame import Visibility
-from logs.kernel import FloatArray
-from logs.trace import Candidates, EndReason, Trace
+from logs.plan import Candidates
+from logs.trace import EndReason, Trace
 from planners.dp_qp.choice import endangered
 from planners.dp_qp.path.bounds import CorridorConfig
 from planners.dp_qp.path.passing import (

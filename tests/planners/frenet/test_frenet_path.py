@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from worlds import curve
 
 from logs import EgoState, ReferenceLine
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from planners.frenet.path import Path, frenet_start, make_path, out_of_frame, quintic, states_on_path
 
 SEED = st.integers(0, 2**32 - 1)

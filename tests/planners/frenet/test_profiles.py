@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from planners.frenet.profiles import STEP_S, braking, cruising, limit_profile
 
 KAPPA = st.lists(st.floats(-0.2, 0.2), min_size=2, max_size=8)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from worlds import CAR, along_x, beside, curve, lanes, strip
 
 from logs import EgoState, Lane, ReferenceLine, Road, VehicleParameters
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.route import Route, find_route
 from planners.frenet.reference_path import (
     BENDING_WEIGHT,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from worlds import CAR, Other, curve, lanes, reference, scene
 
 from logs import AgentKind, EgoState
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.states import wrapped
 from planners.frenet.reference_path import ReferencePath
 from planners.frenet.scene import STANDING_MPS, Scene, behind

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from worlds import CAR, Other, along_x, driving, path_of, reference, scene, standing
 
 from logs import AgentKind, DecisionKind, EgoState
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.shapes import overlap
 from planners.dp_qp.speed.braking import BARE, TOUCHING
 from planners.frenet.path import Path

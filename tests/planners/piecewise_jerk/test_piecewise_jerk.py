@@ -18,8 +18,8 @@ from jerk_problems import KINDS, answer, made
 from scipy import sparse
 from scipy.optimize import linprog, nnls
 
+from logs.arrays import FloatArray
 from logs.errors import ConfigError
-from logs.kernel import FloatArray
 from planners.dp_qp.parameters import DpQpConfig
 from planners.dp_qp.path import qp as path_qp
 from planners.dp_qp.speed import qp as speed_qp

@@ -29,7 +29,7 @@ from logs import (
     TrafficLight,
     Trajectory,
 )
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.route import find_route
 from planners import PLANNERS
 from planners.frenet.reference_path import ReferencePath, make_reference_path

@@ -20,10 +20,10 @@ from replay.cli import PANELS, app
 from replay.cli.one_drive import matching_drives
 from replay.cli.options import EVALUATE, replaced
 from replay.config import RunConfig, load_run
+from replay.draw.drawn_results import Results, load
 from replay.draw.report.overview import overview
 from replay.draw.report.terminal import print_report
 from replay.draw.view import recordings
-from replay.results.load import Results, load
 from replay.run import evaluate_logs
 from replay.settings import set_table
 

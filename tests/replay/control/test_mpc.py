@@ -13,17 +13,7 @@ from logs import Command, ConfigError, EgoState, Plan, Trajectory, VehicleParame
 from planners.solver import QPConfig, QuadraticProgram
 from replay.control.lateral_model import body_model, lateral_table, slip_table, with_rigid_tyres
 from replay.control.mpc import Mpc, MpcConfig, TrackingProgram
-from replay.control.mpc_model import (
-    INPUTS,
-    LIMITS,
-    SIDES,
-    STATES,
-    entered,
-    limits,
-    predicted,
-    quintic,
-    resampled,
-)
+from replay.control.mpc_model import INPUTS, LIMITS, SIDES, STATES, entered, limits, predicted, quintic, resampled
 from replay.loop.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
 from replay.vehicle.drivetrain import Drivetrain

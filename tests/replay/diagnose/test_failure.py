@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, Trajectory
 from logs.frame import Predictions
-from logs.trace import LaneOption, Plan, PlannedFrame, Trace
+from logs.plan import LaneOption, Plan
+from logs.trace import PlannedFrame, Trace
 from metrics.judge import Outcome, load_gates
 from replay.diagnose.drives import worsens
 from replay.diagnose.failure import (

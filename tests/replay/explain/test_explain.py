@@ -13,20 +13,20 @@ from command_line import one_error, replan
 from handmade import drive, lanes_along, scenario, straight, track, tracks
 
 from logs import Decision, DecisionKind, EndReason, GraphObstacle, Mode, Plan, PlannedFrame, Scenario, StGraph, Trace
+from logs.arrays import FloatArray
 from logs.catalogue import CATALOGUE
 from logs.errors import LogError, PlannerError
-from logs.kernel import FloatArray
 from logs.mcap import write_scenario
 from planners.piecewise_jerk.solvers import solve
 from replay.config import RunConfig
+from replay.draw.drawn_results import Results
+from replay.draw.drawn_results import load as results_of
 from replay.explain import accounts
 from replay.explain.causes import Cause, CauseKind
 from replay.explain.explanation import MOST_PHASES, changes, explained, lines_of, summary
 from replay.explain.planner_input import actual_occupancy
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
-from replay.results.load import Results
-from replay.results.load import load as results_of
 from replay.run import evaluate_logs
 from replay.run.frame_again import replan_frame
 from replay.run.frame_dump import dump, load

@@ -15,22 +15,9 @@ from hypothesis import strategies as st
 
 from logs.catalogue import scenario
 from logs.frame import Predictions
+from logs.plan import Candidates, CostTerms, Decision, DecisionKind, Graph, LaneOption, PlanStatus, SlGraph, StGraph
 from logs.states import Trajectory
-from logs.trace import (
-    Candidates,
-    CostTerms,
-    Decision,
-    DecisionKind,
-    EndReason,
-    Graph,
-    LaneOption,
-    Mode,
-    PlannedFrame,
-    PlanStatus,
-    SlGraph,
-    StGraph,
-    Trace,
-)
+from logs.trace import EndReason, Mode, PlannedFrame, Trace
 from replay.explain.first_difference import (
     AHEAD_S,
     PARTED_M,

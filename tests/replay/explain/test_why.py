@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import Decision, DecisionKind, Frame, Goal, Plan, PlannerContext, Scenario, Trajectory
+from logs.arrays import FloatArray
 from logs.catalogue import CATALOGUE
-from logs.kernel import FloatArray
 from logs.rules import Colour, StopLine, TrafficLight
 from logs.shapes import distance
 from planners import PLANNERS

@@ -13,10 +13,10 @@ from logs import Mode
 from logs.mcap import write_scenario
 from logs.trace import EndReason
 from replay.config import LoopConfig, PlannerProcessConfig
+from replay.draw.drawn_results import load
 from replay.draw.report.overview import overview
 from replay.drive import Mark
 from replay.loop.planning import nondeterminism
-from replay.results.load import load
 from replay.run import evaluate_logs
 from replay.run.one_log import LOOPS
 

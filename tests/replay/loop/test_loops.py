@@ -38,10 +38,10 @@ from logs import (
     VehicleParameters,
 )
 from logs.catalogue import CATALOGUE
+from logs.plan import Artefact, Internals
 from logs.readers.commonroad import read_commonroad
 from logs.shapes import overlap
 from logs.states import TRAJECTORY_COLUMNS
-from logs.trace import Artefact, Internals
 from metrics.safety import contacts
 from planners.constant_speed import ConstantSpeed
 from replay.config import LoopConfig, PlannerProcessConfig

@@ -7,18 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cut_tracks import until
 from handmade import drive, scenario, straight, track, tracks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import AgentKind, Agents, ConfigError, EgoState, Frame, LogError, Scenario, Tracks, VehicleParameters
-from logs.agents import Detections, Repair
-from logs.kernel import FloatArray
-from logs.repair import detections_of
+from logs.arrays import FloatArray
+from logs.repair.detections import Detections, Repair
 from logs.repair.identities import named_as_tracked
+from logs.repair.offline import detections_of
 from logs.shapes import overlap
 from replay.config import LoopConfig, SensorConfig
+from replay.contract import until
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
 from replay.loop.perception import PERCEPTIONS, Perception

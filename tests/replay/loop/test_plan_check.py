@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from logs import EgoState, Frame, Plan, PlanStart, PlanStatus, Trajectory
 from logs.catalogue import CATALOGUE
-from logs.scenario import Tracks
 from logs.states import wrapped
+from logs.tracks import Tracks
 from planners.constant_speed import arc
 from replay.config import LoopConfig, PlannerProcessConfig
 from replay.loop.closed_loop import run_closed_loop

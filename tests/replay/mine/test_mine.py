@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tomllib
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -20,6 +22,7 @@ from logs.mcap import write_scenario
 from logs.readers import read_log
 from replay.mine.coverage import CELL, ChosenLog, cells, gaps, smallest_cover, suite_writer
 from replay.mine.driven_log import Event, EventKind
+from replay.mine.event_page import MOST_OF_A_KIND, PAGE, PICTURES, picture_of
 from replay.mine.mine import EVENTS, HEALTH, LOGS, mine_log
 from replay.results.tables import write_parquet
 from replay.run.sources import suite_file
@@ -48,8 +51,22 @@ def mined(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_tables_do_not_depend_on_the_workers(logs: Path, mined: Path, tmp_path: Path) -> None:
     replan("mine", logs, "-o", tmp_path / "two", "--workers", 2)
-    for name in (EVENTS, LOGS, HEALTH):
+    for name in (EVENTS, LOGS, HEALTH, PAGE):
         assert (tmp_path / "two" / name).read_bytes() == (mined / name).read_bytes()
+
+
+def test_each_event_is_a_row_of_the_page_and_the_first_of_a_kind_have_a_picture(mined: Path) -> None:
+    events, logs = pd.read_parquet(mined / EVENTS), pd.read_parquet(mined / LOGS).set_index("log")
+    page = (mined / PAGE).read_text(encoding="utf-8")
+    assert page.count("<tr><td>") == len(events)
+    pictures = {file.relative_to(mined).as_posix() for file in mined.glob(f"{PICTURES}/*/*.svg")}
+    assert pictures == set(re.findall(r'<img class="event" src="([^"]+)"', page))
+    drawn = events.groupby(["log", "kind"]).head(MOST_OF_A_KIND)
+    assert {picture_of(row, logs.loc[row["log"], "sha256"]) for row in drawn.to_dict("records")} == pictures
+    for row in drawn.to_dict("records"):
+        picture = ElementTree.parse(mined / picture_of(row, logs.loc[row["log"], "sha256"]))
+        pointed = [one for one in picture.iter() if one.get("class") == "wrong"]
+        assert len(pointed) <= len(row["agents"]) and (pointed or row["kind"] not in ("cut_in", "pedestrian_crossing"))
 
 
 def test_what_was_not_looked_for_is_named(mined: Path) -> None:

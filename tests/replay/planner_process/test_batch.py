@@ -17,9 +17,9 @@ from short_logs import short
 from logs import ConfigError, EndReason
 from logs.mcap import write_scenario
 from replay.config import LoopConfig, PlannerProcessConfig, RunConfig
+from replay.draw.drawn_results import Results
 from replay.drive import Mark
 from replay.planner_process.batch import in_lockstep
-from replay.results.load import Results
 from replay.run import evaluate_logs
 from replay.run.engine import teams_of
 

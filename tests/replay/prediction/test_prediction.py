@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from worlds import curve, lanes
 
 from logs import AgentKind, Agents, ConfigError, Lane, Predictions, Road, wrap
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.states import wrapped
 from replay.prediction import PREDICTORS, LaneMap, predict
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from worlds import curve, lanes, strip
 
 from logs import AgentKind, Agents, Lane, Predictions, Road
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from replay.prediction import LaneMap, predict
 from replay.prediction.lane_following import CURVE_MPS2
 from replay.prediction.lane_map import lane_point, lane_project

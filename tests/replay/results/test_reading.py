@@ -21,8 +21,8 @@ from short_logs import free_and_blocked
 from logs.errors import ConfigError
 from logs.mcap import write_scenario
 from replay.compare import BASELINE
+from replay.draw.drawn_results import load
 from replay.mine.mine import read_mined
-from replay.results.load import load
 from replay.run.output import begun_in
 
 pytest.importorskip("duckdb")

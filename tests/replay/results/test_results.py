@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 
 from logs import ConfigError, StGraph
-from logs.trace import Decision
+from logs.plan import Decision
 from metrics.judge.aggregate import LogLabels, groups, standings
 from replay.config import RunConfig
-from replay.results.load import Results, load
+from replay.draw.drawn_results import Results, load
 from replay.run import evaluate_logs
 
 LOG = "paper/crossing_pedestrian"

@@ -12,7 +12,7 @@ from short_logs import QUICK, short
 
 from logs.mcap import write_scenario
 from replay.config import RunConfig
-from replay.results.load import Results
+from replay.draw.drawn_results import Results
 from replay.results.reading import VERSION_KEY, read_table
 from replay.results.schema import _TYPES, FRAMES, SCHEMA_VERSION, TABLES, arrow, markdown
 from replay.results.tables import TABLES as FILES

@@ -18,7 +18,7 @@ from short_logs import QUICK, identical, short
 
 from logs import ConfigError
 from logs.mcap import write_scenario
-from replay.results.load import Results
+from replay.draw.drawn_results import Results
 from replay.run import evaluate_logs
 from replay.run.on_ray import OnRay, code_of
 

@@ -12,7 +12,7 @@ from short_logs import short
 from logs.errors import ConfigError
 from logs.mcap import write_scenario
 from logs.readers import LogSettings
-from replay.results.load import load
+from replay.draw.drawn_results import load
 from replay.run.output import log_of, write_origin
 from replay.run.sources import log_hash
 

@@ -13,7 +13,7 @@ from short_logs import short
 
 from logs.errors import ConfigError
 from logs.mcap import write_scenario
-from replay.results.load import load
+from replay.draw.drawn_results import load
 from replay.results.log_result import LogResult
 from replay.results.tables import LOG_CARD
 from replay.run.output import output_location

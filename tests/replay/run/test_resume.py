@@ -19,7 +19,7 @@ from short_logs import QUICK, identical, short
 from logs import ConfigError
 from logs.mcap import write_scenario
 from replay.config import RunConfig
-from replay.results.load import Results
+from replay.draw.drawn_results import Results
 from replay.results.log_result import LogResult, load_result, timings_of
 from replay.run import evaluate_logs
 

@@ -17,7 +17,7 @@ from short_logs import QUICK, short
 from logs import ConfigError
 from logs.mcap import write_scenario
 from replay.config import RunConfig
-from replay.results.load import Results
+from replay.draw.drawn_results import Results
 from replay.results.tables import REPORTS, TABLES
 from replay.run import evaluate_logs
 from replay.run.shards import Shard, merge

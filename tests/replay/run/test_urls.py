@@ -15,7 +15,7 @@ from short_logs import short
 
 from logs.files import listed, local_path, url_of
 from logs.mcap import write_scenario
-from replay.results.load import load
+from replay.draw.drawn_results import load
 from replay.run.sources import select
 
 pytestmark = [pytest.mark.slow, pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]  # open sockets

@@ -14,14 +14,15 @@ from hypothesis import strategies as st
 
 from logs import Scenario
 from logs.catalogue import scenario as catalogue
-from logs.readers.cut import cut
+from logs.cut import cut
 from logs.rules import Colour, TrafficLight
 from logs.transform import mirrored, moved
 from replay.config import DEFAULT_LOOP
 from replay.loop.open_loop import run_open_loop
-from replay.score.navsim import VERSIONS, ScoredPlan, human_poses, scored, total, window
+from replay.score.navsim import VERSIONS, human_poses, window
 from replay.score.navsim_tracker import fitted, simulated
 from replay.score.trajectories import of_trace
+from replay.score.yardstick import ScoredPlan, scored, total
 
 VALUES = Path(__file__).parents[2] / "support" / "leaderboards"
 LOGS = {

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from logs import Goal, Scenario
 from logs.mcap import read_scenario, write_scenario
 from metrics.judge.gates import Gate, load_gates
-from replay.results.load import load
+from replay.draw.drawn_results import load
 from replay.run.claim import STUDY as FILE
 from replay.search.falsify import BOTH, ERROR, FAIL, PASS, TriedPoint, robustness
 

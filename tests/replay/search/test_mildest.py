@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import ConfigError
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from replay.search.mildest import LEAST_BUDGET, Mildest, Point, ScoredPoint, norm, search
 
 pytest.importorskip("cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'")

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from worlds import along_x, lanes, strip
 
 from logs import AgentKind, Colour, EgoState, LogError, Road, Scenario, StopLine, Tracks, TrafficLight
+from logs.arrays import FloatArray
 from logs.catalogue.roads import junction
-from logs.kernel import FloatArray
 from logs.readers.commonroad import read_commonroad
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop

@@ -23,8 +23,8 @@ from replay.config import RunConfig
 from replay.run import evaluate_logs
 from replay.run.claim import STUDY
 from replay.vary import VaryResult, encounters, prepared, question, vary
+from replay.vary.brackets import Bracket, bisect_brackets, brackets
 from replay.vary.conflict import conflicting_agent, lines, opened, question_about
-from replay.vary.surface import Bracket, bisect_brackets, brackets
 
 RUN = RunConfig(planners=("constant_speed",), recording=False, internals="none")
 GATES = """

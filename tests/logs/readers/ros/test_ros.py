@@ -25,10 +25,10 @@ from mcap_cases import differences
 from ros_bags import RATE_HZ, SPEED, START_NS, Row, ego_pose, header, message, objects_at, pose, seconds, stamp
 
 from logs import AgentKind, Colour, LogError, Scenario
+from logs.cut import cut
 from logs.mcap import write_scenario
 from logs.readers import LogSettings, read_log, reader_of, windows
-from logs.readers import ros as door
-from logs.readers.cut import cut
+from logs.readers.ros import bag as door
 from logs.readers.ros.ego import rates
 from logs.readers.ros.fields import MOST_FIELDS, decoder
 from logs.readers.ros.frames import clock_of, times_of

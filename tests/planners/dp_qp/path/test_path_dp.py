@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from planners.dp_qp.path.dp import (
     COLLISION,
     OUTSIDE,

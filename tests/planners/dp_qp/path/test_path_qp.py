@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from worlds import CAR
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from planners.dp_qp.path.corridor import COMFORT, MAX_DL, expected_speed, steering_bounds
 from planners.dp_qp.path.qp import PathQp, PathQpConfig
 from planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, PiecewiseJerkProblem, X

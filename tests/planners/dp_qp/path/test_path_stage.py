@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from worlds import CAR, PERIOD, Other, along_x, curve, driving, lanes, reference, scene, standing
 
 from logs import Decision, DecisionKind, EgoState, PlannerContext, SlGraph
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from planners.dp_qp.goal_window import GoalWindow
 from planners.dp_qp.path.bounds import (
     NOTHING,

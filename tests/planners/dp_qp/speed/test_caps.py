@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from worlds import CAR, Other, along_x, driving, followed, lanes, path_of, reference, scene, view
 
 from logs import AgentKind, Decision, DecisionKind, EgoState, Visibility
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from planners.dp_qp.path.passing import free_stations, pass_targets
 from planners.dp_qp.speed import stage
 from planners.dp_qp.speed.caps import (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from logs.catalogue import scenario
-from logs.trace import Decision, DecisionKind, StGraph
+from logs.plan import Decision, DecisionKind, StGraph
 from replay.loop.closed_loop import run_closed_loop
 
 SAID = re.compile(r"(?:keeps (-?[\d.]+) m, )?(yielding|going first) (.+?), (yielding|going first) (.+)$")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs.kernel import FloatArray, IntArray
+from logs.arrays import FloatArray, IntArray
 from planners.dp_qp.speed.dp import COLLISION, DS_M, SpeedDpWeights, cost_map, speed_dp
 
 SEED = st.integers(0, 2**32 - 1)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from planners.dp_qp.speed.qp import Rows, SpeedProblem, SpeedQp, SpeedQpConfig, rows_of
 from planners.frenet.profiles import STEP_S, SpeedLimits, braking
 

@@ -29,11 +29,11 @@ from logs import (
     StGraph,
     Tracks,
 )
-from logs.agents import Repair
+from logs.arrays import FloatArray
 from logs.errors import ConfigError, OutputError
-from logs.kernel import FloatArray
 from logs.observed import MAX_AGE_S
-from logs.repair import detections_of
+from logs.repair.detections import Repair
+from logs.repair.offline import detections_of
 from metrics import series
 from replay.draw.model import NEAR_M, NEAREST, in_full, multiples, nice_step
 from replay.draw.recording import colours, scene_times, write_log_recording, write_recording

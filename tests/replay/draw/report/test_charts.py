@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 from logs import Decision, DecisionKind, PlanStatus
 from logs.errors import ConfigError
 from logs.mcap import read_moment, read_trace
-from logs.trace import LaneOption, PlanSummary
+from logs.plan import LaneOption, PlanSummary
 from replay.cli import app
 from replay.config import RunConfig
 from replay.draw.charts import Chart, curves, decisions, scenes, sl_graph, st_graph, subject
@@ -42,9 +42,9 @@ from replay.draw.charts.canvas import (
 from replay.draw.charts.curves import decided, statuses
 from replay.draw.charts.layout import charts_of
 from replay.draw.charts.subject import gravity, violations, worst_moment
+from replay.draw.drawn_results import Results, load
 from replay.draw.model import ticks
 from replay.explain.explanation import events
-from replay.results.load import Results, load
 from replay.run import evaluate_logs
 
 LOG = "paper/crossing_pedestrian"

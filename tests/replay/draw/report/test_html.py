@@ -18,10 +18,10 @@ from replay.compare import compare_runs, read_run
 from replay.config import RunConfig
 from replay.draw.charts import subject, worst_moment
 from replay.draw.charts.layout import CHARTS
+from replay.draw.drawn_results import Results, load
 from replay.draw.report.html import write_html
 from replay.draw.report.overview import overview
 from replay.draw.report.write import write_reports
-from replay.results.load import Results, load
 from replay.run import evaluate_logs
 
 HOSTILE = "x</script><script>alert(1)</script>\" onload='y'\n<b>&amp;{{ 7 * 7 }}"

@@ -27,12 +27,13 @@ from metrics.comparison import FLIP_COLUMNS, GROUP_COLUMNS, PAIR_COLUMNS, Compar
 from metrics.judge.gates import Outcome
 from replay.cli import app
 from replay.config import RunConfig
+from replay.draw.drawn_results import Results, load
 from replay.draw.report.console import SafeConsole
+from replay.draw.report.contents import MOST_FIRST
 from replay.draw.report.markdown import STEP_BYTES, append_step_summary, markdown, shortened
 from replay.draw.report.overview import overview
 from replay.draw.report.terminal import print_report
 from replay.draw.report.write import junit, write_reports
-from replay.results.load import Results, load
 from replay.results.tables import REPORTS
 from replay.run import evaluate_logs
 
@@ -235,6 +236,9 @@ def test_markdown_tables_are_those_of_the_overview(results: Results) -> None:
     assert [row[1] for row in gates] == [gate.rule for gate in over.gates]
     shares = table(text, "logs")
     assert [row[3] for row in shares[1:3]] == [f"{share.passed} of {share.logs}" for share in over.whole]
+    first = table(text, "look first at")[1:]
+    assert [row[0] for row in first] == [row.log for row in over.first] and 0 < len(first) <= MOST_FIRST
+    assert all(row.verdict != "pass" for row in over.first)
     drives = table(text, "log")
     assert len(drives) - 1 == len(over.drives) == 6
     assert drives[1][:3] == ["test/blocked", "constant_speed", "FAIL"]  # the worst first

@@ -9,7 +9,7 @@ import pytest
 from logs import ConfigError
 from replay.run.claim import STUDY as FILE
 from replay.run.claim import claimed_folder
-from replay.search.study import Study
+from replay.run.study import Study
 from replay.search.tune import CONTENTS
 
 HEAD = {"study": "tune", "seed": 0}

@@ -29,12 +29,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from logs.arrays import FloatArray
+from logs.arrow_tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, whole
+from logs.complete import ASSUMED, assumed_limit, road_along
 from logs.errors import LogError
-from logs.kernel import FloatArray
-from logs.mcap.complete import ASSUMED, assumed_limit, road_along
-from logs.readers.arrow_tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, whole
-from logs.readers.base import beside
-from logs.readers.strips import LARGEST_M, LONGEST_M, LaneStrip, dense, lanes_of, predecessors
+from logs.files import beside
+from logs.maps.strips import LARGEST_M, LONGEST_M, LaneStrip, dense, lanes_of, predecessors
 from logs.road import Lane, Road, inside
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.states import Trajectory

@@ -20,15 +20,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from logs.agents import Detections, Repair
+from logs.arrays import BoolArray, FloatArray
+from logs.complete import ONE_LANE, REVERSES, road_along
 from logs.errors import LogError
-from logs.kernel import BoolArray, FloatArray
-from logs.mcap.complete import ONE_LANE, REVERSES, road_along
 from logs.observed import clipped
+from logs.repair.detections import Detections, Repair
 from logs.road import RoadSource
 from logs.rules import TrafficLight
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.states import Controls, OnboardPlan, Trajectory
+from logs.tracks import Tracks
 
 HISTORY_S = 2.0
 """Tracks keep this time before a part, s: longer than any sample is valid (`logs.observed.MAX_GAP_S`)."""

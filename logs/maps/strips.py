@@ -12,13 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.arrays import FloatArray
 from logs.road import Lane, paired
 
 LARGEST_M = 1e7
 """A larger coordinate is not valid: UTM northings end at 1e7."""
 SHORTEST_M, LONGEST_M = 0.01, 1e5
 """Limits of the length of a boundary; a shorter or longer line is not used."""
+CAR_WIDTH_M = 2.0
+"""Cars on two centre lines that come nearer than this would touch."""
 
 
 @dataclass(frozen=True, eq=False)

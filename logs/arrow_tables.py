@@ -12,8 +12,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from logs.arrays import FloatArray, IntArray
 from logs.errors import LogError
-from logs.kernel import FloatArray, IntArray
 
 METADATA = b"metadata"
 """Key of the metadata (msgpack) in the schema of a 123D file."""

@@ -22,12 +22,12 @@ from math import ceil
 
 import numpy as np
 
+from logs.arrays import TIE, FloatArray
 from logs.errors import LogError
 from logs.forward import described, forward_part, reversals
-from logs.kernel import TIE, FloatArray
 from logs.road import Road, thinned
-from logs.scenario import Tracks
 from logs.states import TRAJECTORY_COLUMNS, Trajectory
+from logs.tracks import Tracks
 
 MIN_STEP = 0.05
 MIN_PATH = 5.0

@@ -23,10 +23,9 @@ from rich.table import Table
 from logs.arrays import FloatArray
 from logs.plan import Plan
 from logs.vehicle import VehicleParameters
-from replay.control import CONTROLLERS
 from replay.loop.simulation_setup import controller_of
 from replay.paper.manoeuvres import PERIOD_S, s_curve
-from replay.vehicle import VEHICLES
+from replay.parts import CONTROLLER, VEHICLE, Part
 
 SOLVES_EVERY = {"mpc": 5}
 
@@ -34,8 +33,8 @@ SOLVES_EVERY = {"mpc": 5}
 def step_times(controller: str, vehicle: str) -> FloatArray:
     """Seconds of each command of one drive `(n,)`."""
     car, reference = VehicleParameters(), s_curve(50.0, 12.0, "").reference
-    ego = VEHICLES[vehicle](car, reference.state(0))
-    driver, plan, times = controller_of(ego, car, controller, PERIOD_S), Plan(reference), []
+    ego = VEHICLE.builtin[vehicle](car, reference.state(0))
+    driver, plan, times = controller_of(ego, car, Part(CONTROLLER, controller), PERIOD_S), Plan(reference), []
     for _ in range(round(float(reference.t[-1]) / PERIOD_S)):
         state = ego.state
         begin = thread_time()
@@ -48,12 +47,12 @@ def step_times(controller: str, vehicle: str) -> FloatArray:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--controller", action="append", choices=list(CONTROLLERS))
-    parser.add_argument("--vehicle", default="single_track", choices=list(VEHICLES))
+    parser.add_argument("--controller", action="append", choices=list(CONTROLLER.builtin))
+    parser.add_argument("--vehicle", default="single_track", choices=list(VEHICLE.builtin))
     parser.add_argument("--repeat", type=int, default=3)
     chosen = parser.parse_args()
     table = Table("controller", "commands", "p50 us", "p99 us")
-    for name in chosen.controller or CONTROLLERS:
+    for name in chosen.controller or CONTROLLER.builtin:
         step_times(name, chosen.vehicle)  # compiles, fills tables
         drives = [step_times(name, chosen.vehicle) for _ in range(chosen.repeat)]
         every = SOLVES_EVERY.get(name, 1)

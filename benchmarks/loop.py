@@ -26,13 +26,12 @@ from logs.plan import Plan
 from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
 from replay.config import LoopConfig
-from replay.control import CONTROLLERS
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.plan_period import PlanPeriod, TraceRecorder
 from replay.loop.simulation_setup import controller_of
 from replay.paper.manoeuvres import PERIOD_S, s_curve
+from replay.parts import CONTROLLER, VEHICLE, Part
 from replay.run.sources import builtin_suite, select
-from replay.vehicle import VEHICLES
 
 PERIODS_PER_PLAN = 10
 AIM_US = 5.0
@@ -43,10 +42,10 @@ SLOW = ("multibody",)
 def step_us(vehicle: str, controller: str) -> float:
     """A control step, us, over one drive."""
     car, reference = VehicleParameters(), s_curve(50.0, 12.0, "").reference
-    ego = VEHICLES[vehicle](car, reference.state(0))
+    ego = VEHICLE.builtin[vehicle](car, reference.state(0))
     steps = round(float(reference.t[-1]) / PERIOD_S) // PERIODS_PER_PLAN * PERIODS_PER_PLAN
     recorder, plan = TraceRecorder(steps, ego), Plan(reference)
-    period = PlanPeriod(controller_of(ego, car, controller, PERIOD_S), ego, PERIOD_S)
+    period = PlanPeriod(controller_of(ego, car, Part(CONTROLLER, controller), PERIOD_S), ego, PERIOD_S)
     at_once = min(PERIODS_PER_PLAN, period.most_steps)
     begin = process_time()
     for first in range(0, steps, at_once):
@@ -71,13 +70,13 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("logs", nargs="*", type=Path)
-    parser.add_argument("--vehicle", action="append", choices=list(VEHICLES))
-    parser.add_argument("--controller", action="append", choices=list(CONTROLLERS))
+    parser.add_argument("--vehicle", action="append", choices=list(VEHICLE.builtin))
+    parser.add_argument("--controller", action="append", choices=list(CONTROLLER.builtin))
     parser.add_argument("--repeat", type=int, default=5)
     chosen = parser.parse_args()
     console, table = Console(), Table("vehicle", "controller", "us per step", title=f"aim {AIM_US} us")
-    for vehicle in chosen.vehicle or [name for name in VEHICLES if name not in SLOW]:
-        for controller in chosen.controller or CONTROLLERS:
+    for vehicle in chosen.vehicle or [name for name in VEHICLE.builtin if name not in SLOW]:
+        for controller in chosen.controller or CONTROLLER.builtin:
             took = min(step_us(vehicle, controller) for _ in range(chosen.repeat + 1))  # the first may compile
             table.add_row(vehicle, controller, f"{took:.1f}")
     console.print(table)

@@ -29,7 +29,8 @@ from logs.readers.commonroad import read_commonroad
 from logs.scenario import Scenario
 from replay.config import DEFAULT_LOOP
 from replay.loop.perception import Perception
-from replay.prediction import PREDICTORS, LaneMap, predict
+from replay.parts import PREDICTION
+from replay.prediction import LaneMap, predict
 from replay.world import World, logged_ego
 
 HORIZONS_S = (1.0, 2.0, 4.0, 6.0)
@@ -118,7 +119,7 @@ def main() -> None:
         print_frames(told.folder)
         return
     scenarios = [read_commonroad(path) for path in sorted(told.folder.glob("*.xml"))]
-    found = [row for s in scenarios for method in PREDICTORS for row in rows(s, method, told.every)]
+    found = [row for s in scenarios for method in PREDICTION.causal for row in rows(s, method, told.every)]
     names = ["source", "method", "ahead_s", "kind", "likely_m", "best_m", "ms"]
     table = pd.DataFrame(found, columns=names)
     if told.kind:
@@ -126,7 +127,7 @@ def main() -> None:
     means = table.groupby(["source", "method", "ahead_s"], sort=False)[["likely_m", "best_m"]].mean()
     print(means.unstack("ahead_s").round(2).to_string())
     print("\nagents and frames compared:")
-    print(table.groupby(["source", "ahead_s"]).size().unstack().div(len(PREDICTORS)).astype(int).to_string())
+    print(table.groupby(["source", "ahead_s"]).size().unstack().div(len(PREDICTION.causal)).astype(int).to_string())
     print("\nmilliseconds per frame:")
     print(
         table.groupby("method", sort=False)["ms"].describe(percentiles=[0.5, 0.99])[["50%", "99%"]].round(2).to_string()

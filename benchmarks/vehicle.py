@@ -12,7 +12,7 @@ from time import perf_counter
 
 from logs import Command, ConfigError, EgoState
 from logs.vehicle import vehicle_parameters
-from replay.vehicle import VEHICLES
+from replay.parts import VEHICLE
 from replay.vehicle.drivetrain import Drivetrain
 from replay.vehicle.single_track import advance, car_of, cornering
 from replay.vehicle.tyres import TYRES
@@ -45,7 +45,7 @@ def substep_us(tyre: str) -> float:
 
 def step_us(name: str) -> float:
     """A control step of 10 ms, us."""
-    vehicle = VEHICLES[name](CAR, START)
+    vehicle = VEHICLE.builtin[name](CAR, START)
     return median_us(lambda: vehicle.step(Command(0.02, 0.1, 0.0), 0.01), 500)
 
 
@@ -55,7 +55,7 @@ def main() -> None:
         took = substep_us(tyre)
         verdict = "met" if took <= AIM_US else "MISSED"
         print(f"single_track sub-step, {tyre:8s} {took:9.2f} us   aim {AIM_US} us: {verdict}")
-    for name in VEHICLES:
+    for name in VEHICLE.builtin:
         if name == "perfect":
             continue
         try:

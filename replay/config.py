@@ -43,7 +43,8 @@ from logs.observed import MAX_AGE_S
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_parameters
 from metrics.judge.gates import PACKAGED
-from replay.settings import SETTINGS, known_keys, merged, strict
+from replay.parts import OF_LOOP, Part
+from replay.settings import known_keys, merged, strict
 
 RunMode = Literal["both", "open", "closed"]
 Internals = Literal["none", "summary", "full"]
@@ -141,15 +142,15 @@ class LoopConfig:
     Attributes:
         plan_period_s: Time between two frames.
         control_period_s: Time between two commands; the plan period is a multiple of it.
-        vehicle: Name in `replay.vehicle.VEHICLES`, or "module:Class", as for all names here (docs/extend.md).
+        vehicle: Name of a vehicle model (`replay.parts`), or "module:Class", as for all names here (docs/extend.md).
         plant: Properties of the vehicle model that are hidden from planner and controller: VehicleParameters by name,
             and keywords of the model (`replay.vehicle.build_vehicle`).
-        controller: Name in `replay.control.CONTROLLERS`; the vehicle "perfect" needs none.
-        traffic: Name in `replay.traffic.TRAFFIC`.
+        controller: Name of a controller; the vehicle "perfect" needs none.
+        traffic: Name of how the others move.
         plan_delay_s: Time from a frame until its plan is driven (the computing time), in whole control periods.
-        perception: Name in `replay.loop.perception.PERCEPTIONS`.
+        perception: Name of what the planner sees.
         sensor: Abilities of the sensor, for the perception "sensor".
-        prediction: Name in `replay.prediction.PREDICTORS`, or "oracle": the log's own future, with traffic "time".
+        prediction: Name of a predictor; "oracle" is the log's own future, with traffic "time".
         prediction_horizon_s: How far the others are predicted.
         prediction_step_s: Time between two samples of a prediction.
         end_with_evidence: A closed drive ends when the recording of the log's traffic ends (`Scenario.traffic_spans`).
@@ -200,6 +201,10 @@ class LoopConfig:
                 f"loop.plan_period_s ({self.plan_period_s}) must be a multiple of"
                 f" loop.control_period_s ({self.control_period_s})"
             )
+
+    def part(self, kind: str) -> Part:
+        """The part that a key names ("vehicle", "controller" ...), with its settings."""
+        return Part(OF_LOOP[kind], getattr(self, kind), self.settings.get(kind, {}))
 
     @property
     def plan_period_ns(self) -> int:
@@ -283,7 +288,7 @@ class RunConfig:
     @property
     def drive_loop(self) -> LoopConfig:
         """`loop` with the settings of the parts that it names, as the loops expect it."""
-        chosen = {key: getattr(self, table).get(getattr(self.loop, key), {}) for key, table in SETTINGS.items()}
+        chosen = {key: getattr(self, kind.table).get(getattr(self.loop, key), {}) for key, kind in OF_LOOP.items()}
         return replace(self.loop, settings={key: dict(table) for key, table in chosen.items() if table})
 
     @property

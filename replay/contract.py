@@ -35,7 +35,6 @@ from logs.tracks import Tracks
 from metrics import load_metric
 from metrics.arrival import goal_of
 from metrics.metric import Metric, Series, Unavailable
-from planners import PlannerFactory, load_planner
 from planners.base import Planner
 from replay.config import LoopConfig
 from replay.drive import Drive
@@ -44,7 +43,8 @@ from replay.loop.open_loop import run_open_loop
 from replay.loop.perception import Perception
 from replay.loop.plan_check import START_M, START_MPS, SWING_MPS, checked
 from replay.loop.planning import Planning, Seat
-from replay.planner_process.planner_config import of_class
+from replay.parts import Factory
+from replay.planner_process.planner_config import of_class, planner_part
 from replay.world import World, logged_ego
 
 PLANNER_RULES: Mapping[str, str] = {
@@ -177,7 +177,7 @@ Build = Callable[[Scenario], Planner]
 """Builds a planner for a scenario; one that is no oracle uses only its `context_of`."""
 
 
-def check_planner(planner: PlannerFactory | str, *, scenarios: Iterable[Scenario] | None = None) -> None:
+def check_planner(planner: Factory | str, *, scenarios: Iterable[Scenario] | None = None) -> None:
     """Check the contract of a planner: at single frames with a new memory, and in closed loop.
 
     The rules are those of `replay.contract.PLANNER_RULES`.
@@ -191,7 +191,7 @@ def check_planner(planner: PlannerFactory | str, *, scenarios: Iterable[Scenario
         ConfigError: No planner has this name, or it is a program.
         PlannerError: The planner cannot be loaded.
     """
-    factory = load_planner(planner) if isinstance(planner, str) else planner
+    factory = planner_part(planner).factory if isinstance(planner, str) else planner
     found = _Findings(PLANNER_RULES)
     prepare = of_class(factory, "prepare")
     if prepare is not None:
@@ -234,7 +234,7 @@ def until(tracks: Tracks, t: float) -> Tracks:
     return tracks.taken(keep)
 
 
-def _check_frames(factory: PlannerFactory, scenario: Scenario, found: _Findings) -> None:
+def _check_frames(factory: Factory, scenario: Scenario, found: _Findings) -> None:
     """Check the rules about single frames; the frames of one planner follow each other."""
 
     def build(known: Scenario) -> Planner:
@@ -332,7 +332,7 @@ class _WatchedPlanner:
         return plan
 
 
-def _check_closed_loop(factory: PlannerFactory, scenario: Scenario, found: _Findings) -> None:
+def _check_closed_loop(factory: Factory, scenario: Scenario, found: _Findings) -> None:
     """Check all plans of the begin of a closed loop."""
 
     class Seat(Planning):
@@ -348,7 +348,7 @@ def _check_closed_loop(factory: PlannerFactory, scenario: Scenario, found: _Find
         found.add("answer", f"{scenario.name}, closed loop", trace.detail)
 
 
-def _check_batch(factory: PlannerFactory, scenario: Scenario, found: _Findings) -> None:
+def _check_batch(factory: Factory, scenario: Scenario, found: _Findings) -> None:
     """Check that `plan_batch`, if there is one, plans each of two frames."""
     together = of_class(factory, "plan_batch")
     if together is None:

@@ -7,8 +7,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from logs.errors import PlannerError
@@ -16,7 +14,6 @@ from logs.frame import Frame, PlannerContext
 from logs.plan import Plan, PlanStart, PlanStatus
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, Trajectory
-from planners.base import Planner
 from planners.constant_speed import arc
 
 
@@ -86,7 +83,3 @@ class Onboard:
     def _none(frame: Frame, why: str) -> Plan:
         rest = arc(frame.ego, frame.t + np.arange(0.0, 2.0, 0.1))
         return Plan(rest, status=PlanStatus.REFUSED, reason=f"{why}: speed and curvature are kept")
-
-
-ORACLES: dict[str, Callable[..., Planner]] = {"logged": Logged, "onboard": Onboard}
-"""Each is built as `Class(context, scenario, **config)`."""

@@ -1,124 +1,19 @@
-"""Converts a table of the configuration into keywords of a planner, vehicle model, controller ...
-
-A factory takes its settings either as keywords (`horizon_s: float = 8.0`), or all in one keyword `config`, annotated
-with a frozen dataclass: then its table mirrors that dataclass, sub-tables included.
-"""
+"""Converts a table of a run's file or of `--set` into dataclasses: keys, defaults and types are checked."""
 
 from __future__ import annotations
 
-import inspect
 import json
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, asdict, fields, is_dataclass
-from functools import partial
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 import msgspec
 
 from logs.errors import ConfigError, unknown_name
-from logs.extension import ExtensionKind
-
-SETTINGS: Mapping[str, str] = {
-    "vehicle": "vehicle_model",
-    "controller": "controller",
-    "traffic": "traffic",
-    "prediction": "prediction",
-    "perception": "perception",
-}
-"""Keys of [loop] that name a part, and the table with the settings of the parts ([vehicle] has VehicleParameters)."""
 
 T = TypeVar("T")
-F = TypeVar("F", bound=Callable[..., Any])
 Table = Mapping[str, Any]
-
-
-PLAIN: Mapping[str, type] = {kind.__name__: kind for kind in (float, int, bool, str)}
-"""Types of keywords that are checked, by their names in annotations."""
-
-
-def keywords_of(factory: Callable[..., Any], table: Table, where: str) -> dict[str, Any]:
-    """Convert a configuration table to keywords.
-
-    Args:
-        factory: The factory that receives them.
-        table: Keys and values as TOML gives them.
-        where: Dotted name of the table, for messages.
-
-    Raises:
-        ConfigError: A key is unknown, or a value has the wrong type or is refused.
-    """
-    config = config_class(factory)
-    if config is not None:
-        return {"config": strict(config, table, where)} if table else {}
-    parameters = inspect.signature(factory).parameters.values()
-    if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
-        known_keys(table, [p.name for p in parameters if p.kind is p.KEYWORD_ONLY], where)
-    kinds = {p.name: PLAIN.get(getattr(p.annotation, "__name__", p.annotation)) for p in parameters}
-    for name, kind in kinds.items():
-        if name in table and kind is not None:
-            _converted(table[name], kind, dotted(where, name))
-    return dict(table)
-
-
-def resolved(factory: Callable[..., Any], table: Table, where: str, what: str, given: int) -> dict[str, Any]:
-    """Return the table with all defaults, after a check that the factory accepts it.
-
-    `keywords_of` converts the result to the same keywords as the table.
-
-    Args:
-        factory: The factory.
-        table: Its table.
-        where: Dotted name of the table.
-        what: Name of what is built, for messages ("planner 'idm'").
-        given: Number of positional arguments before the keywords.
-
-    Raises:
-        ConfigError: As `keywords_of`; or a keyword is missing or not accepted.
-    """
-    keywords, config = keywords_of(factory, table, where), config_class(factory)
-    try:
-        inspect.signature(factory).bind(*given * (None,), **keywords)
-    except TypeError as error:
-        raise ConfigError(
-            f"{what} cannot be built: {error}; it receives {given} argument{'s' * (given != 1)} and its settings"
-        ) from None
-    if config is not None:
-        return asdict(keywords.get("config") or config())
-    parameters = inspect.signature(factory).parameters.values()
-    defaults = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.default is not p.empty}
-    return {**defaults, **keywords}
-
-
-def configured(kind: ExtensionKind[F], name: str, settings: Mapping[str, Table]) -> F:
-    """The factory of a name with its `LoopConfig.settings`; ConfigError as `ExtensionKind.find` and `keywords_of`."""
-    factory, table = kind.find(name), settings.get(kind.name, {})
-    made: Any = partial(factory, **keywords_of(factory, table, dotted(SETTINGS[kind.name], name))) if table else factory
-    return made
-
-
-def check_members(kind: str, name: str, thing: object, protocol: type) -> None:
-    """Check that an object has all members of its protocol; ConfigError names the one that is missing."""
-    lacking = [member for member in vars(protocol) if not member.startswith("_") and not hasattr(thing, member)]
-    if lacking:
-        of = f"{protocol.__module__}.{protocol.__name__}"
-        raise ConfigError(f"{kind} '{name}': it built a {type(thing).__name__} without {lacking[0]} ({of})")
-
-
-def config_class(factory: Callable[..., Any]) -> type | None:
-    """Return the dataclass in the annotation of the keyword `config`, or None."""
-    while isinstance(factory, partial):
-        factory = factory.func
-    parameter = inspect.signature(factory).parameters.get("config")
-    if parameter is None or parameter.default is parameter.empty:
-        return None
-    target = factory.__init__ if isinstance(factory, type) else factory  # type: ignore[misc]
-    try:
-        hint = get_type_hints(target).get("config")
-    except (NameError, TypeError):  # annotations only for type checkers; a callable object
-        return None
-    found = [kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and is_dataclass(kind)]
-    return found[0] if found else None
 
 
 def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
@@ -133,7 +28,7 @@ def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
         ConfigError: A key is unknown, or a value has the wrong type or is refused by the dataclass.
     """
     _known_tree(cls, table, where)
-    return _converted(_with_defaults(cls, table), cls, where)
+    return converted(_with_defaults(cls, table), cls, where)
 
 
 def _with_defaults(cls: type, table: Mapping[str, Any]) -> dict[str, Any]:
@@ -146,7 +41,7 @@ def _with_defaults(cls: type, table: Mapping[str, Any]) -> dict[str, Any]:
     return filled
 
 
-def _converted(value: Any, kind: type[T], where: str) -> T:
+def converted(value: Any, kind: type[T], where: str) -> T:
     """Convert a value to a type; ConfigError as `strict`."""
     try:
         return msgspec.convert(value, kind)

@@ -29,9 +29,9 @@ from metrics.judge import REFERENCE as JUDGED_BY
 from metrics.judge.gates import Outcome
 from replay.config import LoopConfig, RunConfig
 from replay.draw.drawn_results import Results
+from replay.parts import TRAFFIC
 from replay.results.tables import write_file, write_text
 from replay.run import evaluate_logs
-from replay.traffic import TRAFFIC
 
 PLANNERS = ("dp_qp", "idm", "lattice")
 KINDS = ("give_way", "time", "reactive")
@@ -232,7 +232,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("logs", nargs="+", type=Path, help="CommonRoad files, or folders of them")
     parser.add_argument("-o", "--out", required=True, type=Path, help="folder for the tables and the runs")
     parser.add_argument("-p", "--planner", action="append", help=f"default: {', '.join(PLANNERS)}")
-    parser.add_argument("--traffic", action="append", choices=list(TRAFFIC), help=f"default: {', '.join(KINDS)}")
+    parser.add_argument(
+        "--traffic", action="append", choices=list(TRAFFIC.builtin), help=f"default: {', '.join(KINDS)}"
+    )
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; 0: in this one")
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted run in OUT")
     chosen = parser.parse_args(arguments)

@@ -18,15 +18,9 @@ from typing import Any
 
 from logs.errors import ReplanError
 from logs.extension import ExtensionKind
-from planners import PLANNER
 from replay.config import DEFAULT_LOOP
-from replay.control import CONTROLLER
-from replay.loop.perception import ORACLE, PERCEPTION, logged_futures
-from replay.oracle import ORACLES
-from replay.prediction import PREDICTION
-from replay.settings import SETTINGS, config_class, dotted
-from replay.traffic import TRAFFIC_KIND
-from replay.vehicle import VEHICLE
+from replay.parts import Part, config_class
+from replay.settings import dotted
 
 UNITS: Mapping[str, str] = {
     "s": "s", "m": "m", "mps": "m/s", "mps2": "m/s2", "mps3": "m/s3", "kmh": "km/h", "rad": "rad", "deg": "deg",
@@ -39,37 +33,6 @@ FAR, FAR_WHOLE, FINE = 1e9, 20_000, 1e-9
 """Largest values that are tried, of numbers and of whole numbers, and the relative error of a bound."""
 
 
-@dataclass(frozen=True)
-class Part:
-    """A kind of part with settings: its names, positional arguments before the settings, and its class's method."""
-
-    kind: ExtensionKind[Callable[..., Any]]
-    given: int
-    method: str = "__call__"
-
-    def fits(self, thing: Any) -> bool:
-        """Whether an object of a user can be the factory of such a part."""
-        try:
-            parameters = inspect.signature(thing).parameters.values()
-        except ValueError:  # some of C
-            return False
-        bare = sum(p.default is p.empty and p.kind <= p.POSITIONAL_OR_KEYWORD for p in parameters)
-        bases = thing.__mro__ if isinstance(thing, type) else ()
-        return bare == self.given and (not bases or any(self.method in vars(base) for base in bases))
-
-
-PARTS: Mapping[str, Part] = {
-    part.kind.name: part
-    for part in (
-        Part(replace(PLANNER, builtin={**PLANNER.builtin, **ORACLES}), 1, "plan"),
-        Part(CONTROLLER, 3, "control"),
-        Part(VEHICLE, 2, "step"),
-        Part(TRAFFIC_KIND, 1, "step"),
-        Part(replace(PREDICTION, builtin={**PREDICTION.builtin, ORACLE: logged_futures}), 3),
-        Part(PERCEPTION, 2),
-    )
-}
-"""The kinds that have settings, by their names in the singular."""
 ANY = ExtensionKind[Callable[..., Any]]("extension", "extensions", {})
 """Finds what a user names as module:NAME, of any kind."""
 
@@ -95,12 +58,11 @@ class ListedSetting:
     group: str = ""
 
 
-def settings_of(part: Part, name: str) -> tuple[ListedSetting, ...]:
-    """The settings of a name of a kind; errors as `ExtensionKind.find`."""
-    where = dotted(SETTINGS.get(part.kind.name, part.kind.name), name)
+def settings_of(part: Part) -> tuple[ListedSetting, ...]:
+    """The settings of a part; errors as `ExtensionKind.find`."""
+    where, name, factory = part.where, part.name, part.factory
     if is_dataclass(getattr(DEFAULT_LOOP, name, None)):  # perception "sensor"
         return tuple(_of_dataclass(getattr(DEFAULT_LOOP, name), dotted("loop", name)))
-    factory = part.kind.find(name)
     config = config_class(factory)
     if config is not None:
         needed = any(f.default is MISSING and f.default_factory is MISSING for f in fields(config))

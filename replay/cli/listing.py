@@ -20,9 +20,9 @@ from logs.extension import ExtensionKind
 from logs.readers import readers
 from logs.vehicle import vehicle_names
 from metrics import METRIC
-from replay.cli.listed_settings import ANY, PARTS, ListedSetting, setting_lines, settings_of
+from replay.cli.listed_settings import ANY, ListedSetting, setting_lines, settings_of
 from replay.draw.charts.layout import CHART
-from replay.oracle import ORACLES
+from replay.parts import PARTS, Part
 
 
 @dataclass(frozen=True)
@@ -67,18 +67,18 @@ def described(name: str) -> list[DescribedName]:
     """
     if all(name.partition(":")):
         thing = ANY.find(name)
-        found = {part.kind.plural: _entries_of_code({name: thing}) for part in PARTS.values() if part.fits(thing)}
+        found = {kind.plural: _entries_of_code({name: thing}) for kind in PARTS.values() if kind.fits(thing)}
     else:
         found = {kind: (one for one in entries(kind) if one.name == name) for kind in KINDS}
-    parts = {part.kind.plural: part for part in PARTS.values()}
+    parts = {kind.plural: Part(kind, name) for kind in PARTS.values()}
     all_of = [
-        DescribedName(kind, one.name, one.says, one.where, settings_of(parts[kind], name) if kind in parts else None)
+        DescribedName(kind, one.name, one.says, one.where, settings_of(parts[kind]) if kind in parts else None)
         for kind, some in found.items()
         for one in some
     ]
     if not all_of:
         if ":" in name:
-            raise ConfigError(f"'{name}' takes the arguments of no {', '.join(p.kind.name for p in PARTS.values())}")
+            raise ConfigError(f"'{name}' takes the arguments of no {', '.join(PARTS)}")
         raise unknown_name("kind or name", name, [*KINDS, *(one.name for kind in parts for one in entries(kind))])
     return all_of
 
@@ -104,8 +104,8 @@ def counts() -> list[str]:
 
 
 def _parts(kind: str) -> Iterator[ListedName]:
-    for one in _entries_of_code(_all(PARTS[kind].kind)):
-        oracle = kind == "planner" and one.name in ORACLES
+    for one in _entries_of_code(_all(PARTS[kind])):
+        oracle = one.name in PARTS[kind].oracles
         yield ListedName(one.name, f"{one.says} (oracle)" if oracle else one.says, one.where)
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,6 +12,7 @@ from typer.core import TyperCommand
 from logs.errors import unknown_name
 from logs.files import on_this_machine
 from replay.cli.app import handle_errors, say, say_json
+from replay.parts import PARTS, Part, loaded
 
 if TYPE_CHECKING:
     from logs.scenario import Scenario
@@ -20,68 +20,41 @@ if TYPE_CHECKING:
 
 # names for shell completion ------------------------------------------------------------------------------------------
 
-ROOT = Path(__file__).parents[2]
-TABLES = {
-    "planner": (("planners/__init__.py", "PLANNERS"), ("replay/oracle.py", "ORACLES")),
-    "controller": (("replay/control/__init__.py", "CONTROLLERS"),),
-    "vehicle": (("replay/vehicle/__init__.py", "VEHICLES"),),
-    "traffic": (("replay/traffic/__init__.py", "TRAFFIC"),),
-    "prediction": (("replay/prediction/__init__.py", "PREDICTORS"),),
-    "perception": (("replay/loop/perception.py", "PERCEPTIONS"),),
-    "chart": (("replay/draw/charts/layout.py", "CHARTS"),),
-    "suite": (("logs/catalogue/__init__.py", "SUITES"),),
-    "kind": (("replay/cli/listing.py", "KINDS"),),
+OTHER_NAMES: Mapping[str, Callable[[], Iterable[str]]] = {
+    "car": lambda: loaded("logs.vehicle:vehicle_names")(),
+    "chart": lambda: (*loaded("replay.draw.charts.layout:CHARTS"), "all"),
+    "suite": lambda: loaded("logs.catalogue:SUITES"),
+    "kind": lambda: loaded("replay.cli.listing:KINDS"),
+    "listed": lambda: [name for option in (*PARTS, "car", "chart", "suite", "kind") for name in names(option)],
 }
-TABLES["listed"] = tuple(place for places in TABLES.values() for place in places)
-"""For each option, the tables of its names: file and variable."""
-
-BESIDES = {"prediction": ("oracle",), "chart": ("all",)}
-"""Names that options take in addition to their tables."""
+"""The names that are of no kind of part; each table is imported when it is asked for, as this takes long."""
 
 
 def names(option: str) -> tuple[str, ...]:
-    """The names that an option takes, in the order of their tables; read from the source, as importing takes longer.
-
-    A table is a dictionary of string keys that is written out in a module: `PLANNERS: ... = {"dp_qp": DpQp, ...}`.
-    """
-    if option == "car":
-        return tuple(sorted(file.stem for file in (ROOT / "logs" / "vehicles").glob("*.toml")))
-    found: list[str] = []
-    for file, table in TABLES[option]:
-        for node in ast.parse((ROOT / file).read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id == table:
-                keys = node.value.keys if isinstance(node.value, ast.Dict) else ()
-                found += [str(key.value) for key in keys if isinstance(key, ast.Constant)]
-    return (*found, *BESIDES.get(option, ()))
+    """The names that an option takes, in the order of their tables."""
+    return tuple(PARTS[option].builtin if option in PARTS else OTHER_NAMES[option]())
 
 
 def completion(option: str) -> Callable[[str], list[str]]:
-    """The function for `typer.Option(autocompletion=...)`; it completes nothing if a file cannot be read."""
-
-    def complete(incomplete: str) -> list[str]:
-        try:
-            return [name for name in names(option) if name.startswith(incomplete)]
-        except (OSError, SyntaxError):
-            return []
-
-    return complete
+    """The function for `typer.Option(autocompletion=...)`."""
+    return lambda incomplete: [name for name in names(option) if name.startswith(incomplete)]
 
 
 def complete_setting(incomplete: str) -> list[str]:
     """The keys that `--set` takes, each with "="; tables of planners, controllers ... with a name and "."."""
     from replay.config import RunConfig
-    from replay.settings import SETTINGS, dotted_keys
+    from replay.settings import dotted_keys
 
-    tables = {"planner": "planner", **{table: option for option, table in SETTINGS.items()}}
+    tables = {kind.table: kind for kind in PARTS.values()}
     keys: list[str] = []
     table, _, rest = incomplete.partition(".")
-    for name in names(tables[table]) if table in tables else ():
+    for name in tables[table].builtin if table in tables else ():
         if rest.startswith(f"{name}."):  # this one is imported, with its settings
-            from replay.cli.listed_settings import PARTS, settings_of
+            from replay.cli.listed_settings import settings_of
 
-            keys += [f"{one.key}=" for one in settings_of(PARTS[tables[table]], name)]
+            keys += [f"{one.key}=" for one in settings_of(Part(tables[table], name))]
     for key in dotted_keys(RunConfig):
-        keys += [f"{key}.{name}." for name in names(tables[key])] if key in tables else [f"{key}="]
+        keys += [f"{key}.{name}." for name in tables[key].builtin] if key in tables else [f"{key}="]
     return [key for key in keys if key.startswith(incomplete) and key != incomplete]
 
 
@@ -98,7 +71,7 @@ def option(panel: str | None, words: str, *names: str, complete: str = "", **mor
         panel: The group; None: the default group.
         words: The help text.
         names: The spellings of the option; by default made from its parameter.
-        complete: The key of `TABLES` for shell completion.
+        complete: The names for shell completion: the name of a kind of part, or a key of `OTHER_NAMES`.
         more: Further arguments of `typer.Option`.
     """
     if complete:

@@ -1,16 +1,13 @@
 """Follows a plan: a Plan and the ego's state give a Command.
 
-CONTROLLERS    by name, each built as `factory(parameters, powertrain, period, **settings)`; adding one is one file and
-               one line here; a law that only steers or only drives is a part of `SplitController` (`split`). Speed
-               control is a dual-loop PID, except for "mpc" and "pid" (a single loop)
-CONTROLLER     finds the built-in controllers and those of users
+A law that only steers or only drives is a half of `SplitController` (`split`). Speed control is a dual-loop PID, except
+for "mpc" and "pid" (a single loop).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from logs.extension import ExtensionKind
 from logs.vehicle import VehicleParameters
 from replay.control.estimation import SteeringDelay
 from replay.control.mpc import Mpc, MpcConfig
@@ -49,18 +46,12 @@ def mpc_or_dlqr(
     return Mpc(parameters, powertrain, period, fallback, delay, config)
 
 
-CONTROLLERS: dict[str, ControllerFactory] = {
-    "dlqr_pid": split_controller(
-        "Steering by DLQR on the dynamic model (the kinematic one where the tyres are rigid), speed by dual-loop PID.",
-        DLQR,
-    ),
-    "dlqr_kinematic_pid": split_controller(
-        "Steering by DLQR on the kinematic model, speed by dual-loop PID.", KINEMATIC_DLQR
-    ),
-    "mpc": mpc_or_dlqr,
-    "pure_pursuit": split_controller("Steering by pure pursuit, speed by dual-loop PID.", PURE_PURSUIT),
-    "stanley": split_controller("Steering by Stanley's law, speed by dual-loop PID.", STANLEY),
-    "pid": split_controller("A PID for the steering and a single-loop PID for the speed.", STEERING_PID, SPEED_PID),
-}
-
-CONTROLLER: ExtensionKind[ControllerFactory] = ExtensionKind("controller", "controllers", CONTROLLERS)
+dlqr_pid = split_controller(
+    "Steering by DLQR on the dynamic model (the kinematic one where the tyres are rigid), speed by dual-loop PID.", DLQR
+)
+dlqr_kinematic_pid = split_controller(
+    "Steering by DLQR on the kinematic model, speed by dual-loop PID.", KINEMATIC_DLQR
+)
+pure_pursuit = split_controller("Steering by pure pursuit, speed by dual-loop PID.", PURE_PURSUIT)
+stanley = split_controller("Steering by Stanley's law, speed by dual-loop PID.", STANLEY)
+pid = split_controller("A PID for the steering and a single-loop PID for the speed.", STEERING_PID, SPEED_PID)

@@ -1,4 +1,4 @@
-"""Makes the frames that the planner sees from the World (`PERCEPTIONS`).
+"""Makes the frames that the planner sees from the World.
 
 A frame contains no later samples, with one exception: the prediction "oracle" is the log's own future, the upper bound
 for better predictions. Such a drive is marked as that of an oracle.
@@ -13,7 +13,6 @@ import numpy as np
 from logs.agents import NUMBERS, Agents
 from logs.arrays import FloatArray, IntArray, frozen
 from logs.errors import LogError
-from logs.extension import ExtensionKind
 from logs.frame import Frame, Predictions, Visibility
 from logs.memory import NearbyTracks
 from logs.plan import Plan
@@ -23,14 +22,11 @@ from logs.states import wrapped
 from logs.tracks import Tracks
 from replay.config import LoopConfig
 from replay.loop.sensor import Sensor
-from replay.prediction import PREDICTION, PREDICTORS, LaneMap, predict
-from replay.settings import configured
+from replay.prediction import LaneMap, predict
 from replay.world import World
 
 ORACLE = "oracle"
-PREDICTIONS = (*PREDICTORS, ORACLE)
-"""The values of `LoopConfig.prediction`."""
-
+"""The prediction that is the log's own future."""
 MOVED = ("x", "y", "yaw", "vx", "vy")
 
 Sight = Callable[[World], tuple[Agents, Visibility | None]]
@@ -121,35 +117,24 @@ def shows_truth(perception: str, scenario: Scenario) -> bool:
     return perception == "ground_truth" or (perception == "auto" and scenario.repair is None)
 
 
-def _auto(scenario: Scenario, config: LoopConfig) -> Sight:
+def auto(scenario: Scenario, config: LoopConfig) -> Sight:
     """As recorded where the log's tracks are made of detections, else as ground_truth."""
     return (GroundTruth() if shows_truth("auto", scenario) else Recorded(scenario)).see
 
 
-def _ground_truth(scenario: Scenario, config: LoopConfig) -> Sight:
+def ground_truth(scenario: Scenario, config: LoopConfig) -> Sight:
     """Every agent at its last sample not later than the frame's time, extrapolated with its velocity."""
     return GroundTruth().see
 
 
-def _recorded(scenario: Scenario, config: LoopConfig) -> Sight:
+def recorded(scenario: Scenario, config: LoopConfig) -> Sight:
     """What a tracker could know at that time from the log's own detections."""
     return Recorded(scenario).see
 
 
-def _sensor(scenario: Scenario, config: LoopConfig) -> Sight:
+def sensor(scenario: Scenario, config: LoopConfig) -> Sight:
     """What a sensor on the ego would measure, and the ground that is hidden from it."""
     return Sensor(scenario, config.sensor).see
-
-
-PERCEPTIONS: dict[str, Callable[..., Sight]] = {
-    "auto": _auto,
-    "ground_truth": _ground_truth,
-    "recorded": _recorded,
-    "sensor": _sensor,
-}
-"""Each is built once per drive as `factory(scenario, config, **settings)`."""
-PERCEPTION: ExtensionKind[Callable[..., Sight]] = ExtensionKind("perception", "perceptions", PERCEPTIONS)
-"""Finds perceptions by name: the built-in ones and those of users."""
 
 
 class Perception:
@@ -171,10 +156,10 @@ class Perception:
         self._config, self._log, self._lanes = config, scenario.tracks, LaneMap.of(scenario.road)
         self._lights = scenario.lights
         self._true = shows_truth(config.perception, scenario)
-        self._sight = configured(PERCEPTION, config.perception, config.settings)(scenario, config)
+        self._sight = config.part("perception").build(scenario, config)
         self._shown: list[tuple[float, Agents]] = []
         self.is_oracle = config.prediction == ORACLE
-        self._predictor = None if self.is_oracle else configured(PREDICTION, config.prediction, config.settings)
+        self._predictor = None if self.is_oracle else config.part("prediction").configured()
         notes = []
         if self.is_oracle:
             notes.append("the predictions are the log's own future, which no planner could know")

@@ -27,9 +27,9 @@ from planners.base import Planner
 from replay.config import LoopConfig
 from replay.drive import FIRST, Drive, DriveKey, Mark, StageTime, Stopwatch
 from replay.loop.plan_check import checked
-from replay.oracle import ORACLES
+from replay.parts import PLANNER
 from replay.planner_process.connection import ApartPlanner, FaultError, current_log
-from replay.planner_process.planner_config import is_apart, is_built_in, planner_factory, prepared
+from replay.planner_process.planner_config import is_apart, is_built_in, planner_part, prepared
 
 DRIVEN_PATH_NOTE = (
     "the road is the driven path: the planner knows where the log's driver went; open-loop errors across the path say"
@@ -42,7 +42,7 @@ class Planning:
 
     Args:
         scenario: The scenario; only an oracle receives it.
-        spec: A name in PLANNERS or ORACLES, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
+        spec: A name in `replay.parts.PLANNER`, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
         planner_config: Keywords of the planner; its configuration table where it runs in a process of its own.
         config: Configuration of the loop.
         start: The ego at the first frame.
@@ -65,7 +65,7 @@ class Planning:
         *, keep_internals: bool = True, place: DriveKey = FIRST,
     ) -> None:  # fmt: skip
         goal, note = goal_of(scenario)
-        self.is_oracle = spec in ORACLES
+        self.is_oracle = spec in PLANNER.oracles
         known_path = DRIVEN_PATH_NOTE if scenario.road.source is RoadSource.DRIVEN_PATH else ""
         apart = is_apart(spec, config.apart)
         marks = {
@@ -91,7 +91,7 @@ class Planning:
                     keep_internals=keep_internals, place=place,
                 )  # fmt: skip
             else:
-                factory = planner_factory(spec)
+                factory = planner_part(spec).factory
                 arguments = (self.context, scenario) if self.is_oracle else (self.context,)
                 try:
                     inspect.signature(factory).bind(*arguments, **planner_config)

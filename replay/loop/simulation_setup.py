@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import ceil, floor, inf
-from types import MappingProxyType
-from typing import Any
 
 from logs.errors import LogError
 from logs.observed import observed_until
@@ -14,12 +11,11 @@ from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
 from replay.config import LoopConfig
-from replay.control import CONTROLLER
 from replay.control.lateral_model import with_rigid_tyres
 from replay.loop.plan_period import PlanPeriod
-from replay.settings import check_members, configured
-from replay.traffic import TRAFFIC_KIND, TRAFFIC_NOTES, Traffic
-from replay.vehicle import VEHICLE, build_vehicle
+from replay.parts import Part
+from replay.traffic import TRAFFIC_NOTES, Traffic
+from replay.vehicle import build_vehicle
 from replay.vehicle.base import Controller, Vehicle
 from replay.world import World, box_center, logged_ego
 
@@ -76,15 +72,13 @@ class SimulationSetup:
         if floor((known - start.t) / period + ROUNDING) < steps:
             steps = max(1, floor((known - start.t) / period + ROUNDING))
             end = f"traffic is recorded until {known:.1f} s of {scenario.duration:.1f} s, and the drive ends with it"
-        model = configured(VEHICLE, config.vehicle, config.settings)
-        vehicle = build_vehicle(model, config.vehicle, scenario.vehicle, start, config.plant)
-        believed = build_vehicle(model, config.vehicle, scenario.vehicle, start, {}) if config.plant else vehicle
-        traffic = configured(TRAFFIC_KIND, config.traffic, config.settings)(scenario)
-        check_members("traffic", config.traffic, traffic, Traffic)
+        model = config.part("vehicle")
+        vehicle = build_vehicle(model, scenario.vehicle, start, config.plant)
+        believed = build_vehicle(model, scenario.vehicle, start, {}) if config.plant else vehicle
         return cls(
             vehicle=vehicle,
-            controller=controller_of(believed, scenario.vehicle, config.controller, period, config.settings),
-            traffic=traffic,
+            controller=controller_of(believed, scenario.vehicle, config.part("controller"), period),
+            traffic=config.part("traffic").build(scenario),
             steps=steps,
             steps_per_plan=config.plan_period_ns // config.control_period_ns,
             period=period,
@@ -113,27 +107,16 @@ class SimulationSetup:
         return min(frame, reacts, step + most, self.steps)
 
 
-def controller_of(
-    vehicle: Vehicle,
-    parameters: VehicleParameters,
-    name: str,
-    period: float,
-    settings: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
-) -> Controller:
-    """Build the controller of that name for the assumed parameters; a vehicle that follows plans has its own.
+def controller_of(vehicle: Vehicle, parameters: VehicleParameters, part: Part, period: float) -> Controller:
+    """Build a controller for the assumed parameters; a vehicle that follows plans has its own.
 
-    If the vehicle has rigid tyres, so does the controller's model.
-
-    Raises:
-        ConfigError: No controller has that name, it does not accept these settings (`LoopConfig.settings`), or it is
-            invalid.
+    If the vehicle has rigid tyres, so does the controller's model. Errors as `Part.build`.
     """
-    factory = configured(CONTROLLER, name, settings)
     if vehicle.own_controller is not None:
+        part.keywords()  # a wrong name or setting is an error all the same
         return vehicle.own_controller
     known = with_rigid_tyres(parameters) if vehicle.has_rigid_tyres else parameters
-    controller = factory(known, vehicle.powertrain, period)
-    check_members("controller", name, controller, Controller)
+    controller: Controller = part.build(known, vehicle.powertrain, period)
     return controller
 
 

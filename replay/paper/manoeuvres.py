@@ -33,9 +33,9 @@ from logs.plan import Plan
 from logs.states import Command, Trajectory
 from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from planners.solver import QPConfig, QuadraticProgram
-from replay.control import CONTROLLERS
 from replay.loop.simulation_setup import controller_of
-from replay.vehicle import VEHICLES, PlantTable, build_vehicle
+from replay.parts import CONTROLLER, VEHICLE, Part
+from replay.vehicle import PlantTable, build_vehicle
 from replay.vehicle.plan_path import PlanPath
 
 STEP_M = 0.5
@@ -252,11 +252,11 @@ def follow(
     """Follow a manoeuvre; commands arrive `delay_steps` control periods late."""
     table = {**manoeuvre.plant, **(plant or {})}
     start = manoeuvre.reference.state(0)
-    model = VEHICLES[vehicle]
+    model = Part(VEHICLE, vehicle)
     if vehicle == "kinematic_bicycle":
         table = {key: value for key, value in table.items() if key not in ("tyre_stiffness", "tyre_friction")}
-    ego, believed = build_vehicle(model, vehicle, car, start, table), build_vehicle(model, vehicle, car, start, {})
-    driver = controller_of(believed, car, controller, PERIOD_S)
+    ego, believed = build_vehicle(model, car, start, table), build_vehicle(model, car, start, {})
+    driver = controller_of(believed, car, Part(CONTROLLER, controller), PERIOD_S)
     plan, path, rows = Plan(manoeuvre.reference), PlanPath.of(manoeuvre.reference), []
     coming = delay_steps * [Command(ego.state.steer, ego.actuation.throttle, ego.actuation.brake)]
     for _ in range(round(float(manoeuvre.reference.t[-1]) / PERIOD_S)):
@@ -344,15 +344,15 @@ def fastest_clean(controller: str, vehicle: str, car: VehicleParameters) -> floa
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m replay.paper.manoeuvres", description="Compare controllers.")
-    parser.add_argument("--vehicle", action="append", choices=list(VEHICLES))
-    parser.add_argument("--controller", action="append", choices=list(CONTROLLERS))
+    parser.add_argument("--vehicle", action="append", choices=list(VEHICLE.builtin))
+    parser.add_argument("--controller", action="append", choices=list(CONTROLLER.builtin))
     parser.add_argument("--car", choices=vehicle_names(), help="parameters of logs/vehicles; else the default car")
     parser.add_argument("--roads", type=int, default=50)
     parser.add_argument("--robustness", action="store_true")
     parser.add_argument("--entry-speed", action="store_true", help="of ISO 3888-2 without a cone hit")
     parser.add_argument("--csv", type=Path)
     chosen = parser.parse_args(arguments)
-    vehicles, controllers = chosen.vehicle or MODELS, chosen.controller or list(CONTROLLERS)
+    vehicles, controllers = chosen.vehicle or MODELS, chosen.controller or list(CONTROLLER.builtin)
     car = vehicle_parameters(chosen.car) if chosen.car else DEFAULT_CAR
     table = compare(vehicles, controllers, roads=chosen.roads, robustness=chosen.robustness, car=car)
     if chosen.csv:

@@ -33,15 +33,14 @@ from logs.scenario import Scenario
 from logs.trace import PlannedFrame, Trace
 from metrics import METRICS, evaluate, evaluate_with_series
 from planners.frenet.st_boundaries import StGraphConfig
-from replay.control import CONTROLLERS
 from replay.draw.recording import write_recording
 from replay.draw.report import figures
 from replay.drive import Drive
 from replay.loop.closed_loop import run_closed_loop
 from replay.paper.manoeuvres import compare
 from replay.paper.pedestrian_grid import CELLS, LOOP, PLANNER, GridCrossing, braking_intervals, grid, walker_within
+from replay.parts import CONTROLLER, VEHICLE
 from replay.results.tables import write_file, write_text
-from replay.vehicle import VEHICLES
 
 Say = Callable[[str], None]
 
@@ -67,8 +66,8 @@ class PaperConfig:
 
     def __post_init__(self) -> None:
         for name in self.vehicles:
-            if name not in VEHICLES:
-                raise unknown_name("vehicle", name, VEHICLES)
+            if name not in VEHICLE.builtin:
+                raise unknown_name("vehicle", name, VEHICLE.builtin)
         if not self.vehicles or min(self.roads, self.workers) < 0:
             raise ConfigError("paper: name a vehicle; roads and workers must not be negative")
 
@@ -96,7 +95,7 @@ def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda lin
     scenarios = scenario_table(config.vehicles)
     _write_table(out / "scenarios.csv", scenarios)
     say(f"controllers x manoeuvres, {config.roads} roads among them")
-    manoeuvres = compare([v for v in config.vehicles if v != "perfect"], list(CONTROLLERS), roads=config.roads)
+    manoeuvres = compare([v for v in config.vehicles if v != "perfect"], list(CONTROLLER.builtin), roads=config.roads)
     _write_table(out / "manoeuvres.csv", manoeuvres)
     say(f"the pedestrian varied: {len(config.cells)} drives")
 
@@ -198,7 +197,7 @@ SCENARIO_COLUMNS: dict[str, str] = {
 }
 
 
-def scenario_table(vehicles: Sequence[str], controllers: Sequence[str] = tuple(CONTROLLERS)) -> pd.DataFrame:
+def scenario_table(vehicles: Sequence[str], controllers: Sequence[str] = tuple(CONTROLLER.builtin)) -> pd.DataFrame:
     """A row per vehicle model, scenario of the paper and controller; last the perfect vehicle, as the bound."""
     wanted = {name.partition(".")[0] for name in SCENARIO_COLUMNS.values()}
     metrics = {name: METRICS[name] for name in METRICS if name in wanted}

@@ -23,7 +23,7 @@ from planners.base import Planner
 from replay.drive import Stopwatch
 from replay.planner_process import messages
 from replay.planner_process.channel import Channel, GoneError
-from replay.planner_process.planner_config import of_class, planner_factory, planner_keywords, prepared, resolved_table
+from replay.planner_process.planner_config import of_class, planner_part, prepared
 
 
 def main() -> None:
@@ -47,7 +47,7 @@ def load(planner: str, settings: bytes) -> None:
     """
     _redirect_streams()
     try:
-        prepared(planner, planner_keywords(planner, msgspec.msgpack.decode(settings)))
+        prepared(planner, planner_part(planner, msgspec.msgpack.decode(settings)).keywords())
     finally:
         sys.stdout.flush()
 
@@ -100,8 +100,9 @@ class PlannerServer:
                 return messages.Failed(f"plan_batch returned {what} instead of {len(seats)} plans", "contract")
             return messages.Answers([self._sent(plan) for plan in plans])
         if isinstance(question, messages.Describe):
-            table = resolved_table(question.planner, question.config)
-            if question.batch and of_class(planner_factory(question.planner), "plan_batch") is None:
+            part = planner_part(question.planner, question.config)
+            table = part.resolved()
+            if question.batch and of_class(part.factory, "plan_batch") is None:
                 remedy = "add the class method plan_batch(cls, frames, planners), or leave out loop.apart.batch"
                 raise ConfigError(f"planner '{question.planner}' has no plan_batch: {remedy}")
             return messages.Described(table)
@@ -111,7 +112,7 @@ class PlannerServer:
 
     def _build_planner(self, hello: messages.Hello) -> messages.Ready:
         self._planners.append(None)
-        keywords = planner_keywords(hello.planner, hello.config)
+        keywords = planner_part(hello.planner, hello.config).keywords()
         context = messages.context_of(hello.context, self._watch.lap)
         factory: Any = prepared(hello.planner, keywords)
         self._planners[-1] = factory(context, **keywords)

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from inspect import getattr_static
+from types import MappingProxyType
 from typing import Any
 
-from planners import PLANNER, PLANNERS, load_planner
+from logs.errors import ConfigError
 from replay.config import PlannerProcessConfig, RunConfig
-from replay.oracle import ORACLES
-from replay.settings import dotted, keywords_of, resolved
-
-Factory = Callable[..., Any]
-
+from replay.parts import PLANNER, Factory, Part
 
 FOREIGN = ("exec:", "tcp://")
 """Prefixes of planners that are not Python classes to load."""
@@ -20,7 +17,7 @@ FOREIGN = ("exec:", "tcp://")
 
 def is_built_in(spec: str) -> bool:
     """Whether a planner comes with replan."""
-    return spec in PLANNERS or spec in ORACLES
+    return spec in PLANNER.builtin
 
 
 def is_foreign(spec: str) -> bool:
@@ -34,9 +31,11 @@ def is_apart(spec: str, apart: PlannerProcessConfig) -> bool:
     return is_foreign(spec) or (not is_built_in(spec) and named and not apart.trust)
 
 
-def planner_factory(spec: str) -> Factory:
-    """The factory of the planner or oracle of this name; ConfigError or PlannerError if there is none."""
-    return ORACLES[spec] if spec in ORACLES else load_planner(spec, also=ORACLES)
+def planner_part(spec: str, settings: Mapping[str, Any] = MappingProxyType({})) -> Part:
+    """The planner or oracle of a name, loaded into Python; ConfigError if it is a program or a node."""
+    if spec.partition(":")[0] in ("exec", "tcp"):
+        raise ConfigError(f"planner '{spec}': write exec:COMMAND or tcp://HOST:PORT; neither is loaded into Python")
+    return Part(PLANNER, spec, settings)
 
 
 def of_class(factory: Factory, name: str) -> Callable[..., Any] | None:
@@ -55,7 +54,7 @@ def prepared(spec: str, keywords: Mapping[str, Any]) -> Factory:
     A class may have a class method `prepare(**keywords)`, which gets the keywords of the planner before it is built
     with them. It is called once per process, and once in the process from which those of drives are forked.
     """
-    factory = planner_factory(spec)
+    factory = planner_part(spec).factory
     prepare = of_class(factory, "prepare")
     if prepare is not None and _prepared.get(factory) != keywords:
         prepare(**keywords)
@@ -63,18 +62,7 @@ def prepared(spec: str, keywords: Mapping[str, Any]) -> Factory:
     return factory
 
 
-def planner_keywords(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The keywords of a planner's table; ConfigError if it is wrong (`replay.settings`)."""
-    return keywords_of(planner_factory(spec), table, dotted("planner", spec))
-
-
 def drive_keywords(spec: str, run: RunConfig) -> Mapping[str, Any]:
     """The keywords with which a loop builds a planner of a run: its table, where it runs in a process of its own."""
     table = run.planner.get(spec, {})
-    return table if is_apart(spec, run.loop.apart) else planner_keywords(spec, table)
-
-
-def resolved_table(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The table with all defaults; ConfigError if the planner cannot be built with it."""
-    given = 2 if spec in ORACLES else 1  # the context, and for an oracle the log
-    return resolved(planner_factory(spec), table, dotted("planner", spec), f"planner '{spec}'", given)
+    return table if is_apart(spec, run.loop.apart) else planner_part(spec, table).keywords()

@@ -1,8 +1,8 @@
 """Predicts the futures of the other road users at a frame; the loop puts them into `Frame.predictions`.
 
 A predictor receives only the lanes and the agents as perceived at one instant: it has no memory and no access to the
-log. Its settings are keywords. To add one, write a function and list it in PREDICTORS; `replan list predictions` shows
-the first line of its docstring. "oracle", the log's own future, is made by `replay.loop.perception`.
+log. Its settings are keywords. To add one, write a function and list it in `replay.parts`; `replan list predictions`
+shows the first line of its docstring. "oracle", the log's own future, is made by `replay.loop.perception`.
 """
 
 from __future__ import annotations
@@ -15,49 +15,37 @@ import numpy as np
 from logs.agents import Agents
 from logs.arrays import FloatArray
 from logs.errors import ConfigError
-from logs.extension import ExtensionKind
 from logs.frame import Predictions
+from replay.parts import PREDICTION
 from replay.prediction.lane_following import everybody
 from replay.prediction.lane_map import LaneMap
 from replay.prediction.off_lanes import constant_velocity, walkers
 
-__all__ = ["NO_LANES", "PREDICTION", "PREDICTORS", "LaneMap", "Predictor", "predict"]
+__all__ = ["NO_LANES", "LaneMap", "Predictor", "predict"]
 
 NO_LANES = LaneMap.unknown()
 Predictor = Callable[..., Predictions]
-"""`predictor(agents, t, lanes, **settings)`: futures of the agents on a time grid `(k,)`, s, whose first entry is the
-time at which they were perceived."""
+"""As `replay.parts.PREDICTION`."""
 
 
-def _straight_on(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+def straight_on(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """All go straight on at constant velocity."""
     return constant_velocity(agents, t)
 
 
-def _round_a_circle(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+def round_a_circle(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """All keep a constant turn rate; pedestrians go straight on."""
     return everybody(agents, t, NO_LANES)
 
 
-def _pedestrian(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+def pedestrian(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """Pedestrians go on, stop or turn back; all others go on at constant velocity."""
     return _instead(constant_velocity(agents, t), walkers(agents, t, lanes))
 
 
-def _lanes_and_pedestrians(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+def lanes_and_pedestrians(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """Vehicles follow their lanes, pedestrians go on, stop or turn back, others keep a constant turn rate."""
     return _instead(everybody(agents, t, lanes), walkers(agents, t, lanes))
-
-
-PREDICTORS: dict[str, Predictor] = {
-    "constant_velocity": _straight_on,
-    "constant_turn_rate": _round_a_circle,
-    "lane_following": everybody,
-    "pedestrian": _pedestrian,
-    "lanes_and_pedestrians": _lanes_and_pedestrians,
-}
-PREDICTION: ExtensionKind[Predictor] = ExtensionKind("prediction", "predictions", PREDICTORS, besides=("oracle",))
-"""Finds predictors by name: the built-in ones and those of users."""
 
 
 def predict(
@@ -79,7 +67,7 @@ def predict(
         t: s since the scenario's start.
         horizon: Length of the prediction, s.
         step: Time between two samples, s.
-        method: Name in PREDICTORS, or "module:function".
+        method: Its name, or "module:function".
         lanes: `LaneMap.of(road)`, made once per scenario; by default no lanes are known, and no agent follows one.
         predictor: The predictor of the name `method`, if it is already loaded.
 

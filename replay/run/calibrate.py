@@ -9,8 +9,9 @@ from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from replay.config import load_run
 from replay.control.pedals import Calibration
+from replay.parts import VEHICLE, Part
 from replay.results.tables import write_file
-from replay.vehicle import VEHICLE, build_vehicle
+from replay.vehicle import build_vehicle
 
 STANDING = EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -22,19 +23,18 @@ def calibrate(
 
     Args:
         out: The folder; it is created if needed.
-        model: Name in `replay.vehicle.VEHICLES`.
+        model: Name of a vehicle model.
         car: Name of a set of parameters in `logs/vehicles`; None: that of the configuration, else the default vehicle.
         config: A run's configuration, of which [vehicle] is used.
 
     Raises:
         ConfigError: A name is unknown, the model has no power train, or the folder cannot be made.
     """
-    vehicle = VEHICLE.find(model)
     if model == "perfect":
         raise ConfigError("the perfect vehicle has no pedals: there is nothing to calibrate")
     run = load_run(config, {} if car is None else {"vehicle": {"set": car}})
     parameters = run.driven(VehicleParameters())
-    table = Calibration.of(build_vehicle(vehicle, model, parameters, STANDING, {}).powertrain)
+    table = Calibration.of(build_vehicle(Part(VEHICLE, model), parameters, STANDING, {}).powertrain)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

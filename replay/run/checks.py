@@ -10,31 +10,17 @@ from typing import Any
 
 from logs.catalogue import scenario
 from logs.errors import ConfigError, PlannerError, of_users, raised, unknown_name
-from logs.extension import ExtensionKind
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
-from planners import PLANNER, PLANNERS
 from replay.config import RunConfig
-from replay.control import CONTROLLER
-from replay.loop.perception import ORACLE, PERCEPTION
 from replay.loop.simulation_setup import controller_of
-from replay.oracle import ORACLES
+from replay.parts import CONTROLLER, OF_LOOP, PLANNER, Part, PartKind
 from replay.planner_process.connection import describe_planner
-from replay.planner_process.planner_config import is_apart, is_built_in, planner_keywords, resolved_table
-from replay.prediction import PREDICTION, LaneMap, predict
+from replay.planner_process.planner_config import is_apart, is_built_in, planner_part
+from replay.prediction import LaneMap, predict
 from replay.results.log_result import Failure
-from replay.settings import SETTINGS, configured, dotted, keywords_of, resolved
-from replay.traffic import TRAFFIC_KIND
-from replay.vehicle import VEHICLE, build_vehicle, split_plant
+from replay.vehicle import build_vehicle, split_plant
 
-KINDS: Mapping[str, tuple[ExtensionKind[Callable[..., Any]], int]] = {
-    "vehicle": (VEHICLE, 2),
-    "controller": (CONTROLLER, 3),
-    "traffic": (TRAFFIC_KIND, 1),
-    "prediction": (PREDICTION, 3),
-    "perception": (PERCEPTION, 2),
-}
-"""By key of [loop]: the kind that resolves its name, and the number of arguments before the settings."""
 SCENE = "paper/crossing_pedestrian"
 REFUSALS = (ValueError, TypeError)
 """The errors with which a factory refuses a setting."""
@@ -50,18 +36,18 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
             package for Foxglove is not installed.
         PlannerError: No planner is left.
     """
-    tables: dict[str, Any] = {SETTINGS[key]: _resolve_choice(key, run) for key in KINDS}
+    tables: dict[str, Any] = {kind.table: _resolve_choice(kind, run) for kind in OF_LOOP.values()}
     run = replace(run, **tables)
     _check_plant(run)
     _check_simulation_extensions(run)
     if run.foxglove:
         import replay.draw.foxglove  # noqa: F401  # raises ConfigError now if its package is not installed
-    named = {*PLANNERS, *ORACLES, *PLANNER.entries(), *run.planners}
+    named = {*PLANNER.names(), *run.planners}
     for name, table in run.planner.items():  # also the planners that are not driven
         if name not in named and ":" not in name:
             raise unknown_name("planner (in the configuration)", name, named)
-        if name in PLANNERS or name in ORACLES:
-            planner_keywords(name, table)
+        if is_built_in(name):
+            planner_part(name, table).keywords()
     if run.charts:
         from replay.draw.charts.layout import CHART  # here: few runs draw charts, and it takes long to load
 
@@ -80,23 +66,19 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
     return replace(run, planners=tuple(left), planner=left), failures
 
 
-def _resolve_choice(key: str, run: RunConfig) -> Mapping[str, Mapping[str, Any]]:
+def _resolve_choice(kind: PartKind, run: RunConfig) -> Mapping[str, Mapping[str, Any]]:
     """The settings, with defaults, of the choice for a key of [loop]; ConfigError if its name or a setting is wrong."""
-    kind, given = KINDS[key]
-    tables, chosen = getattr(run, SETTINGS[key]), getattr(run.loop, key)
+    tables, chosen = getattr(run, kind.table), getattr(run.loop, kind.name)
     for name, table in tables.items():
         if name in kind.builtin or name == chosen:
-            keywords_of(kind.find(name), table, dotted(SETTINGS[key], name))
+            Part(kind, name, table).keywords()
         elif ":" not in name:
             kind.place(name)
-    if key == "prediction" and chosen == ORACLE:
-        return {}
     try:
-        factory = kind.find(chosen)
+        kind.find(chosen)
     except ConfigError as error:
-        raise ConfigError(f"loop.{key}: {error}") from None
-    where = dotted(SETTINGS[key], chosen)
-    found = resolved(factory, tables.get(chosen, {}), where, f"{key} '{chosen}'", given)
+        raise ConfigError(f"loop.{kind.name}: {error}") from None
+    found = Part(kind, chosen, tables.get(chosen, {})).resolved()
     return {chosen: found} if found else {}
 
 
@@ -107,7 +89,7 @@ def _resolve_planner(planner: str, run: RunConfig) -> dict[str, Any]:
         return describe_planner(planner, table, apart)
     if apart.batch and not is_built_in(planner):
         raise ConfigError("loop.apart.batch is for planners in a process of their own: leave out loop.apart.trust")
-    return resolved_table(planner, table)
+    return planner_part(planner, table).resolved()
 
 
 def _check_plant(run: RunConfig) -> None:
@@ -117,13 +99,12 @@ def _check_plant(run: RunConfig) -> None:
     loop = run.drive_loop
     split_plant(loop.plant)
     table = {key: value for key, value in loop.plant.items() if key not in _OF_THE_LOG}
-    model, start = configured(VEHICLE, loop.vehicle, loop.settings), EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
     with _building("vehicle", loop.vehicle):
-        built = build_vehicle(model, loop.vehicle, vehicle, start, table)
+        built = build_vehicle(loop.part("vehicle"), vehicle, EgoState(0.0, 0.0, 0.0, 0.0, 0.0), table)
     if loop.controller in CONTROLLER.builtin:
         return
     with _building("controller", loop.controller):
-        controller_of(built, vehicle, loop.controller, loop.control_period_ns / 1e9, loop.settings)
+        controller_of(built, vehicle, loop.part("controller"), loop.control_period_ns / 1e9)
 
 
 def _check_simulation_extensions(run: RunConfig) -> None:
@@ -144,12 +125,12 @@ def _check_simulation_extensions(run: RunConfig) -> None:
         "prediction": predicted,
     }
     for key, make in makes.items():
-        kind, name = KINDS[key][0], getattr(loop, key)
-        if name in kind.builtin or name == ORACLE:
+        part = loop.part(key)
+        if part.name in part.kind.builtin:
             continue
-        error = _refusal(make, configured(kind, name, loop.settings))
-        if error is not None and _refusal(make, configured(kind, name, {})) is None:
-            raise ConfigError(f"{key} '{name}' cannot be built: {raised(error)}") from error
+        error = _refusal(make, part.configured())
+        if error is not None and _refusal(make, part.factory) is None:
+            raise ConfigError(f"{key} '{part.name}' cannot be built: {raised(error)}") from error
 
 
 def _refusal(make: Callable[[Any], object], factory: Any) -> BaseException | None:

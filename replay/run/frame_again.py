@@ -21,8 +21,8 @@ from replay.explain.explanation import Explanation, lines_of
 from replay.explain.planner_input import PlannerInput
 from replay.loop.plan_check import checked
 from replay.loop.planning import Planning
-from replay.oracle import ORACLES
-from replay.planner_process.planner_config import is_foreign, planner_factory, planner_keywords
+from replay.parts import PLANNER
+from replay.planner_process.planner_config import is_foreign, planner_part
 from replay.run.frame_dump import FrameDump
 from replay.run.one_log import LOOPS
 from replay.run.output import scenario_of
@@ -85,7 +85,7 @@ def replan_frame(drive: DriveResult, at: float, planner: str | None = None, *, d
     """
     run, recorded = drive.result.run, drive.frame(at)
     for spec in (drive.planner, planner or drive.planner):
-        if is_foreign(spec) or spec in ORACLES:
+        if is_foreign(spec) or spec in PLANNER.oracles:
             raise ConfigError(f"planner '{spec}': only Python planners that are not oracles can plan a frame again")
     row = drive.result.logs.set_index("log").loc[drive.log].to_dict()
     scenario = scenario_of(drive.result.path, row, run.log)
@@ -114,7 +114,7 @@ def _drive_up_to(
         seats.append(WatchedPlanning(until_s if debug else inf, *arguments, **keywords))
         return seats[0]
 
-    keywords = planner_keywords(drive.planner, run.planner.get(drive.planner, {}))
+    keywords = planner_part(drive.planner, run.planner.get(drive.planner, {})).keywords()
     config = replace(run.drive_loop, apart=replace(run.loop.apart, trust=True))
     loop = LOOPS[drive.trace.mode]
     made = loop(scenario, drive.planner, planner_config=keywords, config=config, until_s=until_s, seat=seat)
@@ -130,9 +130,9 @@ def _plan_with(
     """Plan the last frame with a new instance of another planner."""
     clock, frame = Stopwatch(), replace(watch.frames[-1], previous=None)
     context, table = replace(watch.context, lap=clock.lap), drive.result.run.planner.get(planner, {})
-    factory, keywords = planner_factory(planner), planner_keywords(planner, table)
+    build = planner_part(planner, table).configured()
     try:
-        made = factory(context, **keywords)
+        made = build(context)
         if debug:
             breakpoint()
         with record_problems() as asked:

@@ -29,7 +29,7 @@ from planners.piecewise_jerk.solvers import SolvedProblem
 from planners.solver import QPResult
 from replay.loop.plan_check import checked
 from replay.planner_process import messages
-from replay.planner_process.planner_config import planner_factory, planner_keywords
+from replay.planner_process.planner_config import planner_part
 
 VERSION = 1
 
@@ -97,7 +97,7 @@ class FrameDump:
 
     def planned(self) -> Plan:
         """The plan made anew in this process, by a planner that gets all frames; its errors are not caught."""
-        planner = planner_factory(self.planner)(self.context, **planner_keywords(self.planner, self.config))
+        planner = planner_part(self.planner, self.config).build(self.context)
         for frame in self.frames[:-1]:
             planner.plan(frame)
         return checked(planner.plan(self.frame), self.frame).recorded(keep=True)

@@ -31,10 +31,10 @@ from uuid import uuid4
 from logs.errors import ConfigError, LogError, writing
 from logs.log_settings import LogSettings
 from replay.config import LoopConfig, RunConfig
+from replay.parts import OF_LOOP
 from replay.planner_process.connection import command_of
 from replay.results.log_result import Failure, LogResult, Stamp
 from replay.results.tables import PARTIAL, finish_folder
-from replay.run.checks import KINDS
 from replay.run.engine import Job, longest_first
 from replay.run.pool import WorkerLost, freeze_gc
 from replay.run.resume import stamp_of
@@ -209,7 +209,7 @@ def code_of(run: RunConfig, folder: Path) -> Path:
 
 def _of_loop(run: RunConfig) -> tuple[str, ...]:
     """The names that are chosen in [loop]."""
-    return tuple(getattr(run.loop, key) for key in KINDS)
+    return tuple(getattr(run.loop, key) for key in OF_LOOP)
 
 
 def _on_node(source: LogSource, job: tuple[RunConfig, Stamp, str]) -> tuple[LogResult, dict[str, bytes]]:
@@ -234,7 +234,7 @@ def _on_node(source: LogSource, job: tuple[RunConfig, Stamp, str]) -> tuple[LogR
 @cache
 def _stamp_here(planners: tuple[str, ...], metrics: tuple[str, ...], of_loop: tuple[str, ...], reader: str) -> Stamp:
     """The stamp of this node, computed once in each of its processes."""
-    loop = LoopConfig(**dict(zip(KINDS, of_loop, strict=True)))  # type: ignore[arg-type]
+    loop = LoopConfig(**dict(zip(OF_LOOP, of_loop, strict=True)))  # type: ignore[arg-type]
     return stamp_of(RunConfig(planners=planners, metrics=metrics, loop=loop, log=LogSettings(reader=reader)))
 
 

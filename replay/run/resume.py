@@ -21,15 +21,13 @@ from logs.extension import ExtensionKind
 from logs.files import read_toml
 from logs.readers import READER
 from metrics import METRIC
-from planners import PLANNER
 from replan.own import PACKAGES
 from replay.config import RunConfig, dump_run
-from replay.oracle import ORACLES
+from replay.parts import OF_LOOP, PLANNER
 from replay.planner_process.connection import command_of
 from replay.results.log_result import LogResult, Stamp, load_result
 from replay.results.tables import FILES, LOG_CARD, PARTIAL, clear_partial
 from replay.results.version import replan_version
-from replay.run.checks import KINDS
 from replay.run.sources import LogSource
 from replay.settings import flat
 
@@ -49,11 +47,11 @@ def stamp_of(run: RunConfig, also: Iterable[tuple[ExtensionKind[Any], str]] = ()
             words = command_of(name)
             found = [Path(shutil.which(words[0]) or words[0]), *map(Path, words[1:])]
             own += [file for file in found if file.is_file()]
-        elif name not in ORACLES and not name.startswith("tcp:") and (source := PLANNER.file(name)) is not None:
+        elif not name.startswith("tcp:") and (source := PLANNER.file(name)) is not None:
             own.append(source)
     named: list[tuple[ExtensionKind[Any], str]] = [(METRIC, name) for name in run.metrics]
     named += [(READER, name) for name in (*READER.entries(), run.log.reader) if name]
-    named += [(kind, getattr(run.loop, key)) for key, (kind, _) in KINDS.items()]
+    named += [(kind, getattr(run.loop, key)) for key, kind in OF_LOOP.items()]
     for kind, name in (*named, *also):
         if name not in kind.besides and (source := kind.file(name)) is not None:
             own.append(source)

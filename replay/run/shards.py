@@ -30,7 +30,7 @@ from logs.files import read_toml
 from logs.names import counted
 from replay.config import RunConfig, load_run
 from replay.draw.drawn_results import Results
-from replay.planner_process.planner_config import planner_factory
+from replay.planner_process.planner_config import is_foreign, planner_part
 from replay.results.log_result import Failure, LogResult, Stamp, load_result
 from replay.results.reading import Name, Place, read_json
 from replay.results.tables import PARTIAL, SHARD_CARD, finish_folder, write_json, write_text
@@ -217,7 +217,8 @@ def _read_parts(folders: Sequence[Path]) -> tuple[ShardContents, ...]:
         raise ConfigError(f"shards are missing: {', '.join(missing)}; given are {len(found)} of {of}")
     run = load_run(one.folder / "run.toml")
     for planner in run.planners:
-        planner_factory(planner)  # raises an error that names a missing package
+        if not is_foreign(planner):
+            _ = planner_part(planner).factory  # raises an error that names a missing package
     now = stamp_of(run)
     if now != one.stamp:
         raise ConfigError(f"{one.folder}: was driven with {_describe(one.stamp)}, this is {_describe(now)}")

@@ -11,10 +11,10 @@ from typing import Any
 
 from logs.errors import OutputError
 from logs.kernel_watch import cache_folder, compiled_count
-from planners import PLANNERS
 from replay.config import RunConfig
+from replay.parts import OF_LOOP, PLANNER
 from replay.results.log_result import Failure, LogResult
-from replay.run.checks import KINDS, checked
+from replay.run.checks import checked
 from replay.run.engine import Local
 from replay.run.resume import stamp_of
 from replay.run.sources import LogSource
@@ -57,11 +57,11 @@ ELSEWHERE = ("multibody", "recorded")
 
 def everything() -> Iterator[tuple[RunConfig, Sequence[str]]]:
     """Runs, and their scenes, that need all built-in kernels: of all planners, and of each other choice in turn."""
-    yield RunConfig(planners=tuple(PLANNERS)), SCENES
+    yield RunConfig(planners=PLANNER.causal), SCENES
     apart = RunConfig(mode="closed", recording=False, internals="none")
     yield replace(apart, planner={"dp_qp": {"solver": "osqp"}}), OF_A_CHOICE
-    for key, (kind, _) in KINDS.items():
-        for name in kind.builtin:
+    for key, kind in OF_LOOP.items():
+        for name in kind.causal:
             if name not in (getattr(apart.loop, key), *ELSEWHERE):
                 instead: dict[str, Any] = {key: name}
                 yield replace(apart, loop=replace(apart.loop, **instead)), OF_A_CHOICE

@@ -1,19 +1,17 @@
-"""Moves the other road users while the ego is driven: `TRAFFIC` by name; `replan list traffic` describes each."""
+"""Moves the other road users while the ego is driven: `replan list traffic` describes each way."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import inf
 from typing import Protocol
 
-from logs.extension import ExtensionKind
 from logs.scenario import Scenario
 from logs.states import EgoState
 from logs.tracks import Tracks
 from replay.traffic.phase_replay import ReplayedByEgoPosition
 from replay.traffic.reactive import GIVE_WAY, Reactive
 
-__all__ = ["TRAFFIC", "TRAFFIC_KIND", "TRAFFIC_NOTES", "Reactive", "ReplayedByEgoPosition", "ReplayedByTime", "Traffic"]
+__all__ = ["TRAFFIC_NOTES", "Reactive", "ReplayedByEgoPosition", "ReplayedByTime", "Traffic"]
 
 
 class Traffic(Protocol):
@@ -56,16 +54,6 @@ def give_way(scenario: Scenario) -> Traffic:
     """As in the log, but road users give way to an ego that they would hit from behind or that has the right of way."""
     return Reactive(scenario, GIVE_WAY)
 
-
-TRAFFIC: dict[str, Callable[..., Traffic]] = {
-    "give_way": give_way,
-    "time": ReplayedByTime,
-    "ego_position": ReplayedByEgoPosition,
-    "reactive": Reactive,
-}
-
-TRAFFIC_KIND: ExtensionKind[Callable[..., Traffic]] = ExtensionKind("traffic", "traffic", TRAFFIC)
-"""Finds traffic by name: the built-in kinds and those of users."""
 
 TRAFFIC_NOTES: dict[str, tuple[str, ...]] = {
     "ego_position": (

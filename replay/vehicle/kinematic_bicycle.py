@@ -27,6 +27,7 @@ is its own controller: it returns the command that a kinematic bicycle without l
 
 from __future__ import annotations
 
+from functools import partial
 from math import atan, ceil, cos, sin, tan
 from typing import NamedTuple
 
@@ -206,6 +207,11 @@ class KinematicBicycle:
         """Place the vehicle elsewhere, with its actuators at `actuation` `(3,)`."""
         self.state, does = state, actuation.tolist()
         self.inner = BicycleState(state.x, state.y, state.yaw, state.v, *does)
+
+
+REAR_RATIO = -0.2
+"""Of "kinematic_rear_steer": the rear wheels turn against the front ones by a fifth; few real axles can."""
+rear_steer = partial(KinematicBicycle, rear_ratio=REAR_RATIO)
 
 
 def kinematics_of(p: VehicleParameters, rear_ratio: float = 0.0) -> Kinematics:

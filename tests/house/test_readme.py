@@ -12,12 +12,11 @@ import pytest
 from sparse import SPARSE
 
 from metrics import METRICS
-from planners import PLANNER
 from replay.cli.app import INTERNAL
 from replay.config import load_run
-from replay.planner_process.planner_config import planner_keywords
+from replay.parts import PARTS
+from replay.planner_process.planner_config import planner_part
 from replay.results.tables import OUTCOMES
-from replay.run.checks import KINDS
 from replay.run.sources import builtin_suite
 
 ROOT = Path(__file__).parents[2]
@@ -35,7 +34,7 @@ def test_the_configuration_example_is_one(tmp_path: Path) -> None:
     (tmp_path / "run.toml").write_text(text, encoding="utf-8")
     run = load_run(tmp_path / "run.toml")
     assert run.vehicle == {"mass": 1500.0}
-    assert planner_keywords("dp_qp", run.planner["dp_qp"])["config"].stitch_m == 0.4
+    assert planner_part("dp_qp", run.planner["dp_qp"]).keywords()["config"].stitch_m == 0.4
 
 
 def test_the_set_up_commands_are_known() -> None:
@@ -58,7 +57,7 @@ def test_the_exit_codes_are_those_of_the_program() -> None:
 def test_the_options_that_choose_by_name_have_all_names() -> None:
     page = (ROOT / "docs" / "use.md").read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| `--(\w+)` \|(.*)\|$", page, re.MULTILINE))
-    for key, kind in {"planner": PLANNER, **{key: kind for key, (kind, _) in KINDS.items()}}.items():
+    for key, kind in PARTS.items():
         assert {*kind.builtin, *kind.besides} - {""} <= set(re.findall(r"`(\w+)`", rows[key])), key
 
 

@@ -36,7 +36,7 @@ from planners.frenet.profiles import HORIZON_KNOTS, STEP_S
 from planners.pdm import Pdm, PdmConfig
 from planners.pdm.planner import Driver, constant_velocity, drive_track, idm_acceleration, track_proposal
 from planners.pdm.proposal_score import BOUNDS, PARTS, Scores, comfortable, scores
-from replay.planner_process.planner_config import planner_keywords
+from replay.planner_process.planner_config import planner_part
 
 C = PdmConfig()
 DRIVER = Driver(C.accel_mps2, C.decel_mps2, C.headway_s, C.min_gap_m, C.exponent)
@@ -294,7 +294,7 @@ def test_all_proposals_and_their_scores_are_in_the_plan() -> None:
 
 
 def test_settings() -> None:
-    keywords = planner_keywords("pdm", {"offsets_m": [0.5], "horizon_s": 3.0})
+    keywords = planner_part("pdm", {"offsets_m": [0.5], "horizon_s": 3.0}).keywords()
     assert keywords["config"] == PdmConfig(offsets_m=(0.5,), horizon_s=3.0)
     for wrong in ({"speed_shares": ()}, {"radius_m": 0.0}, {"offsets_m": (-1.0,)}, {"horizon_s": 9.0}):
         with pytest.raises(ValueError, match="pdm"):

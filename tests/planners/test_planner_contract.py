@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,10 +20,10 @@ from hypothesis import strategies as st
 import logs.catalogue
 from logs import AgentKind, ConfigError, EgoState, Frame, Goal, Plan, PlannerContext, PlannerError, Scenario
 from logs.states import OnboardPlan
-from planners import PLANNERS, load_planner
 from planners.constant_speed import arc
 from replay.contract import check_planner, context_of, frame_times_of, future_changes, until
-from replay.oracle import ORACLES
+from replay.parts import PLANNER
+from replay.planner_process.planner_config import planner_part
 
 
 def busy_street() -> Scenario:
@@ -62,7 +63,7 @@ def all_scenes() -> dict[str, Scenario]:
     return scenes()
 
 
-@pytest.mark.parametrize("name", PLANNERS)
+@pytest.mark.parametrize("name", PLANNER.causal)
 def test_the_contract_holds(name: str, all_scenes: dict[str, Scenario]) -> None:
     check_planner(name, scenarios=all_scenes.values())
 
@@ -79,17 +80,20 @@ class Nosy:
         return Plan(arc(replace(frame.ego, x=frame.ego.x + sum(seen)), frame.t + np.arange(3.0)))
 
 
-@pytest.mark.parametrize("name", [*ORACLES, "nosy"])
+@pytest.mark.parametrize("name", [*PLANNER.oracles, "nosy"])
 def test_no_agent_sample_later_than_the_frame_can_change_an_oracles_plan(
     name: str, all_scenes: dict[str, Scenario]
 ) -> None:
+    oracle: Any = PLANNER.builtin.get(name)
+
+    def build(log: Scenario) -> Any:
+        return Nosy(context_of(log)) if oracle is None else oracle(context_of(log), log)
+
     for made in all_scenes.values():
         onboard = (OnboardPlan(0.0, arc(made.ego.state(0), np.arange(0.0, 9.0, 0.5))),)
         known = replace(made, onboard=onboard if name == "onboard" else ())
         for t in frame_times_of(known):
-            assert not future_changes(
-                lambda log: ORACLES[name](context_of(log), log) if name in ORACLES else Nosy(context_of(log)), known, t
-            )
+            assert not future_changes(build, known, t)
 
 
 @given(st.floats(0.0, 4.0), st.integers(0, 2**32 - 1))
@@ -140,33 +144,33 @@ def own_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path
 
 def test_a_planner_of_the_users_own_is_found_in_the_working_directory(own_module: Path) -> None:
     (own_module / "mine_a.py").write_text("from planners.constant_speed import ConstantSpeed as MyPlanner\n")
-    assert load_planner("mine_a:MyPlanner").__name__ == "ConstantSpeed"
+    assert planner_part("mine_a:MyPlanner").factory.__name__ == "ConstantSpeed"
     with pytest.raises(PlannerError, match="did you mean 'MyPlanner'"):
-        load_planner("mine_a:MyPlaner")
+        _ = planner_part("mine_a:MyPlaner").factory
     with pytest.raises(PlannerError, match="is not a planner"):
-        load_planner("mine_a:__name__")
+        _ = planner_part("mine_a:__name__").factory
 
 
 def test_a_name_that_is_none_is_a_configuration_error() -> None:
     with pytest.raises(ConfigError, match="did you mean 'constant_speed'"):
-        load_planner("constant_sped")
+        _ = planner_part("constant_sped").factory
     with pytest.raises(ConfigError, match="did you mean 'logged'"):
-        load_planner("loged", also=ORACLES)
+        _ = planner_part("loged").factory
     with pytest.raises(ConfigError, match="module:Class"):
-        load_planner("mine:")
+        _ = planner_part("mine:").factory
     with pytest.raises(ConfigError, match="neither is loaded into Python"):
-        load_planner("exec:./planner")
+        _ = planner_part("exec:./planner").factory
 
 
 def test_modules_that_cannot_be_imported_become_one_line(own_module: Path) -> None:
     (own_module / "mine_b.py").write_text("raise RuntimeError('no licence\\nfound')\n")
     (own_module / "mine_c.py").write_text("def broken(:\n")
     with pytest.raises(PlannerError, match=r"no_such_module.*PYTHONPATH"):
-        load_planner("no_such_module:Planner")
+        _ = planner_part("no_such_module:Planner").factory
     with pytest.raises(PlannerError, match=r"RuntimeError: no licence found \(mine_b.py:1\)$"):
-        load_planner("mine_b:Planner")
+        _ = planner_part("mine_b:Planner").factory
     with pytest.raises(PlannerError, match="SyntaxError"):
-        load_planner("mine_c:Planner")
+        _ = planner_part("mine_c:Planner").factory
 
 
 def test_a_clash_of_names_is_explained(own_module: Path) -> None:
@@ -177,4 +181,4 @@ def test_a_clash_of_names_is_explained(own_module: Path) -> None:
     (own_module / "mine_e.py").write_text("from logs import my_reader\n")
     for spec, package in (("planners.mine:P", "planners"), ("mine_d:P", "metrics"), ("mine_e:P", "logs")):
         with pytest.raises(PlannerError, match=f"'{package}' is the name of a package of replan.*rename yours.*exec:"):
-            load_planner(spec)
+            _ = planner_part(spec).factory

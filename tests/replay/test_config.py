@@ -17,7 +17,7 @@ from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from planners.dp_qp import DpQpConfig
 from replay.config import LoopConfig, RunConfig, dump_run, load_run
-from replay.planner_process.planner_config import planner_keywords, resolved_table
+from replay.planner_process.planner_config import planner_part
 from replay.settings import dotted_keys, set_table, strict
 
 WORDS = st.text("abcdefgh_:.", min_size=1, max_size=12)
@@ -127,23 +127,23 @@ def test_a_vehicle_that_fits_by_default_but_not_with_the_log_is_a_config_error()
 
 
 def test_planner_keywords_are_checked_and_typed() -> None:
-    assert planner_keywords("constant_speed", {"horizon_s": 4.0}) == {"horizon_s": 4.0}
+    assert planner_part("constant_speed", {"horizon_s": 4.0}).keywords() == {"horizon_s": 4.0}
     with pytest.raises(ConfigError, match=r"planner\.constant_speed\.horizon.*did you mean"):
-        planner_keywords("constant_speed", {"horizon": 4.0})
-    config = planner_keywords("dp_qp", {"stitch_m": 0.4, "speed": {"qp": {"w_j": 9.0}}})["config"]
+        planner_part("constant_speed", {"horizon": 4.0}).keywords()
+    config = planner_part("dp_qp", {"stitch_m": 0.4, "speed": {"qp": {"w_j": 9.0}}}).keywords()["config"]
     assert isinstance(config, DpQpConfig)
     assert (config.stitch_m, config.speed.qp.w_j, config.stitch_mps) == (0.4, 9.0, DpQpConfig().stitch_mps)
     with pytest.raises(ConfigError, match=r"planner\.dp_qp\.speed\.qp\.w_jj"):
-        planner_keywords("dp_qp", {"speed": {"qp": {"w_jj": 9.0}}})
+        planner_part("dp_qp", {"speed": {"qp": {"w_jj": 9.0}}}).keywords()
     with pytest.raises(ConfigError, match=r"planner\.dp_qp\.stitch_m: expected float"):
-        planner_keywords("dp_qp", {"stitch_m": "near"})
+        planner_part("dp_qp", {"stitch_m": "near"}).keywords()
 
 
 @pytest.mark.parametrize("name", ["dp_qp", "constant_speed", "logged"])
 def test_a_resolved_planner_table_spells_everything_and_makes_the_same_planner(name: str) -> None:
-    table = resolved_table(name, {})
+    table = planner_part(name).resolved()
     assert table
-    again = planner_keywords(name, table)
+    again = planner_part(name, table).keywords()
     assert again == ({"config": DpQpConfig()} if name == "dp_qp" else table)
 
 

@@ -14,7 +14,6 @@ import pytest
 from typer.testing import CliRunner
 
 import metrics
-import planners
 import replan
 from logs import readers
 from logs.errors import ConfigError
@@ -22,9 +21,9 @@ from logs.extension import ExtensionKind
 from replay.cli import app
 from replay.config import LoopConfig, RunConfig, dump_run, load_run
 from replay.draw.charts.layout import CHART
+from replay.parts import OF_LOOP, PLANNER
 from replay.run import evaluate_logs
-from replay.run.checks import KINDS, checked
-from replay.settings import SETTINGS
+from replay.run.checks import checked
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "extend.md").read_text(encoding="utf-8")
@@ -48,7 +47,7 @@ NAMES = {
     "families": ("team/parked", "my_family:PARKED"),
 }
 """By the group of entry points: a name, and what it stands for."""
-PLANNER = """
+MY_PLANNER = """
 from planners.constant_speed import ConstantSpeed
 
 
@@ -66,7 +65,7 @@ def width(trace, scenario):
 
 WIDTH = Metric("width", "m", "none", (Mode.CLOSED,), width, (MAX,), "For a test.")
 """
-MORE = {"my_planner.py": PLANNER, "my_metric.py": METRIC}
+MORE = {"my_planner.py": MY_PLANNER, "my_metric.py": METRIC}
 
 
 @pytest.fixture
@@ -149,7 +148,7 @@ def test_a_reader_named_in_the_settings_reads_first(desk: Path) -> None:
 @pytest.mark.slow
 def test_installed_packages_give_names(desk: Path) -> None:
     installed(desk)
-    loop = {key: NAMES[kind.plural][0] for key, (kind, _) in KINDS.items()}
+    loop = {key: NAMES[kind.plural][0] for key, kind in OF_LOOP.items()}
     result = replan.evaluate(
         suite="team/parked", planners="held", metrics=["width"], out="out", mode="closed", internals="none",
         recording=False, loop=loop,
@@ -190,9 +189,9 @@ def loop(**names: str) -> RunConfig:
     return RunConfig(("constant_speed",), loop=LoopConfig(**names))
 
 
-@pytest.mark.parametrize("key", KINDS)
+@pytest.mark.parametrize("key", OF_LOOP)
 def test_a_wrong_name_says_the_nearest(desk: Path, key: str) -> None:
-    kind = KINDS[key][0]
+    kind = OF_LOOP[key]
     module, _, name = OWN[key].partition(":")
     for spec, said in (
         (name[:-1], "no .* is called .*module:NAME"),
@@ -205,9 +204,9 @@ def test_a_wrong_name_says_the_nearest(desk: Path, key: str) -> None:
             checked(loop(**{key: spec}))
 
 
-@pytest.mark.parametrize("key", KINDS)
+@pytest.mark.parametrize("key", OF_LOOP)
 def test_a_wrong_setting_is_refused_and_names_its_key(desk: Path, key: str) -> None:
-    table, own = SETTINGS[key], OWN[key]
+    table, own = OF_LOOP[key].table, OWN[key]
     with pytest.raises(ConfigError, match=rf'{table}\."{own}"\.gian'):
         checked(RunConfig(("constant_speed",), loop=LoopConfig(**{key: own}), **{table: {own: {"gian": 1.0}}}))
     with pytest.raises(ConfigError, match=r"no .* is called 'unknown'"):
@@ -223,7 +222,7 @@ def test_a_module_that_raises_is_named_with_its_line(desk: Path) -> None:
         checked(loop(controller="my_broken:X"))
 
 
-ALL = (planners.PLANNER, metrics.METRIC, readers.READER, CHART, *(kind for kind, _ in KINDS.values()))
+ALL = (PLANNER, metrics.METRIC, readers.READER, CHART, *OF_LOOP.values())
 
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.name)
@@ -259,7 +258,7 @@ def test_an_import_that_fails_names_the_module_and_the_line(desk: Path, kind: Ex
         line = str(error.value)
         assert line.startswith(f"{kind.name} 'my_{k}:X' cannot be loaded: ") and said in line and remedy in line
         assert (rename in line) == (remedy == rename) and ("install '" in line) == remedy.startswith("install"), line
-        assert line.count("rename yours") < 2 and ("exec:" in line) == (remedy == rename and kind is planners.PLANNER)
+        assert line.count("rename yours") < 2 and ("exec:" in line) == (remedy == rename and kind is PLANNER)
 
 
 def test_one_that_raises_in_a_drive_costs_that_drive_and_is_named_with_its_line(desk: Path) -> None:
@@ -396,7 +395,7 @@ def test_a_setting_that_is_refused_is_found_before_anything_is_driven(
     (tmp_path / f"refuses_{what}.py").write_text(body, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     name = f"refuses_{what}:it"
-    run = RunConfig(loop=LoopConfig(**{what: name}), **{SETTINGS[what]: {name: {"gain": -1.0}}})  # type: ignore[arg-type]
+    run = RunConfig(loop=LoopConfig(**{what: name}), **{OF_LOOP[what].table: {name: {"gain": -1.0}}})  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=rf"{what} '{name}' cannot be built: ValueError: below .*\.py:3"):
         checked(run)
 

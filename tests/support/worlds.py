@@ -41,8 +41,8 @@ from planners.frenet.st_boundaries import StGraphConfig, st_boundaries
 from replay.config import DEFAULT_LOOP, LoopConfig
 from replay.loop.perception import GroundTruth
 from replay.loop.simulation_setup import controller_of
+from replay.parts import CONTROLLER, VEHICLE, Part
 from replay.prediction import predict
-from replay.vehicle import VEHICLES
 from replay.vehicle.plan_path import PlanPath
 from replay.world import World, logged_ego
 
@@ -254,8 +254,8 @@ def controlled(
     plant: VehicleParameters = CAR,
 ) -> tuple[list[Command], list[EgoState], FloatArray]:  # fmt: skip
     """Commands, states (one more) and errors (`Deviation`) of a plan followed at 100 Hz without replanning."""
-    car = VEHICLES[vehicle](plant, start or plan.state(0))
-    driver, one, path = controller_of(car, CAR, controller, 0.01), Plan(plan), PlanPath.of(plan)
+    car = VEHICLE.builtin[vehicle](plant, start or plan.state(0))
+    driver, one, path = controller_of(car, CAR, Part(CONTROLLER, controller), 0.01), Plan(plan), PlanPath.of(plan)
     commands, states, errors = [], [car.state], []
     for _ in range(round(seconds / 0.01)):
         errors.append(path.deviation(car.state))

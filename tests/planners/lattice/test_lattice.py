@@ -66,7 +66,7 @@ from planners.lattice.planner import ego_frenet
 from replay.draw.recording.pages import why
 from replay.explain import Explanation, accounts
 from replay.loop.closed_loop import run_closed_loop
-from replay.planner_process.planner_config import planner_keywords
+from replay.planner_process.planner_config import planner_part
 
 SPEED = st.floats(0.0, 30.0)
 ACCEL = st.floats(-4.0, 3.0)
@@ -311,7 +311,7 @@ def test_the_counts_are_in_the_trace_and_in_words(tmp_path: Path) -> None:
 
 
 def test_the_configuration_is_a_table() -> None:
-    keywords = planner_keywords("lattice", {"durations_s": [3.0, 6.0], "w_gap": 80.0})
+    keywords = planner_part("lattice", {"durations_s": [3.0, 6.0], "w_gap": 80.0}).keywords()
     assert keywords["config"] == LatticeConfig(durations_s=(3.0, 6.0), w_gap=80.0)
 
 

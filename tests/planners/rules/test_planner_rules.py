@@ -31,11 +31,11 @@ from logs import (
 )
 from logs.arrays import FloatArray
 from logs.route import find_route
-from planners import PLANNERS
 from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.frenet.scene import Occupancy, Scene, scene_of
 from planners.rules import Rulebook, RuleMemory, RulesConfig
 from replay.loop.closed_loop import run_closed_loop
+from replay.parts import PLANNER
 from replay.prediction import predict
 
 LINE_X = 100.0
@@ -123,7 +123,7 @@ def drive(
     name: str, road: Road, ego: EgoState, others: Sequence[Other] = (), *, seconds: float, lights: Lights = lambda t: {}
 ) -> tuple[Trajectory, list[Plan]]:
     """How the ego moves when it follows each plan without any error, and the plans."""
-    planner, previous, states, plans = PLANNERS[name](PlannerContext(road, None, CAR, PERIOD, ego)), None, [], []
+    planner, previous, states, plans = PLANNER.builtin[name](PlannerContext(road, None, CAR, PERIOD, ego)), None, [], []
     for k in range(round(seconds / PERIOD)):
         now = frame_of(ego, others, lights(k * PERIOD), t=k * PERIOD, previous=previous)
         previous = planner.plan(now)
@@ -178,7 +178,9 @@ def test_a_green_light_changes_no_bit_of_the_plan(name: str, v: float, ahead: fl
     ego = at_front(LINE_X - ahead, v)
     others = [driving("car", ego.x + CAR.axle_to_front + gap, 0.0, 6.0)]
     plans = [
-        PLANNERS[name](PlannerContext(road, None, CAR, PERIOD, ego)).plan(frame_of(ego, others, {9: Colour.GREEN}))
+        PLANNER.builtin[name](PlannerContext(road, None, CAR, PERIOD, ego)).plan(
+            frame_of(ego, others, {9: Colour.GREEN})
+        )
         for road in (straight(LIGHT), straight())
     ]
     for column in ("t", "x", "y", "yaw", "v", "a", "kappa"):

@@ -1,20 +1,22 @@
 """`replan list NAME`: every setting has a key that --set takes, a default, a unit and a meaning, all from the code."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from command_line import one_error, replan
 
 from planners.dp_qp.parameters import DpQpConfig
-from replay.cli.listed_settings import PARTS, ListedSetting, Part, accepted, settings_of, unit
+from replay.cli.listed_settings import ListedSetting, accepted, settings_of, unit
 from replay.cli.listing import described
 from replay.cli.options import complete_setting, completion
 from replay.config import RunConfig
 from replay.control.mpc import MpcConfig
-from replay.settings import SETTINGS, dotted_keys, keywords_of, set_table, strict
+from replay.parts import PARTS, Part
+from replay.settings import dotted_keys, set_table, strict
 
-BUILT_IN = [(part, name) for part in PARTS.values() for name in part.kind.builtin]
+BUILT_IN = [Part(kind, name) for kind in PARTS.values() for name in kind.builtin]
 
 MINE = '''
 from dataclasses import dataclass
@@ -63,9 +65,9 @@ def either(scenario):
 '''
 
 
-@pytest.mark.parametrize(("part", "name"), BUILT_IN, ids=lambda one: one if isinstance(one, str) else one.kind.name)
-def test_every_setting_has_a_meaning_and_a_key_that_set_takes(part: Part, name: str) -> None:
-    found = settings_of(part, name)
+@pytest.mark.parametrize("part", BUILT_IN, ids=lambda part: part.where)
+def test_every_setting_has_a_meaning_and_a_key_that_set_takes(part: Part) -> None:
+    found = settings_of(part)
     assert len({one.key for one in found}) == len(found)
     for one in found:
         assert len(one.meaning.split()) > 1 and "..." not in one.meaning, f"{one.key}: its docstring does not say it"
@@ -74,12 +76,12 @@ def test_every_setting_has_a_meaning_and_a_key_that_set_takes(part: Part, name: 
         if one.key.startswith("loop."):
             assert strict(RunConfig, table) == RunConfig()
         else:
-            (settings,) = table[SETTINGS.get(part.kind.name, "planner")].values()
-            keywords_of(part.kind.builtin[name], settings, name)
+            (settings,) = table[part.kind.table].values()
+            replace(part, settings=settings).keywords()
 
 
 def test_all_settings_of_a_dataclass_are_listed_and_their_bounds_are_those_that_it_checks() -> None:
-    found = {one.key.removeprefix("planner.dp_qp."): one for one in settings_of(PARTS["planner"], "dp_qp")}
+    found = {one.key.removeprefix("planner.dp_qp."): one for one in settings_of(Part(PARTS["planner"], "dp_qp"))}
     assert sorted(found) == sorted(dotted_keys(DpQpConfig))
     decel = found["speed.qp.comfort.decel_mps2"]
     assert (decel.default, decel.unit, decel.range) == (3.0, "m/s2", {})
@@ -91,25 +93,25 @@ def test_all_settings_of_a_dataclass_are_listed_and_their_bounds_are_those_that_
     assert accepted(MpcConfig(), "friction_share") == {"exclusiveMinimum": 0.0, "maximum": 1.0}
 
 
-@pytest.mark.parametrize(("part", "name"), [("planner", "lattice"), ("controller", "mpc"), ("perception", "sensor")])
-def test_what_is_within_the_bounds_is_accepted_and_what_is_beyond_is_refused(part: str, name: str) -> None:
-    kind = PARTS[part]
-    for one in settings_of(kind, name):
+@pytest.mark.parametrize(("kind", "name"), [("planner", "lattice"), ("controller", "mpc"), ("perception", "sensor")])
+def test_what_is_within_the_bounds_is_accepted_and_what_is_beyond_is_refused(kind: str, name: str) -> None:
+    part = Part(PARTS[kind], name)
+    for one in settings_of(part):
         for bound, edge in one.range.items():
             away = (1 if isinstance(edge, int) else 1e-6 * max(1.0, abs(edge))) * (-1 if "inimum" in bound else 1)
             for value, holds in ((edge, bound[0] == "m"), (edge + away, False), (edge - away, True)):
-                assert _takes(kind, name, one, value) == holds, (one, value)
+                assert _takes(part, one, value) == holds, (one, value)
 
 
-def _takes(part: Part, name: str, one: ListedSetting, value: float) -> bool:
+def _takes(part: Part, one: ListedSetting, value: float) -> bool:
     listed = [value] * len(one.default) if isinstance(one.default, tuple) else value
     table = set_table([f"{one.key}={json.dumps(listed)}"])
     try:
         if one.key.startswith("loop."):
             strict(RunConfig, table)
         else:
-            (settings,) = table[SETTINGS.get(part.kind.name, "planner")].values()
-            keywords_of(part.kind.builtin[name], settings, name)
+            (settings,) = table[part.kind.table].values()
+            replace(part, settings=settings).keywords()
     except Exception:
         return False
     return True

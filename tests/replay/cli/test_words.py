@@ -24,27 +24,22 @@ from logs.kernel_watch import is_cache_cold
 from logs.readers import readers
 from logs.vehicle import vehicle_names
 from metrics import METRICS
-from planners import PLANNERS
 from replay.cli.listing import KINDS, entries
 from replay.cli.options import complete_setting, names
 from replay.cli.progress_bar import LEAST_S, Pace, progress, sign_of_life, with_kernels
-from replay.control import CONTROLLERS
 from replay.draw.charts.layout import CHARTS
-from replay.loop.perception import PERCEPTIONS, PREDICTIONS
-from replay.oracle import ORACLES
+from replay.parts import CONTROLLER, PERCEPTION, PLANNER, PREDICTION, TRAFFIC, VEHICLE
 from replay.results.log_result import LogResult
-from replay.traffic import TRAFFIC
-from replay.vehicle import VEHICLES
 
 ROOT = Path(__file__).parents[3]
 TABLES = {
-    "planners": (*PLANNERS, *ORACLES),
-    "controllers": CONTROLLERS,
-    "vehicles": VEHICLES,
+    "planners": PLANNER.builtin,
+    "controllers": CONTROLLER.builtin,
+    "vehicles": VEHICLE.builtin,
     "cars": vehicle_names(),
-    "traffic": TRAFFIC,
-    "predictions": PREDICTIONS,
-    "perceptions": PERCEPTIONS,
+    "traffic": TRAFFIC.builtin,
+    "predictions": PREDICTION.builtin,
+    "perceptions": PERCEPTION.builtin,
     "charts": CHARTS,
     "metrics": METRICS,
     "families": FAMILIES,

@@ -13,9 +13,8 @@ from worlds import controlled
 
 from logs import Command, EgoState, Plan, Trajectory, VehicleParameters
 from logs.catalogue import CATALOGUE
-from replay.control import CONTROLLERS
 from replay.loop.simulation_setup import controller_of
-from replay.vehicle import VEHICLES
+from replay.parts import CONTROLLER, VEHICLE, Part
 
 CAR = VehicleParameters()
 PERIOD = 0.01
@@ -29,7 +28,7 @@ def assert_lawful(commands: list[Command]) -> None:
     assert not (table[:, 1] * table[:, 2]).any(), "throttle and brake together"
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("name", CONTROLLER.builtin)
 @pytest.mark.parametrize(
     "family", [pytest.param(name, marks=[pytest.mark.slow] * (i % 3 > 0)) for i, name in enumerate(CATALOGUE)]
 )
@@ -49,7 +48,7 @@ def stop_and_go(t: np.ndarray) -> np.ndarray:
     return np.interp(t, [0.0, 1.0, 5.0, 7.0, 11.0], [8.0, 8.0, 0.0, 0.0, 8.0])
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("name", CONTROLLER.builtin)
 @pytest.mark.parametrize("vehicle", ["kinematic_bicycle", "single_track"])
 def test_two_drives_are_identical_and_hold_at_the_stop(name: str, vehicle: str) -> None:
     plan, start = drive(s_curve, stop_and_go, 12.0), EgoState(0.0, 0.0, 0.2, 0.05, 7.0)
@@ -64,7 +63,7 @@ def mirrored(plan: Trajectory) -> Trajectory:
     return replace(plan, y=-plan.y, yaw=-plan.yaw, kappa=-plan.kappa)
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("name", CONTROLLER.builtin)
 def test_a_mirrored_plan_has_the_mirrored_commands(name: str) -> None:
     plan = drive(s_curve, stop_and_go, 6.0)
     start = EgoState(0.0, 0.0, 0.3, -0.05, 7.0)
@@ -80,7 +79,7 @@ def test_a_mirrored_plan_has_the_mirrored_commands(name: str) -> None:
 
 @settings(max_examples=15)
 @given(
-    st.sampled_from(sorted(CONTROLLERS)),
+    st.sampled_from(sorted(CONTROLLER.builtin)),
     st.lists(
         st.tuples(
             st.floats(-3.0, 3.0), st.floats(-0.6, 0.6), st.floats(0.0, 30.0), st.floats(-0.5, 0.5),
@@ -92,8 +91,8 @@ def test_a_mirrored_plan_has_the_mirrored_commands(name: str) -> None:
 def test_whatever_the_state_commands_are_lawful(name: str, states: list[tuple[float, ...]]) -> None:
     """States that jump about as no car does."""
     plan = Plan(drive(s_curve, 10.0, 4.0))
-    car = VEHICLES["single_track"](CAR, plan.trajectory.state(0))
-    controller = controller_of(car, CAR, name, PERIOD)
+    car = VEHICLE.builtin["single_track"](CAR, plan.trajectory.state(0))
+    controller = controller_of(car, CAR, Part(CONTROLLER, name), PERIOD)
     commands = []
     for k, (lateral, heading, v, steer, yaw_rate, v_lat, a) in enumerate(states):
         on = plan.trajectory.at(0.01 * k)

@@ -13,7 +13,6 @@ from scipy.linalg import solve_discrete_are
 from worlds import controlled
 
 from logs import ConfigError, EgoState, Trajectory, VehicleParameters
-from replay.control import CONTROLLERS
 from replay.control.dlqr import DlqrConfig, gain, gain_table, regulator, rolling_model, solve_riccati
 from replay.control.estimation import NO_SLIP, learned, slip_model
 from replay.control.lateral_model import (
@@ -30,6 +29,7 @@ from replay.control.lateral_model import (
     with_rigid_tyres,
     with_steering,
 )
+from replay.parts import CONTROLLER
 from replay.vehicle.base import motion_of
 from replay.vehicle.plan_path import PlanPath
 
@@ -318,4 +318,4 @@ def test_steady_error_on_tyres_with_a_limit_vanishes(radius: float, v: float) ->
 
 
 def test_the_default_controller_is_the_dynamic_dlqr() -> None:
-    assert next(iter(CONTROLLERS)) == "dlqr_pid"
+    assert next(iter(CONTROLLER.builtin)) == "dlqr_pid"

@@ -15,7 +15,7 @@ from replay.control.lateral_model import body_model, lateral_table, slip_table, 
 from replay.control.mpc import Mpc, MpcConfig, TrackingProgram
 from replay.control.mpc_model import INPUTS, LIMITS, SIDES, STATES, entered, limits, predicted, quintic, resampled
 from replay.loop.simulation_setup import controller_of
-from replay.vehicle import VEHICLES
+from replay.parts import CONTROLLER, VEHICLE, Part
 from replay.vehicle.drivetrain import Drivetrain
 from replay.vehicle.pedal_map import NO_MOTOR, PedalMap
 from replay.vehicle.plan_path import PlanPath
@@ -200,8 +200,8 @@ def test_where_there_is_no_solution_the_fallback_drives_and_it_is_told() -> None
 
 def test_a_drive_with_solutions_has_nothing_to_tell() -> None:
     plan = Plan(drive(s_curve, 12.0, 8.0))
-    car = VEHICLES["single_track"](CAR, plan.trajectory.state(0))
-    mpc = controller_of(car, CAR, "mpc", PERIOD)
+    car = VEHICLE.builtin["single_track"](CAR, plan.trajectory.state(0))
+    mpc = controller_of(car, CAR, Part(CONTROLLER, "mpc"), PERIOD)
     for _ in range(700):
         car.step(mpc.control(car.state, plan), PERIOD)
     assert mpc.notes == ()  # type: ignore[attr-defined]

@@ -18,7 +18,6 @@ from logs.arrays import FloatArray
 from logs.catalogue import CATALOGUE
 from logs.rules import Colour, StopLine, TrafficLight
 from logs.shapes import distance
-from planners import PLANNERS
 from replay.config import LoopConfig, PlannerProcessConfig
 from replay.explain import Account, Action, Cause, CauseKind, accounts, sentences
 from replay.explain.causes import CURVE_MPS2, STAYS_BEHIND, Explainer
@@ -28,6 +27,7 @@ from replay.explain.planner_input import PlannerInput, planner_inputs
 from replay.explain.sentences import MOST, conflicts
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
+from replay.parts import PLANNER
 
 TRUSTED = LoopConfig(apart=PlannerProcessConfig(trust=True))
 LOOPS = {"open": run_open_loop, "closed": run_closed_loop}
@@ -190,7 +190,7 @@ def test_no_sentence_contradicts_the_numbers(name: str, planner: str, mode: str)
     assert any(account.causes for account in check_drive(name, planner, mode))
 
 
-PAIRS = enumerate(product(CATALOGUE, [*PLANNERS, f"{__name__}:SlowDown"]))
+PAIRS = enumerate(product(CATALOGUE, [*PLANNER.causal, f"{__name__}:SlowDown"]))
 
 
 @pytest.mark.slow

@@ -21,8 +21,8 @@ from replay.config import LoopConfig, SensorConfig
 from replay.contract import until
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
-from replay.loop.perception import PERCEPTIONS, Perception
-from replay.prediction import PREDICTORS
+from replay.loop.perception import Perception
+from replay.parts import PERCEPTION, PREDICTION
 from replay.world import World, logged_ego
 
 COLUMNS = ("x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
@@ -81,8 +81,8 @@ GRID = [round(0.1 * k, 1) for k in range(31)]
 # --- no future
 
 
-@pytest.mark.parametrize("perception", [name for name in PERCEPTIONS if name != "auto"])
-@pytest.mark.parametrize("prediction", PREDICTORS)
+@pytest.mark.parametrize("perception", [name for name in PERCEPTION.builtin if name != "auto"])
+@pytest.mark.parametrize("prediction", PREDICTION.causal)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))
 @settings(max_examples=5)
 def test_no_sample_later_than_the_frame_is_seen_or_predicted(

@@ -14,25 +14,24 @@ from hypothesis import strategies as st
 from logs import ConfigError, Plan, VehicleParameters
 from logs.vehicle import vehicle_parameters
 from replay.config import LoopConfig
-from replay.control import CONTROLLERS
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.plan_period import Latency, PlanPeriod, TraceRecorder
 from replay.loop.simulation_setup import controller_of
-from replay.vehicle import VEHICLES
+from replay.parts import CONTROLLER, VEHICLE, Part
 from replay.vehicle.base import COLUMNS, COMMAND, ERRORS, MOTION
 from replay.vehicle.plan_path import PlanPath
 
 PERIOD = 0.01
 STEPS = 900
-COMPILED = [name for name in CONTROLLERS if name != "mpc"]
+COMPILED = [name for name in CONTROLLER.builtin if name != "mpc"]
 WAY = drive(s_curve, lambda t: np.interp(t, [0.0, 4.0, 6.0, 6.5, 9.0], [9.0, 9.0, 0.0, 0.0, 6.0]), 10.0)
 """Curves, a stop and a start."""
 
 
 def rows_of(vehicle: str, controller: str, cuts: list[int], car: VehicleParameters) -> np.ndarray:
     """The rows of a drive along WAY, run from cut to cut; each time along a plan of its own."""
-    ego = VEHICLES[vehicle](car, WAY.state(0))
-    period = PlanPeriod(controller_of(ego, car, controller, PERIOD), ego, PERIOD)
+    ego = VEHICLE.builtin[vehicle](car, WAY.state(0))
+    period = PlanPeriod(controller_of(ego, car, Part(CONTROLLER, controller), PERIOD), ego, PERIOD)
     recorder = TraceRecorder(STEPS, ego)
     for first, end in pairwise([0, *cuts, STEPS]):
         period.run(Plan(WAY), recorder.rows, first, end - first)
@@ -50,8 +49,8 @@ def whole(vehicle: str, controller: str) -> np.ndarray:
 def test_a_period_is_its_steps_one_after_the_other(vehicle: str, controller: str) -> None:
     """Against controller and vehicle through their methods, as anybody may call them."""
     car = vehicle_parameters("bmw_320i")
-    ego = VEHICLES[vehicle](car, WAY.state(0))
-    driver, plan, path = controller_of(ego, car, controller, PERIOD), Plan(WAY), PlanPath.of(WAY)
+    ego = VEHICLE.builtin[vehicle](car, WAY.state(0))
+    driver, plan, path = controller_of(ego, car, Part(CONTROLLER, controller), PERIOD), Plan(WAY), PlanPath.of(WAY)
     found = whole(vehicle, controller)
     for k in range(STEPS):
         state = ego.state

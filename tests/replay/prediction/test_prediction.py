@@ -14,7 +14,8 @@ from worlds import curve, lanes
 from logs import AgentKind, Agents, ConfigError, Lane, Predictions, Road, wrap
 from logs.arrays import FloatArray
 from logs.states import wrapped
-from replay.prediction import PREDICTORS, LaneMap, predict
+from replay.parts import PREDICTION
+from replay.prediction import LaneMap, predict
 
 COORDINATE = st.floats(-500.0, 500.0)
 STATE = st.tuples(COORDINATE, COORDINATE, st.floats(-4.0, 4.0), st.floats(-30.0, 30.0), st.floats(-30.0, 30.0))
@@ -100,7 +101,7 @@ def same(one: Predictions, two: Predictions, atol: float = 1e-6) -> None:
     np.testing.assert_allclose(turned, 0.0, atol=atol)
 
 
-@pytest.mark.parametrize("method", PREDICTORS)
+@pytest.mark.parametrize("method", PREDICTION.causal)
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 100.0))
 @settings(max_examples=15)
 def test_every_future_begins_at_its_agent_and_is_one_of_some(method: str, seed: int, t: float) -> None:
@@ -119,7 +120,7 @@ def test_every_future_begins_at_its_agent_and_is_one_of_some(method: str, seed: 
 LANES = LaneMap.of(crossing())
 
 
-@pytest.mark.parametrize("method", PREDICTORS)
+@pytest.mark.parametrize("method", PREDICTION.causal)
 @given(st.integers(0, 2**32 - 1), st.floats(-3.0, 3.0), COORDINATE, COORDINATE, st.sampled_from([1.0, -1.0]))
 @settings(max_examples=15)
 def test_predictions_turn_move_and_mirror_with_the_world(
@@ -137,7 +138,7 @@ def test_predictions_turn_move_and_mirror_with_the_world(
     same(expected, there)
 
 
-@pytest.mark.parametrize("method", PREDICTORS)
+@pytest.mark.parametrize("method", PREDICTION.causal)
 def test_who_else_is_there_changes_no_prediction(method: str) -> None:
     now = crowd(5)
     alone = Agents(
@@ -149,7 +150,7 @@ def test_who_else_is_there_changes_no_prediction(method: str) -> None:
     np.testing.assert_array_equal(all_.probability[mine], one.probability)
 
 
-@pytest.mark.parametrize("method", PREDICTORS)
+@pytest.mark.parametrize("method", PREDICTION.causal)
 def test_every_method_keeps_the_form_without_lanes_and_without_agents(method: str) -> None:
     now = agents([(0.0, 1.0, 0.0, 5.0, 0.0), (3.0, 1.0, 0.2, 0.0, 0.0)])
     future = predict(now, 2.0, horizon=4.0, step=0.2, method=method)

@@ -21,7 +21,8 @@ from logs.catalogue.roads import junction
 from logs.readers.commonroad import read_commonroad
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
-from replay.traffic import TRAFFIC, Reactive
+from replay.parts import TRAFFIC
+from replay.traffic import Reactive
 from replay.traffic.leaders import ACCEL_MPS2, HARDEST_MPS2, STANDSTILL_M, TIME_GAP_S, enhanced_idm
 from replay.traffic.phase_replay import PERIOD_S, PhaseReplay, played
 from replay.world import World, contact, logged_ego
@@ -33,7 +34,7 @@ ROAD = lanes(along_x(-100.0, 500.0), 2)
 
 
 def run(log: Scenario, mode: str, egos: Egos) -> Tracks:
-    traffic = TRAFFIC[mode](log)
+    traffic = TRAFFIC.builtin[mode](log)
     found = [traffic.step(ego) for ego in egos]
     return found[-1].whole
 
@@ -141,7 +142,7 @@ def test_those_around_now_are_as_all_have_them(mode: str, monkeypatch: pytest.Mo
     monkeypatch.setattr("logs.memory.BACK_S", 3.0)
     monkeypatch.setattr("replay.traffic.phase_replay.BACK_S", 3.0)
     log, fewer = busy(3), 0
-    traffic = TRAFFIC[mode](log)
+    traffic = TRAFFIC.builtin[mode](log)
     for ego in at_speed(lambda t: max(10.0 - 2.0 * t, 1.0)):
         now = traffic.step(ego)
         one, two = now.perceived(ego.t), now.whole.perceived(ego.t)
@@ -152,7 +153,7 @@ def test_those_around_now_are_as_all_have_them(mode: str, monkeypatch: pytest.Mo
     assert fewer > 50, "they never were fewer than all"
 
 
-@pytest.mark.parametrize("mode", TRAFFIC)
+@pytest.mark.parametrize("mode", TRAFFIC.builtin)
 def test_what_is_perceived_begins_as_in_the_log(mode: str) -> None:
     log = busy(4)
     one, two = (some.perceived(0.0) for some in (run(log, mode, logged(log)[:1]), log.tracks))
@@ -162,7 +163,7 @@ def test_what_is_perceived_begins_as_in_the_log(mode: str) -> None:
         np.testing.assert_allclose(getattr(one, name)[order[0]], getattr(two, name)[order[1]], atol=1e-9)
 
 
-@pytest.mark.parametrize("mode", TRAFFIC)
+@pytest.mark.parametrize("mode", TRAFFIC.builtin)
 @given(st.integers(0, 2**32 - 1), st.integers(10, 100))
 @settings(max_examples=3)
 def test_what_the_ego_does_later_changes_nothing_before(mode: str, seed: int, k: int) -> None:
@@ -177,7 +178,7 @@ def test_what_the_ego_does_later_changes_nothing_before(mode: str, seed: int, k:
 
 @given(st.integers(0, 2**32 - 1), st.floats(-3.0, 3.0), st.booleans())
 @settings(max_examples=3)
-@pytest.mark.parametrize("mode", TRAFFIC)
+@pytest.mark.parametrize("mode", TRAFFIC.builtin)
 def test_traffic_turns_moves_and_mirrors_with_the_world(mode: str, seed: int, turn: float, mirror: bool) -> None:
     log = busy(seed)
     other = moved_world(log, turn, 30.0, -20.0, mirror=mirror)
@@ -294,7 +295,7 @@ def test_who_enters_where_the_ego_is_waits_and_enters_slowly_behind_it(mode: str
     egos = [replace(ego, x=ego.x + 9.0) for ego in there]
     moved = run(log, mode, egos)
     assert "new" in moved.ids and moved.t[0] > 5.0
-    traffic = TRAFFIC[mode](log)
+    traffic = TRAFFIC.builtin[mode](log)
     assert all(contact(World(ego, traffic.step(ego)), log.vehicle) < 0 for ego in egos)
 
 
@@ -331,7 +332,7 @@ def speeds(moved: Tracks, name: str) -> FloatArray:
 
 
 def hits(log: Scenario, mode: str, egos: Egos) -> int:
-    traffic = TRAFFIC[mode](log)
+    traffic = TRAFFIC.builtin[mode](log)
     return sum(contact(World(ego, traffic.step(ego)), log.vehicle) >= 0 for ego in egos)
 
 
@@ -399,7 +400,7 @@ def test_riders_give_way_and_pedestrians_are_replayed(kind: AgentKind, *, spared
 
 def test_the_drive_says_who_gave_way_since_when_and_how_hard_they_braked() -> None:
     log = made(car("b", -12.0), v=10.0)
-    traffic = TRAFFIC["give_way"](log)
+    traffic = TRAFFIC.builtin["give_way"](log)
     egos = at_speed(lambda t: 10.0 if t < 2.0 else max(10.0 - 4.0 * (t - 2.0), 2.0))
     assert isinstance(traffic, Reactive) and traffic.notes == ()
     for ego in egos:
@@ -606,13 +607,13 @@ def test_where_the_log_waits_the_world_catches_up_without_a_leap() -> None:
 def test_an_ego_that_never_moved_tells_no_time() -> None:
     log = replace(made(car("x", 5.0)), ego=drive(straight, 0.0, 12.0))
     with pytest.raises(LogError, match="take traffic 'time' or 'reactive'"):
-        TRAFFIC["ego_position"](log)
+        TRAFFIC.builtin["ego_position"](log)
 
 
 # --- in the loop, and on recorded traffic
 
 
-@pytest.mark.parametrize("mode", TRAFFIC)
+@pytest.mark.parametrize("mode", TRAFFIC.builtin)
 def test_the_closed_loop_keeps_what_happened(mode: str) -> None:
     log = busy(2)
     one, two = (run_closed_loop(log, "constant_speed", config=LoopConfig(traffic=mode)).trace for _ in range(2))
@@ -627,7 +628,7 @@ def test_recorded_traffic_is_reproduced_and_spares_a_braking_ego(shared_data: Pa
     egos = [replace(logged_ego(log.ego, log.vehicle, 0.0), t=float(t), x=1e5) for t in T]
     assert_same_motion(run(log, "reactive", egos), log.tracks, atol=1e-6)
     start = logged_ego(log.ego, log.vehicle, 0.0)
-    traffic, by_time = TRAFFIC["reactive"](log), 0
+    traffic, by_time = TRAFFIC.builtin["reactive"](log), 0
     for t in T:
         v = max(start.v - 3.0 * t, 0.0)
         way = (start.v**2 - v**2) / 6.0

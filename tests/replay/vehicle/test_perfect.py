@@ -11,9 +11,9 @@ from logs import Command, ConfigError, EgoState, Plan, Trajectory, VehicleParame
 from logs.catalogue import CATALOGUE
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
-from replay.vehicle import VEHICLES, build_vehicle
+from replay.parts import VEHICLE, Part
+from replay.vehicle import build_vehicle
 from replay.vehicle.kinematic_bicycle import Perfect
-from replay.vehicle.single_track import SingleTrack
 
 CAR = VehicleParameters()
 START = EgoState(0.0, 0.0, 0.0, 0.0, 8.0, 0.5, 0.02)
@@ -63,7 +63,7 @@ def test_in_the_loop_it_has_no_tracking_error_and_the_trace_says_so() -> None:
 
 def test_the_plant_may_differ_from_what_is_told() -> None:
     plant: dict[str, float | str] = {"mass": 1.2 * CAR.mass, "tyre_friction": 0.4, "tyre": "fiala", "grade": 0.02}
-    car = build_vehicle(SingleTrack, "single_track", CAR, START, plant)
+    car = build_vehicle(Part(VEHICLE, "single_track"), CAR, START, plant)
     assert (car.model.mass, car.model.front.friction) == (pytest.approx(1.2 * CAR.mass), 0.4)
     assert car.powertrain.full_brake(10.0) == pytest.approx(CAR.max_decel / 1.2)
     assert car.model.grade_sin == pytest.approx(0.02, rel=1e-3)
@@ -83,4 +83,4 @@ def test_the_plant_may_differ_from_what_is_told() -> None:
 ])  # fmt: skip
 def test_a_wrong_plant_is_named(name: str, plant: dict[str, float | str], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
-        build_vehicle(VEHICLES[name], name, CAR, START, plant)
+        build_vehicle(Part(VEHICLE, name), CAR, START, plant)

@@ -10,8 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import Command, ConfigError, EgoState, VehicleParameters
-from replay.vehicle import REAR_RATIO, VEHICLES
-from replay.vehicle.kinematic_bicycle import BicycleState, KinematicBicycle, advance, derivative, kinematics_of
+from replay.parts import VEHICLE
+from replay.vehicle.kinematic_bicycle import (
+    REAR_RATIO,
+    BicycleState,
+    KinematicBicycle,
+    advance,
+    derivative,
+    kinematics_of,
+)
 
 CAR = VehicleParameters()
 PEDAL = st.floats(0.0, 1.0)
@@ -113,14 +120,14 @@ def test_any_lag_is_integrated_stably(lag: float) -> None:
     assert car.actuation.throttle == pytest.approx(0.2, abs=1e-5)
 
 
-@pytest.mark.parametrize("name", [name for name in VEHICLES if name != "perfect"])
+@pytest.mark.parametrize("name", [name for name in VEHICLE.builtin if name != "perfect"])
 def test_every_vehicle_turns_with_its_steering_and_is_deterministic(name: str) -> None:
     """The contract of the seam, for models to come as well; the perfect vehicle is steered by its plan."""
     if name == "multibody":
         pytest.importorskip("vehiclemodels", reason="needs the package commonroad-vehicle-models")
 
     def ride() -> list[EgoState]:
-        car = VEHICLES[name](CAR, at_speed(5.0))
+        car = VEHICLE.builtin[name](CAR, at_speed(5.0))
         return [car.step(Command(0.1 if k < 50 else -0.1, 0.1, 0.0), 0.01) for k in range(100)]
 
     one, two = ride(), ride()
@@ -176,7 +183,7 @@ def test_held_wheels_drive_a_circle_of_the_stated_curvature(v: float, steer: flo
 
 def test_the_named_vehicle_is_the_bicycle_with_its_ratio_and_a_ratio_out_of_range_is_refused() -> None:
     named, own = (
-        VEHICLES["kinematic_rear_steer"](CAR, at_speed(8.0)),
+        VEHICLE.builtin["kinematic_rear_steer"](CAR, at_speed(8.0)),
         KinematicBicycle(CAR, at_speed(8.0), rear_ratio=-0.2),
     )
     command = Command(0.2, 0.3, 0.0)

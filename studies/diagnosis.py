@@ -30,10 +30,10 @@ from logs.arrays import FloatArray
 from logs.errors import ReplanError
 from logs.frame import Predictions
 from replay.config import load_run
-from replay.diagnose.changes import NOT_FOUND, load_changes
-from replay.diagnose.diagnose import diagnose, question
-from replay.diagnose.findings import Diagnosis
 from replay.draw.drawn_results import Results
+from replay.experiments.changes import NOT_FOUND, load_changes
+from replay.experiments.diagnose import diagnose, question
+from replay.experiments.findings import Diagnosis
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import everybody
 from replay.results.tables import write_file

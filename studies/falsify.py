@@ -34,12 +34,12 @@ from logs.readers import LogSettings
 from metrics.judge import CAREFUL
 from planners.idm import Idm, IdmConfig
 from replay.config import load_run
+from replay.experiments.falsify import FalsifyQuestion, SearchDrives, falsify
+from replay.experiments.mildest import BATCH, Point, norm
+from replay.experiments.search_subject import agents_of, box_of, opened, search_axes
 from replay.results.tables import write_file, write_text
 from replay.run.output import held
 from replay.run.study import Study
-from replay.search.falsify import FalsifyQuestion, SearchDrives, falsify
-from replay.search.mildest import BATCH, Point, norm
-from replay.search.search_space import agents_of, box_of, opened, search_axes
 
 GATES = """
 [[gate]]

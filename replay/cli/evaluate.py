@@ -201,8 +201,8 @@ def vary(
       replan vary my_log.mcap --vary standing_car=20:80:7 --vary ego_speed=0.5:1.5:5
     """
     with handle_errors():
-        from replay.vary.conflict import opened, question_about
-        from replay.vary.surface import vary as evaluate_surface
+        from replay.experiments.conflict import opened, question_about
+        from replay.experiments.surface import vary as evaluate_surface
 
         if listing:
             opt.say_axes(as_json=as_json)

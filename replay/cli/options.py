@@ -163,14 +163,14 @@ NoReport = Annotated[bool, option(OUTPUT, "Write no report.html, report.md and j
 
 def say_axes(*, as_json: bool) -> None:
     """Print what can be varied."""
-    from replay.vary.question import variation_table, variations
+    from replay.experiments.question import variation_table, variations
 
     say_json(variation_table()) if as_json else say("\n".join(variations()))
 
 
 def say_agents(scenario: Scenario, *, as_json: bool) -> None:
     """Print the agents of a log, the nearest first."""
-    from replay.vary.conflict import encounters, lines
+    from replay.experiments.conflict import encounters, lines
 
     found = encounters(scenario)
     say_json(found) if as_json else say("\n".join(lines(found, scenario.short_names)))

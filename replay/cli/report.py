@@ -152,10 +152,10 @@ def report(
     with handle_errors():
         from logs.files import url_of
         from replay.compare import compare_runs, read_run
-        from replay.diagnose.findings import read_diagnosis
         from replay.draw.drawn_results import load
         from replay.draw.report.overview import overview
         from replay.draw.report.write import write_reports
+        from replay.experiments.findings import read_diagnosis
         from replay.results.tables import REPORTS
         from replay.run.claim import FolderContents, claimed_folder
         from replay.run.output import held

@@ -66,9 +66,9 @@ def falsify(
       replan falsify my_log.mcap -p my_pkg.mine:MyPlanner --against dp_qp --axis standing_car=15:80
     """
     with handle_errors():
-        from replay.search.falsify import FalsifyQuestion
-        from replay.search.falsify import falsify as falsified
-        from replay.search.search_space import agents_of, opened, search_axes
+        from replay.experiments.falsify import FalsifyQuestion
+        from replay.experiments.falsify import falsify as falsified
+        from replay.experiments.search_subject import agents_of, opened, search_axes
 
         if listing:
             opt.say_axes(as_json=as_json)
@@ -148,12 +148,12 @@ def tune(
         from replay.cli.compare import print_tables
         from replay.cli.evaluate import engine_of
         from replay.draw.drawn_results import load
+        from replay.experiments.gains import DEFAULT_OBJECTIVES, objectives
+        from replay.experiments.space import load_space
+        from replay.experiments.trials import TuningInputs
+        from replay.experiments.tune import tune as tuned
         from replay.run.evaluate import selected
         from replay.run.one_log import all_metrics
-        from replay.search.gains import DEFAULT_OBJECTIVES, objectives
-        from replay.search.space import load_space
-        from replay.search.trials import TuningInputs
-        from replay.search.tune import tune as tuned
 
         options = {"planners": [planner], "metrics": metric, "gates": None if gates is None else str(gates)}
         run = run_config(config, options, settings or ())
@@ -211,11 +211,11 @@ def diagnose(
       replan diagnose results/run-001 --space space.toml
     """
     with handle_errors():
-        from replay.diagnose.changes import load_changes
-        from replay.diagnose.diagnose import diagnose as diagnosed
-        from replay.diagnose.diagnose import question
         from replay.draw.drawn_results import load
-        from replay.search.space import load_space
+        from replay.experiments.changes import load_changes
+        from replay.experiments.diagnose import diagnose as diagnosed
+        from replay.experiments.diagnose import question
+        from replay.experiments.space import load_space
 
         asked = question(load(run), planner, log or (), load_changes(changes))
         settings = () if space is None else load_space(space, asked.run)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from logs import ConfigError
 from logs.catalogue import FAMILIES
 from logs.variations import VARIATIONS
-from replay.search.search_space import SCALES, box_of, search_axes, values_at
+from replay.experiments.search_subject import SCALES, box_of, search_axes, values_at
 
 CUT_IN = FAMILIES["unece_r157/cut_in"]
 

@@ -1,9 +1,9 @@
 """The trials of a tuning: optuna chooses the settings to try next, and gets the result of each.
 
 Trials are made one after the other, by optuna's multi-objective TPE (Ozaki et al., J. Artif. Intell. Res. 73,
-2022), with the gates as a constraint ((4) of `replay.search.gains`). So the trials depend only on the seed and on the
-results of earlier trials. The first one is the default, if it is in the space. Settings that are
-refused together are a trial that failed.
+2022), with the gates as a constraint ((4) of `gains`). So the trials depend only on the seed and on the results of
+earlier trials. The first one is the default, if it is in the space. Settings that are refused together are a trial that
+failed.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from typing import Any
 
 from logs.errors import ConfigError
 from replay.config import RunConfig, RunMode, dump_run
+from replay.experiments.gains import Objective, RunScores, gains, scales
+from replay.experiments.space import Setting, Value
 from replay.run.resume import stamp_of
-from replay.search.gains import Objective, RunScores, gains, scales
-from replay.search.space import Setting, Value
 
 KIND = "tune"
 TRIALS, SHARE = 50, 0.3

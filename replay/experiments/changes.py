@@ -24,14 +24,14 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError, PlannerError
 from logs.files import read_toml
-from logs.readers import LogSettings
 from replay.config import RunConfig, dump_run
+from replay.experiments.trial import QUIET, closed
 from replay.results.tables import safe_name
 from replay.run.checks import checked
 from replay.settings import flat, merged, strict
@@ -107,10 +107,8 @@ def load_changes(path: Path | None = None) -> tuple[TriedChange, ...]:
 
 def driven(run: RunConfig, planner: str) -> RunConfig:
     """The part of a run to drive: the closed loop of one planner, with internals for the first difference."""
-    return replace(
-        run, planners=(planner,), planner={planner: run.planner.get(planner, {})}, mode="closed", log=LogSettings(),
-        deadline_s=0.0, ensemble=0, repeat_s=0.0, recording=False, foxglove=False, internals="summary",
-    )  # fmt: skip
+    own = {planner: run.planner.get(planner, {})}
+    return closed(run, planners=(planner,), planner=own, **{**QUIET, "internals": "summary"})
 
 
 def changed_runs(changes: Sequence[TriedChange], run: RunConfig) -> tuple[tuple[ChangedRun, ...], dict[str, str]]:

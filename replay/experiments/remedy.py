@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from math import exp, log
 
 from logs.names import counted
-from replay.search.space import Setting, Value, shown
+from replay.experiments.space import Setting, Value, shown
 
 STEPS = 6
 """The last step is a 64th of the way."""

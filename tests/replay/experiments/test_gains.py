@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from logs import ConfigError
 from metrics import METRICS
 from metrics.judge.aggregate import LogLabels
-from replay.search.gains import LEAST_LOGS, Objective, gains, held_out, is_dominated, mean_gain, objectives, scales
+from replay.experiments.gains import LEAST_LOGS, Objective, gains, held_out, is_dominated, mean_gain, objectives, scales
 
 NAMES = st.dictionaries(st.text("abcdefgh", min_size=1, max_size=6), st.sampled_from(["a", "b", "c", ""]), max_size=40)
 TWO = (Objective("up", "closed", 1.0), Objective("down", "closed", -1.0))

@@ -118,7 +118,7 @@ def test_the_smallest_change_passes_and_is_resumed_and_what_it_breaks_is_counted
     words = ("diagnose", folder / "run", "--space", space, "-o", out, "--resume", "--workers", 0, "--json")
     first = replan(*words)
     (remedy,) = json.loads(first.stdout)["remedies"]
-    monkeypatch.setattr("replay.diagnose.diagnose.drive_again", None)
+    monkeypatch.setattr("replay.experiments.diagnose.drive_again", None)
     again = replan(*words)
     assert again.exit_code == first.exit_code == 3 and again.stdout == first.stdout, "nothing is driven a second time"
     assert remedy["mended"] == ["test/blocked"] and remedy["broken"] == [] and remedy["drives"] == 2

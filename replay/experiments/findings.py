@@ -20,10 +20,10 @@ import pandas as pd
 
 from logs.errors import ConfigError
 from logs.names import counted
-from replay.diagnose.changes import NOT_FOUND, UNAVOIDABLE, ChangedRun, FailureCause
-from replay.diagnose.failure import DriveFailure, Wait
-from replay.diagnose.remedy import Remedy
 from replay.draw.drawn_results import Results
+from replay.experiments.changes import NOT_FOUND, UNAVOIDABLE, ChangedRun, FailureCause
+from replay.experiments.failure import DriveFailure, Wait
+from replay.experiments.remedy import Remedy
 from replay.results.reading import read_json
 from replay.results.tables import write_file, write_json, write_text
 from replay.results.version import replan_version

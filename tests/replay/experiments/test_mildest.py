@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from logs import ConfigError
 from logs.arrays import FloatArray
-from replay.search.mildest import LEAST_BUDGET, Mildest, Point, ScoredPoint, norm, search
+from replay.experiments.mildest import LEAST_BUDGET, Mildest, Point, ScoredPoint, norm, search
 
 pytest.importorskip("cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'")
 BOX = np.array([[-3.0, -2.5], [3.0, 5.0]])

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -20,19 +19,19 @@ import pandas as pd
 
 from logs.arrays import TIE
 from logs.errors import LogError
+from logs.references import Avoidability
 from metrics import METRICS
 from metrics.judge import REFERENCE, Outcome, judge, outcomes
 from metrics.judge.gates import Gate, Gates
 from metrics.judge.verdicts import with_asked
 from metrics.metric import Direction
-from metrics.reference_drivers import APPLIES, AVOIDS
 from replay.config import RunConfig
 from replay.draw.drawn_results import DriveResult, Results
+from replay.experiments.trial import MODE, careful_of
 from replay.explain.first_difference import first_difference, planners_part
 from replay.run.evaluate import evaluate_logs
 from replay.run.judging import gates_of
 
-MODE = "closed"
 INCONCLUSIVE = Outcome.INCONCLUSIVE.value
 PEAKS: Mapping[str, Direction] = {"max": "higher", "max_abs": "higher", "min": "lower"}
 """Reductions that are extremes, and the direction in which no value of them is worse than another."""
@@ -84,12 +83,6 @@ class DrivenLogs:
         said = failures.loc[failures["log"].isin([name, str(file)]), "message"]
         return str(said.iloc[0]) if len(said) else "not driven"
 
-    def value(self, file: Path, metric: str) -> float:
-        """A metric of the drive; NaN if it has no value."""
-        rows = self.drive(file).metrics
-        mine = rows[(rows["metric"] == metric) & rows["available"]]["value"]
-        return float(mine.iloc[0]) if len(mine) else nan
-
     def peaks(self, file: Path, gates: Sequence[str]) -> dict[str, float]:
         """The extreme values of the metrics of some gates, those whose excess is worse: `PEAKS`, by name."""
         words = {self.gates[gate].metric.partition(".")[0] for gate in gates}
@@ -111,8 +104,10 @@ class DrivenLogs:
 
     def avoidable(self, file: Path) -> bool:
         """Whether the careful driver of UN R157 avoids the drive's contact, or there is none."""
-        applies, avoids = (self.value(file, f"reference_cc.{one.name}") for one in (APPLIES, AVOIDS))
-        return not applies > 0.0 or avoids > 0.0
+        rows = self.drive(file).metrics
+        known = rows[rows["available"]]
+        values = dict(zip(known["metric"], known["value"].astype(float), strict=True))
+        return careful_of(values) is not Avoidability.UNAVOIDABLE
 
 
 def drive_again(files: Sequence[Path], run: RunConfig, planner: str, out: Path, *, workers: int) -> DrivenLogs:

@@ -1,14 +1,15 @@
 """Evaluates a surface: cells -> varied logs -> `evaluate_logs` -> table, edges, picture.
 
-    OUT/vary.json                     the question
-    OUT/logs/                         the varied logs: `replan evaluate --mode closed` of one gives the outcome of its
-    cell OUT/grid/, OUT/edge-1/, ...       results of the cells, and of the points between them, as `replan evaluate`
-    leaves OUT/surface.parquet, .csv         a row per point: parameters, outcome, gates, least gap, contact, careful
-    driver OUT/edges.csv                     where rows go from pass to something else OUT/surface.png
+    OUT/vary.json              the question
+    OUT/logs/                  the varied logs: `replan evaluate --mode closed` of one gives the outcome of its cell
+    OUT/grid/, OUT/edge-1/ ... results of the cells, and of the points between them, as `replan evaluate` leaves them
+    OUT/surface.parquet, .csv  a row per point: parameters, outcome, gates, least gap, contact, careful driver
+    OUT/edges.csv              where rows go from pass to something else
+    OUT/surface.png            the picture
 
 The outcome of a point is the worst outcome of the gates on its log: "pass", "fail" or "inconclusive". An inconclusive
-    point where the careful driver of UN R157 collides is "unavoidable"; "error" is a point that could not be made
-or driven. Points without a log, and logs that cannot be driven, do not stop the others.
+point where the careful driver of UN R157 collides is "unavoidable"; "error" is a point that could not be made or
+driven. Points without a log, and logs that cannot be driven, do not stop the others.
 
 The change of a row from pass to another outcome is found by bisection between two cells, in all rows at once, so that
 the points of a round are evaluated in parallel.
@@ -17,7 +18,8 @@ the points of a round are evaluated in parallel.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from functools import partial
 from hashlib import sha256
 from math import nan
 from pathlib import Path
@@ -25,29 +27,25 @@ from typing import Any
 
 import pandas as pd
 
-from logs.errors import ConfigError, LogError
-from logs.log_settings import LogSettings
-from logs.mcap import write_scenario
+from logs.errors import ConfigError
 from logs.names import counted
 from logs.references import Avoidability
 from logs.scenario import Scenario
 from logs.trace import EndReason
 from logs.variations import VARIATIONS, varied
-from metrics.judge import worst
 from metrics.judge.gates import Outcome
-from metrics.reference_drivers import APPLIES, AVOIDS, MARGIN
+from metrics.reference_drivers import MARGIN
 from replay.config import RunConfig, dump_run
-from replay.draw.drawn_results import Results
 from replay.draw.report.figures import save
-from replay.results.tables import LONGEST_SAFE, safe_name, write_file, write_json, write_parquet
+from replay.experiments.brackets import ERROR, Bracket, Cell, bisect_brackets, brackets
+from replay.experiments.experiment_figures import surface_figure
+from replay.experiments.question import SurfaceQuestion
+from replay.experiments.trial import Trial, closed, drive_made, one_planner, write_table
+from replay.results.tables import LONGEST_SAFE, safe_name, write_file, write_json
 from replay.results.version import replan_version
-from replay.run import evaluate_logs
 from replay.run.claim import FolderContents, claimed_folder
 from replay.run.resume import stamp_of
 from replay.run.study import Study
-from replay.vary.brackets import ERROR, Bracket, Cell, bisect_brackets, brackets
-from replay.vary.question import SurfaceQuestion
-from replay.vary.surface_figure import surface_figure
 
 UNAVOIDABLE = "unavoidable"
 CARD = "vary.json"
@@ -118,9 +116,7 @@ def vary(
     Raises:
         ConfigError: A wrong setting, an unknown agent, a folder with foreign files, or in use.
     """
-    if len(run.planners) != 1:
-        raise ConfigError(f"a surface needs exactly one planner, got {', '.join(run.planners)}")
-    run = replace(run, mode="closed", deadline_s=0.0, log=LogSettings(), ensemble=0)
+    planner, run = one_planner(run, "a surface"), closed(run)
     there = {*scenario.tracks.ids, *(VARIATIONS[name].inserts for name in question.values(next(question.cells)))}
     missing = [agent for agent in question.agents if agent not in there]
     if missing or (question.varies_agents and not question.agents):
@@ -130,7 +126,7 @@ def vary(
     card = {
         "replan": replan_version(),
         "log": scenario.name,
-        "planner": run.planners[0],
+        "planner": planner,
         "axes": [asdict(axis) for axis in question.axes],
         "fixed": dict(question.fixed),
         "agents": list(question.agents),
@@ -148,7 +144,7 @@ def vary(
             edges = bisect_brackets(found, rounds.between, question.resolution)
         table = pd.DataFrame([{**row, "cell": None} for row in rounds.rows]).drop(columns="cell")
         result = VaryResult(out, question, table, edges)
-        _write(result, scenario, run.planners[0])
+        _write(result, scenario, planner)
         return result
 
 
@@ -179,25 +175,13 @@ class _Rounds:
     def evaluate(self, cells: Sequence[Cell], part: str) -> list[str]:
         """The outcomes of a round."""
         self.say(f"{part}: {counted(len(cells), 'point')}")
-        made: dict[Cell, Path | str] = {}
-        for cell in cells:  # the file of a varied log, or the reason why there is none
+        makes = {}
+        for cell in cells:
             values = self.question.values(cell)
-            path = self.out / "logs" / _file_name(values)
-            try:
-                write_scenario(path, varied(self.scenario, self.question.agents, values))
-                made[cell] = path
-            except LogError as error:
-                made[cell] = str(error)
-        logs = [path for path in made.values() if isinstance(path, Path)]
-        begun = self.resume and (self.out / part / "run.toml").is_file()
-        found = evaluate_logs(logs, self.run, self.out / part, workers=self.workers, resume=begun) if logs else None
-        names = {} if found is None else dict(zip(found.logs["source"], found.logs["log"], strict=True))
-        for cell, made_as in made.items():
-            if isinstance(made_as, str):
-                outcome = _error_row(made_as)
-            else:
-                assert found is not None
-                outcome = _judge_cell(found, names[str(made_as)])
+            makes[self.out / "logs" / _file_name(values)] = partial(varied, self.scenario, self.question.agents, values)
+        trials = drive_made(makes, self.run, self.out / part, workers=self.workers, resume=self.resume)
+        for cell, trial in zip(cells, trials, strict=True):
+            outcome = _error_row(trial) if isinstance(trial, str) else _judge_cell(trial)
             log = _file_name(self.question.values(cell))
             self.rows.append({"cell": cell, **self.question.values(cell), "part": part, **outcome, "log": log})
         return [row["outcome"] for row in self.rows[-len(cells) :]]
@@ -216,27 +200,13 @@ def _error_row(why: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _judge_cell(results: Results, log: str) -> dict[str, Any]:
-    """The verdict of `replan evaluate` on a log, in one row."""
-    drives = results.drives[results.drives["log"] == log]
-    failures = results.failures[results.failures["log"] == log]
-    if len(failures) or drives.empty:
-        why = "not driven"
-        if len(failures):
-            first = failures.iloc[0]
-            why = f"{first.message} [{first.planner}, {first.mode} loop]" if first.planner else str(first.message)
-        return _error_row(why)
-    verdicts = results.verdicts[results.verdicts["log"] == log]
-    outcome = worst(map(Outcome, verdicts["outcome"]))
-    table = results.metrics
-    table = table[(table["log"] == log) & (table["planner"] == results.run.planners[0])].set_index("metric")
-    value = table["value"].where(table["available"], nan)
-    drive, careful = drives.iloc[0], Avoidability.NOT_APPLICABLE.value
-    if float(value.get(f"reference_cc.{APPLIES.name}", nan)) != 0.0:
-        avoids = float(value.get(f"reference_cc.{AVOIDS.name}", nan)) > 0.0
-        careful = Avoidability.AVOIDABLE.value if avoids else Avoidability.UNAVOIDABLE.value
-    excused = outcome is Outcome.INCONCLUSIVE and careful == Avoidability.UNAVOIDABLE.value
+def _judge_cell(trial: Trial) -> dict[str, Any]:
+    """The verdict of `replan evaluate` on a trial, in one row."""
+    outcome, careful, values, drive = trial.outcome, trial.careful, trial.values(), trial.drive
+    excused = outcome is Outcome.INCONCLUSIVE and careful is Avoidability.UNAVOIDABLE
+    verdicts = trial.verdicts
     blamed = verdicts[(verdicts["outcome"] == outcome.value) & (outcome is not Outcome.PASS)]
+    nearest = trial.metrics.loc[trial.metrics["metric"] == "gap.min", "time_s"]
     contact = drive.end in _CONTACTS
     return {
         "outcome": UNAVOIDABLE if excused else outcome.value,
@@ -245,10 +215,10 @@ def _judge_cell(results: Results, log: str) -> dict[str, Any]:
         "end": drive.end,
         "contact": drive.detail if contact else "",
         "contact_s": drive.t_end_s if contact else nan,
-        "least_gap_m": float(value.get("gap.min", nan)),
-        "least_gap_s": float(table["time_s"].get("gap.min", nan)),
-        "careful": careful,
-        "careful_margin_m": float(value.get(f"reference_cc.{MARGIN.name}", nan)),
+        "least_gap_m": values.get("gap.min", nan),
+        "least_gap_s": float(nearest.iloc[0]) if len(nearest) else nan,
+        "careful": careful.value,
+        "careful_margin_m": values.get(f"reference_cc.{MARGIN.name}", nan),
     }
 
 
@@ -257,12 +227,11 @@ def _judge_cell(results: Results, log: str) -> dict[str, Any]:
 
 def _write(result: VaryResult, scenario: Scenario, planner: str) -> None:
     out, table, question = result.out, result.table, result.question
-    write_parquet(out / "surface.parquet", table)
-    write_file(out / "surface.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+    write_table(out, "surface", table)
     columns = [*(axis.name for axis in question.axes[1:]), "low", "high", "at_low", "at_high", "edge"]
     rows = [(*one.row, one.low, one.high, one.at_low, one.at_high, one.middle) for one in result.edges]
     edges = pd.DataFrame(rows, columns=columns)
-    write_file(out / "edges.csv", lambda partial: edges.to_csv(partial, index=False, lineterminator="\n"))
+    write_file(out / "edges.csv", partial(edges.to_csv, index=False, lineterminator="\n"))
     about = f"; varied: {', '.join(map(scenario.short_names, question.agents))}" if question.agents else ""
     fixed = "".join(f", {name} {VARIATIONS[name].shown(value)}" for name, value in question.fixed.items())
     title = f"{scenario.name}: {planner}{fixed}{about}"

@@ -31,7 +31,7 @@ import shutil
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -39,17 +39,19 @@ from typing import Any
 import pandas as pd
 
 from logs.errors import ConfigError, LogError
-from logs.log_settings import LogSettings
 from logs.mcap import write_scenario
 from logs.names import counted
+from logs.references import Avoidability
 from metrics import METRICS
-from metrics.judge import CAREFUL, REFERENCE, worst
+from metrics.judge import CAREFUL
 from metrics.judge.gates import Gate, Outcome
-from metrics.reference_drivers import APPLIES, AVOIDS
 from replay.config import RunConfig, dump_run
-from replay.draw.drawn_results import Results
 from replay.draw.report.figures import save
-from replay.results.tables import PARTIAL, write_file, write_json, write_parquet
+from replay.experiments.experiment_figures import falsify_figure
+from replay.experiments.mildest import Mildest, Point, ScoredPoint, cma_class, norm, search
+from replay.experiments.search_subject import SearchAxis, SearchSubject, box_of, values_at
+from replay.experiments.trial import QUIET, Trial, closed, drive_made, one_planner, write_table
+from replay.results.tables import PARTIAL, write_json
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
 from replay.run.checks import checked
@@ -57,9 +59,6 @@ from replay.run.claim import FolderContents, claimed_folder
 from replay.run.judging import gates_of
 from replay.run.resume import stamp_of
 from replay.run.study import Study
-from replay.search.mildest import Mildest, Point, ScoredPoint, cma_class, norm, search
-from replay.search.search_figures import falsify_figure
-from replay.search.search_space import SearchAxis, SearchSubject, box_of, values_at
 
 KIND = "falsify"
 CONTENTS = FolderContents(KIND, ("falsify.*", "trials.*", "case", "case.mcap"))
@@ -104,10 +103,7 @@ class FalsifyQuestion:
     def driven(self) -> RunConfig:
         """The configuration of the run of each case."""
         planners = self.run.planners if self.against == CAREFUL else (*self.run.planners, self.against)
-        return replace(
-            self.run, planners=planners, mode="closed", log=LogSettings(), deadline_s=0.0, ensemble=0, repeat_s=0.0,
-            recording=False, internals="none",
-        )  # fmt: skip
+        return closed(self.run, planners=planners, **QUIET)
 
     def head(self) -> dict[str, Any]:
         """The inputs that identify a falsification, except the budget and the resolution."""
@@ -148,39 +144,26 @@ class TriedPoint:
         return (2.0 if self.outcome == BOTH else 3.0) + distance
 
 
-def judged(results: Results, log: str, gates: Sequence[Gate], planner: str, against: str) -> TriedPoint:
-    """The case of a log in a run of the planner and of `against`, unless that is "careful"."""
-    failures = results.failures[results.failures["log"] == log]
-    drives = results.drives[(results.drives["log"] == log) & (results.drives["planner"] == planner)]
-    if len(failures) or drives.empty:
-        return TriedPoint(ERROR, why=str(failures["message"].iloc[0]) if len(failures) else "not driven")
-    verdicts = results.verdicts[results.verdicts["log"] == log]
-    mine = verdicts[verdicts["planner"] == planner]
-    outcome = worst(map(Outcome, mine["outcome"]))
-    failed = mine[mine["outcome"] == Outcome.FAIL.value]
-    rows = results.metrics[results.metrics["log"] == log]
-    values: dict[tuple[str, str], dict[str, float]] = {}
-    known = rows["value"].where(rows["available"])
-    for who, mode, metric, value in zip(rows["planner"], rows["mode"], rows["metric"], known, strict=True):
-        values.setdefault((who, mode), {})[metric] = value
-    own, careful = values.get((planner, "closed"), {}), values.get((CAREFUL, REFERENCE), {})
-    applies, avoids = (own.get(f"reference_cc.{one.name}", 0.0) > 0.0 for one in (APPLIES, AVOIDS))
+def judged(trial: Trial, gates: Sequence[Gate], against: str) -> TriedPoint:
+    """The case of a trial in a run of the planner and of `against`, unless that is "careful"."""
+    verdicts, outcome, own, careful = trial.verdicts, trial.outcome, trial.values(), trial.values(CAREFUL)
+    failed = verdicts[verdicts["outcome"] == Outcome.FAIL.value]
     if against != CAREFUL:
-        other = verdicts[verdicts["planner"] == against]
+        other = replace(trial, planner=against).verdicts
         holds = len(other) and not (other["outcome"] == Outcome.FAIL.value).any()
         counts = tuple(failed["gate"]) if holds else ()
-    elif applies and not avoids:
+    elif trial.careful is Avoidability.UNAVOIDABLE:
         counts = ()
     else:
         known_gates = {str(gate): gate for gate in gates}
         breaks = {rule for rule, gate in known_gates.items() if gate.margin(careful.get(gate.metric, nan)) < 0.0}
         counts = tuple(rule for rule in failed["gate"] if rule not in breaks)
     shown = counts or tuple(failed["gate"])
-    about = failed[failed["gate"].isin(shown)] if shown else mine[mine["outcome"] == outcome.value]
+    about = failed[failed["gate"].isin(shown)] if shown else verdicts[verdicts["outcome"] == outcome.value]
     why = next(filter(None, about["reason"]), "") if outcome is not Outcome.PASS else ""
     kind = FAIL if counts else BOTH if len(failed) else outcome.value
     value = float(about["value"].iloc[0]) if len(about) else nan
-    return TriedPoint(kind, shown, why, str(drives["end"].iloc[0]), robustness(gates, own), value)
+    return TriedPoint(kind, shown, why, str(trial.drive.end), robustness(gates, own), value)
 
 
 def robustness(gates: Sequence[Gate], values: Mapping[str, float]) -> float:
@@ -294,8 +277,7 @@ def falsify(
         LogError: The recorded case could not be driven.
         PlannerError: The planner cannot be loaded.
     """
-    if len(question.run.planners) != 1:
-        raise ConfigError(f"a falsification needs exactly one planner, got {', '.join(question.run.planners)}")
+    one_planner(question.run, "a falsification")
     if question.against == question.planner:
         raise ConfigError(f"--against {question.against}: is the planner itself")
     cma_class(question.budget)
@@ -315,7 +297,7 @@ def falsify(
 
 
 class SearchDrives:
-    """Evaluates points batch by batch (`replay.search.mildest.Evaluate`), and keeps their rows."""
+    """Evaluates points batch by batch (`replay.experiments.mildest.Evaluate`), and keeps their rows."""
 
     def __init__(
         self, question: FalsifyQuestion, out: Path, study: Study, workers: int, say: Callable[[str], None]
@@ -327,7 +309,7 @@ class SearchDrives:
         self.rows: list[dict[str, Any]] = []
 
     def __call__(self, points: Sequence[Point], part: str) -> list[ScoredPoint]:
-        """As `replay.search.mildest.Evaluate`; points in the study file are not driven again."""
+        """As `replay.experiments.mildest.Evaluate`; points in the study file are not driven again."""
         new = [point for point in points if self._study.known(_key(point)) is None]
         if new:
             cases = zip(new, self._drive_points(new), strict=True)
@@ -360,25 +342,16 @@ class SearchDrives:
         asked = self._question
         shutil.rmtree(self._scratch, ignore_errors=True)
         (self._scratch / "logs").mkdir(parents=True)
-        made: list[Path | TriedPoint] = []
+        places = [self._scratch / "logs" / f"{k}.mcap" for k in range(len(points))]
+        makes = {
+            place: partial(asked.subject.at, asked.axes, values_at(asked.axes, point))
+            for place, point in zip(places, points, strict=True)
+        }
         try:
-            for k, point in enumerate(points):
-                path = self._scratch / "logs" / f"{k}.mcap"
-                try:
-                    write_scenario(path, asked.subject.at(asked.axes, values_at(asked.axes, point)))
-                    made.append(path)
-                except LogError as error:  # there is no such scenario
-                    made.append(TriedPoint(ERROR, why=str(error)))
-            logs = [log for log in made if isinstance(log, Path)]
-            if not logs:
-                return [one for one in made if isinstance(one, TriedPoint)]
-            results = evaluate_logs(logs, asked.driven, self._scratch / "results", workers=self._workers)
-            names = dict(zip(results.logs["source"], results.logs["log"], strict=True))
+            found = drive_made(makes, asked.driven, self._scratch / "results", workers=self._workers)
             return [
-                one
-                if isinstance(one, TriedPoint)
-                else judged(results, names[str(one)], self._gates, asked.planner, asked.against)
-                for one in made
+                TriedPoint(ERROR, why=one) if isinstance(one, str) else judged(one, self._gates, asked.against)
+                for one in found
             ]
         finally:
             shutil.rmtree(self._scratch, ignore_errors=True)
@@ -390,8 +363,7 @@ def _key(point: Point) -> str:
 
 def _write(result: Falsified, workers: int) -> None:
     out, asked, found = result.out, result.question, result.found
-    write_parquet(out / "trials.parquet", result.table)
-    write_file(out / "trials.csv", lambda partial: result.table.to_csv(partial, index=False, lineterminator="\n"))
+    write_table(out, "trials", result.table)
     save(
         falsify_figure(result.table, asked.axes, result.case, f"{asked.subject.name}: {asked.planner}"),
         out / "falsify.png",

@@ -7,7 +7,7 @@
     OUT/training/            results with the defaults on the training logs
     OUT/held_out/default/, OUT/held_out/chosen/      results on the held-out logs, as `replan compare` takes them
 
-Trials are made one after the other (`replay.search.trials`), and the logs of a trial are driven in parallel:
+Trials are made one after the other (`replay.experiments.trials`), and the logs of a trial are driven in parallel:
 the same logs, space and seed give the same trials at any number of workers.
 """
 
@@ -16,6 +16,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from math import isfinite
 from pathlib import Path
@@ -34,16 +35,8 @@ from replay.compare import compare_runs
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results
 from replay.draw.report.figures import save
-from replay.results.tables import PARTIAL, write_file, write_json, write_parquet, write_text
-from replay.results.version import replan_version
-from replay.run import evaluate_logs
-from replay.run.checks import checked
-from replay.run.claim import FolderContents, claimed_folder
-from replay.run.engine import Engine, Local
-from replay.run.resume import identity_of
-from replay.run.sources import Selection
-from replay.run.study import Study
-from replay.search.gains import (
+from replay.experiments.experiment_figures import pareto_figure
+from replay.experiments.gains import (
     LEAST_LOGS,
     MeanGain,
     RunScores,
@@ -55,9 +48,18 @@ from replay.search.gains import (
     scales,
     stratum,
 )  # fmt: skip
-from replay.search.search_figures import pareto_figure
-from replay.search.space import chosen_table, listed, with_values
-from replay.search.trials import KIND, Trials, TuningInputs, Values, key_of, optuna_module
+from replay.experiments.space import chosen_table, listed, with_values
+from replay.experiments.trial import one_planner, write_table
+from replay.experiments.trials import KIND, Trials, TuningInputs, Values, key_of, optuna_module
+from replay.results.tables import PARTIAL, write_file, write_json, write_text
+from replay.results.version import replan_version
+from replay.run import evaluate_logs
+from replay.run.checks import checked
+from replay.run.claim import FolderContents, claimed_folder
+from replay.run.engine import Engine, Local
+from replay.run.resume import identity_of
+from replay.run.sources import Selection
+from replay.run.study import Study
 
 CONTENTS = FolderContents(
     KIND,
@@ -176,8 +178,7 @@ def tune(
         LogError: A log cannot be read.
         PlannerError: The planner cannot be loaded.
     """
-    if len(plan.run.planners) != 1:
-        raise ConfigError(f"a tuning needs exactly one planner, got {', '.join(plan.run.planners)}")
+    one_planner(plan.run, "a tuning")
     optuna_module()
     checked(plan.driven)
     engine = engine or Local()
@@ -325,10 +326,9 @@ def _judge_held_out(
 
 def _write(result: Tuned, default: RunScores) -> None:
     out, plan, table = result.out, result.plan, result.table
-    write_parquet(out / "trials.parquet", table)
-    write_file(out / "trials.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+    write_table(out, "trials", table)
     front = table[table["pareto"]].sort_values("total", ascending=False, kind="stable")
-    write_file(out / "pareto.csv", lambda partial: front.to_csv(partial, index=False, lineterminator="\n"))
+    write_file(out / "pareto.csv", partial(front.to_csv, index=False, lineterminator="\n"))
     title = f"{plan.run.planners[0]}: {counted(len(table), 'trial')} on {counted(len(result.logs.training), 'log')}"
     save(pareto_figure(table, [one.metric for one in plan.objectives], result.chosen, title), out / "pareto.png")
     chosen = with_values(plan.run, result.values)

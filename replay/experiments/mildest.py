@@ -1,7 +1,7 @@
 """The search for the failing point with the least distance from the origin, with few evaluations.
 
-Points are in units of the scales (`replay.search.search_space`, (1)), in a box that holds the origin. A point has a
-score, less is better, and counts (the planner fails there, avoidably) or not. The parts of a search, in order:
+Points are in units of the scales ((1) of `search_subject`), in a box that holds the origin. A point has a score, less
+is better, and counts (the planner fails there, avoidably) or not. The parts of a search, in order:
 
     recorded    the origin; if it counts, the search ends
     spread      a quarter of the budget: a Halton sequence over the box, scrambled by the seed
@@ -115,7 +115,7 @@ class _EvaluatedPoints:
 
 
 def norm(point: Sequence[float] | FloatArray) -> float:
-    """The distance (2) of `replay.search.search_space`."""
+    """The distance (2) of `replay.experiments.search_subject`."""
     return float(np.linalg.norm(point))
 
 

@@ -4,7 +4,7 @@
     OUT/changes/NAME/         results with a change, as `replan compare` and `replan view` take them; first "as_it_was"
     OUT/study.jsonl           the drives; `--resume` continues from it
 
-and the files of `replay.diagnose.findings`. The same run gives the same diagnosis at any number of workers.
+and the files of `replay.experiments.findings`. The same run gives the same diagnosis at any number of workers.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Mode, PlannedFrame
 from replay.config import RunConfig, dump_run
-from replay.diagnose.changes import ChangedRun, TriedChange, cause_of, changed_runs, driven
-from replay.diagnose.drives import MODE, DrivenLogs, as_driven, drive_again, failed_gates, parting, passes, worsens
-from replay.diagnose.failure import (
+from replay.draw.drawn_results import DriveResult, Results, load
+from replay.experiments.changes import ChangedRun, TriedChange, cause_of, changed_runs, driven
+from replay.experiments.drives import DrivenLogs, as_driven, drive_again, failed_gates, parting, passes, worsens
+from replay.experiments.failure import (
     AHEAD_S,
     PROGRESS,
     DriveDifference,
@@ -38,9 +39,10 @@ from replay.diagnose.failure import (
     lane_change,
     waits,
 )
-from replay.diagnose.findings import AS_IT_WAS, Diagnosis, Found
-from replay.diagnose.remedy import Remedy, smallest_change
-from replay.draw.drawn_results import DriveResult, Results, load
+from replay.experiments.findings import AS_IT_WAS, Diagnosis, Found
+from replay.experiments.remedy import Remedy, smallest_change
+from replay.experiments.space import Setting, Value, shown, with_values
+from replay.experiments.trial import MODE
 from replay.explain.causes import accounts
 from replay.explain.explanation import Explanation
 from replay.results.load import named_logs
@@ -50,7 +52,6 @@ from replay.run.output import scenario_of
 from replay.run.perturb import PERTURBATIONS, perturbed
 from replay.run.resume import stamp_of
 from replay.run.study import Study
-from replay.search.space import Setting, Value, shown, with_values
 
 KIND = "diagnose"
 CONTENTS = FolderContents(KIND, ("diagnosis.*", "changes.csv", "changes", "logs"))

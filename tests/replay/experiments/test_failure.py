@@ -16,8 +16,8 @@ from logs.frame import Predictions
 from logs.plan import LaneOption, Plan
 from logs.trace import PlannedFrame, Trace
 from metrics.judge import Outcome, load_gates
-from replay.diagnose.drives import worsens
-from replay.diagnose.failure import (
+from replay.experiments.drives import worsens
+from replay.experiments.failure import (
     LATE_S,
     MISSED_M,
     OUTCOMES,

@@ -18,10 +18,10 @@ from handmade import drive, lanes_along, scenario, square, straight
 from logs import Goal
 from logs.mcap import write_scenario
 from replay.config import RunConfig, load_run
+from replay.experiments.gains import Objective, RunScores
+from replay.experiments.space import Setting
+from replay.experiments.trials import Trials, TuningInputs, Values
 from replay.run.claim import STUDY as FILE
-from replay.search.gains import Objective, RunScores
-from replay.search.space import Setting
-from replay.search.trials import Trials, TuningInputs, Values
 
 pytest.importorskip("optuna", reason="the extra improve is not installed: pip install 'replan[improve]'")
 SAME = ("tune.json", "study.jsonl", "trials.parquet", "trials.csv", "pareto.csv", "pareto.png", "best.toml")

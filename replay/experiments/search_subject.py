@@ -40,8 +40,8 @@ from logs.files import here
 from logs.readers import LogSettings
 from logs.scenario import Scenario
 from logs.variations import VARIATIONS, varied
+from replay.experiments.conflict import conflicting_agent, prepared
 from replay.run.sources import LogSource
-from replay.vary.conflict import conflicting_agent, prepared
 
 FORM = "write it as NAME=LOW:HIGH, for example time=-3:3"
 TIME_S, SPEED, EGO_SPEED, LATERAL_M, ALONG_M, AHEAD_M = 1.0, 0.2, 0.1, 0.375, 5.0, 10.0

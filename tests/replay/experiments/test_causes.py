@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from logs.errors import ConfigError
 from replay.config import RunConfig, load_run
-from replay.diagnose.changes import (
+from replay.experiments.changes import (
     NOT_FOUND,
     RANKS,
     UNAVOIDABLE,
@@ -21,8 +21,8 @@ from replay.diagnose.changes import (
     driven,
     load_changes,
 )
-from replay.diagnose.remedy import STEPS, distance, smallest_change
-from replay.search.space import Setting, Value
+from replay.experiments.remedy import STEPS, distance, smallest_change
+from replay.experiments.space import Setting, Value
 
 CAUSES = ("prediction", "control", "latency")
 RUN = driven(RunConfig(), "dp_qp")

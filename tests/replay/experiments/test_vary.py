@@ -20,11 +20,12 @@ from logs.readers import LogSettings
 from metrics.judge import worst
 from metrics.judge.gates import Outcome
 from replay.config import RunConfig
+from replay.experiments.brackets import Bracket, bisect_brackets, brackets
+from replay.experiments.conflict import conflicting_agent, encounters, lines, opened, prepared, question_about
+from replay.experiments.question import question
+from replay.experiments.surface import VaryResult, vary
 from replay.run import evaluate_logs
 from replay.run.claim import STUDY
-from replay.vary import VaryResult, encounters, prepared, question, vary
-from replay.vary.brackets import Bracket, bisect_brackets, brackets
-from replay.vary.conflict import conflicting_agent, lines, opened, question_about
 
 RUN = RunConfig(planners=("constant_speed",), recording=False, internals="none")
 GATES = """

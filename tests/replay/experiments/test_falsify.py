@@ -20,8 +20,8 @@ from logs import Goal, Scenario
 from logs.mcap import read_scenario, write_scenario
 from metrics.judge.gates import Gate, load_gates
 from replay.draw.drawn_results import load
+from replay.experiments.falsify import BOTH, ERROR, FAIL, PASS, TriedPoint, robustness
 from replay.run.claim import STUDY as FILE
-from replay.search.falsify import BOTH, ERROR, FAIL, PASS, TriedPoint, robustness
 
 pytest.importorskip("cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'")
 SAME = ("falsify.json", "study.jsonl", "trials.parquet", "trials.csv", "falsify.png", "case.mcap")

@@ -9,7 +9,7 @@ import tomli_w
 
 from logs import ConfigError
 from replay.config import RunConfig, load_run
-from replay.search.space import chosen_table, listed, load_space, with_values
+from replay.experiments.space import chosen_table, listed, load_space, with_values
 
 RUN = RunConfig(planners=("idm",))
 

@@ -27,9 +27,9 @@ from logs.shapes import clearance, time_to_contact
 from metrics.arrival import goal_of
 from metrics.boxes import NO_TTC_MPS, EgoOutline, OtherBoxes, car_of, ego_boxes, others_at, phantoms, without_phantoms
 from metrics.encounters import CROSSING_RAD, encroachment, may_meet
+from replay.experiments.question import SurfaceQuestion, question
 from replay.loop.reference_drives import reference_drives
 from replay.run.sources import LogSource
-from replay.vary.question import SurfaceQuestion, question
 
 GRID_S = 0.1
 SEEN_S = 1.0
@@ -166,7 +166,7 @@ def question_about(
     """The question of `--vary` about agents, named by whole id or short name; by default the one in conflict.
 
     Raises:
-        ConfigError: As `replay.vary.question.question` and `conflicting_agent`.
+        ConfigError: As `replay.experiments.question.question` and `conflicting_agent`.
     """
     found = question(words, [*map(scenario.short_names.whole, agents)], resolution)
     return found if agents or not found.varies_agents else replace(found, agents=(conflicting_agent(scenario),))

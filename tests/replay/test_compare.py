@@ -142,7 +142,7 @@ def test_the_report_says_inputs_regressions_partings_and_rules(runs: tuple[Path,
     result = replan("compare", *runs)
     for words in (
         "before -> after", "loop.plan_delay_s: 0.0 -> 0.1", "Worst regressions", "First differences of drives",
-        "controller: commanded", "[idm]", "replan view ", "at most 0 flips to FAIL", "Comparison: ",
+        "controller: commanded", "idm", "replan view ", "at most 0 flips to FAIL", "Comparison: ",
     ):  # fmt: skip
         assert words in result.stdout
     content = json.loads(replan("compare", *runs, "--json", "--no-first-difference").stdout)

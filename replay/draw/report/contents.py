@@ -130,11 +130,25 @@ MOST_FIRST = 3
 
 @dataclass(frozen=True)
 class Cell:
-    """A value in a table: as text, as a number (NaN: there is none), and whether it is marked."""
+    """A cell of a table.
+
+    Attributes:
+        text: The value as text.
+        value: The value as a number; NaN: there is none.
+        bad: Whether it is marked.
+        outcome: The outcome that it states; "" if it states none.
+        drive: Log and planner of the drive that it is about.
+        code: Whether it is a rule or a command.
+        file: The file that shows it, relative to the result folder.
+    """
 
     text: str = NOTHING
     value: float = nan
     bad: bool = False
+    outcome: str = ""
+    drive: tuple[str, str] | None = None
+    code: bool = False
+    file: str = ""
 
 
 WEIGHT: Mapping[str, int] = {Outcome.FAIL.value: 0, Outcome.INCONCLUSIVE.value: 1, "": 2, Outcome.PASS.value: 3}
@@ -176,6 +190,11 @@ class DriveRow:
     def recording(self) -> str:
         """The recording of the closed loop, otherwise of the open one; "" if there is none."""
         return next(iter(sorted(file for file in self.files if file.endswith(".rrd"))), "")
+
+    @property
+    def file(self) -> str:
+        """What to open: the recording, otherwise the first trace."""
+        return self.recording or next(iter(sorted(self.files)), "")
 
 
 @dataclass(frozen=True)

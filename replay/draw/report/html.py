@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib import resources
@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote
 
-import pandas as pd
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
@@ -34,15 +33,15 @@ from replay.draw.charts.layout import BROKEN, placed
 from replay.draw.charts.subject import Subject
 from replay.draw.drawn_results import DriveResult, Results
 from replay.draw.report.charts import distributions, moved, pass_shares
-from replay.draw.report.contents import DriveRow, Overview, worst_flips
+from replay.draw.report.contents import DriveRow, Overview
+from replay.draw.report.sections import comparison_sections, run_sections
 from replay.explain.explanation import TimedEvent, events
 from replay.results.tables import safe_name, write_text
 
 T = TypeVar("T")
 
-MOST_REGRESSIONS, MOST_IMPROVEMENTS, MOST_GROUPS, MOST_MOVED = 60, 20, 80, 6
-"""Largest numbers of rows in the tables of a comparison, and of metrics that are drawn."""
-"""Order of the pages by verdict; within a verdict, the drive with most trouble is first."""
+MOST_MOVED = 6
+"""Largest number of metrics of a comparison that are drawn."""
 MOST_EVENTS = 60
 """Largest number of events that are listed; the page gives the number of the others."""
 _WEIGHT = {outcome.value: weight for weight, outcome in enumerate(Outcome)}
@@ -122,7 +121,9 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
         anchors=anchors,
         pages=chain(first, made),
         paged=paged,
-        comparison=None if overview.comparison is None else _comparison_rows(overview.comparison),
+        sections=run_sections(overview),
+        compared=[] if overview.comparison is None else comparison_sections(overview.comparison),
+        moved=[] if overview.comparison is None else _moved(overview.comparison),
     )  # fmt: skip
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -141,36 +142,17 @@ def _markup(chart: Chart) -> Markup:
     return Markup(chart.inline())  # canvas escapes every word
 
 
-def _comparison_rows(comparison: Comparison) -> dict[str, Any]:
-    """The comparison as lists of rows."""
-    groups = comparison.groups
-    asked = groups["metric"].isin(set(comparison.pairs.loc[comparison.pairs["asked"].astype(bool), "metric"]))
-    shown = groups[groups["significant"].astype(bool) | asked & (groups["kind"] == "suite")]
-    moving = shown[shown["delta"].abs() > 0.0]
-    order = moving.assign(rank=~moving["significant"].astype(bool)).sort_values("rank", kind="stable")
-    # the metrics with the largest changes, those of gates first; one chart per metric, planner and loop
+def _moved(comparison: Comparison) -> list[Markup]:
+    """A chart for each of the metrics, planners and loops with the largest changes; those of gates come first."""
     pairs = comparison.pairs
     both = pairs[pairs["baseline"].notna() & pairs["candidate"].notna() & (pairs["delta"] != 0.0)]
     both = both[both["worse"].notna()]
     keys = list(dict.fromkeys(zip(both["metric"], both["planner"], both["mode"], strict=True)))[:MOST_MOVED]
-    charts = [
-        moved(both[(both["metric"] == m) & (both["planner"] == p) & (both["mode"] == mode)], f"{m}, {p}, {mode} loop")
+    return [
+        _markup(moved(both[(both["metric"] == m) & (both["planner"] == p) & (both["mode"] == mode)],
+                      f"{m}, {p}, {mode} loop"))
         for m, p, mode in keys
-    ]
-    return {
-        "of": comparison,
-        "flips": _dicts(worst_flips(comparison)),
-        "regressions": _dicts(comparison.regressions(MOST_REGRESSIONS, each=3)),
-        "improvements": _dicts(comparison.improvements(MOST_IMPROVEMENTS)),
-        "groups": _dicts(order.head(MOST_GROUPS)),
-        "more_groups": max(len(order) - MOST_GROUPS, 0),
-        "partings": _dicts(comparison.partings),
-        "charts": [_markup(chart) for chart in charts],
-    }
-
-
-def _dicts(table: pd.DataFrame) -> list[Mapping[str, Any]]:
-    return table.to_dict("records")  # type: ignore[return-value]
+    ]  # fmt: skip
 
 
 def _read(name: str) -> str:

@@ -460,7 +460,7 @@ def test_the_report_marks_oracles_and_has_a_column_per_planner(compared: Results
     assert re.search(r"over all logs +constant_speed +logged \(oracle\)", text)
     assert re.search(r"collisions at fault \(closed\) +1 +1", text)
     assert re.search(r"ADE over 3 s, mean \[m\] \(open\) +- +-", text)  # the logs last less than 3 s
-    assert re.search(r"test/blocked *\n  constant_speed .*collision:", text)
+    assert re.search(r"test/blocked +constant_speed +FAIL .*collision:", text)
 
 
 def test_the_report_names_units_and_says_what_was_assumed(compared: Results) -> None:
@@ -485,10 +485,10 @@ def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: Results
 
 
 def test_a_long_report_shows_trouble_first(compared: Results, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("replay.draw.report.terminal.MAX_ROWS", 1)
+    monkeypatch.setattr("replay.draw.report.sections.MOST_ROWS", 1)
     text = report(compared, 140)
-    assert "3 more drives" in text
-    drives = text.partition("Planners")[0]
+    assert "3 more: metrics.csv" in text
+    drives = text.partition("\nDrives\n")[2].partition("\n\n")[0]
     assert "collision" in drives
     assert "yes" not in drives
 

@@ -123,7 +123,7 @@ def test_what_it_says_is_what_the_run_says(page: Page, results: Results) -> None
     over = overview(results)
     for said in (*(row.rule for row in over.gates), *(line.text for line in over.coverage), over.config):
         assert said in text
-    assert "Flips (" in text and "Worst regressions" in text
+    assert "Flips: " in text and "Worst regressions" in text
     assert re.search(r"replan view \S*closed.constant_speed.mcap", text)
     moment = worst_moment(results.drive(visible_name(HOSTILE), "constant_speed"))
     assert moment.why.startswith("collision_at_fault.count <= 0 [closed] fails: 1")

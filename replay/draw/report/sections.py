@@ -1,0 +1,323 @@
+"""A report as a list of sections. Terminal, Markdown and HTML render every section in the same way.
+
+    run_sections(overview)            what a run found, the answer first
+    comparison_sections(comparison)   what changed against a baseline
+
+A new part of the reports is one function here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite, nan
+from typing import Any
+
+import pandas as pd
+
+from logs.names import counted
+from metrics.comparison import Comparison
+from metrics.judge.gates import Outcome
+from metrics.judge.verdicts import DRIVE
+from replay.draw.report.contents import BROKEN, NOTHING, Cell, GateRow, Overview, PassShare, legend, worst_flips
+
+MOST_ROWS = 30
+"""Largest number of drives in a terminal."""
+MOST_PAIRS, MOST_GROUPS = 50, 80
+"""Largest numbers of regressions and improvements, and of means over groups of logs, that are kept."""
+
+
+@dataclass(frozen=True)
+class ReportColumn:
+    """A column of a section.
+
+    Attributes:
+        title: Its title in one line.
+        is_number: Whether its cells are numbers: aligned to the right, and sorted by their value.
+        short: The title in short lines, where there is little room; "": `title`.
+        about: More about it, where a pointer can rest on the title.
+    """
+
+    title: str
+    is_number: bool = False
+    short: str = ""
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a report.
+
+    Attributes:
+        title: The title.
+        columns: The columns of its table; none: it has no table.
+        rows: Rows of cells, the ones to look at first.
+        lines: A list, below the table.
+        says: Sentences about the table.
+        folded: Whether it is only for those who look for it: folded where a report can fold.
+        most: Largest number of rows and of lines that a terminal shows.
+        rest: The file that has all rows.
+        key: A name for links, and for what an output adds to the section.
+    """
+
+    title: str
+    columns: tuple[ReportColumn, ...] = ()
+    rows: tuple[tuple[Cell, ...], ...] = ()
+    lines: tuple[str, ...] = ()
+    says: tuple[str, ...] = ()
+    folded: bool = False
+    most: int = 30
+    rest: str = ""
+    key: str = ""
+
+
+def _columns(*titles: str, numbers: Iterable[str] = ()) -> tuple[ReportColumn, ...]:
+    return tuple(ReportColumn(title, title in numbers) for title in titles)
+
+
+def _words(*texts: str) -> tuple[Cell, ...]:
+    return tuple(map(Cell, texts))
+
+
+def number_cell(value: float, show: Callable[[float], str] = "{:.4g}".format, unit: str = "") -> Cell:
+    """A number with its unit; `NOTHING` where it is missing."""
+    known = f" {unit}" if unit not in ("", "1", "count") else ""
+    return Cell(f"{show(value)}{known}", value) if isfinite(value) else Cell()
+
+
+def _seconds(value: float) -> Cell:
+    return number_cell(value, "{:.2f}".format, "s")
+
+
+def _outcome(word: str, more: str = "") -> Cell:
+    return Cell(f"{word}{more}" if word else NOTHING, outcome=word)
+
+
+# a run ------------------------------------------------------------------------------------------------------------
+
+
+def run_sections(over: Overview) -> list[Section]:
+    """The sections of a run, in their order; those with nothing to say are left out."""
+    ensemble = f"Ensemble: {len(over.fragile)} of {over.ensembles} verdicts are fragile"
+    made = [
+        Section(f"Could not be evaluated ({len(over.failures)})", lines=over.failures, rest="summary.json"),
+        *_gates(over),
+        *_diagnosis(over),
+        *_shares(over),
+        *_drives(over),
+        *_planners(over),
+        Section("Driven", lines=over.driven, key="driven"),
+        Section(ensemble, lines=over.fragile or ("none",) if over.ensembles else (), rest="metrics.csv"),
+        Section(BROKEN, lines=over.broken, most=12, rest="report.html"),
+        Section("Notes", lines=over.notes, most=12, rest="summary.json"),
+        *_latency(over),
+    ]
+    return [section for section in made if section.rows or section.lines or section.says]
+
+
+def _gates(over: Overview) -> Iterator[Section]:
+    if over.shard:
+        yield Section("Gates", says=(f"Not judged: shard {over.shard}; `replan merge` judges all shards together.",))
+        return
+    columns = _columns("outcome", "rule", "what was found")
+    good, bad = (
+        tuple(_gate(row) for row in over.gates if (row.outcome == "pass") is passed) for passed in (True, False)
+    )
+    yield Section("Gates", columns, bad, says=() if bad else ("No gate fails, none is inconclusive.",), key="gates")
+    yield Section(
+        f"{counted(len(good), 'verdict')} of gates: pass", columns, good, folded=True, most=6, rest="report.html"
+    )
+    unasked = f"{counted(len(over.not_asked), 'gate')} not asked of some drives"
+    yield Section(unasked, lines=over.not_asked, folded=True, most=12, rest="report.html")
+
+
+def _gate(row: GateRow) -> tuple[Cell, ...]:
+    loop = f" [{row.mode}]" if row.mode and f"[{row.mode}]" not in row.rule else ""
+    drive = (row.log, row.planner) if row.log else None
+    return _outcome(row.outcome), Cell(row.rule + loop, code=True), Cell(row.found, drive=drive)
+
+
+def _diagnosis(over: Overview) -> Iterator[Section]:
+    if over.diagnosis is None:
+        return
+    found = over.diagnosis
+    columns = _columns("drives", "what happens", "cause", "because it", "gates", "about", "which", numbers=["drives"])
+    rows = tuple(
+        (number_cell(len(one["drives"])),
+         *_words(one.get("happens", ""), one["cause"], one["why"], ", ".join(one["gates"]), one.get("about", ""),
+                 ", ".join(one["drives"])))
+        for one in found["clusters"]
+    )  # fmt: skip
+    yield Section(f"Why {found['planner']} fails", columns, rows, tuple(line.strip() for line in found["said"]))
+
+
+def _shares(over: Overview) -> Iterator[Section]:
+    if not over.whole:
+        return
+    numbers = ("pass", "share", "95 % interval", "fail", "inconclusive", "not evaluated")
+    columns = _columns("logs", "planner", "loop", *numbers, numbers=numbers)
+
+    def rows(shares: Iterable[PassShare]) -> tuple[tuple[Cell, ...], ...]:
+        return tuple(
+            (*_words(one.name, one.planner, one.mode, f"{one.passed} of {one.logs}"),
+             number_cell(100.0 * one.share, "{:.0f}%".format),
+             Cell(f"{100.0 * one.low:.0f} to {100.0 * one.high:.0f}%"),
+             *(number_cell(count, "{:.0f}".format) for count in (one.failed, one.inconclusive, one.missing)))
+            for one in shares
+        )  # fmt: skip
+
+    says = "Shares of all logs: a log that is inconclusive or could not be evaluated does not pass."
+    yield Section("Logs that pass", columns, rows(over.whole), says=(says,), key="shares")
+    by_group = "Logs that pass, by family, tag and dataset"
+    yield Section(by_group, columns, rows(over.grouped), folded=True, most=12, rest="groups.parquet")
+
+
+def _drives(over: Overview) -> Iterator[Section]:
+    first, several = over.first_closed, len(over.planners) > 1
+    ended = [ReportColumn("closed loop ended by", short="closed loop\nended by")] if first < len(over.columns) else []
+    both = len({column.mode for column in over.columns}) > 1
+    values = [
+        ReportColumn(f"{one.words}, {one.mode}" if both else one.words, True, one.title, one.metric)
+        for one in over.columns
+    ]
+    columns = (*_columns("log", *(["planner"] if several else []), "verdict"), *values[:first], *ended, *values[first:])
+    rows = tuple(
+        (Cell(row.log, drive=(row.log, row.planner), file=row.file), *(_words(row.shown) if several else ()),
+         _outcome(row.verdict, f" {row.asked}"), *row.cells[:first], *([row.end] if ended else []), *row.cells[first:])
+        for row in over.ranked
+    )  # fmt: skip
+    yield Section("Drives", columns, rows, says=tuple(legend(over.columns)), most=MOST_ROWS,
+                  rest="metrics.csv", key="drives")  # fmt: skip
+
+
+def _planners(over: Overview) -> Iterator[Section]:
+    if len(over.planners) > 1:
+        columns = _columns("over all logs", *over.planners, numbers=over.planners)
+        yield Section("Planners", columns, tuple(_words(label, *texts) for label, texts in over.compared))
+
+
+def _latency(over: Overview) -> Iterator[Section]:
+    numbers = ("p50 [ms]", "p95 [ms]", "p99 [ms]", "share")
+    rows = tuple(
+        (*_words(one.planner, one.stage),
+         *(number_cell(ms, "{:.2f}".format) for ms in (one.p50_ms, one.p95_ms, one.p99_ms)),
+         number_cell(100.0 * one.share, "{:.0f}%".format))
+        for one in over.latency
+    )  # fmt: skip
+    title = f"Planning time (wall clock, {counted(over.frames, 'plan')})"
+    yield Section(title, _columns("planner", "stage", *numbers, numbers=numbers), rows, folded=True)
+
+
+# a comparison -----------------------------------------------------------------------------------------------------
+
+
+def comparison_sections(found: Comparison) -> list[Section]:
+    """The sections of a comparison, in their order; those with nothing to say are left out."""
+    several = found.pairs["planner"].nunique() > 1
+    rules = tuple(
+        (_outcome(one.outcome.value), Cell(one.rule, code=True), Cell(one.reason))
+        for one in sorted(found.verdicts, key=lambda one: list(Outcome).index(one.outcome))
+    )
+    same = ("the same: logs, configuration, vehicles, versions",)
+    made = [
+        Section("Rules", _columns("outcome", "rule", "what was found"), rules),
+        Section("Inputs", lines=found.differences or same, most=10, rest="--json"),
+        Section(f"Only in the baseline ({len(found.only_in_baseline)})", lines=found.only_in_baseline, most=10),
+        Section(f"Only in the candidate ({len(found.only_in_candidate)})", lines=found.only_in_candidate, most=10),
+        _flips(found, several=several),
+        _pairs("Worst regressions", found.regressions(MOST_PAIRS, each=3), several=several),
+        _pairs("Greatest improvements", found.improvements(MOST_PAIRS), several=several),
+        _means(found),
+        _partings(found, several=several),
+    ]
+    return [section for section in made if section.rows or section.lines or section.says]
+
+
+def _of_drive(row: Any, *, several: bool) -> tuple[Cell, ...]:
+    """The log (with its drive), the planner if there are several, and the loop of a row."""
+    drive = (row.log, row.planner.rpartition(" -> ")[2])
+    return Cell(row.log, drive=drive), *(_words(row.planner) if several else ()), Cell(row.mode)
+
+
+def _drive_columns(*titles: str, several: bool, numbers: Sequence[str] = ()) -> tuple[ReportColumn, ...]:
+    return _columns("log", *(["planner"] if several else []), "loop", *titles, numbers=numbers)
+
+
+def _rows(table: pd.DataFrame) -> list[Any]:
+    return list(table.itertuples())
+
+
+def _flips(found: Comparison, *, several: bool) -> Section:
+    flips = found.flips
+    numbers = ("value before", "value after", "time")
+    columns = _drive_columns("gate", "before", "after", *numbers, "about", several=several, numbers=numbers)
+    rows = tuple(
+        (*_of_drive(row, several=several), Cell(row.gate, code=True), _outcome(row.before),
+         _outcome(row.after, " (marginal)" if row.marginal and row.after == "fail" else ""),
+         number_cell(row.value_before), number_cell(row.value_after), _seconds(row.time_s), Cell(row.reason))
+        for row in _rows(worst_flips(found))
+    )  # fmt: skip
+    if not rows:
+        return Section("Flips", says=("No verdict changed.",))
+    count = {word: int((flips["after"] == word).sum()) for word in ("fail", "pass")}
+    title = f"Flips: {count['fail']} to FAIL, {count['pass']} to pass, {len(flips) - sum(count.values())} others"
+    return Section(title, columns, rows, says=found.by_loop, most=20, rest="--json")
+
+
+def _pairs(title: str, pairs: pd.DataFrame, *, several: bool) -> Section:
+    numbers = ("baseline", "candidate", "change", "time")
+    columns = _drive_columns("metric", *numbers, "about", several=several, numbers=numbers)
+    rows = tuple(
+        (*_of_drive(row, several=several), Cell(row.metric), number_cell(row.baseline),
+         number_cell(row.candidate, unit=row.unit), number_cell(row.delta), _seconds(row.time_s), Cell(row.reason))
+        for row in _rows(pairs)
+    )  # fmt: skip
+    return Section(title, columns, rows, most=8, rest="--json")
+
+
+def _means(found: Comparison) -> Section:
+    """Metrics with a gate or a significant change over the suite, and those with both over groups of logs.
+
+    For each metric, only the reduction that changed most is shown.
+    """
+    groups = found.groups[found.groups["delta"] != 0.0]
+    asked = set(found.pairs.loc[found.pairs["asked"].astype(bool), "metric"])
+    gated, suite, sure = groups["metric"].isin(asked), groups["kind"] == "suite", groups["significant"].astype(bool)
+    size = groups["delta"].abs() / groups[["baseline", "candidate"]].abs().max(axis=1)
+    rank = pd.DataFrame({"part": ~suite, "unsure": ~sure, "other": ~gated, "size": -size})
+    shown = groups[suite & (gated | sure) | ~suite & gated & sure]
+    shown = shown.loc[rank.loc[shown.index].sort_values(["part", "unsure", "other", "size"], kind="stable").index]
+    words = shown["metric"].map(lambda name: name.partition(".")[0])
+    shown = shown[~shown.assign(metric=words)[["kind", "group", "planner", "mode", "metric"]].duplicated()]
+    numbers = ("logs", "before", "after", "change", "better", "worse")
+    columns = _columns(
+        "logs of", "planner", "loop", "metric", *numbers[:4], "95 % interval", *numbers[4:], numbers=numbers
+    )
+    rows = []
+    for row in _rows(shown.head(MOST_GROUPS)):
+        hurts = row.delta * {"lower": 1.0, "higher": -1.0}.get(row.direction, nan)
+        bad = bool(row.significant) and hurts > 0.0
+        change = replace(number_cell(row.delta, "{:+.3g}".format, row.unit), bad=bad)
+        star = " *" if row.significant else ""
+        inside = f"{row.low:+.3g} to {row.high:+.3g}{star}" if isfinite(row.low) else NOTHING
+        name = "all logs" if row.kind == "suite" else f"{row.kind} {row.group}"
+        rows.append(
+            (*_words(name, row.planner, row.mode, row.metric), number_cell(row.logs), number_cell(row.baseline),
+             number_cell(row.candidate), change, Cell(inside), number_cell(row.better), number_cell(row.worse))
+        )  # fmt: skip
+    note = "* more than chance over these logs (paired bootstrap, at least 6 logs)"
+    return Section("Means over the logs", columns, tuple(rows), says=(note,) if rows else (), most=14, rest="--json")
+
+
+def _partings(found: Comparison, *, several: bool) -> Section:
+    columns = _drive_columns("time", "first difference", several=several, numbers=["time"])
+    rows = tuple((*_of_drive(row, several=several), _seconds(row.t_s), Cell(row.what)) for row in _rows(found.partings))
+    unseen = found.not_looked_at
+    says = (f"Not searched in {counted(unseen, 'more drive')} that differ.",) if unseen and rows else ()
+    return Section("First differences of drives", columns, rows, says=says)
+
+
+def first_regression(found: Comparison) -> tuple[str, str, str] | None:
+    """Log, planner and loop of the worst regression; None if nothing got worse."""
+    worst = found.regressions(1)
+    return tuple(worst.iloc[0][DRIVE]) if len(worst) else None

@@ -149,8 +149,8 @@ def tune(
         from replay.cli.evaluate import engine_of
         from replay.draw.drawn_results import load
         from replay.experiments.gains import DEFAULT_OBJECTIVES, objectives
+        from replay.experiments.optuna_trials import TuningInputs
         from replay.experiments.space import load_space
-        from replay.experiments.trials import TuningInputs
         from replay.experiments.tune import tune as tuned
         from replay.run.evaluate import selected
         from replay.run.one_log import all_metrics

@@ -15,7 +15,7 @@
     tune       settings that are better than the defaults on logs that were not searched
     space.py           the settings to search, from a TOML file
     gains.py           training and held-out logs; metrics of a run against those of the defaults
-    trials.py, tune.py the settings to try next; a whole tuning
+    optuna_trials.py, tune.py  the settings to try next; a whole tuning
 
     diagnose   why drives fail: driven again with one thing changed
     changes.py         the changes (changes.toml), and the cause to which those that pass point

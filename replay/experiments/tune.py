@@ -7,7 +7,7 @@
     OUT/training/            results with the defaults on the training logs
     OUT/held_out/default/, OUT/held_out/chosen/      results on the held-out logs, as `replan compare` takes them
 
-Trials are made one after the other (`replay.experiments.trials`), and the logs of a trial are driven in parallel:
+Trials are made one after the other (`replay.experiments.optuna_trials`), and the logs of a trial are driven in parallel:
 the same logs, space and seed give the same trials at any number of workers.
 """
 
@@ -48,9 +48,9 @@ from replay.experiments.gains import (
     scales,
     stratum,
 )  # fmt: skip
+from replay.experiments.optuna_trials import KIND, OptunaTrials, TuningInputs, Values, key_of, optuna_module
 from replay.experiments.space import chosen_table, listed, with_values
 from replay.experiments.trial import one_planner, write_table
-from replay.experiments.trials import KIND, Trials, TuningInputs, Values, key_of, optuna_module
 from replay.results.tables import PARTIAL, write_file, write_json, write_text
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
@@ -262,7 +262,7 @@ def _run_search(plan: TuningInputs, logs: Logs, study: Study, driver: _Driver, s
     say(f"{counted(len(logs.training), 'training log')}, {len(logs.held)} held out; first the defaults")
     names, where = logs.training, logs.at(logs.training)
     default = run_scores(driver.kept(where, plan.driven, "training"), names, plan.objectives)
-    search = Trials(plan, default)
+    search = OptunaTrials(plan, default)
 
     def drive(values: Values) -> RunScores | str:
         try:

@@ -16,7 +16,7 @@ from urllib.parse import quote
 from logs.errors import writing
 from metrics.judge.gates import Outcome
 from replay.draw.report.contents import Cell, Overview
-from replay.draw.report.sections import Section, comparison_sections, run_sections
+from replay.draw.report.sections import ReportSection, comparison_sections, run_sections
 
 T = TypeVar("T")
 
@@ -54,7 +54,7 @@ def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def section_text(section: Section, *, linked: bool = False) -> str:
+def section_text(section: ReportSection, *, linked: bool = False) -> str:
     """A section; behind its title if it is folded, and the part beyond `MAX_OPEN` rows or lines."""
     right = [i for i, column in enumerate(section.columns) if column.is_number]
     head = [_text(column.title) for column in section.columns]
@@ -67,7 +67,7 @@ def section_text(section: Section, *, linked: bool = False) -> str:
     return _fold(_text(section.title), text) if section.folded else f"## {_text(section.title)}\n\n{text}"
 
 
-def _in_sight(some: list[T], what: str, render: Callable[[list[T]], str], section: Section) -> list[str]:
+def _in_sight(some: list[T], what: str, render: Callable[[list[T]], str], section: ReportSection) -> list[str]:
     """Rows or lines; those beyond `MAX_OPEN` are folded."""
     most = len(some) if section.folded else MAX_OPEN
     more = [_fold(f"{len(some) - most} more {what}", render(some[most:]))] if len(some) > most else []

@@ -45,7 +45,7 @@ class ReportColumn:
 
 
 @dataclass(frozen=True)
-class Section:
+class ReportSection:
     """A part of a report.
 
     Attributes:
@@ -96,39 +96,43 @@ def _outcome(word: str, more: str = "") -> Cell:
 # a run ------------------------------------------------------------------------------------------------------------
 
 
-def run_sections(over: Overview) -> list[Section]:
+def run_sections(over: Overview) -> list[ReportSection]:
     """The sections of a run, in their order; those with nothing to say are left out."""
     ensemble = f"Ensemble: {len(over.fragile)} of {over.ensembles} verdicts are fragile"
     made = [
-        Section(f"Could not be evaluated ({len(over.failures)})", lines=over.failures, rest="summary.json"),
+        ReportSection(f"Could not be evaluated ({len(over.failures)})", lines=over.failures, rest="summary.json"),
         *_gates(over),
         *_diagnosis(over),
         *_shares(over),
         *_drives(over),
         *_planners(over),
-        Section("Driven", lines=over.driven, key="driven"),
-        Section(ensemble, lines=over.fragile or ("none",) if over.ensembles else (), rest="metrics.csv"),
-        Section(BROKEN, lines=over.broken, most=12, rest="report.html"),
-        Section("Notes", lines=over.notes, most=12, rest="summary.json"),
+        ReportSection("Driven", lines=over.driven, key="driven"),
+        ReportSection(ensemble, lines=over.fragile or ("none",) if over.ensembles else (), rest="metrics.csv"),
+        ReportSection(BROKEN, lines=over.broken, most=12, rest="report.html"),
+        ReportSection("Notes", lines=over.notes, most=12, rest="summary.json"),
         *_latency(over),
     ]
     return [section for section in made if section.rows or section.lines or section.says]
 
 
-def _gates(over: Overview) -> Iterator[Section]:
+def _gates(over: Overview) -> Iterator[ReportSection]:
     if over.shard:
-        yield Section("Gates", says=(f"Not judged: shard {over.shard}; `replan merge` judges all shards together.",))
+        yield ReportSection(
+            "Gates", says=(f"Not judged: shard {over.shard}; `replan merge` judges all shards together.",)
+        )
         return
     columns = _columns("outcome", "rule", "what was found")
     good, bad = (
         tuple(_gate(row) for row in over.gates if (row.outcome == "pass") is passed) for passed in (True, False)
     )
-    yield Section("Gates", columns, bad, says=() if bad else ("No gate fails, none is inconclusive.",), key="gates")
-    yield Section(
+    yield ReportSection(
+        "Gates", columns, bad, says=() if bad else ("No gate fails, none is inconclusive.",), key="gates"
+    )
+    yield ReportSection(
         f"{counted(len(good), 'verdict')} of gates: pass", columns, good, folded=True, most=6, rest="report.html"
     )
     unasked = f"{counted(len(over.not_asked), 'gate')} not asked of some drives"
-    yield Section(unasked, lines=over.not_asked, folded=True, most=12, rest="report.html")
+    yield ReportSection(unasked, lines=over.not_asked, folded=True, most=12, rest="report.html")
 
 
 def _gate(row: GateRow) -> tuple[Cell, ...]:
@@ -137,7 +141,7 @@ def _gate(row: GateRow) -> tuple[Cell, ...]:
     return _outcome(row.outcome), Cell(row.rule + loop, code=True), Cell(row.found, drive=drive)
 
 
-def _diagnosis(over: Overview) -> Iterator[Section]:
+def _diagnosis(over: Overview) -> Iterator[ReportSection]:
     if over.diagnosis is None:
         return
     found = over.diagnosis
@@ -148,10 +152,10 @@ def _diagnosis(over: Overview) -> Iterator[Section]:
                  ", ".join(one["drives"])))
         for one in found["clusters"]
     )  # fmt: skip
-    yield Section(f"Why {found['planner']} fails", columns, rows, tuple(line.strip() for line in found["said"]))
+    yield ReportSection(f"Why {found['planner']} fails", columns, rows, tuple(line.strip() for line in found["said"]))
 
 
-def _shares(over: Overview) -> Iterator[Section]:
+def _shares(over: Overview) -> Iterator[ReportSection]:
     if not over.whole:
         return
     numbers = ("pass", "share", "95 % interval", "fail", "inconclusive", "not evaluated")
@@ -167,12 +171,12 @@ def _shares(over: Overview) -> Iterator[Section]:
         )  # fmt: skip
 
     says = "Shares of all logs: a log that is inconclusive or could not be evaluated does not pass."
-    yield Section("Logs that pass", columns, rows(over.whole), says=(says,), key="shares")
+    yield ReportSection("Logs that pass", columns, rows(over.whole), says=(says,), key="shares")
     by_group = "Logs that pass, by family, tag and dataset"
-    yield Section(by_group, columns, rows(over.grouped), folded=True, most=12, rest="groups.parquet")
+    yield ReportSection(by_group, columns, rows(over.grouped), folded=True, most=12, rest="groups.parquet")
 
 
-def _drives(over: Overview) -> Iterator[Section]:
+def _drives(over: Overview) -> Iterator[ReportSection]:
     first, several = over.first_closed, len(over.planners) > 1
     ended = [ReportColumn("closed loop ended by", short="closed loop\nended by")] if first < len(over.columns) else []
     both = len({column.mode for column in over.columns}) > 1
@@ -186,17 +190,17 @@ def _drives(over: Overview) -> Iterator[Section]:
          _outcome(row.verdict, f" {row.asked}"), *row.cells[:first], *([row.end] if ended else []), *row.cells[first:])
         for row in over.ranked
     )  # fmt: skip
-    yield Section("Drives", columns, rows, says=tuple(legend(over.columns)), most=MOST_ROWS,
+    yield ReportSection("Drives", columns, rows, says=tuple(legend(over.columns)), most=MOST_ROWS,
                   rest="metrics.csv", key="drives")  # fmt: skip
 
 
-def _planners(over: Overview) -> Iterator[Section]:
+def _planners(over: Overview) -> Iterator[ReportSection]:
     if len(over.planners) > 1:
         columns = _columns("over all logs", *over.planners, numbers=over.planners)
-        yield Section("Planners", columns, tuple(_words(label, *texts) for label, texts in over.compared))
+        yield ReportSection("Planners", columns, tuple(_words(label, *texts) for label, texts in over.compared))
 
 
-def _latency(over: Overview) -> Iterator[Section]:
+def _latency(over: Overview) -> Iterator[ReportSection]:
     numbers = ("p50 [ms]", "p95 [ms]", "p99 [ms]", "share")
     rows = tuple(
         (*_words(one.planner, one.stage),
@@ -205,13 +209,13 @@ def _latency(over: Overview) -> Iterator[Section]:
         for one in over.latency
     )  # fmt: skip
     title = f"Planning time (wall clock, {counted(over.frames, 'plan')})"
-    yield Section(title, _columns("planner", "stage", *numbers, numbers=numbers), rows, folded=True)
+    yield ReportSection(title, _columns("planner", "stage", *numbers, numbers=numbers), rows, folded=True)
 
 
 # a comparison -----------------------------------------------------------------------------------------------------
 
 
-def comparison_sections(found: Comparison) -> list[Section]:
+def comparison_sections(found: Comparison) -> list[ReportSection]:
     """The sections of a comparison, in their order; those with nothing to say are left out."""
     several = found.pairs["planner"].nunique() > 1
     rules = tuple(
@@ -220,10 +224,12 @@ def comparison_sections(found: Comparison) -> list[Section]:
     )
     same = ("the same: logs, configuration, vehicles, versions",)
     made = [
-        Section("Rules", _columns("outcome", "rule", "what was found"), rules),
-        Section("Inputs", lines=found.differences or same, most=10, rest="--json"),
-        Section(f"Only in the baseline ({len(found.only_in_baseline)})", lines=found.only_in_baseline, most=10),
-        Section(f"Only in the candidate ({len(found.only_in_candidate)})", lines=found.only_in_candidate, most=10),
+        ReportSection("Rules", _columns("outcome", "rule", "what was found"), rules),
+        ReportSection("Inputs", lines=found.differences or same, most=10, rest="--json"),
+        ReportSection(f"Only in the baseline ({len(found.only_in_baseline)})", lines=found.only_in_baseline, most=10),
+        ReportSection(
+            f"Only in the candidate ({len(found.only_in_candidate)})", lines=found.only_in_candidate, most=10
+        ),
         _flips(found, several=several),
         _pairs("Worst regressions", found.regressions(MOST_PAIRS, each=3), several=several),
         _pairs("Greatest improvements", found.improvements(MOST_PAIRS), several=several),
@@ -247,7 +253,7 @@ def _rows(table: pd.DataFrame) -> list[Any]:
     return list(table.itertuples())
 
 
-def _flips(found: Comparison, *, several: bool) -> Section:
+def _flips(found: Comparison, *, several: bool) -> ReportSection:
     flips = found.flips
     numbers = ("value before", "value after", "time")
     columns = _drive_columns("gate", "before", "after", *numbers, "about", several=several, numbers=numbers)
@@ -258,13 +264,13 @@ def _flips(found: Comparison, *, several: bool) -> Section:
         for row in _rows(worst_flips(found))
     )  # fmt: skip
     if not rows:
-        return Section("Flips", says=("No verdict changed.",))
+        return ReportSection("Flips", says=("No verdict changed.",))
     count = {word: int((flips["after"] == word).sum()) for word in ("fail", "pass")}
     title = f"Flips: {count['fail']} to FAIL, {count['pass']} to pass, {len(flips) - sum(count.values())} others"
-    return Section(title, columns, rows, says=found.by_loop, most=20, rest="--json")
+    return ReportSection(title, columns, rows, says=found.by_loop, most=20, rest="--json")
 
 
-def _pairs(title: str, pairs: pd.DataFrame, *, several: bool) -> Section:
+def _pairs(title: str, pairs: pd.DataFrame, *, several: bool) -> ReportSection:
     numbers = ("baseline", "candidate", "change", "time")
     columns = _drive_columns("metric", *numbers, "about", several=several, numbers=numbers)
     rows = tuple(
@@ -272,10 +278,10 @@ def _pairs(title: str, pairs: pd.DataFrame, *, several: bool) -> Section:
          number_cell(row.candidate, unit=row.unit), number_cell(row.delta), _seconds(row.time_s), Cell(row.reason))
         for row in _rows(pairs)
     )  # fmt: skip
-    return Section(title, columns, rows, most=8, rest="--json")
+    return ReportSection(title, columns, rows, most=8, rest="--json")
 
 
-def _means(found: Comparison) -> Section:
+def _means(found: Comparison) -> ReportSection:
     """Metrics with a gate or a significant change over the suite, and those with both over groups of logs.
 
     For each metric, only the reduction that changed most is shown.
@@ -306,15 +312,17 @@ def _means(found: Comparison) -> Section:
              number_cell(row.candidate), change, Cell(inside), number_cell(row.better), number_cell(row.worse))
         )  # fmt: skip
     note = "* more than chance over these logs (paired bootstrap, at least 6 logs)"
-    return Section("Means over the logs", columns, tuple(rows), says=(note,) if rows else (), most=14, rest="--json")
+    return ReportSection(
+        "Means over the logs", columns, tuple(rows), says=(note,) if rows else (), most=14, rest="--json"
+    )
 
 
-def _partings(found: Comparison, *, several: bool) -> Section:
+def _partings(found: Comparison, *, several: bool) -> ReportSection:
     columns = _drive_columns("time", "first difference", several=several, numbers=["time"])
     rows = tuple((*_of_drive(row, several=several), _seconds(row.t_s), Cell(row.what)) for row in _rows(found.partings))
     unseen = found.not_looked_at
     says = (f"Not searched in {counted(unseen, 'more drive')} that differ.",) if unseen and rows else ()
-    return Section("First differences of drives", columns, rows, says=says)
+    return ReportSection("First differences of drives", columns, rows, says=says)
 
 
 def first_regression(found: Comparison) -> tuple[str, str, str] | None:

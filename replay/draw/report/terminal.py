@@ -20,7 +20,7 @@ from metrics.comparison import Comparison
 from metrics.judge.gates import Outcome
 from replay.draw.report.console import grid, titled
 from replay.draw.report.contents import Cell, Overview
-from replay.draw.report.sections import Section, comparison_sections, first_regression, run_sections
+from replay.draw.report.sections import ReportSection, comparison_sections, first_regression, run_sections
 
 OUTCOMES = {0: "pass", 1: "fail", 4: "inconclusive"}
 """Outcomes of a comparison by exit code."""
@@ -68,7 +68,7 @@ def print_comparison(
     console.print(Group(*parts))
 
 
-def _rendered(sections: Sequence[Section]) -> Iterator[RenderableType]:
+def _rendered(sections: Sequence[ReportSection]) -> Iterator[RenderableType]:
     """The sections as tables and lists, each with its title, the number of what is left out, and where that is."""
     for section in sections:
         parts = list[RenderableType]()

@@ -19,8 +19,8 @@ from logs import Goal
 from logs.mcap import write_scenario
 from replay.config import RunConfig, load_run
 from replay.experiments.gains import Objective, RunScores
+from replay.experiments.optuna_trials import TuningInputs, Values
 from replay.experiments.space import Setting
-from replay.experiments.trials import Trials, TuningInputs, Values
 from replay.run.claim import STUDY as FILE
 
 pytest.importorskip("optuna", reason="the extra improve is not installed: pip install 'replan[improve]'")
@@ -35,7 +35,7 @@ def tried(
     """The rows of trials of a function of the settings, without a drive."""
     settings = (Setting(SPEED, 8.0, 2.0, 12.0), Setting(IDLE, 0.5, 0.1, 10.0, log=True))
     default = RunScores(np.full((1, 3), values({SPEED: 8.0, IDLE: 0.5})), failed({SPEED: 8.0, IDLE: 0.5}))
-    trials = Trials(TuningInputs(RunConfig(planners=("idm",)), settings, ONE, seed=seed), default)
+    trials = OptunaTrials(TuningInputs(RunConfig(planners=("idm",)), settings, ONE, seed=seed), default)
     rows = []
     for _ in range(count):
         asked = trials.ask()

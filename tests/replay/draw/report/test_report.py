@@ -32,7 +32,7 @@ from replay.draw.report.console import SafeConsole
 from replay.draw.report.contents import MOST_FIRST, Cell
 from replay.draw.report.markdown import STEP_BYTES, append_step_summary, markdown, section_text, shortened
 from replay.draw.report.overview import overview
-from replay.draw.report.sections import ReportColumn, Section
+from replay.draw.report.sections import ReportColumn, ReportSection
 from replay.draw.report.terminal import print_report
 from replay.draw.report.write import junit, write_reports
 from replay.results.tables import REPORTS
@@ -271,7 +271,7 @@ def test_any_text_stays_itself_in_a_cell(words: str) -> None:
         "".join(c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in words).split()
     )
     (found,) = tables(
-        section_text(Section("title", (ReportColumn("a"), ReportColumn("b")), ((Cell(words), Cell("last")),)))
+        section_text(ReportSection("title", (ReportColumn("a"), ReportColumn("b")), ((Cell(words), Cell("last")),)))
     )
     assert found[1][1] == "last"
     assert found[1][0] == plain

@@ -77,7 +77,7 @@ def optuna_module() -> Any:
     return optuna
 
 
-class Trials:
+class OptunaTrials:
     """optuna's study: it gives the next trial, and takes its result."""
 
     def __init__(self, plan: TuningInputs, default: RunScores) -> None:

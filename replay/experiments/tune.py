@@ -7,7 +7,8 @@
     OUT/training/            results with the defaults on the training logs
     OUT/held_out/default/, OUT/held_out/chosen/      results on the held-out logs, as `replan compare` takes them
 
-Trials are made one after the other (`optuna_trials`), and the logs of a trial are driven in parallel: the same logs, space and seed give the same trials at any number of workers.
+Trials are made one after the other (`optuna_trials`), and the logs of a trial are driven in parallel: the same logs,
+space and seed give the same trials at any number of workers.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from logs import Goal
 from logs.mcap import write_scenario
 from replay.config import RunConfig, load_run
 from replay.experiments.gains import Objective, RunScores
-from replay.experiments.optuna_trials import TuningInputs, Values
+from replay.experiments.optuna_trials import OptunaTrials, TuningInputs, Values
 from replay.experiments.space import Setting
 from replay.run.claim import STUDY as FILE
 

@@ -1,10 +1,11 @@
 """The cache of the kernels' machine code on disk.
 
 Machine code is kept in `NUMBA_CACHE_DIR`, else in `__pycache__` beside the sources, else in the user's cache folder. A
-wheel may ship it in `__pycache__` (`./dev wheel`). It is valid for one start line of the kernel, one version of
-Python and numba, one processor (`logs.kernel.PORTABLE`), and one hash (`stamp`) of everything that it depends on: the
-kernel's code, the kernels that it calls, and module constants. Numba compares only the kernel's own file, although it
-compiles called kernels and module constants into the code; when those change, numba would run stale machine code.
+wheel may ship it in `__pycache__` (`./dev wheel`). It is valid for one version of Python and numba, one processor
+(`logs.kernel.PORTABLE`), and one hash (`stamp`) of everything that it depends on: the kernel's code, the kernels that
+it calls, and module constants; docstrings and line numbers are not among them. Numba compares only the kernel's own
+file, although it compiles called kernels and module constants into the code; when those change, numba would run stale
+machine code.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ from numba.core.dispatcher import Dispatcher
 from replan.own import PACKAGES
 
 _WORD = re.compile(r"[A-Za-z_]\w*")
+_LINE = re.compile(r"-\d+(?=\.py\d+)")
+"""The line number in numba's names of files ("shapes.corners-142.py311")."""
 
 
 @cache
@@ -47,7 +50,9 @@ def _parts_of_kernel(function: FunctionType, seen: set[Any]) -> Iterator[str]:
     yield f"{function.__module__}.{function.__qualname__} {_as_text(function.__defaults__)}"
     yield from (_as_text(each) for each in _hinted_classes(function.__annotations__, function.__globals__))
     for code in _codes(function.__code__):
-        yield f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {[_as_text(c) for c in code.co_consts]}"
+        said = function.__doc__
+        constants = [_as_text(None if said and each == said else each) for each in code.co_consts]
+        yield f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {constants}"
         held = [function.__globals__[name] for name in code.co_names if name in function.__globals__]
         ours = [each for each in held if isinstance(each, ModuleType) and each.__name__.partition(".")[0] in PACKAGES]
         attributes = (vars(each)[name] for each in ours for name in code.co_names if name in vars(each))
@@ -111,7 +116,7 @@ class KernelIndex(IndexDataCacheFile):
     def __init__(self, kernel: Any, folder: str | None = None) -> None:
         self._kernel = kernel
         numbas = kernel._cache._cache_file
-        self._base = numbas._index_name.removesuffix(".nbi")
+        self._base = _LINE.sub("", numbas._index_name.removesuffix(".nbi"))
         super().__init__(folder or numbas._cache_path, self._base, "")  # type: ignore[no-untyped-call]
         beside = str(Path(kernel.py_func.__code__.co_filename).parent / "__pycache__")
         self._beside = None if beside == self._cache_path else KernelIndex(kernel, beside)

@@ -9,10 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from logs.errors import ConfigError
 from metrics.comparison import Comparison
-from replay.compare import compare_runs, read_run
+from replay.compare import Run, compare_runs, read_run
 from replay.config import Internals, RunConfig, RunMode, load_run
 from replay.draw.drawn_results import Results
+from replay.draw.report.contents import Overview
+from replay.draw.report.overview import overview
+from replay.draw.report.write import write_reports
 from replay.run import evaluate_logs
+from replay.run.output import held
 
 if TYPE_CHECKING:
     from planners.base import Planner
@@ -36,6 +40,9 @@ def evaluate(
     workers: int = 0,
     resume: bool = False,
     loop: dict[str, Any] | None = None,
+    log: dict[str, Any] | None = None,
+    baseline: Results | Path | str | None = None,
+    report: bool = True,
 ) -> Results:
     """Drive planners over logs, measure, judge by gates, and write everything into one folder, as `replan evaluate`.
 
@@ -59,6 +66,9 @@ def evaluate(
             `if __name__ == "__main__":`.
         resume: Continue the interrupted run in `out`.
         loop: Keys of [loop] (`replay.config.LoopConfig`): {"controller": "mpc", "plan_period_s": 0.2}.
+        log: Keys of [log] (`logs.log_settings.LogSettings`): {"ego": "17", "begin": 2.0}.
+        baseline: Results, their folder, or a file of `replan baseline`: the reports compare this run with it.
+        report: Whether report.html, report.md and junit.xml are written.
 
     Raises:
         ConfigError: No logs, a wrong name or setting; nothing was run.
@@ -77,10 +87,25 @@ def evaluate(
         "recording": recording,
         "internals": internals,
         "loop": None if loop is None else _over(run.loop, loop),
+        "log": None if log is None else _over(run.log, log),
     }
     run = _over(run, {key: value for key, value in given.items() if value is not None})
     places = [logs] if isinstance(logs, (str, Path)) else list(logs)
-    return evaluate_logs(places, run, out, workers=workers, resume=resume, window=window, every=every, suite=suite)
+    before = None if baseline is None else _run(baseline)
+    found = evaluate_logs(places, run, out, workers=workers, resume=resume, window=window, every=every, suite=suite)
+    if report:
+        finished(found, before, run.gates_path)
+    return found
+
+
+def finished(
+    results: Results, before: Run | None = None, gates: Path | None = None, *, report: bool = True
+) -> Overview:
+    """The overview of a run that has ended, with its comparison; `report` also writes its reports into its folder."""
+    with held(results.path):
+        comparison = None if before is None else compare_runs(before, results, gates=gates)
+        over = overview(results, comparison)
+        return write_reports(results, over, results.path) if report else over
 
 
 def compare(
@@ -102,8 +127,11 @@ def compare(
         ConfigError: The results do not exist, or do not contain the planner.
         LogError: The results are damaged.
     """
-    one, two = (run if isinstance(run, Results) else read_run(run) for run in (baseline, candidate))
-    return compare_runs(one, two, tuple(planners), gates=None if gates is None else Path(gates))
+    return compare_runs(_run(baseline), _run(candidate), tuple(planners), gates=None if gates is None else Path(gates))
+
+
+def _run(of: Results | Path | str) -> Run:
+    return of if isinstance(of, Results) else read_run(of)
 
 
 def named(planner: str | type) -> str:

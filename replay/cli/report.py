@@ -53,19 +53,12 @@ def finish_run(
         quiet: Print only the outcome.
         report: Write the report files.
     """
+    from replay.api import finished
     from replay.cli.compare import print_tables
-    from replay.compare import compare_runs
-    from replay.draw.report.overview import overview
     from replay.draw.report.terminal import document, last_line, print_ending, print_report
-    from replay.draw.report.write import write_reports
-    from replay.run.output import held
 
-    place = url or str(results.path)
-    with held(results.path):
-        comparison = None if before is None else compare_runs(before, results, gates=gates)
-        over = overview(results, comparison)
-        if report:
-            over = write_reports(results, over, results.path)
+    place, over = url or str(results.path), finished(results, before, gates, report=report)
+    comparison = over.comparison
     if as_json:
         more = {} if comparison is None else {"comparison": document(comparison)}
         say_json({"results": place, **results.summary, **more})

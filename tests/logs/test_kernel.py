@@ -58,27 +58,39 @@ print(outer(2.0), compiled_count())
 """
 INNER = """
 from logs.kernel import inner_kernel
-
+{lines}
 @inner_kernel
 def times(x: float) -> float:
+    {says}
     return {factor} * x
 """
 
 
 @pytest.mark.slow
-def test_code_on_disk_is_stale_where_a_kernel_that_is_called_or_a_constant_has_changed(tmp_path: Path) -> None:
+def test_code_on_disk_is_stale_where_a_called_kernel_or_a_constant_has_changed_but_no_docstring_or_line(
+    tmp_path: Path,
+) -> None:
     """The file of the outer kernel stays as it is; numba alone would go on with the old code."""
     (tmp_path / "outer.py").write_text(OUTER, encoding="utf-8")
     path = os.pathsep.join([str(tmp_path), str(Path.cwd()), *sys.path])
     environment = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
     environment.pop("NUMBA_DISABLE_JIT", None)
     said = []
-    for factor, rate in ((3, 1), (3, 1), (5, 1), (5, 7)):
-        (tmp_path / "inner.py").write_text(INNER.format(factor=factor), encoding="utf-8")
+    changes = (
+        (3, 1, "", ""),
+        (3, 1, "", ""),
+        (3, 1, "", '"""Says."""'),
+        (3, 1, "\n# moved\n", ""),
+        (5, 1, "", ""),
+        (5, 7, "", ""),
+    )
+    for factor, rate, lines, says in changes:
+        inner = INNER.format(factor=factor, lines=lines, says=says)
+        (tmp_path / "inner.py").write_text(inner, encoding="utf-8")
         (tmp_path / "constants.py").write_text(f"RATE = {rate}.0", encoding="utf-8")
         run = [sys.executable, "-B", str(tmp_path / "outer.py")]
         said.append(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.split())
-    assert said == [["7.0", "2"], ["7.0", "0"], ["11.0", "2"], ["17.0", "1"]]
+    assert said == [["7.0", "2"], *3 * [["7.0", "0"]], ["11.0", "2"], ["17.0", "1"]]
 
 
 NAMED = """

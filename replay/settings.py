@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, asdict, fields, is_dataclass
+from functools import partial
 from typing import Any, TypeVar, get_type_hints
 
 import msgspec
@@ -128,3 +131,16 @@ def set_table(words: Iterable[str]) -> dict[str, Any]:
             raise ConfigError(f"--set {word}: {hint} ({error})") from None
         table = merged(table, entry)
     return table
+
+
+def meaning(thing: Any, name: str) -> str:
+    """The entry of a field or keyword in the docstring of a class (and its bases) or function; "" if it has none."""
+    while isinstance(thing, partial):
+        thing = thing.func
+    cls = thing if isinstance(thing, type) else type(thing) if is_dataclass(thing) else None
+    places = [thing] if cls is None else [*cls.__mro__, cls.__init__]  # type: ignore[misc]
+    for doc in map(inspect.getdoc, places):
+        found = re.search(rf"^ +{name}(?: \([^)\n]*\))?: (.*(?:\n {{8,}}.*)*)", doc or "", re.MULTILINE)
+        if found:
+            return " ".join(found[1].split())
+    return ""

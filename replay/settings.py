@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, asdict, fields, is_dataclass
 from functools import partial
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -52,8 +52,18 @@ def converted(value: Any, kind: type[T], where: str) -> T:
         # "Expected `float`, got `str` - at `$.loop.period`" becomes "loop.period: expected float, got str"
         what, _, place = str(error).replace("`", "").partition(" - at ")
         what = what[:1].lower() + what[1:] if what.startswith("Expected") else what
-        key = ".".join(filter(None, [where, place.removeprefix("$").removeprefix(".")]))
+        names = place.removeprefix("$").removeprefix(".")
+        key = ".".join(filter(None, [where, names]))
+        choices = _choices(kind, names)
+        what = f"{what}; known are: {', '.join(map(str, choices))}" if choices else what
         raise ConfigError(f"{key}: {what}" if key else what) from None
+
+
+def _choices(kind: Any, place: str) -> tuple[Any, ...]:
+    """The values that a type allows at a place ("loop.mode"), if they are listed."""
+    for name in filter(None, place.split(".")):
+        kind = get_type_hints(kind).get(name) if isinstance(kind, type) and is_dataclass(kind) else None
+    return get_args(kind) if get_origin(kind) is Literal else ()
 
 
 def _known_tree(cls: type, table: Mapping[str, Any], where: str) -> None:

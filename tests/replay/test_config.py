@@ -7,11 +7,13 @@ from dataclasses import asdict, fields, replace
 from functools import reduce
 from operator import getitem
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import replan
 from logs.errors import ConfigError
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
@@ -207,3 +209,17 @@ def test_a_run_file_explains_every_setting_and_is_the_same_run(name: str, period
     before = dict(zip(text.splitlines()[1:], text.splitlines(), strict=False))
     bare = [line for line in lines if "  # " not in line and not before[line].startswith("# ")]
     assert not bare
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"mode": "shut"}, "mode: .*known are: both, open, closed"),
+        ({"loop": {"controler": "mpc"}}, "did you mean 'loop.controller'"),
+        ({"loop": {"plan_period_s": "soon"}}, "loop.plan_period_s: expected float"),
+        ({"log": {"begin": "later"}}, "log.begin: expected float"),
+    ],
+)
+def test_wrong_arguments_of_evaluate_name_the_key_and_what_is_known(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        replan.evaluate(**given)

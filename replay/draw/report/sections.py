@@ -126,7 +126,12 @@ def _gates(over: Overview) -> Iterator[ReportSection]:
         tuple(_gate(row) for row in over.gates if (row.outcome == "pass") is passed) for passed in (True, False)
     )
     yield ReportSection(
-        "Gates", columns, bad, says=() if bad else ("No gate fails, none is inconclusive.",), key="gates"
+        "Gates",
+        columns,
+        bad,
+        says=() if bad else ("No gate fails, none is inconclusive.",),
+        rest="report.html",
+        key="gates",
     )
     yield ReportSection(
         f"{counted(len(good), 'verdict')} of gates: pass", columns, good, folded=True, most=6, rest="report.html"

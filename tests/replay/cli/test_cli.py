@@ -18,14 +18,12 @@ from logs.errors import ConfigError
 from logs.mcap import read_scenario
 from replay.cli import PANELS, app
 from replay.cli.one_drive import matching_drives
-from replay.cli.options import EVALUATE, replaced
-from replay.config import RunConfig, load_run
+from replay.config import RunConfig
 from replay.draw.drawn_results import Results, load
 from replay.draw.report.overview import overview
 from replay.draw.report.terminal import print_report
 from replay.draw.view import recordings
 from replay.run import evaluate_logs
-from replay.settings import set_table
 
 
 def test_help_names_every_command_and_teaches_by_example() -> None:
@@ -61,16 +59,6 @@ def test_an_option_of_one_value_is_not_given_twice(words: tuple[str, ...]) -> No
 def test_options_of_several_values_and_values_like_options_are_taken() -> None:
     assert "2 times" not in replan("evaluate", "nowhere", "-p", "idm", "-p", "pdm", "--config", "--config").stderr
     assert "2 times" not in replan("inspect", "--", "--ego", "--ego").stderr
-
-
-@pytest.mark.parametrize("option", EVALUATE)
-def test_an_old_option_is_a_setting_and_says_so(option: str, capsys: pytest.CaptureFixture[str]) -> None:
-    value = {"--plant": "mass=1400", "--internals": "none", "--batch": "2"}.get(option, "3")
-    old = [option, value] if "{}" in EVALUATE[option] else [option]
-    words = list(replaced(["--mode", "open", *old, "--", option], EVALUATE))
-    assert (words[:3], words[4:]) == (["--mode", "open", "--set"], ["--", option])
-    assert f"hint: {option} is now --set {words[3]}" in capsys.readouterr().err
-    assert load_run(None, set_table(words[3:4])) != RunConfig()
 
 
 def test_version() -> None:
@@ -143,7 +131,7 @@ def test_exit_2_is_one_line(folder: Path, tmp_path: Path, words: list[str], said
 def test_options_win_over_the_configuration(folder: Path, tmp_path: Path) -> None:
     config = tmp_path / "run.toml"
     config.write_text('planners = ["dp_qp"]\nmode = "both"\n[loop]\nplan_period_s = 0.2\n', encoding="utf-8")
-    words = ("--mode", "open", "--set", "loop.control_period_s=0.02", "--internals", "none")
+    words = ("--mode", "open", "--set", "loop.control_period_s=0.02", "--set", "internals=none")
     evaluate(folder / "free.mcap", "--config", config, *words, "--out", tmp_path / "out")
     written = (tmp_path / "out" / "run.toml").read_text(encoding="utf-8")
     settings = ("plan_period_s = 0.2", "control_period_s = 0.02", 'internals = "none"')
@@ -379,7 +367,7 @@ def test_an_option_is_spelled_and_shown_the_same_way_in_every_command() -> None:
     assert commands["-p"] == commands["--planner"] and {"evaluate", "view", "plot", "explain", "frame"} <= {
         *commands["-p"]
     }
-    assert {*commands["--log"]} >= {"view", "plot", "explain", "frame", "diagnose"} and "--of" not in commands
+    assert {*commands["--log"]} >= {"view", "plot", "explain", "frame", "diagnose"}
     shared = ("--planner", "--log", "--mode", "--at", "--config", "--gates", "--baseline", "--set", "--ego", "--map")
     assert {option: shapes[option] for option in shared if len(shapes[option]) > 1} == {}
 

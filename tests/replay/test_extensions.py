@@ -10,15 +10,14 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import command_line
 import pytest
-from typer.testing import CliRunner
 
 import metrics
 import replan
 from logs import readers
 from logs.errors import ConfigError
 from logs.extension import ExtensionKind
-from replay.cli import app
 from replay.config import LoopConfig, RunConfig, dump_run, load_run
 from replay.draw.charts.layout import CHART
 from replay.parts import OF_LOOP, PLANNER
@@ -114,9 +113,9 @@ def test_what_the_page_shows_drives_and_is_in_the_results(desk: Path) -> None:
     assert run.perception == {OWN["perception"]: {"range_m": 50.0}} and run.traffic == {OWN["traffic"]: {"who": "near"}}
     lateral = result.metrics.query("metric == 'tracking_lateral.max_abs' and mode == 'closed'")["value"]
     assert (lateral < 0.2).all()
-    drawn = CliRunner().invoke(app, ["plot", "out", "--chart", "my_chart:speed", "-o", "speed.svg"])
+    drawn = command_line.replan("plot", "out", "--chart", "my_chart:speed", "-o", "speed.svg")
     assert drawn.exit_code == 0 and "My speed" in Path("speed.svg").read_text(encoding="utf-8")
-    done = CliRunner().invoke(app, ["report", "out"])
+    done = command_line.replan("report", "out")
     assert done.exit_code == 0 and "My speed" in Path("out/report.html").read_text(encoding="utf-8")
 
 
@@ -136,10 +135,10 @@ def test_the_vehicle_from_scratch_is_driven_by_every_kind_of_controller(desk: Pa
 
 def test_a_reader_named_in_the_settings_reads_first(desk: Path) -> None:
     runpy.run_path("write_txy.py")
-    done = CliRunner().invoke(app, ["convert", "my_reader:READER", "drive.txy", "-o", "drive.mcap"])
+    done = command_line.replan("convert", "my_reader:READER", "drive.txy", "-o", "drive.mcap")
     assert done.exit_code == 0, done.output
     Path("log.toml").write_text('[log]\nreader = "my_reader:READER"\n', encoding="utf-8")
-    done = CliRunner().invoke(app, ["inspect", "drive.txy", "--config", "log.toml"])
+    done = command_line.replan("inspect", "drive.txy", "--config", "log.toml")
     assert done.exit_code == 0 and "t x y yaw, a line each" in done.output
     ego = replan.read_log(Path("drive.mcap")).ego
     assert ego.x[-1] - ego.x[0] == pytest.approx(29.0)
@@ -156,7 +155,7 @@ def test_installed_packages_give_names(desk: Path) -> None:
     assert list(result.failures["message"]) == [] and set(result.drives["planner"]) == {"held"}
     assert "width.max" in set(result.metrics["metric"])
     for group, (name, _) in NAMES.items():
-        listed = CliRunner().invoke(app, ["list", group])
+        listed = command_line.replan("list", group)
         assert f"{name}: " in listed.output, listed.output
 
 
@@ -367,11 +366,11 @@ def test_a_chart_that_fails_says_why_in_its_place(desk: Path, body: str, said: s
 def test_a_chart_that_fails_is_said_by_the_command_and_in_the_report_too(desk: Path) -> None:
     Path("my_broken.py").write_text("def chart(subject):\n    return 1 / 0\n", encoding="utf-8")
     words = "evaluate --suite my_family:PARKED -p constant_speed --mode closed --chart my_broken:chart --workers 0"
-    done = CliRunner(env={"COLUMNS": "200"}).invoke(app, [*words.split(), "--no-recording", "-o", "out"])
+    done = command_line.replan(*words.split(), "--no-recording", "-o", "out")
     said = "The chart my_broken:chart could not be drawn: ZeroDivisionError"
     assert said in done.output and "(2 of 2 drives)" in done.output
     assert "The chart my" in Path("out/report.md").read_text(encoding="utf-8")
-    again = CliRunner().invoke(app, ["report", "out"])
+    again = command_line.replan("report", "out")
     assert said in again.stderr and again.exit_code == 0
 
 

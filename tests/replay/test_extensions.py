@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import command_line
@@ -374,38 +375,24 @@ def test_a_chart_that_fails_is_said_by_the_command_and_in_the_report_too(desk: P
     assert said in again.stderr and again.exit_code == 0
 
 
-@pytest.mark.parametrize("what", ["vehicle", "controller"])
-def test_what_raises_when_it_is_built_is_named_before_anything_is_driven(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "raises_when_built.py").write_text("def it(*_):\n    raise ValueError('no table')\n", encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    name = "raises_when_built:it"
-    run = RunConfig(loop=LoopConfig(**{what: name}))  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match=rf"{what} '{name}' cannot be built: ValueError: no table .*built\.py:2"):
-        checked(run)
+GAINS = """def it(*_, gain: float = 1.0):
+    if gain < 0:
+        raise ValueError("below")
+    return {}[gain]
+"""
 
 
-@pytest.mark.parametrize("what", ["traffic", "perception", "prediction"])
-def test_a_setting_that_is_refused_is_found_before_anything_is_driven(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    body = "def it(*_, gain: float = 1.0):\n    if gain < 0:\n        raise ValueError('below')\n    return {}[gain]\n"
-    (tmp_path / f"refuses_{what}.py").write_text(body, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    name = f"refuses_{what}:it"
-    run = RunConfig(loop=LoopConfig(**{what: name}), **{OF_LOOP[what].table: {name: {"gain": -1.0}}})  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match=rf"{what} '{name}' cannot be built: ValueError: below .*\.py:3"):
-        checked(run)
-
-
-@pytest.mark.parametrize("what", ["traffic", "perception", "prediction"])
-def test_what_a_built_in_log_lacks_is_no_fault_of_the_settings(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    body = "def it(*_, gain: float = 1.0):\n    return min(gain * car for car in ())\n"
-    (tmp_path / f"needs_{what}.py").write_text(body, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    name = f"needs_{what}:it"
-    run, failures = checked(RunConfig(loop=LoopConfig(**{what: name})))  # type: ignore[arg-type]
-    assert getattr(run.loop, what) == name and not failures
+@pytest.mark.parametrize("key", OF_LOOP)
+def test_what_cannot_be_built_is_named_before_anything_is_driven(desk: Path, key: str) -> None:
+    """With its settings; and with none, where it is built without a log, which may be what it lacks."""
+    Path("my_gains.py").write_text(GAINS, encoding="utf-8")
+    name = "my_gains:it"
+    refused = rf"{key} '{name}' cannot be built: (ValueError|KeyError): .*\(my_gains\.py:"
+    with pytest.raises(ConfigError, match=f"{refused}3"):
+        checked(replace(loop(**{key: name}), **{OF_LOOP[key].table: {name: {"gain": -1.0}}}))
+    if key in ("vehicle", "controller"):
+        with pytest.raises(ConfigError, match=f"{refused}4"):
+            checked(loop(**{key: name}))
+    else:
+        run, failures = checked(loop(**{key: name}))
+        assert getattr(run.loop, key) == name and not failures

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+from collections.abc import Callable
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -84,16 +85,6 @@ def test_the_report_says_what_the_exit_code_says_and_why(
     assert "error" not in result.stderr
 
 
-def test_exit_3_beats_1_and_the_good_log_is_evaluated(folder: Path, tmp_path: Path) -> None:
-    bad = tmp_path / "bad.mcap"
-    bad.write_bytes((folder / "free.mcap").read_bytes()[:-100])
-    result = evaluate(bad, folder / "blocked.mcap", "--out", tmp_path / "out")
-    assert result.exit_code == 3
-    assert str(bad) in one_error(result)
-    assert "test/blocked" in result.stdout
-    assert "FAIL" in result.stdout
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -106,20 +97,31 @@ def test_exit_3_beats_1_and_the_good_log_is_evaluated(folder: Path, tmp_path: Pa
         (["{free}", "--set", "plan_period_s=1"], "did you mean 'loop.plan_period_s'?"),
         (["{free}", "--set", "loop.plan_period_s=ab"], "loop.plan_period_s: expected float, got str"),
         (["{free}", "--set", "loop"], "write it as KEY=VALUE"),
+        (["{free}", "--set", "planner.dp_pq.w=1"], "did you mean 'dp_qp'?"),
+        (["{free}", "--set", "loop.plant.foo=1"], "no key is called 'foo'"),
+        (["{free}", "--set", "loop.plant.mass=heavy"], "expected a number"),
+        (["{free}", "--set", "loop.plant.mass=-1"], "mass must be positive"),
+        (["{free}", "--config", "{wrong_table}"], "planner.dp_qp"),  # of a planner that is not driven
+        (["{free}", "--planner", "needy:Needy"], "missing a required argument: 'path'"),
         (["{free}", "--out", "{empty}/../foreign"], "not results of `replan evaluate`"),
     ],
 )
-def test_exit_2_is_one_line(folder: Path, tmp_path: Path, words: list[str], said: str) -> None:
+def test_exit_2_is_one_line(
+    folder: Path, tmp_path: Path, module: Callable[[str, str], str], words: list[str], said: str
+) -> None:
+    module("needy", "class Needy:\n    def __init__(self, context, *, path): ...\n    def plan(self, frame): ...\n")
     (tmp_path / "empty").mkdir()
     (tmp_path / "foreign").mkdir()
     (tmp_path / "foreign" / "diary.txt").write_text("", encoding="utf-8")
-    wrong_key = tmp_path / "run.toml"
+    wrong_key, wrong_table = tmp_path / "run.toml", tmp_path / "table.toml"
     wrong_key.write_text("[loop]\nplan_perod_s = 0.1", encoding="utf-8")
+    wrong_table.write_text('[planner.dp_qp]\nhorizon = "far"\n', encoding="utf-8")
     places = {
         "empty": tmp_path / "empty",
         "free": folder / "free.mcap",
         "wrong_gate": gates(tmp_path / "gates.toml", 'metric = "gap.mim"\nmin = 1'),
         "wrong_key": wrong_key,
+        "wrong_table": wrong_table,
     }
     out = [] if "--out" in words else ["--out", tmp_path / "out"]
     result = evaluate(*(word.format(**places) for word in words), *out)

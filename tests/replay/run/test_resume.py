@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from command_line import evaluate
+from process_tree import are_gone
 from short_logs import QUICK, identical, short
 
 from logs import ConfigError
@@ -71,16 +72,6 @@ def interrupted(logs: Path, folder: Path, stop: signal.Signals, workers: int) ->
     return subprocess.CompletedProcess(command, process.returncode, "", said)
 
 
-def is_gone(pid: int) -> bool:
-    for _ in range(100):
-        try:
-            os.kill(pid, 0)
-        except ProcessLookupError:
-            return True
-        time.sleep(0.05)
-    return False
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("stop", "workers"), [(signal.SIGINT, 0), (signal.SIGTERM, 1), (signal.SIGKILL, 1)])
 def test_a_resumed_run_gives_the_bytes_of_one_that_was_never_interrupted(
@@ -93,7 +84,7 @@ def test_a_resumed_run_gives_the_bytes_of_one_that_was_never_interrupted(
     done = {path: path.stat().st_mtime_ns for path in out.glob("[!.]*/*")}
     assert done
     assert not list(out.glob("metrics.*"))
-    assert is_gone(int((patient / "waiting").read_text())), "no worker goes on writing"
+    assert are_gone([(patient / "waiting").read_text()]), "no worker goes on writing"
     if stop is signal.SIGKILL:
         assert ended.returncode == -signal.SIGKILL
     else:

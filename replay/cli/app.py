@@ -129,7 +129,6 @@ def say_json(document: Any) -> None:
 
 
 def _as_json_value(value: Any) -> Any:
-    """A value converted to JSON types."""
     if is_dataclass(value) and not isinstance(value, type):
         return {item.name: _as_json_value(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):

@@ -202,7 +202,6 @@ def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[
 
 
 def _without_defaults(options: Mapping[str, Any]) -> dict[str, Any]:
-    """A table without the options that were not given."""
     tables = {key: _without_defaults(value) if isinstance(value, Mapping) else value for key, value in options.items()}
     return {key: value for key, value in tables.items() if value is not None and value != []}
 

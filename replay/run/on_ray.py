@@ -208,7 +208,6 @@ def code_of(run: RunConfig, folder: Path) -> Path:
 
 
 def _of_loop(run: RunConfig) -> tuple[str, ...]:
-    """The names that are chosen in [loop]."""
     return tuple(getattr(run.loop, key) for key in OF_LOOP)
 
 

@@ -15,6 +15,9 @@ import pyarrow as pa
 
 SCHEMA_VERSION = 1
 """Version of the tables and JSON files; it increases when a column changes its meaning or is removed."""
+VERSION_KEY = "replan_schema_version"
+"""Key of the version in the metadata of a table."""
+METADATA = {VERSION_KEY: str(SCHEMA_VERSION)}
 
 _TYPES = {"text": pa.large_string(), "number": pa.float64(), "count": pa.int64(), "yes/no": pa.bool_()}
 _TEXTS = (pa.string(), pa.large_string())

@@ -38,7 +38,7 @@ import pyarrow.parquet as pq
 
 from logs.errors import ConfigError, writing
 from replay.config import HEADER
-from replay.results.schema import SCHEMA_VERSION, arrow, arrow_schema, names_of
+from replay.results.schema import METADATA, SCHEMA_VERSION, arrow, arrow_schema, names_of
 
 PARTIAL = ".partial-"
 """Prefix of the names of unfinished files and folders."""
@@ -72,8 +72,6 @@ FILES = (*TABLES, *REPORTS)
 """The files in a result folder beside the folders of the logs."""
 KEYS = ["log", "planner", "mode", "metric"]
 TIMING_COLUMNS = names_of("timings.parquet")
-METADATA = {"replan_schema_version": str(SCHEMA_VERSION)}
-"""Of each Parquet file."""
 LONGEST_SAFE = 80
 """Longest name of a file that is made of the name of a log, without the hash."""
 
@@ -117,6 +115,17 @@ def finish_folder(partial: Path, folder: Path) -> bool:
                 raise
             return False
     return True
+
+
+def write_folder(folder: Path, fill: Callable[[Path], object]) -> bool:
+    """Let `fill` make a folder under a temporary name, which is then renamed; returns and raises as `finish_folder`."""
+    partial = folder.with_name(f"{PARTIAL}{folder.name}")
+    try:
+        with writing(folder):
+            fill(partial)
+        return finish_folder(partial, folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def write_text(path: Path, text: str) -> None:

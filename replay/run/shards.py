@@ -20,12 +20,13 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from logs.errors import ConfigError, writing
+from logs.errors import ConfigError
 from logs.files import read_toml
 from logs.names import counted
 from replay.config import RunConfig, load_run
@@ -33,7 +34,7 @@ from replay.draw.drawn_results import Results
 from replay.planner_process.planner_config import is_foreign, planner_part
 from replay.results.log_result import Failure, LogResult, Stamp, load_result
 from replay.results.reading import Name, Place, read_json
-from replay.results.tables import PARTIAL, SHARD_CARD, finish_folder, write_json, write_text
+from replay.results.tables import SHARD_CARD, write_folder, write_json, write_text
 from replay.run.claim import MERGED, claimed_folder, emptied
 from replay.run.judging import gates_of, judge_and_write
 from replay.run.output import begun_in, write_origin
@@ -181,13 +182,8 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
         for part in found:
             placed.update(zip(part.shard.places(len(part.card.inputs)), part.results, strict=True))
             for folder in (result.folder for result in part.results if result.folder):
-                partial = out / f"{PARTIAL}{folder}"
-                try:
-                    with writing(out / folder):
-                        shutil.copytree(part.folder / folder, partial, copy_function=_link_or_copy)
-                    finish_folder(partial, out / folder)  # twins in two shards: the first counts
-                finally:
-                    shutil.rmtree(partial, ignore_errors=True)
+                copy = partial(shutil.copytree, part.folder / folder, copy_function=_link_or_copy)
+                write_folder(out / folder, copy)  # twins in two shards: the first counts
         results = tuple(placed[place] for place in range(len(placed)))
         sources = tuple(LogSource(result.source) for result in results)  # labels only: no log is read again
         selection = Selection(sources, found[0].card.logs_left_out)

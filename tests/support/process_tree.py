@@ -3,9 +3,23 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+
+
+def started(*words: object, cwd: Path, **more: Any) -> subprocess.Popen[str]:
+    """`replan WORDS` in a session of its own, with the code and the Python path of the tests; `more` is of Popen."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "replan", *map(str, words)], cwd=cwd, text=True, start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}, **more,
+    )  # fmt: skip
 
 
 def descendants(pid: int) -> set[int]:

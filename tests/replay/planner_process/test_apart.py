@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -14,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 from handmade import drive, lanes_along, scenario, straight, track, tracks
-from process_tree import are_gone, descendants
+from process_tree import are_gone, descendants, started
 from worlds import perceive
 
 from logs import ConfigError, EndReason, Goal, PlannerContext, PlannerError, Scenario, Trace
@@ -237,10 +235,8 @@ def test_control_characters_do_not_reach_the_terminal() -> None:
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_run_that_ends_takes_a_planner_along_that_hangs(tmp_path: Path, how: signal.Signals, workers: str) -> None:
     write_scenario(tmp_path / "log.mcap", short_log())
-    command = [sys.executable, "-P", "-c", "from replay.cli import main; main()", "evaluate", "log.mcap"]
-    options = ["-p", "bad_planners:Hangs", "--set", "loop.apart.plan_timeout_s=1000", "--workers", workers, "-o", "out"]
-    places = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    with subprocess.Popen([*command, *options], cwd=tmp_path, env=places, stderr=subprocess.PIPE) as run:
+    words = "evaluate log.mcap -p bad_planners:Hangs --set loop.apart.plan_timeout_s=1000 -o out --workers"
+    with started(*words.split(), workers, cwd=tmp_path) as run:
         while not (tmp_path / "hangs").exists():
             assert run.poll() is None
             time.sleep(0.05)

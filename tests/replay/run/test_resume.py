@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from command_line import evaluate
-from process_tree import are_gone
+from process_tree import are_gone, started
 from short_logs import QUICK, identical, short
 
 from logs import ConfigError
@@ -60,16 +59,14 @@ def resumed(logs: Path | Sequence[Path], out: Path, config: RunConfig = CONFIG, 
 def interrupted(logs: Path, folder: Path, stop: signal.Signals, workers: int) -> subprocess.CompletedProcess[str]:
     """A run of the command line that is stopped while it waits in the middle log; its results are in `out`."""
     planners = [word for name in CONFIG.planners for word in ("-p", name)]
-    words = ["evaluate", str(logs), *planners, "--no-recording", "-o", "out", "--workers", str(workers)]
-    command = [sys.executable, "-c", "from replay.cli import main; main()", *words]
-    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}  # the code of this test, as it is stamped
-    process = subprocess.Popen(command, cwd=folder, env=env, stderr=subprocess.PIPE, text=True)
+    words = ["evaluate", logs, *planners, "--no-recording", "-o", "out", "--workers", workers]
+    process = started(*words, cwd=folder)
     while not (folder / "waiting").exists():
         assert process.poll() is None, process.communicate()
         time.sleep(0.05)
     process.send_signal(stop)
     _, said = process.communicate(timeout=120)
-    return subprocess.CompletedProcess(command, process.returncode, "", said)
+    return subprocess.CompletedProcess(words, process.returncode, "", said)
 
 
 @pytest.mark.slow

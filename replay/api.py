@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from logs.errors import ConfigError
 from metrics.comparison import Comparison
@@ -17,6 +17,7 @@ from replay.draw.report.overview import overview
 from replay.draw.report.write import write_reports
 from replay.run import evaluate_logs
 from replay.run.output import held
+from replay.settings import converted, dotted, known_keys
 
 if TYPE_CHECKING:
     from planners.base import Planner
@@ -86,8 +87,8 @@ def evaluate(
         "charts": None if charts is None else tuple(charts),
         "recording": recording,
         "internals": internals,
-        "loop": None if loop is None else _over(run.loop, loop),
-        "log": None if log is None else _over(run.log, log),
+        "loop": None if loop is None else _over(run.loop, loop, "loop"),
+        "log": None if log is None else _over(run.log, log, "log"),
     }
     run = _over(run, {key: value for key, value in given.items() if value is not None})
     places = [logs] if isinstance(logs, (str, Path)) else list(logs)
@@ -149,9 +150,8 @@ def named(planner: str | type) -> str:
     return f"{planner.__module__}:{planner.__qualname__}"
 
 
-def _over(config: Any, given: dict[str, Any]) -> Any:
-    """Return a configuration with keys replaced; ConfigError if a key does not exist."""
-    try:
-        return replace(config, **given)
-    except TypeError as error:
-        raise ConfigError(f"{type(config).__name__}: {error}") from None
+def _over(config: Any, given: dict[str, Any], where: str = "") -> Any:
+    """Return a configuration with keys replaced; ConfigError if a key is unknown, or a value has the wrong type."""
+    known_keys(given, [item.name for item in fields(config)], where)
+    kinds = get_type_hints(type(config))
+    return replace(config, **{key: converted(value, kinds[key], dotted(where, key)) for key, value in given.items()})

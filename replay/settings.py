@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, asdict, fields, is_dataclass
-from typing import Any, TypeVar, get_type_hints
+from functools import partial
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -49,8 +52,18 @@ def converted(value: Any, kind: type[T], where: str) -> T:
         # "Expected `float`, got `str` - at `$.loop.period`" becomes "loop.period: expected float, got str"
         what, _, place = str(error).replace("`", "").partition(" - at ")
         what = what[:1].lower() + what[1:] if what.startswith("Expected") else what
-        key = ".".join(filter(None, [where, place.removeprefix("$").removeprefix(".")]))
+        names = place.removeprefix("$").removeprefix(".")
+        key = ".".join(filter(None, [where, names]))
+        choices = _choices(kind, names)
+        what = f"{what}; known are: {', '.join(map(str, choices))}" if choices else what
         raise ConfigError(f"{key}: {what}" if key else what) from None
+
+
+def _choices(kind: Any, place: str) -> tuple[Any, ...]:
+    """The values that a type allows at a place ("loop.mode"), if they are listed."""
+    for name in filter(None, place.split(".")):
+        kind = get_type_hints(kind).get(name) if isinstance(kind, type) and is_dataclass(kind) else None
+    return get_args(kind) if get_origin(kind) is Literal else ()
 
 
 def _known_tree(cls: type, table: Mapping[str, Any], where: str) -> None:
@@ -128,3 +141,16 @@ def set_table(words: Iterable[str]) -> dict[str, Any]:
             raise ConfigError(f"--set {word}: {hint} ({error})") from None
         table = merged(table, entry)
     return table
+
+
+def meaning(thing: Any, name: str) -> str:
+    """The entry of a field or keyword in the docstring of a class (and its bases) or function; "" if it has none."""
+    while isinstance(thing, partial):
+        thing = thing.func
+    cls = thing if isinstance(thing, type) else type(thing) if is_dataclass(thing) else None
+    places = [thing] if cls is None else [*cls.__mro__, cls.__init__]  # type: ignore[misc]
+    for doc in map(inspect.getdoc, places):
+        found = re.search(rf"^ +{name}(?: \([^)\n]*\))?: (.*(?:\n {{8,}}.*)*)", doc or "", re.MULTILINE)
+        if found:
+            return " ".join(found[1].split())
+    return ""

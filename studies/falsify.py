@@ -36,7 +36,7 @@ from planners.idm import Idm, IdmConfig
 from replay.config import load_run
 from replay.experiments.falsify import FalsifyQuestion, SearchDrives, falsify
 from replay.experiments.mildest import BATCH, Point, norm
-from replay.experiments.search_subject import agents_of, box_of, opened, search_axes
+from replay.experiments.search_subject import agents_of, box_of, search_axes, subject_of
 from replay.results.tables import write_file, write_text
 from replay.run.output import held
 from replay.run.study import Study
@@ -124,7 +124,7 @@ def question(hole: Hole, gates: Path, *, planted: bool, budget: int, seed: int) 
     drives = {"planners": [hole.planner], "loop": {"apart": {"trust": True}}} if planted else {"planners": ["idm"]}
     table = {**drives, "gates": str(gates)}
     against = hole.against if planted else CAREFUL
-    subject = opened(hole.subject, LogSettings())
+    subject = subject_of(hole.subject, LogSettings())
     axes = search_axes(hole.axes, (), subject.family, with_agents=True)
     subject = subject.of(agents_of(subject, axes, ()))
     return FalsifyQuestion(subject, axes, load_run(None, table), against, budget=budget, seed=seed)

@@ -82,22 +82,30 @@ def convert_all(
     names = [f"{log.name if log.is_dir() else log.stem.removesuffix('.cr')}.mcap" for log in found]
     targets = [out if single else out / name for name in names]
     _check_targets(found, targets, settings)
-    channels: Callable[[Scenario], Iterable[Entry]] | None = None
-    if foxglove:
-        from replay.draw.foxglove import scenario_channels as channels
+    channels = _channels(foxglove=foxglove)
     all_read = True
     for log, target in zip(found, targets, strict=True):
         try:
             scenario = read_log(log, settings, reader)
             with writing(target):
                 target.parent.mkdir(parents=True, exist_ok=True)
-            write_scenario(target, scenario, beside=channels(scenario) if channels else ())
+            write_scenario(target, scenario, beside=channels(scenario))
         except LogError as error:
             say_error(str(error))
             all_read = False
             continue
         say("\n".join([str(target), *(f"    note: {note}" for note in scenario.notes)]))
     return all_read
+
+
+def _channels(*, foxglove: bool) -> Callable[[Scenario], Iterable[Entry]]:
+    """What is written beside a log: nothing, or what Foxglove draws; ConfigError if its package is not installed."""
+    if not foxglove:
+        return lambda scenario: ()
+    from replay.draw.foxglove import scenario_channels
+    from replay.mine.mine import markers
+
+    return lambda scenario: scenario_channels(scenario, markers(scenario))
 
 
 def _logs_at(path: Path, asked: Reader | None, settings: LogSettings, say: Callable[[str], None]) -> Iterator[Path]:

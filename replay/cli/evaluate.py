@@ -217,7 +217,7 @@ def vary(
             "internals": "summary" if recording else "none",
         }
         run = run_config(config, options, settings or ())
-        scenario = opened(log, run.log)
+        scenario, _ = opened(log, run.log)
         if list_agents:
             opt.say_agents(scenario, as_json=as_json)
             return

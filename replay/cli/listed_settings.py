@@ -10,17 +10,15 @@ from __future__ import annotations
 
 import inspect
 import json
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
-from functools import partial
 from typing import Any
 
 from logs.errors import ReplanError
 from logs.extension import ExtensionKind
 from replay.config import DEFAULT_LOOP
 from replay.parts import Part, config_class
-from replay.settings import dotted
+from replay.settings import dotted, meaning
 
 UNITS: Mapping[str, str] = {
     "s": "s", "m": "m", "mps": "m/s", "mps2": "m/s2", "mps3": "m/s3", "kmh": "km/h", "rad": "rad", "deg": "deg",
@@ -93,19 +91,6 @@ def _of_dataclass(config: Any, where: str, group: str = "") -> Iterator[ListedSe
 def unit(name: str) -> str:
     """The unit in a name; "" if there is none."""
     return "" if name.startswith("w_") else UNITS.get(name.rpartition("_")[2] if "_" in name else "", "")
-
-
-def meaning(thing: Any, name: str) -> str:
-    """The entry of a field or keyword in the docstring of a class (and its bases) or function; "" if it has none."""
-    while isinstance(thing, partial):
-        thing = thing.func
-    cls = thing if isinstance(thing, type) else type(thing) if is_dataclass(thing) else None
-    places = [thing] if cls is None else [*cls.__mro__, cls.__init__]  # type: ignore[misc]
-    for doc in map(inspect.getdoc, places):
-        found = re.search(rf"^ +{name}(?: \([^)\n]*\))?: (.*(?:\n {{8,}}.*)*)", doc or "", re.MULTILINE)
-        if found:
-            return " ".join(found[1].split())
-    return ""
 
 
 def accepted(config: Any, name: str) -> dict[str, float]:

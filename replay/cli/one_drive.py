@@ -180,6 +180,7 @@ def _files(
     from logs.readers import reader_of
     from replay.draw.drawn_results import load
     from replay.draw.view import pair, save_log, to_open, write_pair
+    from replay.mine.mine import markers
 
     for target in targets:
         check_named(target)
@@ -197,7 +198,7 @@ def _files(
     (target,) = targets
     if target.suffix != ".rrd" and (target.is_file() or reader_of(target) is not None):
         recording = _place(save) or scratch / f"{target.stem}.rrd"
-        save_log(target, recording, settings)
+        save_log(target, recording, settings, markers)
         return [recording], ""
     if save is not None:
         raise ConfigError(f"--save writes the recording of a log or of two drives; {target} has its recordings already")

@@ -68,7 +68,7 @@ def falsify(
     with handle_errors():
         from replay.experiments.falsify import FalsifyQuestion
         from replay.experiments.falsify import falsify as falsified
-        from replay.experiments.search_subject import agents_of, opened, search_axes
+        from replay.experiments.search_subject import agents_of, search_axes, subject_of
 
         if listing:
             opt.say_axes(as_json=as_json)
@@ -83,7 +83,7 @@ def falsify(
             "log": log_table(ego, road_map, begin, end, repair),
         }
         run = run_config(config, options, settings or ())
-        subject = opened(log, run.log)
+        subject = subject_of(log, run.log)
         if list_agents:
             opt.say_agents(subject.scenario, as_json=as_json)
             return

@@ -8,6 +8,7 @@
     /foxglove/ego         SceneUpdate     once: the ego's box, bound to `BASE`
     /foxglove/onboard, /foxglove/plan    PosesInFrame    plans of the log's own planner, and of the trace
     /foxglove/plan_line   SceneUpdate     the plans of the trace as lines
+    /foxglove/events      Log             the begin of each event that `replan mine` finds in the log
 
 The messages are Protobuf, from Foxglove's own package (extra
 `foxglove`). `MAP` has the coordinates of the log, relative to its origin; the
@@ -32,6 +33,7 @@ from logs.rules import Colour
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Trace, kept_samples
+from replay.draw.model import Marker
 from replay.draw.recording import colours
 from replay.draw.recording.road_layer import LIGHTS, STOP_SIGN
 
@@ -41,6 +43,7 @@ try:
     from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
     from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair
     from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+    from foxglove_schemas_protobuf.Log_pb2 import Log
     from foxglove_schemas_protobuf.Point3_pb2 import Point3
     from foxglove_schemas_protobuf.Pose_pb2 import Pose
     from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
@@ -65,13 +68,17 @@ HEIGHT_M = {
 LINE_M, LABEL_PX = 0.1, 12.0
 
 
-def scenario_channels(scenario: Scenario) -> Iterator[Entry]:
-    """The messages of a log.
+def scenario_channels(scenario: Scenario, markers: Sequence[Marker] = ()) -> Iterator[Entry]:
+    """The messages of a log, with its markers.
 
     Raises:
         LogError: A log time is before the epoch.
     """
     start = scenario.start_ns
+    begun = sorted(markers, key=lambda one: one.begin)
+    times = log_times(np.array([one.begin for one in begun]), start, "/foxglove/events")
+    for time, one in zip(times, begun, strict=True):
+        yield time, "/foxglove/events", Log(timestamp=_stamp(time), level=Log.INFO, message=one.words, name=one.kind)
     yield from _road(scenario)
     # write agents that never move once, the others at each time at which one of them was sampled and at the end
     tracks, ego, vehicle, short = scenario.tracks, scenario.ego, scenario.vehicle, scenario.short_names

@@ -106,6 +106,27 @@ class Curve:
         return self.values[np.isfinite(self.values)]
 
 
+@dataclass(frozen=True)
+class Marker:
+    """A stretch of a log to look at.
+
+    Attributes:
+        begin: s since the log's start; `end` likewise.
+        kind: The kind of event, one word.
+        about: Who takes part, and more in words; may be empty.
+    """
+
+    begin: float
+    end: float
+    kind: str
+    about: str
+
+    @property
+    def words(self) -> str:
+        """What happens, in a line: "cut in: car 12 (gap 3.2 m)"."""
+        return ": ".join(filter(None, (self.kind.replace("_", " "), self.about)))
+
+
 @dataclass(frozen=True, eq=False)
 class Panel:
     """Curves that share an axis.

@@ -10,6 +10,7 @@ import os
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
 from hashlib import sha256
 from pathlib import Path
 
@@ -20,7 +21,9 @@ from logs.errors import ConfigError, ReplanError, writing
 from logs.mcap import read_trace
 from logs.names import counted
 from logs.readers import LogSettings, read_log
+from logs.scenario import Scenario
 from replay.draw.drawn_results import load
+from replay.draw.model import Marker
 from replay.draw.recording import pair as pairs
 from replay.draw.recording import write_log_recording
 from replay.draw.recording.pictures import LOOPBACK, Picture, Theme, environment, free_port, in_use, take_pictures
@@ -146,9 +149,17 @@ def write_pair(out: Path, files: tuple[Path, Path]) -> None:
     pairs.write_pair(out, files, (one, two), (names[0], names[1]))
 
 
-def save_log(log: Path, out: Path, settings: LogSettings | None = None) -> None:
-    """Write a log of any format as a recording; raises LogError if reading fails, OutputError if writing does."""
-    write_log_recording(out, read_log(log, settings))
+def save_log(
+    log: Path, out: Path, settings: LogSettings | None, markers: Callable[[Scenario], Sequence[Marker]]
+) -> None:
+    """Write a log of any format as a recording, with its markers.
+
+    Raises:
+        LogError: The log cannot be read.
+        OutputError: The recording cannot be written.
+    """
+    scenario = read_log(log, settings)
+    write_log_recording(out, scenario, markers(scenario))
 
 
 def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int = 9090) -> None:

@@ -17,7 +17,8 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import FloatArray
-from logs.catalogue import CATALOGUE
+from logs.catalogue import FAMILY, families
+from logs.catalogue.family import Family
 from logs.errors import ConfigError
 from logs.files import here
 from logs.names import ShortNames
@@ -79,19 +80,20 @@ def prepared(scenario: Scenario) -> Scenario:
     return replace(scenario, tracks=tracks, goal=goal, notes=(*scenario.notes, *notes))
 
 
-def opened(log: str, settings: LogSettings) -> Scenario:
-    """The scenario of a file, folder or family, prepared for variation.
+def opened(name: str, settings: LogSettings) -> tuple[Scenario, Family | None]:
+    """The scenario of a file, folder, URL or family, prepared for variation; and the family.
 
     Raises:
         ConfigError: There is no such file, folder or family.
         LogError: The log cannot be read.
     """
-    with here(log) as path:
+    with here(name) as path:
         if path.exists():
-            return prepared(LogSource(log, path, settings).read())
-    if log not in CATALOGUE:
-        raise ConfigError(f"{log}: no such file or folder, and no family of the catalogue (replan synth --list)")
-    return prepared(LogSource(log).read())
+            return prepared(LogSource(name, path, settings).read()), None
+    if ":" not in name and name not in families():
+        raise ConfigError(f"{name}: no such file or folder, and no family of the catalogue (replan synth --list)")
+    family = FAMILY.find(name)
+    return prepared(family.scenario()), family
 
 
 def encounters(scenario: Scenario) -> tuple[Encounter, ...]:

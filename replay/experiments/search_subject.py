@@ -33,15 +33,12 @@ from math import isfinite
 import numpy as np
 
 from logs.arrays import FloatArray
-from logs.catalogue import FAMILY, families
 from logs.catalogue.family import Family
 from logs.errors import ConfigError, LogError, unknown_name
-from logs.files import here
 from logs.readers import LogSettings
 from logs.scenario import Scenario
 from logs.variations import VARIATIONS, varied
-from replay.experiments.conflict import conflicting_agent, prepared
-from replay.run.sources import LogSource
+from replay.experiments.conflict import conflicting_agent, opened, prepared
 
 FORM = "write it as NAME=LOW:HIGH, for example time=-3:3"
 TIME_S, SPEED, EGO_SPEED, LATERAL_M, ALONG_M, AHEAD_M = 1.0, 0.2, 0.1, 0.375, 5.0, 10.0
@@ -246,21 +243,10 @@ class SearchSubject:
         return varied(made, self.agents, changes) if changes else made
 
 
-def opened(name: str, settings: LogSettings) -> SearchSubject:
-    """The log at a path or URL, or the family of a name.
-
-    Raises:
-        ConfigError: There is no such file, folder or family.
-        LogError: The log cannot be read.
-    """
-    with here(name) as path:
-        if path.exists():
-            scenario = LogSource(name, path, settings).read()
-            return SearchSubject(scenario.name, prepared(scenario))
-    if ":" not in name and name not in families():
-        raise ConfigError(f"{name}: no such file or folder, and no family of the catalogue (replan synth --list)")
-    family = FAMILY.find(name)
-    return SearchSubject(name, prepared(family.scenario()), family)
+def subject_of(name: str, settings: LogSettings) -> SearchSubject:
+    """The log at a path or URL, or the family of a name; errors as `replay.experiments.conflict.opened`."""
+    scenario, family = opened(name, settings)
+    return SearchSubject(name if family else scenario.name, scenario, family)
 
 
 def agents_of(subject: SearchSubject, axes: Sequence[SearchAxis], named: Sequence[str]) -> tuple[str, ...]:

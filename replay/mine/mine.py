@@ -24,11 +24,13 @@ from logs.errors import ConfigError, LogError, ReplanError, of_users, raised
 from logs.kernel_watch import is_cache_cold
 from logs.names import counted
 from logs.road import RoadSource
+from logs.scenario import Scenario
 from metrics import health
 from metrics.judge import load_gates
 from metrics.judge.discrimination import BAD_DRIVERS
 from metrics.metric import Unavailable
 from replay.config import RunConfig, dump_run
+from replay.draw.model import Marker
 from replay.loop.reference_drives import discriminate
 from replay.mine.driven_log import DrivenLog, Event, EventKind
 from replay.mine.ego_and_road import crosses_others, in_roundabout, stays
@@ -267,6 +269,22 @@ def mine_log(
         draw_events(pictures, scenario, digest, rows)
     findings = health.table(scenario.name, health.findings(scenario)).to_dict("records")
     return MinedLog(scenario.name, _plain(row), [*map(_plain, rows)], [*map(_plain, findings)], tuple(failures))
+
+
+def markers(scenario: Scenario) -> tuple[Marker, ...]:
+    """The events of the built-in kinds in a log, for its recording; a log without a drive has none."""
+    if len(scenario.ego) < 2:
+        return ()
+    log, made = DrivenLog(scenario), list[Marker]()
+    for kind in KINDS.values():
+        found = kind.find(log)
+        for event in () if isinstance(found, Unavailable) else found:
+            unit = "" if kind.unit == "1" else f" {kind.unit}"
+            value = f"{event.value:.3g}{unit}" if isfinite(event.value) else ""
+            more = ", ".join(filter(None, (event.what, value, event.doubt and f"in doubt: {event.doubt}")))
+            about = (", ".join(map(scenario.short_names, event.agents)), f"({more})" if more else "")
+            made.append(Marker(event.begin, event.end, kind.name, " ".join(filter(None, about))))
+    return tuple(made)
 
 
 def _plain(row: Mapping[Any, Any]) -> dict[str, Any]:

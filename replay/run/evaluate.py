@@ -10,7 +10,7 @@ from pathlib import Path
 
 from logs.errors import ConfigError, OutputError
 from logs.readers import LogSettings
-from replay.config import RunConfig, dump_run
+from replay.config import RunConfig
 from replay.draw.drawn_results import Results
 from replay.results.log_result import Failure, LogResult
 from replay.results.tables import clear_partial, write_text
@@ -21,6 +21,7 @@ from replay.run.judging import gates_of, judge_and_write
 from replay.run.output import write_origin
 from replay.run.pool import WorkerLost
 from replay.run.resume import finished, stamp_of
+from replay.run.run_file import explained
 from replay.run.shards import Shard, write_card
 from replay.run.sources import LogSource, Selection, builtin_suite, named_suite, select, suite_file
 
@@ -85,7 +86,7 @@ def evaluate_logs(
                     remedy = "which is cleared; give --out another folder"
                     raise ConfigError(f"{path}: lies in the result folder {out}, {remedy}")
             emptied(out)
-        write_text(out / "run.toml", dump_run(run))
+        write_text(out / "run.toml", explained(run))
         write_origin(out)
         on_start(selection, out)
         evaluate = partial(engine.evaluate, run=run, out=out, stamp=stamp)

@@ -7,17 +7,22 @@ from dataclasses import asdict, fields, replace
 from functools import reduce
 from operator import getitem
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import replan
 from logs.errors import ConfigError
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from planners.dp_qp import DpQpConfig
 from replay.config import LoopConfig, RunConfig, dump_run, load_run
+from replay.parts import PLANNER
 from replay.planner_process.planner_config import planner_part
+from replay.run.checks import checked
+from replay.run.run_file import explained
 from replay.settings import dotted_keys, set_table, strict
 
 WORDS = st.text("abcdefgh_:.", min_size=1, max_size=12)
@@ -192,3 +197,29 @@ def test_a_keyword_of_a_part_has_its_type(value: str) -> None:
     setting = f"vehicle_model.kinematic_bicycle.rear_ratio={value}"
     result = replan("evaluate", "--suite", "paper/free_road", "--set", setting)
     assert result.exit_code == 2 and "rear_ratio: expected float" in one_error(result)
+
+
+@given(st.sampled_from(PLANNER.causal), st.floats(0.05, 0.5))
+def test_a_run_file_explains_every_setting_and_is_the_same_run(name: str, period: float) -> None:
+    """Law: it is read as the configuration, and each setting of a built-in part has its meaning beside it."""
+    run = checked(RunConfig(planners=(name,), loop=LoopConfig(plan_period_s=round(period, 2))))[0]
+    text = explained(run)
+    assert tomllib.loads(text) == tomllib.loads(dump_run(run))
+    lines = [line for line in text.splitlines() if " = " in line and not line.startswith("#")]
+    before = dict(zip(text.splitlines()[1:], text.splitlines(), strict=False))
+    bare = [line for line in lines if "  # " not in line and not before[line].startswith("# ")]
+    assert not bare
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"mode": "shut"}, "mode: .*known are: both, open, closed"),
+        ({"loop": {"controler": "mpc"}}, "did you mean 'loop.controller'"),
+        ({"loop": {"plan_period_s": "soon"}}, "loop.plan_period_s: expected float"),
+        ({"log": {"begin": "later"}}, "log.begin: expected float"),
+    ],
+)
+def test_wrong_arguments_of_evaluate_name_the_key_and_what_is_known(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        replan.evaluate(**given)

@@ -20,13 +20,13 @@ from logs.memory import NearbyTracks, light, trim_memory
 from logs.plan import Graph, SlGraph, StGraph
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlannedFrame, Trace
-from replay.draw.model import DrawnGraph, motion_panels, stage_panel, steps_of
+from replay.draw.model import DrawnGraph, Marker, motion_panels, stage_panel, steps_of
 from replay.draw.recording import pages, plots
 from replay.draw.recording.blueprint import RecordingContents, blueprint
 from replay.draw.recording.graphs import Axes, draw_graph, draw_occupancy, sl_axes, st_axes
 from replay.draw.recording.moving import draw_moving, draw_others, draw_scene
 from replay.draw.recording.tape import Instants, Tape, field_name, path_parts, recording_file
-from replay.explain.explanation import events
+from replay.explain.explanation import TimedEvent, events
 from replay.explain.planner_input import actual_occupancy
 
 if TYPE_CHECKING:
@@ -119,8 +119,8 @@ def _draw_part(
         pages.draw_why(tape, trace, scenario, planned)
 
 
-def write_log_recording(path: Path, scenario: Scenario) -> None:
-    """Write a log by itself: the scene, and the ego's speed, acceleration and steering.
+def write_log_recording(path: Path, scenario: Scenario, markers: Sequence[Marker] = ()) -> None:
+    """Write a log by itself: the scene, the ego's speed, acceleration and steering, and markers on the timeline.
 
     Raises:
         OutputError: The file cannot be written.
@@ -128,13 +128,19 @@ def write_log_recording(path: Path, scenario: Scenario) -> None:
     trace = Trace(scenario.name, "log", Mode.OPEN, False, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG)
     times = scene_times(trace, scenario.duration)
     panels = motion_panels(trace, scenario, times, steps_of(None))
-    contents = RecordingContents(panels, None, None, (), ("summary",), _bounds(trace, scenario))
+    lanes = plots.marker_lanes(markers, float(times[-1]))
+    names = ("recent", "summary") if lanes else ("summary",)
+    contents = RecordingContents(panels, None, None, [lane.name for lane in lanes], names, _bounds(trace, scenario))
     instants = Instants.among(times, times)
     application, short = f"replan {scenario.name} log", scenario.short_names
     with recording_file(path, application, "log", _digest(trace), blueprint(contents), short) as tape:
         draw_scene(tape, trace, scenario, instants)
         draw_moving(tape, trace, frozenset(trace.agents.kinds), instants, instants)
         plots.draw_panels(tape, panels, times)
+        if lanes:
+            plots.draw_lanes(tape, lanes, times)
+            began = [TimedEvent(one.begin, "INFO", one.words) for one in sorted(markers, key=lambda one: one.begin)]
+            pages.draw_events(tape, began, instants)
         pages.draw_summary(tape, pages.log_summary(scenario))
 
 

@@ -177,7 +177,8 @@ def _page_views(contents: RecordingContents, names: Sequence[str]) -> list[rrb.V
 
 
 def _decisions(contents: RecordingContents) -> rrb.Container:
-    return lanes_beside_numbers(state_view("Decisions and status", contents.lanes))
+    name = "Decisions and status" if "why" in contents.pages else "Events"
+    return lanes_beside_numbers(state_view(name, contents.lanes))
 
 
 def state_view(name: str, lanes: Sequence[str], under: str = "") -> rrb.StateTimelineView:

@@ -18,7 +18,7 @@ from logs.arrays import FloatArray
 from logs.plan import Decision, DecisionKind
 from logs.road import Road, RoadSource
 from logs.trace import PlannedFrame, Trace
-from replay.draw.model import Panel
+from replay.draw.model import Marker, Panel
 from replay.draw.recording import colours
 from replay.draw.recording.tape import SPACER, Instants, Tape, plain
 from replay.explain.causes import KEEP
@@ -109,7 +109,7 @@ LANES = (PLAN, ALONG, ACROSS, CHOICE, LANE, DRIVE) = (
 """Entities of the rows, at the root: the viewer labels a row with the whole path of its entity."""
 NAMED = (0x5A6478FF, 0x46505FFF)
 """Alternating colours of states that are not in `STATE_COLOURS`."""
-OFF_LANES = "off the lanes"
+OFF_LANES, NOTHING = "off the lanes", "none"
 NOT_COMPARED, COMPARED = "keep", "keep: others compared"
 LETTER, MARGIN = 0.0125, 0.015
 """Width of a letter of a state's label, and of the margin around a label, as shares of the whole drive."""
@@ -122,6 +122,7 @@ STATE_COLOURS = {
     "change left": colours.DECISIONS[DecisionKind.NUDGE_LEFT],
     "change right": colours.DECISIONS[DecisionKind.NUDGE_RIGHT],
     OFF_LANES: 0xC83232FF,
+    NOTHING: 0x2A2E36FF,
     **{STATUS_WORDS[status]: colour for status, colour in colours.STATUSES.items()},
 }
 
@@ -156,6 +157,17 @@ def state_lanes(trace: Trace, road: Road) -> list[StateRow]:
         lanes.append(StateRow.of(LANE, t, [OFF_LANES if lane is None else f"lane {lane}" for lane in driven]))
     first, last = min([*t, float(trace.ego.t[0])]), float(trace.ego.t[-1])
     return [lane for lane in lanes if lane.t] + [StateRow.of(DRIVE, [first, last], ["driving", trace.end.value])]
+
+
+def marker_lanes(markers: Sequence[Marker], end: float) -> list[StateRow]:
+    """A row per kind of marker: what it is about while it lasts, else nothing; `end` of the log, s."""
+    rows = []
+    for kind in dict.fromkeys(one.kind for one in markers):
+        mine = sorted((one for one in markers if one.kind == kind), key=lambda one: one.begin)
+        times = sorted({0.0, end, *(t for one in mine for t in (one.begin, one.end) if t < end)})
+        now = [[one.about or one.words for one in mine if one.begin <= t + 1e-9 and t < one.end - 1e-9] for t in times]
+        rows.append(StateRow.of(kind.replace("_", "-"), times, ["; ".join(words) or NOTHING for words in now]))
+    return rows
 
 
 def draw_lanes(tape: Tape, lanes: Sequence[StateRow], frames: FloatArray) -> None:

@@ -28,6 +28,7 @@ from metrics.judge.aggregate import LogLabels, membership, pass_shares, standing
 from metrics.judge.discrimination import BLIND_FAILS
 from metrics.judge.gates import Outcome
 from metrics.judge.verdicts import judge_deadline
+from replay.config import dump_run
 from replay.draw.charts.subject import GRAVE, gravity
 from replay.draw.drawn_results import Results
 from replay.draw.report.contents import (
@@ -100,7 +101,7 @@ def overview(
         exit_code=code,
         shard=str(results.summary.get("shard", "")),
         replan=str(results.summary["replan"]),
-        config=sha256((results.path / "run.toml").read_bytes()).hexdigest()[:12],
+        config=sha256(dump_run(results.run).encode()).hexdigest()[:12],
         logs=len(results.logs),
         columns=columns,
         drives=drives,

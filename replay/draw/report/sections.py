@@ -9,7 +9,7 @@ A new part of the reports is one function here.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import isfinite, nan
 from typing import Any
 
@@ -233,7 +233,7 @@ def comparison_sections(found: Comparison) -> list[ReportSection]:
         _flips(found, several=several),
         _pairs("Worst regressions", found.regressions(MOST_PAIRS, each=3), several=several),
         _pairs("Greatest improvements", found.improvements(MOST_PAIRS), several=several),
-        _means(found),
+        _means(found, several=several),
         _partings(found, several=several),
     ]
     return [section for section in made if section.rows or section.lines or section.says]
@@ -281,7 +281,7 @@ def _pairs(title: str, pairs: pd.DataFrame, *, several: bool) -> ReportSection:
     return ReportSection(title, columns, rows, most=8, rest="--json")
 
 
-def _means(found: Comparison) -> ReportSection:
+def _means(found: Comparison, *, several: bool) -> ReportSection:
     """Metrics with a gate or a significant change over the suite, and those with both over groups of logs.
 
     For each metric, only the reduction that changed most is shown.
@@ -295,21 +295,20 @@ def _means(found: Comparison) -> ReportSection:
     shown = shown.loc[rank.loc[shown.index].sort_values(["part", "unsure", "other", "size"], kind="stable").index]
     words = shown["metric"].map(lambda name: name.partition(".")[0])
     shown = shown[~shown.assign(metric=words)[["kind", "group", "planner", "mode", "metric"]].duplicated()]
-    numbers = ("logs", "before", "after", "change", "better", "worse")
-    columns = _columns(
-        "logs of", "planner", "loop", "metric", *numbers[:4], "95 % interval", *numbers[4:], numbers=numbers
-    )
+    who, numbers = ["planner"] if several else [], ("logs", "before", "after", "better", "worse")
+    columns = _columns("logs of", *who, "loop", "metric", *numbers[:3], "change [95 %]", *numbers[3:], numbers=numbers)
     rows = []
     for row in _rows(shown.head(MOST_GROUPS)):
         hurts = row.delta * {"lower": 1.0, "higher": -1.0}.get(row.direction, nan)
-        bad = bool(row.significant) and hurts > 0.0
-        change = replace(number_cell(row.delta, "{:+.3g}".format, row.unit), bad=bad)
-        star = " *" if row.significant else ""
-        inside = f"{row.low:+.3g} to {row.high:+.3g}{star}" if isfinite(row.low) else NOTHING
-        name = "all logs" if row.kind == "suite" else f"{row.kind} {row.group}"
+        unit = "" if row.unit in ("1", "count") else f" {row.unit}"
+        inside = f" [{row.low:+.3g}, {row.high:+.3g}]" if isfinite(row.low) else ""
+        change = f"{row.delta:+.3g}{unit}{inside}{' *' if row.significant else ''}"
+        name = "all" if row.kind == "suite" else f"{row.kind} {row.group}"
         rows.append(
-            (*_words(name, row.planner, row.mode, row.metric), number_cell(row.logs), number_cell(row.baseline),
-             number_cell(row.candidate), change, Cell(inside), number_cell(row.better), number_cell(row.worse))
+            (Cell(name), *(_words(row.planner) if several else ()), *_words(row.mode, row.metric),
+             number_cell(row.logs), number_cell(row.baseline), number_cell(row.candidate),
+             Cell(change, row.delta, bad=bool(row.significant) and hurts > 0.0), number_cell(row.better),
+             number_cell(row.worse))
         )  # fmt: skip
     note = "* more than chance over these logs (paired bootstrap, at least 6 logs)"
     return ReportSection(
@@ -322,7 +321,7 @@ def _partings(found: Comparison, *, several: bool) -> ReportSection:
     rows = tuple((*_of_drive(row, several=several), _seconds(row.t_s), Cell(row.what)) for row in _rows(found.partings))
     unseen = found.not_looked_at
     says = (f"Not searched in {counted(unseen, 'more drive')} that differ.",) if unseen and rows else ()
-    return ReportSection("First differences of drives", columns, rows, says=says)
+    return ReportSection("First differences of drives", columns, rows, says=says, most=12, rest="--json")
 
 
 def first_regression(found: Comparison) -> tuple[str, str, str] | None:

@@ -28,6 +28,7 @@ from logs.mcap import read_scenario, write_scenario, write_trace
 from logs.trace import kept_samples
 from replay.cli import app
 from replay.loop.closed_loop import run_closed_loop
+from replay.mine.mine import markers
 
 needs_schemas = pytest.mark.skipif(
     find_spec("foxglove_schemas_protobuf") is None, reason="foxglove-schemas-protobuf (extra foxglove) is not installed"
@@ -76,6 +77,20 @@ def test_readers_see_the_same_log_with_and_without(tmp_path: Path) -> None:
     path = written(tmp_path / "fox.mcap", rich)
     assert differences(rich, read_scenario(path)) == []
     assert native_messages(path) == native_messages(tmp_path / "plain.mcap")
+
+
+@needs_schemas
+def test_converting_marks_the_events_of_a_log(tmp_path: Path) -> None:
+    log = CATALOGUE["everyday/cut_in"].scenario()
+    write_scenario(tmp_path / "log.mcap", log)
+    words = ["convert", str(tmp_path / "log.mcap"), "-o", str(tmp_path / "fox.mcap"), "--foxglove"]
+    assert CliRunner().invoke(app, words).exit_code == 0
+    said = decoded(tmp_path / "fox.mcap")["/foxglove/events"]
+    assert [(time, one.name, one.message) for time, one in said] == [
+        (log.start_ns + round(one.begin * 1e9), one.kind, one.words)
+        for one in sorted(markers(log), key=lambda one: one.begin)
+    ]
+    assert "cut_in" in {one.name for _, one in said}
 
 
 @needs_schemas

@@ -180,7 +180,7 @@ def test_who_crosses_is_in_conflict_and_not_the_nearer_bystander() -> None:
 
 
 def test_the_conflict_of_a_recorded_drive_is_the_pedestrian_who_crosses(shared_data: Path) -> None:
-    made = opened(str(shared_data / "tartu" / "ros2" / "pedestrian_crossing_10"), LogSettings())
+    made, _ = opened(str(shared_data / "tartu" / "ros2" / "pedestrian_crossing_10"), LogSettings())
     by_agent = {one.agent: one for one in encounters(made)}
     agent = conflicting_agent(made)
     assert by_agent[agent].kind == "pedestrian" and by_agent[agent].conflict < 4.0

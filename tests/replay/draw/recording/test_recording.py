@@ -35,7 +35,7 @@ from logs.observed import MAX_AGE_S
 from logs.repair.detections import Repair
 from logs.repair.offline import detections_of
 from metrics import series
-from replay.draw.model import NEAR_M, NEAREST, in_full, multiples, nice_step
+from replay.draw.model import NEAR_M, NEAREST, Marker, in_full, multiples, nice_step
 from replay.draw.recording import colours, scene_times, write_log_recording, write_recording
 from replay.draw.recording.graphs import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, spread_labels
 from replay.draw.recording.pages import why
@@ -476,6 +476,17 @@ def test_a_log_by_itself(tmp_path: Path) -> None:
     start = replace(world, ego=world.ego.between(0.0, 0.0))
     write_log_recording(tmp_path / "start.rrd", start)
     assert len(Recording(tmp_path / "start.rrd").times("/world/agents/truck")) == 201
+
+
+def test_events_of_a_log_are_rows_on_its_timeline_and_lines_of_its_list(tmp_path: Path) -> None:
+    found = (Marker(2.0, 4.0, "cut_in", "car 1"), Marker(3.0, 3.5, "cut_in", "car 2"), Marker(1.0, 30.0, "queue", ""))
+    write_log_recording(tmp_path / "log.rrd", scenario(), found)
+    recording = Recording(tmp_path / "log.rrd")
+    assert recording.times("/cut-in").tolist() == [0.0, 2.0, 3.0, 3.5, 4.0]
+    assert recording.times("/queue").tolist() == [0.0, 1.0]
+    assert recording.times("/events").tolist() == [1.0, 2.0, 3.0]
+    states = [text.strip() for text in recording.column("/cut-in", "StateChange:state").flatten().to_pylist()]
+    assert states == ["none", "car 1", "car 1; car 2", "car 1", "none"]
 
 
 def test_the_scene_is_drawn_at_every_frame_and_where_frames_are_rare() -> None:

@@ -104,6 +104,11 @@ def test_the_report_says_what_the_exit_code_says_and_why(
         (["{free}", "--config", "{wrong_table}"], "planner.dp_qp"),  # of a planner that is not driven
         (["{free}", "--planner", "needy:Needy"], "missing a required argument: 'path'"),
         (["{free}", "--out", "{empty}/../foreign"], "not results of `replan evaluate`"),
+        (["synth", "paper/free_raod", "-o", "{out}"], "did you mean 'paper/free_road'?"),
+        (["synth", "paper/free_road"], "replan synth all -o"),
+        (["synth", "paper/free_road", "-o", "{out}", "--set", "radius_m"], "parameter=number"),
+        (["synth", "paper/free_road", "-o", "{out}", "--set", "radius_m=wide"], "'wide' is no number"),
+        (["synth", "paper/free_road", "-o", "{out}", "--set", "radios_m=1"], "no parameter radios_m"),
     ],
 )
 def test_exit_2_is_one_line(
@@ -117,14 +122,16 @@ def test_exit_2_is_one_line(
     wrong_key.write_text("[loop]\nplan_perod_s = 0.1", encoding="utf-8")
     wrong_table.write_text('[planner.dp_qp]\nhorizon = "far"\n', encoding="utf-8")
     places = {
+        "out": tmp_path / "out",
         "empty": tmp_path / "empty",
         "free": folder / "free.mcap",
         "wrong_gate": gates(tmp_path / "gates.toml", 'metric = "gap.mim"\nmin = 1'),
         "wrong_key": wrong_key,
         "wrong_table": wrong_table,
     }
-    out = [] if "--out" in words else ["--out", tmp_path / "out"]
-    result = evaluate(*(word.format(**places) for word in words), *out)
+    given = [word.format(**places) for word in words]
+    out = [] if "--out" in words else ["--out", places["out"]]
+    result = replan(*given) if words[0] == "synth" else evaluate(*given, *out)
     assert result.exit_code == 2
     assert said in one_error(result)
     assert not (tmp_path / "out").exists()
@@ -170,23 +177,6 @@ def test_synth_with_parameters_says_so_in_the_log(tmp_path: Path) -> None:
     log = read_scenario(path)
     assert log.ego.v[0] == pytest.approx(9.0)
     assert "9.0" in log.metadata["parameter.ego_speed_mps"]
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["paper/free_raod", "-o", "{out}"], "did you mean 'paper/free_road'?"),
-        (["paper/free_road"], "replan synth all -o"),
-        (["paper/free_road", "-o", "{out}", "--set", "radius_m"], "parameter=number"),
-        (["paper/free_road", "-o", "{out}", "--set", "radius_m=wide"], "'wide' is no number"),
-        (["paper/free_road", "-o", "{out}", "--set", "radios_m=1"], "no parameter radios_m"),
-    ],
-)
-def test_synth_refuses_in_one_line(tmp_path: Path, words: list[str], said: str) -> None:
-    result = replan("synth", *(word.format(out=tmp_path / "out") for word in words))
-    assert result.exit_code == 2
-    assert said in one_error(result)
-    assert not (tmp_path / "out").exists()
 
 
 def test_inspect_says_what_a_log_holds(folder: Path, tmp_path: Path) -> None:

@@ -1,8 +1,7 @@
-"""Whatever is chosen by name may be a user's: docs/extend.md is run as it stands, and by entry points."""
+"""Whatever is chosen by name may be a user's: examples/extend is run as it stands, and by entry points."""
 
 from __future__ import annotations
 
-import re
 import runpy
 import shutil
 import subprocess
@@ -26,7 +25,6 @@ from replay.run import evaluate_logs
 from replay.run.checks import checked
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "extend.md").read_text(encoding="utf-8")
 OWN = {
     "vehicle": "my_vehicle:Late",
     "controller": "my_controller:Proportional",
@@ -70,10 +68,9 @@ MORE = {"my_planner.py": MY_PLANNER, "my_metric.py": METRIC}
 
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A user's folder, outside of the repository, with the files that the page shows, and an example."""
+    """A user's folder, outside of the repository, with the examples."""
     shutil.copy(ROOT / "examples" / "electric_car.py", tmp_path)
-    for name, text in re.findall(r"^```(?:python|toml)\n# (\S+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL):
-        (tmp_path / name).write_text(text, encoding="utf-8")
+    shutil.copytree(ROOT / "examples" / "extend", tmp_path, dirs_exist_ok=True)
     for name, text in MORE.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)

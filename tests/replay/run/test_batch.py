@@ -171,9 +171,7 @@ def test_a_planner_that_raises_is_a_failure_that_names_it(logs: Path, tmp_path: 
     said = {f"{planners}:Raising": "out of ideas", f"{planners}:Leaving": "SystemExit"}
     result = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, planners=("constant_speed", *said)))
     failures = list(result.failures.itertuples())
-    assert {(one.planner, one.mode) for one in failures} == {
-        (name, mode) for name in said for mode in ("open", "closed")
-    }
+    assert {(one.planner, one.mode) for one in failures} == {*product(said, ("open", "closed"))}
     assert all(said[one.planner] in one.message and one.planner in one.message for one in failures)
     assert result.exit_code == 3 and len(failures) == 4
     assert "constant_speed" in set(result.metrics["planner"])

@@ -1,6 +1,6 @@
 """A planner whose model is loaded once per worker, and which plans the frames of several logs in one pass.
 
-    replan evaluate LOG LOG --planner net_planner:Net --batch 2
+    replan evaluate LOG LOG --planner net_planner:Net --set loop.apart.batch=2
 
 The network is random: it shows where yours goes (docs/planners_apart.md).
 """

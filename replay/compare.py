@@ -218,7 +218,6 @@ def compare_runs(
 
 
 def _driven_planners(side: Side) -> tuple[str, ...]:
-    """Return the planners that were driven."""
     return tuple(dict.fromkeys(side.driven["planner"]))
 
 

@@ -268,7 +268,6 @@ def _check_frames(factory: Factory, scenario: Scenario, found: _Findings) -> Non
 
 
 def _plan_anew(build: Build, scenario: Scenario, t: float) -> Plan:
-    """Return the plan of a new planner at a time."""
     return build(scenario).plan(frame_of(scenario, t))
 
 
@@ -333,8 +332,6 @@ class _WatchedPlanner:
 
 
 def _check_closed_loop(factory: Factory, scenario: Scenario, found: _Findings) -> None:
-    """Check all plans of the begin of a closed loop."""
-
     class Seat(Planning):
         """Calls the planner that is checked."""
 
@@ -458,7 +455,6 @@ def check_metric_on(metric: Metric, drives: Sequence[MetricDrive]) -> None:
 
 
 def _check_measured(metric: Metric, measured: object, trace: Trace, where: str, found: _Findings) -> None:
-    """Check one result of `measure`."""
     parts: Mapping[Any, object] = measured if isinstance(measured, Mapping) else {"": measured}
     strange = set(parts) - set(metric.parts) if metric.parts != ("*",) else set()
     if isinstance(measured, Mapping) and strange:
@@ -478,7 +474,6 @@ def _check_measured(metric: Metric, measured: object, trace: Trace, where: str, 
 
 
 def _check_series(metric: Metric, series: Series, trace: Trace, where: str, found: _Findings) -> None:
-    """Check the times of a series, and the numbers that it is reduced to."""
     first, last = float(trace.ego.t[0]), float(trace.ego.t[-1])
     if series.t[0] < first - 1e-6 or series.t[-1] > last + 1e-6 or (np.diff(series.t) <= 0.0).any():
         found.add("times", where, f"its times are {series.t[0]:.2f} to {series.t[-1]:.2f} s, the drive's {last:.2f} s")
@@ -542,7 +537,6 @@ def check_reader(reader: Reader | str, path: Path | str, settings: LogSettings |
 
 
 def _check_read(reader: Reader, path: Path, settings: LogSettings, found: _Findings) -> None:
-    """Check what is read of the log."""
     with np.errstate(all="ignore"):  # as `read_log`
         one = _call(found, "read", path.name, reader.read, path, settings)
         if one is None or not isinstance(one, Scenario):
@@ -594,6 +588,5 @@ def _check_damaged(reader: Reader, path: Path, share: float, settings: LogSettin
 
 
 def _entries(path: Path) -> set[tuple[str, int]]:
-    """Return the names and sizes of what is beside a log, and in its folder."""
     within = path.rglob("*") if path.is_dir() else ()
     return {(str(each), each.stat().st_size) for each in (*path.parent.iterdir(), *within) if each.is_file()}

@@ -35,16 +35,12 @@ app = typer.Typer(
 
 
 def group_commands(panels: Mapping[str, Sequence[str]], of_class: type[TyperCommand]) -> None:
-    """Show the commands in the help in these groups and this order; KeyError if one has no group.
-
-    Commands without a class of their own get `of_class`.
-    """
+    """Show the commands, now `of_class`, in the help in these groups and this order; KeyError if one has no group."""
     places = {name: panel for panel, names in panels.items() for name in names}
     order = {name: place for place, name in enumerate(places)}
     for command in app.registered_commands:
         command.rich_help_panel = places[_name_of(command)]
-        if command.cls is TyperCommand:
-            command.cls = of_class
+        command.cls = of_class
     for group in app.registered_groups:
         group.rich_help_panel = places[_name_of(group)]
     app.registered_commands.sort(key=lambda command: order[_name_of(command)])
@@ -133,7 +129,6 @@ def say_json(document: Any) -> None:
 
 
 def _as_json_value(value: Any) -> Any:
-    """A value converted to JSON types."""
     if is_dataclass(value) and not isinstance(value, type):
         return {item.name: _as_json_value(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):

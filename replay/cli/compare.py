@@ -10,7 +10,7 @@ import typer
 from logs.errors import ConfigError
 from replay.cli import options as opt
 from replay.cli.app import app, console_of, handle_errors, say, say_json
-from replay.cli.options import RenamingCommand, option
+from replay.cli.options import option
 
 if TYPE_CHECKING:
     from metrics.comparison import Comparison
@@ -22,7 +22,7 @@ EXIT_CODES = (
 )
 
 
-@app.command(epilog=EXIT_CODES, cls=RenamingCommand)
+@app.command(epilog=EXIT_CODES)
 def compare(
     runs: Annotated[
         list[Path], typer.Argument(help="Baseline and candidate: folders of results, or files of `replan baseline`.")

@@ -10,7 +10,7 @@ import typer
 from logs.errors import ConfigError
 from replay.cli import options as opt
 from replay.cli.app import app, handle_errors, progress_lines, say, say_json, worker_count
-from replay.cli.options import JUDGE, LOGS, LOOP, OUTPUT, RUNNING, EvaluateCommand, log_table, option, run_config
+from replay.cli.options import JUDGE, LOGS, LOOP, OUTPUT, RUNNING, log_table, option, run_config
 from replay.cli.report import EXIT_CODES, finish_run, load_baseline
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from replay.run.sources import Selection
 
 
-@app.command(epilog=EXIT_CODES, cls=EvaluateCommand)
+@app.command(epilog=EXIT_CODES)
 def evaluate(
     logs: Annotated[
         list[Path] | None,

@@ -110,7 +110,6 @@ def _parts(kind: str) -> Iterator[ListedName]:
 
 
 def _entries_of_code(table: Mapping[str, Callable[..., Any]]) -> Iterator[ListedName]:
-    """The entries of a table, described by the docstrings of its values."""
     for name, thing in table.items():
         yield ListedName(name, _first_line(thing), _where(thing))
 
@@ -136,7 +135,6 @@ def _first_line(thing: Callable[..., Any]) -> str:
 
 
 def _where(thing: Any) -> str:
-    """The module and line at which the code begins."""
     while isinstance(thing, partial):
         thing = thing.func
     if not inspect.isroutine(thing) and not isinstance(thing, type):

@@ -13,7 +13,7 @@ from logs.errors import ConfigError, unknown_name
 from logs.names import counted
 from replay.cli import options as opt
 from replay.cli.app import app, handle_errors, say, say_json
-from replay.cli.options import RenamingCommand, completion, log_table, option, run_config
+from replay.cli.options import completion, log_table, option, run_config
 
 if TYPE_CHECKING:
     from logs.readers import LogSettings
@@ -352,7 +352,7 @@ def explain(
                 say(drive.scenario.short_names(line))
 
 
-@app.command(cls=RenamingCommand)
+@app.command()
 def frame(
     result: Annotated[Path, typer.Argument(help="A folder of results.")],
     at: Annotated[float, opt.at_option("The last frame up to it is planned again.")],

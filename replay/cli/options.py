@@ -1,8 +1,8 @@
-"""Options of several commands: shell completion, old names, and the configuration of a run from options."""
+"""Options of several commands: shell completion, and the configuration of a run from options."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -202,7 +202,6 @@ def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[
 
 
 def _without_defaults(options: Mapping[str, Any]) -> dict[str, Any]:
-    """A table without the options that were not given."""
     tables = {key: _without_defaults(value) if isinstance(value, Mapping) else value for key, value in options.items()}
     return {key: value for key, value in tables.items() if value is not None and value != []}
 
@@ -213,24 +212,6 @@ def log_table(
     """The options about logs as the table [log] of a run."""
     place = None if road_map is None else str(road_map)
     return {"ego": ego, "map": place, "begin": begin, "end": end, "repair": repair}
-
-
-# options of the last version that have another name now: still taken, with a hint on stderr, until the next version ---
-
-EVALUATE: Mapping[str, str] = {
-    "--trust": "loop.apart.trust=true",
-    "--plan-timeout": "loop.apart.plan_timeout_s={}",
-    "--log-timeout": "loop.apart.log_timeout_s={}",
-    "--planner-memory": "loop.apart.memory_gb={}",
-    "--batch": "loop.apart.batch={}",
-    "--internals": "internals={}",
-    "--deadline": "deadline_s={}",
-    "--plant": "loop.plant.{}",
-    "--end-with-evidence": "loop.end_with_evidence=true",
-}
-"""Options of `replan evaluate`, and the argument of `--set` that replaces each; {} is the option's value."""
-RENAMED = {"compare": {"--no-partings": "--no-first-difference"}, "frame": {"--of": "--planner"}}
-"""Options of other commands, and their new names."""
 
 
 class StrictCommand(TyperCommand):
@@ -256,48 +237,3 @@ class StrictCommand(TyperCommand):
                 raise typer.BadParameter(f"takes one value, and is given {given.count(one)} times", ctx, param=one)
         parsed: list[str] = super().parse_args(ctx, args)
         return parsed
-
-
-class EvaluateCommand(StrictCommand):
-    """`replan evaluate`, which also takes the options in `EVALUATE`."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """The words with the old options replaced, parsed."""
-        left: list[str] = super().parse_args(ctx, list(replaced(args, EVALUATE)))
-        return left
-
-
-class RenamingCommand(StrictCommand):
-    """A command that also takes its options in `RENAMED`."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """The words with the old options replaced, parsed."""
-        table, words = RENAMED[str(self.name)], []
-        for word in args:
-            old, equals, value = word.partition("=")
-            if old in table:
-                say(f"hint: {old} is now {table[old]}; the old option goes with the next version", err=True)
-            words.append(f"{table.get(old, old)}{equals}{value}")
-        left: list[str] = super().parse_args(ctx, words)
-        return left
-
-
-def replaced(words: Sequence[str], table: Mapping[str, str]) -> Iterator[str]:
-    """The words of a command line in which the old options of a table are `--set KEY=VALUE`; hints go to stderr."""
-    left = iter(words)
-    for word in left:
-        option, equals, value = word.partition("=")
-        if option not in table:
-            yield word
-            if word == "--":
-                yield from left
-            continue
-        setting = table[option]
-        if "{}" in setting:
-            given: Any = value if equals else next(left, None)
-            if given is None:  # click reports the unknown option
-                yield word
-                return
-            setting = setting.format(given)
-        say(f"hint: {option} is now --set {setting}; the old option goes with the next version", err=True)
-        yield from ("--set", setting)

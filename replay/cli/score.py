@@ -94,7 +94,6 @@ def _run(targets: list[Path]) -> Results:
 def _plans(
     targets: list[Path], trajectories: Path | None, *, relative: bool
 ) -> tuple[list[Asked], dict[str, Scenario]]:
-    """The plans to be scored, and their logs by name."""
     from replay.draw.drawn_results import load
     from replay.run.sources import select
     from replay.score.trajectories import of_table, of_trace

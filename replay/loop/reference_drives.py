@@ -175,7 +175,6 @@ def late_follower(tables: Sequence[pd.DataFrame], scenario: Scenario, loop: Loop
 
 
 def _measure_drives(drives: Iterable[tuple[Trace, tuple[str, ...]]], scenario: Scenario) -> pd.DataFrame:
-    """Return the rows of drives, each measured by some groups of metrics."""
     rows = []
     for trace, groups in drives:
         measures = {metric.name: METRICS[metric.name] for group in groups for metric in (*GROUPS[group], EVIDENCE)}

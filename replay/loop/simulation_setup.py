@@ -121,7 +121,6 @@ def controller_of(vehicle: Vehicle, parameters: VehicleParameters, part: Part, p
 
 
 def _notes(scenario: Scenario, config: LoopConfig) -> list[str]:
-    """Return notes for the user about the start, the road and the vehicle."""
     notes = []
     first = scenario.ego.state(0)
     if first.v < 0.0:

@@ -140,7 +140,6 @@ class PlannerServer:
 
 
 def _try_answer(answer: Callable[[Any], Any], question: Any) -> Any:
-    """The answer to a question, or the failure that was raised."""
     try:
         return answer(question)
     except ReplanError as error:

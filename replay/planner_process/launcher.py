@@ -207,7 +207,6 @@ def _become(request: dict[str, Any], given: list[int], parent: int) -> NoReturn:
 
 
 def _at_places(*given: int) -> None:
-    """Make descriptors stdin, stdout and stderr."""
     for place, fd in enumerate(given):
         os.dup2(fd, place)
     for fd in set(given):
@@ -239,7 +238,6 @@ def _threads() -> int:
 
 
 def _descriptors() -> set[int]:
-    """All open descriptors."""
     found = set()
     for place in list(Path("/dev/fd").iterdir()):
         with suppress(OSError):  # the descriptor of the listing itself

@@ -32,13 +32,9 @@ from metrics.judge.gates import Outcome
 from replay.config import RunConfig, load_run
 from replay.results.log_result import Failure, LogCard
 from replay.results.reading import AGAIN, read_json, read_table
+from replay.results.schema import names_of
 
 Run = TypeVar("Run", bound="StoredRun")
-LOG_COLUMNS = ("log", "source", "sha256", "folder", "family", "dataset", "tags", "notes")
-DRIVE_COLUMNS = ("log", "planner", "mode", "oracle", "end", "detail", "t_end_s", "marks", "notes", "files")
-GATE_COLUMNS = ("gate", "planner", "mode", "group", "outcome", "value", "log", "time_s", "reason")
-FAILURE_COLUMNS = ("log", "planner", "mode", "message", "exit_code")
-DECISION_COLUMNS = ("log", "planner", "mode", "t_s", "agent", "decision", "stage", "reason")
 RECORDINGS = (".rrd",)
 MODES = {"open", "closed"}
 TIMING_WORDS = ("log", "planner", "mode", "stage")
@@ -153,13 +149,13 @@ class StoredRun:
     def gates(self) -> pd.DataFrame:
         """A row per gate, planner, mode and group: the outcome over all logs; `gate` is its rule as text."""
         rows = [{"group": "", **verdict, "gate": verdict["rule"]} for verdict in self.summary["gates"]]
-        table = pd.DataFrame(rows, columns=list(GATE_COLUMNS))
+        table = pd.DataFrame(rows, columns=names_of("gates"))
         return table.astype({"value": "float64", "time_s": "float64"})
 
     @cached_property
     def logs(self) -> pd.DataFrame:
         """A row per log: where it comes from, hash, tags (a list), its folder; "" if it could not be read."""
-        return pd.DataFrame(self.summary["logs"], columns=list(LOG_COLUMNS))
+        return pd.DataFrame(self.summary["logs"], columns=names_of("logs"))
 
     @cached_property
     def labels(self) -> dict[str, LogLabels]:
@@ -176,12 +172,12 @@ class StoredRun:
     def drives(self) -> pd.DataFrame:
         """A row per log, planner and mode: why the drive ended, and its files (a list, relative to the folder)."""
         rows = [drive for log in self.summary["logs"] for drive in log["drives"]]
-        return pd.DataFrame(rows, columns=list(DRIVE_COLUMNS))
+        return pd.DataFrame(rows, columns=names_of("drives"))
 
     @cached_property
     def failures(self) -> pd.DataFrame:
         """Logs and drives that could not be evaluated."""
-        return pd.DataFrame(self.summary["failures"], columns=list(FAILURE_COLUMNS))
+        return pd.DataFrame(self.summary["failures"], columns=names_of("failures"))
 
     @cached_property
     def timings(self) -> pd.DataFrame:
@@ -211,7 +207,7 @@ class StoredRun:
                     if isinstance(item, Decision):
                         where = one.log, one.planner, one.mode, frame.t
                         rows.append((*where, item.agent, item.kind.value, item.stage, item.reason))
-        return pd.DataFrame(rows, columns=list(DECISION_COLUMNS))
+        return pd.DataFrame(rows, columns=names_of("decisions"))
 
     def key_of(self, log: str, planner: str | None, mode: str) -> tuple[str, str, str]:
         """Log, planner and mode of one drive; ConfigError if there is none, or several."""

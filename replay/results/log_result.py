@@ -29,7 +29,7 @@ from logs.arrays import FloatArray
 from logs.errors import ReplanError, writing
 from metrics import Series
 from replay.results.reading import FileName, Name, Place, read_json, read_table
-from replay.results.schema import SCHEMA_VERSION, arrow
+from replay.results.schema import METADATA, arrow_schema
 from replay.results.tables import LOG_CARD, write_file, write_json, write_parquet
 
 METRICS, MEMBERS, HEALTH, TIMINGS = "metrics.parquet", "ensemble.parquet", "health.parquet", "timings.parquet"
@@ -300,9 +300,7 @@ class StepsFile:
             self._file.close()
 
     def _write(self, partial: Path) -> None:
-        columns = ["planner", "mode", "t_s", "metric", "value"]
-        schema = arrow(FRAMES, pd.DataFrame(columns=columns)).schema
-        schema = schema.with_metadata({"replan_schema_version": str(SCHEMA_VERSION)})
+        schema = arrow_schema(FRAMES).with_metadata(METADATA)
         waiting, rows = list[pa.Table](), 0
         with pq.ParquetWriter(partial, schema, compression="zstd") as writer:
             for planner, mode in sorted(self._drives):

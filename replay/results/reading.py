@@ -19,10 +19,8 @@ import pyarrow.parquet as pq
 from logs.errors import ConfigError, LogError
 from logs.files import check_regular
 from metrics.judge.gates import Outcome
-from replay.results.schema import SCHEMA_VERSION, TABLES, is_of_kind, pa_type
+from replay.results.schema import SCHEMA_VERSION, TABLES, VERSION_KEY, is_of_kind, pa_type
 
-VERSION_KEY = "replan_schema_version"
-"""Key of the version in the metadata of a table."""
 AGAIN = "evaluate again"
 WORDS: dict[str, Collection[str]] = {
     "mode": ("open", "closed", "reference", "both", ""),

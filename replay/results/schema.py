@@ -5,7 +5,7 @@ python -c 'from replay.results.schema import markdown; print(markdown())' > docs
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
 from typing import Any
@@ -15,6 +15,9 @@ import pyarrow as pa
 
 SCHEMA_VERSION = 1
 """Version of the tables and JSON files; it increases when a column changes its meaning or is removed."""
+VERSION_KEY = "replan_schema_version"
+"""Key of the version in the metadata of a table."""
+METADATA = {VERSION_KEY: str(SCHEMA_VERSION)}
 
 _TYPES = {"text": pa.large_string(), "number": pa.float64(), "count": pa.int64(), "yes/no": pa.bool_()}
 _TEXTS = (pa.string(), pa.large_string())
@@ -78,7 +81,7 @@ _METRICS = (
         ("source", "text", "where the metric's definition comes from; empty: replan"),
     ),
 )
-TABLES: Mapping[str, Table] = {
+TABLES: dict[str, Table] = {
     "metrics.parquet": Table(
         "A row per log, planner, mode and metric. `metrics.csv` is the same. In a log's folder: of that log.",
         True,
@@ -226,7 +229,7 @@ TABLES: Mapping[str, Table] = {
 }
 """Tables by file name; the text gives the difference between a file of a run and one of a log with the same name."""
 
-FRAMES: Mapping[str, Table] = {
+FRAMES: dict[str, Table] = {
     "logs": Table(
         "A row per log.",
         True,
@@ -301,9 +304,14 @@ FRAMES: Mapping[str, Table] = {
 """Tables of `replay.results.load` only, made from summary.json and the traces."""
 
 
-def names_of(file: str) -> list[str]:
-    """The columns of a table, in their order."""
-    return [column.name for column in TABLES[file].columns]
+def names_of(table: str) -> list[str]:
+    """The columns of a file or of one of `FRAMES`, in their order."""
+    return [column.name for column in (TABLES | FRAMES)[table].columns]
+
+
+def arrow_schema(file: str) -> pa.Schema:
+    """The columns of a file with their types in Parquet."""
+    return pa.schema([(column.name, _TYPES[column.kind]) for column in TABLES[file].columns])
 
 
 def arrow(file: str, table: pd.DataFrame) -> pa.Table:
@@ -314,9 +322,8 @@ def arrow(file: str, table: pd.DataFrame) -> pa.Table:
     """
     if file not in TABLES:
         return pa.Table.from_pandas(table, preserve_index=False)
-    kinds = {column.name: _TYPES[column.kind] for column in TABLES[file].columns}
-    fields = pa.schema([(name, kinds[name]) for name in table.columns])
-    return pa.Table.from_pandas(table, fields, preserve_index=False)
+    known = arrow_schema(file)
+    return pa.Table.from_pandas(table, pa.schema([known.field(name) for name in table.columns]), preserve_index=False)
 
 
 def pa_type(kind: str) -> pa.DataType:

@@ -38,7 +38,7 @@ import pyarrow.parquet as pq
 
 from logs.errors import ConfigError, writing
 from replay.config import HEADER
-from replay.results.schema import SCHEMA_VERSION, arrow
+from replay.results.schema import METADATA, SCHEMA_VERSION, arrow, arrow_schema, names_of
 
 PARTIAL = ".partial-"
 """Prefix of the names of unfinished files and folders."""
@@ -71,9 +71,7 @@ REPORTS = ("report.md", "junit.xml", "report.html")
 FILES = (*TABLES, *REPORTS)
 """The files in a result folder beside the folders of the logs."""
 KEYS = ["log", "planner", "mode", "metric"]
-TIMING_COLUMNS = ["log", "planner", "mode", "t_s", "stage", "seconds"]
-
-
+TIMING_COLUMNS = names_of("timings.parquet")
 LONGEST_SAFE = 80
 """Longest name of a file that is made of the name of a log, without the hash."""
 
@@ -119,6 +117,17 @@ def finish_folder(partial: Path, folder: Path) -> bool:
     return True
 
 
+def write_folder(folder: Path, fill: Callable[[Path], object]) -> bool:
+    """Let `fill` make a folder under a temporary name, which is then renamed; returns and raises as `finish_folder`."""
+    partial = folder.with_name(f"{PARTIAL}{folder.name}")
+    try:
+        with writing(folder):
+            fill(partial)
+        return finish_folder(partial, folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write `text` as UTF-8, completely or not at all."""
     write_file(path, lambda partial: partial.write_text(text, encoding="utf-8", newline="\n"))
@@ -126,15 +135,13 @@ def write_text(path: Path, text: str) -> None:
 
 def write_parquet(path: Path, table: pd.DataFrame) -> None:
     """Write a table with its schema version; the same values give the same bytes."""
-    typed = arrow(path.name, table).replace_schema_metadata({"replan_schema_version": str(SCHEMA_VERSION)})
+    typed = arrow(path.name, table).replace_schema_metadata(METADATA)
     write_file(path, lambda partial: pq.write_table(typed, partial, compression="zstd"))
 
 
 def write_timings(path: Path, tables: Iterable[pd.DataFrame]) -> None:
     """Write the timings of one log after the other; only those of one log are in memory."""
-    text, schema = pa.large_string(), {"replan_schema_version": str(SCHEMA_VERSION)}
-    kinds = {name: pa.float64() if name in ("t_s", "seconds") else text for name in TIMING_COLUMNS}
-    columns = pa.schema(list(kinds.items()), metadata=schema)
+    columns = arrow_schema("timings.parquet").with_metadata(METADATA)
 
     def write(partial: Path) -> None:
         with pq.ParquetWriter(partial, columns, compression="zstd") as writer:

@@ -20,21 +20,21 @@ import shutil
 import socket
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
 
-from logs.errors import ConfigError, LogError, writing
+from logs.errors import ConfigError, LogError
 from logs.log_settings import LogSettings
 from replay.config import LoopConfig, RunConfig
 from replay.parts import OF_LOOP
 from replay.planner_process.connection import command_of
 from replay.results.log_result import Failure, LogResult, Stamp
-from replay.results.tables import PARTIAL, finish_folder
+from replay.results.tables import write_folder
 from replay.run.engine import Job, longest_first
 from replay.run.pool import WorkerLost, freeze_gc
 from replay.run.resume import stamp_of
@@ -93,15 +93,8 @@ class OnRay:
                     continue
                 result, files = answer
                 if result.folder:
-                    partial = out / f"{PARTIAL}{result.folder}"  # until it is complete
-                    try:
-                        with writing(out / result.folder):
-                            partial.mkdir()
-                            for file, content in files.items():
-                                (partial / Path(file).name).write_bytes(content)
-                        result = replace(result, twin=not finish_folder(partial, out / result.folder))
-                    finally:
-                        shutil.rmtree(partial, ignore_errors=True)
+                    is_first = write_folder(out / result.folder, partial(_unpack, files))
+                    result = replace(result, twin=not is_first)
                 yield index, result
 
     @contextmanager
@@ -208,8 +201,13 @@ def code_of(run: RunConfig, folder: Path) -> Path:
 
 
 def _of_loop(run: RunConfig) -> tuple[str, ...]:
-    """The names that are chosen in [loop]."""
     return tuple(getattr(run.loop, key) for key in OF_LOOP)
+
+
+def _unpack(files: Mapping[str, bytes], folder: Path) -> None:
+    folder.mkdir()
+    for file, content in files.items():
+        (folder / Path(file).name).write_bytes(content)
 
 
 def _on_node(source: LogSource, job: tuple[RunConfig, Stamp, str]) -> tuple[LogResult, dict[str, bytes]]:

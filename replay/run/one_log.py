@@ -50,8 +50,6 @@ LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
 
 @dataclass
 class _Progress:
-    """The results of one log so far."""
-
     log: str
     drives: list[DriveRecord] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
@@ -203,8 +201,6 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
 
 
 class _DriveSpec(NamedTuple):
-    """A drive of a log, or of a member of its ensemble: the planner, the loop, and the key of the drive."""
-
     planner: str
     mode: Mode
     key: DriveKey

@@ -20,12 +20,13 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from logs.errors import ConfigError, writing
+from logs.errors import ConfigError
 from logs.files import read_toml
 from logs.names import counted
 from replay.config import RunConfig, load_run
@@ -33,7 +34,7 @@ from replay.draw.drawn_results import Results
 from replay.planner_process.planner_config import is_foreign, planner_part
 from replay.results.log_result import Failure, LogResult, Stamp, load_result
 from replay.results.reading import Name, Place, read_json
-from replay.results.tables import PARTIAL, SHARD_CARD, finish_folder, write_json, write_text
+from replay.results.tables import SHARD_CARD, write_folder, write_json, write_text
 from replay.run.claim import MERGED, claimed_folder, emptied
 from replay.run.judging import gates_of, judge_and_write
 from replay.run.output import begun_in, write_origin
@@ -109,29 +110,46 @@ def write_card(
     write_json(out / SHARD_CARD, card)
 
 
+class ShardLog(msgspec.Struct):
+    """A log in `ShardCard`; without a folder it has a name and failures."""
+
+    source: Place
+    folder: Name
+    log: str = ""
+    failures: tuple[Failure, ...] = ()
+
+
+class ShardCard(msgspec.Struct):
+    """The contents of shard.json."""
+
+    number: int
+    of: int
+    inputs: tuple[str, ...]
+    logs_left_out: tuple[str, ...]
+    gates: str | None
+    replan: str
+    code: str
+    failures: tuple[Failure, ...]
+    logs: tuple[ShardLog, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class ShardContents:
-    """The contents of a shard's folder.
-
-    Attributes:
-        folder: Where it is.
-        shard: Which it is.
-        inputs: Identities of all logs of the run (`LogSource.identity`).
-        dropped: The reasons why logs were left out of the selection.
-        gates: The text of the thresholds; None: the packaged ones.
-        stamp: Version and code of replan and of the user's planners and metrics.
-        failures: Failures that are not about a log.
-        results: Results of its logs, in their order.
-    """
+    """A complete shard: its folder, the contents of its `shard.json`, and the results of its logs, in their order."""
 
     folder: Path
-    shard: Shard
-    inputs: tuple[str, ...]
-    dropped: tuple[str, ...]
-    gates: str | None
-    stamp: Stamp
-    failures: tuple[Failure, ...]
+    card: ShardCard
     results: tuple[LogResult, ...]
+
+    @property
+    def shard(self) -> Shard:
+        """Its number; ConfigError if there is no such shard."""
+        return Shard(self.card.number, self.card.of)
+
+    @property
+    def stamp(self) -> Stamp:
+        """Version and code of replan and of the user's planners and metrics."""
+        return Stamp(self.card.replan, self.card.code)
 
 
 def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
@@ -162,18 +180,14 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
         write_origin(out, begun_in(found[0].folder, (result.source for result in found[0].results)))
         placed: dict[int, LogResult] = {}
         for part in found:
-            placed.update(zip(part.shard.places(len(part.inputs)), part.results, strict=True))
+            placed.update(zip(part.shard.places(len(part.card.inputs)), part.results, strict=True))
             for folder in (result.folder for result in part.results if result.folder):
-                partial = out / f"{PARTIAL}{folder}"
-                try:
-                    with writing(out / folder):
-                        shutil.copytree(part.folder / folder, partial, copy_function=_link_or_copy)
-                    finish_folder(partial, out / folder)  # twins in two shards: the first counts
-                finally:
-                    shutil.rmtree(partial, ignore_errors=True)
+                copy = partial(shutil.copytree, part.folder / folder, copy_function=_link_or_copy)
+                write_folder(out / folder, copy)  # twins in two shards: the first counts
         results = tuple(placed[place] for place in range(len(placed)))
         sources = tuple(LogSource(result.source) for result in results)  # labels only: no log is read again
-        return judge_and_write(out, run, Selection(sources, found[0].dropped), results, gates, found[0].failures)
+        selection = Selection(sources, found[0].card.logs_left_out)
+        return judge_and_write(out, run, selection, results, gates, found[0].card.failures)
 
 
 @contextmanager
@@ -196,17 +210,17 @@ def _read_parts(folders: Sequence[Path]) -> tuple[ShardContents, ...]:
         both = f"{one.folder} and {other.folder} are not of one run"
         if one.shard.of != other.shard.of:
             raise ConfigError(f"{both}: shard {one.shard} and shard {other.shard}")
-        if one.inputs != other.inputs:
-            mine, theirs = Counter(one.inputs), Counter(other.inputs)
+        if one.card.inputs != other.card.inputs:
+            mine, theirs = Counter(one.card.inputs), Counter(other.card.inputs)
             differing = [*(mine - theirs), *(theirs - mine)] or ["their order"]
-            counts = f"{len(one.inputs)} and {counted(len(other.inputs), 'log')}"
+            counts = f"{len(one.card.inputs)} and {counted(len(other.card.inputs), 'log')}"
             raise ConfigError(f"{both}: {counts}; they differ in {differing[0]}")
         if one.stamp != other.stamp:
             raise ConfigError(f"{both}: driven with {_describe(one.stamp)} and with {_describe(other.stamp)}")
         changed = changes(read_toml(one.folder / "run.toml"), read_toml(other.folder / "run.toml"))
         if changed:
             raise ConfigError(f"{both}: {changed}")
-        if one.gates != other.gates:
+        if one.card.gates != other.card.gates:
             raise ConfigError(f"{both}: their gates are not the same")
     of, numbers = one.shard.of, Counter(part.shard.number for part in found)
     twice = [part for part in found if numbers[part.shard.number] > 1]
@@ -223,29 +237,6 @@ def _read_parts(folders: Sequence[Path]) -> tuple[ShardContents, ...]:
     if now != one.stamp:
         raise ConfigError(f"{one.folder}: was driven with {_describe(one.stamp)}, this is {_describe(now)}")
     return tuple(found)
-
-
-class ShardLog(msgspec.Struct):
-    """A log in `ShardCard`; without a folder it has a name and failures."""
-
-    source: Place
-    folder: Name
-    log: str = ""
-    failures: tuple[Failure, ...] = ()
-
-
-class ShardCard(msgspec.Struct):
-    """The contents of shard.json."""
-
-    number: int
-    of: int
-    inputs: tuple[str, ...]
-    logs_left_out: tuple[str, ...]
-    gates: str | None
-    replan: str
-    code: str
-    failures: tuple[Failure, ...]
-    logs: tuple[ShardLog, ...]
 
 
 def _card(folder: Path) -> ShardCard:
@@ -268,13 +259,10 @@ def _read_part(folder: Path) -> ShardContents:
                 f"{folder}: the folder {log.folder} in it is not there or not whole; copy the shard again"
             )
         results.append(replace(content[0], source=log.source))
-    shard = Shard(card.number, card.of)
-    if len(shard.places(len(card.inputs))) != len(results):
-        raise ConfigError(f"{folder / SHARD_CARD}: has not the logs of shard {shard}; copy the shard again")
-    return ShardContents(
-        folder, shard, card.inputs, card.logs_left_out, card.gates, Stamp(card.replan, card.code), card.failures,
-        tuple(results),
-    )  # fmt: skip
+    found = ShardContents(folder, card, tuple(results))
+    if len(found.shard.places(len(card.inputs))) != len(results):
+        raise ConfigError(f"{folder / SHARD_CARD}: has not the logs of shard {found.shard}; copy the shard again")
+    return found
 
 
 def _describe(stamp: Stamp) -> str:

@@ -111,7 +111,6 @@ class LogSource:
 
     @property
     def _entry(self) -> str:
-        """The name of a remote log's file or folder."""
         return self.remote[0].name.partition("/")[0]
 
     def read(self) -> Scenario:

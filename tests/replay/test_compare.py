@@ -11,11 +11,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from typer.testing import CliRunner, Result
+from command_line import replan
 
 from logs import ConfigError, LogError
 from metrics.comparison import Comparison
-from replay.cli import app
 from replay.compare import compare_runs, read_run, write_baseline
 from replay.config import RunConfig
 from replay.draw.report.terminal import document
@@ -23,16 +22,8 @@ from replay.results.tables import write_parquet
 from replay.run import evaluate_logs
 from studies import regressions
 
-RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
 LOGS = ("paper/crossing_pedestrian", "paper/free_road")
 CONFIG = RunConfig(planners=("constant_speed", "idm"), mode="closed", recording=False)
-
-
-def replan(*words: object) -> Result:
-    result = RUNNER.invoke(app, [str(word) for word in words])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
 
 
 @pytest.fixture(scope="module")

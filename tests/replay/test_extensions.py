@@ -7,17 +7,17 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import command_line
 import pytest
-from typer.testing import CliRunner
 
 import metrics
 import replan
 from logs import readers
 from logs.errors import ConfigError
 from logs.extension import ExtensionKind
-from replay.cli import app
 from replay.config import LoopConfig, RunConfig, dump_run, load_run
 from replay.draw.charts.layout import CHART
 from replay.parts import OF_LOOP, PLANNER
@@ -111,9 +111,9 @@ def test_what_the_page_shows_drives_and_is_in_the_results(desk: Path) -> None:
     assert run.perception == {OWN["perception"]: {"range_m": 50.0}} and run.traffic == {OWN["traffic"]: {"who": "near"}}
     lateral = result.metrics.query("metric == 'tracking_lateral.max_abs' and mode == 'closed'")["value"]
     assert (lateral < 0.2).all()
-    drawn = CliRunner().invoke(app, ["plot", "out", "--chart", "my_chart:speed", "-o", "speed.svg"])
+    drawn = command_line.replan("plot", "out", "--chart", "my_chart:speed", "-o", "speed.svg")
     assert drawn.exit_code == 0 and "My speed" in Path("speed.svg").read_text(encoding="utf-8")
-    done = CliRunner().invoke(app, ["report", "out"])
+    done = command_line.replan("report", "out")
     assert done.exit_code == 0 and "My speed" in Path("out/report.html").read_text(encoding="utf-8")
 
 
@@ -133,10 +133,10 @@ def test_the_vehicle_from_scratch_is_driven_by_every_kind_of_controller(desk: Pa
 
 def test_a_reader_named_in_the_settings_reads_first(desk: Path) -> None:
     runpy.run_path("write_txy.py")
-    done = CliRunner().invoke(app, ["convert", "my_reader:READER", "drive.txy", "-o", "drive.mcap"])
+    done = command_line.replan("convert", "my_reader:READER", "drive.txy", "-o", "drive.mcap")
     assert done.exit_code == 0, done.output
     Path("log.toml").write_text('[log]\nreader = "my_reader:READER"\n', encoding="utf-8")
-    done = CliRunner().invoke(app, ["inspect", "drive.txy", "--config", "log.toml"])
+    done = command_line.replan("inspect", "drive.txy", "--config", "log.toml")
     assert done.exit_code == 0 and "t x y yaw, a line each" in done.output
     ego = replan.read_log(Path("drive.mcap")).ego
     assert ego.x[-1] - ego.x[0] == pytest.approx(29.0)
@@ -153,7 +153,7 @@ def test_installed_packages_give_names(desk: Path) -> None:
     assert list(result.failures["message"]) == [] and set(result.drives["planner"]) == {"held"}
     assert "width.max" in set(result.metrics["metric"])
     for group, (name, _) in NAMES.items():
-        listed = CliRunner().invoke(app, ["list", group])
+        listed = command_line.replan("list", group)
         assert f"{name}: " in listed.output, listed.output
 
 
@@ -364,46 +364,32 @@ def test_a_chart_that_fails_says_why_in_its_place(desk: Path, body: str, said: s
 def test_a_chart_that_fails_is_said_by_the_command_and_in_the_report_too(desk: Path) -> None:
     Path("my_broken.py").write_text("def chart(subject):\n    return 1 / 0\n", encoding="utf-8")
     words = "evaluate --suite my_family:PARKED -p constant_speed --mode closed --chart my_broken:chart --workers 0"
-    done = CliRunner(env={"COLUMNS": "200"}).invoke(app, [*words.split(), "--no-recording", "-o", "out"])
+    done = command_line.replan(*words.split(), "--no-recording", "-o", "out")
     said = "The chart my_broken:chart could not be drawn: ZeroDivisionError"
     assert said in done.output and "(2 of 2 drives)" in done.output
     assert "The chart my" in Path("out/report.md").read_text(encoding="utf-8")
-    again = CliRunner().invoke(app, ["report", "out"])
+    again = command_line.replan("report", "out")
     assert said in again.stderr and again.exit_code == 0
 
 
-@pytest.mark.parametrize("what", ["vehicle", "controller"])
-def test_what_raises_when_it_is_built_is_named_before_anything_is_driven(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "raises_when_built.py").write_text("def it(*_):\n    raise ValueError('no table')\n", encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    name = "raises_when_built:it"
-    run = RunConfig(loop=LoopConfig(**{what: name}))  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match=rf"{what} '{name}' cannot be built: ValueError: no table .*built\.py:2"):
-        checked(run)
+GAINS = """def it(*_, gain: float = 1.0):
+    if gain < 0:
+        raise ValueError("below")
+    return {}[gain]
+"""
 
 
-@pytest.mark.parametrize("what", ["traffic", "perception", "prediction"])
-def test_a_setting_that_is_refused_is_found_before_anything_is_driven(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    body = "def it(*_, gain: float = 1.0):\n    if gain < 0:\n        raise ValueError('below')\n    return {}[gain]\n"
-    (tmp_path / f"refuses_{what}.py").write_text(body, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    name = f"refuses_{what}:it"
-    run = RunConfig(loop=LoopConfig(**{what: name}), **{OF_LOOP[what].table: {name: {"gain": -1.0}}})  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match=rf"{what} '{name}' cannot be built: ValueError: below .*\.py:3"):
-        checked(run)
-
-
-@pytest.mark.parametrize("what", ["traffic", "perception", "prediction"])
-def test_what_a_built_in_log_lacks_is_no_fault_of_the_settings(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    body = "def it(*_, gain: float = 1.0):\n    return min(gain * car for car in ())\n"
-    (tmp_path / f"needs_{what}.py").write_text(body, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    name = f"needs_{what}:it"
-    run, failures = checked(RunConfig(loop=LoopConfig(**{what: name})))  # type: ignore[arg-type]
-    assert getattr(run.loop, what) == name and not failures
+@pytest.mark.parametrize("key", OF_LOOP)
+def test_what_cannot_be_built_is_named_before_anything_is_driven(desk: Path, key: str) -> None:
+    """With its settings; and with none, where it is built without a log, which may be what it lacks."""
+    Path("my_gains.py").write_text(GAINS, encoding="utf-8")
+    name = "my_gains:it"
+    refused = rf"{key} '{name}' cannot be built: (ValueError|KeyError): .*\(my_gains\.py:"
+    with pytest.raises(ConfigError, match=f"{refused}3"):
+        checked(replace(loop(**{key: name}), **{OF_LOOP[key].table: {name: {"gain": -1.0}}}))
+    if key in ("vehicle", "controller"):
+        with pytest.raises(ConfigError, match=f"{refused}4"):
+            checked(loop(**{key: name}))
+    else:
+        run, failures = checked(loop(**{key: name}))
+        assert getattr(run.loop, key) == name and not failures

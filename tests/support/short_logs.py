@@ -9,6 +9,7 @@ from pathlib import Path
 from handmade import drive, lanes_along, scenario, square, straight, track, tracks
 
 from logs import Goal, Scenario
+from logs.mcap import write_scenario
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results
 from replay.run import evaluate_logs
@@ -30,6 +31,14 @@ def free_and_blocked() -> tuple[Scenario, Scenario]:
     free = scenario(ego, road=lanes_along(ego), goal=Goal((square(27.0, 0.0, 4.0),)))
     wall = tracks(track("wall", [0.0], [24.0], [0.0], static=True))
     return replace(free, name="test/free"), replace(free, tracks=wall, name="test/blocked")
+
+
+def write_free_and_blocked(folder: Path) -> Path:
+    """`free.mcap` and `blocked.mcap`, in a folder that is made if needed; the folder."""
+    folder.mkdir(exist_ok=True)
+    for name, log in zip(("free", "blocked"), free_and_blocked(), strict=True):
+        write_scenario(folder / f"{name}.mcap", log)
+    return folder
 
 
 def run(logs: Path | Sequence[Path], out: Path, config: RunConfig = QUICK, **options: int) -> Results:

@@ -8,14 +8,13 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import replan
 
 from logs import LogError
 from logs.catalogue import CATALOGUE
 from logs.mcap import read_scenario, write_scenario, write_trace
 from logs.scenario import CENTRE, EGO_POSE
 from logs.vehicle import vehicle_parameters
-from replay.cli import app
 from replay.cli.export import commonroad_solution
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
@@ -76,10 +75,10 @@ def test_what_is_no_such_drive_is_refused(trace: Path, tmp_path: Path) -> None:
 
 def test_the_file_is_written_where_it_is_asked_for_or_the_place_is_named(trace: Path, tmp_path: Path) -> None:
     words = ["export", "commonroad-solution", str(trace), "-o"]
-    assert CliRunner().invoke(app, [*words, str(tmp_path / "new" / "solution.xml")]).exit_code == 0
+    assert replan(*words, tmp_path / "new" / "solution.xml").exit_code == 0
     assert (tmp_path / "new" / "solution.xml").read_text(encoding="utf-8").startswith("<?xml")
     (tmp_path / "file").touch()
-    result = CliRunner().invoke(app, [*words, str(tmp_path / "file" / "solution.xml")])
+    result = replan(*words, tmp_path / "file" / "solution.xml")
     assert result.exit_code == 3
     assert "solution.xml: cannot be written" in result.stderr
 
@@ -89,10 +88,8 @@ def test_a_run_is_written_whole_and_other_logs_are_named(tmp_path: Path) -> None
     write_scenario(tmp_path / "a.mcap", replace(made, name="ZAM_Made-1_1_T-1", metadata=SAID).in_vehicle(BMW))
     write_scenario(tmp_path / "b.mcap", replace(CATALOGUE["paper/free_road"].scenario(), name="mine"))
     words = ["-p", "constant_speed", "--no-recording", "--no-report", "--workers", "0", "-o", str(tmp_path / "run")]
-    CliRunner().invoke(app, ["evaluate", str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap"), *words])
-    said = CliRunner().invoke(
-        app, ["export", "commonroad-solution", str(tmp_path / "run"), "-o", str(tmp_path / "new")]
-    )
+    replan("evaluate", tmp_path / "a.mcap", tmp_path / "b.mcap", *words)
+    said = replan("export", "commonroad-solution", tmp_path / "run", "-o", tmp_path / "new")
     assert said.exit_code == 0 and "skipped" in said.stderr and "mine" in said.stderr
     (file,) = (tmp_path / "new").iterdir()
     assert file.name == "ZAM_Made-1_1_T-1.xml" and "KS2:JB1:ZAM_Made" in file.read_text(encoding="utf-8")

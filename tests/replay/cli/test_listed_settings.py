@@ -1,8 +1,8 @@
 """`replan list NAME`: every setting has a key that --set takes, a default, a unit and a meaning, all from the code."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from command_line import one_error, replan
@@ -130,10 +130,8 @@ def test_units_are_the_last_part_of_a_name() -> None:
     assert {name: unit(name) for name in names} == names
 
 
-def test_a_part_of_a_user_is_described_by_its_kind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "listed_mine.py").write_text(MINE, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
+def test_a_part_of_a_user_is_described_by_its_kind(module: Callable[[str, str], str]) -> None:
+    module("listed_mine", MINE)
     (mine,) = described("listed_mine:Mine")
     assert (mine.kind, mine.says) == ("planners", "Mine.") and mine.settings is not None
     gap, share = mine.settings

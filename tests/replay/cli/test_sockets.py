@@ -14,10 +14,10 @@ import time
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from command_line import replan
+from process_tree import descendants
 
 from logs.mcap import read_scenario
-from replay.cli import app
 from replay.draw.recording import write_log_recording
 from replay.draw.recording.pictures import environment
 
@@ -35,24 +35,10 @@ main()
 """
 
 
-def tree(pid: int) -> set[int]:
-    """A process and all that come of it."""
-    parents = {}
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            parents[int(entry.name)] = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-        except (OSError, IndexError):
-            continue
-    found = {pid}
-    while more := {child for child, parent in parents.items() if parent in found} - found:
-        found |= more
-    return found
-
-
 def sockets(pid: int) -> set[tuple[str, str, str]]:
     """Local and remote address and state of all of a tree's internet sockets, as /proc has them."""
     inodes = set()
-    for one in tree(pid):
+    for one in {pid, *descendants(pid)}:
         for file in Path(f"/proc/{one}/fd").glob("*"):
             try:
                 inodes.add(str(file.readlink()).removeprefix("socket:[").removesuffix("]"))
@@ -222,7 +208,7 @@ def test_the_viewer_listens_on_this_machine_only_and_has_no_analytics(logs: Path
             seen |= sockets(process.pid)
             time.sleep(0.05)
         assert {one[0] for one in seen if one[2] == "0A"} and not abroad(seen), seen
-        again = CliRunner().invoke(app, words)
+        again = replan(*words)
         assert again.exit_code == 2 and f"port {port} is in use" in again.stderr
     finally:
         os.killpg(process.pid, signal.SIGTERM)
@@ -234,5 +220,5 @@ def test_no_display_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
     (tmp_path / "log.rrd").touch()
-    done = CliRunner().invoke(app, ["view", str(tmp_path / "log.rrd")])
+    done = replan("view", tmp_path / "log.rrd")
     assert done.exit_code == 3 and "there is no display here" in done.stderr and "--web" in done.stderr

@@ -160,9 +160,8 @@ def test_another_planner_is_given_the_frame_alone(results: Results) -> None:
 
 def test_the_command_reports_stages_sizes_and_residuals(results: Results, tmp_path: Path) -> None:
     file = tmp_path / "frame.msgpack"
-    asked = replan("frame", results.path, "--of", "dp_qp", "--at", 6.5, "--dump", file)
+    asked = replan("frame", results.path, "-p", "dp_qp", "--at", 6.5, "--dump", file)
     said = asked.stdout
-    assert asked.stderr == "hint: --of is now --planner; the old option goes with the next version\n"
     wanted = ("the one in the results, to the bit", "path QP: ", " unknowns, ", "residuals", "stages [ms", str(file))
     assert all(words in said for words in wanted)
     unknown = replan("frame", results.path, "-p", "idm", "--at", 6.5, "--with", "nix")

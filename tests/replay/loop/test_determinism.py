@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -46,11 +47,10 @@ class Failing(ConstantSpeed):
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    (tmp_path / "dealt.py").write_text(PLANNERS, encoding="utf-8")
+def here(tmp_path: Path, module: Callable[[str, str], str], monkeypatch: pytest.MonkeyPatch) -> Path:
+    module("dealt", PLANNERS)
     write_scenario(tmp_path / "a.mcap", short("test/a"))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
     return tmp_path
 
 

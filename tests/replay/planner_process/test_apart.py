@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -14,6 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 from handmade import drive, lanes_along, scenario, straight, track, tracks
+from process_tree import are_gone, descendants, started
 from worlds import perceive
 
 from logs import ConfigError, EndReason, Goal, PlannerContext, PlannerError, Scenario, Trace
@@ -47,6 +46,12 @@ def short_log() -> Scenario:
 
 def ended(planner: str, config: LoopConfig = SHORT) -> Trace:
     return run_open_loop(short_log(), planner, config=config).trace
+
+
+def nothing_is_left() -> bool:
+    """Whether all that the launcher has started is gone; zombies count."""
+    launcher = _warm["launcher"]._process.pid
+    return are_gone(descendants(launcher)) and not descendants(launcher)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +106,7 @@ def test_a_bad_planner_ends_its_own_drive_with_one_line(name: str) -> None:
     assert trace.end is EndReason.PLANNER_FAILURE and len(trace.frames) == 5
     assert trace.detail.startswith(f"planner 'bad_planners:{name}' on handmade {SAID[name]}"), trace.detail
     assert trace.detail.isprintable() and len(trace.detail) < 1500
-    assert not children(), "nothing is left of it"
+    assert nothing_is_left()
 
 
 def test_the_time_to_read_an_answer_counts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,7 +126,7 @@ def test_the_time_to_read_an_answer_counts(monkeypatch: pytest.MonkeyPatch) -> N
 def test_what_is_only_odd_is_driven_and_judged(name: str) -> None:
     trace = ended(f"bad_planners:{name}", LoopConfig())
     assert (trace.end, trace.detail, len(trace.frames)) == (EndReason.END_OF_LOG, "", 11)
-    assert not children()
+    assert nothing_is_left()
 
 
 @pytest.mark.parametrize(
@@ -146,12 +151,9 @@ def test_processes_in_sessions_of_their_own_end_with_the_drive(name: str, within
     trace = ended(f"bad_planners:{name}", LoopConfig(apart=PlannerProcessConfig()))
     set_template_run("")
     assert len(trace.frames) == (11 if name == "Detaches" else 5), trace.detail
-    pids, until = (folder / "detached").read_text().split(), time.monotonic() + 5.0
-    assert len(pids) == 2
-    while any(Path("/proc", pid).exists() for pid in pids) and time.monotonic() < until:
-        time.sleep(0.01)
-    assert not [pid for pid in pids if Path("/proc", pid).exists()]
-    assert not children()
+    pids = (folder / "detached").read_text().split()
+    assert len(pids) == 2 and are_gone(pids)
+    assert nothing_is_left()
 
 
 def test_who_peeps_finds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -233,42 +235,15 @@ def test_control_characters_do_not_reach_the_terminal() -> None:
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_run_that_ends_takes_a_planner_along_that_hangs(tmp_path: Path, how: signal.Signals, workers: str) -> None:
     write_scenario(tmp_path / "log.mcap", short_log())
-    command = [sys.executable, "-P", "-c", "from replay.cli import main; main()", "evaluate", "log.mcap"]
-    options = ["-p", "bad_planners:Hangs", "--set", "loop.apart.plan_timeout_s=1000", "--workers", workers, "-o", "out"]
-    places = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    with subprocess.Popen([*command, *options], cwd=tmp_path, env=places, stderr=subprocess.PIPE) as run:
+    words = "evaluate log.mcap -p bad_planners:Hangs --set loop.apart.plan_timeout_s=1000 -o out --workers"
+    with started(*words.split(), workers, cwd=tmp_path) as run:
         while not (tmp_path / "hangs").exists():
             assert run.poll() is None
             time.sleep(0.05)
         run.send_signal(how)
         run.communicate(timeout=60.0)
     assert run.returncode == (-9 if how is signal.SIGKILL else 130)
-    pids, until = (tmp_path / "hangs").read_text(encoding="utf-8").split(), time.monotonic() + 10.0
-    while any(Path("/proc", pid).exists() for pid in pids) and time.monotonic() < until:
-        time.sleep(0.05)
-    assert not [pid for pid in pids if Path("/proc", pid).exists()]
-
-
-def children() -> list[str]:
-    """What the launcher has started and is still there after a while; zombies count."""
-    launcher, until = _warm["launcher"]._process.pid, time.monotonic() + 5.0
-    while found := _descendants(launcher):
-        if time.monotonic() > until:
-            break
-        time.sleep(0.01)
-    return found
-
-
-def _descendants(pid: int) -> list[str]:
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            words = (folder / "stat").read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if words[1] == str(pid):
-            found += [folder.name, *_descendants(int(folder.name))]
-    return found
+    assert are_gone((tmp_path / "hangs").read_text(encoding="utf-8").split())
 
 
 def test_a_goal_with_alternatives_reaches_the_planner_and_one_without_is_as_before() -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from textwrap import dedent
 
 import pytest
+from process_tree import are_gone
 from short_logs import short
 
 from logs import EndReason, PlannerError, Trace
@@ -234,7 +235,4 @@ def test_a_worker_that_is_killed_takes_its_templates_along() -> None:
     ended = subprocess.run([sys.executable, "-P", "-c", dedent(code)], env=places, capture_output=True, text=True)
     pids = [ended.stdout.strip(), Path("template").read_text(encoding="utf-8")]
     assert ended.returncode == -9 and loads("orphans") == 1
-    until = time.monotonic() + 10.0
-    while any(Path("/proc", pid).exists() for pid in pids) and time.monotonic() < until:
-        time.sleep(0.02)
-    assert not [pid for pid in pids if Path("/proc", pid).exists()]
+    assert are_gone(pids)

@@ -16,10 +16,9 @@ from command_line import one_error, replan
 from edited import edit
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from short_logs import free_and_blocked
+from short_logs import write_free_and_blocked
 
 from logs.errors import ConfigError
-from logs.mcap import write_scenario
 from replay.compare import BASELINE
 from replay.draw.drawn_results import load
 from replay.mine.mine import read_mined
@@ -47,9 +46,7 @@ COMMANDS = {
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of two logs, its baseline, and the logs mined."""
     place = tmp_path_factory.mktemp("results")
-    (place / "logs").mkdir()
-    for name, log in zip(("free", "blocked"), free_and_blocked(), strict=True):
-        write_scenario(place / "logs" / f"{name}.mcap", log)
+    write_free_and_blocked(place / "logs")
     quick = ("-p", "constant_speed", "--workers", 0, "--no-recording")
     replan("evaluate", place / "logs", *quick, "-o", place / "run")
     replan("baseline", place / "run", "-o", place / "baseline.parquet")

@@ -13,8 +13,8 @@ from short_logs import QUICK, short
 from logs.mcap import write_scenario
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results
-from replay.results.reading import VERSION_KEY, read_table
-from replay.results.schema import _TYPES, FRAMES, SCHEMA_VERSION, TABLES, arrow, markdown
+from replay.results.reading import read_table
+from replay.results.schema import FRAMES, METADATA, TABLES, arrow, arrow_schema, markdown
 from replay.results.tables import TABLES as FILES
 from replay.run import evaluate_logs
 
@@ -48,12 +48,13 @@ def test_every_parquet_file_has_its_columns_and_types_also_without_rows(result: 
     assert {file.name for file in found} == TABLES.keys() - mined - (set() if any(result.logs["folder"]) else inside)
     for file in found:
         schema = pq.read_schema(file)
-        expected = {column.name: _TYPES[column.kind] for column in TABLES[file.name].columns}
+        known = arrow_schema(file.name)
+        expected = dict(zip(known.names, known.types, strict=True))
         if file.parent != result.path:
             expected.pop("schema_version", None)
         assert dict(zip(schema.names, schema.types, strict=True)) == expected, file
         assert list(expected) == schema.names
-        assert schema.metadata[b"replan_schema_version"] == str(SCHEMA_VERSION).encode()
+        assert schema.metadata == {key.encode(): value.encode() for key, value in METADATA.items()}
     csv = pd.read_csv(result.path / "metrics.csv")
     assert list(csv.columns) == [column.name for column in TABLES["metrics.parquet"].columns]
 
@@ -90,8 +91,7 @@ def test_files_of_before_a_column_are_read_with_its_value_of_then(name: str, tmp
     values = {"text": "a", "number": 1.0, "count": 1, "yes/no": True, "list": ["a"], "mode": "open", "outcome": "pass"}
     row = {column.name: [values.get(column.name, values[column.kind])] * 2 for column in TABLES[name].columns}
     table, newer = arrow(name, pd.DataFrame(row)), NEWER[name]
-    metadata = {VERSION_KEY: str(SCHEMA_VERSION)}
-    pq.write_table(table.drop_columns([c.name for c in newer]).replace_schema_metadata(metadata), tmp_path / name)
+    pq.write_table(table.drop_columns([c.name for c in newer]).replace_schema_metadata(METADATA), tmp_path / name)
     found = read_table(tmp_path / name)
     assert found.schema.names == table.schema.names and found.schema.types == table.schema.types
     for column in newer:

@@ -11,16 +11,18 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
+from process_tree import started
 from short_logs import identical, short
 
 from logs.mcap import write_scenario
 
 SEED = 5
 BLOWS = ("worker", "run", "interrupt", "disk", "worker", "run", "interrupt")
-COMMAND = (sys.executable, "-m", "replan", "evaluate", "logs", "-p", "constant_speed", "-p", "idm", "--workers", "2")
+COMMAND = ("evaluate", "logs", "-p", "constant_speed", "-p", "idm", "--workers", "2")
 TABLES = ("metrics.parquet", "metrics.csv", "verdicts.parquet", "groups.parquet", "health.parquet", "junit.xml")
 pytestmark = [
     pytest.mark.slow,
@@ -43,13 +45,10 @@ def here(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def started(here: Path, *words: str, room: int = resource.RLIM_INFINITY) -> subprocess.Popen[str]:
-    """A run in a process group of its own, on a disk with so much room for a file."""
-    return subprocess.Popen(
-        [*COMMAND, *words], cwd=here, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY)),
-    )  # fmt: skip
+def begun(here: Path, *words: str, room: int = resource.RLIM_INFINITY) -> subprocess.Popen[str]:
+    """A run on a disk with so much room for a file."""
+    limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+    return started(*COMMAND, *words, cwd=here, preexec_fn=limit)
 
 
 def workers_of(pid: int) -> list[int]:
@@ -62,7 +61,7 @@ def workers_of(pid: int) -> list[int]:
 
 def disturbed(here: Path, what: str, rng: random.Random) -> tuple[int, str]:
     """One attempt to end the run, and how it ended: exit code and errors."""
-    run = started(here, "--out", "out", "--resume", room=rng.randrange(500, 40_000) if what == "disk" else -1)
+    run = begun(here, "--out", "out", "--resume", room=rng.randrange(500, 40_000) if what == "disk" else -1)
     ends = time.monotonic() + rng.uniform(0.5, 8.0)
     while what in ("worker", "run", "interrupt") and run.poll() is None and time.monotonic() < ends:
         time.sleep(0.02)
@@ -79,7 +78,7 @@ def disturbed(here: Path, what: str, rng: random.Random) -> tuple[int, str]:
 
 
 def test_whatever_is_killed_or_full_the_tables_are_those_of_an_undisturbed_run(here: Path) -> None:
-    calm = started(here, "--out", "calm")
+    calm = begun(here, "--out", "calm")
     _, errors = calm.communicate(timeout=300)
     assert calm.returncode == 3 and errors.count("\nerror:") == 3, errors  # the three damaged logs
     rng = random.Random(SEED)
@@ -88,7 +87,7 @@ def test_whatever_is_killed_or_full_the_tables_are_those_of_an_undisturbed_run(h
         assert "Traceback" not in errors, errors
         assert code in {"run": (-9, 3), "interrupt": (130, 3)}.get(what, (3,)), (what, code, errors)
         assert not list((here / "out").glob("*/.partial-*")), what
-    last = started(here, "--out", "out", "--resume")
+    last = begun(here, "--out", "out", "--resume")
     _, errors = last.communicate(timeout=300)
     assert last.returncode == 3, errors
     assert identical(here / "calm", here / "out")

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from command_line import one_error, replan
 from full_disk import room
-from short_logs import free_and_blocked, short
+from short_logs import short, write_free_and_blocked
 
 from logs.errors import OutputError
 from logs.mcap import read_scenario, write_scenario
@@ -85,10 +85,8 @@ RUN = [*(name for name in CLAIMED if name not in ("diagnose", "falsify", "tune")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two logs, a run of both, a shard of it, and both mined."""
     place = tmp_path_factory.mktemp("claim")
-    (place / "logs").mkdir()
-    for name, log in zip(("free", "blocked"), free_and_blocked(), strict=True):
-        write_scenario(place / f"{name}.mcap", log)
-        shutil.copy(place / f"{name}.mcap", place / "logs")
+    for folder in (place, place / "logs"):
+        write_free_and_blocked(folder)
     (place / "space.toml").write_text("[planner.idm]\ntime_gap_s = { low = 1.0, high = 2.0 }\n", encoding="utf-8")
     quick = ("-p", "constant_speed", "--workers", 0, "--no-recording")
     replan("evaluate", place / "logs", *quick, "-o", place / "run")

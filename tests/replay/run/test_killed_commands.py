@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import shlex
 import shutil
@@ -13,9 +12,8 @@ import time
 from pathlib import Path
 
 import pytest
-from short_logs import free_and_blocked
-
-from logs.mcap import write_scenario
+from process_tree import started
+from short_logs import write_free_and_blocked
 
 pytestmark = [
     pytest.mark.slow,
@@ -39,17 +37,9 @@ CLOCKS = ("timings.parquet", "summary.json", ".rrd", "report.html", "report.md")
 SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM)
 
 
-def started(place: Path, words: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "replan", *shlex.split(words)], cwd=place, text=True, start_new_session=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[3]), *sys.path])},
-    )  # fmt: skip
-
-
 def finished(place: Path, words: str) -> tuple[int, str]:
     """Exit code and errors; a command that cannot be resumed, because nothing was begun, is started anew."""
-    run = started(place, words)
+    run = started(*shlex.split(words), cwd=place)
     errors = run.communicate(timeout=300)[1]
     if run.returncode == 2 and "no study to resume" in errors:
         return finished(place, words.removesuffix(" --resume"))
@@ -79,9 +69,7 @@ def processes_of(session: int) -> list[int]:
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("killed")
-    (place / "logs").mkdir()
-    for name, log in zip(("free", "blocked"), free_and_blocked(), strict=True):
-        write_scenario(place / "logs" / f"{name}.mcap", log)
+    write_free_and_blocked(place / "logs")
     (place / "always.py").write_text(ALWAYS, encoding="utf-8")
     for words in (
         "evaluate logs -p constant_speed --workers 0 --no-recording -o run",
@@ -103,7 +91,7 @@ def cleared(place: Path) -> None:
 
 def strike(place: Path, words: str, rng: random.Random, whole_s: float) -> None:
     """End a command at a random time by a random signal; it leaves no process, and no line that speaks of a bug."""
-    run, number = started(place, words), rng.choice(SIGNALS)
+    run, number = started(*shlex.split(words), cwd=place), rng.choice(SIGNALS)
     try:
         run.wait(rng.uniform(0.3, whole_s))
     except subprocess.TimeoutExpired:

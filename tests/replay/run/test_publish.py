@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import CliRunner, app
+from command_line import replan
 from short_logs import short
 
 from logs.errors import ConfigError
@@ -74,7 +74,7 @@ def test_logs_in_the_place_of_the_results_are_refused(store: Any, tmp_path: Path
     write_scenario(tmp_path / "log.mcap", short("test/a"))
     store.put(str(tmp_path / "log.mcap"), "/fleet/out/a-1/log.mcap")
     words = ["evaluate", f"{OUT}/a-1/log.mcap", "-p", "constant_speed", "--workers", "0", "-o", OUT]
-    refused = CliRunner().invoke(app, words)
+    refused = replan(*words)
     assert refused.exit_code == 2
     assert f"error: {OUT}/a-1/log.mcap: lies in the results {OUT}, which are replaced" in refused.stderr
     assert there(store).keys() == {*BEFORE, "a-1/log.mcap"}
@@ -85,5 +85,5 @@ def test_what_is_said_of_results_names_their_url(store: Any, tmp_path: Path) -> 
         load(OUT)
     write_scenario(tmp_path / "log.mcap", short("test/a"))
     words = ["evaluate", str(tmp_path / "log.mcap"), "-p", "constant_speed", "--workers", "0", "--no-recording"]
-    done = CliRunner().invoke(app, [*words, "--set", "internals=none", "--no-report", "--json", "-o", OUT])
+    done = replan(*words, "--set", "internals=none", "--no-report", "--json", "-o", OUT)
     assert json.loads(done.stdout)["results"] == OUT

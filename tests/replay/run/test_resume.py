@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from command_line import evaluate
+from process_tree import are_gone, started
 from short_logs import QUICK, identical, short
 
 from logs import ConfigError
@@ -59,26 +59,14 @@ def resumed(logs: Path | Sequence[Path], out: Path, config: RunConfig = CONFIG, 
 def interrupted(logs: Path, folder: Path, stop: signal.Signals, workers: int) -> subprocess.CompletedProcess[str]:
     """A run of the command line that is stopped while it waits in the middle log; its results are in `out`."""
     planners = [word for name in CONFIG.planners for word in ("-p", name)]
-    words = ["evaluate", str(logs), *planners, "--no-recording", "-o", "out", "--workers", str(workers)]
-    command = [sys.executable, "-c", "from replay.cli import main; main()", *words]
-    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}  # the code of this test, as it is stamped
-    process = subprocess.Popen(command, cwd=folder, env=env, stderr=subprocess.PIPE, text=True)
+    words = ["evaluate", logs, *planners, "--no-recording", "-o", "out", "--workers", workers]
+    process = started(*words, cwd=folder)
     while not (folder / "waiting").exists():
         assert process.poll() is None, process.communicate()
         time.sleep(0.05)
     process.send_signal(stop)
     _, said = process.communicate(timeout=120)
-    return subprocess.CompletedProcess(command, process.returncode, "", said)
-
-
-def is_gone(pid: int) -> bool:
-    for _ in range(100):
-        try:
-            os.kill(pid, 0)
-        except ProcessLookupError:
-            return True
-        time.sleep(0.05)
-    return False
+    return subprocess.CompletedProcess(words, process.returncode, "", said)
 
 
 @pytest.mark.slow
@@ -93,7 +81,7 @@ def test_a_resumed_run_gives_the_bytes_of_one_that_was_never_interrupted(
     done = {path: path.stat().st_mtime_ns for path in out.glob("[!.]*/*")}
     assert done
     assert not list(out.glob("metrics.*"))
-    assert is_gone(int((patient / "waiting").read_text())), "no worker goes on writing"
+    assert are_gone([(patient / "waiting").read_text()]), "no worker goes on writing"
     if stop is signal.SIGKILL:
         assert ended.returncode == -signal.SIGKILL
     else:

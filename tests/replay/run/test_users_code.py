@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from command_line import evaluate, one_error
 from short_logs import QUICK, run
@@ -49,27 +50,24 @@ BAD = {
 }  # fmt: skip
 
 
-@pytest.fixture
-def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], str]:
-    """Writes a module of the user's that can be imported; its name."""
-    monkeypatch.syspath_prepend(str(tmp_path))
-
-    def written(name: str, text: str) -> str:
-        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
-        return name
-
-    return written
+@pytest.fixture(scope="module")
+def without(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+    """The metrics of a run with the sound metric alone."""
+    folder = tmp_path_factory.mktemp("without")
+    (folder / "mine_sound.py").write_text(HEAD, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        return run(logs / "a.mcap", folder / "out", replace(QUICK, mode="open", metrics=("mine_sound:SOUND",))).metrics
 
 
 @pytest.mark.parametrize("bad", BAD)
 def test_a_metric_that_fails_costs_itself_only(
-    logs: Path, tmp_path: Path, module: Callable[[str, str], str], bad: str
+    logs: Path, without: pd.DataFrame, tmp_path: Path, module: Callable[[str, str], str], bad: str
 ) -> None:
     body = f"{HEAD}\n{BAD[bad]}\n"
     last = "metric('bad', ok, (MAX, Reduction('odd', bad)))" if "def ok" in body else "metric('bad', bad)"
     name = module(f"mine_{bad}", f"{body}\nBAD = {last}\n")
     config = replace(QUICK, mode="open", metrics=(f"{name}:BAD", f"{name}:SOUND"))
-    without = run(logs / "a.mcap", tmp_path / "without", replace(config, metrics=(f"{name}:SOUND",))).metrics
     found = run(logs / "a.mcap", tmp_path / "with", config)
     theirs = found.metrics["metric"].str.startswith("bad")
     assert found.metrics[~theirs].reset_index(drop=True).equals(without)
@@ -146,33 +144,3 @@ def test_the_command_line_says_it_in_a_line(logs: Path, tmp_path: Path, module: 
     done = evaluate(logs / "a.mcap", "--metric", f"{name}:BAD", "--mode", "open", "-o", tmp_path / "out")
     assert done.exit_code == 3
     assert "error: test/a: the metric 'bad' is not available: ZeroDivisionError: division by zero" in one_error(done)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("--set loop.plant.foo=1", "no key is called 'foo'"),
-        ("--set loop.plant.mass=heavy", "expected a number"),
-        ("--set loop.plant.mass=-1", "mass must be positive"),
-        ("--config table.toml", "planner.dp_qp"),
-        ("-p needy:Needy", "missing a required argument: 'path'"),
-        ("--gates rule.toml", "no metric has this name"),
-    ],
-)
-def test_what_is_wrong_with_a_configuration_is_said_before_anything_is_driven(
-    logs: Path,
-    tmp_path: Path,
-    module: Callable[[str, str], str],
-    words: str,
-    said: str,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    module("needy", "class Needy:\n    def __init__(self, context, *, path): ...\n    def plan(self, frame): ...\n")
-    Path("table.toml").write_text('[planner.dp_qp]\nhorizon = "far"\n', encoding="utf-8")  # of a planner not driven
-    Path("rule.toml").write_text('[[gate]]\nmetric = "gapp.min"\nmin = 1\n', encoding="utf-8")
-    planner = "--planner constant_speed --mode closed -o out"
-    done = evaluate(logs / "a.mcap", *planner.split(), *words.split())
-    assert done.exit_code == 2, done.output
-    assert said in done.stderr
-    assert not Path("out").exists()

@@ -25,7 +25,7 @@ from logs.mcap import write_scenario
 from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Mode, PlannedFrame
-from replay.config import RunConfig, dump_run
+from replay.config import RunConfig
 from replay.draw.drawn_results import DriveResult, Results, load
 from replay.experiments.changes import ChangedRun, TriedChange, cause_of, changed_runs, driven
 from replay.experiments.drives import DrivenLogs, as_driven, drive_again, failed_gates, parting, passes, worsens
@@ -42,16 +42,14 @@ from replay.experiments.failure import (
 from replay.experiments.findings import AS_IT_WAS, Diagnosis, Found
 from replay.experiments.remedy import Remedy, smallest_change
 from replay.experiments.space import Setting, Value, shown, with_values
-from replay.experiments.trial import MODE
+from replay.experiments.trial import MODE, scratch_folder
 from replay.explain.causes import accounts
 from replay.explain.explanation import Explanation
 from replay.results.load import named_logs
-from replay.results.tables import PARTIAL
 from replay.run.claim import FolderContents, claimed_folder
 from replay.run.output import scenario_of
 from replay.run.perturb import PERTURBATIONS, perturbed
-from replay.run.resume import stamp_of
-from replay.run.study import Study
+from replay.run.study import Study, study_head
 
 KIND = "diagnose"
 CONTENTS = FolderContents(KIND, ("diagnosis.*", "changes.csv", "changes", "logs"))
@@ -89,13 +87,13 @@ class DiagnosisQuestion:
 
     def head(self) -> dict[str, Any]:
         """The inputs that identify a diagnosis."""
-        stamp = stamp_of(self.run)
         logs = self.results.logs[self.results.logs["log"].isin(self.failing())]
-        return {
-            "study": KIND, "replan": stamp.replan, "code": stamp.code[:12], "planner": self.planner,
-            "logs": sorted(zip(logs["log"], logs["sha256"], strict=True)), "run": dump_run(self.run),
+        inputs = {
+            "planner": self.planner,
+            "logs": sorted(zip(logs["log"], logs["sha256"], strict=True)),
             "changes": [asdict(change) for change in self.changes],
-        }  # fmt: skip
+        }
+        return study_head(KIND, self.run, inputs)
 
 
 def question(
@@ -241,27 +239,22 @@ class _DiagnosisDrives:
 
     def drive(self, run: ChangedRun) -> dict[str, Any]:
         """Drive the failing drives with a change, and return the results by log, which are also kept in `answers`."""
-        known = self._study.known(run.change.name)
-        if known is None:
-            files, place = [self.files[name] for name in self.failing], self._out / "changes" / run.change.name
-            made = drive_again(files, run.run, self._asked.planner, place, workers=self._workers)
-            answers: dict[str, dict[str, Any]] = {}
-            for name, file in zip(self.failing, files, strict=True):
-                base, rows = self._base_rows[name], made.of(file)
-                row = {
-                    "passes": self._mended(name, made),
-                    "gates": list(failed_gates(rows)),
-                    "end": made.ended(file),
-                }
-                answers[name] = {**row, "parts": {}}
-                if row["passes"]:
-                    was, now, until = self._drive_of(name), made.drive(file), base["time_s"]
-                    difference = DriveDifference.of(was.trace, now.trace, inf if until is None else until)
-                    answers[name] = {**row, "parts": parting(was, now), "difference": asdict(difference)}
-            known = {"key": run.change.name, "drives": answers}
-            self._study.add([known])
-        self.answers[run.change.name] = known["drives"]
+        row = self._study.row(run.change.name, lambda: {"drives": self._drive_failing(run)})
+        self.answers[run.change.name] = row["drives"]
         return self.answers[run.change.name]
+
+    def _drive_failing(self, run: ChangedRun) -> dict[str, dict[str, Any]]:
+        files, place = [self.files[name] for name in self.failing], self._out / "changes" / run.change.name
+        made = drive_again(files, run.run, self._asked.planner, place, workers=self._workers)
+        answers: dict[str, dict[str, Any]] = {}
+        for name, file in zip(self.failing, files, strict=True):
+            answer = {"passes": self._mended(name, made), "gates": list(failed_gates(made.of(file)))}
+            answers[name] = {**answer, "end": made.ended(file), "parts": {}}
+            if answer["passes"]:
+                was, now, until = self._drive_of(name), made.drive(file), self._base_rows[name]["time_s"]
+                difference = DriveDifference.of(was.trace, now.trace, inf if until is None else until)
+                answers[name].update(parts=parting(was, now), difference=asdict(difference))
+        return answers
 
     def _mended(self, name: str, made: DrivenLogs) -> bool:
         """Whether a failing drive passes with a change, and no peak is worse."""
@@ -307,15 +300,7 @@ class _DiagnosisDrives:
 
     def remedy(self, name: str, settings: Sequence[Setting], say: Callable[[str], None]) -> Remedy:
         """The smallest change of a setting with which a drive passes, and its effect on the other drives."""
-        file, scratch = self.files[name], self._out / f"{PARTIAL}remedy"
-
-        def known(key: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-            """The row of the study; made if it does not exist."""
-            row = self._study.known(key)
-            if row is None:
-                row = {"key": key, **make()}
-                self._study.add([row])
-            return row
+        file = self.files[name]
 
         def drives(setting: Setting, value: Value, files: Sequence[Path]) -> DrivenLogs:
             shutil.rmtree(scratch, ignore_errors=True)
@@ -324,7 +309,7 @@ class _DiagnosisDrives:
 
         def mends(setting: Setting, value: Value) -> bool:
             key = f"{name}: {setting.key} = {value!r}"
-            row = known(key, lambda: {"passes": self._mended(name, drives(setting, value, [file]))})
+            row = self._study.row(key, lambda: {"passes": self._mended(name, drives(setting, value, [file]))})
             say(f"{name}: {'passes' if row['passes'] else 'fails'} with {setting.key} = {shown(value)}")
             return bool(row["passes"])
 
@@ -347,14 +332,12 @@ class _DiagnosisDrives:
             broken = [log for log in lost if log not in self.failing]
             return {"mended": sorted(mended), "broken": sorted(broken), "drives": len(files)}
 
-        try:
+        with scratch_folder(self._out, "remedy") as scratch:
             found = smallest_change(settings, mends)
             if found is None:
                 return Remedy(name)
             setting, value, u = found
-            row = known(f"all logs: {setting.key} = {value!r}", lambda: everywhere(setting, value))
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
+            row = self._study.row(f"all logs: {setting.key} = {value!r}", lambda: everywhere(setting, value))
         mended, broken = tuple(row["mended"]), tuple(row["broken"])
         return Remedy(name, setting.key, setting.default, value, u, mended, broken, row["drives"])
 

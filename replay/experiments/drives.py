@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from metrics.judge.verdicts import with_asked
 from metrics.metric import Direction
 from replay.config import RunConfig
 from replay.draw.drawn_results import DriveResult, Results
-from replay.experiments.trial import MODE, careful_of
+from replay.experiments.trial import MODE, Trial
 from replay.explain.first_difference import first_difference, planners_part
 from replay.run.evaluate import evaluate_logs
 from replay.run.judging import gates_of
@@ -68,6 +69,10 @@ class DrivenLogs:
         logs = set(self.results.drives["log"])
         return {file for file, name in self.names.items() if name in logs}
 
+    def trial(self, file: Path) -> Trial:
+        """The trial of a log's file."""
+        return Trial(self.results, self.names[file.name], self.planner)
+
     def drive(self, file: Path) -> DriveResult:
         """The drive of a log's file; ConfigError if there is none."""
         return self.results.drive(self.names[file.name], self.planner, MODE)
@@ -86,14 +91,12 @@ class DrivenLogs:
     def peaks(self, file: Path, gates: Sequence[str]) -> dict[str, float]:
         """The extreme values of the metrics of some gates, those whose excess is worse: `PEAKS`, by name."""
         words = {self.gates[gate].metric.partition(".")[0] for gate in gates}
-        rows = self.drive(file).metrics
-        known = rows[rows["available"] & np.isfinite(rows["value"])]
         found = {}
-        for name, value in zip(known["metric"], known["value"], strict=True):
+        for name, value in self.trial(file).values().items():
             word, _, reduction = name.partition(".")
-            metric = METRICS.get(word)
-            if word in words and metric is not None and PEAKS.get(reduction, metric.direction) != metric.direction:
-                found[str(name)] = float(value)
+            metric = METRICS.get(word) if word in words and isfinite(value) else None
+            if metric is not None and PEAKS.get(reduction, metric.direction) != metric.direction:
+                found[name] = value
         return found
 
     def about(self, file: Path, metric: str) -> str:
@@ -104,10 +107,7 @@ class DrivenLogs:
 
     def avoidable(self, file: Path) -> bool:
         """Whether the careful driver of UN R157 avoids the drive's contact, or there is none."""
-        rows = self.drive(file).metrics
-        known = rows[rows["available"]]
-        values = dict(zip(known["metric"], known["value"].astype(float), strict=True))
-        return careful_of(values) is not Avoidability.UNAVOIDABLE
+        return self.trial(file).careful is not Avoidability.UNAVOIDABLE
 
 
 def drive_again(files: Sequence[Path], run: RunConfig, planner: str, out: Path, *, workers: int) -> DrivenLogs:

@@ -45,20 +45,19 @@ from logs.references import Avoidability
 from metrics import METRICS
 from metrics.judge import CAREFUL
 from metrics.judge.gates import Gate, Outcome
-from replay.config import RunConfig, dump_run
+from replay.config import RunConfig
 from replay.draw.report.figures import save
 from replay.experiments.experiment_figures import falsify_figure
 from replay.experiments.mildest import Mildest, Point, ScoredPoint, cma_class, norm, search
 from replay.experiments.search_subject import SearchAxis, SearchSubject, box_of, values_at
-from replay.experiments.trial import QUIET, Trial, closed, drive_made, one_planner, write_table
-from replay.results.tables import PARTIAL, write_json
+from replay.experiments.trial import QUIET, Trial, closed, drive_made, one_planner, scratch_folder, write_table
+from replay.results.tables import write_json
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
 from replay.run.checks import checked
 from replay.run.claim import FolderContents, claimed_folder
 from replay.run.judging import gates_of
-from replay.run.resume import stamp_of
-from replay.run.study import Study
+from replay.run.study import Study, study_head
 
 KIND = "falsify"
 CONTENTS = FolderContents(KIND, ("falsify.*", "trials.*", "case", "case.mcap"))
@@ -105,14 +104,17 @@ class FalsifyQuestion:
         planners = self.run.planners if self.against == CAREFUL else (*self.run.planners, self.against)
         return closed(self.run, planners=planners, **QUIET)
 
-    def head(self) -> dict[str, Any]:
-        """The inputs that identify a falsification, except the budget and the resolution."""
-        stamp = stamp_of(self.driven)
+    @property
+    def inputs(self) -> dict[str, Any]:
+        """The inputs that identify a falsification with its run, except the budget and the resolution."""
         return {
-            "study": KIND, "replan": stamp.replan, "code": stamp.code[:12], "log": self.subject.name,
-            "agents": list(self.subject.agents), "against": self.against, "seed": self.seed,
-            "axes": [asdict(axis) for axis in self.axes], "run": dump_run(self.driven),
+            "log": self.subject.name, "agents": list(self.subject.agents), "against": self.against, "seed": self.seed,
+            "axes": [asdict(axis) for axis in self.axes],
         }  # fmt: skip
+
+    def head(self) -> dict[str, Any]:
+        """The head of the study."""
+        return study_head(KIND, self.driven, self.inputs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,9 +304,8 @@ class SearchDrives:
     def __init__(
         self, question: FalsifyQuestion, out: Path, study: Study, workers: int, say: Callable[[str], None]
     ) -> None:
-        self._question, self._study, self._workers, self._say = question, study, workers, say
+        self._question, self._out, self._study, self._workers, self._say = question, out, study, workers, say
         self._gates = gates_of(question.driven, question.driven.gates_path).gates
-        self._scratch = out / f"{PARTIAL}batch"
         self._farthest = norm(abs(box_of(question.axes)).max(axis=0))
         self.rows: list[dict[str, Any]] = []
 
@@ -340,21 +341,17 @@ class SearchDrives:
     def _drive_points(self, points: Sequence[Point]) -> list[TriedPoint]:
         """Drive points, and return their cases."""
         asked = self._question
-        shutil.rmtree(self._scratch, ignore_errors=True)
-        (self._scratch / "logs").mkdir(parents=True)
-        places = [self._scratch / "logs" / f"{k}.mcap" for k in range(len(points))]
-        makes = {
-            place: partial(asked.subject.at, asked.axes, values_at(asked.axes, point))
-            for place, point in zip(places, points, strict=True)
-        }
-        try:
-            found = drive_made(makes, asked.driven, self._scratch / "results", workers=self._workers)
+        with scratch_folder(self._out, "batch") as scratch:
+            (scratch / "logs").mkdir(parents=True)
+            makes = {
+                scratch / "logs" / f"{k}.mcap": partial(asked.subject.at, asked.axes, values_at(asked.axes, point))
+                for k, point in enumerate(points)
+            }
+            found = drive_made(makes, asked.driven, scratch / "results", workers=self._workers)
             return [
                 TriedPoint(ERROR, why=one) if isinstance(one, str) else judged(one, self._gates, asked.against)
                 for one in found
             ]
-        finally:
-            shutil.rmtree(self._scratch, ignore_errors=True)
 
 
 def _key(point: Point) -> str:
@@ -377,7 +374,7 @@ def _write(result: Falsified, workers: int) -> None:
         evaluate_logs([out / "case.mcap"], shown, out / "case", workers=min(workers, 1))
     card = {
         "replan": replan_version(),
-        **{key: value for key, value in asked.head().items() if key not in ("study", "replan", "code", "run")},
+        **asked.inputs,
         "planner": asked.planner, "budget": asked.budget, "resolution": asked.resolution,
         "falsified": found.point is not None, "distance": found.distance if isfinite(found.distance) else None,
         "passes_at": found.passes if isfinite(found.passes) else None,

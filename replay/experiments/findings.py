@@ -10,7 +10,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from replay.experiments.changes import NOT_FOUND, UNAVOIDABLE, ChangedRun, Failu
 from replay.experiments.failure import DriveFailure, Wait
 from replay.experiments.remedy import Remedy
 from replay.results.reading import read_json
-from replay.results.tables import write_file, write_json, write_text
+from replay.results.tables import write_csv, write_json, write_text
 from replay.results.version import replan_version
 
 AS_IT_WAS = "as_it_was"
@@ -208,8 +207,7 @@ class Diagnosis:
             for one in [self.answers[run.change.name][found.log]]
         ]  # fmt: skip
         for name, rows, columns in (("diagnosis", drives, DRIVES), ("changes", answers, ANSWERS)):
-            table = pd.DataFrame(rows, columns=list(columns))
-            write_file(self.out / f"{name}.csv", partial(table.to_csv, index=False, lineterminator="\n"))
+            write_csv(self.out / f"{name}.csv", pd.DataFrame(rows, columns=list(columns)))
         write_json(self.out / "diagnosis.json", self.document())
         write_text(self.out / "diagnosis.md", "\n".join(self._page()) + "\n")
 

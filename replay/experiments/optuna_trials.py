@@ -16,10 +16,10 @@ from hashlib import sha256
 from typing import Any
 
 from logs.errors import ConfigError
-from replay.config import RunConfig, RunMode, dump_run
+from replay.config import RunConfig, RunMode
 from replay.experiments.gains import Objective, RunScores, gains, scales
 from replay.experiments.space import Setting, Value
-from replay.run.resume import stamp_of
+from replay.run.study import study_head
 
 KIND = "tune"
 TRIALS, SHARE = 50, 0.3
@@ -57,14 +57,12 @@ class TuningInputs:
 
     def head(self, logs: Mapping[str, str]) -> dict[str, Any]:
         """The inputs that identify a tuning, except the number of trials; `logs` are the identities by name."""
-        stamp = stamp_of(self.driven)
-        return {
-            "study": KIND, "replan": stamp.replan, "code": stamp.code[:12], "seed": self.seed, "share": self.share,
-            "objectives": [one.metric for one in self.objectives],
+        inputs = {
+            "seed": self.seed, "share": self.share, "objectives": [one.metric for one in self.objectives],
             "settings": {one.key: repr(one) for one in self.settings},
             "logs": {name: sha256(identity.encode()).hexdigest()[:16] for name, identity in logs.items()},
-            "run": dump_run(self.driven),
         }  # fmt: skip
+        return study_head(KIND, self.driven, inputs)
 
 
 def optuna_module() -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from math import isfinite, prod
@@ -72,8 +72,21 @@ class SurfaceQuestion:
     @property
     def varies_agents(self) -> bool:
         """Whether agents must be named: a variation changes agents, and no variation inserts its agent."""
-        kinds = [VARIATIONS[name] for name in (*self.fixed, *(axis.name for axis in self.axes))]
-        return any(kind.of == "agent" for kind in kinds) and not any(kind.inserts for kind in kinds)
+        return vary_agents([*self.fixed, *(axis.name for axis in self.axes)])
+
+
+def vary_agents(names: Iterable[str]) -> bool:
+    """Whether variations change agents, and none of them inserts its agent."""
+    kinds = [VARIATIONS[name] for name in names]
+    return any(kind.of == "agent" for kind in kinds) and not any(kind.inserts for kind in kinds)
+
+
+def check_agents(agents: Sequence[str], known: Collection[str], *, required: bool = False) -> None:
+    """Raise ConfigError if an agent to vary is not known, or if one is required and none is named."""
+    missing = [agent for agent in agents if agent not in known]
+    if missing or (required and not agents):
+        what = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
+        raise ConfigError(f"{what}; `replan vary LOG --list-agents` lists them")
 
 
 def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float | None = None) -> SurfaceQuestion:

@@ -39,6 +39,7 @@ from logs.readers import LogSettings
 from logs.scenario import Scenario
 from logs.variations import VARIATIONS, varied
 from replay.experiments.conflict import conflicting_agent, opened, prepared
+from replay.experiments.question import check_agents, vary_agents
 
 FORM = "write it as NAME=LOW:HIGH, for example time=-3:3"
 TIME_S, SPEED, EGO_SPEED, LATERAL_M, ALONG_M, AHEAD_M = 1.0, 0.2, 0.1, 0.375, 5.0, 10.0
@@ -257,9 +258,6 @@ def agents_of(subject: SearchSubject, axes: Sequence[SearchAxis], named: Sequenc
     """
     short = subject.scenario.short_names
     found = tuple(short.whole(word) for word in named)
-    missing = [agent for agent in found if agent not in subject.scenario.tracks.ids]
-    if missing:
-        raise ConfigError(f"no agent is called '{missing[0]}'; `replan vary LOG --list-agents` lists them")
-    changed = [VARIATIONS[axis.name] for axis in axes if axis.is_variation]
-    asks = any(one.of == "agent" for one in changed) and not any(one.inserts for one in changed)
+    check_agents(found, subject.scenario.tracks.ids)
+    asks = vary_agents(axis.name for axis in axes if axis.is_variation)
     return found if found or not asks else (conflicting_agent(subject.scenario),)

@@ -27,7 +27,6 @@ from typing import Any
 
 import pandas as pd
 
-from logs.errors import ConfigError
 from logs.names import counted
 from logs.references import Avoidability
 from logs.scenario import Scenario
@@ -35,17 +34,16 @@ from logs.trace import EndReason
 from logs.variations import VARIATIONS, varied
 from metrics.judge.gates import Outcome
 from metrics.reference_drivers import MARGIN
-from replay.config import RunConfig, dump_run
+from replay.config import RunConfig
 from replay.draw.report.figures import save
 from replay.experiments.brackets import ERROR, Bracket, Cell, bisect_brackets, brackets
 from replay.experiments.experiment_figures import surface_figure
-from replay.experiments.question import SurfaceQuestion
+from replay.experiments.question import SurfaceQuestion, check_agents
 from replay.experiments.trial import Trial, closed, drive_made, one_planner, write_table
-from replay.results.tables import LONGEST_SAFE, safe_name, write_file, write_json
+from replay.results.tables import LONGEST_SAFE, safe_name, write_csv, write_json
 from replay.results.version import replan_version
 from replay.run.claim import FolderContents, claimed_folder
-from replay.run.resume import stamp_of
-from replay.run.study import Study
+from replay.run.study import Study, study_head
 
 UNAVOIDABLE = "unavoidable"
 CARD = "vary.json"
@@ -117,14 +115,9 @@ def vary(
         ConfigError: A wrong setting, an unknown agent, a folder with foreign files, or in use.
     """
     planner, run = one_planner(run, "a surface"), closed(run)
-    there = {*scenario.tracks.ids, *(VARIATIONS[name].inserts for name in question.values(next(question.cells)))}
-    missing = [agent for agent in question.agents if agent not in there]
-    if missing or (question.varies_agents and not question.agents):
-        what = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
-        raise ConfigError(f"{what}; `replan vary LOG --list-agents` lists them")
-    stamp = stamp_of(run)
+    inserted = (VARIATIONS[name].inserts for name in question.values(next(question.cells)))
+    check_agents(question.agents, [*scenario.tracks.ids, *inserted], required=question.varies_agents)
     card = {
-        "replan": replan_version(),
         "log": scenario.name,
         "planner": planner,
         "axes": [asdict(axis) for axis in question.axes],
@@ -133,9 +126,9 @@ def vary(
         "resolution": question.resolution,
     }
     with claimed_folder(out, CONTENTS, resume=resume) as out:
-        Study(out, {"study": CONTENTS.command, **card, "code": stamp.code[:12], "run": dump_run(run)}, resume=resume)
+        Study(out, study_head(CONTENTS.command, run, card), resume=resume)
         (out / "logs").mkdir(exist_ok=True)
-        write_json(out / CARD, card)
+        write_json(out / CARD, {"replan": replan_version(), **card})
         rounds = _Rounds(scenario, question, run, out, workers, resume, say)
         rounds.evaluate(list(question.cells), "grid")
         edges: tuple[Bracket, ...] = ()
@@ -230,8 +223,7 @@ def _write(result: VaryResult, scenario: Scenario, planner: str) -> None:
     write_table(out, "surface", table)
     columns = [*(axis.name for axis in question.axes[1:]), "low", "high", "at_low", "at_high", "edge"]
     rows = [(*one.row, one.low, one.high, one.at_low, one.at_high, one.middle) for one in result.edges]
-    edges = pd.DataFrame(rows, columns=columns)
-    write_file(out / "edges.csv", partial(edges.to_csv, index=False, lineterminator="\n"))
+    write_csv(out / "edges.csv", pd.DataFrame(rows, columns=columns))
     about = f"; varied: {', '.join(map(scenario.short_names, question.agents))}" if question.agents else ""
     fixed = "".join(f", {name} {VARIATIONS[name].shown(value)}" for name, value in question.fixed.items())
     title = f"{scenario.name}: {planner}{fixed}{about}"

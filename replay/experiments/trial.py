@@ -2,14 +2,17 @@
 
 one_planner, closed   the configuration with which trials are driven
 drive_made            scenarios -> files -> `evaluate_logs` -> `Trial`, or the reason why there is none
+scratch_folder        a folder of results that are read once
 write_table           a table of trials as Parquet and CSV
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -26,7 +29,7 @@ from metrics.judge.gates import Outcome
 from metrics.reference_drivers import APPLIES, AVOIDS
 from replay.config import RunConfig, RunMode
 from replay.draw.drawn_results import Results
-from replay.results.tables import write_file, write_parquet
+from replay.results.tables import PARTIAL, write_csv, write_parquet
 from replay.run import evaluate_logs
 
 MODE: RunMode = "closed"
@@ -103,18 +106,13 @@ class Trial:
     @property
     def careful(self) -> Avoidability:
         """Whether the careful driver of UN R157 avoids the contact of the drive."""
-        return careful_of(self.values())
+        applies, avoids = (self.values().get(f"reference_cc.{one.name}", nan) for one in (APPLIES, AVOIDS))
+        if not applies > 0.0:
+            return Avoidability.NOT_APPLICABLE
+        return Avoidability.AVOIDABLE if avoids > 0.0 else Avoidability.UNAVOIDABLE
 
     def _mine(self, rows: pd.DataFrame) -> pd.DataFrame:
         return rows[(rows["log"] == self.log) & (rows["planner"] == self.planner)]
-
-
-def careful_of(values: Mapping[str, float]) -> Avoidability:
-    """Whether the careful driver of UN R157 avoids the contact of a drive with these values by metric."""
-    applies, avoids = (values.get(f"reference_cc.{one.name}", nan) for one in (APPLIES, AVOIDS))
-    if not applies > 0.0:
-        return Avoidability.NOT_APPLICABLE
-    return Avoidability.AVOIDABLE if avoids > 0.0 else Avoidability.UNAVOIDABLE
 
 
 def drive_made(
@@ -145,7 +143,18 @@ def drive_made(
     return [one if isinstance(one, str) else one.missing or one for one in trials]
 
 
+@contextmanager
+def scratch_folder(out: Path, name: str) -> Iterator[Path]:
+    """The path of a folder in `out` that does not exist at first, and is removed at the end."""
+    scratch = out / f"{PARTIAL}{name}"
+    shutil.rmtree(scratch, ignore_errors=True)
+    try:
+        yield scratch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
 def write_table(out: Path, name: str, table: pd.DataFrame) -> None:
     """Write a table as NAME.parquet and NAME.csv."""
     write_parquet(out / f"{name}.parquet", table)
-    write_file(out / f"{name}.csv", partial(table.to_csv, index=False, lineterminator="\n"))
+    write_csv(out / f"{name}.csv", table)

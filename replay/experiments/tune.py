@@ -13,7 +13,6 @@ space and seed give the same trials at any number of workers.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -50,8 +49,8 @@ from replay.experiments.gains import (
 )  # fmt: skip
 from replay.experiments.optuna_trials import KIND, OptunaTrials, TuningInputs, Values, key_of, optuna_module
 from replay.experiments.space import chosen_table, listed, with_values
-from replay.experiments.trial import one_planner, write_table
-from replay.results.tables import PARTIAL, write_file, write_json, write_text
+from replay.experiments.trial import one_planner, scratch_folder, write_table
+from replay.results.tables import write_csv, write_json, write_text
 from replay.results.version import replan_version
 from replay.run import evaluate_logs
 from replay.run.checks import checked
@@ -247,12 +246,8 @@ class _Driver:
 
     def passing(self, logs: Sequence[Path | str], run: RunConfig, asked: Callable[[Results], RunScores]) -> RunScores:
         """The value of `asked` for a run whose files are removed."""
-        scratch = self.out / f"{PARTIAL}trial"
-        shutil.rmtree(scratch, ignore_errors=True)
-        try:
+        with scratch_folder(self.out, "trial") as scratch:
             return asked(evaluate_logs(logs, run, scratch, engine=self.engine))
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
 
 
 # trials -----------------------------------------------------------------------------------------------------------
@@ -264,22 +259,20 @@ def _run_search(plan: TuningInputs, logs: Logs, study: Study, driver: _Driver, s
     default = run_scores(driver.kept(where, plan.driven, "training"), names, plan.objectives)
     search = OptunaTrials(plan, default)
 
-    def drive(values: Values) -> RunScores | str:
+    def drive(values: Values) -> dict[str, Any]:
+        """The row of a trial."""
         try:
             run = with_values(plan.driven, values)
             checked(run)
         except ConfigError as error:
-            return str(error)
-        return driver.passing(where, run, lambda results: run_scores(results, names, plan.objectives))
+            return search.row(values, str(error))
+        found = driver.passing(where, run, lambda results: run_scores(results, names, plan.objectives))
+        return search.row(values, found)
 
     rows: list[dict[str, Any]] = []
     for trial in range(plan.trials):
         values = search.ask()
-        key = key_of(values)
-        row = study.known(key)
-        if row is None:
-            row = search.row(values, drive(values))
-            study.add([{"key": key, **row}])
+        row = study.row(key_of(values), partial(drive, values))
         search.tell(row)
         rows.append({"trial": trial, **{name: cell for name, cell in row.items() if name != "key"}})
         best = max((one["total"] for one in rows if one["feasible"]), default=None)
@@ -328,7 +321,7 @@ def _write(result: Tuned, default: RunScores) -> None:
     out, plan, table = result.out, result.plan, result.table
     write_table(out, "trials", table)
     front = table[table["pareto"]].sort_values("total", ascending=False, kind="stable")
-    write_file(out / "pareto.csv", partial(front.to_csv, index=False, lineterminator="\n"))
+    write_csv(out / "pareto.csv", front)
     title = f"{plan.run.planners[0]}: {counted(len(table), 'trial')} on {counted(len(result.logs.training), 'log')}"
     save(pareto_figure(table, [one.metric for one in plan.objectives], result.chosen, title), out / "pareto.png")
     chosen = with_values(plan.run, result.values)

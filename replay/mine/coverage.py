@@ -28,7 +28,7 @@ from logs.files import local_path, url_of
 from logs.names import counted, visible_name
 from replay.draw.report.figures import STYLE, empty_figure, save
 from replay.mine.mine import ALONE, FASTER, ROADS, SPEEDS, Mined
-from replay.results.tables import write_file, write_text
+from replay.results.tables import write_csv, write_text
 from replay.run.claim import FolderContents, claimed_file
 from replay.run.sources import SUITE_HEADER, LogSource, Selection
 
@@ -100,7 +100,7 @@ COVERAGE = FolderContents("coverage", ("coverage.csv", "coverage.png"), resumes=
 
 def write_coverage(out: Path, events: pd.DataFrame, rows: pd.DataFrame) -> None:
     """Write coverage.csv and coverage.png into a folder of mined logs; OutputError if that fails."""
-    write_file(out / "coverage.csv", lambda partial: rows.to_csv(partial, index=False, lineterminator="\n"))
+    write_csv(out / "coverage.csv", rows)
     title = f"{counted(len(events), 'event')} in {counted(events['log'].nunique(), 'log')}"
     save(figure(events, title), out / "coverage.png")
 

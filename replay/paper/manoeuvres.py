@@ -132,6 +132,13 @@ def along_curvature(
     return Trajectory(*(column[::fine] for column in (t, x, y, yaw, speed, np.gradient(speed, t), bend)))
 
 
+def along_arcs(stations: FloatArray, kappa: FloatArray, v: float, after: float) -> Trajectory:
+    """The drive at `v` m/s with curvatures `(n,)`, linear between stations `(n,)`, until `after` m behind the last."""
+    return along_curvature(
+        lambda s: np.interp(s, stations, kappa), lambda t: np.full_like(t, v), round((stations[-1] + after) / v, 1)
+    )
+
+
 def along_points(points: FloatArray, speed: float, slowing: float, ahead: float) -> Trajectory:
     """The drive along a path y(x) `(n, 2)` that is `ahead` m long at `speed` m/s and then slows down, m/s2."""
     spline = make_interp_spline(points[:, 0], points[:, 1], k=5)
@@ -155,20 +162,14 @@ def s_curve(radius: float, v: float, name: str, plant: PlantTable | None = None)
     clothoid, arc = 20.0, radius * pi / 3.0 - 20.0
     at = np.cumsum([30.0, clothoid, arc, clothoid, clothoid, arc, clothoid])
     bend = np.array([0.0, 1.0, 1.0, 0.0, -1.0, -1.0, 0.0]) / radius
-    reference = along_curvature(
-        lambda s: np.interp(s, at, bend), lambda t: np.full_like(t, v), round((at[-1] + 30.0) / v, 1)
-    )
-    return Manoeuvre(name, reference, plant=plant or {})
+    return Manoeuvre(name, along_arcs(at, bend, v, 30.0), plant=plant or {})
 
 
 def turn(radius: float, v: float) -> Manoeuvre:
     """A quarter of a circle with clothoids of 10 m."""
     at = np.cumsum([20.0, 10.0, radius * pi / 2.0 - 10.0, 10.0])
     bend = np.array([0.0, 1.0, 1.0, 0.0]) / radius
-    reference = along_curvature(
-        lambda s: np.interp(s, at, bend), lambda t: np.full_like(t, v), round((at[-1] + 20.0) / v, 1)
-    )
-    return Manoeuvre(f"turn_{radius:g}m_{v:g}mps", reference)
+    return Manoeuvre(f"turn_{radius:g}m_{v:g}mps", along_arcs(at, bend, v, 20.0))
 
 
 def stop_and_start(v: float) -> Manoeuvre:

@@ -149,6 +149,12 @@ def braking_intervals(trace: Trace) -> list[tuple[float, float]]:
     return joined
 
 
+def braking_for_walker(trace: Trace, scenario: Scenario) -> tuple[float, list[tuple[float, float]]]:
+    """When the walker has left the path with the planner's margin, s; the `braking_intervals` that begin before."""
+    clear = walker_within(scenario, StGraphConfig().vulnerable_margin_m)[1]
+    return clear, [one for one in braking_intervals(trace) if one[0] < clear]
+
+
 def first_reason(trace: Trace) -> str:
     """When the planner first gave a reason for a plan, and the reason; empty if it never did."""
     return next((f"{frame.t:.1f} s: {frame.plan.reason}" for frame in trace.frames if frame.plan.reason), "")
@@ -160,8 +166,7 @@ def measured(cell: GridCrossing) -> dict[str, object]:
     trace = run_closed_loop(scenario, PLANNER, config=LOOP).trace
     names = ("gap", "lon_jerk_state", "lon_accel", "fallback", "pedals_together")
     table = evaluate(trace, scenario, metrics={name: METRICS[name] for name in names}).set_index("metric")["value"]
-    clear = walker_within(scenario, StGraphConfig().vulnerable_margin_m)[1]
-    before = [one for one in braking_intervals(trace) if one[0] < clear]
+    clear, before = braking_for_walker(trace, scenario)
     begin, end = (before[0][0], before[-1][1]) if before else (np.nan, np.nan)
     contact, can = trace.end in (EndReason.COLLISION, EndReason.REPLAY_CONTACT), avoidable(cell)
     jerk = float(table["lon_jerk_state.max_abs"])

@@ -32,17 +32,18 @@ from logs.plan import StGraph
 from logs.scenario import Scenario
 from logs.trace import PlannedFrame, Trace
 from metrics import METRICS, evaluate, evaluate_with_series
-from planners.frenet.st_boundaries import StGraphConfig
 from replay.draw.recording import write_recording
 from replay.draw.report import figures
 from replay.drive import Drive
 from replay.loop.closed_loop import run_closed_loop
 from replay.paper.manoeuvres import compare
-from replay.paper.pedestrian_grid import CELLS, LOOP, PLANNER, GridCrossing, braking_intervals, grid, walker_within
+from replay.paper.pedestrian_grid import CELLS, LOOP, PLANNER, GridCrossing, braking_for_walker, grid
 from replay.parts import CONTROLLER, VEHICLE
-from replay.results.tables import write_file, write_text
+from replay.results.tables import write_csv, write_file, write_text
 
 Say = Callable[[str], None]
+DIGITS = "%.6g"
+"""The format of numbers in the tables."""
 
 
 @dataclass(frozen=True)
@@ -93,10 +94,10 @@ def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda lin
     second = crossing_pedestrian(out, config.vehicles[0])
     say("controllers x scenarios")
     scenarios = scenario_table(config.vehicles)
-    _write_table(out / "scenarios.csv", scenarios)
+    write_csv(out / "scenarios.csv", scenarios, float_format=DIGITS)
     say(f"controllers x manoeuvres, {config.roads} roads among them")
     manoeuvres = compare([v for v in config.vehicles if v != "perfect"], list(CONTROLLER.builtin), roads=config.roads)
-    _write_table(out / "manoeuvres.csv", manoeuvres)
+    write_csv(out / "manoeuvres.csv", manoeuvres, float_format=DIGITS)
     say(f"the pedestrian varied: {len(config.cells)} drives")
 
     def count(done: int) -> None:
@@ -104,7 +105,7 @@ def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda lin
             say(f"    {done} of {len(config.cells)}")
 
     cells = grid(config.cells, workers=config.workers, on_cell=count)
-    _write_table(out / "pedestrian_grid.csv", cells)
+    write_csv(out / "pedestrian_grid.csv", cells, float_format=DIGITS)
     write_file(out / "pedestrian_grid.png", lambda part: figures.save(figures.grid_figure(cells), part))
     page = out / "paper.md"
     write_text(page, _page(first, second, scenarios, manoeuvres, cells))
@@ -144,8 +145,7 @@ def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
     moments = blocked_moments(trace.frames)
     picture = figures.st_figure(moments, trace, scenario)
     write_file(out / "fig10_st.png", lambda part: figures.save(picture, part))
-    clear = walker_within(scenario, StGraphConfig().vulnerable_margin_m)[1]
-    braking = [one for one in braking_intervals(trace) if one[0] < clear]
+    clear, braking = braking_for_walker(trace, scenario)
     ends = (paper.crossing_pedestrian.parameters["walk_start_s"] - 2.0, clear + 8.0)
     pedals = figures.pedals_figure(trace, braking, clear, ends)
     write_file(out / "fig12_pedals.png", lambda part: figures.save(pedals, part))
@@ -213,10 +213,6 @@ def scenario_table(vehicles: Sequence[str], controllers: Sequence[str] = tuple(C
             rows.append(head | {column: float(values[metric]) for column, metric in SCENARIO_COLUMNS.items()})
     table = pd.DataFrame(rows)[["vehicle", "scenario", "controller", "end", *SCENARIO_COLUMNS]]
     return table.assign(heading_max_deg=np.degrees(table["heading_max_deg"]))
-
-
-def _write_table(path: Path, table: pd.DataFrame) -> None:
-    write_file(path, lambda part: table.to_csv(part, index=False, lineterminator="\n", float_format="%.6g"))
 
 
 def markdown(table: pd.DataFrame) -> str:

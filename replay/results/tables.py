@@ -159,12 +159,17 @@ def joined(tables: Iterable[pd.DataFrame], keys: Sequence[str], columns: Sequenc
     return pd.concat(parts, ignore_index=True).sort_values(list(keys), kind="stable", ignore_index=True)
 
 
+def write_csv(path: Path, table: pd.DataFrame, **options: Any) -> None:
+    """Write a table as CSV, completely or not at all; options as of `DataFrame.to_csv`."""
+    write_file(path, lambda partial: table.to_csv(partial, index=False, lineterminator="\n", **options))
+
+
 def write_metrics(out: Path, table: pd.DataFrame) -> None:
     """Write metrics.parquet and metrics.csv; the schema version is their first column."""
     table = table.copy()
     table.insert(0, "schema_version", SCHEMA_VERSION)
     write_parquet(out / "metrics.parquet", table)
-    write_file(out / "metrics.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+    write_csv(out / "metrics.csv", table)
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

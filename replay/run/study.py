@@ -8,14 +8,21 @@ gives the same bytes as a search that was never interrupted.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError, writing
+from replay.config import RunConfig, dump_run
 from replay.results.tables import clear_partial, write_text
 from replay.run.claim import STUDY, emptied
-from replay.run.resume import changes
+from replay.run.resume import changes, stamp_of
+
+
+def study_head(kind: str, run: RunConfig, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """The head of a study: its kind, the versions of replan and the code, its own inputs (JSON types), its run."""
+    stamp = stamp_of(run)
+    return {"study": kind, "replan": stamp.replan, "code": stamp.code[:12], **inputs, "run": dump_run(run)}
 
 
 class Study:
@@ -62,6 +69,12 @@ class Study:
     def known(self, key: str) -> dict[str, Any] | None:
         """The row of a trial; None if it is not in the file."""
         return self._known.get(key)
+
+    def row(self, key: str, make: Callable[[], Mapping[str, Any]]) -> dict[str, Any]:
+        """The row of a trial; if it is not in the file, it is made and added."""
+        if key not in self._known:
+            self.add([{"key": key, **make()}])
+        return self._known[key]
 
     def add(self, rows: Iterable[dict[str, Any]]) -> None:
         """Add trials (each with its `key`) to the file."""

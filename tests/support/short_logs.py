@@ -25,6 +25,14 @@ def short(name: str, *, v: float = 10.0, parked: bool = False) -> Scenario:
     return replace(made, name=name, tags=("short",))
 
 
+def past_parked(name: str, x: float, *others: dict[str, object]) -> Scenario:
+    """3 s at 8 m/s towards a goal, car 17 parked at x, 5 m beside the lane."""
+    ego = drive(straight, 8.0, 2.9)
+    parked = track("17", [0.0], [x], [5.0], static=True)
+    road, goal = lanes_along(ego, width=5.0), Goal((square(24.0, 0.0, 4.0),))
+    return replace(scenario(ego, road=road, goal=goal, agents=tracks(parked, *others)), name=name)
+
+
 def free_and_blocked() -> tuple[Scenario, Scenario]:
     """Not quite three seconds each: no one is there, and a car parked where a careful driver still stops."""
     ego = drive(straight, 8.0, 2.9)

@@ -153,8 +153,8 @@ def _diagnosis(over: Overview) -> Iterator[ReportSection]:
     columns = _columns("drives", "what happens", "cause", "because it", "gates", "about", "which", numbers=["drives"])
     rows = tuple(
         (number_cell(len(one["drives"])),
-         *_words(one.get("happens", ""), one["cause"], one["why"], ", ".join(one["gates"]), one.get("about", ""),
-                 ", ".join(one["drives"])))
+         *_words(one.get("happens", ""), one["cause"], one["why"], ", ".join(one["gates"]), one.get("about", "")),
+         Cell(", ".join(one["drives"]), drive=(one["drives"][0], found["planner"])))  # the worst is first
         for one in found["clusters"]
     )  # fmt: skip
     yield ReportSection(f"Why {found['planner']} fails", columns, rows, tuple(line.strip() for line in found["said"]))

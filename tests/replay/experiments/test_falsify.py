@@ -12,11 +12,12 @@ import pandas as pd
 import pytest
 from command_line import gates as write_gates
 from command_line import one_error, replan
-from handmade import drive, lanes_along, scenario, square, straight, track, tracks
+from handmade import track, tracks
 from hypothesis import given
 from hypothesis import strategies as st
+from short_logs import past_parked
 
-from logs import Goal, Scenario
+from logs import Scenario
 from logs.mcap import read_scenario, write_scenario
 from metrics.judge.gates import Gate, load_gates
 from replay.draw.drawn_results import load
@@ -31,12 +32,8 @@ GAP = 'metric = "gap.min"\nmode = "closed"\nmin = 0.05'
 
 
 def log() -> Scenario:
-    """3 s at 8 m/s towards a goal, a car parked 5 m beside the lane, before which a careful driver stops."""
-    ego = drive(straight, 8.0, 2.9)
-    road = lanes_along(ego, width=5.0)
-    parked = track("17", [0.0], [24.0], [5.0], static=True)
-    goal = Goal((square(24.0, 0.0, 4.0),))
-    return replace(scenario(ego, road=road, goal=goal, agents=tracks(parked)), name="parked")
+    """A careful driver stops before the car where it is pushed into the lane."""
+    return past_parked("parked", 24.0)
 
 
 @pytest.fixture(scope="module")

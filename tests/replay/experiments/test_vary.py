@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import replan
-from handmade import drive, lanes_along, scenario, square, straight, track, tracks
+from command_line import gates as write_gates
+from command_line import one_error, replan
+from handmade import track, tracks
 from hypothesis import given
 from hypothesis import strategies as st
+from short_logs import past_parked
 
-from logs import AgentKind, ConfigError, Goal, Scenario
+from logs import AgentKind, ConfigError, Scenario
 from logs.mcap import write_scenario
 from logs.readers import LogSettings
 from metrics.judge import worst
@@ -28,31 +30,28 @@ from replay.run import evaluate_logs
 from replay.run.claim import STUDY
 
 RUN = RunConfig(planners=("constant_speed",), recording=False, internals="none")
-GATES = """
-[[gate]]
-metric = "collision_at_fault.count"
-mode = "closed"
-max = 0
-"""
+COLLISION = 'metric = "collision_at_fault.count"\nmode = "closed"\nmax = 0'
 
 
 def log() -> Scenario:
-    """3 s at 8 m/s towards a goal, a car parked 5 m beside the lane."""
-    ego = drive(straight, 8.0, 2.9)
-    road = lanes_along(ego, width=5.0)
-    made = scenario(ego, road=road, goal=Goal((square(24.0, 0.0, 4.0),)), agents=tracks(
-        track("17", [0.0], [22.0], [5.0], static=True),
-        track("blink", [1.0, 1.1], [8.0, 8.0], [4.0, 4.0]),
-        track("far", [0.0, 2.9], [0.0, 20.0], [40.0, 40.0]),
-    ))  # fmt: skip
-    return replace(made, name="test/parked")
+    """Beside the parked car, one that is tracked for an instant, and one far away that drives."""
+    blink = track("blink", [1.0, 1.1], [8.0, 8.0], [4.0, 4.0])
+    far = track("far", [0.0, 2.9], [0.0, 20.0], [40.0, 40.0])
+    return past_parked("test/parked", 22.0, blink, far)
+
+
+def crosses(name: str) -> dict[str, object]:
+    """A pedestrian who walks at 3 m/s over the ego's lane, 14 m ahead of its start."""
+    t = [0.1 * k for k in range(30)]
+    return track(name, t, [14.0] * 30, [-6.0 + 3.0 * time for time in t], kind=AgentKind.PEDESTRIAN, width=0.5,
+                 length=0.5, vx=0.0, vy=3.0)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> VaryResult:
     """Constant speed past the car, pushed towards its lane; an ego start that is off the road is one of the cells."""
     out = tmp_path_factory.mktemp("vary")
-    (out / "gates.toml").write_text(GATES, encoding="utf-8")
+    write_gates(out / "gates.toml", COLLISION)
     asked = question(["side=-4:0:3", "ego_start=-3:1:2"], ["17"], 0.25)
     return vary(prepared(log()), asked, replace(RUN, gates=str(out / "gates.toml")), out / "out")
 
@@ -92,10 +91,8 @@ def test_a_cell_that_cannot_be_made_is_named_and_costs_only_itself(result: VaryR
 
 
 def test_whoever_walks_into_the_ego_is_a_contact_too(tmp_path: Path) -> None:
-    t = [0.1 * k for k in range(30)]
-    walker = track("9", t, [14.0] * 30, [-6.0 + 3.0 * time for time in t], kind=AgentKind.PEDESTRIAN, width=0.5,
-                   length=0.5, vx=0.0, vy=3.0)  # fmt: skip
-    into = vary(replace(log(), tracks=tracks(walker)), question(["time=0.2:9.2:2"], ["9"], 9.0), RUN, tmp_path / "out")
+    walks = replace(log(), tracks=tracks(crosses("9")))
+    into = vary(walks, question(["time=0.2:9.2:2"], ["9"], 9.0), RUN, tmp_path / "out")
     first, second = into.table.to_dict("records")
     assert first["contact"].startswith("pedestrian 9") and first["contact_s"] == pytest.approx(1.7, abs=0.3)
     assert first["least_gap_m"] == 0.0 and second["contact"] == "" and first["end"] == "the replay ran into the ego"
@@ -166,11 +163,9 @@ def test_who_comes_nearest() -> None:
 
 def test_who_crosses_is_in_conflict_and_not_the_nearer_bystander() -> None:
     t = [0.1 * k for k in range(30)]
-    walk = [-6.0 + 3.0 * time for time in t]
-    crosses = track("crosses", t, [14.0] * 30, walk, kind=AgentKind.PEDESTRIAN, width=0.5, length=0.5, vx=0.0, vy=3.0)
     strolls = track("strolls", t, [10.0 + time for time in t], [2.0] * 30, kind=AgentKind.PEDESTRIAN, width=0.5,
                     length=0.5, vx=1.0, vy=0.0)  # fmt: skip
-    made = prepared(replace(log(), tracks=tracks(crosses, strolls)))
+    made = prepared(replace(log(), tracks=tracks(crosses("crosses"), strolls)))
     found = {one.agent: one for one in encounters(made)}
     front, beside = made.vehicle.axle_to_front, 0.5 * made.vehicle.width
     assert np.isnan(found["strolls"].conflict) and 0.0 < found["strolls"].least < beside + 2.0
@@ -244,8 +239,7 @@ def test_exit_2_is_one_line(tmp_path: Path, words: list[str], said: str) -> None
     write_scenario(tmp_path / "log.mcap", log())
     filled = [word.format(log=tmp_path / "log.mcap") for word in words]
     result = replan("vary", *filled, "--out", tmp_path / "out", "--workers", 0)
-    errors = [line for line in result.stderr.splitlines() if line.startswith("error:")]
-    assert result.exit_code == 2 and len(errors) == 1 and said in errors[0]
+    assert result.exit_code == 2 and said in one_error(result)
 
 
 def test_an_agent_is_named_by_the_whole_id_or_by_its_short_name() -> None:

@@ -137,7 +137,7 @@ class Cell:
         value: The value as a number; NaN: there is none.
         bad: Whether it is marked.
         outcome: The outcome that it states; "" if it states none.
-        drive: Log and planner of the drive that it is about.
+        drives: Logs and planners of the drives that it names, or of the one that it is about.
         code: Whether it is a rule or a command.
         file: The file that shows it, relative to the result folder.
     """
@@ -146,9 +146,14 @@ class Cell:
     value: float = nan
     bad: bool = False
     outcome: str = ""
-    drive: tuple[str, str] | None = None
+    drives: tuple[tuple[str, str], ...] = ()
     code: bool = False
     file: str = ""
+
+    @property
+    def is_list(self) -> bool:
+        """Whether its text is the names of its drives."""
+        return bool(self.drives) and self.text == ", ".join(log for log, _ in self.drives)
 
 
 WEIGHT: Mapping[str, int] = {Outcome.FAIL.value: 0, Outcome.INCONCLUSIVE.value: 1, "": 2, Outcome.PASS.value: 3}

@@ -142,8 +142,8 @@ def _gates(over: Overview) -> Iterator[ReportSection]:
 
 def _gate(row: GateRow) -> tuple[Cell, ...]:
     loop = f" [{row.mode}]" if row.mode and f"[{row.mode}]" not in row.rule else ""
-    drive = (row.log, row.planner) if row.log else None
-    return _outcome(row.outcome), Cell(row.rule + loop, code=True), Cell(row.found, drive=drive)
+    drives = ((row.log, row.planner),) if row.log else ()
+    return _outcome(row.outcome), Cell(row.rule + loop, code=True), Cell(row.found, drives=drives)
 
 
 def _diagnosis(over: Overview) -> Iterator[ReportSection]:
@@ -154,7 +154,7 @@ def _diagnosis(over: Overview) -> Iterator[ReportSection]:
     rows = tuple(
         (number_cell(len(one["drives"])),
          *_words(one.get("happens", ""), one["cause"], one["why"], ", ".join(one["gates"]), one.get("about", "")),
-         Cell(", ".join(one["drives"]), drive=(one["drives"][0], found["planner"])))  # the worst is first
+         Cell(", ".join(one["drives"]), drives=tuple((log, found["planner"]) for log in one["drives"])))
         for one in found["clusters"]
     )  # fmt: skip
     yield ReportSection(f"Why {found['planner']} fails", columns, rows, tuple(line.strip() for line in found["said"]))
@@ -191,7 +191,7 @@ def _drives(over: Overview) -> Iterator[ReportSection]:
     ]
     columns = (*_columns("log", *(["planner"] if several else []), "verdict"), *values[:first], *ended, *values[first:])
     rows = tuple(
-        (Cell(row.log, drive=(row.log, row.planner), file=row.file), *(_words(row.shown) if several else ()),
+        (Cell(row.log, drives=((row.log, row.planner),), file=row.file), *(_words(row.shown) if several else ()),
          _outcome(row.verdict, f" {row.asked}"), *row.cells[:first], *([row.end] if ended else []), *row.cells[first:])
         for row in over.ranked
     )  # fmt: skip
@@ -246,8 +246,8 @@ def comparison_sections(found: Comparison) -> list[ReportSection]:
 
 def _of_drive(row: Any, *, several: bool) -> tuple[Cell, ...]:
     """The log (with its drive), the planner if there are several, and the loop of a row."""
-    drive = (row.log, row.planner.rpartition(" -> ")[2])
-    return Cell(row.log, drive=drive), *(_words(row.planner) if several else ()), Cell(row.mode)
+    drives = ((row.log, row.planner.rpartition(" -> ")[2]),)
+    return Cell(row.log, drives=drives), *(_words(row.planner) if several else ()), Cell(row.mode)
 
 
 def _drive_columns(*titles: str, several: bool, numbers: Sequence[str] = ()) -> tuple[ReportColumn, ...]:

@@ -155,7 +155,6 @@ class ExtensionKind(Generic[T]):
 
     @property
     def _apart(self) -> str:
-        """The way round a clash of names."""
         return " (or run the planner as a program of its own: exec:COMMAND)" if self.error is PlannerError else ""
 
 

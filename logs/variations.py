@@ -218,7 +218,6 @@ def check_start(was: Scenario, now: Scenario) -> None:
 
 
 def _touched_agents(scenario: Scenario) -> list[str]:
-    """Return the ids of the agents whose boxes the ego's box touches at the start."""
     start, car = scenario.ego.state(0), scenario.vehicle
     x, y = start.x + car.axle_to_center * cos(start.yaw), start.y + car.axle_to_center * sin(start.yaw)
     others = scenario.tracks.truth(start.t)

@@ -136,7 +136,6 @@ def _family(
 
 
 def _vulnerable(year: str) -> tuple[Family, ...]:
-    """The families of pedestrians and cyclists."""
     later, step = year == "2026", STEPS[year]
     ego = {"ego_kmh": speeds(10, 60, step)}
     walks, rides = partial(crossing, target=PEDESTRIAN), partial(crossing, target=CYCLIST)
@@ -168,7 +167,6 @@ def _vulnerable(year: str) -> tuple[Family, ...]:
 
 
 def _cars(year: str) -> tuple[Family, ...]:
-    """The families of a car ahead."""
     later, step = year == "2026", STEPS[year]
     own = partial(_family, year=year)
     ego, overlap = {"ego_kmh": speeds(10, 80, step)}, {"overlap_percent": OVERLAPS}

@@ -36,8 +36,6 @@ Lines = tuple[FloatArray, FloatArray]
 def _perception(
     name: str, summary: str, defaults: Mapping[str, float], grid: Mapping[str, tuple[float, ...]]
 ) -> Callable[[Callable[[Tracks, Mapping[str, float]], Tracks]], Family]:
-    """Make a family of a fault in the tracks of a scene."""
-
     def made(fault: Callable[[Tracks, Mapping[str, float]], Tracks]) -> Family:
         def build(p: Mapping[str, float]) -> Scenario:
             if p["scene"] not in range(len(SCENES)):
@@ -137,8 +135,6 @@ def started(p: Mapping[str, float]) -> Scenario:
 def _lanes(
     name: str, summary: str, defaults: Mapping[str, float], grid: Mapping[str, tuple[float, ...]]
 ) -> Callable[[Callable[[Lines, Mapping[str, float]], Lines]], Family]:
-    """Make a family of a fault in the boundaries of the free road's lane."""
-
     def made(fault: Callable[[Lines, Mapping[str, float]], Lines]) -> Family:
         def build(p: Mapping[str, float]) -> Scenario:
             whole = paper.free_road.build(paper.free_road.parameters)

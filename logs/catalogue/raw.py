@@ -70,7 +70,6 @@ def _true_scene(
 
 
 def _goal(path: CurveSamples, driven: Trajectory) -> Goal:
-    """A goal that begins on the lane before the end of the drive."""
     end = float(driven.x[-1])
     return Goal((stretch(path, end - EARLY_M, end + EARLY_M, right=-HALF_LANE, left=HALF_LANE),))
 

@@ -119,11 +119,9 @@ class _Map:
         return self.xy[list(points)] if len(points) > 1 else None
 
     def tag(self, way: int, key: str) -> str:
-        """Return a way's tag, "" if the tag or the way is missing."""
         return self.osm.ways[way].tags.get(key, "") if way in self.osm.ways else ""
 
     def lanelets(self, element: Element, *roles: str) -> list[int]:
-        """Return the lanes of an element's lanelet members."""
         return [ref for ref in element.named(*roles, kind="relation") if ref in self.lanes]
 
 

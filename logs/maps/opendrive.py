@@ -150,7 +150,6 @@ def _root(path: Path) -> Element:
 
 
 def _number(element: Element, key: str, default: float = nan) -> float:
-    """Return a number of an element; the default if it has none."""
     try:
         return float(element.get(key, ""))
     except ValueError:

@@ -178,7 +178,6 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
 
 
 def _message_class(stream: Stream) -> type[Any]:
-    """The class of the messages, from the descriptor in the file."""
     if stream.encoding != "protobuf" or stream.schema_encoding != "protobuf":
         raise LogError(f"{stream.schema} is encoded as {stream.encoding!r}, expected protobuf", topic=stream.topic)
     pool = descriptor_pool.DescriptorPool()
@@ -321,7 +320,6 @@ def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: Flo
 
 
 def _enum_name(message: Any, name: str) -> str:
-    """The name of an enum field's value, as in the file's own descriptor."""
     kind = message.DESCRIPTOR.fields_by_name[name].enum_type
     value = kind.values_by_number.get(getattr(message, name))
     return value.name if value is not None else ""
@@ -408,7 +406,6 @@ def _facts(message: Any) -> dict[str, Any]:
 
 
 def _lane_between_boundaries(key: int, osi: _OsiMap, center: FloatArray, origin: FloatArray) -> Lane | None:
-    """The lane between its boundaries, or None if one is missing."""
     known = osi.lanes[key].classification
     lines, crossable = [], []
     for ids in (known.left_lane_boundary_id, known.right_lane_boundary_id):
@@ -429,7 +426,6 @@ def _lane_between_boundaries(key: int, osi: _OsiMap, center: FloatArray, origin:
 
 
 def _lane_around_center(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) -> Lane:
-    """The lane around its centre line."""
     center, known = centers[key], osi.lanes[key].classification
     near: dict[bool, list[float]] = {True: [], False: []}
     for ids in (known.left_adjacent_lane_id, known.right_adjacent_lane_id):

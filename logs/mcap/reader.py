@@ -284,7 +284,6 @@ def _detections(
 
 
 def _join_columns(messages: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> dict[str, list[Any]]:
-    """The columns of a kind, each joined over all messages."""
     return {
         name: list(chain.from_iterable(getattr(each, name) for each in messages)) for name in kind.__struct_fields__
     }

@@ -163,8 +163,6 @@ def salvage(source: Path, target: Path) -> Salvage:
 
 @dataclass
 class _Copy:
-    """The records for the new file."""
-
     profile: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -172,7 +170,6 @@ class _Copy:
     metadata: list[Metadata] = field(default_factory=list)
 
     def take(self, record: McapRecord) -> None:
-        """Keep a record that a reader needs."""
         if isinstance(record, Header):
             self.profile = record.profile
         elif isinstance(record, Schema):

@@ -171,7 +171,6 @@ def _road_users(
 
 
 def _changes(user: User, name: str, note: str, twins: int, sources: tuple[str, ...]) -> list[TrackChange]:
-    """Return the changes to a road user who stays."""
     t, count = user.piece.t, len(user.piece.rows)
     out = []
 

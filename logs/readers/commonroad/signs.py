@@ -146,7 +146,6 @@ def _lights_at(lanelet: Lanelet) -> tuple[int, ...]:
 
 
 def _kinds_at(document: Document, lanelet: Lanelet, *, without: Collection[int] = ()) -> set[str]:
-    """Kinds of the signs that a lanelet and its stop line name."""
     names = {*lanelet.signs, *(lanelet.stop.signs if lanelet.stop else ())}.difference(without)
     return {kind for name in names for kind in document.signs.get(name, ())}
 

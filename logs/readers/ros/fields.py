@@ -175,7 +175,6 @@ class _Code:
         self.run.append((CODES[kind], size, name, 1))
 
     def flush(self) -> None:
-        """Unpack the numbers of the run that are wanted, step over the others."""
         run, self.run = self.run, []
         if not run:
             return

@@ -37,7 +37,6 @@ def held(path: Path) -> Messages:
 
 
 def chunks(raw: bytes) -> list[tuple[int, int]]:
-    """Begin and end of each chunk record."""
     at, found = BEGIN, []
     while at + HEAD <= len(raw):
         end = at + HEAD + struct.unpack_from("<Q", raw, at + 1)[0]
@@ -240,7 +239,6 @@ def test_chunks_side_by_side_are_one_request(whole: Path) -> None:
 
 
 def without_chunks(whole: Path) -> bytes:
-    """The same messages, each a record of its own."""
     out = BytesIO()
     writer = Writer(out, use_chunking=False)
     writer.start()

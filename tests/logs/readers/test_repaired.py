@@ -42,7 +42,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def made(log: Path) -> Scenario:
-    """The raw log as it is read."""
     return read_log(log)
 
 

@@ -37,7 +37,6 @@ def check_drive(scenario: Scenario, origin: tuple[float, float] = (0.0, 0.0)) ->
 
 
 def apart(rows: list[Row], east: float) -> list[Row]:
-    """The drive `east` metres away."""
     for _, kind, _, each in rows:
         if kind == ODOMETRY:
             each.pose.pose.position.x += east

@@ -47,7 +47,6 @@ GOAL = "geometry_msgs/msg/PoseStamped"
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Transforms and tracked objects."""
     rows = bags.transforms() + bags.autoware_objects(TRACKED, TOPIC)
     return bags.write_ros2(tmp_path_factory.mktemp("ros") / "plain", rows)
 

@@ -19,7 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import tomli_w
 
+from logs.files import read_toml
 from logs.names import counted
 from logs.trace import EndReason, Mode
 from metrics.comparison import Comparison
@@ -28,7 +30,6 @@ from metrics.judge.aggregate import LogLabels, membership, pass_shares, standing
 from metrics.judge.discrimination import BLIND_FAILS
 from metrics.judge.gates import Outcome
 from metrics.judge.verdicts import judge_deadline
-from replay.config import dump_run
 from replay.draw.charts.subject import GRAVE, gravity
 from replay.draw.drawn_results import Results
 from replay.draw.report.contents import (
@@ -101,7 +102,7 @@ def overview(
         exit_code=code,
         shard=str(results.summary.get("shard", "")),
         replan=str(results.summary["replan"]),
-        config=sha256(dump_run(results.run).encode()).hexdigest()[:12],
+        config=sha256(tomli_w.dumps(read_toml(results.path / "run.toml")).encode()).hexdigest()[:12],
         logs=len(results.logs),
         columns=columns,
         drives=drives,

@@ -25,6 +25,7 @@ from replay.config import RunConfig
 from replay.planner_process.batch import in_lockstep
 from replay.planner_process.processes import set_template_run
 from replay.results.log_result import LogResult, Stamp
+from replay.run.head_start import compile_planning
 from replay.run.one_log import evaluate_log
 from replay.run.pool import WorkerLost, run_all
 from replay.run.sources import LogSource
@@ -66,7 +67,10 @@ class Local:
             finally:
                 set_template_run("")  # this process may do other work afterwards
             return
-        drive = partial(run_all, job, workers=max(1, min(self.workers, len(teams))), one_first=is_cache_cold())
+        drive = partial(
+            run_all, job, workers=max(1, min(self.workers, len(teams))), one_first=is_cache_cold(),
+            meanwhile=partial(compile_planning, run),
+        )  # fmt: skip
         ended = longest_first(teams, drive, lambda team: sum(source.expected_s for source in team))
         for index, results in ended:
             every = [results] * len(teams[index]) if isinstance(results, WorkerLost) else results

@@ -55,7 +55,12 @@ class _Worker(Generic[T, R]):
 
 
 def run_all(
-    function: Callable[[T], R], items: Sequence[T], workers: int, *, one_first: bool = False
+    function: Callable[[T], R],
+    items: Sequence[T],
+    workers: int,
+    *,
+    one_first: bool = False,
+    meanwhile: Callable[[], object] | None = None,
 ) -> Iterator[tuple[int, R | WorkerLost]]:
     """Apply a module-level function to items in child processes; yields `(index, result)` as they end.
 
@@ -64,6 +69,7 @@ def run_all(
         items: Picklable; handed out in order.
         workers: Number of child processes, at least 1.
         one_first: The last item is processed alone before the others, so that files that all need are made only once.
+        meanwhile: Picklable; called once in a process of its own that begins with this item, if there are workers left.
 
     Closing the iterator, or an exception in its consumer (KeyboardInterrupt), kills the workers.
     """
@@ -71,6 +77,10 @@ def run_all(
     if one_first:
         waiting.append(waiting.pop(0))
     crew: list[_Worker[T, R]] = []
+    beside = None
+    if one_first and meanwhile is not None and workers > 1 and len(items) > 1:
+        beside = _CONTEXT.Process(target=_call, args=(meanwhile,), daemon=True)
+        beside.start()
     try:
         while waiting or crew:
             while waiting and len(crew) < (1 if one_first else workers):
@@ -93,9 +103,19 @@ def run_all(
                     one_first = False
                     yield index, result
     finally:
+        if beside is not None:
+            beside.kill()
+            beside.join()
         for worker in crew:
             worker.process.kill()
             _dismiss(worker)
+
+
+def _call(function: Callable[[], object]) -> None:
+    """The child beside the workers; it ends with the parent, too."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    function()
 
 
 def _hand_out(worker: _Worker[T, R], items: Sequence[T], waiting: list[int]) -> None:

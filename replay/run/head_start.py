@@ -1,7 +1,7 @@
 """A head start for the first run on a machine: a second process compiles the kernels of planning.
 
-While no machine code is on disk, the first log of a run is driven alone, so that kernels that all logs need are compiled
-once. It begins with the reference drives and their metrics; meanwhile this plans over some built-in scenes.
+While no machine code is on disk, the first log of a run is driven alone, so that kernels that all logs need are
+compiled once. It begins with the reference drives and their metrics; meanwhile this plans over some built-in scenes.
 """
 
 from __future__ import annotations

@@ -6,10 +6,15 @@ import os
 import shutil
 import subprocess
 import sys
+import time
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from replay.config import RunConfig
+from replay.parts import PLANNER
+from replay.run.head_start import compile_planning
 from replay.run.pool import run_all
 
 ASK = """
@@ -60,6 +65,33 @@ def test_of_work_that_all_need_one_worker_does_the_first(tmp_path: Path) -> None
     others = {int((tmp_path / str(k)).read_text()) for k in range(3)}
     assert ended[0] == 3 and sorted(ended) == [0, 1, 2, 3]
     assert (tmp_path / "3").read_text() == "0" and others <= {1, 2, 3}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_beside_the_first_item_a_process_that_is_left_does_other_work(tmp_path: Path, workers: int) -> None:
+    beside, first = partial(_write, tmp_path / "beside"), [tmp_path / "other", tmp_path / "first"]
+    ended = [index for index, _ in run_all(_waited, first, workers, one_first=True, meanwhile=beside)]
+    assert sorted(ended) == [0, 1] and (tmp_path / "beside").exists() == (workers == 2)
+
+
+def _waited(path: Path) -> None:
+    """Wait for the work beside it, at most some seconds."""
+    for _ in range(100 if path.name == "first" else 0):
+        if (path.parent / "beside").exists():
+            return
+        time.sleep(0.05)
+
+
+def _write(path: Path) -> None:
+    path.touch()
+
+
+@pytest.mark.slow
+def test_the_head_start_compiles_what_a_plan_needs() -> None:
+    """Without an error, of all built-in planners; a planner of a user is left to its own process."""
+    names = (*PLANNER.causal, "nobody:Knows", "logged")
+    compile_planning(RunConfig(planners=names))
 
 
 def _marked(path: Path) -> None:

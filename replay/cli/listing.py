@@ -7,7 +7,6 @@ suite, its summary; for a car, the first comment of its file.
 from __future__ import annotations
 
 import inspect
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -131,7 +130,7 @@ def _first_line(thing: Callable[..., Any]) -> str:
     if isinstance(thing, partial):
         settings = ", ".join(f"{key} {value}" for key, value in thing.keywords.items())
         return f"{_first_line(thing.func)} With {settings}."
-    return re.sub(r"; (see|both) .*", ".", (inspect.getdoc(thing) or "").partition("\n")[0])
+    return (inspect.getdoc(thing) or "").partition("\n")[0]
 
 
 def _where(thing: Any) -> str:

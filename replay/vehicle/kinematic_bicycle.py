@@ -154,7 +154,9 @@ def step(
 
 
 class KinematicBicycle:
-    """A kinematic bicycle whose steering and pedals lag; see `replay.vehicle.base.Vehicle`.
+    """A kinematic bicycle whose steering and pedals lag.
+
+    A `replay.vehicle.base.Vehicle`.
 
     Args:
         parameters: Of the ego.
@@ -227,7 +229,9 @@ def _kappa(steer: float, car: Kinematics) -> float:
 
 
 class Perfect:
-    """Moves exactly along its plan; both a `replay.vehicle.base.Vehicle` and a `replay.vehicle.base.Controller`.
+    """Moves exactly along its plan.
+
+    Both a `replay.vehicle.base.Vehicle` and a `replay.vehicle.base.Controller`.
 
     Args:
         parameters: Of the ego; they limit nothing.

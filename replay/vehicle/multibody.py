@@ -61,7 +61,9 @@ Rates = Callable[[list[float], list[float], Any], list[float]]
 
 
 class Multibody:
-    """The multi-body model of 29 states of commonroad-vehicle-models; see `replay.vehicle.base.Vehicle`.
+    """The multi-body model of 29 states of commonroad-vehicle-models.
+
+    A `replay.vehicle.base.Vehicle`.
 
     Args:
         parameters: Of the ego.

@@ -306,7 +306,9 @@ def step(
 
 
 class SingleTrack:
-    """A single track with tyres, load transfer and drive train; see `replay.vehicle.base.Vehicle`.
+    """A single track with tyres, load transfer and drive train.
+
+    A `replay.vehicle.base.Vehicle`.
 
     Args:
         parameters: Of the ego.

@@ -16,7 +16,9 @@ from replay.draw.report.contents import Overview
 from replay.draw.report.overview import overview
 from replay.draw.report.write import write_reports
 from replay.run import evaluate_logs
+from replay.run.engine import Engine
 from replay.run.output import held
+from replay.run.shards import Shard
 from replay.settings import converted, dotted, known_keys
 
 if TYPE_CHECKING:
@@ -33,13 +35,17 @@ def evaluate(
     metrics: Sequence[str] | None = None,
     charts: Sequence[str] | None = None,
     recording: bool | None = None,
+    foxglove: bool | None = None,
     internals: Internals | None = None,
+    ensemble: int | None = None,
     config: RunConfig | Path | str | None = None,
     suite: str | None = None,
     window: float | None = None,
     every: float | None = None,
     workers: int = 0,
+    engine: Engine | None = None,
     resume: bool = False,
+    shard: str | None = None,
     loop: dict[str, Any] | None = None,
     log: dict[str, Any] | None = None,
     baseline: Results | Path | str | None = None,
@@ -58,14 +64,18 @@ def evaluate(
         metrics: "module:NAME" of metrics of your own.
         charts: "module:NAME" of charts of your own.
         recording: Whether .rrd files are written.
+        foxglove: Whether logs and traces get channels for Foxglove.
         internals: How much of a planner's internals is kept: "none", "summary", "full".
+        ensemble: How many times each log is driven again in a world that should not change the verdict.
         config: All settings of a run, or a TOML file of them.
         suite: Instead of logs: a suite of the catalogue, or a family or group of it.
         window: Split each log into windows of this length, s.
         every: Time between the begins of two windows, s; None: `window`.
         workers: Child processes; 0 evaluates in this one. Results do not depend on it. With any, a script needs
             `if __name__ == "__main__":`.
+        engine: Where logs are driven, instead of `workers` (`replay.run.on_ray.OnRay`).
         resume: Continue the interrupted run in `out`.
+        shard: "I/N": drive every N-th log, from the I-th; `replan merge` judges all shards.
         loop: Keys of [loop] (`replay.config.LoopConfig`): {"controller": "mpc", "plan_period_s": 0.2}.
         log: Keys of [log] (`logs.log_settings.LogSettings`): {"ego": "17", "begin": 2.0}.
         baseline: Results, their folder, or a file of `replan baseline`: the reports compare this run with it.
@@ -86,14 +96,19 @@ def evaluate(
         "metrics": None if metrics is None else tuple(metrics),
         "charts": None if charts is None else tuple(charts),
         "recording": recording,
+        "foxglove": foxglove,
         "internals": internals,
+        "ensemble": ensemble,
         "loop": None if loop is None else _over(run.loop, loop, "loop"),
         "log": None if log is None else _over(run.log, log, "log"),
     }
     run = _over(run, {key: value for key, value in given.items() if value is not None})
     places = [logs] if isinstance(logs, (str, Path)) else list(logs)
     before = None if baseline is None else _run(baseline)
-    found = evaluate_logs(places, run, out, workers=workers, resume=resume, window=window, every=every, suite=suite)
+    found = evaluate_logs(
+        places, run, out, workers=workers, engine=engine, resume=resume, window=window, every=every, suite=suite,
+        shard=None if shard is None else Shard.parsed(shard),
+    )  # fmt: skip
     if report:
         finished(found, before, run.gates_path)
     return found

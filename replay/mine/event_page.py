@@ -133,10 +133,11 @@ def write_events_page(folder: Path, events: pd.DataFrame, logs: pd.DataFrame) ->
         log = about[row["log"]]
         picture = picture_of(row, str(log["sha256"]))
         begin, end = max(row["t_from_s"] - AROUND_S, 0.0), min(row["t_to_s"] + AROUND_S, log["duration_s"])
-        drive = join(["replan", "evaluate", str(log["source"]), "--from", f"{begin:.1f}", "--to", f"{end:.1f}"])
+        part = [str(log["source"]), "--from", f"{begin:.1f}", "--to", f"{end:.1f}"]
+        commands = [join(["replan", word, *part]) for word in ("evaluate", *(["view"] if log["sha256"] else []))]
         value = f"{row['value']:.3g} {row['unit'] if row['unit'] != '1' else ''}" if isfinite(row["value"]) else ""
         shown = picture if (folder / picture).is_file() else ""
-        rows.append({**row, "picture": shown, "drive": drive, "shown": value})
+        rows.append({**row, "picture": shown, "commands": commands, "shown": value})
     page = rendered("events.html", rows=rows, more=max(len(events) - MOST_ROWS, 0), logs=len(logs), most=MOST_OF_A_KIND)
     with writing(folder / PAGE):
         write_text(folder / PAGE, page)

@@ -19,6 +19,7 @@ from numba import njit
 from numba.core import codegen, event
 
 from logs.kernel_cache import KernelIndex
+from logs.kernel_compiler import compile_less
 
 PORTABLE = "x86-64-v3"
 """The target processor of kernels if the machine supports it and the user chose none (`NUMBA_CPU_NAME`).
@@ -39,6 +40,7 @@ if (
     and PORTABLE_HAS.issubset(codegen.get_host_cpu_features().split(","))  # type: ignore[no-untyped-call]
 ):
     _CONFIG.CPU_NAME, _CONFIG.CPU_FEATURES = PORTABLE, ""
+compile_less()
 
 STORED: list[Any] = []
 """Numba's dispatchers of all imported kernels that have a cache on disk."""

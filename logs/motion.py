@@ -32,7 +32,7 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import BoolArray, FloatArray, IntArray, frozen
-from logs.kernel import kernel
+from logs.kernel import inner_kernel, kernel
 
 JERK = {
     AgentKind.CAR: 64.0,
@@ -134,7 +134,7 @@ def _smooth_all(
         i = j
 
 
-@kernel
+@inner_kernel
 def _noise(t: FloatArray, zx: FloatArray, zy: FloatArray, mine: BoolArray, floor: float, unknown: float) -> float:
     """Return the standard deviation of the noise (4) of the samples that `mine` marks."""
     found = np.empty(max(len(t) - 3, 0))
@@ -160,7 +160,7 @@ def _noise(t: FloatArray, zx: FloatArray, zy: FloatArray, mine: BoolArray, floor
     return floor if len(found) > 0 else unknown
 
 
-@kernel
+@inner_kernel
 def _smooth(
     t: FloatArray, zx: FloatArray, zy: FloatArray, logged: BoolArray, noise: FloatArray, q: float, out: FloatArray
 ) -> None:
@@ -235,7 +235,7 @@ def _forward(
     return score
 
 
-@kernel
+@inner_kernel
 def _backward(
     t: FloatArray, logged: BoolArray, means: FloatArray, covs: FloatArray, gains: FloatArray, off: FloatArray,
     spread: FloatArray, weight: float, out: FloatArray,

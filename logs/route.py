@@ -24,7 +24,7 @@ from math import atan2, cos, hypot, inf, pi, sin
 
 import numpy as np
 
-from logs.arrays import TIE, BoolArray, FloatArray
+from logs.arrays import TIE, BoolArray, FloatArray, frozen
 from logs.kernel import kernel
 from logs.road import Goal, Lane, Road, inside, nearest
 from logs.shapes import point_segment
@@ -306,7 +306,7 @@ BEHIND_M = 40.0
 
 def on_lane(lane: Lane, x: FloatArray, y: FloatArray, yaw: FloatArray) -> BoolArray:
     """Return which points `(k,)` with a heading are on a lane and drive along it (module docstring)."""
-    return _on_lane(lane.center, lane.polygon, *(np.ascontiguousarray(column, np.float64) for column in (x, y, yaw)))
+    return _on_lane(lane.center, lane.polygon, *map(frozen, (x, y, yaw)))
 
 
 @kernel

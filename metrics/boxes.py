@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
 from logs.kernel import inner_kernel, kernel
 from logs.once import last, once
 from logs.scenario import Scenario
@@ -85,7 +85,7 @@ def some_at(tracks: Tracks, agents: IntArray, t: FloatArray) -> OtherBoxes:
     at = np.repeat(tracks.offsets[agents] - offsets[:-1], lengths) + np.arange(offsets[-1])
     moves = (moved.vx, moved.vy, moved.accel, moved.turn)
     columns = np.stack([some[at] for some in (tracks.x, tracks.y, tracks.yaw, *moves)])
-    there, found = _on_grid(offsets, tracks.static[agents], tracks.t[at], tracks.gap_after[at], columns, t)
+    there, found = _on_grid(offsets, tracks.static[agents], tracks.t[at], tracks.gap_after[at], columns, frozen(t))
     return OtherBoxes(there, found[:5], found[5], found[6], np.column_stack([tracks.length, tracks.width])[agents])
 
 

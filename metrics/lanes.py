@@ -103,7 +103,7 @@ def stated_lanes(road: Road) -> LaneArrays | None:
     if (lanes := mapped_lanes(road)) is None:
         return None
     stated = [road.stated_limit(lane.id) for lane in road.lanes.values() if lane.drivable]
-    return lanes._replace(limit=np.array(stated))
+    return lanes._replace(limit=frozen(stated))
 
 
 def drivable_lanes(road: Road) -> LaneArrays | None:

@@ -31,7 +31,7 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import BoolArray, FloatArray
-from logs.kernel import kernel
+from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.scenario import Scenario
 from logs.shapes import corners
@@ -61,7 +61,7 @@ def longitudinal_distance(v: float, u: float) -> float:
     return max(_stopping(v) - u * u / (2.0 * B_MAX_MPS2), 0.0)
 
 
-@kernel
+@inner_kernel
 def _lateral_way(c: float) -> float:
     then = c + RHO_S * A_LAT_MPS2
     return 0.5 * (c + then) * RHO_S + then * abs(then) / (2.0 * B_LAT_MPS2)

@@ -32,7 +32,7 @@ from math import cos, hypot, inf, nan, radians, sin
 import numpy as np
 
 from logs.agents import Agents
-from logs.arrays import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray, frozen
 from logs.frame import PlannerContext, Predictions
 from logs.plan import Plan
 from logs.road import line_project_many
@@ -322,8 +322,8 @@ def meetings(
     none, rows = np.zeros(len(agents), np.bool_), np.arange(float(len(futures)))
     _, who, lower, upper, along, row = sweep(
         SweptPath(way.s, way.x, way.y, way.yaw),
-        Futures(times, futures.agent, rows, x, y, yaw),  # row numbers instead of probabilities
-        Bodies(agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width),
+        Futures(frozen(times), futures.agent, *map(frozen, (rows, x, y, yaw))),  # row numbers instead of probabilities
+        Bodies(*map(frozen, (agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width))),
         Roles(none, VULNERABLE[agents.codes], passed), ego, float(times[0]), 1,
     )  # fmt: skip
     found: dict[int, Meeting] = {}

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.agents import Agents
-from logs.arrays import FloatArray
+from logs.arrays import FloatArray, frozen
 from logs.frame import Predictions
 from logs.plan import DecisionKind, StGraph
 from logs.rules import Colour
@@ -129,8 +129,8 @@ def _outline(tracks: Tracks, i: int, frame: PlannedFrame, way: FloatArray, end: 
     columns = tracks.x[own], tracks.y[own], np.unwrap(tracks.yaw[own])
     x, y, yaw = (np.interp(times, tracks.t[own], column)[None] for column in columns)
     one, zero, no = np.zeros(1, np.int64), np.zeros(1), np.zeros(1, np.bool_)
-    futures = Futures(times, one, zero, x, y, yaw)
-    bodies = Bodies(zero, zero, zero, zero, zero, tracks.length[[i]], tracks.width[[i]])
+    futures = Futures(frozen(times), one, *map(frozen, (zero, x, y, yaw)))
+    bodies = Bodies(*map(frozen, (zero, zero, zero, zero, zero, tracks.length[[i]], tracks.width[[i]])))
     t, _, lower, upper, _, _ = sweep(SweptPath(*way), futures, bodies, Roles(no, no, no), ego, float(frame.t), 1)
     if not len(lower):
         return None

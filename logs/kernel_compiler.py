@@ -1,0 +1,134 @@
+"""How kernels become machine code: numba's way, without the work whose result nobody uses.
+
+Numba optimises each compiled function and generates machine code for it, even if only other compiled functions call
+it: these contain its code already (LLVM links it into them). Its own functions (`np.empty` and so on), compiled anew in
+each process, are such functions, and so are ours that `logs.kernel.inner_kernel` marks. Here:
+
+1. A function is optimised, and machine code generated, when Python needs its address: not before, and for most, never.
+2. A function without a wrapper for Python has none for C either.
+3. LLVM's passes over single functions are left out: its passes over the module do the same again.
+4. Compiler options are compared without listing the defaults; they are part of each key of numba's caches of types.
+
+Together they save a fifth of the time. Results do not depend on them: LLVM may not reorder floating-point arithmetic.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numba
+from numba.core import codegen, environment, targetconfig, typed_passes
+
+KNOWN = ((0, 61), (0, 68))
+"""The first and last version of numba whose internals are changed here; others are left as they are."""
+
+LINKED = "linked"
+"""The kind of stored code that was not finalized; numba's own are "object" and "bitcode"."""
+
+_llvm: Any = cast("Any", codegen).ll
+_Library: Any = codegen.JITCodeLibrary
+_Generator: Any = codegen.JITCPUCodegen
+_Lowering: Any = typed_passes.BaseNativeLowering
+_Options: Any = targetconfig.TargetConfig
+_lookup: Any = environment.lookup_environment
+
+
+class KernelLibrary(_Library):  # type: ignore[misc]
+    """The code of one compiled function: linked with what it calls, and finalized when its address is needed."""
+
+    _linked = False
+    _linking_libraries: list[Any]
+
+    def _link(self) -> None:
+        """Link what the function calls into the module: once, at the first use."""
+        if not self._linked:
+            self._linked = True
+            for library in dict.fromkeys(self._linking_libraries):
+                self._reload_init.update(library._reload_init)
+                self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+            self._linking_libraries = []
+
+    def finalize(self) -> None:
+        """Optimise, and generate machine code."""
+        self._link()
+        super().finalize()
+
+    def _ensure_finalized(self) -> None:
+        """Do what all that numba asks this before need, but `get_pointer_to_function`."""
+        self._link()
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """The address of a function; 0 if the module does not define it."""
+        self._link()
+        if not self._finalized:
+            if all(each.name != name for each in self.get_defined_functions()):
+                return 0
+            self.finalize()
+        return cast("int", super().get_pointer_to_function(name))
+
+    @property
+    def has_dynamic_globals(self) -> bool:
+        """Whether it contains addresses of this process, so that it cannot be stored."""
+        self._link()
+        return any(each.name.startswith("numba.dynamic.globals") for each in self._final_module.global_variables)
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+
+    def _finalize_specific(self) -> None:
+        super()._finalize_specific()
+        for name in [each.name for each in self._final_module.global_variables]:
+            if (held := _lookup(name)) is not None:  # that of a function that was linked in
+                self._codegen.set_env(name, held)
+
+    def serialize_using_object_code(self) -> Any:
+        """What is stored: machine code if there is any, else LLVM's code, for those that call it."""
+        self._link()
+        if self._finalized:
+            return super().serialize_using_object_code()
+        return self.name, LINKED, self._final_module.as_bitcode()
+
+    @classmethod
+    def _unserialize(cls, generator: Any, state: Any) -> Any:
+        name, kind, data = state
+        if kind == LINKED:
+            made = generator.create_library(name)
+            made._final_module = _llvm.parse_bitcode(data)
+        else:
+            made = super()._unserialize(generator, state)
+        made._linked = True
+        return made
+
+
+def _set_environment(generator: Any, name: str, environment: Any) -> None:
+    """Numba's `set_env`, for functions with machine code."""
+    if generator._engine.is_symbol_defined(name):
+        _set_env(generator, name, environment)
+
+
+def _lower(lowering: Any, state: Any) -> Any:
+    """Numba's lowering pass: without a wrapper for C where there is none for Python, but for callbacks in C."""
+    if state.flags.no_cpython_wrapper and not state.flags.no_compile:
+        state.flags = state.flags.copy()
+        state.flags.no_cfunc_wrapper = True
+    return _run_pass(lowering, state)
+
+
+def _same_options(one: Any, other: Any) -> Any:
+    """Numba's comparison of compiler options: first those that were set, then all."""
+    if not isinstance(other, _Options):
+        return NotImplemented
+    return one._values == other._values or one.values() == other.values()
+
+
+_set_env, _run_pass = _Generator.set_env, _Lowering.run_pass
+
+
+def compile_less() -> None:
+    """Change numba, for this process and before it compiles anything, if its version is one that is known."""
+    if KNOWN[0] <= numba.version_info[:2] <= KNOWN[1]:
+        _Generator._library_class = KernelLibrary
+        _Generator.set_env = _set_environment
+        _Lowering.run_pass = _lower
+        _Options.__eq__ = _same_options
+        _Options.__hash__ = lambda options: hash(type(options))

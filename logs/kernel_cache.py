@@ -28,6 +28,7 @@ from numba.core import caching
 from numba.core.caching import IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
+from logs.kernel_compiler import LINKED
 from replan.own import PACKAGES
 
 _WORD = re.compile(r"[A-Za-z_]\w*")
@@ -38,7 +39,7 @@ _LINE = re.compile(r"-\d+(?=\.py\d+)")
 @cache
 def stamp(kernel: Any) -> str:
     """Return the SHA-256, in hexadecimal, of all inputs of the machine code of a kernel (a numba dispatcher)."""
-    digest = sha256(repr(sorted(kernel.targetoptions.items())).encode())
+    digest = sha256(f"{LINKED} {sorted(kernel.targetoptions.items())!r}".encode())
     for part in _parts_of_kernel(kernel.py_func, {kernel}):
         digest.update(f"{part}\n".encode())
     return digest.hexdigest()

@@ -25,7 +25,7 @@ KNOWN = ((0, 61), (0, 68))
 LINKED = "linked"
 """The kind of stored code that was not finalized; numba's own are "object" and "bitcode"."""
 
-_llvm: Any = cast("Any", codegen).ll
+llvm: Any = cast("Any", codegen).ll
 _Library: Any = codegen.JITCodeLibrary
 _Generator: Any = codegen.JITCPUCodegen
 _Lowering: Any = typed_passes.BaseNativeLowering
@@ -47,6 +47,19 @@ class KernelLibrary(_Library):  # type: ignore[misc]
                 self._reload_init.update(library._reload_init)
                 self._final_module.link_in(library._get_module_for_linking(), preserve=True)
             self._linking_libraries = []
+            self._tidy()
+
+    def _tidy(self) -> None:
+        """Remove what is dead: numba puts the address of each function that is called, an address of this process, too.
+
+        It is less for the functions that this one is linked into, and they can be stored.
+        """
+        passes, builder = llvm.create_new_module_pass_manager(), self._codegen._pass_builder()
+        passes.add_sroa_pass()
+        passes.add_simplify_cfg_pass()
+        passes.add_dead_code_elimination_pass()
+        passes.add_global_dead_code_eliminate_pass()
+        passes.run(self._final_module, builder)
 
     def finalize(self) -> None:
         """Optimise, and generate machine code."""
@@ -93,7 +106,7 @@ class KernelLibrary(_Library):  # type: ignore[misc]
         name, kind, data = state
         if kind == LINKED:
             made = generator.create_library(name)
-            made._final_module = _llvm.parse_bitcode(data)
+            made._final_module = llvm.parse_bitcode(data)
         else:
             made = super()._unserialize(generator, state)
         made._linked = True

@@ -12,8 +12,8 @@ over a time. K is tabulated over speed and interpolated; below the first speed o
 effect, its first row is used.
 
 (4) is structured doubling: Chu, Fan, Lin, Wang, Structure-preserving algorithms for periodic discrete-time algebraic
-Riccati equations, Int. J. Control 77 (2004), section 3. It is a kernel for small matrices, because library solvers take
-a hundred times longer when the threads of their linear algebra compete for busy cores.
+Riccati equations, Int. J. Control 77 (2004), section 3. All speeds are solved at once, because library solvers for one
+equation take a hundred times longer when the threads of their linear algebra compete for busy cores.
 
 Where the tyres slip, the model is the paper's four-state error model with the steering's lag: state x = (e_d m, e_d'
 m/s, e_phi rad, e_phi' rad/s, e_steer rad) at the rear axle, input u = commanded steer, each minus that of exact
@@ -42,6 +42,7 @@ With rigid tyres, e_d' and e_phi' follow from the others: x = (e_lat, e_yaw, e_s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import atan, exp
@@ -108,9 +109,8 @@ class DlqrConfig:
             raise unknown_name("discretisation", self.discretisation, DISCRETISATIONS)
 
 
-@dataclass(frozen=True, eq=False)
-class Regulator:
-    """A solved (1)-(3) at one speed: A `(n, n)`, B `(n, 1)`, Q, R, P, and the gain K `(1, n)`."""
+class Regulator(NamedTuple):
+    """A solved (1)-(3) at one speed, or at k (`(k, ...)`): A `(n, n)`, B `(n, 1)`, Q, R, P, and the gain K `(1, n)`."""
 
     A: FloatArray
     B: FloatArray
@@ -126,22 +126,38 @@ def regulator(v: float, p: VehicleParameters, period: float, config: DlqrConfig)
     Raises:
         ConfigError: The weights, or a speed of 0, allow no stable gain.
     """
-    if not v > 0.0:
-        raise ConfigError(f"DLQR: no stable gain at {v} m/s")
+    return Regulator(*(each[0] for each in regulators([v], p, period, config)))
+
+
+def regulators(speeds: Sequence[float], p: VehicleParameters, period: float, config: DlqrConfig) -> Regulator:
+    """As `regulator`, at each of the speeds."""
+    if not min(speeds) > 0.0:
+        raise ConfigError(f"DLQR: no stable gain at {min(speeds)} m/s")
     lag, weights = max(float(p.steer_lag), SHORTEST_LAG_S), [config.lateral_weight, config.heading_weight]
     if has_rigid_tyres(p):
-        A, B = rolling_model(v, p.wheelbase, lag, period)  # (10)
+        models = [rolling_model(v, p.wheelbase, lag, period) for v in speeds]  # (10)
     else:
         weights = [weights[0], config.lateral_rate_weight, weights[1], config.heading_rate_weight]
-        A, B, _ = at_rear_axle(error_model(v, p), v, p)
-        A, B = with_steering(A, B, lag)
-        A, B = DISCRETISATIONS[config.discretisation](A, B[:, None], period)  # (5)
-    Q, R = np.diag([*weights, 0.0]), np.array([[config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2]])  # (1)
-    P = solve_riccati(np.ascontiguousarray(A), np.ascontiguousarray(B), Q, R)  # (2)
-    if not np.isfinite(P).all():
+        models = [_slipping_model(v, p, lag, period, config) for v in speeds]
+    A, B = np.stack([model[0] for model in models]), np.stack([model[1] for model in models])
+    v = np.asarray(speeds, np.float64)[:, None, None]
+    Q, R = np.diag([*weights, 0.0]), config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2  # (1)
+    P = solve_riccati(A, B, Q, R)  # (2)
+    unstable = ~np.isfinite(P).all(axis=(1, 2))
+    if unstable.any():
         weighed = f"the weights {(*weights, 0.0)} and steer_weight {config.steer_weight:g}"
-        raise ConfigError(f"DLQR: no stable gain at {v} m/s with {weighed}")
-    return Regulator(A, B, Q, R, P, np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))  # (3)
+        raise ConfigError(f"DLQR: no stable gain at {float(v[unstable][0, 0])} m/s with {weighed}")
+    K = [np.linalg.solve(r + b.T @ s @ b, b.T @ s @ a) for (a, b), r, s in zip(models, R, P, strict=True)]  # (3)
+    return Regulator(A, B, np.broadcast_to(Q, A.shape), R, P, np.stack(K))
+
+
+def _slipping_model(
+    v: float, p: VehicleParameters, lag: float, period: float, config: DlqrConfig
+) -> tuple[FloatArray, FloatArray]:
+    """A `(5, 5)` and B `(5, 1)` of (5)."""
+    A, B, _ = at_rear_axle(error_model(v, p), v, p)
+    A, B = with_steering(A, B, lag)
+    return DISCRETISATIONS[config.discretisation](A, B[:, None], period)
 
 
 def rolling_model(v: float, wheelbase: float, lag: float, period: float) -> tuple[FloatArray, FloatArray]:
@@ -154,35 +170,36 @@ def rolling_model(v: float, wheelbase: float, lag: float, period: float) -> tupl
     return A, B
 
 
-@kernel
 def solve_riccati(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray) -> FloatArray:
-    """The stabilising P `(n, n)` of (2), for A `(n, n)`, B `(n, m)`, Q `(n, n)` >= 0, R `(m, m)` > 0.
+    """The stabilising P `(k, n, n)` of k equations (2): A like P, B `(k, n, m)`, Q `(n, n)` >= 0, R `(k, m, m)` > 0.
 
     All NaN where the rounds do not converge: (A, B) cannot be stabilised, or Q does not see an unstable mode.
     """
-    eye = np.eye(len(A))
-    G = B @ np.linalg.solve(R, np.ascontiguousarray(B.T))
-    H = Q.copy()
-    for _ in range(MAX_ROUNDS):
-        W = np.linalg.solve(eye + G @ H, eye)
-        WA = W @ A
-        more = np.ascontiguousarray(A.T) @ (H @ WA)
-        G = G + A @ (W @ G) @ np.ascontiguousarray(A.T)
-        A = A @ WA
-        H = H + more
-        H = 0.5 * (H + H.T)
-        G = 0.5 * (G + G.T)
-        if not np.isfinite(H).all():
-            break
-        if np.abs(more).max() <= 1e-13 * np.abs(H).max():
-            return H
-    return np.full_like(H, np.nan)
+    out, left, eye = np.full_like(A, np.nan), np.arange(len(A)), np.eye(A.shape[-1])
+    G, H = B @ np.linalg.solve(R, np.ascontiguousarray(B.mT)), np.broadcast_to(Q, A.shape)
+    with np.errstate(over="ignore", invalid="ignore"):  # H that grows without end is no solution
+        for _ in range(MAX_ROUNDS):
+            W = np.linalg.solve(eye + G @ H, np.broadcast_to(eye, A.shape))
+            WA, At = W @ A, np.ascontiguousarray(A.mT)
+            more = At @ (H @ WA)
+            G = G + A @ (W @ G) @ At
+            A = A @ WA
+            H = H + more
+            H, G = 0.5 * (H + H.mT), 0.5 * (G + G.mT)
+            is_finite = np.isfinite(H).all(axis=(1, 2))
+            solved = is_finite & (np.abs(more).max(axis=(1, 2)) <= 1e-13 * np.abs(H).max(axis=(1, 2)))
+            out[left[solved]] = H[solved]
+            goes_on = is_finite & ~solved
+            left, A, G, H = left[goes_on], A[goes_on], G[goes_on], H[goes_on]
+            if not len(left):
+                break
+    return out
 
 
 @lru_cache(maxsize=32)
 def gain_table(p: VehicleParameters, period: float, config: DlqrConfig) -> FloatArray:
     """K `(n, 5)`, with rigid tyres `(n, 3)`, at `table_speeds`."""
-    return frozen(np.array([regulator(float(v), p, period, config).K[0] for v in table_speeds()]))
+    return frozen(regulators(table_speeds().tolist(), p, period, config).K[:, 0])
 
 
 @kernel

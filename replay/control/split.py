@@ -170,7 +170,7 @@ def control_row(
     return steer, throttle, brake
 
 
-@inner_kernel
+@kernel
 def control_once(
     laws: Plain, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray
 ) -> tuple[float, float, float]:

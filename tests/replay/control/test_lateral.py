@@ -158,7 +158,7 @@ def test_the_riccati_equation_is_solved_as_the_library_does(seed: int, n: int, m
     rng = np.random.default_rng(seed)
     A, B, Q = rng.normal(size=(n, n)), rng.normal(size=(n, m)), np.diag(rng.uniform(0.1, 2.0, n))
     R = np.diag(rng.uniform(0.1, 2.0, m))
-    P = solve_riccati(A, B, Q, R)
+    P = solve_riccati(A[None], B[None], Q, R[None])[0]
     np.testing.assert_allclose(P, solve_discrete_are(A, B, Q, R), rtol=1e-6)
     np.testing.assert_allclose(P, Q + A.T @ P @ np.linalg.solve(np.eye(n) + B @ np.linalg.solve(R, B.T) @ P, A), 1e-6)
 
@@ -207,7 +207,9 @@ def test_settings_that_make_no_sense_are_refused() -> None:
     for car in (CAR, ROLLING):
         with pytest.raises(ConfigError, match="no stable gain"):
             regulator(0.0, car, PERIOD, DlqrConfig())
-    assert np.isnan(solve_riccati(np.array([[2.0]]), np.array([[0.0]]), np.eye(1), np.eye(1))).all()
+    A, B, one = np.array([[[2.0]], [[0.5]]]), np.array([[[0.0]], [[1.0]]]), np.ones((2, 1, 1))
+    solved = solve_riccati(A, B, np.eye(1), one)  # the first has no solution, which spoils no other
+    assert np.isnan(solved[0]).all() and solved[1] == pytest.approx(solve_discrete_are(A[1], B[1], np.eye(1), one[1]))
 
 
 # --- exact following

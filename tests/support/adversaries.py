@@ -1,29 +1,21 @@
 """Planners that a judge must catch, each bad in one way, and the table of which gate catches which.
 
-    python tests/support/adversaries.py
-
-drives them over the built-in suite and prints adversary x gate (Markdown: logs failed, "." none, "-" not asked); `slow`
-over its own log only.
-
 They may be run as any planner: `replan evaluate -p adversaries:Park` from the folder of this file.
 """
 
 from __future__ import annotations
 
-import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from drives import along, grid, moving, scenario, straight_road
 
 from logs import AgentKind, EgoState, Frame, Plan, PlannerContext, Predictions, Road, Scenario, Trajectory
 from logs.arrays import FloatArray
-from logs.catalogue import BUILTIN, CATALOGUE
+from logs.catalogue import CATALOGUE
 from logs.road import ReferenceLine
 from logs.rules import Colour, StopLine
 from planners.constant_speed import arc
@@ -518,42 +510,3 @@ ADVERSARIES = {
     "stop_end": Adversary(StopEnd, "paper/free_road", "plan_change"),
     "far_ahead": Adversary(FarAhead, "paper/free_road", "plan_refused"),
 }
-
-
-def _written(folder: Path) -> list[Path]:
-    from replay.cli.synth import synthesise
-
-    return list(synthesise([CATALOGUE[name] for name in BUILTIN], folder / "logs", {}))
-
-
-def main() -> None:
-    """Print the table."""
-    from replay.config import LoopConfig, RunConfig
-    from replay.run import evaluate_logs
-
-    rows: dict[str, dict[str, str]] = {}
-    with tempfile.TemporaryDirectory() as place:
-        logs = dict(zip(BUILTIN, _written(Path(place)), strict=True))
-        for name, one in ADVERSARIES.items():
-            late = one.gate == "deadline"
-            run = RunConfig(
-                planners=(f"adversaries:{one.planner.__name__}",), recording=False, internals="none",
-                loop=LoopConfig(vehicle=one.vehicle), deadline_s=0.1 if late else 0.0,
-            )  # fmt: skip
-            asked = [logs[str(one.log)]] if late else list(logs.values())
-            result = evaluate_logs(asked, run, Path(place) / "out" / name, workers=2)
-            for verdict in result.gates.itertuples():
-                of_gate = (result.verdicts["gate"] == verdict.gate) & (result.verdicts["mode"] == verdict.mode)
-                failed = int((result.verdicts[of_gate]["outcome"] == "fail").sum())
-                metric = result.summary["gates"][verdict.Index]["gate"]["metric"]
-                rows.setdefault(f"{metric} {verdict.mode}", {})[name] = str(failed) if failed else "."
-            rows.setdefault("exit code", {})[name] = str(result.exit_code)
-    rows["exit code"] = rows.pop("exit code")
-    print(f"| gate | {' | '.join(ADVERSARIES)} |", "| --- |" + " --- |" * len(ADVERSARIES), sep="\n")
-    for gate, found in rows.items():
-        print(f"| {gate} | {' | '.join(found.get(name, '-') for name in ADVERSARIES)} |")
-
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parent))
-    main()

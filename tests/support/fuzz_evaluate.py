@@ -1,4 +1,4 @@
-"""Hostile logs through `evaluate`: `python tests/support/fuzz_evaluate.py [FORMAT ...] [--count 400] [--seed N]`.
+"""Hostile logs through `evaluate`.
 
 The logs of `fuzz_readers` are mutated one by one, by bytes, by values, and as files: emptied, cut off, replaced by a
 folder, a link that leads nowhere, a pipe or a device, renamed by case, written in another encoding, with doubled or
@@ -10,12 +10,11 @@ or 3, with one line that says why). It may not
     hang    take longer than `MOST_S`
     lose    be judged with fewer agents than the input has, without a note that the whole log does not have
 
-The table counts what happened; what may not happen is printed with the seed that makes it again.
+What may not happen is printed with the seed that makes it again.
 """
 
 from __future__ import annotations
 
-import argparse
 import csv
 import io
 import json
@@ -24,7 +23,6 @@ import resource
 import shutil
 import signal
 import sys
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -310,30 +308,3 @@ def formats(made: Path) -> list[Case]:
     """The cases of `fuzz_readers` that are logs and whose data are there."""
     found = [case for case in cases(made) if case.folder.exists()]
     return [case for case in found if not case.name.startswith(("OpenDRIVE", "Lanelet2", "native, salvage"))]
-
-
-def main() -> int:
-    """Print the table; 1 where something happened that may not."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("formats", nargs="*", help="beginnings of names; none: all")
-    parser.add_argument("--count", type=int, default=400, help="inputs in all")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--planner", default="constant_speed")
-    chosen = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "made").mkdir()
-        named = [
-            case
-            for case in formats(Path(folder) / "made")
-            if not chosen.formats or case.name.startswith(tuple(chosen.formats))
-        ]
-        counts = campaign(named, chosen.count, chosen.seed, Path(folder), chosen.planner)
-    total = sum(counts.values(), Counter[str]())
-    print(f"{'format':28}" + "".join(f"{each:>9}" for each in OUTCOMES))
-    for name, row in [*counts.items(), ("all", total)]:
-        print(f"{name:28}" + "".join(f"{row[each]:9}" for each in OUTCOMES))
-    return int(any(total[each] for each in OUTCOMES if each not in GOOD))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

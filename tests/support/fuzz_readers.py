@@ -1,30 +1,18 @@
-"""Readers on damaged logs: by hand, `python tests/support/fuzz_readers.py [FORMAT ...] [--count N] [--seed N]`.
+"""Logs of every format and how they are damaged, for `fuzz_evaluate`.
 
 Real logs of each format (and those that the tests write) are mutated: bytes flipped, overwritten by telling values, cut
 off, cut out, doubled, swapped; where checksums or a parser would keep every change from the reader, single messages,
-values or columns inside the file. Each mutation is read in a process of its own with a bound on CPU time and memory. A
-reader may give a scenario or raise LogError in one line that names the file; `claims`, `span` and `contents` raise
-nothing. The table counts what happened; what crashed, hung or grew is printed with the seed that makes it again.
+values or columns inside the file.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import re
-import resource
-import shutil
-import signal
 import struct
-import sys
-import tempfile
-import time
-import traceback
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -37,25 +25,20 @@ import recorded_cases
 import ros_bags as bags
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from mcap_cases import differences, rich_scenario
+from mcap_cases import rich_scenario
 
-from logs import LogError, Scenario
 from logs.maps import read_map
 from logs.mcap import write_scenario
 from logs.mcap.records import salvage
-from logs.readers import LogSettings, read_log, reader_of
+from logs.readers import LogSettings, read_log
 
 DATA = Path(os.environ.get("REPLAN_DATA", Path(__file__).parents[3] / "shared" / "data"))
-CPU_S, WALL_S, GROWN_MB, ADDRESSES = 20, 120, 1024, 8 * 2**30
-OUTCOMES = ("read", "refused", "crashed", "slow", "grown")
 TELLING = [
     *(b"\xff" * n for n in (1, 2, 4, 8)), *(b"\x00" * n for n in (1, 4, 8)), b"\x7f\xff\xff\xff", b"\xff\xff\xff\x7f",
     *(struct.pack("<d", x) for x in (np.nan, np.inf, -1e300, 1e18, -0.0)), struct.pack("<f", np.nan),
     b"-", b"e999", b"nan", b"9" * 20, b"<", b">", b'"', b"{", b"]", b",", b"\n", b"\xc3\x28", b"null",
 ]  # fmt: skip
 NUMBERS = [b"0", b"-1", b"1e308", b"nan", b"inf", b"-0.0", b"9" * 20, b"", b"1.5", b"x", b"null", b"1e-320"]
-ROUNDED = (".t", ".known", ".notes", ".duration", "goal.t")
-"""What a native log rounds to nanoseconds, or adds to."""
 VALUE = re.compile(rb'-?\b\d+\.?\d*(?:[eE][-+]?\d+)?\b|"[^"<>{}\n]*"')
 Mutation = Callable[[bytes, np.random.Generator], bytes]
 
@@ -256,19 +239,6 @@ def _salvaged(path: Path) -> object:
     return read_log(out)
 
 
-def _writable(scenario: Scenario, path: Path) -> None:
-    """What was read can be written as a native log and is read again as the same."""
-    out = path.with_name("native.mcap")
-    try:
-        write_scenario(out, scenario)
-        unlike = differences(replace(scenario, onboard=()), replace(read_log(out), onboard=()))
-    except LogError as error:
-        raise AssertionError(f"was read, but cannot be written as a native log: {error}") from error
-    finally:
-        out.unlink(missing_ok=True)
-    assert not [name for name in unlike if not name.endswith(ROUNDED)], unlike
-
-
 def _write_table(folder: Path) -> None:
     folder.mkdir()
     t = np.arange(40) / 10.0
@@ -276,125 +246,3 @@ def _write_table(folder: Path) -> None:
     (folder / "ego.csv").write_text("\n".join(["t,x,y,yaw,v", *lines]))
     lines = [f"{100 + x},a{i},{20 + i + 5 * x},{3 * i},0.0,car" for i in range(3) for x in t]
     (folder / "agents.csv").write_text("\n".join(["t,id,x,y,yaw,kind", *lines]))
-
-
-def judged(case: Case, path: Path) -> tuple[str, str]:
-    """What became of it, and in detail what should not have."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            reader = None if case.read in (read_map, _salvaged) else reader_of(path)
-            if reader is not None:
-                reader.contents(path)
-                reader.span(path)
-            found = case.read(path)
-            if isinstance(found, Scenario):
-                _writable(found, path)
-        return "read", ""
-    except LogError as error:
-        said = str(error)
-        if "\n" in said or (case.read is not _salvaged and path.name not in said and str(path) not in said):
-            return "crashed", f"not one line with the file: {said[:500]!r}"
-        return "refused", ""
-    except MemoryError:
-        return "grown", traceback.format_exc()[-1500:]
-    except BaseException:
-        return "crashed", traceback.format_exc()[-1500:]
-
-
-def in_a_process(case: Case, path: Path) -> tuple[str, str]:
-    """`judged` under bounds."""
-    before = _resident_mb()
-    source, sink = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(source)
-        resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
-        resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 1))
-        signal.alarm(WALL_S)
-        answer = judged(case, path)
-        os.write(sink, json.dumps([*answer, _peak_mb()]).encode()[:60_000])
-        os._exit(0)
-    os.close(sink)
-    with os.fdopen(source, "rb") as stream:
-        said = stream.read()
-    _, status = os.waitpid(child, 0)
-    if not said:
-        name = signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else f"exit {status}"
-        return ("slow" if name in ("SIGXCPU", "SIGALRM") else "crashed"), f"ended by {name}"
-    outcome, detail, peak = json.loads(said)
-    if peak - before > GROWN_MB:
-        return "grown", f"by {peak - before:.0f} MB: {outcome} {detail}"
-    return outcome, detail
-
-
-def _status(name: str) -> float:
-    fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    return float(fields[name].split()[0]) / 1024.0
-
-
-def _resident_mb() -> float:
-    return _status("VmRSS")
-
-
-def _peak_mb() -> float:
-    return _status("VmHWM")
-
-
-def campaign(case: Case, count: int, seed: int, folder: Path) -> Counter[str]:
-    """`count` mutations of one case."""
-    counts: Counter[str] = Counter()
-    work = folder / "work"
-    shutil.copytree(case.folder, work)
-    path = (work / case.log).resolve()
-    files = sorted(file for file in work.glob(case.files) if file.is_file() and file.stat().st_size)
-    before = case.read(path)  # the whole log: it reads, and the kernels are compiled
-    assert before is not None and files
-    for k in range(count):
-        rng = np.random.default_rng([seed, k])
-        file = files[int(rng.integers(0, len(files)))]
-        raw = file.read_bytes()
-        file.write_bytes(case.mutate(raw, rng))
-        began = time.monotonic()
-        outcome, detail = in_a_process(case, path)
-        counts[outcome] += 1
-        if outcome not in ("read", "refused"):
-            took = time.monotonic() - began
-            print(
-                f"--- {case.name}, seed {seed}, mutation {k} of {file.name}, {took:.1f} s: {outcome}\n{detail}\n",
-                flush=True,
-            )
-        file.write_bytes(raw)
-        for other in work.rglob("saved.mcap"):
-            other.unlink()
-    shutil.rmtree(work)
-    return counts
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("formats", nargs="*", help="beginnings of names; none: all")
-    parser.add_argument("--count", type=int, default=100, help="mutations of each")
-    parser.add_argument("--seed", type=int, default=1)
-    chosen = parser.parse_args()
-    total: Counter[str] = Counter()
-    with tempfile.TemporaryDirectory() as made:
-        rows = []
-        for case in cases(Path(made)):
-            if chosen.formats and not case.name.startswith(tuple(chosen.formats)):
-                continue
-            if not case.folder.exists():
-                print(f"{case.name}: no data in {case.folder}", file=sys.stderr)
-                continue
-            began = time.monotonic()
-            counts = campaign(case, chosen.count, chosen.seed, Path(made))
-            total += counts
-            rows.append(f"{case.name:28}" + "".join(f"{counts[each]:9}" for each in OUTCOMES))
-            print(rows[-1], f"{time.monotonic() - began:9.0f} s", flush=True)
-    print("\n" + f"{'format':28}" + "".join(f"{each:>9}" for each in OUTCOMES))
-    print("\n".join([*rows, f"{'all':28}" + "".join(f"{total[each]:9}" for each in OUTCOMES)]))
-
-
-if __name__ == "__main__":
-    main()

@@ -6,26 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from worlds import (
-    CAR,
-    Drive,
-    Other,
-    along_x,
-    beside,
-    check_mirrored,
-    curve,
-    decided,
-    driving,
-    followed,
-    frame,
-    gaps,
-    lanes,
-    standing,
-    strip,
-)
+from worlds import CAR, Drive, Other, along_x, beside, decided, driving, followed, frame, gaps, lanes, standing, strip
 
-from logs import AgentKind, DecisionKind, EgoState, Goal, PlannerContext, PlanStart, Road, StGraph
-from logs.catalogue import CATALOGUE
+from logs import DecisionKind, EgoState, Goal, PlannerContext, PlanStart, Road, StGraph
 from planners.idm import Idm, IdmConfig, idm_acceleration
 
 A, B, TAU, S0 = (IdmConfig().accel_mps2, IdmConfig().decel_mps2, IdmConfig().time_gap_s, IdmConfig().standstill_gap_m)
@@ -68,35 +51,7 @@ def test_the_free_terms_below_and_above_the_wanted_speed_join(v0: float) -> None
     assert below == pytest.approx(above, abs=1e-6)
 
 
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_a_mirrored_world_gives_the_mirrored_plan(name: str) -> None:
-    check_mirrored(Idm, CATALOGUE[name].scenario(), atol=2e-3)
-
-
 # --- driving
-
-
-def test_it_settles_at_the_gap_of_equilibrium() -> None:
-    v, v0 = 8.0, 13.89
-    drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 10.0), driving("lead", 40.0, 0.0, v), seconds=40.0)
-    wanted = (S0 + v * TAU) / np.sqrt(1.0 - (v / v0) ** 4)
-    assert gaps(drive, "lead")[-1] == pytest.approx(wanted, abs=0.6)
-    assert drive[-1][0].ego.v == pytest.approx(v, abs=0.1)
-    assert decided(drive[-1][1], "lead", "speed") is DecisionKind.FOLLOW
-
-
-def test_alone_it_comes_to_the_limit_and_keeps_it() -> None:
-    drive = drives(lanes(along_x(end=900.0), limit=12.0), EgoState(0.0, 0.0, 0.0, 0.0, 0.0), seconds=40.0)
-    speed = [now.ego.v for now, _ in drive]
-    assert max(speed) <= 12.01
-    assert speed[-1] == pytest.approx(12.0, abs=0.2)
-
-
-def test_it_slows_for_a_curve() -> None:
-    road = lanes(curve((100.0, 0.0), (60.0, 1.0 / 20.0), (100.0, 0.0)), limit=14.0)
-    drive = drives(road, EgoState(0.0, 0.0, 0.0, 0.0, 12.0), seconds=20.0)
-    lateral = [abs(plan.trajectory.kappa[0]) * now.ego.v**2 for now, plan in drive]
-    assert 2.0 < max(lateral) < 3.6
 
 
 def test_it_stops_before_what_stands_and_says_so() -> None:
@@ -105,13 +60,6 @@ def test_it_stops_before_what_stands_and_says_so() -> None:
     assert drive[-1][0].ego.v < 0.1
     assert decided(drive[50][1], "parked", "speed") is DecisionKind.STOP
     assert min(plan.trajectory.a.min() for _, plan in drive) > -4.0
-
-
-def test_it_lets_a_pedestrian_cross() -> None:
-    walker = driving("walker", 60.0, -6.0, 0.0, 1.2, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5)
-    drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 10.0), walker, seconds=20.0)
-    assert gaps(drive, "walker").min() > 1.0
-    assert drive[-1][0].ego.v > 8.0, "and goes on"
 
 
 def test_who_follows_or_drives_beside_is_no_leader() -> None:
@@ -130,13 +78,6 @@ def test_from_an_offset_it_returns_to_the_middle_smoothly() -> None:
     assert offset.max() < 1.6
     assert max(abs(plan.trajectory.kappa[0]) for _, plan in drive) < 0.03
     assert all(plan.start is PlanStart.PREVIOUS_PLAN for _, plan in drive[1:])
-
-
-def test_out_of_the_lines_frame_it_stops_and_says_why() -> None:
-    road, ego = lanes(along_x()), EgoState(0.0, 0.0, 0.0, 1.5, 5.0)
-    plan = idm(road, ego).plan(frame(ego))
-    assert plan.status.is_fallback
-    assert "degrees off the reference line" in plan.reason
 
 
 def test_the_graph_holds_the_leader_and_the_profile() -> None:

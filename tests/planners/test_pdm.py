@@ -13,9 +13,6 @@ from worlds import (
     Drive,
     Other,
     along_x,
-    check_mirrored,
-    curve,
-    decided,
     driving,
     followed,
     frame,
@@ -28,13 +25,12 @@ from worlds import (
     two_way,
 )
 
-from logs import AgentKind, Candidates, CostTerms, DecisionKind, EgoState, Goal, PlannerContext, Road
+from logs import AgentKind, Candidates, CostTerms, EgoState, Goal, PlannerContext, Road
 from logs.arrays import FloatArray
-from logs.catalogue import CATALOGUE
 from logs.plan import SlGraph, StGraph
 from planners.frenet.profiles import HORIZON_KNOTS, STEP_S
 from planners.pdm import Pdm, PdmConfig
-from planners.pdm.planner import Driver, constant_velocity, drive_track, idm_acceleration, track_proposal
+from planners.pdm.planner import Driver, drive_track, idm_acceleration, track_proposal
 from planners.pdm.proposal_score import BOUNDS, PARTS, Scores, comfortable, scores
 from replay.planner_process.planner_config import planner_part
 
@@ -100,17 +96,6 @@ def test_who_wants_to_be_faster_is_never_behind(v: float, speeds: list[float], g
 
 
 # --- the tracker
-
-
-@pytest.mark.parametrize("kappa", [0.0, 0.02, -0.05])
-def test_who_is_on_the_track_stays_there(kappa: float) -> None:
-    v, path = 8.0, path_of(np.full(400, kappa), 0.5)
-    profile = np.array([v * STEP_S * np.arange(HORIZON_KNOTS), np.full(HORIZON_KNOTS, v)])
-    way = track_proposal(path, profile, EgoState(0.0, 0.0, 0.0, 0.0, v, 0.0, kappa), CAR, 41)
-    off = np.hypot(way[0][:, None] - path.x, way[1][:, None] - path.y).min(axis=1)
-    assert off.max() < 0.3
-    np.testing.assert_allclose(way[3], v, atol=1e-9)
-    np.testing.assert_allclose(way[5], kappa, atol=0.005)
 
 
 @given(st.floats(-1.5, 1.5), st.floats(-0.1, 0.1), st.floats(3.0, 25.0))
@@ -217,11 +202,6 @@ def test_comfort_is_nuplans() -> None:
 # --- driving
 
 
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_a_mirrored_world_gives_the_mirrored_plan(name: str) -> None:
-    check_mirrored(Pdm, CATALOGUE[name].scenario(), atol=5e-3)
-
-
 def test_the_predictions_of_the_loop_do_not_change_a_plan() -> None:
     """It carries the others on itself."""
     ego = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
@@ -231,42 +211,10 @@ def test_the_predictions_of_the_loop_do_not_change_a_plan() -> None:
     np.testing.assert_array_equal(one.x, two.x)
 
 
-def test_the_others_are_carried_on_straight() -> None:
-    seen = constant_velocity(frame(EgoState(0.0, 0.0, 0.0, 0.0, 10.0), [driving("a", 40.0, 0.0, 6.0, 1.0)]))
-    np.testing.assert_allclose(seen.x[0], 40.0 + 6.0 * seen.t)
-    np.testing.assert_allclose(seen.y[0], seen.t)
-
-
-def test_alone_it_comes_to_the_limit_and_keeps_it() -> None:
-    drive = drives(lanes(along_x(), limit=12.0), EgoState(0.0, 0.0, 0.0, 0.0, 8.0), seconds=12.0)
-    assert drive[-1][0].ego.v == pytest.approx(12.0, abs=0.3)
-    assert max(now.ego.v for now, _ in drive) <= 12.1
-    assert abs(drive[-1][0].ego.y) < 0.05
-
-
-def test_it_settles_behind_a_slower_leader() -> None:
-    drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 10.0), driving("lead", 30.0, 0.0, 8.0), seconds=16.0)
-    assert drive[-1][0].ego.v == pytest.approx(8.0, abs=0.2)
-    assert gaps(drive, "lead")[-1] == pytest.approx((1.0 + 8.0 * 1.5) / np.sqrt(1.0 - (8.0 / 13.89) ** 10), abs=1.5)
-    assert decided(drive[-1][1], "lead", "speed") is DecisionKind.FOLLOW
-
-
-def test_who_stands_behind_one_who_stands_stays() -> None:
-    lead = standing("lead", CAR.axle_to_front + 2.25 + 1.0, 0.0)
-    drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 0.0), lead, seconds=3.0)
-    assert max(now.ego.x for now, _ in drive) < 0.05
-
-
 def test_it_passes_a_parked_car_by_an_offset() -> None:
     drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 8.0), standing("parked", 70.0, -2.0), seconds=14.0)
     assert gaps(drive, "parked").min() > 0.05
     assert drive[-1][0].ego.x > 80.0
-
-
-def test_it_slows_for_a_curve_by_comfort_alone() -> None:
-    road = lanes(curve((100.0, 0.0), (60.0, 1.0 / 20.0), (100.0, 0.0)), limit=14.0)
-    drive = drives(road, EgoState(0.0, 0.0, 0.0, 0.0, 12.0), seconds=16.0)
-    assert min(now.ego.v for now, _ in drive) < 11.0
 
 
 def test_slowly_before_a_contact_it_brakes() -> None:

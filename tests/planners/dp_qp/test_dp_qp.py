@@ -113,12 +113,6 @@ def test_a_mirrored_world_has_the_mirrored_plan(name: str, catalogue: dict[str, 
         assert (one.status, one.reason, one.start) == (two.status, two.reason, two.start)
 
 
-def test_a_mirrored_drive_is_the_mirrored_drive() -> None:
-    log = CATALOGUE["everyday/nudge"].scenario()
-    there, here = plans_in(mirrored(log), every=10, closed=True), plans_in(log, every=10, closed=True)
-    np.testing.assert_array_equal([column(plan, "y")[0] for plan in there], [-column(plan, "y")[0] for plan in here])
-
-
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_a_moved_world_has_the_moved_plan(name: str, catalogue: dict[str, tuple[Scenario, list[Plan]]]) -> None:
     """To 1e-6."""
@@ -163,11 +157,6 @@ CROWD = (
     driving("walker", 30.0, -9.0, 0.0, 1.2, length=0.5, width=0.6, kind=AgentKind.PEDESTRIAN),
     driving("beside", -15.0, 3.5, 9.0),
 )
-
-
-def test_the_same_frames_give_the_same_plans() -> None:
-    for (_, one), (_, two) in zip(*(followed(TWO, EGO, CROWD, seconds=2.0) for _ in range(2)), strict=True):
-        assert_same(one, two)
 
 
 def test_a_planner_without_a_previous_plan_remembers_nothing() -> None:
@@ -227,12 +216,6 @@ def test_the_internals_are_all_there() -> None:
     np.testing.assert_allclose(st_.qp[:, 0], column(plan, "t"), atol=1e-9)
     assert {item.stage for item in plan.internals if isinstance(item, CostTerms)} == {"path QP", "speed QP"}
     assert all(item.solved for item in plan.internals if isinstance(item, SolverReport))
-
-
-def test_a_dp_that_had_nothing_to_decide_is_not_drawn() -> None:
-    plan = planner(TWO, EGO).plan(frame(EGO, ()))
-    for graph in (item for item in plan.internals if isinstance(item, (SlGraph, StGraph))):
-        assert graph.grid is None and not len(graph.dp) and len(graph.qp)
 
 
 # What it does about others.
@@ -364,14 +347,6 @@ def test_the_ego_yields_to_a_pedestrian_and_drives_on() -> None:
     assert all(plan.status is PlanStatus.PLANNED for _, plan in drive)
 
 
-def test_curves_are_driven_at_a_bearable_speed() -> None:
-    road = lanes(curve((60.0, 0.0), (60.0, 1.0 / 25.0), (100.0, 0.0)))
-    drive = followed(road, replace(EGO, v=12.0), seconds=14.0)
-    sideways = [abs(now.ego.kappa) * now.ego.v**2 for now, _ in drive]
-    assert max(sideways) < 3.5 and drive[-1][0].ego.v > 11.0
-    assert all(plan.status is PlanStatus.PLANNED for _, plan in drive)
-
-
 # Odd starts and roads.
 
 
@@ -412,22 +387,6 @@ def test_odd_starts_and_roads_are_planned_or_honestly_not(name: str) -> None:
     for _, plan in followed(road, ego, others, seconds=3.0):
         assert_sound(plan)
         assert len(plan.trajectory) == 81 or plan.status is PlanStatus.PREVIOUS
-
-
-@pytest.mark.parametrize("name", [name for name, (_, _, others) in ODD.items() if not others])
-def test_without_others_every_odd_start_leads_back_to_driving(name: str) -> None:
-    ego, road, _ = ODD[name]
-    drive = followed(road, ego, seconds=8.0)
-    assert drive[-1][1].status is PlanStatus.PLANNED and drive[-1][0].ego.v > 4.0
-
-
-def test_a_loop_is_driven_round_and_not_cut() -> None:
-    drive = followed(lanes(LOOP), replace(EGO, v=6.0), seconds=24.0)
-    x, y = np.array([(now.ego.x, now.ego.y) for now, _ in drive]).T
-    turned = np.unwrap([now.ego.yaw for now, _ in drive])[-1]
-    assert turned > 2.2 * np.pi
-    late = (x - 20.0) ** 2 + (y - 20.0) ** 2
-    assert np.abs(np.sqrt(late[60:]) - 20.0).max() < 0.6
 
 
 def test_against_the_lane_the_ego_stops_and_says_why() -> None:
@@ -490,27 +449,12 @@ def test_at_last_a_hard_stop(program: type, stage: str, monkeypatch: pytest.Monk
     assert column(plan, "a").min() < -COMFORT.decel_mps2 - 1.0 and column(plan, "v")[-1] == 0.0
 
 
-def test_the_stop_keeps_to_the_path_of_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    ego, road = replace(EGO, x=55.0), lanes(curve((60.0, 0.0), (60.0, 1.0 / 25.0), (60.0, 0.0)))
-    failing(SpeedQp, monkeypatch)
-    plan = planner(road, ego).plan(frame(ego))
-    assert plan.status is PlanStatus.COMFORTABLE_STOP and np.abs(column(plan, "kappa")).max() > 0.02
-
-
 def test_a_previous_plan_that_meets_an_agent_is_not_driven_on(monkeypatch: pytest.MonkeyPatch) -> None:
     driver, previous = one_plan()
     failing(PathQp, monkeypatch)
     ego = previous.trajectory.at(0.1)
     plan = driver.plan(frame(ego, [standing("it", 40.0, 0.0)], t=0.1, previous=previous))
     assert plan.status is PlanStatus.COMFORTABLE_STOP and plan.start is PlanStart.PREVIOUS_PLAN
-
-
-def test_a_previous_plan_that_soon_ends_is_not_driven_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    driver, previous = one_plan()
-    failing(PathQp, monkeypatch)
-    late = driver.plan(frame(previous.trajectory.at(4.9), t=4.9, previous=previous))
-    ended = driver.plan(frame(previous.trajectory.at(5.2), t=5.2, previous=previous))
-    assert late.status is PlanStatus.PREVIOUS and ended.status is PlanStatus.COMFORTABLE_STOP
 
 
 def test_far_from_the_previous_plan_a_stop_starts_at_the_ego(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -563,14 +507,6 @@ def test_an_unlikely_hypothesis_binds_only_where_moderate_braking_would_come_too
     assert bool(column(plan, "a").min() < -0.5) is brakes
     assert bool(ignored) is not brakes
     assert all("unlikely (37%)" in reason for reason in ignored)
-
-
-def test_where_only_the_hardest_braking_keeps_the_distance_the_reason_says_so() -> None:
-    half, less = "hard braking, up to 7.5 m/s2, keeps half of the distance", "full braking, which leaves"
-    for ahead, words in ((13.0, half), (12.4, less)):
-        _, plan = one_plan([standing("it", ahead, 0.0, width=15.0)])
-        assert plan.status is PlanStatus.PLANNED and plan.reason.startswith(words)
-        assert_sound(plan)
 
 
 @pytest.mark.parametrize("config", [LaneConfig(), LaneConfig(route_s=2.0, urgency_s=3.0, change_s=4.0)])

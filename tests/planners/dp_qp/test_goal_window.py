@@ -79,12 +79,6 @@ def test_the_earlier_the_window_the_faster(first: float, more: float) -> None:
     assert later <= sooner
 
 
-def test_the_goals_speed_holds_in_its_region() -> None:
-    zone = window(None, (0.0, 5.0)).slow_zone
-    assert zone is not None and zone[2] < 5.0
-    assert zone[:2] == pytest.approx((200.0 - CAR.axle_to_center, 220.0 - CAR.axle_to_center), abs=1e-6)
-
-
 def drive_to(region: np.ndarray | None, t: tuple[float, float], road: Road, v: float) -> Trace:
     """A drive from the origin on an empty road."""
     ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, v, 0.0, 0.0)))
@@ -117,12 +111,6 @@ def rectangle(x: float, y: float, length: float, width: float, turn: float = 0.0
     return corners @ np.array([[c, s], [-s, c]]) + (x, y)
 
 
-@pytest.mark.parametrize("turn", [-0.15, 0.15])
-def test_a_goal_partly_out_of_the_lane_is_met_where_it_is_in_it(turn: float) -> None:
-    trace = drive_to(rectangle(83.0, 1.3, 8.0, 1.0, turn), (0.0, 20.0), lanes(along_x(-20.0, 300.0)), 10.0)
-    assert trace.end is EndReason.GOAL
-
-
 def test_of_two_regions_the_one_in_the_lane_is_met_and_between_them_the_middle_is_kept() -> None:
     near, far = rectangle(83.0, 1.0, 6.0, 1.0), rectangle(403.0, 1.0, 6.0, 1.0)
     low, high = sides(Goal((far, near)), np.array([COURSE.line.project(x, 0.0)[0] for x in (83.0, 200.0, 343.0)]))
@@ -133,29 +121,6 @@ def test_of_two_regions_the_one_in_the_lane_is_met_and_between_them_the_middle_i
     whole = rectangle(90.0, 0.0, 20.0, 3.4)
     stations = np.array([COURSE.line.project(x, 0.0)[0] for x in np.arange(81.0, 99.0)])
     np.testing.assert_allclose(sides(Goal(tuple(triangles)), stations), sides(Goal((whole,)), stations), atol=1e-6)
-
-
-def test_the_ego_does_not_steer_hard_for_a_goal() -> None:
-    """It begins 10 m ahead, 1.2 m beside the middle of a wide lane, at 15 m/s."""
-    trace = drive_to(rectangle(19.0, 1.7, 18.0, 1.0), (0.0, 6.0), Road({0: strip(0, along_x(-20.0, 300.0), 7.0)}), 15.0)
-    assert np.abs(trace.ego.v**2 * trace.ego.kappa).max() < 4.0
-
-
-def test_who_is_late_does_not_flee_from_the_goals_lane() -> None:
-    """Four lanes, the goal in the rightmost: from the leftmost it is more than 8 m beside the line."""
-    road = Road(
-        {
-            i: strip(
-                i, along_x(-20.0, 600.0) + np.array([0.0, 3.5 * i]), speed_limit=13.9,
-                left_neighbour=i + 1 if i < 3 else None, right_neighbour=i - 1 if i else None,
-            )
-            for i in range(4)
-        }
-    )  # fmt: skip
-    ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 7.0, 0.0, 12.0, 0.0, 0.0)))
-    goal = Goal((rectangle(337.0, 0.0, 15.0, 3.0),), t=(0.0, 18.0))
-    trace = run_closed_loop(Scenario("late", ego, Tracks.empty(), road, 18.0, goal=goal, vehicle=CAR), "dp_qp").trace
-    assert trace.ego.y.max() < 8.0 and trace.ego.y[-1] < 1.0
 
 
 @pytest.mark.slow

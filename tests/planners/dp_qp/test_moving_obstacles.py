@@ -190,11 +190,6 @@ def test_a_free_lane_beside_is_borrowed_for_them_and_the_record_says_so() -> Non
     assert any(item.stage == "passing" and item.rejected[0][0].startswith("keep: costs") for item in counted)
 
 
-def test_the_facing_lane_is_borrowed_for_them_where_no_one_comes() -> None:
-    found = drive(two_way(), [(40.0, -1.0, 3.0)])
-    assert found.before > 10.0 and found.room > 1.4
-
-
 @pytest.mark.slow
 def test_where_another_comes_they_are_followed_until_that_one_is_gone() -> None:
     found = drive(two_way(), [(40.0, -1.0, 3.0)], seconds=26.0, cars=((120.0, 3.5, -10.0), (160.0, 3.5, -10.0)))
@@ -241,27 +236,6 @@ def test_they_are_passed_once_and_for_all(road: Road, goers: list[tuple[float, f
     assert found.before > 5.0 and found.room > 1.15
     assert hardest(found.trace)[0] < 2.0
     assert len(re.findall("P+", chosen(found.trace))) <= len(goers)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("config", [{"prediction_horizon_s": 20.0}, {"prediction_step_s": 2.0}])
-def test_how_far_and_how_fine_the_predictions_are_matters_little(config: dict[str, float]) -> None:
-    found = drive(two_way(), [(40.0, -1.0, 3.0)], config=LoopConfig(**config))  # type: ignore[arg-type]
-    assert found.before > 5.0 and found.room > 1.35 and "k" not in chosen(found.trace)
-
-
-def test_who_becomes_faster_meanwhile_is_passed_all_the_same() -> None:
-    t = np.arange(0.0, 14.05, 0.1)
-    u = 3.0 + np.minimum(np.maximum(t - 2.0, 0.0) * 1.5, 4.2)
-    x = 30.0 + np.r_[0.0, np.cumsum(0.05 * (u[1:] + u[:-1]))]
-    who = track(
-        "goer", t.tolist(), x.tolist(), np.full(len(t), -1.0).tolist(),
-        yaw=0.0, vx=u.tolist(), vy=np.zeros(len(t)).tolist(), kind=AgentKind.BICYCLE, length=LENGTH, width=WIDTH,
-    )  # fmt: skip
-    ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0)))
-    trace = run_closed_loop(Scenario("goer", ego, tracks(who), two_way(), 14.0, vehicle=CAR), "dp_qp").trace
-    assert trace.ego.x[-1] > x[-1] + 5.0 and hardest(trace)[0] < 1.0
-    assert len(re.findall("P+", chosen(trace))) == 1
 
 
 @pytest.mark.parametrize("rule", [{"light": 1}, {"must_stop": True}], ids=["red light", "stop sign"])

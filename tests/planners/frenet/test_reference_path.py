@@ -106,11 +106,6 @@ def test_smoothing_solves_its_problem() -> None:
     np.testing.assert_allclose(smooth_points(points)[inner] - raw[inner], expected, atol=2e-3)
 
 
-def test_a_line_of_two_points_stays() -> None:
-    points = np.array([[0.0, 0.0], [3.0, 0.0]])
-    assert smooth_points(points) is points
-
-
 @given(st.floats(2.8, 5.0), st.integers(1, 3), st.integers(0, 2))
 @settings(max_examples=20)
 def test_known_widths_are_found(width: float, count: int, own: int) -> None:
@@ -185,10 +180,6 @@ def test_the_limit_follows_the_lanes_and_the_route_goes_on_straight() -> None:
     line = reference(Road({0: first, 1: second}))
     assert line.line.length > 340.0
     assert (at(line, 50.0)[4], at(line, 200.0)[4]) == pytest.approx((14.0, 8.0))
-
-
-def test_a_lane_without_limit_has_the_roads() -> None:
-    assert at(reference(Road({0: strip(0, along_x())}, default_speed_limit=9.0)), 50.0)[4] == pytest.approx(9.0)
 
 
 def test_a_lane_change_on_the_route_is_blended_from_the_ego_on() -> None:

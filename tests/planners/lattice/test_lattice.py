@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.reader import make_reader
 from worlds import (
     CAR,
     Drive,
     Other,
     along_x,
-    check_mirrored,
     curve,
     decided,
     driving,
@@ -30,7 +24,6 @@ from worlds import (
 )
 
 from logs import (
-    AgentKind,
     Candidates,
     CostTerms,
     DecisionKind,
@@ -44,8 +37,6 @@ from logs import (
     SlGraph,
     StGraph,
 )
-from logs.catalogue import CATALOGUE
-from logs.mcap import write_trace
 from planners.frenet.fallback import meets
 from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 from planners.lattice import Lattice, LatticeConfig
@@ -63,10 +54,6 @@ from planners.lattice.candidates import (
     third_square,
 )
 from planners.lattice.planner import ego_frenet
-from replay.draw.recording.pages import why
-from replay.explain import Explanation, accounts
-from replay.loop.closed_loop import run_closed_loop
-from replay.planner_process.planner_config import planner_part
 
 SPEED = st.floats(0.0, 30.0)
 ACCEL = st.floats(-4.0, 3.0)
@@ -220,29 +207,7 @@ def test_what_is_chosen_touches_no_one_and_keeps_every_bound(
         check(plan, now)
 
 
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_a_mirrored_world_gives_the_mirrored_plan(name: str) -> None:
-    check_mirrored(Lattice, CATALOGUE[name].scenario(), atol=2e-3)
-
-
 # --- driving
-
-
-def test_alone_it_comes_to_the_limit_in_the_middle_of_the_lane() -> None:
-    drive = drives(lanes(along_x(end=900.0), limit=12.0), EgoState(0.0, 0.0, 0.6, 0.0, 5.0), seconds=30.0)
-    assert drive[-1][0].ego.v == pytest.approx(12.0, abs=0.5)
-    assert max(now.ego.v for now, _ in drive) <= 12.51
-    assert abs(drive[-1][0].ego.y) < 0.05
-
-
-def test_it_follows_a_slower_leader_at_about_the_wanted_gap() -> None:
-    drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 12.0), driving("lead", 45.0, 0.0, 8.0), seconds=30.0)
-    gap = gaps(drive, "lead")
-    assert gap.min() > 3.0
-    assert 5.0 < gap[-1] < 16.0
-    assert drive[-1][0].ego.v == pytest.approx(8.0, abs=0.4)
-    assert decided(drive[-1][1], "lead", "speed") is DecisionKind.FOLLOW
-    assert not any(plan.status.is_fallback for _, plan in drive)
 
 
 @pytest.mark.slow
@@ -258,13 +223,6 @@ def test_it_passes_a_parked_car_where_there_is_room_and_stops_where_there_is_non
     assert any(decided(plan, "parked", "speed") is DecisionKind.STOP for _, plan in narrow)
 
 
-def test_it_lets_a_pedestrian_cross() -> None:
-    walker = driving("walker", 60.0, -6.0, 0.0, 1.2, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5)
-    drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 10.0), walker, seconds=16.0)
-    assert gaps(drive, "walker").min() > 0.45
-    assert drive[-1][0].ego.v > 8.0
-
-
 def test_where_nothing_can_be_driven_it_brakes_hard_and_counts_why() -> None:
     ego = EgoState(0.0, 0.0, 0.0, 0.0, 14.0)
     now = frame(ego, [standing("wall", 12.0, 0.0, width=10.0)])
@@ -272,13 +230,6 @@ def test_where_nothing_can_be_driven_it_brakes_hard_and_counts_why() -> None:
     assert plan.status is PlanStatus.HARD_STOP
     assert "meets a road user" in plan.reason
     assert candidates(plan).considered == sum(count for _, count in candidates(plan).rejected)
-
-
-def test_out_of_the_lines_frame_it_stops_and_says_why() -> None:
-    road, ego = lanes(along_x()), EgoState(0.0, 0.0, 0.0, 1.5, 5.0)
-    plan = lattice(road, ego).plan(frame(ego))
-    assert plan.status.is_fallback
-    assert "degrees off the reference line" in plan.reason
 
 
 def test_it_says_what_it_chose_and_why_not_the_others() -> None:
@@ -289,30 +240,6 @@ def test_it_says_what_it_chose_and_why_not_the_others() -> None:
     reasons = dict(candidates(plan).rejected)
     assert reasons["meets a road user"] > 0
     assert reasons["dearer than the chosen one"] > 0
-
-
-def test_the_counts_are_in_the_trace_and_in_words(tmp_path: Path) -> None:
-    made = CATALOGUE["everyday/nudge"].scenario()
-    made = replace(made, ego=made.ego.between(0.0, 0.5), duration=0.5)
-    trace = run_closed_loop(made, "lattice").trace
-    write_trace(tmp_path / "trace.mcap", trace, made, internals="full")
-    with (tmp_path / "trace.mcap").open("rb") as stream:
-        messages = [json.loads(m.data) for _, _, m in make_reader(stream).iter_messages(topics=["/plan"])]
-    assert len(messages) == len(trace.frames)
-    for message, planned, account in zip(messages, trace.frames, accounts(trace, made), strict=True):
-        counted = candidates(planned.plan)
-        assert message["candidates"] == [
-            {"stage": "lattice", "considered": counted.considered, "rejected": dict(counted.rejected)}
-        ]
-        assert any(
-            f"lattice: {counted.considered}; not taken: " in line
-            for line in why(planned, Explanation.of(planned, account))
-        )
-
-
-def test_the_configuration_is_a_table() -> None:
-    keywords = planner_part("lattice", {"durations_s": [3.0, 6.0], "w_gap": 80.0}).keywords()
-    assert keywords["config"] == LatticeConfig(durations_s=(3.0, 6.0), w_gap=80.0)
 
 
 def test_settings_are_checked() -> None:

@@ -33,7 +33,7 @@ from logs.arrays import FloatArray
 from logs.route import find_route
 from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.frenet.scene import Occupancy, Scene, scene_of
-from planners.rules import Rulebook, RuleMemory, RulesConfig
+from planners.rules import Rulebook, RuleMemory
 from replay.loop.closed_loop import run_closed_loop
 from replay.parts import PLANNER
 from replay.prediction import predict
@@ -282,14 +282,6 @@ def test_the_memory_of_a_stop_is_dropped_with_the_previous_plan() -> None:
 # --- crosswalks
 
 
-def test_who_is_on_the_crosswalk_goes_first() -> None:
-    road = straight(crosswalks=[WALK])
-    (stop,) = demands(road, at_front(70.0, 10.0), [walker("p", 102.0, -4.0, 1.2)])
-    assert (stop.agent, stop.kind) == ("crosswalk 3", DecisionKind.YIELD)
-    assert stop.reason.startswith("pedestrian p goes first")
-    assert stop.s_from + CAR.axle_to_front <= 150.0 + 100.0
-
-
 def test_who_stands_before_the_crosswalk_is_let_go_but_not_waited_for_for_ever() -> None:
     patient = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
     motion, plans = drive("dp_qp", straight(crosswalks=[WALK]), at_front(55.0, 10.0), [patient], seconds=18.0)
@@ -299,17 +291,6 @@ def test_who_stands_before_the_crosswalk_is_let_go_but_not_waited_for_for_ever()
     assert motion.x[-1] + FRONT > 106.0
     assert motion.a.min() > -3.05
     assert said(plans[60], "crosswalk 3") is not None
-
-
-@pytest.mark.parametrize("patience", [0.0, 2.0])
-def test_how_long_who_stands_before_the_crosswalk_is_waited_for_is_a_setting(patience: float) -> None:
-    road, patient = straight(crosswalks=[WALK]), waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
-    rules, memory = Rulebook(road, along(road)[1], CAR, config=RulesConfig(patience_s=patience)), RuleMemory()
-    waits = []
-    for t in np.arange(0.0, 4.0, 0.1):
-        stops, memory = rules.stops(scene(road, at_front(95.0, 0.0), [patient], t=float(t)), memory)
-        waits.append(bool(stops))
-    assert sum(waits) == round(10.0 * patience) and not any(waits[round(10.0 * patience) :])
 
 
 @pytest.mark.parametrize("name", OBEYING)

@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
-from itertools import product
 from math import inf
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from worlds import CAR, Other, along_x, driving, followed, lanes, path_of, reference, scene, view
+from worlds import CAR, Other, along_x, followed, lanes, path_of, reference, scene, view
 
 from logs import AgentKind, Decision, DecisionKind, EgoState, Visibility
 from logs.arrays import FloatArray
 from planners.dp_qp.path.passing import free_stations, pass_targets
 from planners.dp_qp.speed import stage
-from planners.dp_qp.speed.caps import (
-    OTHERS,
-    WORTH_MPS,
-    LoweredLimit,
-    PathView,
-    SpeedCap,
-    hesitation_caps,
-    hidden_ground_caps,
-    lower_limit,
-    passing_caps,
-)
+from planners.dp_qp.speed.caps import OTHERS, WORTH_MPS, LoweredLimit, PathView, SpeedCap, lower_limit, passing_caps
 
 SIGMA = np.arange(0.0, 60.0, 0.5)
 SPEEDS, STATIONS = st.sampled_from([0.0, 2.5, 4.0, 6.5, 9.0, 20.0]), st.floats(-5.0, 65.0)
@@ -131,17 +119,6 @@ def test_who_stands_near_the_path_is_passed_more_slowly_the_nearer_they_are(d: f
     assert all(cap.v <= other.v <= 15.0 for other in further) and bool(further) is (d + more < 0.5)
 
 
-@given(st.floats(0.7, 3.0), st.floats(8.0, 40.0), st.sampled_from([AgentKind.PEDESTRIAN, AgentKind.BICYCLE]))
-def test_the_speed_in_a_sentence_is_the_speed_of_the_cap(d: float, ahead: float, kind: AgentKind) -> None:
-    looked = seen(d, ahead, kind)
-    for producer in (hidden_ground_caps, hesitation_caps, passing_caps):
-        said = [cap for cap in producer(looked) if cap.reason]
-        assert said
-        for cap in said:
-            assert cap.agent in ("hidden ground", "came", "goes") and cap.is_bound
-            assert re.findall(r"([\d.]+) m/s", cap.reason) == [f"{cap.v:.1f}"]
-
-
 def speeds(drive: list) -> tuple[FloatArray, FloatArray]:
     """Front bumper and speed of the ego at each frame."""
     return tuple(np.array([(now.ego.x + CAR.axle_to_front, now.ego.v) for now, _ in drive]).T)  # type: ignore[return-value]
@@ -172,12 +149,3 @@ def test_a_new_special_case_is_one_producer_and_one_line(monkeypatch: pytest.Mon
     assert [item.reason for item in said] == ["children may be about: 5.0 m/s"]
     past = drive[-1][1].internals
     assert not [item for item in past if isinstance(item, Decision) and item.agent == "school"]
-
-
-def test_a_case_that_another_producer_makes_stricter_is_driven_by_the_stricter(monkeypatch: pytest.MonkeyPatch) -> None:
-    walker = driving("walker", BEGIN + 10.0, -9.0, 0.0, 1.2, length=0.5, width=0.6, kind=AgentKind.PEDESTRIAN)
-    road, ego = lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
-    for producers, others in product(((*OTHERS, school), (school, *OTHERS)), ((), (walker,))):
-        monkeypatch.setattr(stage, "OTHERS", producers)
-        x, v = speeds(followed(road, ego, others, seconds=10.0))
-        assert v[(x > BEGIN + 0.5) & (x < END)].max() <= SLOW + 0.02

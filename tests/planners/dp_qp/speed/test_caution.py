@@ -27,7 +27,6 @@ from planners.dp_qp.speed.caps import (
     hesitation_caps,
     hidden_beside,
     hidden_ground_caps,
-    stopping_speed,
 )
 from replay.config import LoopConfig
 from replay.drive import Drive
@@ -98,13 +97,6 @@ def test_without_a_sensor_nothing_changes() -> None:
     out, decisions = limit_at(None)
     assert not decisions
     np.testing.assert_array_equal(out, 15.0)
-
-
-def test_the_range_limits_the_speed() -> None:
-    out, _ = limit_at(seen(reach=20.0))
-    v = out[0]
-    assert v == pytest.approx(stopping_speed(20.0, DECEL))
-    assert v * REACTION_S + v * v / (2.0 * DECEL) == pytest.approx(20.0)
 
 
 def test_no_one_walks_out_of_the_wake_of_a_moving_car_or_out_of_a_box() -> None:
@@ -194,11 +186,3 @@ def test_only_who_came_a_moment_ago_and_on_foot_is_meant() -> None:
         after(30.0, 0.8, 1.0, remembers=False),
     ):
         np.testing.assert_array_equal(other.v, LIMIT)
-
-
-def test_it_says_why_and_the_limit_is_kept_exactly() -> None:
-    found = after(30.0, 0.8, 0.1)
-    (why,) = found.decisions
-    assert why.agent == "w" and "stands 0.8 m beside it" in why.reason
-    np.testing.assert_array_equal(found.is_bound, found.v < LIMIT)
-    assert f"at {found.v.min():.1f} m/s" in why.reason

@@ -12,16 +12,7 @@ from worlds import Other, along_x, driving, lanes, path_of, planner, reference, 
 from worlds import frame as frame_of
 
 from logs import AgentKind, EgoState, Frame
-from planners.dp_qp.speed.doubt import (
-    CERTAIN,
-    ERROR_MPS2,
-    NEGLIGIBLE,
-    SURE,
-    extend_braking,
-    from_beside,
-    relax_rows,
-    weights,
-)
+from planners.dp_qp.speed.doubt import CERTAIN, ERROR_MPS2, SURE, extend_braking, from_beside, relax_rows, weights
 from planners.frenet.path import Path
 from planners.frenet.scene import Scene, behind
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, st_boundaries
@@ -161,7 +152,3 @@ def test_for_a_car_that_is_new_the_brakes_are_used_comfortably(age: float, harde
     plan = planner(lanes(along_x()), EGO).plan(crossing_car(age))
     braked = -float(plan.trajectory.a.min())
     assert 2.0 < braked <= hardest and (braked > 3.5) is (age > 1.0)
-
-
-def test_the_edges_are_in_order() -> None:
-    assert 0.0 < NEGLIGIBLE < CERTAIN < 1.0

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import handmade
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import AgentKind, LogError, Road, Scenario, Tracks, Trajectory
+from logs import AgentKind, LogError, Road, Scenario, Trajectory
 from logs.arrays import FloatArray
 from logs.conventions import READINGS, Chords, checked
-from logs.mcap import write_scenario
-from logs.readers import LogSettings, read_log
 
 RATES = st.sampled_from([1.0, 2.0, 5.0, 10.0, 50.0, 200.0])
 ROAD = Road.along(np.array([[0.0, 0.0], [100.0, 0.0]]), speed_limit=14.0)
@@ -79,21 +75,6 @@ def test_small_headings_in_degrees_are_refused_and_small_errors_are_not(rate: fl
             assert checked(made(replace(drive, yaw=drive.yaw + error))).ego.yaw[0] == pytest.approx(
                 drive.yaw[0] + error
             )
-
-
-def test_degrees_are_refused_in_tables_and_native_logs_with_the_remedy(tmp_path: Path) -> None:
-    ego = arc(50.0)
-    degrees = replace(ego, yaw=np.degrees(ego.yaw))
-    table = pd.DataFrame({name: getattr(degrees, name) for name in ("t", "x", "y", "yaw", "v")})
-    (tmp_path / "table").mkdir()
-    table.to_csv(tmp_path / "table" / "ego.csv", index=False)
-    write_scenario(tmp_path / "log.mcap", made(degrees))
-    for path in (tmp_path / "table", tmp_path / "log.mcap"):
-        with pytest.raises(LogError, match="look like degrees") as refused:
-            read_log(path)
-    assert 'columns = {"ego.yaw" = "yaw [deg]"}' in str(refused.value)
-    read = read_log(tmp_path / "table", LogSettings(columns={"ego.yaw": "yaw [deg]"}))
-    assert read.ego.yaw == pytest.approx(ego.yaw, abs=1e-9)
 
 
 def places(ego: Trajectory) -> tuple[FloatArray, FloatArray]:
@@ -181,24 +162,3 @@ def test_who_is_near_the_ego_stays() -> None:
     rides = handmade.track("rides a while", ego.t, *(np.r_[np.full(50, 99.0), late[axis]] for axis in "xy"))
     near = made(ego, before, after, beside, standing, rides)
     assert checked(near) is near
-
-
-def test_the_ego_leaves_the_agents_of_a_table_and_of_a_native_log(tmp_path: Path) -> None:
-    ego = arc(20.0)
-    whole = made(ego, along(ego, 0.0, name="4"), along(ego, 25.0, name="9"))
-    write_scenario(tmp_path / "log.mcap", whole)
-    (tmp_path / "table").mkdir()
-    pd.DataFrame({name: getattr(ego, name) for name in ("t", "x", "y", "yaw", "v")}).to_csv(tmp_path / "table/ego.csv")
-    owner = np.repeat(whole.tracks.ids, np.diff(whole.tracks.offsets))
-    rows = {name: getattr(whole.tracks, name) for name in ("t", "x", "y", "yaw")}
-    pd.DataFrame({"id": owner, **rows}).to_csv(tmp_path / "table/agents.csv")
-    for path in (tmp_path / "log.mcap", tmp_path / "table"):
-        read = read_log(path)
-        assert read.tracks.ids == ("9",) and any("is the ego itself" in note for note in read.notes)
-
-
-def test_no_agents_and_one_state_are_fine() -> None:
-    one = Trajectory(*np.zeros((7, 1)))
-    for empty in (made(one), made(arc(10.0)), made(one, handmade.track("7", [0.0], [0.0], [0.0]))):
-        assert checked(empty) is empty
-    assert len(Chords.of_tracks(Tracks.empty()).way) == 0

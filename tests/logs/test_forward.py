@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import Trajectory, VehicleParameters
+from logs import Trajectory
 from logs.complete import ONE_LANE, REVERSES
 from logs.errors import LogError
 from logs.forward import drivable_part, forward_part, reversals, tighter_than_vehicle
@@ -47,14 +47,6 @@ def ego(*pieces: tuple[float, float, float], hz: float = 10.0, signed: bool = Tr
         {n: np.interp(t, fine[0], row) for n, row in zip(("t", "x", "y", "yaw", "v"), fine, strict=True)}
     )
     return table if signed else table.assign(v=table.v.abs())
-
-
-def room(hz: float = 10.0) -> pd.DataFrame:
-    """A slow robot that drives two eights of 13 m within 4 m."""
-    t, w = np.arange(0.0, 50.0, 1.0 / hz), 2.0 * np.pi / 25.0
-    vx, vy = 1.9 * w * np.cos(w * t), 2.4 * w * np.cos(2.0 * w * t)
-    x, y = 1.9 * np.sin(w * t), 1.2 * np.sin(2.0 * w * t)
-    return pd.DataFrame({"t": t, "x": x, "y": y, "yaw": np.unwrap(np.arctan2(vy, vx)), "v": np.hypot(vx, vy)})
 
 
 def driven(*pieces: tuple[float, float, float], **more: float) -> Scenario:
@@ -157,28 +149,6 @@ def test_a_part_has_a_lane_of_its_own(tmp_path: Path) -> None:
     whole, again = read_log(tmp_path / "log"), read_log(tmp_path / "log.mcap")
     assert (again.road.lanes[0].left == whole.road.lanes[0].left).all() and again.notes == whole.notes
     assert (drivable_part(again).ego.x == drivable_part(whole).ego.x).all()
-
-
-def test_the_note_on_the_limit_names_the_rule_that_set_it() -> None:
-    def note(*pieces: tuple[float, float, float], skip: float = 0.0) -> str:
-        table = ego(*pieces)
-        log = from_frames(table[table.t >= skip], name="drive")
-        return next(note for note in log.notes if note.startswith(ONE_LANE))
-
-    assert "85% of the way was driven at" in note((0.0, 100.0, 10.0))
-    assert "the speed at the start" in note((0.0, 60.0, 10.0), (0.0, 200.0, 5.0), skip=6.0)
-    assert "the least that is assumed" in note((0.0, 30.0, 1.0))
-    still = note((0.0, 2.0, 0.5))
-    assert "at least 50 km/h" in still and "85%" not in still and "hardly moves" in still
-
-
-def test_a_robot_in_a_room_has_the_lane_that_it_drove() -> None:
-    """It stays within 4 m and drives 26 m; a car cannot follow it, a small vehicle can."""
-    log = from_frames(room(), name="robot")
-    assert log.road.lanes[0].length == pytest.approx(10.0 + 26.0 + 250.0, abs=5.0)
-    assert "turns within" in tighter_than_vehicle(log)
-    small = VehicleParameters(wheelbase=0.4, max_steer=1.0)
-    assert tighter_than_vehicle(replace(log, vehicle=small)) == ""
 
 
 @pytest.mark.parametrize(("radius", "tight"), [(2.0, True), (4.5, False), (15.0, False)])

@@ -74,14 +74,6 @@ def test_uniform_motion_is_exact(vx: float, vy: float, rate: float, logged: bool
     assert np.abs([found.ax, found.ay]).max() < 1e-5
 
 
-@pytest.mark.parametrize("rate", RATES)
-def test_5_cm_of_noise_leave_a_tenth_of_a_metre_per_second(rate: float) -> None:
-    t = times(rate, 10.0)
-    for seed in range(5):
-        found = noisy(tracks(track("a", t, 12.0 * t, np.zeros(len(t)))), 0.05, seed).motion
-        assert np.hypot(found.vx - 12.0, found.vy).max() < 0.1
-
-
 @pytest.mark.parametrize(("sigma", "far", "near"), [(0.0, 0.01, 0.15), (0.02, 0.4, 0.5), (0.05, 0.6, 0.75)])
 @pytest.mark.parametrize("rate", RATES)
 def test_a_hard_brake_is_smeared_over_less_than_a_second(rate: float, sigma: float, far: float, near: float) -> None:
@@ -199,12 +191,3 @@ def test_the_order_of_tracks_does_not_matter_and_the_bits_are_the_same(seed: int
     turned = replace(made, ids=made.ids[::-1], kinds=made.kinds[::-1], **columns)
     there = velocities(turned).reshape(4, 3, -1)[:, ::-1].reshape(4, -1)
     assert np.ascontiguousarray(there).tobytes() == velocities(made).tobytes() == velocities(replace(made)).tobytes()
-
-
-def test_truth_and_the_grid_agree_with_it_and_planners_do_not_see_it() -> None:
-    made = wavy(5)
-    found, grid = made.truth(2.0), others_at(made, np.array([2.0]))
-    at = np.flatnonzero(made.t == 2.0)
-    assert found.vx == pytest.approx(made.motion.vx[at]) and grid.pose[3, :, 0] == pytest.approx(found.vx)
-    assert found.accel == pytest.approx(made.motion.accel[at]) and grid.accel[:, 0] == pytest.approx(found.accel)
-    assert made.perceived(2.0).vx[1] == made.vx[at[1]] != found.vx[1]

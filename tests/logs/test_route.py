@@ -171,11 +171,6 @@ def assert_agrees(road: Road, ego: EgoState, goal: Goal | None) -> None:
         assert route.lanes[-1] in goal_lanes(road, goal)
 
 
-@given(graphs(), st.integers(0, 6))
-def test_the_route_costs_what_an_independent_library_finds(road: Road, target: int) -> None:
-    assert_agrees(road, EGO, Goal((square(2.5, 100.0 * target, 1.0),)))
-
-
 @pytest.mark.parametrize("stride", [8, pytest.param(1, marks=pytest.mark.slow)])
 def test_on_real_lane_graphs_too(shared_data: Path, stride: int) -> None:
     """Recorded maps, each from its own start to its own goal; some of them need a lane change."""

@@ -74,23 +74,6 @@ def test_no_later_sample_changes_what_is_perceived(seed: int, time: float) -> No
     assert same(tracks.perceived(time), truncated(tracks, time).perceived(time))
 
 
-@given(st.integers(0, 50), st.integers(0, 40))
-def test_nor_does_it_at_the_very_time_of_a_sample(seed: int, index: int) -> None:
-    tracks = ragged(seed)
-    time = float(tracks.t[index % len(tracks.t)])
-    assert same(tracks.perceived(time), truncated(tracks, time).perceived(time))
-
-
-@given(st.integers(0, 200), st.floats(-1.0, 8.0), st.floats(0.0, 5.0))
-def test_later_samples_may_say_anything(seed: int, time: float, jump: float) -> None:
-    tracks = ragged(seed)
-    later = tracks.t > time
-    later[tracks.offsets[:-1][tracks.static]] = False
-    noise = np.where(later, jump + 1.0, 0.0)
-    other = replace(tracks, x=tracks.x + noise, y=tracks.y - noise, vx=np.where(later, 7.0, tracks.vx))
-    assert same(tracks.perceived(time), other.perceived(time))
-
-
 @given(st.integers(0, 200), st.floats(-1.0, 8.0))
 def test_perceived_are_the_recent_and_the_static(seed: int, time: float) -> None:
     tracks = ragged(seed)
@@ -154,17 +137,6 @@ def test_truth_lies_between_its_samples(seed: int, share: float, index: int) -> 
         assert getattr(found, name)[at] == pytest.approx(np.interp(time, t, getattr(tracks, name)[span]), abs=1e-6)
 
 
-@given(st.integers(0, 100))
-def test_truth_at_a_sample_is_the_sample(seed: int) -> None:
-    tracks = ragged(seed)
-    for i in range(4):
-        span = tracks.samples(i)
-        for k in range(span.start, span.stop):
-            found = tracks.truth(float(tracks.t[k]))
-            at = found.ids.index(tracks.ids[i])
-            assert found.x[at] == pytest.approx(tracks.x[k], abs=1e-6)
-
-
 def test_velocity_is_logged_or_a_backward_difference() -> None:
     car = one_car([0.0, 0.1, 0.2], [0.0, 1.0, 4.0])
     assert car.perceived(0.0).vx == [0.0]
@@ -187,21 +159,6 @@ def test_how_long_an_agent_has_been_seen_and_how_long_not() -> None:
     assert first.perceived(OLDEST_S + 5.0).age == first.shifted(1.0).perceived(OLDEST_S + 5.0).age == [OLDEST_S]
     still = replace(late, static=[True]).perceived(1.25)
     assert np.isnan([still.age, still.unseen]).all() and np.isnan(late.truth(1.1).age).all()
-
-
-def test_an_agent_is_forgotten_and_its_truth_ends() -> None:
-    car = one_car([0.0, 0.1], [0.0, 1.0])
-    assert len(car.perceived(0.1 + MAX_AGE_S)) == 1
-    assert len(car.perceived(0.11 + MAX_AGE_S)) == 0
-    assert len(car.perceived(-0.01)) == 0
-    assert [len(car.truth(t)) for t in (-0.01, 0.0, 0.1, 0.11)] == [0, 1, 1, 0]
-
-
-def test_a_static_obstacle_is_always_there_and_stands() -> None:
-    cone = one_car([3.0], [5.0], static=[True], vx=[2.0])
-    for time in (-5.0, 0.0, 3.0, 99.0):
-        for found in (cone.perceived(time), cone.truth(time)):
-            assert (found.x.tolist(), found.vx.tolist(), found.speed.tolist()) == ([5.0], [0.0], [0.0])
 
 
 def test_truth_turns_the_short_way_across_pi() -> None:
@@ -230,11 +187,6 @@ def test_some_by_name_are_they_with_all_their_samples(seed: int, keep: set[int])
     for i, name in enumerate(names):
         mine, theirs = some.samples(i), tracks.samples(tracks.ids.index(name))
         assert np.array_equal(some.t[mine], tracks.t[theirs]) and np.array_equal(some.x[mine], tracks.x[theirs])
-
-
-def test_the_empty_scene() -> None:
-    none = Tracks.empty()
-    assert len(none) == len(none.perceived(0.0)) == len(none.truth(0.0)) == 0
 
 
 @pytest.mark.parametrize(
@@ -268,17 +220,6 @@ def test_ids_must_differ_and_times_may_restart_between_tracks() -> None:
     assert len(fine) == 2
     with pytest.raises(ValueError, match="same id"):
         replace(fine, ids=("a", "a"))
-
-
-def test_columns_are_read_only() -> None:
-    car = one_car([0.0, 0.1], [0.0, 1.0])
-    for array in (car.x, car.offsets, car.static, car.yaw, car.perceived(0.0).x):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1
-
-
-def test_kinds_that_are_vulnerable() -> None:
-    assert {kind.value for kind in AgentKind if kind.is_vulnerable} == {"pedestrian", "bicycle", "motorcycle"}
 
 
 def test_a_scenario_lasts_as_long_as_its_ego_and_keeps_its_metadata() -> None:

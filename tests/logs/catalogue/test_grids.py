@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from logs import ConfigError, DecisionKind, Scenario
-from logs.catalogue import BUILTIN, CATALOGUE, FAMILIES, SUITES, ordered, scenario, spread, suite
+from logs.catalogue import CATALOGUE, FAMILIES, SUITES, scenario, spread, suite
 from logs.catalogue.driver import drive
-from logs.catalogue.family import before_contact, touches
+from logs.catalogue.family import touches
 from logs.catalogue.family_parts import START_M
 from logs.catalogue.iso3888 import cones, double_lane_change
 from logs.catalogue.roads import curve
@@ -28,7 +28,6 @@ from logs.vehicle import VehicleParameters
 from metrics.health import findings
 from replay.cli import app
 from replay.paper.manoeuvres import cones_hit
-from replay.run.sources import LogSource, builtin_suite, named_suite
 
 GRIDS = [name for name, family in FAMILIES.items() if family.grid]
 CAR = VehicleParameters()
@@ -104,12 +103,6 @@ def test_cells_that_make_no_sense_are_refused(label: str, said: str) -> None:
         assert label not in {FAMILIES[family].named(cell) for cell in FAMILIES[family].cells()} and words
 
 
-def test_names_hold_numbers_in_full() -> None:
-    family = FAMILIES["everyday/follow"]
-    name = family.named({"ego_speed_mps": 40.0 / 3.6})
-    assert scenario(name).metadata["parameter.ego_speed_mps"] == repr(40.0 / 3.6)
-
-
 def test_a_log_without_a_way_out_ends_before_the_contact() -> None:
     cut = scenario("unece_r157/cut_in@ego_kmh=60,gap_m=10,lateral_mps=3,relative_kmh=-30")
     who, when = cut.metadata["logged_driver_would_meet"], float(cut.metadata["logged_driver_would_meet_s"])
@@ -120,13 +113,6 @@ def test_a_log_without_a_way_out_ends_before_the_contact() -> None:
     assert touches(replace(cut, ego=replace(on, t=on.t + last.t))) == "cutter"
     easy = scenario("unece_r157/cut_in@ego_kmh=60,gap_m=60,lateral_mps=1,relative_kmh=-10")
     assert "logged_driver_would_meet" not in easy.metadata and easy.ego.t[-1] == pytest.approx(18.0)
-
-
-def test_a_contact_at_the_start_is_refused() -> None:
-    log = scenario("unece_r157/blocking_obstacle")
-    inside = replace(log.tracks, x=log.ego.x[:1] + 1.0)
-    with pytest.raises(ValueError, match="car is in the ego at the start"):
-        before_contact(replace(log, tracks=inside))
 
 
 # what the publications ask
@@ -252,11 +238,6 @@ def test_suites_have_their_sizes_and_are_parts_of_each_other() -> None:
     assert {groups.count(group) for group in set(groups)} <= {2, 3}
 
 
-def test_the_seed_decides_the_order() -> None:
-    assert suite("full") == suite("full") and suite("full", seed=2) != suite("full")
-    assert sorted(ordered(3)) == sorted(family.named(cell) for family in FAMILIES.values() for cell in family.cells())
-
-
 @everywhere
 def test_the_first_cells_of_a_grid_lie_far_apart(name: str) -> None:
     """The second is one of the farthest from the first."""
@@ -271,22 +252,6 @@ def test_the_first_cells_of_a_grid_lie_far_apart(name: str) -> None:
 
     assert far(second) == pytest.approx(max(map(far, cells)))
     assert sorted(spread(FAMILIES[name])) == sorted(numbers)
-
-
-def test_a_family_or_group_is_a_suite_of_all_its_cells() -> None:
-    assert len(suite("euro_ncap/cpna_2023")) == 22
-    assert len(suite("iso3888")) == 18 and suite("paper") == tuple(n for n in CATALOGUE if n.startswith("paper/"))
-    with pytest.raises(ConfigError, match="nightly"):
-        suite("nightli")
-
-
-def test_a_source_is_known_by_its_parameters() -> None:
-    one, two = named_suite("euro_ncap/ccrb_2023").sources[:2]
-    assert one.identity() != two.identity() and one.read().name == one.label
-    assert [source.label for source in builtin_suite().sources] == list(BUILTIN)
-    assert set(BUILTIN) < set(CATALOGUE) and len(BUILTIN) == 18
-    with pytest.raises(ConfigError, match="paper/free_road"):
-        LogSource("paper/free_raod").read()
 
 
 def test_synth_writes_a_suite_twice_the_same_with_its_table(tmp_path: Path) -> None:

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from track_score import repaired_score
 
-from logs import ConfigError, Scenario
+from logs import Scenario
 from logs.catalogue import CATALOGUE, FAMILIES, raw
 from logs.readers import read_log
 from logs.repair.detections import Detections
 from logs.repair.identities import needs_repair
 from replay.cli.synth import ROS2, synthesise
 from replay.run.sources import LogSource
-
-COLUMNS = ("t", "x", "y", "yaw", "length", "width", "score")
 
 
 def detections(name: str, **parameters: float) -> Detections:
@@ -35,13 +33,6 @@ def test_a_log_holds_what_a_detector_says_and_nothing_of_the_truth(name: str) ->
     assert made.ego.t[-1] == made.duration == made.detections.frames[-1]
 
 
-def test_the_same_seed_gives_the_same_boxes_and_another_seed_others() -> None:
-    one, two, other = (detections("raw/crossing", seed=seed) for seed in (1.0, 1.0, 2.0))
-    for name in COLUMNS:
-        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
-    assert len(one) != len(other)
-
-
 @pytest.mark.parametrize(
     "name",
     ["raw/crossing", *(pytest.param(f"raw/{name}", marks=pytest.mark.slow) for name in ("queue", "parked", "rider"))],
@@ -53,14 +44,6 @@ def test_a_repair_finds_the_road_users_again(name: str) -> None:
     assert found.lost == 0
     assert found.ghosts <= 4  # false boxes that last for seconds
     assert found.still < 0.2
-
-
-def test_clusters_are_seen_without_a_score() -> None:
-    found = detections("raw/clusters", clusters=20.0, duration_s=5.0)
-    objects = np.array([kind.value == "object" for kind in found.kinds])
-    assert objects.mean() > 0.5
-    assert np.isnan(found.score[objects]).all()
-    assert np.isfinite(found.score[~objects]).all()
 
 
 def alike(one: Scenario, two: Scenario, within: float) -> None:
@@ -94,11 +77,3 @@ def test_a_bag_holds_the_same_road_users(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.c_[read.x, read.y] + origin, np.c_[made.x, made.y], atol=1e-6)
     assert bag.goal is not None
     assert "synthetic" in bag.tags
-
-
-def test_a_bag_is_not_written_over_one_and_not_of_tracks(tmp_path: Path) -> None:
-    (tmp_path / "raw" / "crossing").mkdir(parents=True)
-    with pytest.raises(ConfigError, match="exists already"):
-        list(synthesise([raw.CROSSING], tmp_path, {}, ROS2))
-    with pytest.raises(ConfigError, match="no raw detections"):
-        list(synthesise([CATALOGUE["paper/free_road"]], tmp_path, {}, ROS2))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from lanelet2_cases import MapWriter, crossroads, driven_along, through
+from lanelet2_cases import MapWriter, crossroads, driven_along
 
 from logs import Colour, LogError, Road, Scenario, TrafficLight
 from logs.maps import MapFile, lanelet2, read_map
@@ -255,12 +255,6 @@ def test_utm_is_conformal_and_of_its_scale(lat: float, off: float, zone: int) ->
     assert 0.9995 < hypot(*up) < 1.0016
 
 
-@pytest.mark.parametrize("text", ["", "here", "1", "91, 0", "0, 400", "utm 5", "61SUE", "54SAE", "54IUE", "1, 2, 3"])
-def test_origins_that_are_none(text: str) -> None:
-    with pytest.raises(LogError):
-        parse_projection(text)
-
-
 def test_where_points_are(crossing: Path, tmp_path: Path) -> None:
     """Local coordinates, else what lies beside the map says, else CARLA's null island; the settings win."""
     plain = read_map(crossing)
@@ -333,11 +327,6 @@ def test_a_drive_against_the_lanes_is_refused(crossing: Path, tmp_path: Path) ->
         read_log(log, LogSettings(map=str(crossing)))
 
 
-def test_a_drive_that_leaves_the_map_says_so(crossing: Path, tmp_path: Path) -> None:
-    mapped = read_log(logged(straight((60.0, -2.0), (190.0, -2.0)), tmp_path), LogSettings(map=str(crossing)))
-    assert any(note == "crossroads.osm: 69 % of the driven path lies on its drivable lanes." for note in mapped.notes)
-
-
 def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
     log = logged(straight(), tmp_path)
     for name, text, word in (
@@ -391,25 +380,3 @@ def test_any_bytes_are_a_map_or_an_error(data: st.DataObject, tmp_path_factory: 
         assert error.file == path
     else:
         assert found.road.lanes
-
-
-def test_a_drive_on_a_real_map(shared_data: Path, tmp_path: Path) -> None:
-    """Town02 by its own lanes: every state on a lane, along it, and on the way that was chosen."""
-    path = shared_data / "tartu" / "lanelet2" / "Town02.osm"
-    road = read_map(path).road
-    chosen, line = through(road, 4903, 150.0)
-    log = logged(driven_along(line, 7.0, 20.0), tmp_path)
-    mapped = read_log(log, LogSettings(map=str(path)))
-    over = [{lane.id for lane in mapped.road.lanes_at(x, y)} for x, y in zip(mapped.ego.x, mapped.ego.y, strict=True)]
-    assert all(found & set(chosen) for found in over)
-    assert len(mapped.road.stop_lines) == 24 and {line.lane for line in mapped.road.stop_lines} >= {4903}
-    with pytest.raises(LogError, match=r"does not fit the drive: 0 %"):
-        read_log(log, LogSettings(map=str(path.with_name("erm_parking.osm"))))
-
-
-def test_a_123d_map_is_one_of_the_maps(shared_data: Path, tmp_path: Path) -> None:
-    town = read_map(shared_data / "py123d" / "carla_map" / "maps" / "opendrive" / "opendrive_Town02.arrow")
-    assert len(town.road.lanes) == 88 and len(town.road.stop_lines) == 39
-    (tmp_path / "map.arrow").write_bytes(b"ARROW1 and nothing else")
-    with pytest.raises(LogError, match=r"map\.arrow"):
-        read_map(tmp_path / "map.arrow")

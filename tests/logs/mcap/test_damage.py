@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from mcap.writer import CompressionType
 from mcap_cases import RECORD, STATE, TABLE, differences, ego_states, rich_scenario, write_by_hand
 
 from logs import Colour, LogError, Road, RoadSource
@@ -180,21 +179,6 @@ def test_damage_is_named_with_its_remedy(tmp_path: Path, small_log: bytes) -> No
     assert "not a log that replan reads; the folder holds" in str(summarise(tmp_path).error)
 
 
-def test_a_changed_payload_is_found_by_its_checksum(tmp_path: Path) -> None:
-    path = write_by_hand(tmp_path / "log.mcap", ego_states(), compression=CompressionType.NONE)
-    read_scenario(path)
-    path.write_bytes(path.read_bytes().replace(b'"x_m": 6.0', b'"x_m": 7.0'))
-    assert "checksum does not match" in refusal(path)
-
-
-def test_other_formats_are_sent_on(tmp_path: Path) -> None:
-    (tmp_path / "a.xml").write_bytes(b"something else")
-    said = str(summarise(tmp_path / "a.xml").error)
-    assert "a .xml file that begins with b'somethin'; `replan convert --formats`" in said
-    path = write_by_hand(tmp_path / "log.mcap", [("/points", 0, {})], {})
-    assert "neither a native nor an OSI log; it holds by.hand/points" in refusal(path)
-
-
 def test_foreign_mcap_files_are_refused_by_their_schemas(shared_data: Path) -> None:
     for name, schema in (("talker", "std_msgs/msg/String"), ("cdr_test_0", "test_msgs/msg/Arrays")):
         path = shared_data / "rosbag2" / f"{name}.mcap"
@@ -245,11 +229,6 @@ def test_a_standing_ego_has_a_straight_road_ahead(tmp_path: Path) -> None:
     assert lane.length > 200.0 and "hardly moves" in " ".join(scenario.notes)
 
 
-def test_one_ego_state_is_enough(tmp_path: Path) -> None:
-    scenario = read_scenario(write_by_hand(tmp_path / "log.mcap", ego_states(1)))
-    assert len(scenario.ego) == 1 and scenario.duration == 0.0
-
-
 def test_curvature_in_reverse_and_at_rest(tmp_path: Path) -> None:
     """Backwards along a circle to the left of the car: kappa stays positive; at rest it holds."""
     bare = {key: STATE[key] for key in ("x_m", "y_m", "yaw_rad", "v_mps")}
@@ -278,22 +257,6 @@ def test_a_light_that_the_log_does_not_show_is_a_note_told_once(tmp_path: Path) 
     assert read_scenario(path).notes.count(told) == 1
     shown = read_scenario(write_by_hand(path, [*ego_states(), road(stop_lines=[STOP]), shows(0)]))
     assert told not in shown.notes and shown.lights[0].at(0.3) is Colour.RED
-
-
-def test_lights_may_be_repeated_and_begin_late(tmp_path: Path) -> None:
-    later = [shows(50), shows(100_000_000), shows(200_000_000, id=[6, 5], colour=["green", "off"])]
-    lights = read_scenario(write_by_hand(tmp_path / "log.mcap", [*ego_states(), *later])).lights
-    assert [(light.id, len(light.t)) for light in lights] == [(5, 3), (6, 1)]
-    assert [light.at(0.15) for light in lights] == [Colour.RED, Colour.OFF]
-    assert [light.at(0.2) for light in lights] == [Colour.OFF, Colour.GREEN]
-
-
-def test_the_summary_counts_the_rules(tmp_path: Path) -> None:
-    write_scenario(tmp_path / "log.mcap", rich_scenario())
-    lines = summarise(tmp_path / "log.mcap").lines()
-    what = "lights, stop signs, crosswalks, right of way"
-    assert f"yes  {what}: 1 stop line with a light, 1 stop sign, 1 crosswalk, 1 lane giving way" in lines
-    assert "rules: 2 stop lines (1 with a light, 1 with a stop sign), 2 lights, 1 crosswalk, 1 lane giving way" in lines
 
 
 def test_agents_without_samples_are_left_out_and_told(tmp_path: Path) -> None:

@@ -199,12 +199,6 @@ def test_objects_have_their_kinds_and_bridges_are_no_obstacles(tmp_path: Path) -
     assert (tracks.length[-1], tracks.width[-1]) == (1.0, 1.0)  # the pole has no size in the log
 
 
-def test_traffic_lights_are_told_not_to_be_read(tmp_path: Path) -> None:
-    notes = read_scenario(write_osi(tmp_path / "log.mcap", frames(traffic_light=ids(4, 5)))).notes
-    assert "The log's traffic lights (up to 2 at a time) are not read." in notes
-    assert not any("lights" in note for note in read_scenario(write_osi(tmp_path / "log.mcap", frames())).notes)
-
-
 def test_lanes_around_centre_lines_reach_half_way_to_each_other(tmp_path: Path) -> None:
     lanes = [
         lane(1, 2000.0, left_adjacent_lane_id=ids(2), lane_pairing=[{"successor_lane_id": {"value": 3}}]),
@@ -275,15 +269,6 @@ def test_logical_lanes_come_first(tmp_path: Path, backward: bool) -> None:
     assert (found.right_neighbour if backward else found.left_neighbour) == 50
     cross = np.cross(np.r_[found.center[-1] - found.center[0], 0.0], np.r_[found.left[0] - found.right[0], 0.0])
     assert cross[2] > 0.0
-
-
-def test_sensor_views_hold_a_ground_truth(tmp_path: Path) -> None:
-    view = message_class(descriptor(), "osi3.SensorView")
-    messages = [(t, view.FromString(view(global_ground_truth=None).SerializeToString())) for t, _ in frames()]
-    for (_, message), (_, inner) in zip(messages, frames(), strict=True):
-        message.global_ground_truth.ParseFromString(inner.SerializeToString())
-    scenario = read_scenario(write_osi(tmp_path / "log.mcap", messages, name="osi3.SensorView"))
-    assert len(scenario.ego) == 11 and scenario.source == "ASAM OSI, osi3.SensorView"
 
 
 def test_without_speeds_they_come_from_positions(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from mcap_cases import differences, rich_scenario
+from mcap_cases import differences
 
 from logs import LogError, Scenario
 from logs.cut import cut, in_nanoseconds
@@ -66,39 +66,6 @@ def damaged(log: Path, tmp_path: Path, raw: bytes) -> Path:
     path = tmp_path / "damaged.mcap"
     path.write_bytes(raw)
     return path
-
-
-def test_a_whole_log_is_kept_whole(log: Path, tmp_path: Path) -> None:
-    report = salvage(log, tmp_path / "out.mcap")
-    assert held(tmp_path / "out.mcap") == held(log) and report.messages == 400 and not report.lost
-    assert report.lines()[0].endswith("nothing was lost")
-    assert read_container(tmp_path / "out.mcap").metadata == {"said": {"by": "hand"}}
-    whole = tmp_path / "rich.mcap"
-    write_scenario(whole, rich_scenario(12))
-    salvage(whole, tmp_path / "again.mcap")
-    assert differences(read_scenario(whole), read_scenario(tmp_path / "again.mcap")) == []
-
-
-def test_the_chunk_that_is_damaged_is_lost_and_named(log: Path, tmp_path: Path) -> None:
-    raw = bytearray(log.read_bytes())
-    begin, end = chunks(bytes(raw))[5]
-    raw[(begin + end) // 2] ^= 0xFF
-    report = salvage(damaged(log, tmp_path, bytes(raw)), tmp_path / "out.mcap")
-    before = {time for messages in held(log).values() for time, _ in messages}
-    after = {time for messages in held(tmp_path / "out.mcap").values() for time, _ in messages}
-    gone = sorted(before - after)
-    (lost,) = report.lost
-    assert gone and lost.after_ns == gone[0] - 100_000_000 and lost.before_ns == gone[-1] + 100_000_000
-    assert f"lost between {lost.after_ns / 1e9:.3f} s and {lost.before_ns / 1e9:.3f} s" in report.lines()[1]
-
-
-def test_a_cut_log_keeps_what_is_before_the_cut(log: Path, tmp_path: Path) -> None:
-    raw = log.read_bytes()
-    begin, _ = chunks(raw)[7]
-    report = salvage(damaged(log, tmp_path, raw[: begin + 40]), tmp_path / "out.mcap")
-    assert report.lost[-1].before_ns is None and "and the end" in report.lines()[-1]
-    kept, all_ = held(tmp_path / "out.mcap"), held(log)
-    assert all(messages == all_[topic][: len(messages)] for topic, messages in kept.items()) and report.chunks == 7
 
 
 @given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(1, 255)), min_size=1, max_size=6), st.integers(0, 400))

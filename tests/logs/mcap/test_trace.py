@@ -87,12 +87,6 @@ def test_a_trace_read_again_is_the_drive(tmp_path: Path) -> None:
     assert again.metadata["trace_mode"] == "closed" and again.metadata["trace_oracle"] == "false"
 
 
-def test_same_trace_same_bytes(tmp_path: Path) -> None:
-    for name in ("one.mcap", "two.mcap"):
-        write_trace(tmp_path / name, drive(), rich_scenario(), internals="full")
-    assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
-
-
 def test_plans_are_kept_with_all_their_internals(tmp_path: Path) -> None:
     write_trace(tmp_path / "log.mcap", drive(), rich_scenario(), internals="full")
     (_, first), (time, plan) = messages(tmp_path / "log.mcap", "/plan")
@@ -189,18 +183,6 @@ def test_what_a_sensor_showed_is_on_a_topic_of_its_own(tmp_path: Path) -> None:
     assert messages(tmp_path / "log.mcap", "/perceived") == []
 
 
-def test_who_is_not_there_or_larger_may_be_shown(tmp_path: Path) -> None:
-    """A perception of one's own may show a false positive, or a wrong size."""
-    trace = drive()
-    seen = seen_once(trace)
-    for wrong in (replace(seen, ids=("ghost",)), replace(seen, length=seen.length + 1.0)):
-        write_trace(tmp_path / "log.mcap", replace(trace, perceived=wrong), rich_scenario())
-        again, driven = read_trace(tmp_path / "log.mcap")
-        assert again.perceived is not None
-        assert (again.perceived.ids, again.perceived.length.tolist()) == (wrong.ids, wrong.length.tolist())
-        assert differences(trace.agents, driven.tracks) == []
-
-
 @pytest.mark.parametrize(("internals", "count"), [("none", 0), ("summary", 1), ("full", 1)])
 def test_predictions_are_kept_with_internals(tmp_path: Path, internals: Any, count: int) -> None:
     trace = drive()
@@ -218,14 +200,6 @@ def test_predictions_are_kept_with_internals(tmp_path: Path, internals: Any, cou
             "method": "pedestrian", "t_s": [0.1, 0.6], "id": ["walker", "walker"], "probability": [0.75, 0.25],
             "x_m": x.tolist(), "y_m": (-x).tolist(),
         }  # fmt: skip
-
-
-def test_an_open_loop_trace_has_no_actuation(tmp_path: Path) -> None:
-    trace = replace(drive(), mode=Mode.OPEN, commands=None, actuation=None, tracking=None)
-    write_trace(tmp_path / "open.mcap", trace, rich_scenario())
-    assert read_scenario(tmp_path / "open.mcap").controls is None
-    assert {t.topic for t in summarise(tmp_path / "open.mcap").topics} >= {"/ego", "/plan"}
-    assert "/command" not in {t.topic for t in summarise(tmp_path / "open.mcap").topics}
 
 
 def test_an_infinite_command_is_refused(tmp_path: Path) -> None:
@@ -253,31 +227,6 @@ def test_the_summary_tells_what_a_log_holds(tmp_path: Path) -> None:
     assert found.goal == "in 1 region(s), time 1 to 20 s, speed 0 to 9 m/s, heading -0.1 to 0.1 rad"
     assert all(e.possible for e in summary.evaluations)
     assert any("30 states from 0.00 to 2.90 s (10.0 Hz)" in line for line in summary.lines())
-
-
-def test_the_summary_tells_what_is_missing(tmp_path: Path) -> None:
-    scenario = rich_scenario()
-    start = scenario.ego.between(0.0, 0.0)
-    write_scenario(tmp_path / "log.mcap", replace(scenario, ego=start, goal=None, controls=None))
-    possible = {e.name: e for e in summarise(tmp_path / "log.mcap").evaluations}
-    assert not possible["open loop against the driven ego"].possible
-    assert "one ego state" in possible["open loop against the driven ego"].reason
-    assert not possible["goal reached"].possible and possible["closed loop"].possible
-
-
-def test_a_trace_is_called_a_trace(tmp_path: Path) -> None:
-    write_trace(tmp_path / "log.mcap", drive(), rich_scenario())
-    assert summarise(tmp_path / "log.mcap").profile == "trace of a drive, native format 2"
-
-
-def test_the_summary_of_a_cut_log_tells_what_is_left(tmp_path: Path) -> None:
-    write_trace(tmp_path / "log.mcap", drive(), rich_scenario())
-    raw = (tmp_path / "log.mcap").read_bytes()
-    (tmp_path / "log.mcap").write_bytes(raw[: len(raw) - 200])
-    summary = summarise(tmp_path / "log.mcap")
-    assert {t.topic: t.messages for t in summary.topics}["/plan"] == 2
-    assert summary.scenario is None and summary.evaluations == ()
-    assert summary.lines()[-1].startswith("error: ") and "cut off" in summary.lines()[-1]
 
 
 def test_a_trace_with_all_its_inside_is_read_back(tmp_path: Path) -> None:

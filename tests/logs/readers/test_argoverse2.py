@@ -54,12 +54,6 @@ def test_a_sensor_log_arrives(tmp_path: Path) -> None:
     }
 
 
-def test_the_car_may_be_another(tmp_path: Path) -> None:
-    folder = write_av2(tmp_path / "log")
-    assert read_log(folder).vehicle.length == 4.869
-    assert read_log(folder, LogSettings(car={"length": 5.2, "width": 1.9})).vehicle.width == 1.9
-
-
 def test_what_is_missing_is_said(tmp_path: Path) -> None:
     folder = write_av2(tmp_path / "log")
     (folder / "annotations.feather").unlink()

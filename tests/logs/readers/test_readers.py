@@ -6,7 +6,6 @@ import os
 import sys
 from dataclasses import replace
 from importlib.metadata import EntryPoint
-from itertools import pairwise
 from math import inf
 from pathlib import Path
 from types import ModuleType
@@ -81,21 +80,6 @@ def test_a_cut_log_keeps_lights_controls_and_goal(tmp_path: Path) -> None:
     assert len(part.controls) == int((whole.controls.t >= begin).sum())
     write_scenario(tmp_path / "part.mcap", part)
     assert read_scenario(tmp_path / "part.mcap").ego.x.tolist() == part.ego.x.tolist()
-
-
-def test_windows_cover_the_log(tmp_path: Path) -> None:
-    write_scenario(tmp_path / "log.mcap", SCENARIO)
-    parts = windows(tmp_path / "log.mcap", LogSettings(), 3.0)
-    assert parts[0].begin == 0.0 and parts[-1].end == pytest.approx(SCENARIO.duration)
-    assert all(one.end == other.begin for one, other in pairwise(parts))
-    sources = select([tmp_path], window=3.0).sources
-    assert [source.settings for source in sources] == list(parts)
-    identities = [source.identity() for source in sources]
-    assert len(set(identities)) == len(parts)
-    assert identities == [replace(source, digest="").identity() for source in sources]
-    assert sources[1].read().duration == pytest.approx(3.0)
-    (tmp_path / "log.mcap").unlink()
-    assert identities == [source.identity() for source in sources]  # a long log is hashed once, not once a part
 
 
 @given(st.floats(1.0, 9.0), st.floats(0.3, 9.0))
@@ -246,10 +230,3 @@ def test_a_pipe_is_refused_before_it_is_opened(tmp_path: Path, place: str) -> No
     assert f"{pipe.name}: is a named pipe" in str(summarise(log).error)
     with pytest.raises(LogError, match="is a named pipe"):
         log_hash(log)
-
-
-def test_a_link_that_leads_to_itself_is_refused(tmp_path: Path) -> None:
-    write_scenario(tmp_path / "whole.mcap", SCENARIO)
-    (tmp_path / "loop.mcap").symlink_to("loop.mcap")
-    result = evaluate_logs([tmp_path], RunConfig(("logged",), recording=False), tmp_path / "out")
-    assert len(result.drives) == 2 and any("loop.mcap" in reason for reason in result.summary["logs_left_out"])

@@ -268,12 +268,6 @@ def test_the_separator_and_the_decimal_mark_are_found(tmp_path: Path, separator:
     )
 
 
-def test_a_separator_that_is_not_read_is_named(tmp_path: Path) -> None:
-    ego().to_csv(tmp_path / "ego.csv", index=False, sep="|")
-    with pytest.raises(LogError, match="separate the columns of the file by commas, semicolons or tabs"):
-        read_log(tmp_path)
-
-
 def _as(kind: str, folder: Path) -> None:
     file = folder / "agents.csv"
     if kind in ("Agents.csv", "agents.CSV", "agents.csv.gz", "agents.xlsx"):

@@ -16,8 +16,6 @@ from logs import AgentKind, LogError, Scenario
 from logs.readers import LogSettings, logs_in, read_log, reader_of
 from logs.readers.table import from_frames
 from logs.scenario import CENTRE, EGO_POSE
-from replay.config import RunConfig
-from replay.run import evaluate_logs
 
 SIZES = {"1": (4.5, 1.8), "2": (12.0, 2.5), "3": (4.0, 1.7)}
 
@@ -162,13 +160,6 @@ def test_any_vehicle_can_be_the_ego(tmp_path: Path, shape: Callable[[Path], Path
     assert scenario.tracks.t.min() == pytest.approx(-10 / rate, abs=1e-6)
 
 
-def test_a_table_of_tracks_is_evaluated(tmp_path: Path) -> None:
-    path = in_d(tmp_path)
-    config = RunConfig(("logged",), recording=False, log=LogSettings(ego="1"))
-    result = evaluate_logs([path], config, tmp_path / "out")
-    assert result.failures.empty and len(result.drives) == 2
-
-
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.__name__)
 def test_without_an_ego_those_who_drove_farthest_are_named(tmp_path: Path, shape: Callable[[Path], Path]) -> None:
     path = shape(tmp_path)
@@ -180,11 +171,6 @@ def test_without_an_ego_those_who_drove_farthest_are_named(tmp_path: Path, shape
             read_log(path, LogSettings(ego=ego))
         assert what in error.value.what and "--ego" in (error.value.remedy or "")
         assert [word for word in (error.value.remedy or "").split() if word in SIZES] == ["1", "2", "3"]
-
-
-def test_a_pedestrian_is_no_ego(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="agent P1 is a pedestrian"):
-        read_log(interaction(tmp_path), LogSettings(ego="P1"))
 
 
 def test_frames_need_a_rate(tmp_path: Path) -> None:

@@ -133,13 +133,6 @@ def test_who_was_there_all_the_time_still_is(value: float) -> None:
     assert at(made, "walker", np.array([0.0]))[0, 1] >= -6.0  # who stood before, stands
 
 
-def test_who_came_and_went_still_does() -> None:
-    brief = tracks(track("17", T[20:40], T[20:40], 0.0 * T[20:40] + 9.0))
-    t = rows(varied(replace(LOG, tracks=brief), ("17",), {"time": 1.0}), "17")[:, 0]
-    assert (t[0], t[-1]) == pytest.approx((3.0, 4.9))
-    assert not len(varied(replace(LOG, tracks=brief), ("17",), {"time": 30.0}).tracks)
-
-
 def test_a_varied_log_says_so_and_holds_no_drive(tmp_path: Path) -> None:
     made = varied(LOG, ("walker",), {"time": -1.5, "speed": 2.0})
     assert made.name == "handmade~speed=2,time=-1.5"
@@ -206,11 +199,6 @@ def test_an_inserted_walker_meets_an_ego_that_keeps_its_speed(ahead: float) -> N
     assert place == pytest.approx((ahead, 0.0), abs=0.1)
     later = varied(LOG, (), {"pedestrian": ahead, "time": 1.0})
     assert at(later, "inserted pedestrian", np.array([when + 1.0]))[0] == pytest.approx((ahead, 0.0), abs=0.1)
-
-
-def test_a_standing_car_is_where_it_is_asked_for() -> None:
-    made = varied(LOG, (), {"standing_car": 30.0, "side": -1.0})
-    assert rows(made, "inserted car")[0, 1:] == pytest.approx((32.25, -1.0))
 
 
 def test_copies_follow_and_removed_ones_are_gone() -> None:

@@ -476,17 +476,3 @@ def test_recorded_files_convert(shared_data: Path) -> None:
 @pytest.mark.slow
 def test_every_recorded_file_converts(shared_data: Path) -> None:
     _convert_all(_recorded(shared_data))
-
-
-def test_mona_headings_follow_the_motion_after_conversion(shared_data: Path) -> None:
-    file = shared_data / "commonroad" / "C-DEU_MONAEast-2_960_T-1039.xml"
-    if not file.is_file():
-        pytest.skip(f"{file.name} is not among the recorded data")
-    scenario = read_commonroad(file)
-    ego = scenario.ego
-    motion = np.arctan2(np.diff(ego.y), np.diff(ego.x))
-    fast = np.hypot(np.diff(ego.x), np.diff(ego.y)) > 0.6
-    askew = np.angle(np.exp(1j * (motion - ego.yaw[:-1])))[fast]
-    assert abs(np.degrees(np.median(askew))) < 0.1
-    step = np.hypot(np.diff(ego.x), np.diff(ego.y)) / np.diff(ego.t)
-    np.testing.assert_allclose(step, 0.5 * (ego.v[1:] + ego.v[:-1]), atol=0.1)

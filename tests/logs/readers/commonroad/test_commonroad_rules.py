@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import atan2, cos, pi, sin
+from math import cos, pi, sin
 from pathlib import Path
 
 import numpy as np
@@ -225,13 +225,6 @@ def test_a_sign_to_give_way_has_a_line(tmp_path: Path, kind: str, must_stop: boo
     assert (line.light, line.must_stop) == (None, must_stop)
 
 
-def test_signs_that_demand_nothing_have_no_line_and_unread_ones_are_noted(tmp_path: Path) -> None:
-    file = written(tmp_path, straight(1, inner=see(sign=9)), sign(9, "306"), sign(8, "267"), problem(5, 0.0, 0.0, 5.0))
-    scenario = read_commonroad(file)
-    assert lines(scenario) == []
-    assert "traffic signs 267 are ignored" in scenario.notes
-
-
 def test_a_light_counts_more_than_a_stop_sign_while_it_is_lit(tmp_path: Path) -> None:
     for active, expected in (("true", [(7, False)]), ("false", [(7, False), (None, True)])):
         lamp = light(7, [("red", 5)], more=f"<active>{active}</active>")
@@ -355,30 +348,7 @@ def test_lit_crossings(shared_data: Path, name: str, stop_lines: int, lights: in
     assert all(each.drivable for each in turning)
 
 
-def test_the_signed_crossing(shared_data: Path) -> None:
-    """Lanelets 8 and 16 have a yield sign, 1 and 10 the priority road."""
-    road = recorded(shared_data, "ZAM_Intersection-1_1_T-1.xml").road
-    assert [(line.lane, line.light, line.must_stop) for line in road.stop_lines] == [
-        (lane, None, False) for lane in (1, 8, 10, 16)
-    ]
-    minor = {i for lane in (8, 16) for i in road.lanes[lane].successors}
-    major = {i for lane in (1, 10) for i in road.lanes[lane].successors}
-    assert all(set(road.lanes[i].yields_to) & major for i in minor)
-    assert not any(set(road.lanes[i].yields_to) & minor for i in major)
-    turning = [i for i in major if road.lanes[i].yields_to]
-    for i in turning:
-        begin, end = (np.diff(road.lanes[i].center, axis=0)[k] for k in (0, -1))
-        assert atan2(begin[0] * end[1] - begin[1] * end[0], begin @ end) > 0.5  # left turns
-    assert len(turning) == 2
-
-
 @pytest.mark.slow
 def test_nobody_waits_for_one_who_waits_for_him(shared_data: Path) -> None:
     for file in sorted((shared_data / "commonroad").glob("*.xml")):
         assert_no_two_wait_for_each_other(read_commonroad(file))
-
-
-def test_a_successor_that_the_map_does_not_hold_is_no_error(tmp_path: Path) -> None:
-    parts = [part for part in crossing() if 'id="101"' not in part[:40]]
-    assert len(parts) == len(crossing()) - 1
-    assert 101 not in read_commonroad(written(tmp_path, *parts)).road.lanes

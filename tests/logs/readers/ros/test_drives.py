@@ -118,18 +118,6 @@ def test_a_bag_that_was_played_in_a_loop(tmp_path: Path) -> None:
         assert scenario.duration == pytest.approx(3.0, abs=0.1)
 
 
-def test_a_simulation_slower_than_real_time_that_began_anew(tmp_path: Path) -> None:
-    rows = bags.odometry() + bags.later(bags.odometry(), 10.0, -0.5)
-    slow = [(a, b, START_NS + 3 * (t - START_NS), m) for a, b, t, m in rows]
-    path = bags.write_ros2(tmp_path / "bag", slow)
-    with pytest.raises(LogError, match=r"restarts at 30\.0 s of the bag: two drives"):
-        read_log(path)
-    whole, part = read_log(path, LogSettings(begin=30.0)), read_log(path, LogSettings(begin=33.0))
-    assert whole.duration == pytest.approx(6.0, abs=0.02) and part.start_ns - whole.start_ns == pytest.approx(
-        S, abs=2e7
-    )
-
-
 def test_clock_tells_it_where_poses_have_no_stamps(tmp_path: Path) -> None:
     rows = bags.odometry() + apart(bags.later(bags.odometry(), 7.0, 0.0), 43.0)
     for _, _, _, each in rows:
@@ -143,19 +131,6 @@ def test_clock_tells_it_where_poses_have_no_stamps(tmp_path: Path) -> None:
     scenario = read_log(path, LogSettings(begin=7.0))
     assert scenario.ego.x[0] + scenario.origin[0] == pytest.approx(ego_pose(0.0)[0] + 43.0, abs=0.1)
     assert scenario.duration == pytest.approx(6.0, abs=0.02)
-
-
-def test_a_ros1_bag_whose_clock_restarts(tmp_path: Path) -> None:
-    types, kind, rows = bags.store(ros1=True), "geometry_msgs/msg/PoseStamped", []
-    for k, ns in enumerate([*bags.times(20, 3.0), *bags.times(20, 5.0)]):
-        at = {"stamp": stamp(ns - START_NS + S), "frame_id": "map"}
-        one = message(kind, types, header={"seq": k, **at}, pose=pose(*ego_pose(seconds(ns))))
-        rows.append(("/pose", kind, ns + (4 * S if k > 60 else 0), one))
-    path = bags.write_ros1(tmp_path / "bag.bag", rows, types)
-    with pytest.raises(LogError, match=r"the clock of /pose restarts at 4\.0 s"):
-        read_log(path)
-    assert read_log(path, LogSettings(end=4.0)).duration == pytest.approx(2.7, abs=0.1)
-    assert read_log(path, LogSettings(begin=4.0)).duration == pytest.approx(4.7, abs=0.1)
 
 
 @pytest.mark.parametrize("change", ["stale", "stale at the end", "two senders", "late by 0.9 s", "unsorted"])

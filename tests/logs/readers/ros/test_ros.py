@@ -27,7 +27,7 @@ from ros_bags import RATE_HZ, SPEED, START_NS, Row, ego_pose, header, message, o
 from logs import AgentKind, Colour, LogError, Scenario
 from logs.cut import cut
 from logs.mcap import write_scenario
-from logs.readers import LogSettings, read_log, reader_of, windows
+from logs.readers import LogSettings, read_log, reader_of
 from logs.readers.ros import bag as door
 from logs.readers.ros.ego import rates
 from logs.readers.ros.fields import MOST_FIELDS, decoder
@@ -133,11 +133,6 @@ def test_fields_are_those_that_rosbags_decodes(values: dict[str, Any], coding: s
             read(raw[:cut_off])
 
 
-def test_a_type_without_a_wanted_field_is_said() -> None:
-    with pytest.raises(LogError, match=r"std_msgs/msg/Header has no field colour"):
-        decoder(bags.STORE.fielddefs, "nav_msgs/msg/Odometry", ("header.colour",), cdr=True)
-
-
 # What is read
 
 
@@ -224,15 +219,6 @@ def indexed(turned: Callable[[int], bool] = lambda k: False) -> list[Row]:
         ]  # fmt: skip
         out.append(("/detected_objects", kind, ns, message(kind, header=header(ns), objects=objects)))
     return out
-
-
-def test_ids_that_are_places_in_a_list_are_no_identities(tmp_path: Path) -> None:
-    scenario = read_log(bags.write_ros2(tmp_path / "bag", bags.transforms() + indexed()), AS_LOGGED)
-    assert len(scenario.tracks) == 3 and np.diff(scenario.tracks.offsets).tolist() == [61, 61, 61]
-    assert any("are no identities" in note for note in scenario.notes)
-    for i in range(3):
-        part = scenario.tracks.samples(i)
-        assert np.hypot(np.diff(scenario.tracks.x[part]), np.diff(scenario.tracks.y[part])).max() < 0.7
 
 
 def test_boxes_keep_their_front(tmp_path: Path) -> None:
@@ -471,12 +457,6 @@ def test_nothing_of_a_later_on_board_plan_is_known(everything: Scenario) -> None
         assert same == (a.t < 3.018)
 
 
-def test_a_log_without_on_board_plans_says_so(plain: Path) -> None:
-    scenario = read_log(plain)
-    with pytest.raises(Exception, match=r"plain has no on-board plans: 'onboard' needs a log that holds them"):
-        run_open_loop(scenario, "onboard")
-
-
 def test_plans_go_with_the_part_and_round_trip(everything: Scenario, tmp_path: Path) -> None:
     part = cut(everything, 2.0, 4.0)
     assert part.onboard[0].known == pytest.approx(1.918 - 2.0) and part.onboard[-1].known <= 2.0
@@ -645,21 +625,7 @@ def test_a_ros1_bag_is_the_same_log(tmp_path: Path) -> None:
     assert differences(replace(one, source=two.source), two) == []
 
 
-def test_round_trip(plain: Path, tmp_path: Path) -> None:
-    goes_round(read_log(plain), tmp_path)
-
-
 # A part of a log
-
-
-def test_a_part_is_the_same_as_of_the_whole(plain: Path) -> None:
-    whole = cut(read_log(plain), 3.5, 5.0)
-    part = read_log(plain, LogSettings(begin=3.5, end=5.0))
-    for name in ("x", "y", "yaw", "v", "kappa"):
-        assert getattr(part.ego, name) == pytest.approx(getattr(whole.ego, name), abs=1e-6)
-    assert (part.start_ns, part.origin, part.duration) == (whole.start_ns, whole.origin, pytest.approx(whole.duration))
-    assert part.tracks.ids == whole.tracks.ids and part.tracks.t == pytest.approx(whole.tracks.t)
-    assert len(windows(plain, LogSettings(), 2.0)) == 3
 
 
 @pytest.mark.slow
@@ -741,12 +707,6 @@ def test_any_bytes_give_a_log_or_a_log_error(small: dict[str, bytes], tmp_path: 
     read_or_refused(path)
 
 
-def test_a_chunk_that_says_it_inflates_beyond_measure_is_refused(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(door, "MAX_CHUNK_BYTES", 1000)
-    with pytest.raises(LogError, match=r"a chunk of \d+ bytes would become \d+"):
-        read_log(plain)
-
-
 def test_a_frame_that_inflates_beyond_its_index_is_refused(tmp_path: Path) -> None:
     """The index says a few bytes, the zstd frame says 8 GiB: it is refused before it is inflated."""
     rows = [row for row in bags.odometry() if row[2] < START_NS + 1_000_000_000]
@@ -824,19 +784,6 @@ def test_recorded_drives_are_read(tartu: dict[str, Scenario]) -> None:
         assert scenario.is_recorded and scenario.road.source.value.startswith("the log has no lanes"), name
 
 
-def test_tracks_of_recorded_drives_do_not_jump(tartu: dict[str, Scenario]) -> None:
-    for name, scenario in tartu.items():
-        tracks = scenario.tracks
-        assert len(tracks) > 10, name
-        for i in range(len(tracks)):
-            part = tracks.samples(i)
-            dt = np.diff(tracks.t[part])
-            steps = np.hypot(np.diff(tracks.x[part]), np.diff(tracks.y[part]))
-            assert (steps <= 3.0 + 22.0 * dt).all(), (name, tracks.ids[i])
-            if tracks.kinds[i] is not AgentKind.PEDESTRIAN:
-                assert (np.abs(np.diff(tracks.yaw[part])) <= pi / 2 + 1e-9).all(), (name, tracks.ids[i])
-
-
 def test_the_first_speed_is_the_one_that_the_bag_names(shared_data: Path, tartu: dict[str, Scenario]) -> None:
     """Every bag holds one TwistStamped, the ego's speed at its begin, by other means than the poses."""
     for name, scenario in tartu.items():
@@ -846,21 +793,6 @@ def test_the_first_speed_is_the_one_that_the_bag_names(shared_data: Path, tartu:
         assert scenario.ego.v[0] == pytest.approx(rows[0][0], abs=0.6), name
 
 
-@pytest.mark.parametrize("number", ["05", "09", "15"])
-def test_ros1_twins_are_the_same_log(shared_data: Path, tartu: dict[str, Scenario], number: str) -> None:
-    name = f"pedestrian_crossing_{number}"
-    one = read_log(shared_data / "tartu" / "ros1" / f"{name}.bag")
-    assert differences(replace(one, source=tartu[name].source), tartu[name]) == []
-
-
 def test_recorded_drives_round_trip(tartu: dict[str, Scenario], tmp_path: Path) -> None:
     for scenario in (tartu["bot_garden"], tartu["pedestrian_crossing_09"]):
         goes_round(scenario, tmp_path)
-
-
-def test_bags_that_hold_no_drive_say_what_they_hold(shared_data: Path) -> None:
-    paths = sorted((shared_data / "rosbag2").glob("*.mcap"))
-    assert len(paths) == 3
-    for path in paths:
-        with pytest.raises(LogError, match=r"nothing in the bag says where the ego is; it holds \w+_msgs/|rcl"):
-            read_log(path)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from metrics.judge.aggregate import COLUMNS, PASS, LogLabels, groups, membership, pass_shares, standings, wilson
+from metrics.judge.aggregate import COLUMNS, LogLabels, groups, membership, pass_shares, standings, wilson
 
 ASKED = [("dp_qp", "open"), ("dp_qp", "closed")]
 LABELS = {
@@ -142,14 +142,3 @@ def test_groups_do_not_depend_on_the_order_of_rows(values: list[float | None], r
     suite = found[found["kind"] == "suite"].iloc[0]
     assert suite["worst"] == (max(known) if known else pytest.approx(np.nan, nan_ok=True))
     assert suite["mean"] == pytest.approx(np.mean(known) if known else np.nan, nan_ok=True)
-
-
-def test_reference_drives_are_no_group() -> None:
-    assert not len(groups(table("lower", {"a": 1.0}, mode="reference"), NOTHING_STANDS, LABELS))
-
-
-def test_the_rows_about_passing_come_with_the_metrics() -> None:
-    stand = standings(said(("a", "dp_qp", "closed", "pass")), drives(("a", "dp_qp", "closed")), ["a"], ASKED[1:])
-    found = groups(table("lower", {"a": 1.0}), stand, {"a": LABELS["a"]})
-    assert list(found[found["kind"] == "suite"]["metric"]) == ["gap.min", PASS]
-    assert list(found["kind"].unique()) == ["suite", "family", "tag", "dataset"]

@@ -160,11 +160,6 @@ def test_a_goal_that_holds_the_ego_but_asks_for_more_can_be_driven_to() -> None:
     assert fault_of(replace(STRAIGHT, goal=Goal((*place, square(60.0, 0.0, 2.0))))) is None  # its driver goes on to it
 
 
-def test_any_of_several_regions_counts_when_it_is_reached_first() -> None:
-    log = replace(STRAIGHT, goal=Goal((square(50.0, 0.0, 2.0), square(80.0, 0.0, 2.0))))
-    assert log.ego.x[first_arrival(log)] == pytest.approx(48.0 - log.vehicle.axle_to_center, abs=0.8)
-
-
 def test_the_way_goes_through_files_parts_and_variations(tmp_path: Path) -> None:
     log = driven_path(ring(2.25))
     goal, _ = goal_of(log)

@@ -11,7 +11,6 @@ from handmade import drive, scenario, straight, track, tracks
 
 import metrics
 from logs import AgentKind, Scenario, catalogue
-from logs.observed import MAX_GAP_S
 from logs.states import EgoState
 from metrics import boxes
 from metrics.boxes import AROUND_S, each, others_at, phantoms, pieces, without_phantoms
@@ -135,7 +134,3 @@ def test_nothing_is_excused_in_a_log_that_was_made_nor_where_nobody_stands() -> 
 )  # fmt: skip
 def test_what_counts_as_recorded(changes: dict[str, object], recorded: bool) -> None:
     assert log(**changes).is_recorded is recorded
-
-
-def test_what_is_left_out_is_a_gap_of_any_track() -> None:
-    assert 2.0 * AROUND_S > MAX_GAP_S

@@ -17,10 +17,9 @@ from handmade import straight
 from hypothesis import given
 from hypothesis import strategies as st
 
-from logs import AgentKind, Colour, Mode, Road, RoadSource, Scenario, StopLine, Trace, Tracks, TrafficLight, Trajectory
+from logs import AgentKind, Colour, Road, RoadSource, Scenario, StopLine, Trace, Tracks, TrafficLight, Trajectory
 from logs.readers.commonroad import read_commonroad
 from metrics import METRICS, evaluate
-from metrics.health import FaultKind, findings
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
 
@@ -40,13 +39,6 @@ def test_shares_are_of_time_and_of_way(until: float) -> None:
     assert found["traffic.share"][0] == pytest.approx(until / 10.0, abs=2e-3)
     way = 2.0 * min(until, 5.0) + 8.0 * max(until - 5.0, 0.0)
     assert found["traffic.way_share"][0] == pytest.approx(way / 50.0, abs=3e-3)
-
-
-def test_what_is_lacking_is_said_with_its_figures() -> None:
-    value, reason = rows(scenario(SLOW_THEN_FAST, traffic=((0.0, 0.1),)))["traffic.share"]
-    assert value < 0.02
-    assert reason == "traffic is recorded until 0.1 s, the drive lasts from 0.0 s to 10.0 s"
-    assert rows(scenario(SLOW_THEN_FAST, traffic=((0.0, 10.0),)))["traffic.share"] == (1.0, "")
 
 
 def test_a_drive_that_stands_has_shares() -> None:
@@ -98,11 +90,6 @@ def test_shares_do_not_depend_on_the_world_around(turn: float, mirror: bool) -> 
     )
 
 
-def test_the_log_s_own_drive_is_measured_too() -> None:
-    log = scenario(SLOW_THEN_FAST, traffic=((0.0, 5.0),))
-    assert rows(log, drive(log, mode=Mode.OPEN))["traffic.share"][0] == pytest.approx(0.5, abs=2e-3)
-
-
 def test_a_drive_may_end_with_the_evidence_and_says_so() -> None:
     log = replace(handmade(driven(straight, 10.0, 6.0)), traffic=((0.0, 1.5),))
     whole = run_closed_loop(log, "constant_speed").trace
@@ -113,13 +100,6 @@ def test_a_drive_may_end_with_the_evidence_and_says_so() -> None:
     log_s = [evaluate(one, log).set_index("metric").loc["coverage.log_s.final", "value"] for one in (short, whole)]
     assert log_s == pytest.approx([1.5, 6.0])  # so that a drive of a moment is judged as a log of a moment
     assert rows(log, short)["traffic.share"][0] == 1.0 > 0.5 > rows(log, whole)["traffic.share"][0]
-
-
-def test_a_health_finding_names_the_stretches_without_traffic() -> None:
-    log = scenario(SLOW_THEN_FAST, traffic=((0.0, 2.0), (7.0, 9.8)))
-    found = [one for one in findings(log) if one.kind is FaultKind.TRAFFIC]
-    assert [(one.t_from, one.t_to) for one in found] == [(2.0, 7.0)]
-    assert found[0].text == "no traffic is recorded for 5.0 s of 10.0 s"
 
 
 def test_a_blind_drive_among_traffic_that_ends_at_once_has_no_evidence(tmp_path: Path) -> None:

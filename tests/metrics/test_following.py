@@ -106,24 +106,6 @@ def test_headway_time_headway_and_drac() -> None:
     assert value(log, "btn.max") == pytest.approx(25.0 / 40.0 / EGO.max_decel)
 
 
-def test_an_opening_gap_requires_nothing() -> None:
-    log = world(10.0, lead(20.0, 15.0))
-    for name in ("drac.max", "required_decel.max", "btn.max", "stn.max"):
-        assert value(log, name) == pytest.approx(0.0, abs=1e-9), name
-    assert value(log, "headway.min") == pytest.approx(20.0)
-
-
-def test_a_braking_lead_requires_more() -> None:
-    """15 behind 10 m/s, 30 m, lead brakes with 3. Speeds meet after 2 30 / 5 = 12 s, the lead stands after 3.33 s, at
-    30 + 100 / 6 = 46.7 m: 225 / 93.3 = 2.411. At 2 m: 0.8 s, so 3 + 25 / 4 = 9.25."""
-    found = required_decel(np.array([30.0, 2.0, 0.0]), np.full(3, 15.0), np.full(3, 10.0), np.full(3, 3.0))
-    assert found[:2] == pytest.approx([225.0 / (2.0 * (30.0 + 100.0 / 6.0)), 9.25])
-    assert np.isnan(found[2])
-    log = world(15.0, lead(30.0, 13.0, 3.0))  # after 1 s: 30 + 13 - 1.5 - 15 = 26.5 m, 10 m/s
-    assert at(log, "required_decel", 1.0) == pytest.approx(225.0 / (2.0 * (26.5 + 100.0 / 6.0)), rel=0.01)
-    assert at(log, "drac", 1.0) == pytest.approx(25.0 / 53.0, rel=0.01)
-
-
 @settings(max_examples=40)
 @given(st.floats(1.0, 60.0), st.floats(1.0, 30.0), st.floats(0.0, 30.0), st.sampled_from([0.0, 0.5, 2.0, 6.0]))
 def test_required_deceleration_is_the_least_that_does_not_touch(gap: float, v: float, u: float, decel: float) -> None:
@@ -184,20 +166,6 @@ def test_an_empty_path_is_no_value_and_no_time() -> None:
     times = [name for name in table.index if "time_" in name or "share_" in name]
     known = table.loc[times, "available"].astype(bool)  # without other road users there is no TTC at all
     assert (table.loc[times, "value"][known] == 0.0).all()
-
-
-def test_every_metric_says_what_it_is() -> None:
-    assert set(MINE) == set(NEW)
-    for metric in MINE.values():
-        assert all((metric.formula, metric.parameters, metric.needs, metric.meaning, metric.source))
-
-
-@pytest.mark.parametrize("degrees", [30, 60, 89, 120, 180])
-def test_the_map_may_turn(degrees: float) -> None:
-    """15 behind 10 m/s, 30 m. A published library gives TTC 5.9 s to inf, a_long,req 0 to 0.42, HW 27.9 to 38.5 m."""
-    log = moved(world(15.0, lead(30.0, 10.0)), degrees * pi / 180.0, 300.0, -20.0)
-    for name, expected in (("ttc", 6.0), ("ttc_accelerated", 6.0), ("headway", 30.0), ("drac", 25.0 / 60.0)):
-        assert at(log, name, 0.0) == pytest.approx(expected, abs=1e-6), name
 
 
 @settings(max_examples=15)

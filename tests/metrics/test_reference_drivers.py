@@ -21,7 +21,6 @@ from metrics import evaluate
 from metrics.reference_drivers import (
     CC_BRAKE_MPS2,
     JERK_MPS3,
-    JUDGED_S,
     MARGINAL_M,
     STEP_S,
     careful_drive,
@@ -156,11 +155,6 @@ def braking_lead(v: float, gap: float, decel: float, to: float = 0.0) -> Scenari
     speed = np.maximum(v - decel * np.maximum(T - 1.0, 0.0), to)
     x = NOSE + gap + 2.15 + np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (speed[1:] + speed[:-1]))]
     return log(v, track("lead", T, x, np.zeros(len(T)), **SIZE))
-
-
-def test_a_lead_that_brakes_with_1_g_at_2_s_headway_can_be_avoided() -> None:
-    v = 60.0 * KMH
-    assert careful_driver(braking_lead(v, 2.0 * v, 9.81), LINE).outcome is Avoidability.AVOIDABLE
 
 
 def test_ccrb_needs_a_reaction_of_less_than_gap_over_speed() -> None:
@@ -315,15 +309,6 @@ def test_a_pass_by_a_hairs_breadth_is_marginal() -> None:
     assert missed.margin == pytest.approx(MARGINAL_M + 0.1) and not missed.marginal
 
 
-def test_who_judges_little_later_and_would_not_avoid_is_marginal() -> None:
-    """An obstacle that appears so near that `JUDGED_S` of reaction decide, though 1 m and more is left."""
-    v = 80.0 * KMH
-    gaps = 1.15 * v + stopping_distance(v) + np.arange(0.0, JUDGED_S * v, 0.5)
-    found = [careful_driver(log(v, standing(gap)), LINE) for gap in gaps]
-    wide = [one for one in found if one.margin > MARGINAL_M + 0.1]
-    assert wide and all(one.marginal for one in wide if one.margin < (JUDGED_S - 2.0 * STEP_S) * v)
-
-
 # --- noise
 
 
@@ -346,15 +331,6 @@ def test_5_cm_of_noise_leave_verdicts_that_are_not_marginal(rate: float, driver:
         flips += clean.outcome is not noisy.outcome
         assert clean.outcome is noisy.outcome or clean.marginal or noisy.marginal, (clean, noisy)
     assert flips <= 1
-
-
-def test_the_wandering_zone_is_left_by_motion_and_not_by_noise() -> None:
-    """A car beside the band, at the ego's speed and 8 m/s slower, weaves by 0.3 m: no cut-in, however noisy."""
-    t = np.round(np.arange(0.0, 12.0, 0.02), 9)
-    y = 2.6 + 0.15 * np.sin(t) + 0.05 * np.random.default_rng(1).standard_normal(len(t))
-    made = log(15.0, track("beside", t, 40.0 + 7.0 * t, y, **SIZE), standing(500.0))
-    assert np.isnan(careful_driver(replace(made, duration=12.0), LINE).brakes)
-    assert (careful_drive(replace(made, duration=11.0), LINE).a == 0.0).all()
 
 
 @pytest.mark.parametrize(

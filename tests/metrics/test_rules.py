@@ -17,7 +17,7 @@ from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, T
 from metrics import METRICS, evaluate, series
 from metrics.judge import judge
 from metrics.judge.aggregate import LogLabels
-from metrics.judge.gates import Gate, Gates, Outcome, load_gates
+from metrics.judge.gates import Outcome, load_gates
 
 LINE_X = 50.0
 PED, CAR = AgentKind.PEDESTRIAN, AgentKind.CAR
@@ -113,13 +113,6 @@ def test_a_yellow_light_is_run_where_a_comfortable_stop_was_possible_when_it_beg
     log = scenario(along(grid(14.0), v), road=lined(line(light=9)), lights=(light,))
     assert value(log, "yellow_light.count") == float(before * v > needed and crosses < 14.0)
     assert value(log, "red_light.count") == 0.0
-
-
-def test_when_and_which_light() -> None:
-    light = TrafficLight(9, np.array([0.0, 2.0]), (Colour.YELLOW, Colour.RED))
-    row = rows(scenario(along(grid(8.0), 10.0), road=lined(line(light=9)), lights=(light,))).loc["red_light.count"]
-    assert row.reason == "stop line 7: light 9 red since 2.0 s"
-    assert row.time_s == pytest.approx((LINE_X - 3.608) / 10.0, abs=0.02)
 
 
 @pytest.mark.parametrize("colour", [Colour.GREEN, Colour.YELLOW, Colour.OFF])
@@ -323,23 +316,6 @@ def test_the_default_gates_ask_for_the_rules_where_a_log_has_them() -> None:
     assert [asked[name] for name in NAMES] == [Outcome.FAIL] * 4
     found = judge(default, evaluate(drive(free), free), {free.name: LogLabels()})
     assert {each.gate.metric for each in found if each.outcome is Outcome.NOT_ASKED} >= set(NAMES)
-
-
-def test_an_optional_gate_is_inconclusive_where_a_log_that_has_it_failed() -> None:
-    broken = everything()
-    gate = Gates((Gate("red_light.count", max=1, optional=True),), "here")
-    (found,) = judge(
-        gate,
-        evaluate(drive(broken), broken),
-        {broken.name: LogLabels(), "lost": LogLabels()},
-        failed={"lost": "no lanes"},
-    )
-    assert found.outcome is Outcome.INCONCLUSIVE
-
-
-def test_tracks_without_anybody_are_no_trouble() -> None:
-    log = replace(everything(), tracks=tracks())
-    assert rows(log).value[["crosswalk.count", "priority_gap.below_1s"]].tolist() == [0.0, 0.0]
 
 
 HALF, TAIL = 0.805 + 0.25, 0.9

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 import replan
 from logs.errors import ConfigError
-from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from planners.dp_qp import DpQpConfig
 from replay.config import LoopConfig, RunConfig, dump_run, load_run
@@ -100,11 +99,6 @@ def test_gates_are_relative_to_their_configuration(tmp_path: Path) -> None:
     assert RunConfig().gates_path is None
 
 
-def test_modes_come_open_first() -> None:
-    assert RunConfig().modes == (Mode.OPEN, Mode.CLOSED)
-    assert RunConfig(mode="closed").modes == (Mode.CLOSED,)
-
-
 def test_vehicle_replaces_what_the_log_says() -> None:
     log = VehicleParameters(mass=900.0, width=2.0)
     driven = RunConfig(vehicle={"mass": 1200.0}).driven(log)
@@ -117,12 +111,6 @@ def test_a_known_vehicle_replaces_the_logs_and_other_keys_replace_its_own(name: 
     assert RunConfig(vehicle={"set": name}).driven(log) == vehicle_parameters(name)
     assert RunConfig(vehicle={"set": name, "mass": mass}).driven(log) == replace(vehicle_parameters(name), mass=mass)
     assert load_run(None, {"vehicle": {"set": name}}).driven(log) == vehicle_parameters(name)
-
-
-def test_columns_of_a_known_vehicle_can_be_replaced() -> None:
-    run = RunConfig(vehicle={"set": "small_electric", "gears": [9.0]})
-    assert run.driven(VehicleParameters()).gears == (9.0,)
-    assert run.driven(VehicleParameters()).motor_speed == vehicle_parameters("small_electric").motor_speed
 
 
 def test_a_vehicle_that_fits_by_default_but_not_with_the_log_is_a_config_error() -> None:

@@ -213,12 +213,6 @@ def test_a_wrong_setting_is_refused_and_names_its_key(desk: Path, key: str) -> N
         checked(loop(**{key: "my_needy:needy"}))
 
 
-def test_a_module_that_raises_is_named_with_its_line(desk: Path) -> None:
-    Path("my_broken.py").write_text("x = 1\ny = x / 0\n", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"cannot be loaded: ZeroDivisionError: .*\(my_broken\.py:2\)$"):
-        checked(loop(controller="my_broken:X"))
-
-
 ALL = (PLANNER, metrics.METRIC, readers.READER, CHART, *OF_LOOP.values())
 
 
@@ -256,17 +250,6 @@ def test_an_import_that_fails_names_the_module_and_the_line(desk: Path, kind: Ex
         assert line.startswith(f"{kind.name} 'my_{k}:X' cannot be loaded: ") and said in line and remedy in line
         assert (rename in line) == (remedy == rename) and ("install '" in line) == remedy.startswith("install"), line
         assert line.count("rename yours") < 2 and ("exec:" in line) == (remedy == rename and kind is PLANNER)
-
-
-def test_one_that_raises_in_a_drive_costs_that_drive_and_is_named_with_its_line(desk: Path) -> None:
-    Path("my_raising.py").write_text("def see(scenario, config):\n    return 1 / 0\n", encoding="utf-8")
-    result = replan.evaluate(
-        suite="my_family:PARKED", planners="constant_speed", out="out", mode="open", internals="none", recording=False,
-        loop={"perception": "my_raising:see"},
-    )  # fmt: skip
-    assert len(result.failures) == 2 and result.exit_code == 3
-    says = "raised by code that the run names: ZeroDivisionError: division by zero (my_raising.py:2)"
-    assert all(says in message for message in result.failures["message"])
 
 
 def test_what_lacks_a_member_of_its_protocol_is_refused(desk: Path) -> None:

@@ -17,7 +17,7 @@ from typer.main import get_command
 
 from logs.errors import ConfigError
 from logs.mcap import read_scenario
-from replay.cli import PANELS, app
+from replay.cli import app
 from replay.cli.one_drive import matching_drives
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results, load
@@ -235,18 +235,6 @@ def test_convert_names_what_it_cannot_take_or_write(folder: Path, tmp_path: Path
     assert "free.mcap: cannot be written" in one_error(result)
 
 
-def test_commonroad_is_evaluated_directly(shared_data: Path, tmp_path: Path) -> None:
-    (file,) = (shared_data / "commonroad").glob("ZAM_Tutorial-1_1_T-1.xml")
-    result = evaluate(file, "--out", tmp_path / "out")
-    assert result.exit_code == 4  # a parked driver passes it, too
-    assert list((tmp_path / "out").glob("*/log.mcap"))
-
-
-def test_view_saves_the_recording_of_a_log(folder: Path, tmp_path: Path) -> None:
-    assert replan("view", folder / "free.mcap", "--save", tmp_path / "free.rrd").exit_code == 0
-    assert (tmp_path / "free.rrd").read_bytes()[:3] == b"RRF"
-
-
 def test_view_saves_over_nothing_but_recordings(folder: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.mcap"
     other.write_bytes(b"mine")
@@ -435,22 +423,6 @@ def test_the_report_fits_the_terminal_and_is_plain(compared: Results, width: int
     assert all(char.isascii() or char == "\N{BOX DRAWINGS LIGHT HORIZONTAL}" for line in lines for char in line)
 
 
-def test_the_report_marks_oracles_and_has_a_column_per_planner(compared: Results) -> None:
-    text = report(compared, 140)
-    assert re.search(r"over all logs +constant_speed +logged \(oracle\)", text)
-    assert re.search(r"collisions at fault \(closed\) +1 +1", text)
-    assert re.search(r"ADE over 3 s, mean \[m\] \(open\) +- +-", text)  # the logs last less than 3 s
-    assert re.search(r"test/blocked +constant_speed +FAIL .*collision:", text)
-
-
-def test_the_report_names_units_and_says_what_was_assumed(compared: Results) -> None:
-    logs = load(compared.path).summary["logs"]
-    text = report(compared, 140, logs=[{**log, "notes": [f"limit {i}.5 m/s used"]} for i, log in enumerate(logs)])
-    assert "for example: limit 0.5 m/s used (2 of 2 logs)" in text
-    assert "m/s3" in text
-    assert "p99 [ms]" in text
-
-
 def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: Results) -> None:
     logs = load(compared.path).summary["logs"]
     recorded = [
@@ -462,20 +434,3 @@ def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: Results
         compared, 200, logs=[{**log, "drives": [d for d in recorded if d["log"] == log["log"]]} for log in logs]
     )
     assert "replan view " + str(compared.path / "test/blocked/constant_speed.closed.rrd") in shown
-
-
-def test_a_long_report_shows_trouble_first(compared: Results, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("replay.draw.report.sections.MOST_ROWS", 1)
-    text = report(compared, 140)
-    assert "3 more: metrics.csv" in text
-    drives = text.partition("\nDrives\n")[2].partition("\n\n")[0]
-    assert "collision" in drives
-    assert "yes" not in drives
-
-
-def test_the_help_shows_the_commands_in_groups_and_evaluate_first() -> None:
-    text = replan("--help").output
-    places = [text.index(f" {panel} ") for panel in PANELS]
-    assert places == sorted(places)
-    commands = re.findall(r"^│ (\w+) ", text, re.MULTILINE)
-    assert commands == [name for names in PANELS.values() for name in names] and commands[0] == "evaluate"

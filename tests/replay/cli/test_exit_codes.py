@@ -7,15 +7,12 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
-from itertools import product
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from replay.cli import app, main
-from replay.draw.report.overview import combined
 
 PLANNERS = """
 from planners.constant_speed import ConstantSpeed
@@ -130,14 +127,6 @@ def test_exit_codes(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert "Traceback" not in done.stdout
     if code in (2, 130):
         assert "error" in done.stderr.lower() and not (tmp_path / "out" / "summary.json").exists()
-
-
-@pytest.mark.parametrize("order", [min, max])
-def test_of_several_exit_codes_2_beats_3_beats_1_beats_4(order: Callable[..., int]) -> None:
-    weight = [2, 3, 1, 4, 0]
-    for codes in product(weight, repeat=2):
-        assert combined(codes) == order(codes, key=lambda code: weight.index(code) * (1 if order is min else -1))
-    assert combined(()) == 0
 
 
 def test_a_bug_ends_with_a_code_of_its_own_in_one_line(

@@ -17,8 +17,6 @@ from command_line import evaluate, gates, one_error, replan
 from hypothesis import given
 from hypothesis import strategies as st
 
-import logs
-import replan as public
 from logs.catalogue import FAMILIES, SUITES
 from logs.kernel_watch import is_cache_cold
 from logs.readers import readers
@@ -68,13 +66,6 @@ def test_every_name_of_every_table_is_listed_with_a_line_and_a_place() -> None:
             assert not line or text[int(line) - 1].lstrip().startswith(("def ", "class ", "@", '"', "lambda ")), one
 
 
-def test_list_says_how_many_there_are_of_each_kind_and_which() -> None:
-    counts = dict(line.split() for line in replan("list").stdout.splitlines())
-    assert counts == {kind: str(len(list(found))) for kind, found in TABLES.items()}
-    assert "pure_pursuit: Steering by pure pursuit" in replan("list", "controllers").stdout
-    assert "did you mean 'planners'?" in one_error(replan("list", "planers"))
-
-
 @pytest.mark.parametrize(
     ("words", "found"),
     [
@@ -112,15 +103,6 @@ def test_the_json_of_a_run_is_its_summary(folder: Path, tmp_path: Path) -> None:
     assert json.loads(merged.stdout)["logs"] == said["logs"]
 
 
-def test_the_json_of_a_surface_has_its_points(folder: Path, tmp_path: Path) -> None:
-    words = ("vary", folder / "blocked.mcap", "--agent", "wall", "--vary", "ego_speed=0.5:1:2", "-p", "constant_speed")
-    result = replan(*words, "--resolution", 0.5, "--workers", 0, "-o", tmp_path / "out", "--json", "--quiet")
-    said = json.loads(result.stdout)
-    assert [point["ego_speed"] for point in said["table"]] == [0.5, 1.0]
-    assert result.exit_code == said["exit_code"] == 0
-    assert result.stderr == ""
-
-
 def test_errors_leave_stdout_empty_and_quiet_says_them(folder: Path, tmp_path: Path) -> None:
     for words in (("synth", "all", "--json"), ("convert", "x", "--json"), ("evaluate", "nowhere", "--json", "-q")):
         result = replan(*words)
@@ -137,17 +119,6 @@ def test_errors_leave_stdout_empty_and_quiet_says_them(folder: Path, tmp_path: P
     assert quiet.stdout.splitlines() == [
         f"Outcome: NOT ALL COULD BE EVALUATED (exit code 3); results: {tmp_path / 'out'}"
     ]
-
-
-def test_verbose_says_each_log_as_it_ends(folder: Path, tmp_path: Path) -> None:
-    result = evaluate(folder, "--mode", "closed", "--out", tmp_path / "out", "-v")
-    first, second = [line for line in result.stderr.splitlines() if " of 2  " in line]
-    assert first.startswith("1 of 2  test/blocked  ")
-    assert second.startswith("2 of 2  test/free  ")
-    assert second.endswith("constant_speed closed: goal reached")
-    assert " s  " in first
-    again = evaluate(folder, "--mode", "closed", "--out", tmp_path / "out", "-v", "--resume")
-    assert again.stderr.count("finished before") == 2
 
 
 def test_what_is_left_goes_by_the_length_of_the_logs() -> None:
@@ -226,15 +197,6 @@ def test_the_command_line_is_there_at_once() -> None:
     code = f"import sys, replay.cli, replan; print(*sorted(set('{heavy}'.split()) & set(sys.modules)))"
     result = python("-c", code)
     assert (result.stdout.strip(), result.stderr) == ("", "")
-
-
-def test_the_light_packages_have_every_name_that_they_promise() -> None:
-    for module in (logs, public):
-        for name in module.__all__:
-            assert getattr(module, name).__name__ in (name, "write_scenario")
-        with pytest.raises(AttributeError, match="nothing"):
-            _ = module.nothing
-        assert set(module._FROM) == set(module.__all__)
 
 
 def test_completion_knows_the_tables_without_importing_them() -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from handmade import drive, s_curve
+from handmade import drive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
@@ -29,7 +29,6 @@ from replay.control.lateral_model import (
     with_rigid_tyres,
     with_steering,
 )
-from replay.parts import CONTROLLER
 from replay.vehicle.base import motion_of
 from replay.vehicle.plan_path import PlanPath
 
@@ -129,16 +128,6 @@ def test_the_papers_input_matrix_is_off_by_percents_and_the_consistent_one_is_no
     assert consistent / 4.0 < error("bilinear") < 4.0 * consistent
 
 
-@pytest.mark.parametrize("v", [3.0, 8.0, 15.0, 30.0])
-def test_gains_of_the_papers_discretisation_differ_by_a_few_percent(v: float) -> None:
-    exact = regulator(v, CAR, PERIOD, DlqrConfig()).K[0]
-    for name, most in (("paper", 0.05), ("bilinear", 0.002)):
-        other = regulator(v, CAR, PERIOD, DlqrConfig(discretisation=name)).K[0]
-        assert np.abs(other - exact).max() < most * np.abs(exact).max()
-    slow = regulator(v, CAR, 0.1, DlqrConfig(discretisation="paper")).K[0]
-    assert np.abs(slow - regulator(v, CAR, 0.1, DlqrConfig()).K[0]).max() > 0.01 * np.abs(slow).max()
-
-
 # --- the regulator
 
 
@@ -161,14 +150,6 @@ def test_the_riccati_equation_is_solved_as_the_library_does(seed: int, n: int, m
     P = solve_riccati(A[None], B[None], Q, R[None])[0]
     np.testing.assert_allclose(P, solve_discrete_are(A, B, Q, R), rtol=1e-6)
     np.testing.assert_allclose(P, Q + A.T @ P @ np.linalg.solve(np.eye(n) + B @ np.linalg.solve(R, B.T) @ P, A), 1e-6)
-
-
-@pytest.mark.parametrize("car", [CAR, ROLLING], ids=["slipping", "rolling"])
-@pytest.mark.parametrize("v", [0.5, 2.0, 9.0, 21.0, 44.0])
-def test_the_gain_is_the_librarys(car: VehicleParameters, v: float) -> None:
-    r = regulator(v, car, PERIOD, DlqrConfig())
-    P = solve_discrete_are(r.A, r.B, r.Q, r.R)
-    np.testing.assert_allclose(r.K, np.linalg.solve(r.R + r.B.T @ P @ r.B, r.B.T @ P @ r.A), rtol=1e-5)
 
 
 @pytest.mark.parametrize("v", TABLE)
@@ -298,26 +279,7 @@ def test_nothing_is_learned_where_there_is_nothing_to_learn_from() -> None:
 # --- on the vehicle models
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("vehicle", ["kinematic_bicycle", "single_track"])
-def test_an_s_curve_is_tracked_within_the_aim_without_other_tuning(vehicle: str) -> None:
-    off = track(drive(s_curve, 12.0, 14.5), vehicle)
-    assert np.sqrt(np.mean(off**2)) < 0.01
-    assert np.abs(off).max() < 0.03
-
-
-def test_an_s_curve_is_tracked_with_other_tyres_and_load() -> None:
-    soft = replace(
-        CAR.loaded(1.2 * CAR.mass), cornering_front=0.7 * CAR.cornering_front, cornering_rear=0.7 * CAR.cornering_rear
-    )
-    assert np.abs(track(drive(s_curve, 12.0, 14.5), "single_track", plant=soft)).max() < 0.1
-
-
 @pytest.mark.parametrize(("radius", "v"), [(30.0, 8.0), (-250.0, 25.0)])
 def test_steady_error_on_tyres_with_a_limit_vanishes(radius: float, v: float) -> None:
     plan = drive(lambda s: np.interp(s, [v, 3.0 * v], [0.0, 1.0 / radius]), v, 12.0)
     assert abs(track(plan, "single_track")[-1]) < 1e-3
-
-
-def test_the_default_controller_is_the_dynamic_dlqr() -> None:
-    assert next(iter(CONTROLLER.builtin)) == "dlqr_pid"

@@ -14,8 +14,6 @@ from planners.solver import QPConfig, QuadraticProgram
 from replay.control.lateral_model import body_model, lateral_table, slip_table, with_rigid_tyres
 from replay.control.mpc import Mpc, MpcConfig, TrackingProgram
 from replay.control.mpc_model import INPUTS, LIMITS, SIDES, STATES, entered, limits, predicted, quintic, resampled
-from replay.loop.simulation_setup import controller_of
-from replay.parts import CONTROLLER, VEHICLE, Part
 from replay.vehicle.drivetrain import Drivetrain
 from replay.vehicle.pedal_map import NO_MOTOR, PedalMap
 from replay.vehicle.plan_path import PlanPath
@@ -196,15 +194,6 @@ def test_where_there_is_no_solution_the_fallback_drives_and_it_is_told() -> None
     fine = Plan(drive(straight, 10.0, 6.0))
     back = mpc.control(EgoState(0.0, 0.0, 0.0, 0.0, 10.0), fine)
     assert back.steer == 0.123, "it drives until the next solve"
-
-
-def test_a_drive_with_solutions_has_nothing_to_tell() -> None:
-    plan = Plan(drive(s_curve, 12.0, 8.0))
-    car = VEHICLE.builtin["single_track"](CAR, plan.trajectory.state(0))
-    mpc = controller_of(car, CAR, Part(CONTROLLER, "mpc"), PERIOD)
-    for _ in range(700):
-        car.step(mpc.control(car.state, plan), PERIOD)
-    assert mpc.notes == ()  # type: ignore[attr-defined]
 
 
 def test_settings_that_make_no_sense_are_refused() -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -34,7 +31,6 @@ TRAIN = Drivetrain(CAR)
 PEDALS = TRAIN.pedal_map
 TABLE = Calibration.of(TRAIN)
 PERIOD = 0.01
-COAST = TRAIN.coasting(10.0)
 
 
 def braked(v: float, decel: float, jerk: float, *, soft: bool = True) -> Trajectory:
@@ -226,15 +222,3 @@ def test_what_the_vehicle_cannot_do_has_no_pedal() -> None:
     reachable = TABLE.pedal[np.isfinite(TABLE.pedal)]
     assert np.abs(reachable).max() <= 1.0
     assert (np.diff(TABLE.pedal, axis=0)[np.isfinite(np.diff(TABLE.pedal, axis=0))] > 0.0).all()
-
-
-def test_it_is_written_and_drawn(tmp_path: Path) -> None:
-    TABLE.save(tmp_path / "table.csv")
-    with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.reader(file))
-    assert len(rows) == 1 + len(TABLE.acceleration) and len(rows[0]) == 1 + len(TABLE.speed)
-    read = np.array([[float(value or "nan") for value in row[1:]] for row in rows[1:]])
-    np.testing.assert_allclose(read, TABLE.pedal, atol=1e-6)
-    pytest.importorskip("matplotlib")
-    TABLE.plot(tmp_path / "table.png")
-    assert (tmp_path / "table.png").stat().st_size > 1000

@@ -160,10 +160,6 @@ def test_a_recorded_failure_is_a_case_of_distance_0(folder: Path, tmp_path: Path
     assert (tmp_path / "out" / "case.mcap").is_file() and (tmp_path / "out" / "falsify.png").is_file()
 
 
-def test_a_log_that_is_not_there(tmp_path: Path) -> None:
-    assert "no such file or folder, and no family" in one_error(replan("falsify", "nowhere", "-p", "idm"))
-
-
 @given(st.floats(0.96, 20.0), st.floats(0.01, 5.0))
 def test_robustness_grows_with_each_margin(ttc: float, more: float) -> None:
     gates = (Gate("ttc.time_below_950ms", max=0.0), Gate("lon_accel.worst_episode", max=1.0), Gate("gap.min", min=0.5))

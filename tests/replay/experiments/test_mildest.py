@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import ConfigError
 from logs.arrays import FloatArray
-from replay.experiments.mildest import LEAST_BUDGET, Mildest, Point, ScoredPoint, norm, search
+from replay.experiments.mildest import Mildest, Point, ScoredPoint, norm, search
 
 pytest.importorskip("cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'")
 BOX = np.array([[-3.0, -2.5], [3.0, 5.0]])
@@ -81,8 +80,3 @@ def test_without_a_hole_none_is_found_and_all_of_the_budget_is_used() -> None:
 def test_a_recorded_failure_ends_the_search_at_once() -> None:
     result, evaluate = found(lambda u: 1.0)
     assert (result.point, result.distance, evaluate.asked) == ((0.0, 0.0), 0.0, [(0.0, 0.0)])
-
-
-def test_a_budget_that_is_too_small_is_refused() -> None:
-    with pytest.raises(ConfigError, match="--budget 15: a search takes 16 drives at least"):
-        found(lambda u: 1.0, budget=LEAST_BUDGET - 1)

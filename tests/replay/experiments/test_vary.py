@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import gates as write_gates
-from command_line import one_error, replan
+from command_line import replan
 from handmade import track, tracks
 from hypothesis import given
 from hypothesis import strategies as st
@@ -226,30 +226,9 @@ def test_the_command_line(tmp_path: Path) -> None:
     assert f"written to {tmp_path / 'out'}" in done.stdout.replace("\n", "")
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["nowhere", "--vary", "time=0:1:2"], "no such file or folder, and no family"),
-        (["{log}", "--agent", "18", "--vary", "time=0:1:2"], "no agent is called '18'"),
-        (["{log}", "--vary", "time=0:1:2", "-p", "constant_sped"], "did you mean 'constant_speed'"),
-        (["{log}", "--vary", "time=0:1:2", "--resolution", "0"], "--resolution must be positive"),
-    ],
-)
-def test_exit_2_is_one_line(tmp_path: Path, words: list[str], said: str) -> None:
-    write_scenario(tmp_path / "log.mcap", log())
-    filled = [word.format(log=tmp_path / "log.mcap") for word in words]
-    result = replan("vary", *filled, "--out", tmp_path / "out", "--workers", 0)
-    assert result.exit_code == 2 and said in one_error(result)
-
-
 def test_an_agent_is_named_by_the_whole_id_or_by_its_short_name() -> None:
     whole = "23f7a1c8-0d5e-4b8e-9a53-6a3ef1f0c2b4"
     coded = replace(log(), tracks=replace(log().tracks, ids=(whole, *log().tracks.ids[1:])))
     assert [line.split()[0] for line in lines(encounters(coded), coded.short_names)[1:]] == ["blink", "23f7", "far"]
     for name in (whole, "23f7"):
         assert question_about(coded, ["time=0:1:2"], [name], None).agents == (whole,)
-
-
-def test_a_family_is_a_log(tmp_path: Path) -> None:
-    listed = replan("vary", "paper/crossing_pedestrian", "--list-agents")
-    assert listed.stdout.splitlines()[1].split()[:2] == ["pedestrian", "pedestrian"]

@@ -23,7 +23,6 @@ from logs.mcap.trace_file import plan_message
 from logs.states import TRAJECTORY_COLUMNS
 from metrics import evaluate
 from replay.config import LoopConfig, PlannerProcessConfig, RunConfig
-from replay.drive import Mark
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
 from replay.planner_process import messages
@@ -205,16 +204,6 @@ def test_settings_are_asked_of_the_planner_and_reach_it() -> None:
         describe_planner(spec, {"horizon": 4.0}, PlannerProcessConfig())
     trace = run_closed_loop(short_log(), spec, planner_config={"horizon_s": 4.0, "step_s": 0.2}).trace
     assert len(trace.frames[0].plan.trajectory) == 21
-
-
-def test_trust_is_said() -> None:
-    spec = "planners.constant_speed:ConstantSpeed"
-    trusted = run_open_loop(short_log(), spec, config=LoopConfig(apart=PlannerProcessConfig(trust=True)))
-    assert trusted.marks == (Mark.TRUSTED,)
-    kept_apart = run_open_loop(short_log(), spec)
-    assert not kept_apart.marks
-    for each in (trusted, kept_apart):
-        assert {lap.stage for lap in each.timings} == {"arc", "total"}
 
 
 def test_another_program_is_not_resumed_with(tmp_path: Path) -> None:

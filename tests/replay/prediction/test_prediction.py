@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from worlds import curve, lanes
 
-from logs import AgentKind, Agents, ConfigError, Lane, Predictions, Road, wrap
+from logs import AgentKind, Agents, Lane, Predictions, Road, wrap
 from logs.arrays import FloatArray
 from logs.states import wrapped
 from replay.parts import PREDICTION
@@ -158,11 +158,6 @@ def test_every_method_keeps_the_form_without_lanes_and_without_agents(method: st
     np.testing.assert_allclose(np.bincount(future.agent, future.probability, len(now)), 1.0)
     nobody = predict(agents([]), 0.0, method=method, lanes=LANES)
     assert len(nobody) == 0 and nobody.x.shape == (0, 81)
-
-
-def test_an_unknown_method_is_named_with_the_nearest() -> None:
-    with pytest.raises(ConfigError, match="did you mean 'constant_velocity'"):
-        predict(agents([]), 0.0, method="constant_velocty")
 
 
 # --- constant velocity, constant turn rate

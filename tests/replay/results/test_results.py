@@ -57,20 +57,6 @@ def test_decisions_are_those_of_the_plans(run: Results) -> None:
     assert len(mine) == counted > 0 and "yield" in set(mine["decision"])
 
 
-def test_results_and_drives_print_and_show_themselves(run: Results) -> None:
-    result = load(run.path)
-    drive = result.drive(LOG, "constant_speed")
-    failed = set(drive.verdicts.query("outcome == 'fail'")["gate"])
-    assert failed and all(gate in repr(drive) for gate in failed) and drive.info["end"] in repr(drive)
-    assert result.outcome in repr(result) and "4 drives" in repr(result)
-    assert all(word in result._repr_html_() for word in ("<table", "collision_at_fault.count"))
-    chart = drive.plot(at=3.0, chart="curves")
-    assert chart._repr_html_().startswith("<svg") and drive.title in chart.title
-    assert drive._repr_html_() == drive.plot()._repr_html_()
-    with pytest.raises(ConfigError, match="curves"):
-        drive.plot(chart="curve")
-
-
 def test_what_is_not_there_is_named(run: Results, tmp_path: Path) -> None:
     result = load(run.path)
     for ask, words in (

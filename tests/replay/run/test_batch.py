@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,17 +17,17 @@ from hypothesis import strategies as st
 from short_logs import QUICK, identical, run, short
 
 from logs import ConfigError, PlannerError
-from logs.mcap import read_scenario, write_scenario
+from logs.mcap import write_scenario
 from logs.readers import LogSettings
 from metrics.judge.gates import Outcome
 from replay.config import PlannerProcessConfig, load_run
-from replay.results.tables import next_free, safe_name
+from replay.results.tables import safe_name
 from replay.run import evaluate_logs
 from replay.run.claim import RUN
 from replay.run.judging import exit_code_of
 from replay.run.one_log import Failure
 from replay.run.pool import WorkerLost, run_all
-from replay.run.sources import builtin_suite, select
+from replay.run.sources import select
 
 REFERENCES = "driver", "careful", "parked", "creeping", "blind"
 PLANNERS = '''
@@ -96,27 +95,6 @@ def test_tables_hold_every_log_planner_and_mode_sorted(logs: Path, tmp_path: Pat
     timings = pd.read_parquet(result.path / "timings.parquet")
     assert (timings["seconds"] > 0.0).all()
     assert set(timings.columns) == {"log", "planner", "mode", "t_s", "stage", "seconds"}
-
-
-def test_the_files_of_a_log_are_there_and_readable(logs: Path, tmp_path: Path) -> None:
-    result = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, recording=True))
-    (log,) = result.logs.itertuples()
-    assert log.folder == safe_name("test/a", log.sha256)
-    folder = result.path / log.folder
-    assert {path.name for path in folder.iterdir()} == {
-        "open.mcap", "closed.mcap", "open.rrd", "closed.rrd",
-        "frames.parquet", "health.parquet", "metrics.parquet", "timings.parquet", "log.json",
-    }  # fmt: skip
-    driven = read_scenario(folder / "closed.mcap")
-    assert driven.ego.t[-1] == pytest.approx(result.drives.iloc[1].t_end_s)
-    frames = pd.read_parquet(folder / "frames.parquet")
-    assert set(frames["mode"]) == {"open", "closed"}
-    assert not list(result.path.rglob(".partial*"))
-    summary = json.loads((result.path / "summary.json").read_text(encoding="utf-8"))
-    assert summary["exit_code"] == result.exit_code
-    assert [drive["files"] for drive in summary["logs"][0]["drives"]] == [
-        [f"{log.folder}/{mode}.mcap", f"{log.folder}/{mode}.rrd"] for mode in ("open", "closed")
-    ]
 
 
 def test_the_resolved_configuration_runs_the_same_again(logs: Path, tmp_path: Path) -> None:
@@ -243,15 +221,6 @@ def test_an_empty_selection_says_what_was_looked_for(tmp_path: Path) -> None:
         select([tmp_path / "notes.txt"])
 
 
-def test_an_empty_folder_beside_a_full_one_is_an_error_too(logs: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no logs in this folder"):
-        select([logs, tmp_path])
-
-
-def test_the_builtin_suite_is_the_catalogue() -> None:
-    assert [source.label for source in builtin_suite().sources][:1] == ["paper/free_road"]
-
-
 def test_a_folder_of_somebody_else_is_never_written_to(logs: Path, tmp_path: Path) -> None:
     mine = tmp_path / "thesis.tex"
     mine.write_text("", encoding="utf-8")
@@ -285,10 +254,6 @@ def test_the_builtin_suite_takes_no_settings_of_logs(tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match="built-in suite"):
             evaluate_logs([], asked, tmp_path / "out", window=window)
     assert not (tmp_path / "out").exists()
-
-
-def test_result_folders_are_numbered(tmp_path: Path) -> None:
-    assert [next_free(tmp_path).name for _ in range(2)] == ["run-001", "run-002"]
 
 
 @given(name=st.text(max_size=200))

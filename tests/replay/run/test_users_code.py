@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from command_line import evaluate, one_error
 from short_logs import QUICK, run
 
 from logs import ConfigError
@@ -137,10 +136,3 @@ def test_addresses_are_not_in_what_is_said() -> None:
         raise ValueError(f"{object()} is\nodd")
     except ValueError as error:
         assert raised(error).startswith("ValueError: <object object at 0x...> is odd (test_users_code.py:")
-
-
-def test_the_command_line_says_it_in_a_line(logs: Path, tmp_path: Path, module: Callable[[str, str], str]) -> None:
-    name = module("mine_cli", f"{HEAD}\n{BAD['raises']}\nBAD = metric('bad', bad)\n")
-    done = evaluate(logs / "a.mcap", "--metric", f"{name}:BAD", "--mode", "open", "-o", tmp_path / "out")
-    assert done.exit_code == 3
-    assert "error: test/a: the metric 'bad' is not available: ZeroDivisionError: division by zero" in one_error(done)

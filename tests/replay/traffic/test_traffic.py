@@ -24,7 +24,7 @@ from replay.loop.closed_loop import run_closed_loop
 from replay.parts import TRAFFIC
 from replay.traffic import Reactive
 from replay.traffic.leaders import ACCEL_MPS2, HARDEST_MPS2, STANDSTILL_M, TIME_GAP_S, enhanced_idm
-from replay.traffic.phase_replay import PERIOD_S, PhaseReplay, played
+from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
 from replay.world import World, contact, logged_ego
 
 T = np.round(np.arange(0.0, 12.01, 0.1), 9)
@@ -129,12 +129,6 @@ def test_around_the_logged_drive_all_drive_as_logged_to_the_bit(mode: str, seed:
     trace = run_closed_loop(log, "logged", config=config).trace
     assert_same_samples(trace.agents, log.tracks)
     assert not any("not as in the log" in note for note in trace.notes)
-
-
-@pytest.mark.parametrize("mode", ["give_way", "reactive", "ego_position"])
-def test_around_an_ego_that_drives_as_logged_all_drive_as_logged(mode: str) -> None:
-    log = busy(3)
-    assert_same_motion(run(log, mode, logged(log)), log.tracks, atol=0.02, until=11.7)
 
 
 @pytest.mark.parametrize("mode", ["give_way", "reactive", "ego_position"])
@@ -446,18 +440,6 @@ def test_who_comes_from_a_lane_that_yields_waits_for_the_ego_and_drives_on_behin
     )
 
 
-@pytest.mark.parametrize("mirror", [False, True])
-def test_who_waits_waits_in_the_turned_and_in_the_mirrored_world_too(*, mirror: bool) -> None:
-    log = from_the_side_road(5.2)
-    other = moved_world(log, 2.0, 0.0, 0.0, mirror=mirror)
-    sign, c, s = (-1.0 if mirror else 1.0), np.cos(2.0), np.sin(2.0)
-    egos = on_the_main_road(5.5)
-    turned = [replace(e, x=c * e.x - s * sign * e.y, y=s * e.x + c * sign * e.y, yaw=sign * e.yaw + 2.0) for e in egos]
-    here, there = run(log, "give_way", egos), run(other, "give_way", turned)
-    np.testing.assert_allclose(there.x, c * here.x - s * sign * here.y, atol=1e-5)
-    np.testing.assert_allclose(there.y, s * here.x + c * sign * here.y, atol=1e-5)
-
-
 @pytest.mark.parametrize("arrives", [2.5, 9.0])
 def test_who_passes_well_before_or_after_the_ego_does_not_wait(arrives: float) -> None:
     log = from_the_side_road(arrives)
@@ -519,14 +501,6 @@ def test_who_is_late_waits_before_the_line_until_it_opens(closes: float, seconds
         np.testing.assert_array_equal(held, free)
     assert (np.diff(held) > -1e-9).all() and (held <= free + 1e-9).all()
     assert held[-1] > LINE + 2.0 or opens > 7.0
-
-
-def test_he_stands_two_metres_before_it_and_goes_on_at_green() -> None:
-    shown = (0.0, Colour.GREEN), (3.0, Colour.YELLOW), (4.5, Colour.RED), (9.0, Colour.RED_YELLOW), (9.5, Colour.GREEN)
-    moved = fronts(run(lit(made(car("b", -20.0)), LINE, *shown), "reactive", at_speed(delayed)))
-    still = moved[(T > 8.8) & (T <= 9.5)]
-    assert still.max() - still.min() < 0.3 and LINE - still[-1] == pytest.approx(STANDSTILL_M, abs=0.3)
-    assert moved[-1] > LINE and np.diff(moved)[-5:].min() > 0.3
 
 
 @pytest.mark.parametrize(
@@ -638,29 +612,7 @@ def test_recorded_traffic_is_reproduced_and_spares_a_braking_ego(shared_data: Pa
     assert by_time > 0
 
 
-def test_who_is_not_in_the_log_for_a_while_is_not_in_the_traffic() -> None:
-    """A track with a gap of 3 s: nobody drives there in reactive traffic either."""
-    t = np.r_[np.arange(0.0, 2.05, 0.1), np.arange(5.0, 8.05, 0.1)]
-    log = scenario(drive(straight, 10.0, 8.0), agents=tracks(track("7", t, 30.0 + 10.0 * t, 0.0 * t)))
-    replay = PhaseReplay(log.tracks)
-    there = [bool(played(replay.logged, 0, now)[5]) for now in (1.0, 2.0, 3.5, 5.0, 6.0)]
-    assert there == [True, True, False, True, True]
-
-
 # --- what a replay keeps of the tracks that it plays
-
-
-def test_who_is_not_as_in_the_log_is_as_played_from_the_sample_before() -> None:
-    """By hand: two cars, played half a period late; the second is late from 0.1 s on, known at 0.2 s."""
-    t = PERIOD_S * np.arange(4)
-    log = tracks(track("1", t, np.arange(4.0), 0.0 * t), track("2", t, np.arange(4.0, 8.0), 0.0 * t))
-    replay, both = PhaseReplay(log), np.arange(2)
-    for k in range(4):
-        replay.add(k * PERIOD_S, both, np.full(2, max((k - 0.5) * PERIOD_S, 0.0)), np.ones(2))
-        seen = replay.tracks(np.array([np.inf, np.inf if k < 2 else PERIOD_S]))
-        assert (seen is log) == (k < 2)
-    np.testing.assert_allclose(seen.t, np.r_[t, t], atol=1e-12)
-    np.testing.assert_allclose(seen.x, [0.0, 1.0, 2.0, 3.0, 4.0, 4.5, 5.5, 6.5], atol=1e-9)
 
 
 @pytest.mark.slow

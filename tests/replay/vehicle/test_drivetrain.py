@@ -11,17 +11,7 @@ from hypothesis import strategies as st
 
 from logs import Command, EgoState, VehicleParameters
 from logs.vehicle import vehicle_names, vehicle_parameters
-from replay.vehicle.drivetrain import (
-    MIN_HOLD_S,
-    Drivetrain,
-    Gearbox,
-    best_gear,
-    drive_force,
-    pending,
-    shifted,
-    spans,
-    wanted_force,
-)
+from replay.vehicle.drivetrain import MIN_HOLD_S, Drivetrain, Gearbox, drive_force, pending, shifted, spans
 from replay.vehicle.pedal_map import PedalPowertrain
 from replay.vehicle.single_track import SingleTrack
 
@@ -108,21 +98,6 @@ def test_gears_do_not_hunt(demands: list[tuple[float, float]]) -> None:
             assert 0 <= after.gear < len(BMW.gears)
             box = after
     assert all(np.diff(ups) >= MIN_HOLD_S - 1e-9)
-
-
-def test_a_steady_demand_leaves_the_gear_alone() -> None:
-    tables = Drivetrain(BMW).tables
-    for v in np.linspace(0.0, 45.0, 91):
-        for throttle in (0.0, 0.1, 0.4, 0.9):
-            box, gears = Gearbox(2, 0.0, 0.0), []
-            for _ in range(600):
-                box = Gearbox(*shifted(box, float(v), throttle, tables, 0.01))
-                gears.append(box.gear)
-            assert len(set(gears[300:])) == 1
-            assert drive_force(v, throttle, gears[-1], tables) == pytest.approx(
-                min(wanted_force(v, throttle, tables), tables.most[int(4 * v)])
-            )
-            assert best_gear(v, wanted_force(v, throttle, tables), tables) <= 4
 
 
 def test_a_load_leaves_the_forces() -> None:

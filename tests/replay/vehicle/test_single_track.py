@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from logs import Command, ConfigError, EgoState, VehicleParameters
 from logs.vehicle import vehicle_names, vehicle_parameters
 from replay.vehicle.drivetrain import Drivetrain
-from replay.vehicle.kinematic_bicycle import KinematicBicycle
 from replay.vehicle.single_track import (
     Gearbox,
     SingleTrack,
@@ -214,14 +213,6 @@ def test_it_is_held_on_a_grade_and_starts_uphill(grade: float) -> None:
     assert state.v > 1.5 and state.x > 2.0
 
 
-def test_downhill_it_rolls_when_released() -> None:
-    car = SingleTrack(CAR, start(0.0, a=-3.0), grade=-0.08)
-    assert max(car.step(Command(0.0, 0.0, 0.3), 0.01).v for _ in range(100)) == 0.0
-    for _ in range(200):
-        state = car.step(Command(0.0, 0.0, 0.0), 0.01)
-    assert state.v == pytest.approx((GRAVITY * 0.08 / sqrt(1.0064) - CAR.rolling) * 2.0, rel=0.15)
-
-
 def test_the_grade_slows_by_its_sine() -> None:
     car = SingleTrack(FREE, start(20.0), grade=0.1)
     assert car.step(Command(0.0, 0.0, 0.0), 0.01).a == pytest.approx(-GRAVITY * 0.1 / sqrt(1.01), rel=1e-6)
@@ -237,16 +228,6 @@ def test_slowly_it_drives_the_kinematic_circle(v: float, steer: float) -> None:
         state = car.step(Command(steer, 0.0, 0.0), 0.01)
         assert abs(hypot(state.x, state.y - radius) - abs(radius)) < 0.01
     assert state.yaw_rate == pytest.approx(state.v * kappa, rel=2e-3)
-
-
-def test_a_start_from_rest_is_that_of_the_kinematic_bicycle() -> None:
-    p = replace(CAR, brake_delay=0.0)
-    one, two = SingleTrack(p, start(0.0)), KinematicBicycle(p, start(0.0))
-    for _ in range(300):
-        a, b = one.step(Command(0.2, 0.1, 0.0), 0.01), two.step(Command(0.2, 0.1, 0.0), 0.01)
-    turned = tan(0.2) ** 2 * (p.cog_to_rear**2 + p.yaw_inertia / p.mass) / p.wheelbase**2
-    assert b.v / a.v == pytest.approx(1.0 + turned, rel=5e-3)  # what swings round with the body is mass as well
-    assert hypot(a.x - b.x, a.y - b.y) < 0.05
 
 
 @given(st.floats(1.0, 35.0), st.floats(-2.0, 1.0), st.floats(-6.0, 6.0), st.sampled_from(vehicle_names()))

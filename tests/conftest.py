@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import is_hypothesis_test, settings
-from sparse import SPARSE
+from sparse import LATER, SPARSE
 
 sys.dont_write_bytecode = False  # the tests start some hundred processes, each of which imports the packages
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -26,14 +26,14 @@ EXAMPLES = {"not slow": (4, 3, 10), "not nightly": (2, 5, 50)}
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what is left to the night (`SPARSE`), and give each law its share of examples."""
+    """Mark what is left to the night (`SPARSE`) and to `.ci/run` (`LATER`), and give each law its share of examples."""
     seen = Counter[str]()
     for item in items:
         name = item.nodeid.removeprefix("tests/").partition("[")[0]
-        if name in SPARSE:
-            if not SPARSE[name] or seen[name] % SPARSE[name]:
-                item.add_marker(pytest.mark.nightly)
-            seen[name] += 1
+        for table, mark in ((SPARSE, pytest.mark.nightly), (LATER, pytest.mark.slow)):
+            if name in table and (not table[name] or seen[name] % table[name]):
+                item.add_marker(mark)
+        seen[name] += 1
         if item.get_closest_marker("nightly"):
             item.add_marker(pytest.mark.slow)
     if config.option.markexpr not in EXAMPLES:

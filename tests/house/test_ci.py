@@ -135,16 +135,6 @@ def test_the_github_action_runs_keeps_and_judges(runner: Path) -> None:
     assert used["actions/upload-artifact@v4"]["path"] == "replan-results"
 
 
-def test_the_github_action_installs_nothing_that_is_cached_and_says_a_wrong_option(runner: Path) -> None:
-    Workflow(runner, source="replan==0.1.0", args="--mode sideways")
-    assert "replan==0.1.0" in (runner / "installed").read_text(encoding="utf-8").splitlines()
-    (runner / "installed").unlink()
-    run = Workflow(runner, cached="true", args="--mode sideways", artifact="none")
-    assert not (runner / "installed").exists()
-    assert run.outputs["run"] == {"exit-code": "2", "outcome": "configuration error"}
-    assert [name.partition("@")[0] for name, _ in run.used] == ["actions/setup-python", "actions/cache/restore"]
-
-
 def gitlab_jobs() -> Iterator[tuple[str, dict[str, Any]]]:
     """Each job as often as it is run, with what it inherits, and its variables."""
     for name, job in GITLAB.items():

@@ -59,13 +59,6 @@ def test_ours_are_found_beside_a_users_files_of_the_same_names(folder: Path, beg
     assert done.stdout.split() == [str(ROOT / name / "__init__.py") for name in ("logs", "metrics")]
 
 
-def test_the_command_line_runs_in_such_a_folder(folder: Path) -> None:
-    done = run(
-        folder, "import runpy\nsys.argv = ['replan', 'list', '--help']\nrunpy.run_module('replan', None, '__main__')"
-    )
-    assert done.returncode == 0 and "Usage" in done.stdout, done.stderr
-
-
 @pytest.mark.parametrize(
     "script",
     [

@@ -1,7 +1,7 @@
-"""What `.ci/run` leaves to the night: tests by what they cost, in seconds of one core, and what still runs of them.
+"""What `.ci/run` leaves to the night, and `./dev test` to `.ci/run`: tests by what they cost, in seconds of one core.
 
-A test whose value is k runs every k-th of its cases on each change, the first one first; 0: none. All cases run in
-`.ci/nightly`. They repeat, over more cases or with more processes, what others hold on every change.
+A test whose value is k runs every k-th of its cases, the first one first; 0: none. All cases run in `.ci/nightly`. They
+repeat, over more cases or with more processes, what others hold.
 """
 
 SPARSE = {
@@ -49,4 +49,53 @@ SPARSE = {
     "studies/test_catalogue.py::test_smoke_runs": 0,  # 30 s
     "studies/test_roads.py::test_the_recorded_driver_makes_its_own_way_and_a_parked_one_does_not": 0,  # 18 s
 }  # fmt: skip
-"""For tests, by file and name: the k of the module docstring."""
+"""On every change, by file and name: the k of the module docstring."""
+
+LATER = {
+    # the command line: a run or a process each
+    "replay/cli/test_exit_codes.py::test_exit_codes": 7,  # 24 s, 48 cases
+    "replay/cli/test_exit_codes.py::"
+    "test_a_signal_before_and_in_a_command_ends_it_with_130_and_after_it_changes_nothing": 0,  # 4 s
+    "replay/cli/test_streams.py::test_exit_codes_with_closed_streams_are_those_with_open_ones": 0,  # 7 s
+    "replay/cli/test_words.py::test_json_is_one_document_and_says_what_the_words_say": 4,  # 7 s, 11
+    "replay/cli/test_words.py::test_the_json_of_a_run_is_its_summary": 0,  # 6 s
+    "replay/cli/test_export.py::test_a_run_is_written_whole_and_other_logs_are_named": 0,  # 4 s
+    "replay/cli/test_listed_settings.py::test_a_name_is_one_document_or_a_page": 0,  # 3 s
+    "replay/cli/test_cli.py::test_log_planner_and_mode_choose_the_same_drives_in_every_command": 0,  # 3 s
+    "replay/cli/test_cli.py::test_the_report_says_what_the_exit_code_says_and_why": 2,  # 5 s, 3
+    "replay/cli/test_cli.py::test_without_out_the_folder_is_numbered_and_said": 0,  # 3 s
+    "replay/cli/test_cli.py::test_view_of_results_opens_an_index_and_the_worst": 0,  # 2 s
+    "replay/run/test_full_disk.py::test_a_run_ends_in_one_line_and_is_resumed": 0,  # 3 s
+    "replay/run/test_full_disk.py::test_a_file_is_whole_or_not_there": 3,  # 3 s, 7
+    # pages and programs of the documentation; one run that is traced
+    "house/test_docs.py::test_programs_and_settings_are_whole": 4,  # 8 s, 16
+    "house/test_architecture.py::test_the_way_of_one_log_is_the_files_that_the_page_lists": 0,  # 9 s
+    "metrics/test_metric.py::test_a_metrics_page_says_all_about_it": 12,  # 14 s, 124
+    # one law over the whole catalogue, or over all planners
+    "planners/test_driving.py::test_a_mirrored_world_gives_the_mirrored_plan": 5,  # 12 s, 66
+    "planners/dp_qp/test_dp_qp.py::test_a_mirrored_world_has_the_mirrored_plan": 3,  # 5 s, 22
+    "planners/dp_qp/test_dp_qp.py::test_a_moved_world_has_the_moved_plan": 3,  # 3 s, 22
+    "planners/dp_qp/test_dp_qp.py::test_odd_starts_and_roads_are_planned_or_honestly_not": 3,  # 2 s, 18
+    "planners/dp_qp/test_ties.py::test_plans_of_the_catalogue_do_not_hang_on_rounding": 4,  # 4 s, 22
+    "planners/dp_qp/test_moving_obstacles.py::test_no_one_is_passed_where_the_ego_has_to_wait": 2,  # 3 s, 2
+    "planners/dp_qp/test_moving_obstacles.py::"
+    "test_a_free_lane_beside_is_borrowed_for_them_and_the_record_says_so": 0,  # 2 s
+    "planners/dp_qp/speed/test_orders.py::"
+    "test_the_order_that_is_taken_costs_least_and_the_solution_keeps_what_is_said": 2,  # 3 s, 2
+    "planners/rules/test_planner_rules.py::test_a_large_gap_is_taken_and_a_small_one_not": 4,  # 4 s, 4
+    "planners/rules/test_planner_rules.py::test_the_ego_waits_for_a_pedestrian_and_goes_on": 4,  # 3 s, 4
+    "planners/rules/test_planner_rules.py::test_at_a_stop_sign_the_ego_comes_to_rest_once_and_goes": 2,  # 2 s, 4
+    "planners/rules/test_planner_rules.py::test_red_stops_before_the_line_and_green_lets_go": 2,  # 2 s, 8
+    "logs/catalogue/test_grids.py::test_cells_build_are_clean_and_are_found_again_by_name": 3,  # 6 s, 55
+    "logs/catalogue/test_catalogue.py::test_building_is_deterministic_and_parameters_are_in_the_metadata": 3,  # 2 s, 22
+    "logs/test_transform.py::test_metrics_of_a_drive_do_not_change": 2,  # 2 s, 10
+    "logs/test_transform.py::test_mirroring_twice_is_the_identity": 3,  # 2 s, 22
+    "metrics/test_health.py::test_the_catalogue_is_clean": 3,  # 3 s, 22
+    "metrics/test_nuplan.py::test_all_parts_are_those_of_the_devkit_on_recorded_logs": 0,  # 1 s
+    "metrics/test_reference_drivers.py::test_5_cm_of_noise_leave_verdicts_that_are_not_marginal": 3,  # 2 s, 6
+    "logs/readers/ros/test_drives.py::test_a_drive_is_chosen_where_the_clock_restarts": 3,  # 2 s, 6
+    "logs/readers/ros/test_drives.py::test_poses_of_a_sensor_are_moved_to_the_base": 6,  # 2 s, 18
+    "logs/test_files.py::test_a_pipe_in_place_of_a_file_is_refused_in_one_line": 3,  # 2 s, 14
+    "logs/test_forward.py::test_the_part_to_drive_is_the_first_that_goes_forward": 6,  # 2 s, 48
+}  # fmt: skip
+"""In `./dev test`, alike."""

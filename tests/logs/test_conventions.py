@@ -144,15 +144,6 @@ def test_the_ego_among_the_agents_is_left_out(rate: float, ahead: float, noise: 
     assert len(alone.tracks) == 0 and alone.traffic_spans == pytest.approx(np.array([[0.0, ego.t[-1]]]))
 
 
-def test_a_standing_ego_among_the_agents_is_left_out() -> None:
-    t = np.arange(0.0, 8.0, 0.1)
-    still = Trajectory(t, 0.0 * t, 0.0 * t, 0.0 * t + 0.3, 0.0 * t, 0.0 * t, 0.0 * t)
-    assert checked(made(still, along(still, 0.0, name="12"))).tracks.ids == ()
-    assert checked(made(still, along(still, 0.6, name="ego_vehicle"))).tracks.ids == ()
-    for phantom in (along(still, 0.6, name="12"), along(still, 9.0, name="ego")):
-        assert len(checked(made(still, phantom)).tracks) == 1
-
-
 def test_who_is_near_the_ego_stays() -> None:
     ego = arc(10.0)
     before, after = along(ego, -3.4, name="follows"), along(ego, 6.3, name="leads")

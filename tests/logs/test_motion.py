@@ -139,16 +139,6 @@ def test_logged_velocities_are_believed_where_positions_are_noisy_or_disagree() 
         assert found.vx == pytest.approx(5.0, abs=1e-6) and found.vy == pytest.approx(1.0, abs=1e-6)
 
 
-def test_a_first_velocity_that_is_missing_is_filled_and_one_sample_stands() -> None:
-    t = times(10.0)
-    missing = np.where(t == 0.0, np.nan, 5.0)
-    found = tracks(
-        track("a", t, 5.0 * t, 0.0 * t, vx=missing, vy=0.0 * missing), track("b", [0.0], [0.0], [0.0])
-    ).motion
-    assert found.vx[:-1] == pytest.approx(5.0, abs=1e-6)
-    assert found.vx[-1] == found.ax[-1] == 0.0
-
-
 # --- frame, clock, order
 
 

@@ -16,9 +16,7 @@ from hypothesis import strategies as st
 
 from logs import Scenario, Tracks
 from logs.catalogue import scenario as built_in
-from logs.cut import cut
-from logs.mcap import read_scenario, write_scenario
-from logs.observed import clipped, described, of_stream, within
+from logs.observed import described, of_stream, within
 from logs.readers.commonroad import read_commonroad
 
 LOG = drive(ahead, 10.0, 12.0)
@@ -79,16 +77,6 @@ def test_a_recorded_log_without_road_users_says_nothing_of_traffic(tags: tuple[s
 def test_the_catalogue_states_that_its_world_is_whole() -> None:
     log = built_in("paper/free_road")
     assert log.traffic == ((0.0, log.duration),)
-
-
-def test_spans_are_written_cut_and_read_back(tmp_path: Path) -> None:
-    log = replace(scenario(LOG, agents=present((0.0, 12.0))), traffic=((0.0, 4.0), (5.5, 9.25)))
-    write_scenario(tmp_path / "log.mcap", log)
-    assert read_scenario(tmp_path / "log.mcap").traffic == log.traffic
-    assert cut(log, 2.0, 8.0).traffic == ((0.0, 2.0), (3.5, 6.0))
-    assert clipped(((0.0, 4.0),), 5.0, 6.0) == ()
-    with pytest.raises(ValueError, match="traffic was observed"):
-        replace(log, traffic=((2.0, 1.0),))
 
 
 def commonroad(folder: Path, *vehicles: str) -> Scenario:

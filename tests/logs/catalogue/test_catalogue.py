@@ -134,16 +134,6 @@ def test_curves_close() -> None:
     assert np.abs(np.gradient(shift.yaw, shift.s) - shift.kappa)[2:-2].max() < 1e-4
 
 
-def test_free_road_is_the_papers_s_curve() -> None:
-    scenario = SCENARIOS["paper/free_road"]
-    ego = scenario.ego
-    assert (ego.kappa.max(), ego.kappa.min()) == (pytest.approx(0.02), pytest.approx(-0.02))
-    assert np.argmax(ego.kappa) < np.argmin(ego.kappa)
-    np.testing.assert_allclose(ego.v, 12.0)
-    assert 20.0 <= ego.t[-1] <= 25.0
-    assert len(scenario.tracks) == 0
-
-
 @pytest.mark.parametrize("width", [1.61, 1.9])
 def test_static_obstacles_leave_room_on_the_right_side_only(width: float) -> None:
     """Beside each obstacle there is a way with 0.5 m to it; at the second one only on its right."""
@@ -183,15 +173,6 @@ def test_crossing_pedestrian_brakes_for_about_four_seconds_then_drives_on() -> N
     assert ego.v[-1] == pytest.approx(10.0, abs=0.1)
     assert 30.0 / 3.6 <= ego.v[0] <= 40.0 / 3.6
     assert scenario.duration >= 25.0
-
-
-def test_follow_keeps_the_headway() -> None:
-    scenario = SCENARIOS["everyday/follow"]
-    ego = scenario.ego
-    assert _gap(scenario, 0.0) == pytest.approx(1.6 * 13.9, abs=1e-6)
-    lead = scenario.tracks.vx
-    assert (lead.max(), lead.min()) == (pytest.approx(13.9), pytest.approx(8.9))
-    assert min(_gap(scenario, t) / max(scenario.ego.at(t).v, 1.0) for t in ego.t) > 1.2
 
 
 def test_cut_in_comes_from_the_neighbour_lane_with_its_gap() -> None:
@@ -349,25 +330,6 @@ def test_the_jaywalker_crosses_diagonally_and_hurries(angle: float) -> None:
     assert v[inside & (y < -0.8)] == pytest.approx(1.4)
     assert v[inside & (y > 0.5)] == pytest.approx(2.2)
     assert v[inside].min() >= 1.4 - 1e-9
-
-
-def test_the_group_comes_half_a_second_apart() -> None:
-    scenario = SCENARIOS["pedestrian/group"]
-    starts = [float(t[np.argmax(v > 0.01)]) for t, _, _, v in (way(scenario, k) for k in range(3))]
-    np.testing.assert_allclose(np.diff(starts), 0.5, atol=1e-9)
-    for t in scenario.ego.t:
-        x, y = scenario.tracks.truth(t).x, scenario.tracks.truth(t).y
-        assert min(np.hypot(x[i] - x[j], y[i] - y[j]) for i in range(3) for j in range(i)) > 0.7
-
-
-def test_who_walks_along_is_followed() -> None:
-    scenario = SCENARIOS["pedestrian/along"]
-    t, x, y, v = way(scenario)
-    along = t < 10.0
-    np.testing.assert_allclose(np.diff(x[along]), 0.139, atol=1e-9)
-    assert (y[along] == 0.0).all() and y[-1] == pytest.approx(-2.75)
-    assert scenario.ego.v[(scenario.ego.t > 8.0) & (scenario.ego.t < 11.0)].max() < 5.0
-    assert v[t < 11.0].min() >= 1.39 / np.sqrt(2.0) - 0.01  # turns without a stop
 
 
 def test_pedestrians_who_do_not_cross_are_refused() -> None:

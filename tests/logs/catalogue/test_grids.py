@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from dataclasses import replace
-from hashlib import sha256
 from itertools import islice
 from pathlib import Path
 
@@ -188,15 +186,6 @@ def test_who_cuts_in_has_gap_and_lateral_speed(gap: float, lateral: float) -> No
     assert log.tracks.vy.max() == pytest.approx(lateral)
 
 
-def test_who_cuts_out_leaves_his_distance() -> None:
-    log = scenario("unece_r157/cut_out@distance_m=30,ego_kmh=40,lateral_mps=2")
-    both = log.tracks.truth(2.0)
-    lead, stopped = both.ids.index("lead"), both.ids.index("stopped")
-    gap = both.x[stopped] - both.x[lead] - 0.5 * (both.length[lead] + both.length[stopped])
-    assert gap == pytest.approx(30.0)
-    assert log.tracks.y[log.tracks.samples(lead)][-1] == pytest.approx(3.5)
-
-
 @pytest.mark.parametrize("edge_based", [0.0, 1.0])
 def test_the_lane_of_iso_3888_runs_between_the_cones(edge_based: float) -> None:
     log = FAMILIES["iso3888/double_lane_change"].scenario(edge_based=edge_based, ego_kmh=80.0)
@@ -252,21 +241,6 @@ def test_the_first_cells_of_a_grid_lie_far_apart(name: str) -> None:
 
     assert far(second) == pytest.approx(max(map(far, cells)))
     assert sorted(spread(FAMILIES[name])) == sorted(numbers)
-
-
-def test_synth_writes_a_suite_twice_the_same_with_its_table(tmp_path: Path) -> None:
-    digests = []
-    for folder in (tmp_path / "a", tmp_path / "b"):
-        result = CliRunner().invoke(app, ["synth", "--suite", "euro_ncap/ccrb_2023", "-o", str(folder)])
-        assert result.exit_code == 0, result.output
-        digests.append({f.relative_to(folder): sha256(f.read_bytes()).hexdigest() for f in folder.rglob("*.*")})
-    assert digests[0] == digests[1] and len(digests[0]) == 5
-    with (tmp_path / "a" / "suite.csv").open(encoding="utf-8") as table:
-        rows = list(csv.DictReader(table))
-    assert [row["log"] for row in rows] == list(suite("euro_ncap/ccrb_2023"))
-    for row in rows:
-        log = read_log(tmp_path / "a" / row["file"])
-        assert log.name == row["log"] and json.loads(row["accepted_decisions"])["car"]
 
 
 @pytest.mark.parametrize(

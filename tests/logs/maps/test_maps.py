@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from lanelet2_cases import MapWriter, crossroads, driven_along
 
-from logs import Colour, LogError, Road, Scenario, TrafficLight
+from logs import LogError, Road, Scenario
 from logs.maps import MapFile, lanelet2, read_map
 from logs.maps.lanelet2_file import placed_points, read_osm
 from logs.maps.lanelet2_lanes import Bound, crossable, oriented, paired, speed_in, strips_of
@@ -301,16 +301,6 @@ def test_the_map_takes_the_place_of_the_road(crossing: Path, tmp_path: Path) -> 
         i: lane.left.tolist() for i, lane in mapped.road.lanes.items()
     }
     assert again.road.stop_lines[0].light == NAMES["light"]
-
-
-@pytest.mark.parametrize("known_as", ["light", "light way"])
-def test_lights_that_the_map_names_stay(known_as: str, crossing: Path, tmp_path: Path) -> None:
-    lights = tuple(TrafficLight(i, np.zeros(1), (Colour.RED,)) for i in (NAMES[known_as], 7))
-    log = logged(replace(straight(), lights=lights), tmp_path)
-    mapped = read_log(log, LogSettings(map=str(crossing)))
-    assert [light.id for light in mapped.lights] == [NAMES[known_as]]
-    assert {line.light for line in mapped.road.stop_lines} == {NAMES[known_as], None}
-    assert any("1 traffic lights of the log are left out" in note for note in mapped.notes)
 
 
 def test_a_map_of_elsewhere_is_refused_with_the_distance(crossing: Path, tmp_path: Path) -> None:

@@ -155,14 +155,6 @@ def test_any_spiral_ends_where_its_curvature_leads(first: float, change: float, 
     assert np.hypot(*(lane.left[-1] - end)) < 1e-3
 
 
-@needs_pyxodr
-@pytest.mark.parametrize("shape", ["<line/>", '<arc curvature="0.1"/>', '<spiral curvStart="0" curvEnd="1"/>'])
-def test_a_geometry_without_length_changes_nothing(shape: str, tmp_path: Path) -> None:
-    plain = _read(tmp_path, _road("1", _line(50.0)))
-    for more in (_line(0.0, shape) + _line(50.0), _line(50.0) + _line(0.0, shape, x=50.0)):
-        assert np.array_equal(_read(tmp_path, _road("1", more)).road.lanes[1].left, plain.road.lanes[1].left)
-
-
 NEXT = '<successor elementType="road" elementId="2" contactPoint="start"/>'
 BAD_ROADS = [
     (_road("9", ""), "it has no length"),

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap_cases import RECORD, STATE, TABLE, differences, ego_states, rich_scenario, write_by_hand
 
-from logs import Colour, LogError, Road, RoadSource
+from logs import Colour, LogError, RoadSource
 from logs.mcap import read_scenario, write_scenario
 from logs.summary import summarise
 
@@ -220,15 +220,6 @@ def test_the_limit_of_a_road_along_the_path_is_that_of_its_drive(
     assert road.assumed_limits == {0}
 
 
-def test_a_standing_ego_has_a_straight_road_ahead(tmp_path: Path) -> None:
-    states = [("/ego", 10**8 * k, {**STATE, "yaw_rad": 2.0, "v_mps": 0.0}) for k in range(9)]
-    scenario = read_scenario(write_by_hand(tmp_path / "log.mcap", states))
-    (lane,) = scenario.road.lanes.values()
-    assert scenario.road.default_speed_limit == Road.default_speed_limit
-    assert scenario.road.is_drivable(1.0 + 100.0 * math.cos(2.0), 2.0 + 100.0 * math.sin(2.0))
-    assert lane.length > 200.0 and "hardly moves" in " ".join(scenario.notes)
-
-
 def test_curvature_in_reverse_and_at_rest(tmp_path: Path) -> None:
     """Backwards along a circle to the left of the car: kappa stays positive; at rest it holds."""
     bare = {key: STATE[key] for key in ("x_m", "y_m", "yaw_rad", "v_mps")}
@@ -257,11 +248,3 @@ def test_a_light_that_the_log_does_not_show_is_a_note_told_once(tmp_path: Path) 
     assert read_scenario(path).notes.count(told) == 1
     shown = read_scenario(write_by_hand(path, [*ego_states(), road(stop_lines=[STOP]), shows(0)]))
     assert told not in shown.notes and shown.lights[0].at(0.3) is Colour.RED
-
-
-def test_agents_without_samples_are_left_out_and_told(tmp_path: Path) -> None:
-    table = {"id": ["a", "b"], "kind": ["car", "bus"], "length_m": [4, 9], "width_m": [2, 2], "static": [False, False]}
-    scenario = read_scenario(
-        write_by_hand(tmp_path / "log.mcap", [*ego_states(), ("/agents/table", 0, table), agents()])
-    )
-    assert scenario.tracks.ids == ("a",) and any("1 of 2 agents" in note for note in scenario.notes)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_cases import differences
 
@@ -329,27 +327,3 @@ def test_the_recorded_osi_log_makes_sense(shared_data: Path, tmp_path: Path) -> 
     assert summarise(path).profile == "ASAM OSI log, osi3.GroundTruth"
     write_scenario(tmp_path / "native.mcap", scenario)
     assert differences(scenario, read_scenario(tmp_path / "native.mcap")) == []
-
-
-def test_a_simulated_trace_with_boundaries_makes_sense(shared_data: Path, tmp_path: Path) -> None:
-    """The bare trace is put into an MCAP file with the descriptor of the recorded one, as the refusal advises."""
-    with (shared_data / "osi" / "osi_centerline_example.mcap").open("rb") as file:
-        summary = make_reader(file).get_summary()
-        assert summary is not None
-        (schema,) = summary.schemas.values()
-    kind = message_class(descriptor_pb2.FileDescriptorSet.FromString(schema.data), "osi3.GroundTruth")
-    raw, at, messages = (shared_data / "osi" / "acc-test.osi").read_bytes(), 0, []
-    while at < len(raw):
-        (size,) = struct.unpack_from("<I", raw, at)
-        message = kind.FromString(raw[at + 4 : at + 4 + size])
-        message.host_vehicle_id.value = message.moving_object[0].id.value
-        messages.append((message.timestamp.seconds * 10**9 + message.timestamp.nanos, message))
-        at += 4 + size
-    scenario = read_scenario(write_osi(tmp_path / "log.mcap", messages, schema.data))
-    ego, road = scenario.ego, scenario.road
-    assert len(ego) == 1010 and len(road.lanes) == 6 and not any("centre line" in note for note in scenario.notes)
-    assert scenario.vehicle.axle_to_center == pytest.approx(1.4)
-    assert scenario.vehicle.wheelbase == pytest.approx(2.98)
-    driven = np.hypot(np.diff(ego.x), np.diff(ego.y)) / np.diff(ego.t)
-    assert np.abs(driven - ego.v[1:]).max() < 0.5
-    assert all(road.is_drivable(x, y) for x, y in zip(ego.x, ego.y, strict=True))

@@ -183,25 +183,6 @@ def test_what_a_sensor_showed_is_on_a_topic_of_its_own(tmp_path: Path) -> None:
     assert messages(tmp_path / "log.mcap", "/perceived") == []
 
 
-@pytest.mark.parametrize(("internals", "count"), [("none", 0), ("summary", 1), ("full", 1)])
-def test_predictions_are_kept_with_internals(tmp_path: Path, internals: Any, count: int) -> None:
-    trace = drive()
-    x = np.array([[1.0, 2.0], [1.0, 1.5]])
-    some = Predictions(np.array([0.1, 0.6]), np.array([0, 0]), np.array([0.75, 0.25]), x, -x, 0.0 * x, "pedestrian")
-    last = replace(trace.frames[1], agents=("walker",), predictions=some)
-    write_trace(
-        tmp_path / "log.mcap", replace(trace, frames=(trace.frames[0], last)), rich_scenario(), internals=internals
-    )
-    found = messages(tmp_path / "log.mcap", "/predictions")
-    assert len(found) == count
-    for time, message in found:
-        assert time == START_NS + 100_000_000
-        assert message == {
-            "method": "pedestrian", "t_s": [0.1, 0.6], "id": ["walker", "walker"], "probability": [0.75, 0.25],
-            "x_m": x.tolist(), "y_m": (-x).tolist(),
-        }  # fmt: skip
-
-
 def test_an_infinite_command_is_refused(tmp_path: Path) -> None:
     t = drive().ego.t
     trace = replace(drive(), commands=Controls(t, np.full(len(t), np.inf), t, t))
@@ -241,20 +222,6 @@ def test_a_trace_with_all_its_inside_is_read_back(tmp_path: Path) -> None:
     expected = replace(trace, frames=(frames[0], replace(frames[1], predictions=unwritten)), notes=scenario.notes)
     assert differences(expected, again) == []
     assert differences(rich_scenario().road, scenario.road) == []
-
-
-def test_a_summary_has_graphs_without_grids_and_predictions_at_few_times(tmp_path: Path) -> None:
-    trace = drive()
-    t = np.arange(0.0, 8.1, 0.5)
-    row = np.zeros((1, len(t)))
-    shown = Predictions(0.1 + t, np.array([0]), np.array([1.0]), row + t, row, row, "cv")
-    frames = (trace.frames[0], replace(trace.frames[1], agents=("walker",), predictions=shown))
-    write_trace(tmp_path / "log.mcap", replace(trace, frames=frames), rich_scenario(), internals="summary")
-    (_, frame) = read_trace(tmp_path / "log.mcap")[0].frames
-    graphs = [artefact for artefact in frame.plan.internals if isinstance(artefact, (SlGraph, StGraph))]
-    assert [graph.grid for graph in graphs] == [None, None]
-    assert differences(graphs[0].corridor, trace.frames[1].plan.internals[4].corridor) == []  # type: ignore[union-attr]
-    assert frame.predictions is not None and frame.predictions.x[0].tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
 
 
 def test_a_log_that_is_no_trace_is_refused(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from any_bytes import goes_round, read_or_refused, spoiled
 from hypothesis import HealthCheck, given, settings
@@ -13,7 +12,6 @@ from hypothesis import strategies as st
 from recorded_cases import write_av2, write_forecasting
 
 from logs import AgentKind, LogError, RoadSource
-from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, logs_in, read_log, reader_of
 from logs.readers.argoverse2 import POSES, READER
 
@@ -91,17 +89,6 @@ def test_a_forecasting_scenario_arrives(tmp_path: Path) -> None:
         path.rename(folder / path.name)
     assert [path.name for path, _ in logs_in(folder)] == ["scenario_abc.parquet", "scenario_abd.parquet"]
     assert READER.files(folder / "scenario_abd.parquet")[1].name == "log_map_archive_abd.json"
-
-
-def test_an_ego_that_is_seen_later_than_others_can_be_written(tmp_path: Path) -> None:
-    folder = write_forecasting(tmp_path / "abc", 20)
-    table = pd.read_parquet(folder / "scenario_abc.parquet")
-    late = table[(table.track_id != "AV") | (table.timestep >= 3)]
-    late.to_parquet(folder / "scenario_abc.parquet", index=False)
-    scenario = read_log(folder)
-    assert scenario.start_ns == 300_000_000 and scenario.tracks.t.min() == pytest.approx(-0.3)
-    write_scenario(tmp_path / "native.mcap", scenario)
-    assert read_scenario(tmp_path / "native.mcap").tracks.t == pytest.approx(scenario.tracks.t)
 
 
 @pytest.mark.parametrize("write", [write_av2, write_forecasting])

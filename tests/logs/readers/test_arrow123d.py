@@ -161,23 +161,6 @@ def test_differences_to_later_frames_are_no_velocities(tmp_path: Path) -> None:
     assert np.abs(scenario.ego.v - central[1:]).max() > 1e-3 and scenario.ego.v == pytest.approx(8.0, abs=0.5)
 
 
-def test_who_stops_stands(tmp_path: Path) -> None:
-    folder = write_123d(tmp_path / "log", 40)
-    t = 0.1 * np.arange(40)
-    x = np.where(t < 2.0, 6.0 * t - 1.5 * t**2, 6.0)
-    columns = {
-        "ego_state_se3.timestamp_us": START_US + (1e6 * t).round().astype(np.int64),
-        "ego_state_se3.imu_se3": pa.array([[at, 0.0, 0.0, *turn(0.0)] for at in x], pa.list_(pa.float64(), 7)),
-    }
-    write_ipc(folder / "ego_state_se3.arrow", columns, metadata_of(ipc_table(folder / "ego_state_se3.arrow")))
-    ego = read_log(folder).ego
-    assert (
-        ego.v.min() >= 0.0
-        and (ego.v[ego.t > 2.4] == 0.0).all()
-        and ego.v[10] == pytest.approx(6.0 - 3.0 * 1.1, abs=0.01)
-    )
-
-
 def test_old_logs_and_foreign_files_are_refused_in_one_line(tmp_path: Path) -> None:
     table = pa.table({"uuid": ["a"]}).replace_schema_metadata({b"log_metadata": b"{}"})
     with pa.OSFile(str(tmp_path / "old.arrow"), "wb") as sink, pa.ipc.new_file(sink, table.schema) as writer:

@@ -186,23 +186,6 @@ def test_the_example_of_the_documentation_runs(tmp_path: Path, monkeypatch: pyte
     assert scenario.ego.v == pytest.approx(12.0) and scenario.tracks.perceived(0.2).speed == pytest.approx([9.0])
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "said"),
-    [
-        ("x", np.nan, "agents: x is not finite in row 1; leave such rows out"),
-        ("id", None, "agents: row 1 has no id; name every agent"),
-        ("length", -4.0, "agents: a length is not positive; leave it empty where it is not known"),
-    ],
-)
-def test_rows_of_agents_that_say_nothing_are_refused(key: str, value: Any, said: str) -> None:
-    ego = pd.DataFrame({"t": [0.0, 0.1, 0.2], "x": [0.0, 1.0, 2.0], "y": 0.0, "yaw": 0.0})
-    agents = ego.assign(id="7", length=4.0)
-    agents[key] = [agents[key][0], value, agents[key][2]]
-    with pytest.raises(LogError) as error:
-        from_frames(ego, agents, name="bad")
-    assert str(error.value).endswith(said)
-
-
 def test_a_column_by_an_unknown_name_is_refused() -> None:
     with pytest.raises(LogError, match=r"columns has speed, which is not a known name; known: t, .*\bv\b"):
         from_frames(ego(), name="bad", columns={"speed": "v"})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from math import cos, pi, sin
 from pathlib import Path
@@ -357,13 +356,6 @@ def test_goals_keep_their_own_bounds(tmp_path: Path) -> None:
     assert not goal.reached(2.5, 40.0, 0.0, 0.0, 10.0)
     assert goal.reached(9.0, 40.0, 0.0, 0.0, 0.0)
     assert goal.reached(2.5, 100.0, 0.0, 0.0, 10.0) and not goal.reached(9.0, 100.0, 0.0, 0.0, 10.0)
-
-
-def test_a_problem_without_a_goal_names_none(tmp_path: Path) -> None:
-    nowhere = re.sub("<goalState>.*</goalState>", "", problem(1, 100.0, 0.0, 10.0))
-    scenario = read_commonroad(written(tmp_path, straight(1), vehicle(3, driving(50.0, 0.0, 5.0)), nowhere))
-    assert scenario.goal is None
-    assert "the planning problem names no goal" in scenario.notes
 
 
 def test_a_renumbered_problem_finds_its_driver_by_id_and_speed(tmp_path: Path) -> None:

@@ -166,16 +166,6 @@ def test_where_all_are_lit_only_left_turns_wait(tmp_path: Path) -> None:
     assert waits(dark) == waits(read_commonroad(written(tmp_path, *crossing())))
 
 
-def test_at_a_t_junction(tmp_path: Path) -> None:
-    """Sides 0 and 2 are the straight road, 1 the side road: from 0, it comes from the right."""
-    scenario = read_commonroad(written(tmp_path, *crossing(sides=(0, 1, 2))))
-    assert waits(scenario) == {
-        102: inner(1, LEFT, RIGHT),  # straight on before the side road's turns
-        111: inner(2, STRAIGHT, LEFT),  # out of the side road, left: who comes from the right
-        121: inner(0, STRAIGHT, RIGHT),  # into the side road, left: the oncoming
-    }
-
-
 def test_where_traffic_keeps_left_no_side_is_assumed(tmp_path: Path) -> None:
     scenario = read_commonroad(written(tmp_path, *crossing(), benchmark="GBR_Test-1"))
     assert all(i % 10 == RIGHT for i in waits(scenario))  # turning across the oncoming, as the map is not mirrored
@@ -258,20 +248,6 @@ def test_directions_become_lanes_and_a_dark_arrow_leaves_its_turn_to_the_others(
     assert {(line.light, line.towards) for line in lines(scenario)} == {(50, (102,)), (51, (103,)), (52, (101,))}
     (arrow,) = (each for each in scenario.lights if each.id == 51)
     assert [arrow.at(t) for t in (0.0, 0.9, 1.0, 1.9, 2.0)] == [Colour.RED] * 2 + [Colour.GREEN] * 2 + [Colour.RED]
-
-
-def test_one_arrow_with_two_lights_behind_it_is_two_lights(tmp_path: Path) -> None:
-    arrow = light(51, [("inactive", 100)], more=direction("right"))
-    lights = [light(50, [("red", 100)]), arrow, light(53, [("green", 100)])]
-    parts = crossing(shown={0: see(50) + see(51), 1: see(53) + see(51)})
-    scenario = read_commonroad(written(tmp_path, *parts, *lights))
-    shown = {each.id: each.at(0.0) for each in scenario.lights}
-    assert {tuple(sorted(line.towards)): shown[line.light or 0] for line in lines(scenario)} == {
-        (101, 102): Colour.RED,
-        (103,): Colour.RED,
-        (111, 112): Colour.GREEN,
-        (113,): Colour.GREEN,
-    }
 
 
 def test_a_turn_that_no_intersection_tells_is_told_by_its_heading(tmp_path: Path) -> None:

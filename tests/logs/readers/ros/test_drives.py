@@ -118,21 +118,6 @@ def test_a_bag_that_was_played_in_a_loop(tmp_path: Path) -> None:
         assert scenario.duration == pytest.approx(3.0, abs=0.1)
 
 
-def test_clock_tells_it_where_poses_have_no_stamps(tmp_path: Path) -> None:
-    rows = bags.odometry() + apart(bags.later(bags.odometry(), 7.0, 0.0), 43.0)
-    for _, _, _, each in rows:
-        each.header.stamp.sec = each.header.stamp.nanosec = 0
-    for after in (0.0, 7.0):
-        rows += [("/clock", CLOCK, ns + round(1e9 * after), message(CLOCK, clock=stamp(ns - START_NS + S)))
-                 for ns in bags.times(20)]  # fmt: skip
-    path = bags.write_ros2(tmp_path / "bag", rows)
-    with pytest.raises(LogError, match=r"the clock of /clock restarts at 7\.0 s of the bag: two drives"):
-        read_log(path)
-    scenario = read_log(path, LogSettings(begin=7.0))
-    assert scenario.ego.x[0] + scenario.origin[0] == pytest.approx(ego_pose(0.0)[0] + 43.0, abs=0.1)
-    assert scenario.duration == pytest.approx(6.0, abs=0.02)
-
-
 @pytest.mark.parametrize("change", ["stale", "stale at the end", "two senders", "late by 0.9 s", "unsorted"])
 def test_what_comes_late_or_out_of_order_is_no_restart(change: str, tmp_path: Path) -> None:
     rows = bags.odometry()

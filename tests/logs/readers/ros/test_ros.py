@@ -31,12 +31,10 @@ from logs.readers import LogSettings, read_log, reader_of
 from logs.readers.ros import bag as door
 from logs.readers.ros.ego import rates
 from logs.readers.ros.fields import MOST_FIELDS, decoder
-from logs.readers.ros.frames import clock_of, times_of
 from logs.readers.ros.objects import smallest_rectangles
 from logs.readers.ros.tracks import joined
 from logs.repair.identities import no_identities
 from logs.states import OnboardPlan
-from logs.transform import mirrored, moved
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
 
@@ -280,16 +278,6 @@ def test_a_repaired_log_round_trips_and_is_not_repaired_again(tmp_path: Path) ->
     assert differences(again.tracks, scenario.tracks) == []
 
 
-def test_a_part_of_detections_is_repaired_with_what_is_around_it(tmp_path: Path) -> None:
-    path = bags.write_ros2(tmp_path / "bag", bags.transforms() + indexed())
-    whole, part = cut(read_log(path), 2.0, 4.0), read_log(path, LogSettings(begin=2.0, end=4.0))
-    assert part.tracks.t == pytest.approx(whole.tracks.t) and part.tracks.x == pytest.approx(whole.tracks.x, abs=1e-6)
-    assert part.repair is not None and whole.repair is not None
-    assert part.repair.tracks is part.tracks and len(part.repair.extended) == len(part.tracks.t)
-    assert part.repair.detections.frames == pytest.approx(whole.repair.detections.frames)
-    assert part.repair.detections.frames[0] < -1.9, "what a tracker knows as the part begins"
-
-
 def test_an_id_that_flickers_stays_one_track(tmp_path: Path) -> None:
     rows = bags.odometry() + bags.autoware_objects(TRACKED, TOPIC)
     for k, (_, kind, _, each) in enumerate(rows):
@@ -339,13 +327,6 @@ def test_stale_messages_foreign_clocks_and_dropouts_are_said(tmp_path: Path) -> 
     foreign = read_log(bags.write_ros2(tmp_path / "foreign", rows))
     assert any("another clock than the ego's (+1000.1 s)" in note for note in foreign.notes)
     assert foreign.tracks.t[0] == pytest.approx(0.078, abs=1e-3)
-
-
-def test_of_two_stamps_that_agree_on_nothing_none_counts() -> None:
-    log, notes = np.array([0, 10**9]) + START_NS, list[str]()
-    ego = clock_of(log, log, "")
-    t, kept = times_of("/tf_static", log, log + np.array([-9, 9]) * 10**9, ego, notes)
-    assert t.tolist() == log.tolist() and kept.tolist() == [0, 1] and "its log times count" in notes[0]
 
 
 def test_a_transform_without_a_finite_value_is_none(tmp_path: Path) -> None:
@@ -461,16 +442,6 @@ def test_plans_go_with_the_part_and_round_trip(everything: Scenario, tmp_path: P
     part = cut(everything, 2.0, 4.0)
     assert part.onboard[0].known == pytest.approx(1.918 - 2.0) and part.onboard[-1].known <= 2.0
     goes_round(everything, tmp_path)
-
-
-def test_plans_go_with_the_world(everything: Scenario) -> None:
-    """Mirrored twice it is the same log; moved, the plan lies by its ego as before."""
-    assert differences(mirrored(mirrored(everything)).onboard, everything.onboard) == []
-    there = moved(everything, 30.0, -7.0, 1.2)
-    for log in (everything, there):
-        plan, ego = log.onboard[20].trajectory, log.ego.at(float(log.onboard[20].trajectory.t[0]))
-        assert np.hypot(plan.x[0] - ego.x, plan.y[0] - ego.y) < 0.1
-        assert np.cos(plan.yaw[0] - ego.yaw) == pytest.approx(1.0, abs=1e-3)
 
 
 # Which topics
@@ -782,15 +753,6 @@ def test_recorded_drives_are_read(tartu: dict[str, Scenario]) -> None:
         driven = float(np.sum(0.5 * (scenario.ego.v[1:] + scenario.ego.v[:-1]) * np.diff(scenario.ego.t)))
         assert driven == pytest.approx(way, rel=0.01), name
         assert scenario.is_recorded and scenario.road.source.value.startswith("the log has no lanes"), name
-
-
-def test_the_first_speed_is_the_one_that_the_bag_names(shared_data: Path, tartu: dict[str, Scenario]) -> None:
-    """Every bag holds one TwistStamped, the ego's speed at its begin, by other means than the poses."""
-    for name, scenario in tartu.items():
-        with door.opened(shared_data / "tartu" / "ros2" / name) as bag:
-            topic = next(topic for topic in bag.topics if topic.name == "/initialvelocity")
-            _, rows = bag.read(topic, ("twist.linear.x",))
-        assert scenario.ego.v[0] == pytest.approx(rows[0][0], abs=0.6), name
 
 
 def test_recorded_drives_round_trip(tartu: dict[str, Scenario], tmp_path: Path) -> None:

@@ -91,13 +91,6 @@ def test_every_log_is_counted_once_and_a_lost_one_never_helps(outcomes: list[str
     assert row["mean"] == outcomes.count("pass") / len(outcomes)
 
 
-def test_an_oracle_that_no_gate_asks_does_not_stand_at_all() -> None:
-    driven = drives(("a", "logged", "open"), oracle=True)
-    assert not len(standings(said(), driven, ["a"], [("logged", "open")]))
-    named = said(("a", "logged", "open", "pass"))
-    assert list(standings(named, driven, ["a"], [("logged", "open")])["standing"]) == ["passed"]
-
-
 def test_logs_belong_to_the_suite_their_family_their_dataset_and_each_tag() -> None:
     assert membership(LABELS) == {
         ("suite", ""): ("a", "b", "c"), ("family", "cut_in"): ("a", "b"), ("tag", "car"): ("a", "b"),

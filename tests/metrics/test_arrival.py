@@ -151,15 +151,6 @@ def test_an_early_arrival_that_is_far_enough_passes() -> None:
     assert passed_early(log) is None and FaultKind.GOAL not in {one.kind for one in findings(log)}
 
 
-def test_a_goal_that_holds_the_ego_but_asks_for_more_can_be_driven_to() -> None:
-    place = (square(1.4, 0.0, 2.0),)
-    assert fault_of(replace(STRAIGHT, goal=Goal(place, v=(0.0, 1.0)))) is None
-    assert fault_of(replace(STRAIGHT, goal=Goal(place, t=(5.0, 8.0)))) is None
-    assert fault_of(replace(STRAIGHT, goal=Goal(t=(5.0, 8.0)))) is None
-    assert fault_of(replace(STRAIGHT, goal=Goal(t=(0.0, 8.0)))) is not None
-    assert fault_of(replace(STRAIGHT, goal=Goal((*place, square(60.0, 0.0, 2.0))))) is None  # its driver goes on to it
-
-
 def test_the_way_goes_through_files_parts_and_variations(tmp_path: Path) -> None:
     log = driven_path(ring(2.25))
     goal, _ = goal_of(log)

@@ -107,13 +107,6 @@ def test_a_box_at_the_start_and_a_static_one() -> None:
     assert len(without_phantoms(made.tracks, (cone,))) == 0
 
 
-def test_runs_that_are_close_are_one() -> None:
-    box = track("7", T, 10.0 * T + CENTRE, np.where((np.abs(T - 4.0) < 0.3) | (np.abs(T - 5.5) < 0.3), 0.0, 30.0))
-    assert len(phantoms(log(box))) == 1
-    far = track("7", T, 10.0 * T + CENTRE, np.where((np.abs(T - 3.0) < 0.3) | (np.abs(T - 8.5) < 0.3), 0.0, 30.0))
-    assert len(phantoms(log(far))) == 2
-
-
 def test_nothing_is_excused_in_a_log_that_was_made_nor_where_nobody_stands() -> None:
     box = jumping(5.0, 6.0)
     assert phantoms(log(box, tags=("synthetic",))) == phantoms(log(box, metadata={"generator": "x"})) == ()

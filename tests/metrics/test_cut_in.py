@@ -112,14 +112,3 @@ def test_forced_braking_is_what_the_follower_needs() -> None:
     assert isinstance(gap_kept, Series)
     assert gap_kept.missing == "no other road user beside or ahead of an ego that drives"
     assert not FORCED_BRAKING.measure(drive(alone), alone).known.any()  # type: ignore[union-attr]
-
-
-def test_one_who_is_seen_between_two_steps_only_is_no_follower() -> None:
-    ego = changing(grid(12.0, 0.05), 10.0, 1.0)
-    log = log_of(ego, follower(-16.0, 15.0))
-    t = log.tracks.t
-    brief = replace(log, tracks=log.tracks.taken((t > 1.01) & (t < 1.09)))
-    assert len(brief.tracks) == 1
-    found = FORCED_BRAKING.measure(drive(brief), brief)
-    assert isinstance(found, Series)
-    assert not found.known.any()

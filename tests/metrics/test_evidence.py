@@ -41,13 +41,6 @@ def test_shares_are_of_time_and_of_way(until: float) -> None:
     assert found["traffic.way_share"][0] == pytest.approx(way / 50.0, abs=3e-3)
 
 
-def test_a_drive_that_stands_has_shares() -> None:
-    still = along(T, 0.0)
-    log = scenario(still, traffic=((0.0, 5.0),))
-    found = rows(log, drive(log, still))
-    assert found["traffic.way_share"][0] == found["traffic.share"][0] == pytest.approx(0.5, abs=2e-3)
-
-
 def test_an_assumed_limit_is_none_of_the_log() -> None:
     stated = straight_road(limit=10.0)
     assert rows(scenario(SLOW_THEN_FAST, road=stated))["limit.share"][0] == 1.0

@@ -22,7 +22,7 @@ from logs.road import Lane, RoadSource
 from logs.rules import Colour, StopLine, TrafficLight
 from logs.states import Trajectory
 from logs.tracks import Tracks
-from metrics.health import CHECKS, FaultKind, findings, report, sentences, table
+from metrics.health import CHECKS, FaultKind, findings, report
 from replay.config import RunConfig
 from replay.run import evaluate_logs
 
@@ -277,18 +277,6 @@ def test_a_light_that_no_line_names_is_found() -> None:
     lined = replace(scenario().road, stop_lines=(StopLine(1, 0, np.array([[70.0, 2.0], [70.0, -2.0]]), light=6),))
     (found,) = findings(replace(scenario(lights=tuple(lights)), road=lined))
     assert found.kind is FaultKind.LIGHT and found.who == "5"
-
-
-def test_every_kind_says_what_it_does_and_a_sentence_stands_for_many() -> None:
-    assert all(kind.value and kind.effect for kind in FaultKind)
-    two = both(track("7"), track("8", y=8.0))
-    jumping = moved(two, "x", lambda x: x + 9.0 * (np.arange(len(x)) % len(T) > AT))
-    found = findings(scenario(tracks=jumping))
-    said = sentences(found)
-    assert len(said) == len({one.kind for one in found})
-    first = "Health, teleport: car 7 jumps 9.8 m in 0.10 s, 4.00 to 4.10 s (1 more of this kind); time to collision"
-    assert any(one.startswith(first) for one in said)
-    assert len(table("made", found)) == len(found)
 
 
 def test_findings_go_into_the_results(tmp_path: Path) -> None:

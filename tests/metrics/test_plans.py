@@ -170,14 +170,6 @@ def test_a_change_of_mind_in_jerk_yaw_rate_and_yaw_acceleration() -> None:
     assert saw.loc["extended_comfort.max", "reason"] == "yaw acceleration"
 
 
-def test_only_plans_half_a_second_apart_are_compared() -> None:
-    assert (
-        judged(plans(LOG.ego, TIMES[:5], 5.0)).loc["extended_comfort.max", "reason"] == "no two plans are 0.5 s apart"
-    )
-    apart = plans(LOG.ego, TIMES[:1], 0.3) + plans(LOG.ego, TIMES[5:6], 5.0)
-    assert judged(apart).loc["extended_comfort.max", "reason"] == "plans 0.5 s apart never overlap"
-
-
 def test_short_plans_are_incomplete() -> None:
     frames = plans(LOG.ego, TIMES[:3], 2.9) + plans(LOG.ego, TIMES[3:4], 3.0)
     table = judged(frames)

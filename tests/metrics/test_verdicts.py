@@ -180,13 +180,6 @@ def test_a_verdict_for_each_group(per: str, expected: dict[str, Outcome]) -> Non
     assert sorted(outcomes(found)["log"]) == ["a", "b", "c"]  # once, in however many groups
 
 
-def test_a_log_that_could_not_be_read_is_in_a_group_of_its_own() -> None:
-    found = verdicts(Gate(GAP, min=0.1, per="family"), VALUES, labels=LABELS, lost=("broken",))
-    assert {v.group: v.outcome for v in found} == {
-        "family cut_in": PASS, "family merge": PASS, "family not known": INCONCLUSIVE,
-    }  # fmt: skip
-
-
 def test_the_page_of_gates_has_every_key_and_no_other() -> None:
     page = (Path(__file__).parents[2] / "docs" / "gates.md").read_text(encoding="utf-8")
     rows = [line.split("|")[1] for line in page.partition("| key |")[2].partition("## ")[0].splitlines()[2:] if line]

@@ -9,7 +9,7 @@ import pytest
 from handmade import track, tracks
 from hypothesis import given
 from hypothesis import strategies as st
-from worlds import CAR, along_x, lanes, reference, strip
+from worlds import CAR, along_x, lanes, reference
 
 from logs import EgoState, Goal, Road, Scenario, Tracks, Trajectory
 from logs.arrays import FloatArray
@@ -121,23 +121,6 @@ def test_of_two_regions_the_one_in_the_lane_is_met_and_between_them_the_middle_i
     whole = rectangle(90.0, 0.0, 20.0, 3.4)
     stations = np.array([COURSE.line.project(x, 0.0)[0] for x in np.arange(81.0, 99.0)])
     np.testing.assert_allclose(sides(Goal(tuple(triangles)), stations), sides(Goal((whole,)), stations), atol=1e-6)
-
-
-@pytest.mark.slow
-def test_who_is_late_takes_the_faster_lane() -> None:
-    """To be 320 m away after 20 s needs more than the 12 m/s of the own lane; the left one has 20 m/s."""
-    slow = along_x(-20.0, 500.0)
-    fast = slow + np.array([0.0, 3.5])
-    road = Road(
-        {
-            0: strip(0, slow, left_neighbour=1, speed_limit=12.0),
-            1: strip(1, fast, right_neighbour=0, speed_limit=20.0),
-        }
-    )
-    square = np.array([[320.0, -2.0], [340.0, -2.0], [340.0, 5.5], [320.0, 5.5]])
-    late, in_time = (drive_to(square, (0.0, last), road, 12.0) for last in (20.0, 40.0))
-    assert late.end is EndReason.GOAL and late.ego.y[-1] > 2.0
-    assert in_time.end is EndReason.GOAL and abs(in_time.ego.y).max() < 1.0
 
 
 def driven(window: tuple[float, float], speeds: tuple[float, float]) -> Trace:

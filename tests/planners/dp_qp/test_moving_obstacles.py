@@ -276,34 +276,6 @@ def test_between_two_who_walk_at_both_edges_it_neither_brakes_hard_nor_swerves(
     assert decel < 3.2 and lateral < 3.0
 
 
-def past_a_walker(turn: float, w: float) -> Trace:
-    """10 m/s past a pedestrian at 1.3 m/s, 0.6 m right of the middle, who turns left at a time with a speed."""
-    t = np.arange(0.0, 12.05, 0.1)
-    after = np.maximum(t - turn, 0.0)
-    x, y = 45.0 + 1.3 * np.minimum(t, turn), np.minimum(w * after - 0.6, 5.0)
-    vx, vy = np.where(after > 0.0, 0.0, 1.3), np.where((after > 0.0) & (y < 5.0), w, 0.0)
-    who = track(
-        "walker", t.tolist(), x.tolist(), y.tolist(), yaw=np.arctan2(vy, np.maximum(vx, 1e-9)).tolist(),
-        vx=vx.tolist(), vy=vy.tolist(), kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5,
-    )  # fmt: skip
-    ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0)))
-    return run_closed_loop(Scenario("walker", ego, tracks(who), two_way(), 12.0, vehicle=CAR), "dp_qp").trace
-
-
-@pytest.mark.slow
-def test_the_front_touches_no_one_who_turns_into_the_way() -> None:
-    """Wherever the ego is when they turn. (Who walks into its flank when its front is past them cannot be helped.)"""
-    ego = past_a_walker(99.0, 1.0).ego
-    ahead = 45.0 + 1.3 * ego.t - 0.25 - ego.x - CAR.axle_to_front
-    assert ahead[-1] < -20.0
-    for gap, w in ((12.0, WALK_MPS), (8.0, 1.0), (6.0, WALK_MPS), (4.5, 0.9), (4.0, 1.2), (3.0, 1.0), (2.0, WALK_MPS)):
-        turn = float(ego.t[np.argmax(ahead < gap)])
-        trace = past_a_walker(turn, w)
-        front = trace.ego.x[-1] + CAR.axle_to_front
-        flank = trace.end is EndReason.COLLISION and front > 45.0 + 1.3 * turn + 0.25
-        assert trace.end is EndReason.END_OF_LOG or flank, (gap, w)
-
-
 @given(st.floats(1.0, 60.0), st.floats(0.0, 10.0), st.booleans())
 def test_the_lane_beside_is_borrowed_only_before_who_need_not_brake_hard(
     gap: float, closing: float, left: bool

@@ -9,7 +9,7 @@ import pytest
 from drives import along, grid, moving, scenario
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from worlds import PERIOD, along_x, driving, frame, lanes, planner, standing, strip
+from worlds import PERIOD, along_x, lanes, strip
 
 from logs import AgentKind, EgoState, Frame, Goal, Plan, PlannerContext, Road, Scenario
 from logs.catalogue import CATALOGUE
@@ -19,7 +19,7 @@ from logs.transform import jittered, rotated
 from planners.dp_qp import DpQp
 from planners.dp_qp.path.dp import PathDpConfig, path_dp
 from planners.frenet.reference_path import make_reference_path
-from replay.prediction import LaneMap, predict
+from replay.prediction import predict
 
 TINY, SAME = 1e-9, 1e-6
 
@@ -47,17 +47,6 @@ def test_plans_of_the_catalogue_do_not_hang_on_rounding(name: str) -> None:
     for there, turn in ((jittered(rotated(log, 1e-12), TINY), 1e-12), (rotated(log, 0.5), 0.5)):
         for one, two in zip(here, plans_of(there, times), strict=True):
             assert parted(one, two, turn) < SAME
-
-
-@pytest.mark.parametrize("v", [5.0, 6.0, 8.0, 10.0, 11.0, 12.5])  # rows and lengths of the grids end at such speeds
-@pytest.mark.parametrize("ahead", ["none", "standing", "slower"])
-def test_round_speeds_and_distances_are_like_their_neighbours(v: float, ahead: str) -> None:
-    others = {"none": [], "standing": [standing("a", 50.25, 0.0)], "slower": [driving("a", 30.0, 0.0, v - 5.0)]}
-    road, plans = lanes(along_x(), 1), []
-    for off in (0.0, -TINY, TINY):
-        ego = EgoState(0.0, off, 0.0, 0.0, v + off)
-        plans.append(planner(road, ego).plan(frame(ego, others[ahead])))
-    assert max(parted(plans[0], other) for other in plans[1:]) < SAME
 
 
 _ROUND = st.tuples(
@@ -139,14 +128,3 @@ def test_who_stands_where_a_lane_ends_is_on_the_next() -> None:
     end = np.array([400.0, 0.0])
     road = Road({0: strip(0, along_x(), successors=(1,)), 1: strip(1, along_x(0.0, 40.0) + end)})
     assert {start_lanes(road, EgoState(0.0, 400.0 + off, 0.0, 0.0, 5.0)) for off in (-TINY, 0.0, TINY)} == {(1,)}
-
-
-def test_who_drives_on_a_marking_may_follow_either_lane() -> None:
-    road, found = lanes(along_x(), 2), []
-    for off in (-TINY, 0.0, TINY):
-        known = frame(EgoState(0.0, 0.0, 0.0, 0.0, 5.0), [driving("a", 30.0, 1.75 + off, 8.0)]).agents
-        found.append(predict(known, 0.0, method="lane_following", lanes=LaneMap.of(road)))
-    assert [len(each) for each in found] == [len(found[0])] * 3
-    for each in found[1:]:
-        np.testing.assert_allclose(each.y, found[0].y, atol=SAME)
-        np.testing.assert_allclose(each.probability, found[0].probability, atol=SAME)

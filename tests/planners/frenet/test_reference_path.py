@@ -86,13 +86,6 @@ def test_a_straight_line_stays_straight(length: float, yaw: float) -> None:
     assert np.abs(ReferenceLine.through(smooth_points(points)).kappa).max() < 1e-3
 
 
-@pytest.mark.parametrize("turn", [0.2, 0.5, 1.0])
-def test_a_kink_is_rounded_off(turn: float) -> None:
-    kinked = np.vstack([along_x(-40.0, 0.0), np.arange(2.0, 42.0, 2.0)[:, None] * [np.cos(turn), np.sin(turn)]])
-    before, after = (np.abs(ReferenceLine.through(line).kappa).max() for line in (kinked, smooth_points(kinked)))
-    assert after < 0.8 * before
-
-
 def test_smoothing_solves_its_problem() -> None:
     """Where no shift is at its bound, the solution of (1) is that of a linear system."""
     points = curve((30.0, 0.0), (30.0, 0.01), (30.0, -0.01), step=2.0)
@@ -104,16 +97,6 @@ def test_smoothing_solves_its_problem() -> None:
     expected = np.linalg.solve(matrix, -(BENDING_WEIGHT * bend.T @ bend @ raw)[inner])
     assert np.abs(expected).max() < MAX_SHIFT_M
     np.testing.assert_allclose(smooth_points(points)[inner] - raw[inner], expected, atol=2e-3)
-
-
-@given(st.floats(2.8, 5.0), st.integers(1, 3), st.integers(0, 2))
-@settings(max_examples=20)
-def test_known_widths_are_found(width: float, count: int, own: int) -> None:
-    own = min(own, count - 1)
-    line = reference(lanes(along_x(), count, width=width, limit=7.0), EgoState(0.0, 0.0, own * width, 0.0, 10.0))
-    right = -(own + 0.5) * width
-    expected = (right, -0.5 * width, 0.5 * width, right + count * width, 7.0)
-    np.testing.assert_allclose(at(line, 100.0), expected, atol=1e-3)
 
 
 @pytest.mark.parametrize("kappa", [0.02, -0.02])

@@ -18,8 +18,6 @@ from planners.frenet.path import Path
 from planners.frenet.scene import STANDING_MPS, Occupancy, Scene, behind
 from planners.frenet.st_boundaries import ONCOMING_RAD, StBoundaries, StGraphConfig, decide_speed, st_boundaries
 
-SEED = st.integers(0, 2**32 - 1)
-
 AS_PREDICTED = StGraphConfig(early_s=0.0, late_s=0.0)
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
 

@@ -24,7 +24,6 @@ from planners.dp_qp.path.dp import (
 from planners.frenet.path import quintic
 
 SEED = st.integers(0, 2**32 - 1)
-OFFSET, SLOPE, BEND = st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1)
 WEIGHTS = PathDpWeights(ref=0.05, dl=20.0, ddl=500.0, near=2.0, reach=1.0, switch=1.0)
 
 

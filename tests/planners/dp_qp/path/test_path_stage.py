@@ -31,7 +31,6 @@ from planners.frenet.path import MIN_REGULAR
 from planners.frenet.reference_path import ReferencePath
 from planners.frenet.scene import Occupancy
 
-SEED = st.integers(0, 2**32 - 1)
 OFFSET, SLOPE, BEND = st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1)
 
 TURNS = np.array([CAR.max_kappa, CAR.max_steer_rate / CAR.wheelbase])

@@ -401,36 +401,9 @@ def test_view_refuses_what_holds_no_recording(folder: Path, tmp_path: Path) -> N
     assert "too many" in one_error(replan("view", tmp_path))
 
 
-@pytest.fixture(scope="module")
-def compared(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Results:
-    run = RunConfig(planners=("constant_speed", "logged"), recording=False)
-    return evaluate_logs([folder], run, tmp_path_factory.mktemp("out"))
-
-
 def report(result: Results, width: int, **changes: Any) -> str:
     """The report of a run, with other logs in its summary."""
     written, results = StringIO(), load(result.path)
     results = replace(results, summary={**results.summary, **changes})
     print_report(overview(results), Console(width=width, file=written), result.path)
     return written.getvalue()
-
-
-@pytest.mark.parametrize("width", [80, 100, 140])
-def test_the_report_fits_the_terminal_and_is_plain(compared: Results, width: int) -> None:
-    lines = report(compared, width).splitlines()
-    assert max(map(len, lines)) <= width
-    assert "constant_speed" in "".join(lines)
-    assert all(char.isascii() or char == "\N{BOX DRAWINGS LIGHT HORIZONTAL}" for line in lines for char in line)
-
-
-def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: Results) -> None:
-    logs = load(compared.path).summary["logs"]
-    recorded = [
-        {**drive, "files": [f"{log['log']}/{drive['planner']}.{drive['mode']}.rrd"]}
-        for log in logs
-        for drive in log["drives"]
-    ]
-    shown = report(
-        compared, 200, logs=[{**log, "drives": [d for d in recorded if d["log"] == log["log"]]} for log in logs]
-    )
-    assert "replan view " + str(compared.path / "test/blocked/constant_speed.closed.rrd") in shown

@@ -11,7 +11,7 @@ from handmade import drive, scenario, straight, track, tracks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import AgentKind, Agents, ConfigError, EgoState, Frame, LogError, Scenario, Tracks, VehicleParameters
+from logs import AgentKind, Agents, ConfigError, Frame, LogError, Scenario, Tracks, VehicleParameters
 from logs.arrays import FloatArray
 from logs.repair.detections import Detections, Repair
 from logs.repair.identities import named_as_tracked
@@ -205,14 +205,6 @@ def test_a_sensor_without_faults_shows_the_ground_truth(seed: int) -> None:
         assert true.visibility is None and seen.visibility is not None
 
 
-def test_lanes_reach_the_predictor() -> None:
-    t = np.arange(0.0, 6.01, 0.1)
-    log = made(track("a", t, 20.0 + 5.0 * t, 1.0 + 0.0 * t, vx=5.0, vy=0.0))
-    (one,) = frames(log, LoopConfig(prediction="lane_following"), [1.0])
-    (other,) = frames(replace(log, road=replace(log.road, lanes={})), LoopConfig(prediction="lane_following"), [1.0])
-    assert one.predictions.y[0, -1] < 0.95 and other.predictions.y[0, -1] == pytest.approx(1.0)
-
-
 # --- range, field of view, occlusion
 
 
@@ -385,11 +377,3 @@ def test_the_trace_keeps_what_was_shown(run: object) -> None:
     assert set(trace.perceived.t.round(6)) <= {round(f.t, 6) for f in trace.frames}
     assert 0 < len(trace.perceived.t) < sum(len(log.tracks.perceived(f.t)) for f in trace.frames)
     assert run(log, "constant_speed").trace.perceived is None  # type: ignore[operator]
-
-
-def test_an_ego_that_is_not_there_yet_is_no_special_case() -> None:
-    frame = Perception(made(), LoopConfig(perception="sensor")).frame(
-        World(EgoState(0.0, 0.0, 0.0, 0.0, 0.0), Tracks.empty()), None
-    )
-    assert len(frame.agents) == len(frame.predictions) == 0
-    assert frame.visibility is not None and frame.visibility.shadows.shape == (0, 4, 2)

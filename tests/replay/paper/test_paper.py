@@ -176,15 +176,6 @@ def test_the_whole_command(tmp_path: Path) -> None:
     assert (free["lateral_rms_m"] < 0.03).all() and (free["lateral_max_m"] < 0.10).all()
 
 
-@pytest.mark.slow
-def test_nominal_braking_lasts_as_in_the_paper() -> None:
-    scenario = crossing_pedestrian.scenario()
-    trace = reproduce.drive(scenario, "single_track", "mpc").trace
-    clear = walker_within(scenario, 0.6)[1]
-    ((begin, end),) = [one for one in braking_intervals(trace) if one[0] < clear]
-    assert 3.0 <= end - begin <= 5.0 and end <= clear + 1.0
-
-
 def test_the_calibration_is_written_and_drawn(tmp_path: Path) -> None:
     csv, png = calibrate(tmp_path, "single_track", "small_electric")
     table = pd.read_csv(csv, index_col=0)

@@ -227,10 +227,3 @@ def test_walking_and_stopping_is_smooth_and_ends_where_it_should(v: float, more:
     assert abs(way[0]) < 1e-12 and way[-1] == pytest.approx(distance)
     assert (speed > -1e-9).all() and (speed < v + 1e-9).all()
     assert np.abs(np.diff(speed) / np.diff(t)[1:]).max() < BRAKE_MPS2 * 1.01
-
-
-def test_only_pedestrians_have_the_pedestrians_hypotheses() -> None:
-    now = one(50.0, 0.0, 0.0, 10.0)
-    np.testing.assert_array_equal(future(now, lanes(STRAIGHT), "pedestrian").x, predict(now, 0.0).x)
-    same = [future(now, lanes(STRAIGHT), m) for m in ("lane_following", "lanes_and_pedestrians")]
-    np.testing.assert_array_equal(same[0].x, same[1].x)

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 
 from logs import ConfigError, StGraph
-from logs.plan import Decision
 from metrics.judge.aggregate import LogLabels, groups, standings
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results, load
@@ -48,13 +47,6 @@ def test_a_drive_has_its_plans_with_their_inside(run: Results) -> None:
     gap = drive.metrics.set_index("metric").loc["gap.min"]
     assert drive.series["gap"].min() == gap["value"] and drive.series["gap"].idxmin() == gap["time_s"]
     assert drive.trace.end.value == drive.info["end"]
-
-
-def test_decisions_are_those_of_the_plans(run: Results) -> None:
-    result = load(run.path)
-    mine = result.decisions.query("planner == 'dp_qp' and mode == 'closed'")
-    counted = sum(isinstance(a, Decision) for f in result.drive(LOG, "dp_qp").trace.frames for a in f.plan.internals)
-    assert len(mine) == counted > 0 and "yield" in set(mine["decision"])
 
 
 def test_what_is_not_there_is_named(run: Results, tmp_path: Path) -> None:

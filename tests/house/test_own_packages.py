@@ -74,22 +74,6 @@ def test_where_a_clash_remains_one_message_names_both_files_and_the_way_out(fold
     assert str(ROOT / "metrics" / "__init__.py") in last and str(folder / "metrics.py") in last
 
 
-def test_a_planner_that_imports_its_own_metrics_is_told_of_both_files(folder: Path) -> None:
-    (folder / "mine.py").write_text("from metrics import MINE\n", encoding="utf-8")
-    (folder / "other.py").write_text("import metrics\nx = metrics.MINE\n", encoding="utf-8")
-    asked = "try:\n    planner_part('{}:P').factory\nexcept Exception as error:\n    print(error)\n"
-    done = run(
-        folder,
-        "from replay.planner_process.planner_config import planner_part\n"
-        + asked.format("mine")
-        + asked.format("other"),
-    )
-    lines = done.stdout.splitlines()
-    assert len(lines) == 2, done
-    for line, file in zip(lines, ("mine.py:1", "other.py:2"), strict=True):
-        assert file in line and str(folder / "metrics.py") in line and "exec:COMMAND" in line
-
-
 # --- the page of names
 
 

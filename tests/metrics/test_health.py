@@ -238,13 +238,6 @@ def test_many_short_tracks_are_one_finding() -> None:
     assert found.value == 2.0 and "2 of 3 tracks of vehicles" in found.text
 
 
-def test_a_repair_is_shown_before_and_after() -> None:
-    raw = scenario(tracks=moved(track(), "y", later(5.0)))
-    lines = report(scenario(), raw)
-    assert lines[1].startswith("repair: 1 tracks and ") and lines[1].endswith("1 and 0 after")
-    assert "1 motion across the axis" in lines[2]
-
-
 def test_a_phantom_is_named_with_its_time() -> None:
     there = track("ghost", y=0.0, v=0.0, t=T[AT - 3 : AT + 4], x0=40.0)
     found = [one for one in findings(scenario(tracks=there)) if one.kind is FaultKind.PHANTOM]

@@ -9,7 +9,7 @@ from drives import along, changing, drive, grid, moved, moved_ego, moving, scena
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import AgentKind, Lane, Road, RoadSource, Scenario, Trajectory
+from logs import AgentKind, Lane, Road, Scenario, Trajectory
 from metrics import METRICS, evaluate
 
 ASKED = {name: METRICS[name] for name in ("wrong_way", "lane_keeping", "lane_line")}
@@ -100,15 +100,6 @@ def test_lane_keeping_is_the_longest_stretch_beyond_half_a_metre(aside: float, s
     table = judged(LOG, beside(t, 10.0, y))
     assert table.loc["lane_keeping.worst_episode", "value"] == pytest.approx(expected)
     assert table.loc["lane_keeping.max_abs", "value"] == pytest.approx(abs(aside))
-
-
-def test_why_lanes_are_not_judged() -> None:
-    for road in (Road({}), replace(straight_road(), source=RoadSource.DRIVEN_PATH)):
-        table = judged(replace(LOG, road=road))
-        assert (table["reason"] == "the log has no lanes").all()
-    away = judged(LOG, beside(grid(2.0), 10.0, 90.0))
-    assert away.loc["lane_keeping.max_abs", "reason"].startswith("the ego is never on a lane")
-    assert away.loc["wrong_way.worst_1s", "value"] == 0.0
 
 
 @settings(max_examples=20)

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import logs.catalogue
-from logs import AgentKind, ConfigError, EgoState, Frame, Goal, Plan, PlannerContext, PlannerError, Scenario
+from logs import AgentKind, EgoState, Frame, Goal, Plan, PlannerContext, PlannerError, Scenario
 from logs.states import OnboardPlan
 from planners.constant_speed import arc
 from replay.contract import check_planner, context_of, frame_times_of, future_changes, until
@@ -154,14 +154,3 @@ def test_a_planner_of_the_users_own_is_found_in_the_working_directory(own_module
         _ = planner_part("mine_a:MyPlaner").factory
     with pytest.raises(PlannerError, match="is not a planner"):
         _ = planner_part("mine_a:__name__").factory
-
-
-def test_a_name_that_is_none_is_a_configuration_error() -> None:
-    with pytest.raises(ConfigError, match="did you mean 'constant_speed'"):
-        _ = planner_part("constant_sped").factory
-    with pytest.raises(ConfigError, match="did you mean 'logged'"):
-        _ = planner_part("loged").factory
-    with pytest.raises(ConfigError, match="module:Class"):
-        _ = planner_part("mine:").factory
-    with pytest.raises(ConfigError, match="neither is loaded into Python"):
-        _ = planner_part("exec:./planner").factory

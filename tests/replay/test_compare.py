@@ -17,7 +17,6 @@ from logs import ConfigError, LogError
 from metrics.comparison import Comparison
 from replay.compare import compare_runs, read_run, write_baseline
 from replay.config import RunConfig
-from replay.draw.report.terminal import document
 from replay.results.tables import write_parquet
 from replay.run import evaluate_logs
 from studies import regressions
@@ -127,18 +126,6 @@ def test_a_damaged_folder_is_an_error_in_one_line(runs: tuple[Path, Path], tmp_p
 
 
 # the command line -------------------------------------------------------------------------------------------------
-
-
-def test_the_report_says_inputs_regressions_partings_and_rules(runs: tuple[Path, Path]) -> None:
-    result = replan("compare", *runs)
-    for words in (
-        "before -> after", "loop.plan_delay_s: 0.0 -> 0.1", "Worst regressions", "First differences of drives",
-        "controller: commanded", "idm", "replan view ", "at most 0 flips to FAIL", "Comparison: ",
-    ):  # fmt: skip
-        assert words in result.stdout
-    content = json.loads(replan("compare", *runs, "--json", "--no-first-difference").stdout)
-    assert content["exit_code"] == result.exit_code and content["partings"] == []
-    assert len(content["pairs"]) == len(document(of(*runs, partings=0))["pairs"]) > 0
 
 
 CASES: dict[str, tuple[int, Callable[[tuple[Path, Path], Path], tuple[object, ...]]]] = {

@@ -343,18 +343,6 @@ def test_a_chart_that_fails_says_why_in_its_place(desk: Path, body: str, said: s
     assert said in chart.says and "my_bad" in chart.body
 
 
-@pytest.mark.slow
-def test_a_chart_that_fails_is_said_by_the_command_and_in_the_report_too(desk: Path) -> None:
-    Path("my_broken.py").write_text("def chart(subject):\n    return 1 / 0\n", encoding="utf-8")
-    words = "evaluate --suite my_family:PARKED -p constant_speed --mode closed --chart my_broken:chart --workers 0"
-    done = command_line.replan(*words.split(), "--no-recording", "-o", "out")
-    said = "The chart my_broken:chart could not be drawn: ZeroDivisionError"
-    assert said in done.output and "(2 of 2 drives)" in done.output
-    assert "The chart my" in Path("out/report.md").read_text(encoding="utf-8")
-    again = command_line.replan("report", "out")
-    assert said in again.stderr and again.exit_code == 0
-
-
 GAINS = """def it(*_, gain: float = 1.0):
     if gain < 0:
         raise ValueError("below")

@@ -58,9 +58,7 @@ LATER = {
     "test_a_signal_before_and_in_a_command_ends_it_with_130_and_after_it_changes_nothing": 0,  # 4 s
     "replay/cli/test_streams.py::test_exit_codes_with_closed_streams_are_those_with_open_ones": 0,  # 7 s
     "replay/cli/test_words.py::test_json_is_one_document_and_says_what_the_words_say": 4,  # 7 s, 11
-    "replay/cli/test_words.py::test_the_json_of_a_run_is_its_summary": 0,  # 6 s
     "replay/cli/test_export.py::test_a_run_is_written_whole_and_other_logs_are_named": 0,  # 4 s
-    "replay/cli/test_listed_settings.py::test_a_name_is_one_document_or_a_page": 0,  # 3 s
     "replay/cli/test_cli.py::test_log_planner_and_mode_choose_the_same_drives_in_every_command": 0,  # 3 s
     "replay/cli/test_cli.py::test_the_report_says_what_the_exit_code_says_and_why": 2,  # 5 s, 3
     "replay/cli/test_cli.py::test_without_out_the_folder_is_numbered_and_said": 0,  # 3 s

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import replace
 from importlib.metadata import EntryPoint
@@ -13,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import ros_bags as bags
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap_cases import rich_scenario
@@ -23,10 +21,9 @@ from logs.catalogue import CATALOGUE
 from logs.cut import cut
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, Reader, logs_in, read_log, reader_of, readers, windows
-from logs.summary import summarise
 from replay.config import RunConfig
 from replay.run import evaluate_logs
-from replay.run.sources import LogSource, log_hash, select
+from replay.run.sources import LogSource, select
 
 SCENARIO = CATALOGUE["everyday/cut_in"].scenario()
 
@@ -213,20 +210,3 @@ def test_a_map_that_is_not_there_is_found_before_anything_is_written(tmp_path: P
     with pytest.raises(ConfigError, match=r"none\.osm: no such map"):
         evaluate_logs([tmp_path / "log.mcap"], run, tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("place", ["folder", "file"])
-def test_a_pipe_is_refused_before_it_is_opened(tmp_path: Path, place: str) -> None:
-    """Whatever opens it waits for a writer that never comes."""
-    if place == "file":
-        log = pipe = tmp_path / "log.mcap"
-    else:
-        log = bags.write_ros2(tmp_path / "bag", bags.odometry(duration=1.0), sqlite=True)
-        pipe = next(log.glob("*.db3"))
-        pipe.unlink()
-    os.mkfifo(pipe)
-    with pytest.raises(LogError, match=f"{pipe.name}: is a named pipe, not a file"):
-        read_log(log)
-    assert f"{pipe.name}: is a named pipe" in str(summarise(log).error)
-    with pytest.raises(LogError, match="is a named pipe"):
-        log_hash(log)

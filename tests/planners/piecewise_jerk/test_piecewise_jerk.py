@@ -19,8 +19,6 @@ from scipy import sparse
 from scipy.optimize import linprog, nnls
 
 from logs.arrays import FloatArray
-from logs.errors import ConfigError
-from planners.dp_qp.parameters import DpQpConfig
 from planners.dp_qp.path import qp as path_qp
 from planners.dp_qp.speed import qp as speed_qp
 from planners.piecewise_jerk import interior_point
@@ -192,14 +190,6 @@ def test_what_cannot_be_solved_is_named() -> None:
         assert not report.solved and words in report.status
     spent = interior_point.solve(problem, ACCURACY_M, 2)
     assert STATUS[spent.status] == "iterations spent" and spent.iterations == 2
-
-
-def test_an_unknown_solver_is_a_wrong_setting() -> None:
-    assert DpQpConfig(solver="osqp").solver == "osqp"
-    with pytest.raises(ConfigError, match=r"no solver is called 'osq'; did you mean 'osqp'"):
-        DpQpConfig(solver="osq")
-    with pytest.raises(ConfigError, match=r"known are: interior_point, osqp, piqp"):
-        DpQpConfig(solver="none")
 
 
 PRINTED = """

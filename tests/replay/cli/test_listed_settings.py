@@ -144,18 +144,6 @@ def test_a_part_of_a_user_is_described_by_its_kind(module: Callable[[str, str], 
     assert "takes the arguments of no" in one_error(replan("list", "listed_mine:MineConfig"))
 
 
-def test_a_name_is_one_document_or_a_page() -> None:
-    (said,) = json.loads(replan("list", "idm", "--json").stdout)
-    settings = {one["key"]: one for one in said["settings"]}
-    accel = settings["planner.idm.accel_mps2"]
-    assert (accel["default"], accel["unit"], accel["range"]) == (1.4, "m/s2", {"exclusiveMinimum": 0.0})
-    page = replan("list", "idm").stdout
-    assert all(key in page and one["meaning"] in page for key, one in settings.items())
-    assert [one["settings"] for one in json.loads(replan("list", "gap", "--json").stdout)] == [None]
-    assert [one["settings"] for one in json.loads(replan("list", "stanley", "--json").stdout)] == [[]]
-    assert "did you mean 'idm'" in one_error(replan("list", "idmm"))
-
-
 def test_the_shell_completes_settings_of_parts_and_names_to_list() -> None:
     assert complete_setting("planner.dp_qp.speed.qp.comfort.d") == ["planner.dp_qp.speed.qp.comfort.decel_mps2="]
     assert complete_setting("vehicle_model.kinematic_bicycle.") == ["vehicle_model.kinematic_bicycle.rear_ratio="]

@@ -13,7 +13,7 @@ from threading import Event
 from typing import Any
 
 import pytest
-from command_line import evaluate, gates, one_error, replan
+from command_line import evaluate, one_error, replan
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -87,20 +87,6 @@ def test_json_is_one_document_and_says_what_the_words_say(folder: Path, words: t
     assert result.exit_code == 0
     assert found(json.loads(result.stdout))
     assert replan(*(word.format(free=folder / "free.mcap") for word in words)).exit_code == 0
-
-
-def test_the_json_of_a_run_is_its_summary(folder: Path, tmp_path: Path) -> None:
-    rule = gates(tmp_path / "gates.toml", 'metric = "gap.min"\nmin = 0.5')
-    words = (folder / "free.mcap", "--gates", rule, "--out", tmp_path / "out")
-    result = evaluate(*words, "--json")
-    said = json.loads(result.stdout)
-    written = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
-    assert {"results": str(tmp_path / "out"), **written} == {"schema_version": written["schema_version"], **said}
-    assert (result.exit_code, said["exit_code"]) == (4, 4)
-    for number in (1, 2):
-        evaluate(*words[:-1], tmp_path / f"{number}", "--shard", f"{number}/2")
-    merged = replan("merge", tmp_path / "1", tmp_path / "2", "-o", tmp_path / "merged", "--json")
-    assert json.loads(merged.stdout)["logs"] == said["logs"]
 
 
 def test_errors_leave_stdout_empty_and_quiet_says_them(folder: Path, tmp_path: Path) -> None:

@@ -27,7 +27,6 @@ from logs import (
     Mode,
     Plan,
     PlannerContext,
-    PlannerError,
     PlanStatus,
     Road,
     RoadSource,
@@ -439,22 +438,6 @@ def test_a_planner_that_fails_ends_the_drive_with_one_line(
     assert len(trace.frames) == frames
     if trace.mode is Mode.CLOSED:
         assert trace.commands is not None and len(trace.ego) == len(trace.commands) == 10 * frames + 1
-
-
-@pytest.mark.parametrize("run", RUNS)
-def test_a_planner_that_cannot_be_built_is_an_error(plugin: ModuleType, run: Run) -> None:
-    class NeedsMore(ConstantSpeed):
-        def __init__(self, context: PlannerContext, *, weight: float = 1.0) -> None:
-            raise KeyError("weights.bin")
-
-    plugin.NeedsMore = NeedsMore  # type: ignore[attr-defined]
-    made = scenario(drive(straight, 10.0, 3.0))
-    with pytest.raises(PlannerError, match=r"plugin:NeedsMore.*handmade.*weights\.bin"):
-        run(made, "plugin:NeedsMore", config=TRUSTED)
-    with pytest.raises(ConfigError, match="unexpected keyword argument 'wieght'"):
-        run(made, "plugin:NeedsMore", config=TRUSTED, planner_config={"wieght": 2.0})
-    with pytest.raises(ConfigError, match="did you mean 'logged'"):
-        run(made, "loged")
 
 
 # --- no future in a drive

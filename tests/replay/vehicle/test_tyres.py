@@ -11,7 +11,7 @@ from handmade import drive
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from logs import ConfigError, Controls, VehicleParameters
+from logs import Controls, VehicleParameters
 from logs.vehicle import vehicle_parameters
 from replay.vehicle.tyres import (
     GRAVITY,
@@ -104,13 +104,6 @@ def test_the_magic_formula_is_that_of_commonroad() -> None:
         for load in (1000.0, 6000.0, 9000.0):
             expected = theirs.formula_lateral(atan(slip), 0.0, load, package)[0]
             assert lateral_force(float(slip), load, front) == pytest.approx(expected, rel=1e-5, abs=1e-9)
-
-
-def test_wrong_keywords_are_named() -> None:
-    with pytest.raises(ConfigError, match="did you mean 'fiala'"):
-        axle_tyres(CAR, "fialla", 1.0)
-    with pytest.raises(ConfigError, match="tyre_stiffness must be positive"):
-        axle_tyres(CAR, "fiala", 0.0)
 
 
 def steered(t: np.ndarray, angle: float) -> Controls:

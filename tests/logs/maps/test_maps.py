@@ -370,3 +370,11 @@ def test_any_bytes_are_a_map_or_an_error(data: st.DataObject, tmp_path_factory: 
         assert error.file == path
     else:
         assert found.road.lanes
+
+
+def test_a_123d_map_is_one_of_the_maps(shared_data: Path, tmp_path: Path) -> None:
+    town = read_map(shared_data / "py123d" / "carla_map" / "maps" / "opendrive" / "opendrive_Town02.arrow")
+    assert len(town.road.lanes) == 88 and len(town.road.stop_lines) == 39
+    (tmp_path / "map.arrow").write_bytes(b"ARROW1 and nothing else")
+    with pytest.raises(LogError, match=r"map\.arrow"):
+        read_map(tmp_path / "map.arrow")

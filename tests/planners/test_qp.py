@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.optimize import nnls
 
 from logs.arrays import FloatArray
-from planners.solver import QPConfig, QuadraticProgram
+from planners.solver import QPConfig, QPResult, QuadraticProgram
 
 FAST = QPConfig(eps=1e-6, max_iterations=20_000)
 SURE = QPConfig(max_iterations=1, check_every=1)  # OSQP gives up at once: PIQP answers
@@ -144,6 +144,16 @@ def test_an_unbounded_problem_is_not_solved() -> None:
     solver = QuadraticProgram("test", sparse.csc_matrix((2, 2)), sparse.eye(2, format="csc"))
     free = np.full(2, np.inf)
     assert not solver.solve(np.ones(2), -free, free, fresh=True).report.solved
+
+
+def test_the_report_says_which_row_crosses_and_who_solved() -> None:
+    solver, _, A = program(1, SURE)
+    data = vectors(A, 2)
+    assert "row 4" in solver.solve(*broken("bounds cross", data), fresh=True).report.status
+    assert "nan" in solver.solve(*broken("a bound is no number", data), fresh=True).report.status
+    result: QPResult = solver.solve(*data, fresh=True)
+    assert result.report.stage == "test" and result.report.status == "solved by PIQP after 1 OSQP iterations"
+    assert result.report.iterations > 1 and result.report.primal_residual < 1e-6
 
 
 @given(SEED, SEED, st.lists(st.floats(-2.0, 2.0), min_size=7, max_size=7))

@@ -15,8 +15,7 @@ COPY --from=built /opt/replan /opt/replan
 ENV PATH=/opt/replan/bin:$PATH \
     NUMBA_CACHE_DIR=/opt/replan/kernels \
     PYTHONDONTWRITEBYTECODE=1 \
-    TMPDIR=/scratch \
-    MPLCONFIGDIR=/scratch/matplotlib
+    TMPDIR=/scratch
 RUN mkdir --mode=1777 /scratch && replan warmup --all && chmod -R a+rX,go-w /opt/replan \
     && useradd --create-home --uid 10001 replan && mkdir /results && chown replan /results \
     && rm -rf /scratch/*

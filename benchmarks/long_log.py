@@ -139,9 +139,10 @@ def measured(console: Console, scenario: Scenario, mode: Mode, chosen: argparse.
     """The stages of one drive, as a worker has them (`replay.run.one_log`)."""
     import metrics
     from logs.mcap import write_trace
+    from replay.draw.model import MEASURED
     from replay.loop.reference_drives import reference_table
     from replay.results.log_result import Steps, StepsFile
-    from replay.run.one_log import LOOPS, SHOWN
+    from replay.run.one_log import LOOPS
 
     keep = not chosen.no_recording or chosen.internals != "none"
     if mode is Mode.CLOSED:
@@ -154,7 +155,7 @@ def measured(console: Console, scenario: Scenario, mode: Mode, chosen: argparse.
         keeping = lambda name, series: found.setdefault(name, steps.put(name, series))  # noqa: E731
         table = metrics.evaluate(drive.trace, scenario, found=keeping)
         steps.add(chosen.planner, mode.value, tuple(found.values()))
-        shown = steps.table([found[name] for name in SHOWN if name in found])
+        shown = steps.table([found[name] for name in MEASURED if name in found])
     with stage(console, f"{mode.value}: frames.parquet"):
         steps.write()
     with stage(console, f"{mode.value}: trace"):

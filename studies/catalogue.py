@@ -27,9 +27,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from math import ceil, nan
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from logs.catalogue import FAMILIES, SUITES, Family
@@ -37,14 +36,12 @@ from logs.errors import ConfigError, ReplanError
 from metrics.judge import CAREFUL, IMPACT, REFERENCE, REPLAY_CONTACT
 from metrics.judge.gates import Outcome
 from replay.config import RunConfig
-from replay.draw.report.figures import STYLE, empty_figure, save
+from replay.draw.charts.axes import Plane, rows_plane
+from replay.draw.charts.canvas import Chart, legend
+from replay.draw.charts.layout import GAP_PX, together
 from replay.results.tables import write_file, write_text
 from replay.run import evaluate_logs
 from replay.run.pool import freeze_gc
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 COLUMNS = (
     "log", "family", "parameters", "outcome", "careful", "careful_margin_m", "end", "detail", "t_end_s", "gap_m",
@@ -52,23 +49,23 @@ COLUMNS = (
 )  # fmt: skip
 """`careful`: "avoids", "meets", or "meets no one anyway" at constant speed."""
 OUTCOMES: Mapping[str, str] = {
-    "pass": "#4daf6a",
-    "better": "#1b7837",
-    "fails a gate": "#f2c14e",
-    "run into": "#8da0cb",
-    "unavoidable": "#8c8c8c",
-    "contact": "#d62728",
-    "not evaluated": "#111111",
+    "pass": "green",
+    "better": "blue",
+    "fails a gate": "olive",
+    "run into": "orange",
+    "unavoidable": "grey",
+    "contact": "red",
+    "not evaluated": "blank",
 }
 """Colours, in the order of the legend and of the tables' columns."""
 PASSED = ("pass", "better", "unavoidable", "run into")
 AT_FAULT = "collision_at_fault.count"
 SLOWER_MPS = 1.0
 """An impact that is so much harder than the careful driver's is the planner's (as in `metrics.judge`)."""
-ACROSS, PANEL_IN = 7, (3.2, 2.7)
+ACROSS, PANEL_PX, TOP_PX = 6, (250.0, 190.0), 40.0
 TICKS = 7
-WIDE, SIZE = 0.85, 80.0
-"""How much of its place a cell fills, and the mark's size, points squared."""
+WIDE = 0.85
+"""How much of its place a cell fills."""
 
 
 def table_of(results: Path, planner: str) -> pd.DataFrame:
@@ -168,25 +165,23 @@ def _markdown(table: pd.DataFrame) -> list[str]:
     return [f"| {' | '.join(row)} |" for row in ([str(c) for c in table.columns], ["---"] * len(table.columns), *rows)]
 
 
-def picture(table: pd.DataFrame, title: str) -> Figure:
+def picture(table: pd.DataFrame, title: str) -> Chart:
     """A panel per family that has a grid, one of all others; a ring is where the careful driver meets someone."""
-    import matplotlib as mpl
-
     grids = [name for name in FAMILIES if FAMILIES[name].grid and (table["family"] == name).any()]
+    charts = [_panel(FAMILIES[name], table[table["family"] == name]) for name in grids]
     single = table[~table["family"].isin(grids)]
-    count = len(grids) + bool(len(single))
-    with mpl.rc_context({**STYLE, "font.size": 7.0, "axes.titlesize": 7.5}):
-        down = ceil(count / ACROSS)
-        figure = empty_figure(ACROSS * PANEL_IN[0], down * PANEL_IN[1])
-        panels = figure.subplots(down, ACROSS, squeeze=False).ravel()
-        for panel, name in zip(panels, grids, strict=False):
-            _panel(panel, FAMILIES[name], table[table["family"] == name])
-        if len(single):
-            _list(panels[len(grids)], single)
-        for panel in panels[count:]:
-            panel.set_axis_off()
-        _legend(figure, title)
-        return figure
+    if len(single):  # the families of a single cell below each other
+        plane, names = rows_plane([str(log) for log in single["log"]], (0.0, 4.0), 300.0, 14.0, top=TOP_PX, most=220.0)
+        rows = [row for _, row in single.iterrows()]
+        inside = "".join(_mark(plane, 0.5, at, row, 0.7) for row, (at, _) in zip(rows, names, strict=True))
+        charts.append(plane.chart("single", "families of one cell", inside, x_ticks=(), y_ticks=names))
+    entries = [
+        *(("area", kind, name) for name, kind in OUTCOMES.items()),
+        ("area", "ring", "UN R157's driver meets someone"),
+    ]
+    wide = ACROSS * (PANEL_PX[0] + GAP_PX)
+    head = Chart("legend", "", "", wide - GAP_PX, 20.0, legend(0.0, 14.0, entries))
+    return together([head, *charts], title, "", wide)
 
 
 def _axes(family: Family) -> tuple[str, str]:
@@ -195,55 +190,41 @@ def _axes(family: Family) -> tuple[str, str]:
     return names[0], names[1] if len(names) > 1 else ""
 
 
-def _panel(panel: Axes, family: Family, rows: pd.DataFrame) -> None:
+def _panel(family: Family, rows: pd.DataFrame) -> Chart:
     """The cells of a family by two of its parameters; those that share a place fill it row by row."""
     along, up = _axes(family)
-    for name, axis in ((along, panel.xaxis), (up, panel.yaxis)):
-        values = family.grid.get(name, ())
-        each = max(1, ceil(len(values) / TICKS))
-        axis.set_ticks(range(0, len(values), each), [f"{value:g}" for value in values[::each]])
+    x, y = (family.grid.get(name, ()) for name in (along, up))
+    plane = Plane((-0.6, len(x) - 0.4), (-0.6, max(len(y), 1) - 0.4), *PANEL_PX, top=TOP_PX)
     cells = [_numbers(words) for words in rows["parameters"]]
     places = [tuple(family.grid[name].index(cell[name]) if name else 0 for name in (along, up)) for cell in cells]
-    used: dict[tuple[int, ...], int] = {}
+    used, inside = dict[tuple[int, ...], int](), ""
     for place, (_, row) in zip(places, rows.iterrows(), strict=True):
         nth, side = used.get(place, 0), ceil(places.count(place) ** 0.5)
         used[place] = nth + 1
-        x, y = (at + WIDE * ((k + 0.5) / side - 0.5) for at, k in zip(place, (nth % side, nth // side), strict=True))
-        _mark(panel, x, y, row, SIZE / side**2)
-    panel.set_xlim(-0.6, len(family.grid[along]) - 0.4)
-    panel.set_ylim(-0.6, max(len(family.grid.get(up, ())), 1) - 0.4)
-    hidden = [name for name in family.grid if name not in (along, up)]
-    panel.set(xlabel=along, ylabel=up, title=family.name + (f"\nand {', '.join(hidden)}" if hidden else ""))
+        at_x, at_y = (
+            v + WIDE * ((k + 0.5) / side - 0.5) for v, k in zip(place, (nth % side, nth // side), strict=True)
+        )
+        inside += _mark(plane, at_x, at_y, row, WIDE / side)
+    hidden = ", ".join(name for name in family.grid if name not in (along, up))
+    head = f"{family.name} and {hidden}" if hidden else family.name
+    titles = dict[str, Any](x_title=along, y_title=up, x_ticks=_ticks(x), y_ticks=_ticks(y))
+    return plane.chart(family.name, head, inside, **titles)
 
 
-def _mark(panel: Axes, x: float, y: float, row: pd.Series, size: float) -> None:
-    ring = row["careful"] == "meets"
-    panel.scatter(
-        [x], [y], s=size, marker="s", color=OUTCOMES[str(row["outcome"])],
-        edgecolors="#000000" if ring else "none", linewidths=0.1 * size**0.5,
-    )  # fmt: skip
+def _ticks(values: Sequence[float]) -> list[tuple[float, str]]:
+    each = max(1, ceil(len(values) / TICKS))
+    return [(float(k), f"{values[k]:g}") for k in range(0, len(values), each)]
+
+
+def _mark(plane: Plane, x: float, y: float, row: pd.Series, size: float) -> str:
+    half = 0.45 * size
+    box = (x - half, x + half), (y - half, y + half)
+    drawn = plane.box(*box, OUTCOMES[str(row["outcome"])], f"{row['log']}: {row['outcome']}")
+    return drawn + (plane.box(*box, "ring") if row["careful"] == "meets" else "")
 
 
 def _numbers(words: str) -> dict[str, float]:
     return {key: float(value) for key, _, value in (word.partition("=") for word in words.split(",") if word)}
-
-
-def _list(panel: Axes, rows: pd.DataFrame) -> None:
-    """The families of a single cell below each other."""
-    names = [str(name) for name in rows["log"]]
-    for k, (_, row) in enumerate(rows.iterrows()):
-        _mark(panel, 0.0, float(k), row, 25.0)
-    panel.set_yticks(np.arange(len(names)), names, fontsize=5.5)
-    panel.set_xticks([])
-    panel.set_title("families of one cell")
-
-
-def _legend(figure: Figure, title: str) -> None:
-    from matplotlib.lines import Line2D
-
-    marks = [Line2D([], [], marker="s", ls="", color=color, label=name) for name, color in OUTCOMES.items()]
-    ring = Line2D([], [], marker="s", ls="", mfc="none", mec="#000000", label="UN R157's driver meets someone")
-    figure.legend(handles=[*marks, ring], loc="outside upper center", ncols=len(marks) + 1, fontsize=9.0, title=title)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -263,7 +244,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen.out.mkdir(parents=True, exist_ok=True)
     write_file(chosen.out / "catalogue.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
     write_text(chosen.out / "catalogue.md", written(table, chosen.suite, chosen.planner))
-    save(picture(table, f"{chosen.planner} on the suite {chosen.suite}, closed loop"), chosen.out / "catalogue.png")
+    picture(table, f"{chosen.planner} on the suite {chosen.suite}, closed loop").save(chosen.out / "catalogue.png")
     print(counted(table).to_string())  # noqa: T201
     return 0
 

@@ -287,7 +287,7 @@ def plot(
       replan plot results/run-001 -p dp_qp -p idm --chart curves
     """
     with handle_errors():
-        from replay.draw.charts.layout import charts_of, save, together
+        from replay.draw.charts.layout import charts_of, together
         from replay.draw.charts.subject import subject
         from replay.draw.drawn_results import load
         from replay.results.tables import safe_name
@@ -302,13 +302,13 @@ def plot(
             raise ConfigError(f"{path}: a picture ends with .png or .svg, a folder has no ending")
         charts = charts_of(seen, chart, width)
         if path.suffix in (".png", ".svg") and not path.is_dir():
-            save(together(charts, seen.title, seen.says, width), path, theme=theme.value, width=width)
+            together(charts, seen.title, seen.says, width).save(path, theme=theme.value, width=width)
             say(f"{path}  ({seen.title}, {seen.says}){chosen.remark}")
             return
         for one in charts:
             for ending in (".png", ".svg"):
                 file = path / f"{name}-{one.name}{ending}"
-                save(one, file, theme=theme.value, width=width)
+                one.save(file, theme=theme.value, width=width)
                 say(file)
 
 

@@ -40,7 +40,6 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.arrays import FloatArray, frozen
-from logs.errors import ConfigError
 from logs.kernel import kernel
 from replay.vehicle.base import Powertrain
 from replay.vehicle.pedal_map import PedalMap, coasting, full_throttle
@@ -199,29 +198,6 @@ class Calibration:
             writer.writerow(["acceleration_mps2", *(f"{v:g}_mps" for v in self.speed)])
             for a, row in zip(self.acceleration, self.pedal, strict=True):
                 writer.writerow([f"{a:g}", *("" if np.isnan(value) else f"{value:.6f}" for value in row)])
-
-    def plot(self, path: Path) -> None:
-        """Draw the table as a picture (the suffix of the path selects the format).
-
-        Raises:
-            ConfigError: matplotlib is not installed.
-        """
-        try:
-            from matplotlib.backends.backend_agg import FigureCanvasAgg
-            from matplotlib.figure import Figure
-        except ImportError:
-            raise ConfigError("plots need matplotlib: install it, or write the CSV only") from None
-        figure = Figure(figsize=(7.0, 4.5), layout="constrained")
-        FigureCanvasAgg(figure)
-        axes = figure.add_subplot()
-        mesh = axes.pcolormesh(
-            self.speed, self.acceleration, np.ma.masked_invalid(self.pedal),
-            cmap="RdBu", vmin=-1.0, vmax=1.0, shading="nearest",
-        )  # fmt: skip
-        axes.set_xlabel("speed, m/s")
-        axes.set_ylabel("acceleration, m/s2")
-        figure.colorbar(mesh, ax=axes, label="pedal: throttle > 0, brake < 0")
-        figure.savefig(path, dpi=150)
 
 
 def _place(grid: FloatArray, value: float) -> tuple[int, float]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from logs.arrays import FloatArray, IntArray
 from logs.memory import loaded
-from logs.plan import Corridor, Decision, DecisionKind, Graph, GraphObstacle, GridCost, Plan
+from logs.plan import Corridor, Decision, DecisionKind, Graph, GraphObstacle, GridCost, Plan, SlGraph, StGraph
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.states import Controls
@@ -29,32 +29,28 @@ if TYPE_CHECKING:
 
     from replay.drive import StageTime
 
-ROUND = (1.0, 2.0, 5.0, 10.0)
-"""Round steps are these factors times a power of ten."""
 
-
-def nice_step(span: float, most: int, factors: tuple[float, ...] = ROUND) -> float:
-    """The smallest round step that divides a span into at most `most` parts."""
+def nice_step(span: float, most: int) -> float:
+    """The smallest of 1, 2, 2.5, 5 times a power of ten that divides a span into at most `most` parts."""
     rough = max(span, 1e-9) / most
     unit = 10.0 ** floor(log10(rough))
-    return float(next(unit * factor for factor in factors if unit * factor >= rough * (1.0 - 1e-9)))
-
-
-def multiples(low: float, high: float, step: float) -> FloatArray:
-    """The multiples of a step in a range."""
-    return np.arange(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1) * step
+    return float(next(unit * factor for factor in (1.0, 2.0, 2.5, 5.0, 10.0) if unit * factor >= rough * (1.0 - 1e-9)))
 
 
 def ticks(low: float, high: float, most: int) -> FloatArray:
-    """Multiples of 1, 2, 2.5 or 5 times a power of ten in a range: at least two, about `most` at most."""
+    """Multiples of a round step in a range: at least two, about `most` at most."""
     for bins in range(max(most, 2), 40):
-        found = multiples(low, high, nice_step(high - low, bins, (1.0, 2.0, 2.5, 5.0, 10.0)))
+        step = nice_step(high - low, bins)
+        found = np.arange(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1) * step
         if len(found) > 1:
             return found
     return np.array([low, high])
 
 
-def widened(low: float, high: float, least: float, room: float = 0.06) -> tuple[float, float]:
+Span = tuple[float, float]
+
+
+def widened(low: float, high: float, least: float, room: float = 0.06) -> Span:
     """A range with a margin, never shorter than `least`, so that a constant value looks constant."""
     half = max((0.5 + room) * (high - low), 0.5 * least)
     return 0.5 * (low + high) - half, 0.5 * (low + high) + half
@@ -62,13 +58,13 @@ def widened(low: float, high: float, least: float, room: float = 0.06) -> tuple[
 
 JERK = LON_JERK_STATE.name
 SPIKE = 99.5
-"""Percentile of the absolute values of a spiky curve up to which the axis of a chart reaches."""
+"""Percentile of the absolute values of a spiky curve up to which the axis reaches."""
 BLUE, YELLOW, RED, GREEN, VIOLET, TEAL, PINK, GREY = SERIES = (
     0x4AB8F5FF, 0xE8AC30FF, 0xFF6E64FF, 0x78DC82FF, 0xC896FFFF, 0x50D2C8FF, 0xFF96C8FF, 0x9E9E9EFF,
 )  # fmt: skip
 """Colours of curves in recordings, 0xRRGGBBAA; charts tell curves apart by their order."""
-DIM, PALE = 0xFFFFFF78, 0xFFFFFF96
-"""Masks that make a colour more transparent: `RED & DIM`."""
+DIM = 0xFFFFFF78
+"""Mask that makes a colour more transparent: `RED & DIM`."""
 
 Steps = Callable[[str], tuple[FloatArray, FloatArray]]
 """Maps the name of a metric to its times and values `(n,)`; both are empty if it was not measured."""
@@ -87,7 +83,7 @@ class Curve:
         width: Width in recordings, pixels.
         steps: Whether a value holds until the next.
         spiky: Whether the axis may cut off its rarest values.
-        asked: Whether it is what was planned or asked for, not what was done.
+        asked: Whether it is what was planned, asked for, allowed or logged, not what was done.
     """
 
     name: str
@@ -95,7 +91,7 @@ class Curve:
     t: FloatArray
     values: FloatArray
     colour: int = BLUE
-    width: float = 1.5
+    width: float = 2.0
     steps: bool = False
     spiky: bool = False
     asked: bool = False
@@ -134,11 +130,12 @@ class Panel:
     Attributes:
         name: One word.
         title: The title, with the unit.
-        curves: The curves with a finite value; at most three in a chart.
+        curves: The curves with a finite value, the most important first: a chart shows at most four.
         least: The axis is never shorter than this, so that a constant curve looks constant.
         about: Prefixes of the names of metrics; charts shade the times at which their gates fail.
-        floor: The axis does not go below this, in charts.
-        most: The axis does not go above this, in charts.
+        floor: The axis does not go below this.
+        most: The axis does not go above this.
+        charted: Whether charts show it, too; recordings show all.
     """
 
     name: str
@@ -148,6 +145,7 @@ class Panel:
     about: tuple[str, ...] = ()
     floor: float = -np.inf
     most: float = np.inf
+    charted: bool = True
 
     @property
     def values(self) -> FloatArray:
@@ -155,8 +153,8 @@ class Panel:
         return np.concatenate([curve.known for curve in self.curves])
 
     @property
-    def range(self) -> tuple[float, float]:
-        """The axis of a chart."""
+    def range(self) -> Span:
+        """The axis."""
         values = self.values
         if any(curve.spiky for curve in self.curves):
             far = max(float(np.percentile(np.abs(values), SPIKE)), 0.5 * self.least)
@@ -171,17 +169,16 @@ def _panels_with_values(*panels: Panel) -> list[Panel]:
     return [panel for panel in kept if panel.curves]
 
 
-def _columns(some: object | None, *curves: tuple[str, str, str, int, float]) -> tuple[Curve, ...]:
-    """Curves of an object with columns, each as name, legend, column, colour and width; empty if the object is None."""
+def _columns(some: object | None, *curves: tuple[str, str, str, int], asked: bool = False) -> tuple[Curve, ...]:
+    """Curves of an object with columns, each as name, legend, column and colour; empty if the object is None."""
     if some is None:
         return ()
     t: FloatArray = some.t  # type: ignore[attr-defined]
+    width = 1.0 if asked else 2.0
     return tuple(
-        Curve(name, legend, t, getattr(some, column), colour, width) for name, legend, column, colour, width in curves
+        Curve(name, legend, t, getattr(some, column), colour, width, asked=asked)
+        for name, legend, column, colour in curves
     )
-
-
-# recordings -------------------------------------------------------------------------------------------------------
 
 
 def steps_of(table: DataFrame | None) -> Steps:
@@ -196,69 +193,119 @@ def steps_of(table: DataFrame | None) -> Steps:
     return steps
 
 
-def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray, steps: Steps) -> list[Panel]:
-    """Speed, acceleration, jerk, pedals, steering, tracking errors and tyres, until the end of `times`."""
-    ego, log = trace.ego, scenario.ego.between(-np.inf, float(times[-1]))
-    compared = log if trace.mode is Mode.CLOSED and len(log) > 1 else None
-    jerk = steps(JERK)
-    limits = np.full(len(times), np.nan)  # speed limit of the lane under the ego
-    if scenario.road.source is RoadSource.LANES:
-        x, y = np.interp(times, ego.t, ego.x), np.interp(times, ego.t, ego.y)
-        for i in range(len(times)):
-            lanes = scenario.road.lanes_at(float(x[i]), float(y[i]))
-            limits[i] = next((lane.speed_limit for lane in lanes if lane.drivable), np.nan)
-    speeds = (
-        Curve("limit", "limit", times, limits, RED, 1.0, steps=True),
-        *_columns(compared, ("log", "log", "v", GREY, 1.0)),
-        *_plan_curves(trace, "v"),
-        Curve("ego", "ego", ego.t, ego.v, BLUE, 2.0),
-    )
-    accelerations = (
-        Curve("jerk", "jerk", *jerk, RED & PALE, 1.0, spiky=True),
-        *_columns(compared, ("log", "log", "a", GREY, 1.0)),
-        *_plan_curves(trace, "a"),
-        Curve("ego", "ego", ego.t, ego.a, BLUE, 2.0),
-    )
-    asked, done, logged = trace.commands, trace.actuation, scenario.controls
+MEASURED = (
+    "route_progress", "lon_accel", "lat_accel", JERK, "lat_jerk_state", "gap", "gap_vulnerable", "ttc",
+    "ade.1s", "ade.3s", "ade.5s", "plan_lon_accel", "plan_lat_accel", "plan_lon_jerk", "plan_change",
+)  # fmt: skip
+"""The metrics of which panels show the steps."""
+
+
+def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
+    """The panels of a drive or a log: all that have a finite value.
+
+    Open loop: each plan is one step. What plans asked for is drawn if the trace has all plans; otherwise the speed of
+    the plan in force of a closed loop is the ego's minus the tracking error. The log is drawn unless its ego is that of
+    the drive, as in the scenario of a trace file.
+    """
+
+    def measured(legend: str, metric: str, colour: int = BLUE, *, gaps: bool = False, spiky: bool = False) -> Curve:
+        """A metric per step, without missing values; `gaps` breaks the curve where values are missing for over 1 s."""
+        t, values = steps(MEASURED[MEASURED.index(metric)])
+        known = np.isfinite(values)
+        t, values = t[known], values[known]
+        if gaps:
+            far = np.flatnonzero(np.diff(t) > 1.0)
+            t, values = np.insert(t, far + 1, t[far]), np.insert(values, far + 1, np.nan)
+        return Curve(metric, legend, t, values, colour, spiky=spiky)
+
+    ego, done, asked, errors, logged = trace.ego, trace.actuation, trace.commands, trace.tracking, scenario.controls
+    end, is_open = float(ego.t[-1]), trace.mode is Mode.OPEN
+    log = None if is_open else scenario.ego.between(-np.inf, end)
+    log = log if log is not None and len(log) > 1 and not np.array_equal(log.v, ego.v) else None
+    if log is None and done is not None:
+        logged = None
     if logged is not None:
-        kept = logged.t <= float(ego.t[-1])
+        kept = logged.t <= end
         logged = Controls(*(getattr(logged, name)[kept] for name in ("t", "steer", "throttle", "brake")))
-    pedals = (
-        *_columns(asked, ("throttle_command", "throttle asked", "throttle", GREEN & DIM, 1.0),
-                  ("brake_command", "brake asked", "brake", RED & DIM, 1.0)),
-        *_columns(done, ("throttle", "throttle", "throttle", GREEN, 2.0), ("brake", "brake", "brake", RED, 2.0)),
-        *_columns(logged, ("throttle_log", "throttle log", "throttle", GREY, 1.0),
-                  ("brake_log", "brake log", "brake", YELLOW, 1.0)),
-    )  # fmt: skip
-    steer = (
-        *_columns(logged, ("log", "log", "steer", GREY, 1.0)),
-        *_columns(asked, ("command", "asked", "steer", BLUE & DIM, 1.0)),
-        *_columns(done, ("ego", "ego", "steer", BLUE, 2.0)),
-    )
-    errors = trace.tracking
-    across = _columns(errors, ("lateral", "lateral [m]", "lateral", YELLOW, 1.5),
-                      ("heading", "heading [rad]", "heading", TEAL, 1.5))  # fmt: skip
-    along = _columns(errors, ("station", "station [m]", "station", VIOLET, 1.5),
-                     ("speed", "speed [m/s]", "speed", GREEN, 1.5))  # fmt: skip
+    plan = _predicted(trace, "v")
+    if not plan and errors is not None:
+        planned = np.interp(errors.t, ego.t, ego.v) - errors.speed
+        plan = [Curve("plan", "plan", errors.t, planned, YELLOW, asked=True)]
+    along = replace(measured("along", "lon_accel"), name="ego")
+    along = along if len(along.t) else Curve("ego", "along", ego.t, ego.a)
     slips, friction = list[Curve](), list[Curve]()
     if done is not None and len(ego) > 1:
         use = tyre_use(ego, done, scenario.vehicle)
         slips = [Curve("front", "front", ego.t, use.front), Curve("rear", "rear", ego.t, use.rear, YELLOW)]
         friction = [Curve("friction", "of the tyres", ego.t, use.friction, RED)]
-    return _panels_with_values(
-        Panel("speed", "Speed [m/s]", speeds, 2.0),
-        Panel("acceleration", "Acceleration [m/s²], jerk [m/s³]", accelerations, 1.0),
-        Panel("jerk", "Jerk in full", (Curve("ego", "jerk [m/s³]", *jerk, RED),), 2.0),
-        Panel("pedals", "Throttle, brake [0..1]", pedals, 0.2),
-        Panel("steer", "Steering [rad]", steer, 0.02),
-        Panel("error_across", "Tracking error: across", across, 0.1),
-        Panel("error_along", "Tracking error: along", along, 0.2),
-        Panel("slip", "Tyre slip angles [rad]", tuple(slips), 0.02),
-        Panel("friction", "Friction used [0..1]", tuple(friction), 0.2),
-    )
+    of_plans = (
+        Panel("displacement", "Mean distance of plan and log [m]",
+              (measured("within 1s", "ade.1s"), measured("within 3s", "ade.3s", YELLOW),
+               measured("within 5s", "ade.5s", VIOLET)), 0.5, ("ade", "fde"), 0.0),
+        Panel("plan_acceleration", "Largest acceleration of each plan [m/s²]",
+              (measured("along", "plan_lon_accel"), measured("across", "plan_lat_accel", TEAL)), 1.0, ("plan_l",), 0.0),
+        Panel("plan_jerk", "Largest jerk of each plan [m/s³]", (measured("along", "plan_lon_jerk", RED, spiky=True),),
+              2.0, ("plan_lon_jerk",), 0.0),
+        Panel("change", "Change from plan to plan [m]", (measured("from plan to plan", "plan_change"),), 0.2,
+              ("plan_change",), 0.0),
+    )  # fmt: skip
+    table = (
+        Panel("speed", "Speed [m/s]",
+              (Curve("ego", "ego", ego.t, ego.v), *plan, *_columns(log, ("log", "log", "v", GREY), asked=True),
+               _limit(trace, scenario)), 2.0, ("speed",), -0.5),
+        Panel("progress", "Progress along the route [share of the log's]", (measured("ego", "route_progress"),), 0.2,
+              ("route_progress",), 0.0),
+        Panel("acceleration", "Acceleration [m/s²]",
+              (along, measured("across", "lat_accel", TEAL), *_predicted(trace, "a"),
+               *_columns(log, ("log", "log", "a", GREY), asked=True)), 1.0, ("lon_accel", "lat_accel")),
+        Panel("jerk", "Jerk [m/s³]",
+              (measured("along", JERK, RED, spiky=True), measured("across", "lat_jerk_state", PINK, spiky=True)), 2.0,
+              ("lon_jerk", "lat_jerk", "jerk")),
+        Panel("gap", "Distance to the nearest [m]",
+              (measured("all", "gap", gaps=True), measured("pedestrians, riders", "gap_vulnerable", PINK, gaps=True)),
+              2.0, ("gap", "collision"), 0.0),
+        Panel("ttc", "Time to a collision [s]", (measured("TTC", "ttc", RED, gaps=True),), 2.0, ("ttc",), 0.0),
+        *(of_plans if is_open else ()),
+        Panel("steer", "Steering [rad]",
+              (*_columns(done, ("done", "done", "steer", BLUE)),
+               *_columns(asked, ("asked", "asked", "steer", YELLOW), asked=True),
+               *_columns(logged, ("log", "log", "steer", GREY), asked=True)), 0.05, ("steer_rate",)),
+        Panel("pedals", "Pedals [0 to 1]",
+              (*_columns(done, ("throttle", "throttle", "throttle", GREEN), ("brake", "brake", "brake", RED)),
+               *_columns(asked, ("throttle_asked", "throttle asked", "throttle", GREEN & DIM),
+                         ("brake_asked", "brake asked", "brake", RED & DIM), asked=True),
+               *_columns(logged, ("throttle_log", "throttle log", "throttle", GREY),
+                         ("brake_log", "brake log", "brake", YELLOW), asked=True)),
+              0.3, ("throttle", "brake", "pedals_together"), 0.0, 1.0),
+        Panel("tracking", "Tracking error [m]",
+              _columns(errors, ("lateral", "lateral", "lateral", YELLOW), ("station", "station", "station", VIOLET)),
+              0.1, ("tracking_lateral", "tracking_station")),
+        Panel("tracking_speed", "Tracking error of the speed [m/s]",
+              _columns(errors, ("speed", "speed", "speed", GREEN)), 0.2, ("tracking_speed",)),
+        Panel("tracking_heading", "Tracking error of the heading [rad]",
+              _columns(errors, ("heading", "heading", "heading", TEAL)), 0.02, ("tracking_heading",)),
+        Panel("slip", "Tyre slip angles [rad]", tuple(slips), 0.02, charted=False),
+        Panel("friction", "Friction used [0..1]", tuple(friction), 0.2, charted=False),
+    )  # fmt: skip
+    return _panels_with_values(*table)
 
 
-def _plan_curves(trace: Trace, column: str) -> list[Curve]:
+LIMIT_STEP_S = 0.1
+
+
+def _limit(trace: Trace, scenario: Scenario) -> Curve:
+    """The speed limit of the lane under the ego."""
+    ego = trace.ego
+    t = np.arange(ego.t[0], ego.t[-1] + 1e-9, LIMIT_STEP_S)
+    limits = np.full(len(t), np.nan)
+    if scenario.road.source is RoadSource.LANES:
+        for i, (x, y) in enumerate(zip(np.interp(t, ego.t, ego.x), np.interp(t, ego.t, ego.y), strict=True)):
+            lanes = scenario.road.lanes_at(float(x), float(y))
+            limits[i] = next((lane.speed_limit for lane in lanes if lane.drivable), np.nan)
+    return Curve("limit", "limit", t, limits, RED, 1.0, steps=True, asked=True)
+
+
+def _predicted(trace: Trace, column: str) -> list[Curve]:
     """Closed loop: the plan in force. Open loop (each plan starts at the log): values that older plans predicted."""
     if not trace.frames:
         return []
@@ -269,7 +316,7 @@ def _plan_curves(trace: Trace, column: str) -> list[Curve]:
         for frame, start, stop in zip(trace.frames, starts, np.r_[starts[1:], len(t)], strict=True):
             path = loaded(frame.plan.trajectory)
             values[start:stop] = np.interp(t[start:stop], path.t, getattr(path, column))
-        return [Curve("plan", "plan", t, values, YELLOW)]
+        return [Curve("plan", "plan", t, values, YELLOW, asked=True)]
     end = trace.ego.t[-1]
     curves = []
     for lag, colour in ((1.0, YELLOW), (3.0, VIOLET)):
@@ -277,7 +324,7 @@ def _plan_curves(trace: Trace, column: str) -> list[Curve]:
         found = [(t, np.interp(t, p.t, getattr(p, column))) for t, p in plans if t <= min(p.t[-1], end) + 1e-9]
         older = np.array(found, dtype=np.float64).reshape(-1, 2)
         name = f"plan_{lag:.0f}s", f"plan {lag:.0f} s before"
-        curves.append(Curve(*name, older[:, 0], older[:, 1], colour, 1.2))
+        curves.append(Curve(*name, older[:, 0], older[:, 1], colour, 1.2, asked=True))
     return curves
 
 
@@ -289,76 +336,13 @@ def stage_panel(timings: Sequence[StageTime], names: dict[str, str]) -> list[Pan
         t, seconds = np.array(some).T
         colour, width = (GREY, 2.0) if stage == "total" else (SERIES[k % 7], 1.2)
         curves.append(Curve(name, stage, t, 1e3 * seconds, colour, width, spiky=True))
-    return _panels_with_values(Panel("stages", "Stage times [ms]", tuple(curves), 0.2))
-
-
-# charts -----------------------------------------------------------------------------------------------------------
-
-
-def chart_panels(trace: Trace, steps: Steps) -> list[Panel]:
-    """The panels of the charts of a drive.
-
-    Open loop: each plan is one step. Closed loop: the speed of the plan in force is the ego's minus the tracking error.
-    """
-    ego = trace.ego
-
-    def measured(legend: str, metric: str, *, gaps: bool = False, spiky: bool = False) -> Curve:
-        """A metric per step, without missing values; `gaps` breaks the curve where values are missing for over 1 s."""
-        t, values = steps(metric)
-        known = np.isfinite(values)
-        t, values = t[known], values[known]
-        if gaps:
-            far = np.flatnonzero(np.diff(t) > 1.0)
-            t, values = np.insert(t, far + 1, t[far]), np.insert(values, far + 1, np.nan)
-        return Curve(metric, legend, t, values, spiky=spiky)
-
-    def named(some: object | None, *columns: str) -> tuple[Curve, ...]:
-        return _columns(some, *((name, name, name, BLUE, 1.5) for name in columns))
-
-    if trace.mode is Mode.OPEN:
-        away = tuple(measured(f"within {part}", f"ade.{part}") for part in ("1s", "3s", "5s"))
-        planned = measured("along", "plan_lon_accel"), measured("across", "plan_lat_accel")
-        jerk = (measured("along", "plan_lon_jerk", spiky=True),)
-        change = (measured("from plan to plan", "plan_change"),)
-        return _panels_with_values(
-            Panel("speed", "Speed of the log [m/s]", (Curve("log", "log", ego.t, ego.v),), 2.0, (), -0.5),
-            Panel("displacement", "Mean distance of plan and log [m]", away, 0.5, ("ade", "fde"), 0.0),
-            Panel("acceleration", "Largest acceleration of each plan [m/s²]", planned, 1.0, ("plan_l",), 0.0),
-            Panel("jerk", "Largest jerk of each plan [m/s³]", jerk, 2.0, ("plan_lon_jerk",), 0.0),
-            Panel("change", "Change from plan to plan [m]", change, 0.2, ("plan_change",), 0.0),
-        )
-    errors, done, asked = trace.tracking, trace.actuation, trace.commands
-    wanted = (errors.t, np.interp(errors.t, ego.t, ego.v) - errors.speed) if errors else None
-    plan = [Curve("plan", "plan", *wanted, asked=True)] if wanted else []
-    accelerations = measured("along", "lon_accel"), measured("across", "lat_accel")
-    jerks = measured("along", JERK, spiky=True), measured("across", "lat_jerk_state", spiky=True)
-    gaps = measured("all", "gap", gaps=True), measured("pedestrians, riders", "gap_vulnerable", gaps=True)
-    ttc = (measured("TTC", "ttc", gaps=True),)
-    steers = (("done", done), ("asked", asked))
-    steer = tuple(Curve(word, word, some.t, some.steer, asked=some is asked) for word, some in steers if some)
-    return _panels_with_values(
-        Panel("speed", "Speed [m/s]", (Curve("ego", "ego", ego.t, ego.v), *plan), 2.0, ("speed",), -0.5),
-        Panel("progress", "Progress along the route [share of the log's]", (measured("ego", "route_progress"),), 0.2,
-              ("route_progress",), 0.0),
-        Panel("acceleration", "Acceleration [m/s²]", accelerations, 1.0, ("lon_accel", "lat_accel")),
-        Panel("jerk", "Jerk [m/s³]", jerks, 2.0, ("lon_jerk", "lat_jerk", "jerk")),
-        Panel("gap", "Distance to the nearest [m]", gaps, 2.0, ("gap", "collision"), 0.0),
-        Panel("ttc", "Time to a collision [s]", ttc, 2.0, ("ttc",), 0.0),
-        Panel("steer", "Steering [rad]", steer, 0.05, ("steer_rate",)),
-        Panel("pedals", "Pedals [0 to 1]", named(done, "throttle", "brake"), 0.3,
-              ("throttle", "brake", "pedals_together"), 0.0, 1.0),
-        Panel("tracking", "Tracking error [m]", named(errors, "lateral", "station"), 0.1,
-              ("tracking_lateral", "tracking_station")),
-        Panel("tracking_speed", "Tracking error of the speed [m/s]", named(errors, "speed"), 0.2, ("tracking_speed",)),
-        Panel("tracking_heading", "Tracking error of the heading [rad]", named(errors, "heading"), 0.02,
-              ("tracking_heading",)),
-    )  # fmt: skip
+    return _panels_with_values(Panel("stages", "Stage times [ms]", tuple(curves), 0.2, charted=False))
 
 
 def compared_panels(drives: Mapping[str, Sequence[Panel]]) -> list[Panel]:
     """The panels of several drives by name, as one panel for each curve, with a curve of each drive that has it.
 
-    What was planned or asked for is left out.
+    What was planned, asked for, allowed or logged is left out.
     """
     shown = [(name, panel) for name, some in drives.items() for panel in some]
     found = [(name, panel, one) for name, panel in shown for one in panel.curves if not one.asked]
@@ -373,6 +357,36 @@ def compared_panels(drives: Mapping[str, Sequence[Panel]]) -> list[Panel]:
         mine = replace(one, name=name, legend=name)
         panels[panel.title, one.name] = replace(before, curves=(*before.curves, mine))
     return list(panels.values())
+
+
+@dataclass(frozen=True)
+class GraphKind:
+    """A kind of graph: its names and axes.
+
+    Attributes:
+        name: One word.
+        graph: The artefact.
+        title: Title of the graph.
+        x_title: Title of the axis, with the unit; `y_title` likewise.
+        least: The y axis is not shorter than this.
+        scrolls: Whether the graphs of a drive begin at different x.
+    """
+
+    name: str
+    graph: type[Graph]
+    title: str
+    x_title: str
+    y_title: str
+    least: float
+    scrolls: bool
+
+
+ST = GraphKind("st", StGraph, "S-T graph", "time from the plan [s]", "station along the path [m]", 5.0, False)
+SL = GraphKind(
+    "sl", SlGraph, "S-L graph", "station of the reference line [m]", "lateral offset [m], left positive", 4.0, True
+)
+FAR_M = 6.0
+"""Axes show obstacles and bounds up to this far beyond the solutions."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -411,9 +425,9 @@ class DrawnGraph:
     obstacles: tuple[DrawnObstacle, ...]
 
     @classmethod
-    def of(cls, plan: Plan, kind: type[Graph]) -> DrawnGraph | None:
+    def of(cls, plan: Plan, kind: GraphKind) -> DrawnGraph | None:
         """The first graph of a kind in a plan; None if there is none."""
-        graph = next((artefact for artefact in plan.internals if isinstance(artefact, kind)), None)
+        graph = next((artefact for artefact in plan.internals if isinstance(artefact, kind.graph)), None)
         if graph is None:
             return None
         qp, dp, grid, corridor = finite(graph.qp), finite(graph.dp), graph.grid, graph.corridor
@@ -428,6 +442,34 @@ class DrawnGraph:
             corridor if corridor is not None and len(corridor.first) > 1 else None,
             tuple(DrawnObstacle(each, outline) for each, outline in outlines if len(outline)),
         )  # fmt: skip
+
+
+def graph_axes(graphs: Sequence[DrawnGraph], kind: GraphKind) -> tuple[Span, Span] | None:
+    """Axes for some graphs, x relative to the begin of each: with all solutions and the near ends of obstacles.
+
+    They may cut off far obstacles and bounds of the corridor. None if there is neither solution nor obstacle.
+    """
+    solved = [line - [graph.begin, 0.0] for graph in graphs for line in (graph.qp, graph.dp) if len(line)]
+    around = [some.outline - [graph.begin, 0.0] for graph in graphs for some in graph.obstacles if not some.is_ignored]
+    if not solved and not around:
+        return None
+    points = np.concatenate(solved or around)
+    x = 0.0, max(float(points[:, 0].max()), 1.0)
+    low, high = float(points[:, 1].min()), float(points[:, 1].max())
+    seen = (outline[(outline[:, 0] >= x[0]) & (outline[:, 0] <= x[1]), 1] for outline in around)
+    near: list[FloatArray] = [some for some in seen if len(some)]
+    if kind is ST:
+        top = max(high, min(max([high, *(float(some.min()) + FAR_M for some in near)]), 1.6 * high + 10.0), kind.least)
+        return x, (min(low, 0.0), 1.05 * top)
+    for graph in graphs:
+        near += [graph.grid.second] if graph.grid else []
+        if graph.corridor is not None:
+            inside = graph.corridor.first <= graph.begin + x[1]
+            sides = (side[inside & np.isfinite(side)] for side in (graph.corridor.lower, graph.corridor.upper))
+            near += [side for side in sides if len(side)]
+    low = max(min([low, *(float(some.min()) for some in near if len(some))]), low - FAR_M)
+    high = min(max([high, *(float(some.max()) for some in near if len(some))]), high + FAR_M)
+    return x, widened(low, high, kind.least)
 
 
 def finite(points: FloatArray) -> FloatArray:

@@ -1,7 +1,4 @@
-"""The pictures of `replan vary`, `falsify` and `tune`.
-
-Colours are of Okabe and Ito's palette for the colour-blind, and every outcome also has a letter or a marker.
-"""
+"""The pictures of `replan vary`, `falsify` and `tune`: every outcome has a letter or a sign, and a colour."""
 
 from __future__ import annotations
 
@@ -11,84 +8,82 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from replay.draw.report.figures import STYLE, empty_figure
+from replay.draw.charts.axes import Plane
+from replay.draw.charts.canvas import Chart, Entry, dot
+from replay.draw.model import widened
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from replay.experiments.brackets import Bracket
     from replay.experiments.question import SurfaceQuestion
     from replay.experiments.search_subject import SearchAxis
 
 CELLS = {
-    "pass": ("P", "#56b4e9", "passes all gates"),
-    "fail": ("F", "#d55e00", "a gate fails"),
-    "unavoidable": ("U", "#999999", "no evidence: the careful driver collides, too"),
-    "inconclusive": ("I", "#f0e442", "no evidence otherwise"),
-    "error": ("E", "#ffffff", "could not be evaluated"),
+    "pass": ("P", "blue", "passes all gates"),
+    "fail": ("F", "red", "a gate fails"),
+    "unavoidable": ("U", "grey", "no evidence: the careful driver collides, too"),
+    "inconclusive": ("I", "olive", "no evidence otherwise"),
+    "error": ("E", "blank", "could not be evaluated"),
 }
 """Letter, colour and meaning of each outcome of a cell."""
 POINTS = {
-    "pass": ("o", "#56b4e9", "passes"),
-    "fail": ("X", "#d55e00", "fails, the reference driver does not"),
-    "both fail": ("s", "#999999", "fails, the reference driver too"),
-    "inconclusive": ("D", "#f0e442", "inconclusive"),
-    "error": ("+", "#000000", "cannot be made or driven"),
+    "pass": ("\u25cf", "blue", "passes"),
+    "fail": ("\u00d7", "red", "fails, the reference driver does not"),
+    "both fail": ("\u25a0", "grey", "fails, the reference driver too"),
+    "inconclusive": ("\u25c6", "olive", "inconclusive"),
+    "error": ("+", "", "cannot be made or driven"),
 }
-"""Marker, colour and meaning of each outcome of a point of a falsification."""
-CELL_IN, ROOM_IN = 1.0, 2.6
-WIDEST_IN = 16.0
-EDGE, RECORDED, HATCH, MILDEST = "#000000", "#009e73", "#555555", "#000000"
+"""Sign, colour and meaning of each outcome of a point of a falsification."""
+RING, STAR = "\u25cb", "\u2605"
+SHADE = 0.45
+"""Opacity of a cell, so that its words can be read."""
+CELL_PX, WIDE_PX, HIGH_PX = (96.0, 48.0), 620.0, 420.0
 
 
-def surface_figure(table: pd.DataFrame, edges: Sequence[Bracket], question: SurfaceQuestion, title: str) -> Figure:
+def surface_figure(table: pd.DataFrame, edges: Sequence[Bracket], question: SurfaceQuestion, title: str) -> Chart:
     """The surface; each cell with its letter, the least gap, an x if the drive ended in a contact, and a gate."""
-    import matplotlib as mpl
+    cells, x = table[table["part"] == "grid"], question.axes[0]
+    y = question.axes[1] if len(question.axes) > 1 else None
+    ys, half_x = y.values if y else (0.0,), 0.5 * x.spacing
+    half_y = 0.5 * y.spacing if y else 0.5
+    size = max(CELL_PX[0] * len(x.values), WIDE_PX), CELL_PX[1] * len(ys) + 80.0
+    plane = Plane((x.values[0] - half_x, x.values[-1] + half_x), (ys[0] - half_y, ys[-1] + half_y), *size)
+    inside = over = ""
+    for row, (_, cell) in zip(cells[y.name] if y else [0.0] * len(cells), cells.iterrows(), strict=True):
+        at, (letter, colour, _) = float(cell[x.name]), CELLS[cell["outcome"]]
+        box = (at - half_x, at + half_x), (row - half_y, row + half_y)
+        inside += plane.box(*box, colour, str(cell["gates"]), SHADE, 0.5)
+        gap = f" {cell['least_gap_m']:.1f}" if np.isfinite(cell["least_gap_m"]) else ""
+        warned = " !" if cell["careful"] == "unavoidable" else ""
+        gate = cell["gates"].partition(".")[0].rpartition(" ")[2]
+        said = f"{letter}{gap}{' x' if cell['contact'] else ''}{warned}"
+        over += plane.words(at, row, said, "mid", -2.0 if gate else 4.0) + plane.words(at, row, gate, "small mid", 11.0)
+    for edge in edges:
+        row = edge.row[0] if edge.row else 0.0
+        both = np.array([row - half_y, row + half_y])
+        inside += plane.box((edge.low, edge.high), (row - half_y, row + half_y), "band")
+        inside += plane.line(np.full(2, edge.middle), both, "bound")
+    point = _recorded_point(question)
+    if point is not None:
+        over += dot(float(plane.at_x(point[0])), float(plane.at_y((*point, 0.0)[1])), 21.0, "ring")
+    counts = cells["outcome"].value_counts()
+    entries: list[Entry] = [
+        ("area", colour, f"{letter}: {meaning} ({counts[name]})")
+        for name, (letter, colour, meaning) in CELLS.items()
+        if name in counts
+    ]
+    if (cells["careful"] == "unavoidable").any():
+        entries.append(("!", "", "the careful driver of UN R157 collides"))
+    if edges:
+        unit = x.label.partition(" ")[2].strip("[]")
+        entries.append(("line", "bound", f"edge of pass, to {question.resolution:.3g} {unit}".rstrip()))
+    entries += [(RING, "", "as recorded")] if point is not None else []
+    entries.append(("x", "", "contact; the number: least gap [m]; below it: the first gate"))
+    axes = dict[str, Any](x_title=x.label, x_ticks=_words(x.values), y_title=y.label if y else "")
+    return plane.chart("surface", title, inside, entries=entries, over=over, y_ticks=_words(ys) if y else (), **axes)
 
-    cells = table[table["part"] == "grid"]
-    x, ys = question.axes[0], question.axes[1].values if len(question.axes) > 1 else (0.0,)
-    with mpl.rc_context({**STYLE, "axes.grid": False, "hatch.linewidth": 0.6}):
-        width = min(max(CELL_IN * len(x.values) + ROOM_IN, 7.5), WIDEST_IN)
-        figure = empty_figure(width, 0.5 * CELL_IN * len(ys) + ROOM_IN)
-        axes = figure.subplots()
-        half_x, half_y = 0.5 * x.spacing, 0.5 * (ys[1] - ys[0]) if len(ys) > 1 else 0.5
-        rows = cells[question.axes[1].name] if len(question.axes) > 1 else np.zeros(len(cells))
-        for (_, cell), y in zip(cells.iterrows(), rows, strict=True):
-            _cell(axes, cell, float(cell[x.name]), float(y), half_x, half_y)
-        for edge in edges:
-            y = edge.row[0] if edge.row else 0.0
-            axes.fill_betweenx([y - half_y, y + half_y], edge.low, edge.high, color=EDGE, alpha=0.25, lw=0.0, zorder=2)
-            axes.plot([edge.middle] * 2, [y - half_y, y + half_y], color=EDGE, lw=2.5, zorder=2)
-        point = _recorded_point(question)
-        if point is not None:
-            axes.plot(*(*point, 0.0)[:2], "o", ms=34.0, mfc="none", mec=RECORDED, mew=2.5, zorder=5)
-        axes.set(xlabel=x.label, xticks=x.values, title=title)
-        axes.set(xlim=(x.values[0] - half_x, x.values[-1] + half_x), ylim=(ys[0] - half_y, ys[-1] + half_y))
-        if len(question.axes) > 1:
-            axes.set(ylabel=question.axes[1].label, yticks=ys)
-        else:
-            axes.set_yticks([])
-        _legend(figure, cells, edges, question)
-        return figure
 
-
-def _cell(axes: Axes, cell: pd.Series, x: float, y: float, half_x: float, half_y: float) -> None:
-    from matplotlib.patches import Rectangle
-
-    letter, colour, _ = CELLS[cell["outcome"]]
-    corner, size = (x - half_x, y - half_y), (2.0 * half_x, 2.0 * half_y)
-    axes.add_patch(Rectangle(corner, *size, fc=colour, ec="white", lw=0.8))
-    if cell["careful"] == "unavoidable":
-        axes.add_patch(Rectangle(corner, *size, fill=False, ec=HATCH, lw=0.0, hatch="///"))
-    gap = f" {cell['least_gap_m']:.1f}" if np.isfinite(cell["least_gap_m"]) else ""
-    back = {"boxstyle": "round,pad=0.1", "fc": colour, "lw": 0.0}
-    said = f"{letter}{gap}{' x' if cell['contact'] else ''}"
-    gate = cell["gates"].partition(".")[0].rpartition(" ")[2]
-    axes.annotate(said, (x, y), (0.0, 5.0 if gate else 0.0), textcoords="offset points", ha="center", va="center",
-                  fontsize=8, bbox=back, zorder=3)  # fmt: skip
-    axes.annotate(gate, (x, y), (0.0, -6.0), textcoords="offset points", ha="center", va="center", fontsize=5.5,
-                  bbox=back if gate else None, zorder=3)  # fmt: skip
+def _words(values: Sequence[float]) -> list[tuple[float, str]]:
+    return [(value, f"{value:g}") for value in values]
 
 
 def _recorded_point(question: SurfaceQuestion) -> tuple[float, ...] | None:
@@ -100,30 +95,7 @@ def _recorded_point(question: SurfaceQuestion) -> tuple[float, ...] | None:
     return point if inside else None
 
 
-def _legend(figure: Figure, cells: pd.DataFrame, edges: Sequence[Bracket], question: SurfaceQuestion) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    counts = cells["outcome"].value_counts()
-    handles: list[Patch | Line2D] = [
-        Patch(fc=colour, ec="#777777", label=f"{letter}: {meaning} ({counts[name]})")
-        for name, (letter, colour, meaning) in CELLS.items()
-        if name in counts
-    ]
-    if (cells["careful"] == "unavoidable").any():
-        handles.append(Patch(fc="white", ec=HATCH, hatch="///", label="the careful driver of UN R157 collides"))
-    if edges:
-        unit = question.axes[0].label.partition(" ")[2].strip("[]")
-        fine = f"{question.resolution:.3g} {unit}".strip()
-        handles.append(Line2D([], [], color=EDGE, lw=3.0, label=f"edge of pass, to {fine}"))
-    if _recorded_point(question) is not None:
-        ring = Line2D([], [], marker="o", ms=10.0, mfc="none", mec=RECORDED, mew=2.0, ls="", label="as recorded")
-        handles.append(ring)
-    handles.append(Line2D([], [], ls="", label="number: least gap [m]; x: contact; below: the first gate"))
-    figure.legend(handles=handles, loc="outside lower left", ncols=2, fontsize=8)
-
-
-def falsify_figure(table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mapping[str, Any], title: str) -> Figure:
+def falsify_figure(table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mapping[str, Any], title: str) -> Chart:
     """The trials over the two axes that the case moves most (without a case: the first two); lines of equal distance.
 
     Args:
@@ -132,47 +104,38 @@ def falsify_figure(table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mappin
         case: The row of the mildest case; empty if there is none.
         title: Title of the picture.
     """
-    import matplotlib as mpl
-
     by_step = sorted(axes, key=lambda axis: -abs(case.get(axis.name, axis.origin) - axis.origin) / axis.scale)
     first, second = by_step[0], by_step[1] if len(by_step) > 1 else None
-    with mpl.rc_context(STYLE):
-        figure = empty_figure(8.0, 5.6 if second else 3.2)
-        picture = figure.subplots()
-        spread = np.zeros(len(table)) if second is None else table[second.name].to_numpy(float)
-        for name, (marker, colour, meaning) in POINTS.items():
-            mine = (table["outcome"] == name).to_numpy()
-            if mine.any():
-                x, y, label = table[first.name][mine], spread[mine], f"{meaning} ({mine.sum()})"
-                picture.scatter(x, y, marker=marker, c=colour, s=34.0, label=label, lw=1.0 if marker == "+" else 0.3)
-        origin = (first.origin, 0.0 if second is None else second.origin)
-        picture.plot(*origin, "o", ms=16.0, mfc="none", mec=RECORDED, mew=2.0, label="as recorded")
-        if case:
-            place = case[first.name], 0.0 if second is None else case[second.name]
-            label = f"mildest failure, distance {case['distance']:.3f}"
-            picture.plot(*place, "*", ms=15.0, mfc="none", mec=MILDEST, mew=1.4, label=label)
-            turn, away = np.linspace(0.0, 2.0 * np.pi, 181), float(case["distance"])
-            along = first.origin + first.scale * away * np.cos(turn)  # if no other axis is moved
-            if second is not None:
-                across = second.origin + second.scale * away * np.sin(turn)
-                picture.plot(along, across, color="#555555", lw=0.8, ls="--", label="as far as that")
-            for end in (along.min(), along.max()) if second is None else ():
-                picture.axvline(end, color="#555555", lw=0.8, ls="--")
-        picture.set(xlabel=first.label, xlim=_padded_range(first), title=title)
-        if second is None:
-            picture.set_yticks([])
+    y = widened(second.low, second.high, 0.0, 0.03) if second else (-1.0, 1.0)
+    plane = Plane(widened(first.low, first.high, 0.0, 0.03), y, WIDE_PX, HIGH_PX if second else 180.0)
+    entries, inside, over = list[Entry](), "", ""
+    for name, (sign, colour, meaning) in POINTS.items():
+        mine = table[table["outcome"] == name]
+        across = mine[second.name] if second else [0.0] * len(mine)
+        inside += "".join(plane.sign(*at, sign, colour) for at in zip(mine[first.name], across, strict=True))
+        entries += [(sign, colour, f"{meaning} ({len(mine)})")] if len(mine) else []
+    over += _ring(plane, first.origin, second.origin if second else 0.0)
+    entries.append((RING, "", "as recorded"))
+    if case:
+        over += plane.sign(case[first.name], case[second.name] if second else 0.0, STAR)
+        entries.append((STAR, "", f"mildest failure, distance {case['distance']:.3f}"))
+        turn, away = np.linspace(0.0, 2.0 * np.pi, 181), float(case["distance"])
+        if second:
+            along, up = first.scale * away * np.cos(turn), second.scale * away * np.sin(turn)
+            inside += plane.line(first.origin + along, second.origin + up, "now")
+            entries.append(("line", "now", "as far as that"))
         else:
-            picture.set(ylabel=second.label, ylim=_padded_range(second))
-        figure.legend(loc="outside lower left", ncols=2, fontsize=8)
-        return figure
+            for end in (first.origin - first.scale * away, first.origin + first.scale * away):
+                inside += plane.line(np.full(2, end), np.array(y), "now")
+    titles = dict[str, Any](x_title=first.label, y_title=second.label if second else "")
+    return plane.chart("falsify", title, inside, entries=entries, over=over, y_ticks=None if second else (), **titles)
 
 
-def _padded_range(axis: SearchAxis) -> tuple[float, float]:
-    room = 0.03 * (axis.high - axis.low)
-    return axis.low - room, axis.high + room
+def _ring(plane: Plane, x: float, y: float) -> str:
+    return dot(float(plane.at_x(x)), float(plane.at_y(y)), 9.0, "ring")
 
 
-def pareto_figure(table: pd.DataFrame, metrics: Sequence[str], chosen: Mapping[str, Any], title: str) -> Figure:
+def pareto_figure(table: pd.DataFrame, metrics: Sequence[str], chosen: Mapping[str, Any], title: str) -> Chart:
     """The gains of all trials in the first two objectives; a single objective is drawn over the trial number.
 
     Args:
@@ -181,30 +144,29 @@ def pareto_figure(table: pd.DataFrame, metrics: Sequence[str], chosen: Mapping[s
         chosen: The row of the chosen trial; empty if there is none.
         title: Title of the picture.
     """
-    import matplotlib as mpl
-
     names = [f"gain {name}" for name in metrics]
     x, y = ("trial", names[0]) if len(names) == 1 else (names[0], names[1])
-    front = table[table["pareto"]].sort_values([x, y], kind="stable")
-    with mpl.rc_context(STYLE):
-        figure = empty_figure(7.5, 5.2)
-        picture = figure.subplots()
-        for name, mine, colour in (
-            ("feasible", table["feasible"] & ~table["pareto"], "#56b4e9"),
-            ("fails more gates than the defaults", ~table["feasible"] & table["total"].notna(), "#999999"),
-            ("no other trial is better in all objectives", table["pareto"], "#d55e00"),
-        ):
-            if mine.any():
-                label = f"{name} ({mine.sum()})"
-                picture.scatter(table[x][mine], table[y][mine], s=30.0, c=colour, ec="#555555", lw=0.4, label=label)
-        if len(names) == 2:
-            picture.plot(front[x], front[y], color="#d55e00", lw=0.8)
-        if len(names) == 1:
-            picture.axhline(0.0, color=RECORDED, lw=1.0, label="the defaults")
-        else:
-            picture.plot(0.0, 0.0, "o", ms=14.0, mfc="none", mec=RECORDED, mew=2.0, label="the defaults")
-        if chosen:
-            picture.plot(chosen[x], chosen[y], "*", ms=15.0, mfc="none", mec=MILDEST, mew=1.4, label="chosen")
-        picture.set(xlabel=x, ylabel=y, title=title)
-        figure.legend(loc="outside lower left", ncols=2, fontsize=8)
-        return figure
+    shown = table[table["total"].notna()]
+    spans = [widened(min([0.0, *shown[name]]), max([0.0, *shown[name]]), 1e-3) for name in (x, y)]
+    plane = Plane(spans[0], spans[1], WIDE_PX, HIGH_PX)
+    entries, inside, over = list[Entry](), "", ""
+    for name, mine, sign, colour in (
+        ("feasible", table["feasible"] & ~table["pareto"], "\u25cf", "blue"),
+        ("fails more gates than the defaults", ~table["feasible"] & table["total"].notna(), "\u25a0", "grey"),
+        ("no other trial is better in all objectives", table["pareto"], "\u25c6", "red"),
+    ):
+        if mine.any():
+            inside += "".join(plane.sign(*at, sign, colour) for at in zip(table[x][mine], table[y][mine], strict=True))
+            entries.append((sign, colour, f"{name} ({mine.sum()})"))
+    if len(names) == 2:
+        front = table[table["pareto"]].sort_values([x, y], kind="stable")
+        inside += plane.line(front[x].to_numpy(float), front[y].to_numpy(float), "edge")
+        over += _ring(plane, 0.0, 0.0)
+        entries.append((RING, "", "the defaults"))
+    else:
+        inside += plane.line(np.array(spans[0]), np.zeros(2), "now")
+        entries.append(("line", "now", "the defaults"))
+    if chosen:
+        over += plane.sign(chosen[x], chosen[y], STAR)
+        entries.append((STAR, "", "chosen"))
+    return plane.chart("pareto", title, inside, entries=entries, over=over, x_title=x, y_title=y)

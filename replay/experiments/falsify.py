@@ -46,7 +46,6 @@ from metrics import METRICS
 from metrics.judge import CAREFUL
 from metrics.judge.gates import Gate, Outcome
 from replay.config import RunConfig
-from replay.draw.report.figures import save
 from replay.experiments.experiment_figures import falsify_figure
 from replay.experiments.mildest import Mildest, Point, ScoredPoint, cma_class, norm, search
 from replay.experiments.search_subject import SearchAxis, SearchSubject, box_of, values_at
@@ -361,10 +360,8 @@ def _key(point: Point) -> str:
 def _write(result: Falsified, workers: int) -> None:
     out, asked, found = result.out, result.question, result.found
     write_table(out, "trials", result.table)
-    save(
-        falsify_figure(result.table, asked.axes, result.case, f"{asked.subject.name}: {asked.planner}"),
-        out / "falsify.png",
-    )
+    title = f"{asked.subject.name}: {asked.planner}"
+    falsify_figure(result.table, asked.axes, result.case, title).save(out / "falsify.png")
     for old in ("case.mcap", "case"):
         path = out / old
         shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)

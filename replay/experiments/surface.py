@@ -35,7 +35,6 @@ from logs.variations import VARIATIONS, varied
 from metrics.judge.gates import Outcome
 from metrics.reference_drivers import MARGIN
 from replay.config import RunConfig
-from replay.draw.report.figures import save
 from replay.experiments.brackets import ERROR, Bracket, Cell, bisect_brackets, brackets
 from replay.experiments.experiment_figures import surface_figure
 from replay.experiments.question import SurfaceQuestion, check_agents
@@ -227,4 +226,4 @@ def _write(result: VaryResult, scenario: Scenario, planner: str) -> None:
     about = f"; varied: {', '.join(map(scenario.short_names, question.agents))}" if question.agents else ""
     fixed = "".join(f", {name} {VARIATIONS[name].shown(value)}" for name, value in question.fixed.items())
     title = f"{scenario.name}: {planner}{fixed}{about}"
-    save(surface_figure(table, result.edges, question, title), out / "surface.png")
+    surface_figure(table, result.edges, question, title).save(out / "surface.png")

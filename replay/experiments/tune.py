@@ -33,7 +33,6 @@ from metrics.judge.aggregate import LogLabels
 from replay.compare import compare_runs
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results
-from replay.draw.report.figures import save
 from replay.experiments.experiment_figures import pareto_figure
 from replay.experiments.gains import (
     LEAST_LOGS,
@@ -323,7 +322,7 @@ def _write(result: Tuned, default: RunScores) -> None:
     front = table[table["pareto"]].sort_values("total", ascending=False, kind="stable")
     write_csv(out / "pareto.csv", front)
     title = f"{plan.run.planners[0]}: {counted(len(table), 'trial')} on {counted(len(result.logs.training), 'log')}"
-    save(pareto_figure(table, [one.metric for one in plan.objectives], result.chosen, title), out / "pareto.png")
+    pareto_figure(table, [one.metric for one in plan.objectives], result.chosen, title).save(out / "pareto.png")
     chosen = with_values(plan.run, result.values)
     note = "the chosen settings" if result.passed else "NOT better than the defaults on the held-out logs"
     write_text(out / "best.toml", f"# Written by `replan tune`: {note}.\n{tomli_w.dumps(chosen_table(chosen))}")

@@ -17,8 +17,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 import tomli_w
 
@@ -26,14 +26,13 @@ from logs.catalogue import families
 from logs.errors import ConfigError
 from logs.files import local_path, url_of
 from logs.names import counted, visible_name
-from replay.draw.report.figures import STYLE, empty_figure, save
+from replay.draw.charts.axes import rows_plane
+from replay.draw.charts.canvas import Chart
+from replay.draw.charts.layout import GAP_PX, together
 from replay.mine.mine import ALONE, FASTER, ROADS, SPEEDS, Mined
 from replay.results.tables import write_csv, write_text
 from replay.run.claim import FolderContents, claimed_file
 from replay.run.sources import SUITE_HEADER, LogSource, Selection
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 CELL = ("kind", "road", "agent_kind", "speed")
 _ORDER = {
@@ -42,6 +41,7 @@ _ORDER = {
     "speed": [*(name for _, name in SPEEDS), FASTER],
 }
 _TITLES = {"road": "road", "agent_kind": "main road user", "speed": "speed of the ego"}
+CELL_PX, NAMES_PX = (70.0, 20.0), 150.0
 
 
 def cells(events: pd.DataFrame) -> pd.DataFrame:
@@ -66,28 +66,23 @@ def table(have: pd.DataFrame, missing: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)
 
 
-def figure(events: pd.DataFrame, title: str) -> Figure:
+def figure(events: pd.DataFrame, title: str) -> Chart:
     """The number of events of each kind, by road, by kind of road user and by speed."""
-    import matplotlib as mpl
-    import numpy as np
-
-    kinds = sorted(events["kind"].unique())
-    with mpl.rc_context({**STYLE, "axes.grid": False}):
-        drawn = empty_figure(13.0, 1.6 + 0.27 * max(len(kinds), 1))
-        axes = drawn.subplots(1, len(_ORDER), sharey=True, width_ratios=[len(each) for each in _ORDER.values()])
-        for place, (column, names) in zip(axes, _ORDER.items(), strict=True):
-            counts = pd.crosstab(events["kind"], events[column]).reindex(index=kinds, columns=names, fill_value=0)
-            values = counts.to_numpy(float)
-            most = np.log1p(max(values.max(initial=0.0), 30.0))
-            place.imshow(np.log1p(values), cmap="Blues", aspect="auto", vmin=0.0, vmax=most)
-            for i, j in np.argwhere(values > 0).tolist():
-                dark = np.log1p(values[i, j]) > 0.6 * most
-                place.text(j, i, f"{values[i, j]:.0f}", ha="center", va="center", color="white" if dark else "black")
-            place.set_xticks(range(len(names)), names, rotation=40, ha="right")
-            place.set_yticks(range(len(kinds)), kinds)
-            place.set_title(_TITLES[column])
-        drawn.suptitle(title)
-    return drawn
+    kinds, charts = sorted(events["kind"].unique()), list[Chart]()
+    for column, names in _ORDER.items():
+        counts = pd.crosstab(events["kind"], events[column]).reindex(index=kinds, columns=names, fill_value=0)
+        most = float(np.log1p(max(counts.to_numpy().max(initial=0), 30.0)))
+        wide = CELL_PX[0] * len(names) + NAMES_PX
+        plane, rows = rows_plane(kinds, (0.0, float(len(names))), wide, CELL_PX[1], top=22.0, most=NAMES_PX)
+        inside = over = ""
+        numbers = counts.to_numpy()
+        for i, j in np.argwhere(numbers > 0).tolist():
+            count, at = int(numbers[i, j]), rows[i][0]
+            inside += plane.heat((j, j + 1.0), (at - 0.5, at + 0.5), float(np.log1p(count)), (-1.0, 1.3 * most))
+            over += plane.words(j + 0.5, at, str(count))
+        words = [(j + 0.5, name) for j, name in enumerate(names)]
+        charts.append(plane.chart(column, _TITLES[column], inside, x_ticks=words, y_ticks=rows, over=over))
+    return together(charts, title, "", sum(one.width + GAP_PX for one in charts))
 
 
 def catalogue() -> Selection:
@@ -102,7 +97,7 @@ def write_coverage(out: Path, events: pd.DataFrame, rows: pd.DataFrame) -> None:
     """Write coverage.csv and coverage.png into a folder of mined logs; OutputError if that fails."""
     write_csv(out / "coverage.csv", rows)
     title = f"{counted(len(events), 'event')} in {counted(events['log'].nunique(), 'log')}"
-    save(figure(events, title), out / "coverage.png")
+    figure(events, title).save(out / "coverage.png")
 
 
 def lines(have: pd.DataFrame, missing: pd.DataFrame, source: str) -> list[str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 from shlex import join
@@ -20,11 +20,12 @@ import pandas as pd
 
 from logs.errors import writing
 from logs.scenario import Scenario
-from logs.trace import EndReason, Mode, PlannedFrame, Trace
-from replay.draw.charts.axes import Plane
-from replay.draw.charts.bird_view import WIDTH_PX, scene
-from replay.draw.charts.canvas import Chart, group, legend, polyline, rect
-from replay.draw.charts.subject import Moment
+from logs.trace import EndReason, Mode, Trace
+from replay.draw.charts.bird_view import scene
+from replay.draw.charts.canvas import Chart, stacked
+from replay.draw.charts.curves import Span, panel_chart
+from replay.draw.charts.subject import Moment, SceneSubject
+from replay.draw.model import Curve, Panel
 from replay.draw.report.html import rendered
 from replay.results.tables import safe_name, write_text
 
@@ -35,22 +36,6 @@ MOST_ROWS = 2000
 """Largest number of events on the page; events.parquet has all."""
 AROUND_S = 3.0
 """The speeds are drawn, and the shown command drives, from this long before the event to as long after it."""
-SPEED_PX = 118.0
-
-
-@dataclass(frozen=True)
-class LoggedMoment:
-    """A log at a moment, as a scene shows it (`replay.draw.charts.bird_view.SceneSubject`)."""
-
-    trace: Trace
-    scenario: Scenario
-    moment: Moment
-    frame: PlannedFrame | None = None
-
-    @property
-    def drives(self) -> Mapping[str, LoggedMoment]:
-        """The drives in the scene: this one."""
-        return {"": self}
 
 
 def draw_events(folder: Path, scenario: Scenario, digest: str, rows: Iterable[Mapping[str, Any]]) -> None:
@@ -90,30 +75,23 @@ def event_picture(scenario: Scenario, trace: Trace, row: Mapping[str, Any]) -> C
     begin, end, first, last = (float(t) for t in (row["t_from_s"], row["t_to_s"], trace.ego.t[0], trace.ego.t[-1]))
     middle = min(max(0.5 * (begin + end), first), last)
     agents = list(row["agents"])
-    words, shown = str(row["kind"]).replace("_", " "), LoggedMoment(trace, scenario, Moment(middle, "as asked"))
+    words, shown = str(row["kind"]).replace("_", " "), SceneSubject(Moment(middle, "as asked"), trace, scenario)
     above = scene(shown, middle, words, agents)
 
     inside = (trace.ego.t >= begin - AROUND_S) & (trace.ego.t <= end + AROUND_S)
-    curves = [("a", "ego", trace.ego.t[inside], np.abs(trace.ego.v[inside]))]
+    curves = [Curve("ego", "ego", trace.ego.t[inside], np.abs(trace.ego.v[inside]))]
     if agents and agents[0] in scenario.tracks.ids:
         mine, motion = scenario.tracks.samples(scenario.tracks.ids.index(agents[0])), scenario.tracks.motion
         t, speed = scenario.tracks.t[mine], np.hypot(motion.vx[mine], motion.vy[mine])
         near = (t >= begin - AROUND_S) & (t <= end + AROUND_S)
-        curves.append(("b", scenario.short_names(agents[0]), t[near], speed[near]))
-    curves = [curve for curve in curves if len(curve[2]) and np.isfinite(curve[3]).any()]
-    span = max(begin - AROUND_S, first), max(min(end + AROUND_S, last), first + 0.1)
-    fastest = max((float(np.nanmax(v)) for _, _, _, v in curves), default=1.0)
-    plane = Plane(span, (0.0, max(1.1 * fastest, 1.0)), WIDTH_PX, SPEED_PX)
-    left, right = plane.at_x(np.array([begin, end])).tolist()
-    lines = rect(left, 0.0, max(right - left, 2.0), plane.inner[1], "calm")
-    lines += "".join(polyline(plane.at_x(t), plane.at_y(v), kind) for kind, _, t, v in curves)
-    below = plane.drawn(lines, x_title="time [s]", y_title="speed [m/s]")
-    below += legend(plane.left + 70.0, 13.0, [("line", kind, name) for kind, name, _, _ in curves], WIDTH_PX - 120.0)
+        curves.append(Curve("other", scenario.short_names(agents[0]), t[near], speed[near]))
+    panel = Panel("speed", "Speed [m/s]", tuple(curve for curve in curves if len(curve.known)), 2.0, floor=0.0)
     says = f"{row['kind']} at {begin:.1f} s, of {', '.join(map(str, agents)) or 'the ego alone'}"
-    return Chart(
-        str(row["kind"]), words, says, WIDTH_PX, above.height + SPEED_PX,
-        above.body + group(0.0, above.height, below),
-    )  # fmt: skip
+    if not panel.curves:
+        return replace(above, name=str(row["kind"]), title=words, says=says)
+    span = max(begin - AROUND_S, first), max(min(end + AROUND_S, last), first + 0.1)
+    below = panel_chart(panel, span, [Span(begin, end, "", words)], shade="calm")
+    return stacked([above, below], str(row["kind"]), words, says)
 
 
 def write_events_page(folder: Path, events: pd.DataFrame, logs: pd.DataFrame) -> None:

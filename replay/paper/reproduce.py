@@ -33,13 +33,13 @@ from logs.scenario import Scenario
 from logs.trace import PlannedFrame, Trace
 from metrics import METRICS, evaluate, evaluate_with_series
 from replay.draw.recording import write_recording
-from replay.draw.report import figures
 from replay.drive import Drive
 from replay.loop.closed_loop import run_closed_loop
+from replay.paper import figures
 from replay.paper.manoeuvres import compare
 from replay.paper.pedestrian_grid import CELLS, LOOP, PLANNER, GridCrossing, braking_for_walker, grid
 from replay.parts import CONTROLLER, VEHICLE
-from replay.results.tables import write_csv, write_file, write_text
+from replay.results.tables import write_csv, write_text
 
 Say = Callable[[str], None]
 DIGITS = "%.6g"
@@ -106,7 +106,7 @@ def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda lin
 
     cells = grid(config.cells, workers=config.workers, on_cell=count)
     write_csv(out / "pedestrian_grid.csv", cells, float_format=DIGITS)
-    write_file(out / "pedestrian_grid.png", lambda part: figures.save(figures.grid_figure(cells), part))
+    figures.grid_figure(cells).save(out / "pedestrian_grid.png")
     page = out / "paper.md"
     write_text(page, _page(first, second, scenarios, manoeuvres, cells))
     return page
@@ -122,8 +122,7 @@ def free_road(out: Path, vehicle: str) -> dict[str, str]:
     scenario = paper.free_road.scenario()
     drives = {name: drive(scenario, vehicle, name) for name in ("mpc", "dlqr_pid")}
     traces = [(name, one.trace) for name, one in drives.items()]
-    picture = figures.path_figure(traces, planned_points(drives["mpc"].trace), scenario)
-    write_file(out / "fig09_path.png", lambda part: figures.save(picture, part))
+    figures.path_figure(traces, planned_points(drives["mpc"].trace), scenario).save(out / "fig09_path.png")
     write_recording(
         out / "free_road.rrd", drives["mpc"], scenario, *evaluate_with_series(drives["mpc"].trace, scenario)
     )
@@ -143,12 +142,10 @@ def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
     made = drive(scenario, vehicle, "mpc")
     trace = made.trace
     moments = blocked_moments(trace.frames)
-    picture = figures.st_figure(moments, trace, scenario)
-    write_file(out / "fig10_st.png", lambda part: figures.save(picture, part))
+    figures.st_figure(moments, trace, scenario).save(out / "fig10_st.png")
     clear, braking = braking_for_walker(trace, scenario)
     ends = (paper.crossing_pedestrian.parameters["walk_start_s"] - 2.0, clear + 8.0)
-    pedals = figures.pedals_figure(trace, braking, clear, ends)
-    write_file(out / "fig12_pedals.png", lambda part: figures.save(pedals, part))
+    figures.pedals_figure(trace, braking, clear, ends).save(out / "fig12_pedals.png")
     write_recording(out / "crossing_pedestrian.rrd", made, scenario, *evaluate_with_series(trace, scenario))
     return {
         "path blocked in the S-T graph": f"from {moments[0][1].t:.1f} s until {moments[-1][1].t:.1f} s",

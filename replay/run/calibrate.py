@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from logs.errors import ConfigError
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from replay.config import load_run
 from replay.control.pedals import Calibration
+from replay.draw.charts.axes import Plane
+from replay.draw.charts.canvas import Chart
 from replay.parts import VEHICLE, Part
 from replay.results.tables import write_file
 from replay.vehicle import build_vehicle
@@ -41,5 +46,19 @@ def calibrate(
         raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
     csv, png = out / "calibration.csv", out / "calibration.png"
     write_file(csv, table.save)
-    write_file(png, table.plot)
+    picture(table).save(png)
     return csv, png
+
+
+def picture(table: Calibration) -> Chart:
+    """The table as a heat map: throttle blue, brake red."""
+    speed, acceleration = (0.5 * (v[1:] + v[:-1]) for v in (table.speed, table.acceleration))  # edges of cells
+    x, y = (np.r_[2.0 * e[0] - e[1], e, 2.0 * e[-1] - e[-2]].tolist() for e in (speed, acceleration))
+    plane = Plane((x[0], x[-1]), (y[0], y[-1]), 640.0, 420.0)
+    inside = "".join(
+        plane.heat((x[j], x[j + 1]), (y[i], y[i + 1]), float(table.pedal[i, j]), (-1.0, 1.0))
+        for i, j in np.argwhere(np.isfinite(table.pedal)).tolist()
+    )
+    entries = [("area", "blue", "full throttle"), ("area", "red", "full brake")]
+    titles = dict[str, Any](x_title="speed [m/s]", y_title="acceleration [m/s²]", entries=entries)
+    return plane.chart("calibration", "Pedal by speed and acceleration; fainter: less", inside, **titles)

@@ -29,9 +29,9 @@ from logs.memory import FrameStore, trim_memory
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, Trace
 from metrics import METRICS, Metric, health, load_metric
-from metrics.comfort import LON_JERK_STATE
 from metrics.judge.verdicts import MEMBER
 from replay.config import RunConfig
+from replay.draw.model import MEASURED
 from replay.drive import Drive, DriveKey, Mark
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
@@ -43,8 +43,6 @@ from replay.results.tables import KEYS, PARTIAL, TIMING_COLUMNS, finish_folder, 
 from replay.run.perturb import perturbed
 from replay.run.sources import LogSource, file_hash
 
-SHOWN = (LON_JERK_STATE.name,)
-"""The metrics of which a recording shows the steps."""
 LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
 
 
@@ -236,7 +234,7 @@ def _drive_one(
     }  # fmt: skip
     progress.timings.append(pd.DataFrame(timings, columns=TIMING_COLUMNS))
     with progress.attempt(place.planner, place.mode):
-        shown = steps.table([found[name] for name in SHOWN if name in found])
+        shown = steps.table([found[name] for name in MEASURED if name in found])
         beside: Iterable[Entry] = ()
         if run.foxglove:
             from replay.draw.foxglove import trace_channels

@@ -118,8 +118,8 @@ def test_it_is_imported_within_a_third_of_a_second() -> None:
 
 
 def test_what_no_command_needs_at_once_is_not_imported_with_the_tables_of_names() -> None:
-    """scipy.signal and scipy.stats take longer to import than all our packages; matplotlib and rerun likewise."""
-    slow = "scipy.signal", "scipy.stats", "matplotlib", "rerun", "duckdb", "optuna", "ray"
+    """scipy.signal and scipy.stats take longer to import than all our packages; rerun likewise."""
+    slow = "scipy.signal", "scipy.stats", "rerun", "duckdb", "optuna", "ray"
     tables = "metrics, planners, replay.api, replay.control, replay.vehicle"
     code = f"import sys, {tables}; print([name for name in {slow} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

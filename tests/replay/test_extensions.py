@@ -329,7 +329,7 @@ def test_a_chart_or_panel_without_a_place_is_an_error(monkeypatch: pytest.Monkey
     with pytest.raises(ValueError, match="the chart 'extra' has no place in LAYOUT"):
         layout.placed(None)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="the panel 'extra' is in no row of ROWS"):
-        blueprint(RecordingContents([Panel("extra", "", (), 1.0)], None, None, 0, (), np.zeros((2, 2))))
+        blueprint(RecordingContents([Panel("extra", "", (), 1.0)], (), 0, (), np.zeros((2, 2))))
 
 
 @pytest.mark.parametrize(

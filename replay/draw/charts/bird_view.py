@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from logs.arrays import FloatArray
 from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import EgoState
-from logs.trace import PlannedFrame, Trace
 from replay.draw.charts.axes import Plane
 from replay.draw.charts.canvas import (
     DRIVES,
@@ -26,14 +25,13 @@ from replay.draw.charts.canvas import (
     cut_line,
     cut_outline,
     dot,
-    legend,
-    legend_word,
+    legend_words,
     polyline,
     polylines,
     shortened,
     text,
 )
-from replay.draw.charts.subject import ASKED, Moment, Subject
+from replay.draw.charts.subject import ASKED, SceneSubject, Subject
 from replay.draw.model import decided, plan_seconds
 from replay.world import box_center
 
@@ -54,21 +52,6 @@ APART_S = 0.05
 """Instants that are nearer than this are drawn once."""
 
 
-class SceneSubject(Protocol):
-    """What a scene shows: a `Subject`, or a log at a moment (`replay.mine.event_page`)."""
-
-    @property
-    def trace(self) -> Trace: ...  # noqa: D102
-    @property
-    def scenario(self) -> Scenario: ...  # noqa: D102
-    @property
-    def moment(self) -> Moment: ...  # noqa: D102
-    @property
-    def frame(self) -> PlannedFrame | None: ...  # noqa: D102
-    @property
-    def drives(self) -> Mapping[str, SceneSubject]: ...  # noqa: D102
-
-
 def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = ()) -> Chart:
     """The scene at a time; `word` names that time ("start", "worst moment", "end"), `about` road users to point out.
 
@@ -77,7 +60,7 @@ def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = (
     drives = subject.drives
     states = [one.trace.ego.at(float(np.clip(t, *one.trace.ego.t[[0, -1]]))) for one in drives.values()]
     ego, several = states[0], len(drives) > 1
-    view = _View(_plane(ego, states), ego)
+    view = View(_plane(ego, states), ego)
     planned = abs(t - subject.moment.t) < 1e-9
     agents = subject.trace.agents.truth(t)
     ways, boxes = "", ""
@@ -85,7 +68,7 @@ def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = (
         way, box = _way(view, one, kind if several else "planned", planned=planned), _box(view, one, state)
         ways += f'<g class="{kind}">{way}</g>' if several else way
         boxes = (f'<g class="{kind}">{box}</g>' if several else box) + boxes  # the first on top
-    inside = _road(view, subject) + (_foreseen(view, subject) if planned else "") + ways
+    inside = drawn_road(view, subject.scenario) + (_foreseen(view, subject) if planned else "") + ways
     inside += "".join(_other(view, agents, i, pointed=agents.ids[i] in about) for i in range(len(agents))) + boxes
     title, named = f"{word[:1].upper()}{word[1:]}: {t:.2f} s", {}
     if several:
@@ -95,28 +78,24 @@ def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = (
     else:
         title += f", {ego.v:.1f} m/s"
     names = _names(view, agents, subject, named, about, planned=planned)
-    x_title = "ahead of the rear axle [m]"
+    entries, x_title = [("area", "ego", "ego")], "ahead of the rear axle [m]"
     if several:
         x_title = f"ahead of the rear axle of {shortened(next(iter(drives)), NAME_PX)} [m]; road users as in its drive"
-    drawn = view.plane.drawn(inside, x_title=x_title, over=names)
-    head = text(2.0, 13.0, title, "title") + text(2.0, 33.0, "left [m]", "tick")
-    room = WIDTH_PX - 70.0
-    entries = [("area", "ego", "ego")]
-    if several:
-        named_kinds = zip(drives, DRIVES, strict=False)
-        entries = [("line", kind, legend_word(name, room, len(drives))) for name, kind in named_kinds]
+        named_kinds = zip(DRIVES, legend_words(list(drives), WIDTH_PX - 190.0), strict=False)
+        entries = [("line", kind, name) for kind, name in named_kinds]
     entries += [("area", "other", "moves"), ("area", "still", "stands")]
     if not several:
         entries += [("line", "driven", "driven")]
-        entries += [("line", "planned", "plan, a dot a second")] if planned and subject.frame else []
-    head += legend(60.0, 33.0, entries, room)
+        entries += [("line", "planned", "plan, dots: 1 s")] if planned and subject.frame else []
     says = f"Scene, {title}; no other road users"
     if len(agents):
         away = np.hypot(agents.x - ego.x, agents.y - ego.y)
         i = int(np.argmin(away))
         nearest = f"{subject.scenario.short_names(agents.ids[i])}, {away[i]:.0f} m away"
         says = f"Scene, {title}; {len(agents)} other road users, the nearest {nearest}"
-    return Chart(f"scene_{word.replace(' ', '_')}", title, says, WIDTH_PX, HEIGHT_PX, drawn + head)
+    name = f"scene_{word.replace(' ', '_')}"
+    axes = dict[str, Any](x_title=x_title, y_title="left [m]", entries=entries, over=names)
+    return view.plane.chart(name, title, inside, says=says, **axes)
 
 
 def scenes(subject: Subject) -> list[Chart]:
@@ -153,7 +132,7 @@ def place_of_moment(subject: Subject) -> int:
     return int(subject.moment.t - float(subject.trace.ego.t[0]) > APART_S)
 
 
-class _View:
+class View:
     """Converts points of the world to pixels of the picture, (1)."""
 
     def __init__(self, plane: Plane, ego: EgoState) -> None:
@@ -181,16 +160,16 @@ class _View:
         return [piece for line in shown if self.sees(line) for piece in cut_line(line, *self.plane.inner)]
 
 
-def _road(view: _View, subject: SceneSubject) -> str:
+def drawn_road(view: View, scenario: Scenario) -> str:
     """Lanes, crosswalks, the goal, and stop lines with the colour of their light as a word."""
-    road, goal = subject.scenario.road, subject.scenario.goal
+    road, goal = scenario.road, scenario.goal
     lanes = list(road.lanes.values())
     drawn = areas(view.outlines(lane.polygon for lane in lanes if not lane.drivable), "walk")
     drawn += areas(view.outlines(lane.polygon for lane in lanes if lane.drivable), "road")
     drawn += polylines(view.lines(side for lane in lanes for side in (lane.left, lane.right)), "lane")
     drawn += areas(view.outlines(walk.polygon for walk in road.crosswalks), "zebra")
     drawn += areas(view.outlines(() if goal is None else goal.regions), "goal")
-    lights = {light.id: light for light in subject.scenario.lights}
+    lights = {light.id: light for light in scenario.lights}
     for stop in road.stop_lines:
         ends = view.of(stop.points)
         if view.sees(ends):
@@ -201,14 +180,14 @@ def _road(view: _View, subject: SceneSubject) -> str:
     return drawn
 
 
-def _foreseen(view: _View, subject: SceneSubject) -> str:
+def _foreseen(view: View, subject: SceneSubject) -> str:
     """The predictions of other road users in the newest frame."""
     futures = None if subject.frame is None else subject.frame.predictions
     paths = () if futures is None else map(np.column_stack, zip(futures.x, futures.y, strict=True))
     return polylines(view.lines(paths), "foreseen")
 
 
-def _way(view: _View, subject: SceneSubject, kind: str, *, planned: bool) -> str:
+def _way(view: View, subject: SceneSubject, kind: str, *, planned: bool) -> str:
     """The driven path, and the newest plan as a line of a kind with a dot per second."""
     driven = subject.trace.ego
     drawn = polylines(view.lines([np.column_stack([driven.x, driven.y])]), "driven")
@@ -219,7 +198,7 @@ def _way(view: _View, subject: SceneSubject, kind: str, *, planned: bool) -> str
     return drawn
 
 
-def _box(view: _View, subject: SceneSubject, ego: EgoState) -> str:
+def _box(view: View, subject: SceneSubject, ego: EgoState) -> str:
     """The ego's box, with its front marked."""
     car = subject.scenario.vehicle
     x, y = box_center(ego, car)
@@ -231,7 +210,7 @@ def _box(view: _View, subject: SceneSubject, ego: EgoState) -> str:
     return area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "nose")
 
 
-def _other(view: _View, agents: Agents, i: int, *, pointed: bool) -> str:
+def _other(view: View, agents: Agents, i: int, *, pointed: bool) -> str:
     """A box, or a dot for pedestrians and small boxes; a moving agent has a line to its position in one second."""
     box = view.of(corners(*(float(c[i]) for c in (agents.x, agents.y, agents.yaw, agents.length, agents.width))))
     if not view.sees(box):
@@ -248,7 +227,7 @@ def _other(view: _View, agents: Agents, i: int, *, pointed: bool) -> str:
 
 
 def _names(
-    view: _View, agents: Agents, subject: SceneSubject, egos: Mapping[str, EgoState], pointed: Collection[str], *,
+    view: View, agents: Agents, subject: SceneSubject, egos: Mapping[str, EgoState], pointed: Collection[str], *,
     planned: bool,
 ) -> str:  # fmt: skip
     """Names of egos, then ids of agents: those with a decision, then the nearest; without those that would overlap."""

@@ -14,12 +14,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
 from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.errors import ConfigError, writing
+from replay.results.tables import write_file, write_text
 
 Theme = Literal["auto", "light", "dark"]
 
@@ -55,6 +58,7 @@ RULES = """
 .chart .a{stroke:$ego;stroke-width:1.8}
 .chart .b{stroke:$other;stroke-width:1.6;stroke-dasharray:7 3}
 .chart .c{stroke:$rare;stroke-width:1.6;stroke-dasharray:2 2.5}
+.chart .d{stroke:$muted;stroke-width:1.2}
 .chart path.one{stroke:$ego;stroke-width:1.8}
 .chart path.two{stroke:$rare;stroke-width:1.8;stroke-dasharray:7 3}
 .chart path.three{stroke:$plan;stroke-width:1.8;stroke-dasharray:2 2.5}
@@ -98,6 +102,24 @@ RULES = """
 .chart .whisker{stroke:$ego;stroke-width:1.6}
 .chart .speck{fill:$ego;fill-opacity:.55}
 .chart .box{fill:$ego;fill-opacity:.12;stroke:$ego}
+.chart .sign{font-size:15px;text-anchor:middle;fill:$ink}
+.chart .sign.blue{fill:$ego}
+.chart .sign.green{fill:$plan}
+.chart .sign.orange{fill:$other}
+.chart .sign.red{fill:$bad}
+.chart .sign.grey{fill:$muted}
+.chart .sign.olive{fill:$unsure}
+.chart rect.blue{fill:$ego}
+.chart rect.green{fill:$plan}
+.chart rect.orange{fill:$other}
+.chart rect.red{fill:$bad}
+.chart rect.grey{fill:$muted}
+.chart rect.olive{fill:$unsure}
+.chart rect.blank{fill:$ground;stroke:$axis}
+.chart .ring{fill:none;stroke:$ink;stroke-width:1.6}
+.chart .bound{stroke:$ink;stroke-width:2.4}
+.chart .band{fill:$ink;fill-opacity:.22}
+.chart .wide{stroke:$other;stroke-opacity:.6;stroke-width:6;stroke-linecap:round}
 .chart .worse{stroke:$bad;stroke-width:1.6}
 .chart .better{stroke:$good;stroke-width:1.6;stroke-dasharray:4 2}
 """.replace("FONT", FONT)
@@ -134,6 +156,9 @@ LETTER_PX = 5.9
 """Mean width of a letter at the font size of charts."""
 FAR_PX = 20_000.0
 """Coordinates are clipped to +- this value: no picture is taller, and renderers lose digits beyond."""
+
+
+FORMATS = (".png", ".svg")
 
 
 @dataclass(frozen=True)
@@ -176,6 +201,35 @@ class Chart:
             f"<desc>{escape(printable(self.says))}</desc><style>{stylesheet(theme)}</style>"
             f'<rect class="ground" width="100%" height="100%"/>{self.body}</svg>\n'
         )
+
+    def save(self, path: Path, *, theme: Theme = "light", width: float | None = None) -> None:
+        """Write the picture in the format of the path's suffix. The same picture gives the same bytes.
+
+        Args:
+            path: The file; it ends with .png or .svg.
+            theme: "auto" is light in a PNG, which cannot follow the system of its reader.
+            width: Pixels; None: half as many again as the chart has.
+
+        Raises:
+            ConfigError: The suffix is neither .png nor .svg.
+            OutputError: The file cannot be written.
+        """
+        if path.suffix not in FORMATS:
+            raise ConfigError(f"{path}: a picture ends with .png or .svg")
+        wide = width or 1.5 * self.width
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.suffix == ".svg":
+                write_text(path, self.alone(theme, wide))
+                return
+            import resvg_py
+
+            fonts = [str(Path(__file__).with_name("fonts") / f"DejaVuSans{style}.ttf") for style in ("", "-Bold")]
+            svg = self.alone("light" if theme == "auto" else theme, wide)
+            data = bytes(resvg_py.svg_to_bytes(
+                svg_string=svg, skip_system_fonts=True, font_files=fonts, font_family="DejaVu Sans"
+            ))  # fmt: skip
+            write_file(path, lambda partial: partial.write_bytes(data))
 
 
 def px(value: float) -> str:
@@ -287,11 +341,14 @@ def cut_outline(points: FloatArray, width: float, height: float) -> FloatArray:
     return points
 
 
-def rect(x: float, y: float, width: float, height: float, kind: str, about: str = "") -> str:
+def rect(
+    x: float, y: float, width: float, height: float, kind: str, about: str = "", opacity: float = 1.0
+) -> str:  # fmt: skip
     """A box; `about` is its tooltip."""
     inner = f"><title>{escape(about)}</title></rect>" if about else "/>"
     place = f'x="{px(x)}" y="{px(y)}" width="{px(max(width, 0.0))}" height="{px(height)}"'
-    return f'<rect class="{kind}" {place}{inner}'
+    faint = f' fill-opacity="{opacity:.2g}"' if opacity < 1.0 else ""
+    return f'<rect class="{kind}" {place}{faint}{inner}'
 
 
 def line(x0: float, y0: float, x1: float, y1: float, kind: str) -> str:
@@ -334,28 +391,55 @@ def group(x: float, y: float, inside: str) -> str:
     return f'<g transform="translate({px(x)} {px(y)})">{inside}</g>'
 
 
-SAMPLE_PX = 32.0
+def stacked(charts: Sequence[Chart], name: str, title: str, says: str) -> Chart:
+    """Charts below each other, as one."""
+    body, y = "", 0.0
+    for one in charts:
+        body, y = body + group(0.0, y, one.body), y + one.height
+    return Chart(name, title, says, max(one.width for one in charts), y, body)
+
+
+SAMPLE_PX = 34.0
 """Width of an entry of a legend without its word, pixels."""
 
 
-def legend_word(word: str, most: float, entries: int) -> str:
-    """A word that is short enough for a legend of this width with as many equal entries."""
-    return shortened(word, most / entries - SAMPLE_PX)
+def legend_words(words: Sequence[str], most: float) -> list[str]:
+    """Words for a legend of this width: as they are if they fit, otherwise each shortened to its share."""
+    if sum(SAMPLE_PX + LETTER_PX * len(word) for word in words) <= most:
+        return list(words)
+    return [shortened(word, most / len(words) - SAMPLE_PX) for word in words]
 
 
-def legend(x: float, y: float, entries: Sequence[tuple[str, str, str]], most: float) -> str:
-    """Samples in a row, each with element ("line", "area", "dot"), class and word; it omits those that do not fit."""
+LEGEND_PX = 14.0
+"""Height of a row of a legend."""
+Entry = tuple[str, str, str]
+"""An entry of a legend: element ("line", "area", "dot", or a sign), class and word."""
+
+
+def legend_rows(entries: Sequence[Entry], most: float) -> list[list[Entry]]:
+    """The entries in rows that are at most so wide, pixels."""
+    rows, at = list[list[Entry]](), most + 1.0
+    for entry in entries:
+        needed = SAMPLE_PX + LETTER_PX * len(entry[2])
+        if at + needed > most + 8.0:
+            rows, at = [*rows, []], 0.0
+        rows[-1].append(entry)
+        at += needed
+    return rows
+
+
+def legend(x: float, y: float, entries: Sequence[Entry]) -> str:
+    """Samples in a row, each with its word."""
     out, at = [], x
     for element, kind, word in entries:
-        needed = SAMPLE_PX + LETTER_PX * len(word)
-        if at + needed > x + most + 8.0:
-            break
         if element == "area":
             out.append(rect(at, y - 8.0, 16.0, 8.0, kind))
         elif element == "dot":
             out.append(dot(at + 8.0, y - 4.0, 3.0, kind))
-        else:
+        elif element == "line":
             out.append(line(at, y - 3.5, at + 16.0, y - 3.5, kind))
+        else:
+            out.append(text(at + 8.0, y, element, f"sign {kind}"))
         out.append(text(at + 21.0, y, word, "small"))
-        at += needed
+        at += SAMPLE_PX + LETTER_PX * len(word)
     return "".join(out)

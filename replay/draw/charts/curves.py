@@ -6,31 +6,20 @@ The rows are the plan's status, each road user with a decision, and each broken 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from logs.plan import Decision, DecisionKind, PlanStatus, PlanSummary
-from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
-from replay.draw.charts.canvas import (
-    DRIVES,
-    LETTER_PX,
-    Chart,
-    legend,
-    legend_word,
-    line,
-    polyline,
-    rect,
-    shortened,
-    text,
-)
+from replay.draw.charts.axes import LEFT_PX, Plane, rows_plane
+from replay.draw.charts.canvas import DRIVES, LETTER_PX, Chart, legend_words, line, rect, shortened, text
 from replay.draw.charts.subject import Subject
-from replay.draw.model import chart_panels, compared_panels
+from replay.draw.model import Panel, compared_panels, panels
 from replay.explain.explanation import STATUS_WORDS
 
 WIDTH_PX, HEIGHT_PX = 440.0, 168.0
-KINDS = ("a", "b", "c")
-"""Classes of the first, second and third curve of a panel: solid, long dashes, dots."""
+KINDS = ("a", "b", "c", "d")
+"""Classes of the curves of a panel, in their order: solid, long dashes, dots, thin."""
 LEAST_PX = 3.0
 BOLD_PX = 6.8
 """Width of a letter of a warning, pixels."""
@@ -41,49 +30,72 @@ NAME_PX = 90.0
 def curves(subject: Subject) -> list[Chart]:
     """All panels of a drive that have something to show; of several drives, a panel for each of their curves."""
     charts, drives = [], subject.drives
-    panels = {name: chart_panels(one.trace, one.drive.steps) for name, one in drives.items()}
-    several, (first, *_) = len(drives) > 1, panels.values()
+    found = {  # the trace has one plan only
+        name: [p for p in panels(replace(one.trace, frames=()), one.scenario, one.drive.steps) if p.charted]
+        for name, one in drives.items()
+    }
+    several, (first, *_) = len(drives) > 1, found.values()
     kinds = dict(zip(drives, DRIVES, strict=False))
     begins, ends = zip(*(one.span for one in drives.values()), strict=True)
-    for panel in compared_panels(panels) if several else first:
-        plane = Plane((min(begins), max(ends)), panel.range, WIDTH_PX, HEIGHT_PX)
-        classes = [kinds[curve.name] for curve in panel.curves] if several else KINDS
-        shown = list(zip(panel.curves, classes, strict=False))
-        lines = "".join(polyline(plane.at_x(curve.t), plane.at_y(curve.values), kind) for curve, kind in shown)
-        broken = [
-            (f"{name}: " if several else "", some)
+    for panel in compared_panels(found) if several else first:
+        shaded = [
+            Span(begin, end, f"\u26a0 {of}{some.series}", f"{of}{some.gate}")
             for name, one in drives.items()
+            for of in [f"{shortened(name, NAME_PX)}: " if several else ""]
             for some in one.violations
             if some.series.startswith(panel.about) and panel.about
+            for begin, end in some.spans
         ]
-        wide, high = plane.inner
-        boxes, words, until = "", "", -np.inf  # the intervals in which a gate is broken, and the metrics above them
-        found = [(begin, end, some, of) for of, some in broken for begin, end in some.spans]
-        for begin, end, some, of in sorted(found, key=lambda one: (one[0], one[1], one[2].gate)):
-            left, right = plane.at_x(np.array([begin, end])).tolist()
-            left = min(max(left, 0.0), wide - LEAST_PX)
-            right = max(right, left + LEAST_PX)
-            boxes += rect(left, 0.0, right - left, high, "broken", of + some.gate) + line(left, 0.0, left, high, "edge")
-            says = f"{shortened(of[:-2], NAME_PX)}: {some.series}" if several else some.series
-            room = BOLD_PX * len(says) + 14.0
-            at = min(left + 2.0, wide - room)
-            if at > until:
-                words += text(at, 9.0, f"\u26a0 {says}", "warn")
-                until = at + room
-        inside = boxes + lines + now_line(plane, subject.moment.t)
-        title, largest = panel.title, float(np.abs(panel.values).max())
-        if any(curve.spiky for curve in panel.curves) and largest > 1.2 * max(map(abs, panel.range)):
-            title += f", up to {largest:.0f} in single steps"
-        head = text(2.0, 13.0, title, "title")
-        room = WIDTH_PX - plane.left - 10.0
-        named = [("line", kind, legend_word(curve.legend, room, len(shown))) for curve, kind in shown]
-        head += legend(plane.left, 28.0, named, room)
-        drawn = plane.drawn(inside, x_title="time [s]", over=words)
-        spans = [f"{c.legend} {c.known.min():.3g} to {c.known.max():.3g}" for c in panel.curves]
-        failed = f"; breaks {', '.join(of + some.gate for of, some in broken)}" if broken else ""
-        says = f"{panel.title} over time: {', '.join(spans)}{failed}"
-        charts.append(Chart(panel.name, panel.title, says, WIDTH_PX, HEIGHT_PX, drawn + head))
+        classes = [kinds[curve.name] for curve in panel.curves] if several else KINDS
+        charts.append(panel_chart(panel, (min(begins), max(ends)), shaded, now=subject.moment.t, kinds=classes))
     return charts
+
+
+def panel_chart(
+    panel: Panel, x: tuple[float, float], shaded: Sequence[Span] = (), *, now: float | None = None,
+    kinds: Sequence[str] = KINDS, shade: str = "broken", x_title: str = "time [s]",
+    size: tuple[float, float] = (WIDTH_PX, HEIGHT_PX),
+) -> Chart:  # fmt: skip
+    """The curves of a panel.
+
+    Args:
+        panel: The panel; curves without a class are not drawn.
+        x: Range of the axis.
+        shaded: Intervals that are shaded, each with a word above, and in a tooltip why.
+        now: A time that is marked.
+        kinds: The classes of the curves.
+        shade: The class of the intervals.
+        x_title: Title of the axis.
+        size: Pixels.
+    """
+    plane = Plane(x, panel.range, *size)
+    shown = list(zip(panel.curves, kinds, strict=False))
+    wide, high = plane.inner
+    inside, words, until = "", "", -np.inf
+    for span in sorted(shaded, key=lambda one: (one.begin, one.end, one.why)):
+        left, right = plane.at_x(np.array([span.begin, span.end])).tolist()
+        left = min(max(left, 0.0), wide - LEAST_PX)
+        right = max(right, left + LEAST_PX)
+        inside += rect(left, 0.0, right - left, high, shade, span.why)
+        inside += line(left, 0.0, left, high, "edge") if span.word else ""
+        room = BOLD_PX * len(span.word) + 2.0
+        at = min(left + 2.0, wide - room)
+        if at > until:
+            words += text(at, 9.0, span.word, "warn")
+            until = at + room
+    inside += "".join(plane.line(curve.t, curve.values, kind) for curve, kind in shown[::-1])  # the first on top
+    inside += "" if now is None else now_line(plane, now)
+    head, largest = panel.title, float(np.abs(panel.values).max())
+    if any(curve.spiky for curve in panel.curves) and largest > 1.2 * max(map(abs, panel.range)):
+        head += f", up to {largest:.0f} in single steps"
+    named = legend_words([curve.legend for curve, _ in shown], size[0] - LEFT_PX)
+    entries = [("line", kind, word) for (_, kind), word in zip(shown, named, strict=True)]
+    spans = [f"{c.legend} {c.known.min():.3g} to {c.known.max():.3g}" for c in panel.curves]
+    failed = f"; breaks {', '.join(dict.fromkeys(span.why for span in shaded))}" if shade == "broken" and shaded else ""
+    says = f"{panel.title} over time: {', '.join(spans)}{failed}"
+    return plane.chart(
+        panel.name, panel.title, inside, head=head, says=says, entries=entries, over=words, x_title=x_title
+    )
 
 
 def now_line(plane: Plane, t: float) -> str:
@@ -172,22 +184,15 @@ def decisions(subject: Subject, width: float = ROWS_PX) -> Chart:
     if not rows:
         body = text(2.0, 13.0, title, "title") + text(0.5 * width, 40.0, "the drive has no plans", "says")
         return Chart("decisions", title, f"{title}: the drive has no plans", width, 56.0, body)
-    height = TOP_PX + ROW_PX * len(rows) + BOTTOM_PX
-    plane = Plane(subject.span, (0.0, float(len(rows))), width, height, top=TOP_PX)
-    plane = for_words(plane, [row.name for row in rows], LABEL_PX)
+    plane, names = rows_plane([row.name for row in rows], subject.span, width, ROW_PX, top=TOP_PX, most=LABEL_PX)
     bars = "".join(_bars(plane, row, k) for k, row in enumerate(rows)) + now_line(plane, subject.moment.t)
-    names = "".join(
-        text(-6.0, ROW_PX * k + 14.0, shortened(row.name, plane.left - 8.0), "end", about=row.name)
-        for k, row in enumerate(rows)
-    )
     silent = not any(row.kind == "bar" for row in rows)
     says = "; ".join(
         f"{row.name}: " + ", ".join(f"{span.word} {span.begin:.1f} to {span.end:.1f} s" for span in row.spans[:6])
         for row in rows
     )
-    head = text(2.0, 13.0, title + (": the planner reports none" if silent else ""), "title")
-    drawn = plane.drawn(bars, x_title="time [s]", y_ticks=False, over=names)
-    return Chart("decisions", title, says, width, height, drawn + head)
+    head = title + (": the planner reports none" if silent else "")
+    return plane.chart("decisions", title, bars, head=head, says=says, x_title="time [s]", y_ticks=names)
 
 
 def _bars(plane: Plane, row: SpanRow, k: int) -> str:

@@ -7,17 +7,16 @@ raises is replaced by its error, and nothing else is affected. Several charts ar
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
-from logs.errors import ConfigError, raised, writing
+from logs.errors import raised
 from logs.extension import ExtensionKind
 from replay.draw.charts.bird_view import scenes
-from replay.draw.charts.canvas import Chart, Theme, group, shortened, text
+from replay.draw.charts.canvas import Chart, group, shortened, text
 from replay.draw.charts.curves import curves, decisions
 from replay.draw.charts.plan_graphs import sl_graph, st_graph
 from replay.draw.charts.subject import Subject
-from replay.results.tables import safe_name, write_file, write_text
+from replay.results.tables import safe_name
 
 Draw = Callable[[Subject], "Chart | Sequence[Chart]"]
 
@@ -76,7 +75,6 @@ def _broken(name: str, why: str) -> Chart:
 
 
 COLUMN_PX, GAP_PX, MARGIN_PX, HEAD_PX, NAME_PX = 440.0, 16.0, 14.0, 44.0, 16.0
-FORMATS = (".png", ".svg")
 ALL = "all"
 
 
@@ -123,48 +121,15 @@ def row_width(width: float) -> float:
 
 
 def together(charts: Sequence[Chart], title: str, says: str, width: float) -> Chart:
-    """Charts in as many columns as fit into a width (pixels), under a title."""
-    most = len(charts) * (COLUMN_PX + GAP_PX) - GAP_PX
-    full = max(min(row_width(width), most), *(chart.width for chart in charts))
-    placed, x, y, row = [], 0.0, HEAD_PX, 0.0
+    """Charts in rows that are at most so wide (pixels), or as one chart, under a title."""
+    placed, full, x, y, row = [], 0.0, 0.0, HEAD_PX, 0.0
     for chart in charts:
-        if x > 0.0 and x + chart.width > full + 1.0:
+        if x > 0.0 and x + chart.width > width + 1.0:
             x, y, row = 0.0, y + row + GAP_PX, 0.0
+        full = max(full, x + chart.width)
         placed.append(group(MARGIN_PX + x, y, chart.body))
         x, row = x + chart.width + GAP_PX, max(row, chart.height)
     head = text(MARGIN_PX, 18.0, shortened(title, full), "title")
     head += text(MARGIN_PX, 34.0, shortened(says, full), "small")
     spoken = f"{title}; {says}: " + "; ".join(chart.title for chart in charts)
     return Chart("all", title, spoken, full + 2.0 * MARGIN_PX, y + row + MARGIN_PX, head + "".join(placed))
-
-
-def save(chart: Chart, path: Path, *, theme: Theme, width: int) -> None:
-    """Write a picture in the format of the path's suffix. The same drive gives the same bytes.
-
-    Args:
-        chart: The picture.
-        path: The file; it ends with .png or .svg.
-        theme: "auto" is light in a PNG, which cannot follow the system of its reader.
-        width: Pixels.
-
-    Raises:
-        ConfigError: The suffix is neither .png nor .svg.
-        OutputError: The file cannot be written.
-    """
-    if path.suffix not in FORMATS:
-        raise ConfigError(f"{path}: a picture ends with .png or .svg")
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.suffix == ".svg":
-            write_text(path, chart.alone(theme, width))
-            return
-        import matplotlib as mpl
-        import resvg_py
-
-        svg = chart.alone("light" if theme == "auto" else theme, width)
-        fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"  # so that it looks the same on every machine
-        files = [str(fonts / f"DejaVuSans{style}.ttf") for style in ("", "-Bold", "-Oblique")]
-        data = bytes(
-            resvg_py.svg_to_bytes(svg_string=svg, skip_system_fonts=True, font_files=files, font_family="DejaVu Sans")
-        )
-        write_file(path, lambda partial: partial.write_bytes(data))

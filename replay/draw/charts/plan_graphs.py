@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from logs.arrays import FloatArray
 from logs.names import ShortNames
-from logs.plan import Graph, SlGraph, StGraph
 from replay.draw.charts.axes import Plane
-from replay.draw.charts.canvas import LETTER_PX, Chart, area, legend, polyline, shortened, text
-from replay.draw.charts.subject import Subject
-from replay.draw.model import DrawnGraph, widened
+from replay.draw.charts.canvas import LETTER_PX, Chart, shortened, text
+from replay.draw.charts.subject import SceneSubject, Subject
+from replay.draw.model import SL, ST, DrawnGraph, GraphKind, graph_axes
 
 WIDTH_PX, HEIGHT_PX = 440.0, 250.0
 MAX_LABELS = 6
@@ -20,93 +16,58 @@ LABEL_PX = 12.0
 """Smallest vertical distance between two labels."""
 
 
-@dataclass(frozen=True)
-class _Kind:
-    """The name and the axes of a kind of graph."""
-
-    name: str
-    graph: type[Graph]
-    title: str
-    x_title: str
-    y_title: str
-    least: float
-
-
-ST = _Kind("st", StGraph, "S-T graph", "time from the plan [s]", "station along the path [m]", 5.0)
-SL = _Kind("sl", SlGraph, "S-L graph", "station of the reference line [m]", "lateral offset [m], left positive", 4.0)
-
-
 def st_graph(subject: Subject) -> Chart:
     """Station over time: obstacles with their decisions, DP and QP speed, corridor."""
-    return _graph(subject, ST)
+    return _graph_of(subject, ST)
 
 
 def sl_graph(subject: Subject) -> Chart:
     """Lateral offset over station: obstacles, DP and QP path, corridor."""
-    return _graph(subject, SL)
+    return _graph_of(subject, SL)
 
 
-def _graph(subject: Subject, kind: _Kind) -> Chart:
-    frame = subject.frame
+def _graph_of(subject: Subject, kind: GraphKind) -> Chart:
+    frame, why = subject.frame, f"{subject.drive.planner} reports no internals"
+    if frame is None:
+        why = "no plan yet at this time"
+    elif frame.plan.internals or any(plan.internals for plan in subject.plans):
+        why = f"this plan has no {kind.title}"
+    elif subject.drive.result.run.internals == "none":
+        why = "the internals of the plan were not kept (--set internals=none)"
+    return plan_graph(subject, kind, why)
+
+
+def plan_graph(subject: SceneSubject, kind: GraphKind, why: str) -> Chart:
+    """A graph of the newest plan; `why`: the reason if it has none."""
+    frame, short = subject.frame, subject.scenario.short_names
     title = f"{kind.title} of the plan at {subject.moment.t if frame is None else frame.t:.1f} s"
-    graph = None if frame is None else DrawnGraph.of(frame.plan, kind.graph)
+    graph = None if frame is None else DrawnGraph.of(frame.plan, kind)
     if graph is None:
-        why = f"{subject.drive.planner} reports no internals"
-        if frame is None:
-            why = "no plan yet at this time"
-        elif frame.plan.internals or any(plan.internals for plan in subject.plans):
-            why = f"this plan has no {kind.title}"
-        elif subject.drive.result.run.internals == "none":
-            why = "the internals of the plan were not kept (--set internals=none)"
         body = text(2.0, 13.0, title, "title") + text(WIDTH_PX / 2.0, 44.0, why, "says")
         return Chart(kind.name, title, f"{title}: {why}", WIDTH_PX, 64.0, body)
-    plane, short = _plane(graph, kind), subject.scenario.short_names
-    inside = ""
+    x, y = graph_axes([graph], kind) or ((0.0, 1.0), (0.0, kind.least))
+    plane, inside = Plane((x[0] + graph.begin, x[1] + graph.begin), y, WIDTH_PX, HEIGHT_PX), ""
     if graph.corridor is not None:
         margin = 0.1 * (plane.y[1] - plane.y[0])  # edges out there are clipped
         bounds = plane.y[0] - margin, plane.y[1] + margin
         low, high = (np.clip(bound, *bounds) for bound in (graph.corridor.lower, graph.corridor.upper))
-        x = plane.at_x(np.r_[graph.corridor.first, graph.corridor.first[::-1]])
-        inside += area(x, plane.at_y(np.r_[low, high[::-1]]), "room")
+        inside += plane.area(np.r_[graph.corridor.first, graph.corridor.first[::-1]], np.r_[low, high[::-1]], "room")
     for some in graph.obstacles:
         if len(some.outline) > 2:
-            x, y = plane.at_x(some.outline[:, 0]), plane.at_y(some.outline[:, 1])
-            inside += area(x, y, "ignored" if some.is_ignored else "thing")
-    for line, name in ((graph.dp, "dp"), (graph.qp, "qp")):
-        inside += polyline(plane.at_x(line[:, 0]), plane.at_y(line[:, 1]), name) if len(line) else ""
-    drawn = plane.drawn(inside, x_title=kind.x_title, over=_labels(plane, graph, short))
+            inside += plane.area(some.outline[:, 0], some.outline[:, 1], "ignored" if some.is_ignored else "thing")
+    inside += "".join(
+        plane.line(line[:, 0], line[:, 1], name) for line, name in ((graph.dp, "dp"), (graph.qp, "qp")) if len(line)
+    )
     entries = (
         (len(graph.qp), ("line", "qp", "QP")), (len(graph.dp), ("line", "dp", "DP")),
         (graph.corridor, ("area", "room", "corridor")), (graph.obstacles, ("area", "thing", "obstacle")),
     )  # fmt: skip
-    head = text(2.0, 13.0, title, "title") + text(2.0, 27.0, kind.y_title, "tick")
-    head += legend(178.0, 27.0, [entry for shown, entry in entries if shown], WIDTH_PX - 190.0)
     named = ", ".join(f"{some.of.agent}: {some.of.decision.value}" for some in graph.obstacles)
-    says = f"{title}: {short(named) or 'no agent in the way'}"
-    return Chart(kind.name, title, says, WIDTH_PX, HEIGHT_PX, drawn + head)
-
-
-def _plane(graph: DrawnGraph, kind: _Kind) -> Plane:
-    """A plot area with all solutions and the near ends of obstacles; it may cut off far bounds of the corridor."""
-    outlines = [some.outline for some in graph.obstacles]
-    points = np.vstack([graph.qp, graph.dp])
-    if not len(points):
-        points = np.vstack([np.zeros((1, 2)), *outlines])
-    x = float(points[:, 0].min()), max(float(points[:, 0].max()), float(points[:, 0].min()) + 1.0)
-    low, high = float(points[:, 1].min()), float(points[:, 1].max())
-    seen = [o[(o[:, 0] >= x[0]) & (o[:, 0] <= x[1]), 1] for o in outlines]
-    bounds: list[FloatArray] = [o for o in seen if len(o)]
-    if kind is SL:
-        if graph.corridor is not None:
-            inside = (graph.corridor.first >= x[0]) & (graph.corridor.first <= x[1])
-            sides = (side[inside & np.isfinite(side)] for side in (graph.corridor.lower, graph.corridor.upper))
-            bounds += [side for side in sides if len(side)]
-        low = max(min([low, *(float(some.min()) for some in bounds)]), low - 6.0)
-        high = min(max([high, *(float(some.max()) for some in bounds)]), high + 6.0)
-        return Plane(x, widened(low, high, kind.least), WIDTH_PX, HEIGHT_PX)
-    near = [float(some.min()) for some in bounds]
-    top = max(high, min(max([high, *(end + 6.0 for end in near)]), 1.6 * high + 10.0), kind.least)
-    return Plane(x, (min(low, 0.0), 1.05 * top), WIDTH_PX, HEIGHT_PX)
+    return plane.chart(
+        kind.name, title, inside, says=f"{title}: {short(named) or 'no agent in the way'}",
+        entries=[entry for shown, entry in entries if shown], over=_labels(plane, graph, short),
+        x_title=kind.x_title, y_title=kind.y_title,
+    )  # fmt: skip
 
 
 def _labels(plane: Plane, graph: DrawnGraph, short: ShortNames) -> str:

@@ -7,7 +7,7 @@ The moment and the broken gates are found in the tables of the run, without its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, isfinite, isnan
@@ -123,27 +123,46 @@ def violations(drive: StoredDrive) -> list[Violation]:
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class SceneSubject:
+    """What a scene shows: a trace at a moment.
+
+    Attributes:
+        moment: The time to look at, and the reason.
+        trace: The trace, with only the newest plan at the moment.
+        scenario: Road, goal, vehicle, lights.
+    """
+
+    moment: Moment
+    trace: Trace
+    scenario: Scenario
+
+    @property
+    def drives(self) -> Mapping[str, SceneSubject]:
+        """All drives in the scene by their names in legends: this one."""
+        return {"": self}
+
+    @property
+    def frame(self) -> PlannedFrame | None:
+        """The newest plan at the moment; None if there is no plan yet."""
+        return self.trace.frames[0] if self.trace.frames else None
+
+
+@dataclass(frozen=True, eq=False)
+class Subject(SceneSubject):
     """A drive and the moment to look at.
 
     Attributes:
         drive: The drive in the results.
-        moment: The time to look at, and the reason.
-        trace: The trace, with only the newest plan at the moment.
-        scenario: Road, goal, vehicle, lights.
         plans: The summaries of all plans.
         beside: Other drives of the log at this moment, or at their end if it was earlier.
     """
 
     drive: StoredDrive
-    moment: Moment
-    trace: Trace
-    scenario: Scenario
     plans: tuple[PlanSummary, ...]
     beside: tuple[Subject, ...] = ()
 
     @cached_property
-    def drives(self) -> dict[str, Subject]:
+    def drives(self) -> Mapping[str, Subject]:
         """All drives by their names in legends: the planner, and loop and run where these differ."""
         some = (self, *self.beside)
         for name in NAMES:
@@ -186,11 +205,6 @@ class Subject:
         first, last = float(self.trace.ego.t[0]), float(self.trace.ego.t[-1])
         return first, max(last, first + 0.1)
 
-    @property
-    def frame(self) -> PlannedFrame | None:
-        """The newest plan at the moment; None if there is no plan yet."""
-        return self.trace.frames[0] if self.trace.frames else None
-
 
 def subject(drive: StoredDrive, at: float | None = None, beside: Sequence[StoredDrive] = ()) -> Subject:
     """A drive at a time, or at its worst moment, and other drives of the same log beside it.
@@ -213,7 +227,7 @@ def subject(drive: StoredDrive, at: float | None = None, beside: Sequence[Stored
     if len(beside) >= MOST:
         raise ConfigError(f"one picture shows at most {MOST} drives, got {1 + len(beside)}")
     others = (subject(other, min(moment.t, float(other.info["t_end_s"]))) for other in beside)
-    seen = Subject(drive, moment, trace, scenario, plans, tuple(others))
+    seen = Subject(moment, trace, scenario, drive, plans, tuple(others))
     if len(seen.drives) <= len(beside):
         raise ConfigError(f"{drive.title}: the same drive is given twice")
     return seen

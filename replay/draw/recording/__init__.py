@@ -17,13 +17,12 @@ import rerun as rr
 
 from logs.arrays import FloatArray
 from logs.memory import NearbyTracks, light, trim_memory
-from logs.plan import Graph, SlGraph, StGraph
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlannedFrame, Trace
-from replay.draw.model import DrawnGraph, Marker, motion_panels, stage_panel, steps_of
+from replay.draw.model import SL, ST, DrawnGraph, GraphKind, Marker, panels, stage_panel, steps_of
 from replay.draw.recording import pages, plots
 from replay.draw.recording.blueprint import RecordingContents, blueprint
-from replay.draw.recording.graphs import Axes, draw_graph, draw_occupancy, sl_axes, st_axes
+from replay.draw.recording.graphs import Axes, draw_graph, draw_occupancy
 from replay.draw.recording.moving import draw_moving, draw_others, draw_scene
 from replay.draw.recording.tape import Instants, Tape, field_name, path_parts, recording_file
 from replay.explain.explanation import TimedEvent, events
@@ -61,17 +60,15 @@ def write_recording(
     frames = np.array([frame.t for frame in trace.frames]) if trace.frames else times
     instants, planned = Instants.among(times, frames), Instants.among(frames, frames)
     some = whole.frames[:: max(1, ceil(len(frames) / SAMPLE))]
-    axes: dict[type[Graph], Axes | None] = {
-        StGraph: st_axes([graph for graph in _graphs(some, StGraph) if graph]),
-        SlGraph: sl_axes([graph for graph in _graphs(some, SlGraph) if graph]),
-    }
+    found = ((kind, Axes.of([graph for graph in _graphs(some, kind) if graph], kind)) for kind in (ST, SL))
+    axes = {kind: axis for kind, axis in found if axis is not None}
     del some
-    panels = motion_panels(trace, scenario, times, steps_of(steps))
-    panels += stage_panel(drive.timings, path_parts(timing.stage for timing in drive.timings))
+    curves = panels(trace, scenario, steps_of(steps))
+    curves += stage_panel(drive.timings, path_parts(timing.stage for timing in drive.timings))
     names = ("why", "numbers", "recent", "summary") if trace.frames else ("recent", "summary")
     lanes = plots.state_lanes(trace, scenario.road)
     contents = RecordingContents(
-        panels, axes[StGraph], axes[SlGraph], [lane.name for lane in lanes], names, _bounds(trace, scenario)
+        curves, list(axes.values()), [lane.name for lane in lanes], names, _bounds(trace, scenario)
     )
     application = f"replan {scenario.name} {trace.mode.value} loop"
     short = scenario.short_names
@@ -82,7 +79,7 @@ def write_recording(
             _draw_part(tape, whole, scenario, instants.within(part), planned.within(part), axes)
             if len(planned) > PART:
                 trim_memory()
-        plots.draw_panels(tape, panels, frames)
+        plots.draw_panels(tape, curves, frames)
         plots.draw_lanes(tape, lanes, frames)
         pages.draw_events(tape, events(trace), planned)
         pages.draw_summary(tape, pages.summary(whole, scenario, table))
@@ -99,7 +96,7 @@ def _draw_part(
     scenario: Scenario,
     instants: Instants,
     planned: Instants,
-    axes: Mapping[type[Graph], Axes | None],
+    axes: Mapping[GraphKind, Axes],
 ) -> None:
     """Draw agents, plans and graphs of some frames, so that only these frames of a long drive are in memory."""
     frames = whole.frames[int(planned.frame[0]) : int(planned.frame[-1]) + 1]
@@ -110,11 +107,9 @@ def _draw_part(
     draw_moving(tape, trace, frozenset(whole.agents.kinds), instants, planned)
     draw_others(tape, trace, planned)
     for kind, axis in axes.items():
-        if axis:
-            draw_graph(tape, planned, _graphs(frames, kind), axis)
-    st = axes[StGraph]
-    if st is not None:
-        draw_occupancy(tape, planned, list(actual_occupancy(trace, scenario)), st)
+        draw_graph(tape, planned, _graphs(frames, kind), axis)
+    if ST in axes:
+        draw_occupancy(tape, planned, list(actual_occupancy(trace, scenario)), axes[ST])
     if frames:
         pages.draw_why(tape, trace, scenario, planned)
 
@@ -127,16 +122,16 @@ def write_log_recording(path: Path, scenario: Scenario, markers: Sequence[Marker
     """
     trace = Trace(scenario.name, "log", Mode.OPEN, False, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG)
     times = scene_times(trace, scenario.duration)
-    panels = motion_panels(trace, scenario, times, steps_of(None))
+    curves = panels(trace, scenario, steps_of(None))
     lanes = plots.marker_lanes(markers, float(times[-1]))
     names = ("recent", "summary") if lanes else ("summary",)
-    contents = RecordingContents(panels, None, None, [lane.name for lane in lanes], names, _bounds(trace, scenario))
+    contents = RecordingContents(curves, (), [lane.name for lane in lanes], names, _bounds(trace, scenario))
     instants = Instants.among(times, times)
     application, short = f"replan {scenario.name} log", scenario.short_names
     with recording_file(path, application, "log", _digest(trace), blueprint(contents), short) as tape:
         draw_scene(tape, trace, scenario, instants)
         draw_moving(tape, trace, frozenset(trace.agents.kinds), instants, instants)
-        plots.draw_panels(tape, panels, times)
+        plots.draw_panels(tape, curves, times)
         if lanes:
             plots.draw_lanes(tape, lanes, times)
             began = [TimedEvent(one.begin, "INFO", one.words) for one in sorted(markers, key=lambda one: one.begin)]
@@ -158,7 +153,7 @@ def scene_times(trace: Trace, end: float) -> FloatArray:
     return times[times <= end + 1e-9] if (times <= end + 1e-9).any() else times
 
 
-def _graphs(frames: Sequence[PlannedFrame], kind: type[Graph]) -> list[DrawnGraph | None]:
+def _graphs(frames: Sequence[PlannedFrame], kind: GraphKind) -> list[DrawnGraph | None]:
     """The first graph of a kind in each frame."""
     return [DrawnGraph.of(frame.plan, kind) for frame in frames]
 

@@ -9,19 +9,22 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from logs.arrays import FloatArray
-from replay.draw.model import Panel
+from replay.draw.model import SL, ST, Panel
 from replay.draw.recording.graphs import HEIGHT, MARGIN_BOTTOM, MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, WIDTH, Axes
 from replay.draw.recording.plots import plot, time_axis
 from replay.draw.recording.tape import FRAME, REMOVED, SIM_TIME, SPACER
 
 PAGES = {"why": "Why", "numbers": "Solvers and costs", "recent": "Events until now", "summary": "Summary"}
-GRAPHS = {"st": "S-T graph: DP yellow, QP blue, actual occupancy pink", "sl": "S-L graph: DP yellow, QP blue"}
+GRAPHS = {ST: "S-T graph: DP yellow, QP blue, actual occupancy pink", SL: "S-L graph: DP yellow, QP blue"}
 ROWS = {
-    "overview": ((("speed",), 1.3), (("acceleration", "jerk"), 1.3)),
+    "overview": (
+        (("speed", "progress", "displacement"), 1.2), (("acceleration", "jerk", "plan_acceleration", "plan_jerk"), 1.2),
+        (("gap", "ttc", "change"), 1.0),
+    ),
     "planner": ((("speed",), 1.2), (("stages",), 1.2)),
     "control": (
-        (("speed",), 1.0), (("acceleration",), 1.0), (("pedals",), 1.0),
-        (("steer",), 1.0), (("error_across",), 1.0), (("error_along",), 1.0), (("slip",), 1.0), (("friction",), 1.0),
+        (("speed",), 1.0), (("acceleration",), 1.0), (("pedals",), 1.0), (("steer",), 1.0), (("tracking",), 1.0),
+        (("tracking_speed", "tracking_heading"), 1.0), (("slip",), 1.0), (("friction",), 1.0),
     ),
 }  # fmt: skip
 """Panels of each layout in order, and their shares of the height; the panels of one row are tabs of one place."""
@@ -32,8 +35,7 @@ class RecordingContents:
     """The contents of a recording: panels, graphs, rows of states, pages, and the corners of the map `(2, 2)`."""
 
     panels: Sequence[Panel]
-    st: Axes | None
-    sl: Axes | None
+    graphs: Sequence[Axes]
     lanes: Sequence[str]
     pages: Sequence[str]
     bounds: FloatArray
@@ -59,7 +61,7 @@ def blueprint(contents: RecordingContents) -> rrb.Blueprint:
     if nowhere:
         raise ValueError(f"the panel '{min(nowhere)}' is in no row of ROWS: it would not be seen")
     tabs = [_overview(contents, panels)]
-    if contents.st or contents.sl or "stages" in panels:  # the graphs large, the pages, and the stage times
+    if contents.graphs or "stages" in panels:  # the graphs large, the pages, and the stage times
         rows, shares = _rows("planner", panels)
         words = rrb.Vertical(_pages(contents, ("why",)), _pages(contents, ("numbers",)), row_shares=[1.3, 1.0])
         views = (scene_behind(), *rows, _decisions(contents))
@@ -147,8 +149,7 @@ def _scene(name: str, origin: str, contents: list[str], eye: rrb.EyeControls3D, 
 
 
 def _graphs(contents: RecordingContents) -> list[rrb.View]:
-    shown = ((axes, GRAPHS[name]) for name, axes in (("st", contents.st), ("sl", contents.sl)) if axes)
-    return [graph_view(name, "/graphs", f"/{axes.entity}") for axes, name in shown]
+    return [graph_view(GRAPHS[axes.kind], "/graphs", f"/{axes.entity}") for axes in contents.graphs]
 
 
 def graph_view(name: str, origin: str, entity: str) -> rrb.Spatial2DView:

@@ -19,7 +19,7 @@ import rerun as rr
 
 from logs.arrays import FloatArray, IntArray
 from logs.plan import DecisionKind
-from replay.draw.model import DrawnGraph, DrawnObstacle, multiples, nice_step
+from replay.draw.model import DrawnGraph, DrawnObstacle, GraphKind, Span, graph_axes, ticks
 from replay.draw.recording import colours
 from replay.draw.recording.tape import Instants, PlaneWindow, Tape, joined, outline_segments, pixels, plain, strokes
 
@@ -32,6 +32,7 @@ LETTER = 1.9
 STROKE = 0.8
 """Distance of the strokes that fill an obstacle, view units."""
 MAX_LABELS = 8
+MOST_TICKS = 10
 FEW_LABELS = 3
 """Ignored obstacles are labelled in frames with at most this many obstacles."""
 MAX_ROWS = 40
@@ -44,20 +45,24 @@ class Axes:
     """The axes of one graph over a whole recording.
 
     Attributes:
-        entity: The entity of the graph.
-        x: Range, relative to the begin of the graph.
-        y: Range.
-        x_title: Title of the x axis, with the unit.
-        y_title: Title of the y axis, with the unit.
-        scrolls: Whether the graph begins at another x in each frame, so that x ticks move.
+        kind: The kind of graph.
+        x: Range, relative to the begin of the graph; `y` likewise.
     """
 
-    entity: str
-    x: tuple[float, float]
-    y: tuple[float, float]
-    x_title: str
-    y_title: str
-    scrolls: bool
+    kind: GraphKind
+    x: Span
+    y: Span
+
+    @classmethod
+    def of(cls, graphs: Sequence[DrawnGraph], kind: GraphKind) -> Axes | None:
+        """Axes that fit all graphs of a drive; None if there is nothing in them."""
+        spans = graph_axes(graphs, kind)
+        return None if spans is None else cls(kind, *spans)
+
+    @property
+    def entity(self) -> str:
+        """The entity of the graph."""
+        return f"graphs/{self.kind.name}"
 
     @property
     def scale(self) -> tuple[float, float]:
@@ -70,38 +75,6 @@ class Axes:
         return PlaneWindow(self.x, self.y)
 
 
-def st_axes(graphs: Sequence[DrawnGraph]) -> Axes | None:
-    """Axes that show every speed solution, and the near end of every obstacle that matters."""
-    points = _solutions(graphs)
-    if not len(points):
-        return None
-    near = [float(o.outline[:, 1].min()) for graph in graphs for o in graph.obstacles if not o.is_ignored]
-    solved = float(points[:, 1].max())
-    top = max(1.12 * solved, min(1.1 * max([0.0, *near]), 1.25 * solved), 5.0)
-    right = max(float(points[:, 0].max()), 0.1)
-    step = nice_step(top, 10)
-    low = min(0.0, -step * ceil(-float(points[:, 1].min()) / step))
-    return Axes("graphs/st", (0.0, right), (low, step * ceil(top / step - 1e-9)), "t [s]", "s [m]", False)
-
-
-def sl_axes(graphs: Sequence[DrawnGraph]) -> Axes | None:
-    """Axes that show every path solution and every grid row."""
-    points = _solutions(graphs)
-    if not len(points):
-        return None
-    rows = [graph.grid.second[[0, -1]] for graph in graphs if graph.grid and len(graph.grid.second)]
-    lateral = np.concatenate([points[:, 1], *rows])
-    low, high = float(lateral.min()) - 0.6, float(lateral.max()) + 0.6
-    middle, half = 0.5 * (low + high), max(0.5 * (high - low), 1.5)
-    length = max(float(points[:, 0].max()), 1.0)
-    return Axes("graphs/sl", (0.0, length), (middle - half, middle + half), "s [m]", "l [m]", True)
-
-
-def _solutions(graphs: Sequence[DrawnGraph]) -> FloatArray:
-    """All points of all solutions, x relative to the begin of their graph."""
-    return joined([line - [graph.begin, 0.0] for graph in graphs for line in (graph.qp, graph.dp)], 2)[0]
-
-
 def draw_graph(tape: Tape, instants: Instants, graphs: Sequence[DrawnGraph | None], axes: Axes) -> None:
     """Draw one kind of graph, one row per frame; a frame without it shows empty axes."""
     kx, ky = axes.scale
@@ -109,7 +82,7 @@ def draw_graph(tape: Tape, instants: Instants, graphs: Sequence[DrawnGraph | Non
     tape.static(axes.entity, scale)
     offsets = np.zeros(len(graphs))
     for i, graph in enumerate(graphs):
-        offsets[i] = (graph.begin if graph else offsets[max(i - 1, 0)]) if axes.scrolls else 0.0
+        offsets[i] = (graph.begin if graph else offsets[max(i - 1, 0)]) if axes.kind.scrolls else 0.0
     sheet = _Sheet(tape, instants, graphs, axes, offsets, f"{axes.entity}/window")
     shift = np.c_[-offsets, np.zeros((len(offsets), 2))]
     tape.rows(sheet.window, instants, rr.Transform3D.columns(translation=shift))
@@ -140,23 +113,24 @@ class _Sheet:
         tape.static(
             f"{axes.entity}/border", rr.LineStrips2D([border], colors=colours.AXIS, radii=line, draw_order=-9.0)
         )
-        marks = multiples(y0, y1, nice_step(y1 - y0, 10))
+        marks = ticks(y0, y1, MOST_TICKS)
         rows = np.array([[[x0, mark], [x1, mark]] for mark in marks])
         tape.static(f"{axes.entity}/rows", rr.LineStrips2D(rows, colors=colours.GRID, radii=thin, draw_order=-4.5))
-        ends = np.array([[x0 - 6.0 / kx, y1 + 7.5 / ky], [x1 - 2.0 / kx, y0 - 6.8 / ky]])
+        half = [0.5 * LETTER * len(words) for words in (axes.kind.y_title, axes.kind.x_title)]
+        left, right = x0 + (half[0] - MARGIN_LEFT + 2.0) / kx, x1 - (half[1] - MARGIN_RIGHT + 2.0) / kx
+        ends = np.array([[left, y1 + 7.5 / ky], [right, y0 - 6.8 / ky]])
         for entity, at, words in (
             ("y_ticks", np.c_[np.full(len(marks), x0 - 6.0 / kx), marks + 2.2 / ky], [f"{mark:g}" for mark in marks]),
-            ("titles", ends, [axes.y_title, axes.x_title]),
+            ("titles", ends, [axes.kind.y_title, axes.kind.x_title]),
         ):
             labels = rr.Points2D.from_fields(positions=at, labels=words)
             tape.static(f"{axes.entity}/{entity}", _label_style(colours.TICK), labels)
 
-        step = nice_step(x1 - x0, 10)
-        begins = offsets if axes.scrolls else np.zeros(1)
-        per_frame = [multiples(x0 + offset, x1 + offset, step) for offset in begins]
+        begins = offsets if axes.kind.scrolls else np.zeros(1)
+        per_frame = [ticks(x0 + offset, x1 + offset, MOST_TICKS) for offset in begins]
         x, counts = np.concatenate(per_frame), [len(some) for some in per_frame]
         lines = np.stack([np.c_[x, np.full(len(x), y0)], np.c_[x, np.full(len(x), y1)]], axis=1)
-        when = self.instants if axes.scrolls else Instants(self.instants.t[:1], self.instants.frame[:1])
+        when = self.instants if axes.kind.scrolls else Instants(self.instants.t[:1], self.instants.frame[:1])
         entity = f"{self.window}/columns"
         style = dict[str, Any](colors=[colours.GRID], radii=[thin], draw_order=-4.5)
         tape.lines(entity, when, lines.reshape(-1, 2), np.full(len(x), 2), counts, **style)

@@ -22,7 +22,7 @@ from rerun.chunk import RrdReader
 from logs.arrays import FloatArray
 from logs.errors import ConfigError
 from logs.trace import Trace
-from replay.draw.model import SERIES, Curve, Panel
+from replay.draw.model import SERIES, SL, ST, Curve, Panel
 from replay.draw.recording.blueprint import graph_view, lanes_beside_numbers, scene_behind, state_view, window
 from replay.draw.recording.plots import LANES, plot
 from replay.draw.recording.tape import MARKDOWN, Instants, cell, document, recording_file
@@ -32,7 +32,6 @@ SIDES = ("A", "B")
 SHADES = (0x5AC8FFFF, 0xFF963CFF)
 CURVES = (("speed", "Speed [m/s]", "v", 2.0), ("acceleration", "Acceleration [m/s²]", "a", 1.0))
 """Panel, title, column of the trace, least span of the axis."""
-GRAPHS = (("st", "S-T graph"), ("sl", "S-L graph"))
 LEGENDS = {"gap": "distance", "v": "speed [m/s]", "a": "acceleration [m/s²]"}
 DIFFERENCES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("Distance between them [m]", ("gap",)),
@@ -113,10 +112,11 @@ def _blueprint(
     scenes = [scene_behind(f"{side}: {name}", f"/{side}") for side, name in zip(SIDES, names, strict=True)]
     graphs = [  # a tab for each kind of graph that both have
         rrb.Horizontal(
-            *(graph_view(f"{side}: {title}", f"/{side}/graphs", f"/{side}/graphs/{name}") for side in SIDES), name=title
+            *(graph_view(f"{side}: {kind.title}", f"/{side}/graphs", f"/{side}/graphs/{kind.name}") for side in SIDES),
+            name=kind.title,
         )
-        for name, title in GRAPHS
-        if all(any(path.startswith(f"/{side}/graphs/{name}") for path in paths) for side in SIDES)
+        for kind in (ST, SL)
+        if all(any(path.startswith(f"/{side}/graphs/{kind.name}") for path in paths) for side in SIDES)
     ]
     left: list[rrb.Container | rrb.View] = [rrb.Horizontal(*scenes), *_tabs(graphs)]
     pages = [rrb.TextDocumentView(origin=f"/{side}/why", name=f"{side}: why") for side in SIDES]

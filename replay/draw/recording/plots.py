@@ -59,13 +59,10 @@ def draw_panels(tape: Tape, panels: Iterable[Panel], frames: FloatArray) -> None
 def plot(panel: Panel, **more: Any) -> rrb.TimeSeriesView:
     """A panel as a view; `more` replaces arguments of the view if the curves are not below the panel's entity.
 
-    The axis shows all finite values (the middle 96 % of spiky curves), with a margin, and at least two numbers. The
-    legend is in the corner in which it hides the least of the curves; ties go to the first in `CORNERS`.
+    The axis has at least two numbers. The legend is in the corner in which it hides the least of the curves; ties go to
+    the first in `CORNERS`.
     """
-    spans = [np.percentile(curve.known, (2.0, 98.0) if curve.spiky else (0.0, 100.0)) for curve in panel.curves]
-    low, high = float(np.min(spans)), float(np.max(spans))
-    middle, half = 0.5 * (low + high), 0.57 * max(high - low, panel.least)
-    (low, high), wide, tall = with_two_numbers(middle - half, middle + half), *LEGEND
+    (low, high), wide, tall = with_two_numbers(*panel.range), *LEGEND
     begin, end = min(curve.t[0] for curve in panel.curves), max(curve.t[-1] for curve in panel.curves)
     hidden: dict[Corner, float] = dict.fromkeys(CORNERS, 0.0)
     for curve in panel.curves:

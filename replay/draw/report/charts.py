@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 
 from logs.names import counted
-from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
-from replay.draw.charts.canvas import Chart, dot, legend, line, rect, shortened, text
-from replay.draw.model import widened
+from replay.draw.charts.axes import Plane, Ticks, rows_plane
+from replay.draw.charts.canvas import Chart, dot, line, rect, text
+from replay.draw.model import Span, widened
 from replay.draw.report.contents import DriveRow, MetricColumn, PassShare
 
-WIDTH_PX, WIDE_PX, ROW_PX, TOP_PX = 440.0, 640.0, 19.0, 40.0
+WIDTH_PX, WIDE_PX, ROW_PX = 440.0, 640.0, 19.0
 LABEL_SHARE = 0.4
 """The largest share of the width for names."""
 MAX_SHARES, MAX_PAIRS = 40, 20
@@ -22,23 +22,11 @@ FEW = 5
 """A box of quartiles is drawn for more values than this."""
 
 
-def _rows_plane(names: Sequence[str], x: tuple[float, float], top: float = TOP_PX, width: float = WIDTH_PX) -> Plane:
-    height = top + ROW_PX * len(names) + BOTTOM_PX
-    return for_words(Plane(x, (0.0, float(len(names))), width, height, top=top), names, LABEL_SHARE * width)
-
-
-def _names(plane: Plane, names: Sequence[str]) -> str:
-    return "".join(
-        text(-6.0, ROW_PX * k + 13.5, shortened(name, plane.left - 8.0), "end", about=name)
-        for k, name in enumerate(names)
-    )
-
-
 def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
     """The share of logs that pass, with its 95 % interval, by group: a dot, a whisker, and counts."""
     shown = shares[:MAX_SHARES]
     names = [f"{share.name}, {share.planner}" if planners > 1 else share.name for share in shown]
-    plane = _rows_plane(names, (-2.0, 102.0), width=WIDE_PX)
+    plane, ticks = _rows(names, (-2.0, 102.0), width=WIDE_PX)
     marks, counts = [], []
     for k, share in enumerate(shown):
         y = ROW_PX * (k + 0.5)
@@ -50,12 +38,10 @@ def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
         beside = low - 6.0 if high > wide - 50.0 else high + 6.0
         counts.append(text(beside, y + 3.5, words, "small end" if high > wide - 50.0 else "small"))
     title = "Logs that pass, with the 95 % interval of the share"
-    head = text(2.0, 13.0, title, "title")
     entries = [("dot", "mark", "all pass"), ("dot", "hollow", "some do not")]
-    head += legend(plane.left, 29.0, entries, WIDE_PX - plane.left)
-    drawn = plane.drawn("".join(marks), x_title="share [%]", y_ticks=False, over=_names(plane, names) + "".join(counts))
     says = f"{title}: " + "; ".join(f"{name}: {share.text}" for name, share in zip(names, shown, strict=True))
-    return Chart("pass_shares", title, says, WIDE_PX, plane.height, drawn + head)
+    axes = dict[str, Any](entries=entries, x_title="share [%]", y_ticks=ticks, over="".join(counts))
+    return plane.chart("pass_shares", title, "".join(marks), says=says, **axes)
 
 
 def distributions(columns: Sequence[MetricColumn], drives: Sequence[DriveRow]) -> list[Chart]:
@@ -75,7 +61,7 @@ def distributions(columns: Sequence[MetricColumn], drives: Sequence[DriveRow]) -
         names, values = list(strips), [np.array([value for value, _ in strip]) for strip in strips.values()]
         least, most = float(min(v.min() for v in values)), float(max(v.max() for v in values))
         low, high = widened(least, most, 1e-3, 0.04)
-        plane = _rows_plane(names, (min(low, 0.0) if least >= 0.0 and low < 0.0 else low, high), top=22.0)
+        plane, ticks = _rows(names, (min(low, 0.0) if least >= 0.0 and low < 0.0 else low, high), top=22.0)
         marks = ""
         for k, (some, strip) in enumerate(zip(values, strips.values(), strict=True)):
             middle = ROW_PX * (k + 0.5)
@@ -88,13 +74,12 @@ def distributions(columns: Sequence[MetricColumn], drives: Sequence[DriveRow]) -
             for n, x, offset in zip(order, plane.at_x(some[order]).tolist(), away.tolist(), strict=True):
                 marks += dot(x, middle + offset, 2.6, "speck", f"{strip[n][1]}: {some[n]:.4g}")
         title = f"{column.words}, {column.mode} loop"
-        drawn = plane.drawn(marks, x_title=f"{column.metric}, a dot a log", y_ticks=False, over=_names(plane, names))
         says = f"{title}: " + "; ".join(
             f"{name}: {some.min():.3g} to {some.max():.3g}, median {np.median(some):.3g}, {counted(len(some), 'log')}"
             for name, some in zip(names, values, strict=True)
         )
-        body = drawn + text(2.0, 13.0, title, "title")
-        out.append(Chart(column.metric, title, says, WIDTH_PX, plane.height, body))
+        x_title = f"{column.metric}, a dot a log"
+        out.append(plane.chart(column.metric, title, marks, says=says, x_title=x_title, y_ticks=ticks))
     return out
 
 
@@ -108,18 +93,21 @@ def moved(pairs: pd.DataFrame, title: str) -> Chart:
     shown = pairs.sort_values(["worse", "log"], ascending=[False, True], kind="stable").head(MAX_PAIRS)
     names = [str(log) for log in shown["log"]]
     both = shown[["baseline", "candidate"]].to_numpy(np.float64)
-    plane = _rows_plane(names, widened(float(both.min()), float(both.max()), 1e-6))
+    plane, ticks = _rows(names, widened(float(both.min()), float(both.max()), 1e-6))
     marks, rows = [], list[Any](shown.itertuples())
     for k, (row, (before, now)) in enumerate(zip(rows, plane.at_x(both).tolist(), strict=True)):
         y, kind = ROW_PX * (k + 0.5), "worse" if row.worse > 0.0 else "better"
         marks.append(line(before, y, now, y, kind) + dot(before, y, 4.0, "hollow", f"baseline {row.baseline:.4g}"))
         marks.append(dot(now, y, 4.0, "wrong" if row.worse > 0.0 else "mark", f"candidate {row.candidate:.4g}"))
-    head = text(2.0, 13.0, title, "title") + legend(2.0, 29.0, _MOVED, WIDTH_PX)
     unit = str(shown["unit"].iloc[0])
     x_title = f"{shown['metric'].iloc[0]}{f' [{unit}]' if unit not in ('', '1', 'count') else ''}"
-    drawn = plane.drawn("".join(marks), x_title=x_title, y_ticks=False, over=_names(plane, names))
     says = f"{title}: " + "; ".join(f"{r.log} {r.baseline:.3g} to {r.candidate:.3g}" for r in rows)
-    return Chart(str(shown["metric"].iloc[0]), title, says, WIDTH_PX, plane.height, drawn + head)
+    axes = dict[str, Any](entries=_MOVED, x_title=x_title, y_ticks=ticks)
+    return plane.chart(str(shown["metric"].iloc[0]), title, "".join(marks), says=says, **axes)
+
+
+def _rows(names: Sequence[str], x: Span, *, top: float = 40.0, width: float = WIDTH_PX) -> tuple[Plane, Ticks]:
+    return rows_plane(names, x, width, ROW_PX, top=top, most=LABEL_SHARE * width)
 
 
 _MOVED = (

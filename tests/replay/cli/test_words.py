@@ -179,7 +179,7 @@ def test_progress_is_said_on_stderr_as_lines(
 
 
 def test_the_command_line_is_there_at_once() -> None:
-    heavy = "numba numpy scipy pandas pyarrow matplotlib rerun"
+    heavy = "numba numpy scipy pandas pyarrow rerun"
     code = f"import sys, replay.cli, replan; print(*sorted(set('{heavy}'.split()) & set(sys.modules)))"
     result = python("-c", code)
     assert (result.stdout.strip(), result.stderr) == ("", "")

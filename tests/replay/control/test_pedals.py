@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -23,6 +26,7 @@ from replay.control.pedals import (
     stands,
 )
 from replay.paper.manoeuvres import JERK_OVER, Manoeuvre, follow
+from replay.run.calibrate import picture
 from replay.vehicle.drivetrain import Drivetrain
 from replay.vehicle.plan_path import PlanPath
 
@@ -222,3 +226,15 @@ def test_what_the_vehicle_cannot_do_has_no_pedal() -> None:
     reachable = TABLE.pedal[np.isfinite(TABLE.pedal)]
     assert np.abs(reachable).max() <= 1.0
     assert (np.diff(TABLE.pedal, axis=0)[np.isfinite(np.diff(TABLE.pedal, axis=0))] > 0.0).all()
+
+
+def test_it_is_written_and_drawn(tmp_path: Path) -> None:
+    TABLE.save(tmp_path / "table.csv")
+    with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    assert len(rows) == 1 + len(TABLE.acceleration) and len(rows[0]) == 1 + len(TABLE.speed)
+    read = np.array([[float(value or "nan") for value in row[1:]] for row in rows[1:]])
+    np.testing.assert_allclose(read, TABLE.pedal, atol=1e-6)
+    drawn, known = picture(TABLE).body, TABLE.pedal[np.isfinite(TABLE.pedal)]
+    cells = {"blue": (known >= 0.0).sum(), "red": (known < 0.0).sum()}
+    assert {kind: drawn.count(f'class="{kind}"') - 1 for kind in cells} == cells  # one more is in the legend

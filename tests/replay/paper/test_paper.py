@@ -27,7 +27,8 @@ from logs import (
 from logs.catalogue.paper import crossing_pedestrian
 from logs.shapes import distance
 from planners.frenet.profiles import SpeedLimits
-from replay.paper import reproduce
+from replay.config import LoopConfig
+from replay.paper import figures, pedestrian_grid, reproduce
 from replay.paper.pedestrian_grid import (
     CELLS,
     Avoidable,
@@ -36,6 +37,7 @@ from replay.paper.pedestrian_grid import (
     braked,
     braking_intervals,
     crossing,
+    grid,
     verdict,
     walker_within,
 )
@@ -157,6 +159,46 @@ def test_settings_are_checked() -> None:
         reproduce.PaperConfig(vehicles=("single_trak",))
     with pytest.raises(ConfigError, match="negative"):
         reproduce.PaperConfig(roads=-1)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kinematic vehicle and the cheap controller, so that nothing slow compiles."""
+    monkeypatch.setattr(pedestrian_grid, "LOOP", LoopConfig(vehicle="kinematic_bicycle", controller="dlqr_pid"))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick")
+def test_a_cell_is_driven_the_same_twice_and_drawn(tmp_path: Path) -> None:
+    cell = GridCrossing(30.0, 0.8, -0.5)
+    table = grid((cell,))
+    pd.testing.assert_frame_equal(table, grid((cell,)))
+    row = table.iloc[0]
+    assert row["hard_braking_avoids"] and not row["contact"] and row["least_gap_m"] > 0.5
+    assert row["verdict"] == "ok"
+    assert row["brake_begin_s"] < row["brake_end_s"] <= row["path_clear_s"] + 1.0
+    pictures = [tmp_path / f"{i}.png" for i in range(2)]
+    for picture in pictures:
+        figures.grid_figure(table).save(picture)
+    assert pictures[0].read_bytes() == pictures[1].read_bytes()
+
+
+@pytest.mark.slow
+def test_figures_9_10_and_12_are_drawn(tmp_path: Path) -> None:
+    scenario = crossing_pedestrian.scenario()
+    trace = replace(pedals([0.0, 0.3, 0.0]), frames=(graph_frame(0.0, blocked=True),))
+    points = reproduce.planned_points(trace)
+    np.testing.assert_allclose(points, [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
+    drawn = {
+        "9": figures.path_figure([("mpc", trace)], points, scenario),
+        "10": figures.st_figure([("now", trace.frames[0])], trace, scenario),
+        "12": figures.pedals_figure(trace, [(0.1, 0.2)], 0.2, (0.0, 0.2)),
+    }
+    for name, figure in drawn.items():
+        figure.save(tmp_path / f"{name}.png")
+        assert (tmp_path / f"{name}.png").stat().st_size > 5_000
+    with pytest.raises(ConfigError, match="no commands"):
+        figures.pedals_figure(replace(trace, commands=None), [], 0.2, (0.0, 0.2))
 
 
 @pytest.mark.slow

@@ -325,7 +325,7 @@ def test_several_drives_of_a_log_are_in_one_picture_and_told_apart(run: Results)
     seen = subject(drive, 3.0, [other])
     assert list(seen.drives) == ["dp_qp", "constant_speed"] and seen.drives["constant_speed"].moment.t == 3.0
     by_name = {chart.name: chart for chart in curves(seen)}
-    assert {"speed", "acceleration_lon_accel", "acceleration_lat_accel", "steer", "progress"} <= by_name.keys()
+    assert {"speed", "acceleration_ego", "acceleration_lat_accel", "steer", "progress"} <= by_name.keys()
     for chart in (*by_name.values(), *scenes(seen)):
         root = ET.fromstring(chart.inline())
         words = "".join(root.itertext())

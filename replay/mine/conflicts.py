@@ -22,15 +22,17 @@ from logs.kernel import kernel
 from logs.once import once
 from logs.shapes import clearance, overlap, time_to_contact
 from logs.states import wrap
-from metrics.boxes import NO_TTC_MPS, EgoOutline, is_behind
+from metrics.boxes import DEEP_M, NO_TTC_MPS, EgoOutline, is_behind
 from metrics.encounters import CROSSING_RAD
 from metrics.encounters import SERIOUS_S as PET_S
 from metrics.safety import TAU_S as TTC_S
-from replay.mine.driven_log import DrivenLog, Event, EventKind, Neighbour, runs, steps
-from replay.mine.ego_and_road import HARD_MPS2
+from replay.mine.driven_log import JUMPS, DrivenLog, Event, EventKind, Neighbour, runs, steps
+from replay.mine.ego_and_road import HARD_MPS2, HARD_S
+from replay.mine.road_users import ALONG, PASS_M
 
 NEAR_S, NEAR_M = 2.0, 1.0
-"""A collision course is a near miss if the boxes come within NEAR_M in NEAR_S after it, or if one brakes hard."""
+"""A collision course is a near miss if the boxes come within NEAR_M (vehicles along the path: `PASS_M`, as
+neighbouring lanes are 1 m apart) in NEAR_S after it, or if one brakes hard."""
 WINDOW_S = 10.0
 """Largest time between two road users at a place that are in conflict."""
 CLOSE_S = 1.0
@@ -40,24 +42,34 @@ SLOWED_MPS, SLOWED = 1.0, 0.3
 """Least decrease of the speed of a road user that yields: absolute, m/s, and as a share of its speed before."""
 MOVES_MPS = 0.5
 SUDDEN = "they are first seen as they touch"
+SHALLOW = f"the boxes overlap by less than {DEEP_M:g} m, which boxes may be off by"
 TOO_LARGE = "the two hardly move against each other: the boxes may be too large"
 
 
 def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
     for one in log.neighbours:
         found = _contact_times(log.boxes, log.car, one.pose, one.k, np.array(one.size), TTC_S)
-        for first, last in runs(found < TTC_S, one.k, hole=steps(0.5)):
+        for first, last in runs(found < TTC_S, one.k, steps(HARD_S), steps(0.5)):
             until = min(last + steps(NEAR_S), len(one.k) - 1)
             after = slice(first, until + 1)
             braked = min(float(np.nanmin(log.accel[one.k[after]], initial=0.0)), float(one.accel[after].min()))
-            ego, other = log.boxes[:3, one.k[after]].T.tolist(), one.pose[:3, after].T.tolist()
-            length, width = log.car.length, log.car.width
-            room = min(
-                clearance(x, y, yaw, length, width, u, v, turned, *one.size)
-                for (x, y, yaw), (u, v, turned) in zip(ego, other, strict=True)
-            )
-            if braked <= -HARD_MPS2 or room < NEAR_M:
-                yield log.event(one, first, last, found[first : last + 1].min())
+            room = _least_room(log, one, after)
+            along = abs(one.along[first]) > ALONG and not one.kind.is_vulnerable
+            beside = along and not one.reaches_into(log.half)[first]
+            if (braked <= -HARD_MPS2 and not beside) or room < (PASS_M if along else NEAR_M):
+                jumps = log.jumps[one.k[first : last + 1]].any()
+                doubt = JUMPS if jumps else SHALLOW if -DEEP_M < room <= 0.0 else ""
+                yield log.event(one, first, last, found[first : last + 1].min(), doubt=doubt)
+
+
+def _least_room(log: DrivenLog, one: Neighbour, during: slice) -> float:
+    """Least distance of the boxes at some places, m; where they overlap, minus how deep."""
+    ego, other = log.boxes[:3, one.k[during]].T.tolist(), one.pose[:3, during].T.tolist()
+    length, width = log.car.length, log.car.width
+    return min(
+        clearance(x, y, yaw, length, width, u, v, turned, *one.size)
+        for (x, y, yaw), (u, v, turned) in zip(ego, other, strict=True)
+    )
 
 
 def _contact(log: DrivenLog) -> Iterator[Event]:
@@ -68,7 +80,8 @@ def _contact(log: DrivenLog) -> Iterator[Event]:
         for first, last in runs(touches, one.k, hole=steps(0.5)):
             begins = first == 0 or one.k[first] > one.k[first - 1] + 1
             rests = float(closing[first : last + 1].max()) < MOVES_MPS
-            doubt = SUDDEN if begins else TOO_LARGE if rests else ""
+            shallow = _least_room(log, one, slice(first, last + 1)) > -DEEP_M
+            doubt = SUDDEN if begins else TOO_LARGE if rests else SHALLOW if shallow else ""
             yield log.event(one, first, last, closing[first], doubt=doubt)
 
 
@@ -201,14 +214,15 @@ CONFLICTS = (
     EventKind(
         "contact", _contact,
         "The boxes of the ego and a road user overlap, but for phantoms (docs/verdict.md). While they do.",
-        "speed of the two against each other at first", "m/s", "", f"{SUDDEN}; or {TOO_LARGE}",
+        "speed of the two against each other at first", "m/s", "", f"{SUDDEN}; or {TOO_LARGE}; or {SHALLOW}",
     ),
     EventKind(
         "near_miss_ttc", _near_miss_ttc,
-        f"The time to collision is below {TTC_S} s at constant velocity vectors, and until {NEAR_S:g} s later the two"
-        f" come within {NEAR_M:g} m, or one of them brakes with {HARD_MPS2:g} m/s2 or more.",
+        f"The time to collision is below {TTC_S} s at constant velocity vectors for {HARD_S} s, and until {NEAR_S:g} s"
+        f" later the two come within {NEAR_M:g} m ({PASS_M} m for vehicles along the path), or one of"
+        f" them, but for a vehicle beside the band, brakes with {HARD_MPS2:g} m/s2 or more.",
         "least TTC", "s",
-        "criticality metrics catalogue, Westhofen et al. 2023",
+        "criticality metrics catalogue, Westhofen et al. 2023", f"{JUMPS}; or {SHALLOW}",
     ),
     EventKind(
         "near_miss_pet", _near_miss_pet,

@@ -40,6 +40,11 @@ SHORT_M = 2.0
 """An ego that moves less than this stands: its path is straight along its heading."""
 FELT_S = 0.5
 """The ego's acceleration is the change of its speed over this time."""
+TYRES_MPS2 = 11.0
+"""No car accelerates harder on dry asphalt: a coefficient of friction of 1.1."""
+MOTOR_MPS2 = 6.0
+"""Few cars speed up more: 100 km/h in 4.6 s."""
+JUMPS = "its motion changes by more than tyres and motors can do"
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +201,15 @@ class DrivenLog:
     def accel(self) -> FloatArray:
         """Change of the ego's speed over `FELT_S` `(n,)`, m/s2; NaN in the first `FELT_S`."""
         return rate_of_change(self.t, self.ego.v, FELT_S)
+
+    @cached_property
+    def jumps(self) -> BoolArray:
+        """Steps within `FELT_S` of a change of the ego's velocity beyond `TYRES_MPS2` or `MOTOR_MPS2`, `(n,)`."""
+        east, north = self.ego.v * np.cos(self.ego.yaw), self.ego.v * np.sin(self.ego.yaw)
+        beyond = np.hypot(np.diff(east), np.diff(north)) > TYRES_MPS2 * GRID_S
+        beyond |= np.diff(np.abs(self.ego.v)) > MOTOR_MPS2 * GRID_S
+        near = steps(FELT_S)
+        return np.convolve(np.r_[False, beyond], np.ones(2 * near + 1), "same") > 0.5
 
     @cached_property
     def lead(self) -> tuple[IntArray, FloatArray]:

@@ -20,7 +20,7 @@ from logs.route import on_lane
 from logs.rules import RED, StopLine
 from logs.states import wrap
 from metrics.metric import Unavailable
-from replay.mine.driven_log import DrivenLog, Event, EventKind, runs, steps
+from replay.mine.driven_log import JUMPS, DrivenLog, Event, EventKind, runs, steps
 
 HARD_MPS2, HARD_S = 3.0, 0.3
 CHANGE_S, STAYS_S = 2.0, 1.0
@@ -128,7 +128,8 @@ def _span(log: DrivenLog, first: int, last: int) -> tuple[float, float]:
 
 def _hard_braking(log: DrivenLog) -> Iterator[Event]:
     for first, last in runs(log.accel <= -HARD_MPS2, least=steps(HARD_S), hole=steps(0.5)):
-        yield Event(*_span(log, first, last), float(log.accel[first : last + 1].min()))
+        least, doubt = float(log.accel[first : last + 1].min()), JUMPS if log.jumps[first : last + 1].any() else ""
+        yield Event(*_span(log, first, last), least, doubt=doubt)
 
 
 def _lane_change(log: DrivenLog) -> Iterable[Event] | Unavailable:
@@ -301,6 +302,7 @@ EGO_AND_ROAD = (
         "hard_braking", _hard_braking,
         f"The ego's speed falls by {HARD_MPS2:g} m/s2 or more (mean over 0.5 s) for {HARD_S} s.",
         "least acceleration", "m/s2", "between nuPlan's comfort bound (-4.05 m/s2) and usual braking (-2 m/s2)",
+        JUMPS,
     ),
     EventKind(
         "lane_change", _lane_change,

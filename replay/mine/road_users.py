@@ -14,7 +14,18 @@ from logs.agents import AgentKind
 from logs.arrays import BoolArray
 from metrics.lanes import points_inside
 from metrics.metric import Unavailable
-from replay.mine.driven_log import FELT_S, DrivenLog, Event, EventKind, Neighbour, runs, steps
+from replay.mine.driven_log import (
+    FELT_S,
+    JUMPS,
+    MOTOR_MPS2,
+    TYRES_MPS2,
+    DrivenLog,
+    Event,
+    EventKind,
+    Neighbour,
+    runs,
+    steps,
+)
 
 ALONG = float(np.cos(np.pi / 4.0))
 MOVES_MPS, WALKS_MPS = 1.0, 0.3
@@ -25,9 +36,6 @@ AROUND_S = 1.0
 HEADWAY_S, HEADWAY_M = 3.0, 10.0
 """Largest distance ahead of a moving ego of a cut-in or cut-out: as a time, or in m at low speed."""
 BRAKES_MPS2, BRAKES_S = 3.0, 0.3
-TYRES_MPS2 = 11.0
-"""No car brakes harder on dry asphalt: a coefficient of friction of 1.1."""
-JUMPS = "its speed jumps by more than brakes can do"
 SLOWS_MPS2, SLOWS_S = 0.5, 1.0
 SLOWED_MPS, SLOWED = 1.0, 0.3
 """Least decrease of the ego's speed behind a lead: absolute, m/s, and as a share of its speed before."""
@@ -108,9 +116,10 @@ def _lead_braking(log: DrivenLog) -> Iterator[Event]:
         possible = one.accel >= -TYRES_MPS2
         braking = (who[one.k] == place) & near & (one.accel <= -BRAKES_MPS2)
         for first, last in runs(braking & possible, one.k, steps(BRAKES_S), steps(HOLE_S)):
-            around = slice(max(first - 1, 0), last + 2)
+            around = slice(max(first - steps(FELT_S), 0), last + steps(FELT_S) + 1)
+            sound = (possible & (one.accel <= MOTOR_MPS2))[around].all()
             least = one.accel[first : last + 1][possible[first : last + 1]].min()
-            yield log.event(one, first, last, least, doubt="" if possible[around].all() else JUMPS)
+            yield log.event(one, first, last, least, doubt="" if sound else JUMPS)
 
 
 def _ego_slows(log: DrivenLog) -> Iterator[Event]:

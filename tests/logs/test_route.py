@@ -182,3 +182,8 @@ def test_on_real_lane_graphs_too(shared_data: Path, stride: int) -> None:
         to_go = costs_to_go(road, scenario.goal)
         changes += [to_go[lane].changes for lane in start_lanes(road, ego) if lane in to_go]
     assert len(changes) > 30 / stride and max(changes) >= 1
+
+
+@given(graphs(), st.integers(0, 6))
+def test_the_route_costs_what_an_independent_library_finds(road: Road, target: int) -> None:
+    assert_agrees(road, EGO, Goal((square(2.5, 100.0 * target, 1.0),)))

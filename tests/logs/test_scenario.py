@@ -234,3 +234,31 @@ def test_a_scenario_lasts_as_long_as_its_ego_and_keeps_its_metadata() -> None:
         log.metadata["generator"] = "other"  # type: ignore[index]
     with pytest.raises(ValueError, match=r"lasts 1.5 s, shorter than its ego log \(2.0 s\)"):
         replace(log, duration=1.5)
+
+
+@given(st.integers(0, 50), st.integers(0, 40))
+def test_nor_does_it_at_the_very_time_of_a_sample(seed: int, index: int) -> None:
+    tracks = ragged(seed)
+    time = float(tracks.t[index % len(tracks.t)])
+    assert same(tracks.perceived(time), truncated(tracks, time).perceived(time))
+
+
+@given(st.integers(0, 200), st.floats(-1.0, 8.0), st.floats(0.0, 5.0))
+def test_later_samples_may_say_anything(seed: int, time: float, jump: float) -> None:
+    tracks = ragged(seed)
+    later = tracks.t > time
+    later[tracks.offsets[:-1][tracks.static]] = False
+    noise = np.where(later, jump + 1.0, 0.0)
+    other = replace(tracks, x=tracks.x + noise, y=tracks.y - noise, vx=np.where(later, 7.0, tracks.vx))
+    assert same(tracks.perceived(time), other.perceived(time))
+
+
+@given(st.integers(0, 100))
+def test_truth_at_a_sample_is_the_sample(seed: int) -> None:
+    tracks = ragged(seed)
+    for i in range(4):
+        span = tracks.samples(i)
+        for k in range(span.start, span.stop):
+            found = tracks.truth(float(tracks.t[k]))
+            at = found.ids.index(tracks.ids[i])
+            assert found.x[at] == pytest.approx(tracks.x[k], abs=1e-6)

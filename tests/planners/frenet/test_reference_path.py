@@ -202,3 +202,13 @@ def test_a_kinked_lane_is_smoothed_until_a_car_can_be_steered_along(turn: float,
         away = [abs(plain.project(x, y)[1]) for x, y in steerable.xy]
         assert max(away) <= max(0.5 * (width - CAR.width), 0.0) + MAX_SHIFT_M
     assert (np.abs(steerable.kappa).max() <= CAR.max_kappa) == possible
+
+
+@given(st.floats(2.8, 5.0), st.integers(1, 3), st.integers(0, 2))
+@settings(max_examples=20)
+def test_known_widths_are_found(width: float, count: int, own: int) -> None:
+    own = min(own, count - 1)
+    line = reference(lanes(along_x(), count, width=width, limit=7.0), EgoState(0.0, 0.0, own * width, 0.0, 10.0))
+    right = -(own + 0.5) * width
+    expected = (right, -0.5 * width, 0.5 * width, right + count * width, 7.0)
+    np.testing.assert_allclose(at(line, 100.0), expected, atol=1e-3)

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, TrafficLight
 from logs.catalogue import scenario as synthesised
 from metrics import Unavailable
-from replay.mine.driven_log import UNCLASSIFIED, DrivenLog, Event, EventKind, runs
+from replay.mine.conflicts import SHALLOW
+from replay.mine.driven_log import JUMPS, TYRES_MPS2, UNCLASSIFIED, DrivenLog, Event, EventKind, runs
 from replay.mine.kinds import KINDS
-from replay.mine.road_users import TYRES_MPS2
 
 CAR, WALKER, BIKE = (4.5, 1.8), (0.5, 0.5), (1.8, 0.6)
 T = grid(12.0, 0.1)
@@ -140,6 +140,9 @@ def test_a_contact_has_its_speed_and_its_doubts() -> None:
     (event,) = found(scenario(ego, [("7", AgentKind.OBJECT, CAR, moving(60.0, 0.5, 0.0, 0.0, 0.0))]))["contact"]
     assert event.doubt == UNCLASSIFIED
     assert "contact" not in found(scenario(ego, [car("7", moving(60.0, 3.0, 0.0, 0.0, 0.0))]))
+    aside = 0.5 * (CAR[1] + scenario(ego).vehicle.width) - 0.1
+    (event,) = found(scenario(ego, [car("7", moving(60.0, aside, 0.0, 0.0, 0.0))]))["contact"]
+    assert event.doubt == SHALLOW
 
 
 def test_a_queue_is_three_or_more_who_stand_in_the_band() -> None:
@@ -213,7 +216,29 @@ def test_near_misses_have_ttc_and_pet() -> None:
     assert events["near_miss_pet"][0].value < 1.0
     wall = car("wall", moving(52.0, 0.0, 0.0, 0.0, 0.0))
     late = along(T, stopping(T, 14.0, 2.0, 8.0))
-    assert found(scenario(late, [wall]))["near_miss_ttc"][0].agents == ("wall",)
+    (event,) = found(scenario(late, [wall]))["near_miss_ttc"]
+    assert event.agents == ("wall",) and event.doubt == ""
+
+
+@pytest.mark.parametrize(("lasts", "room", "times"), [(0.1, 0.4, 0), (0.6, 0.8, 0), (0.6, 0.4, 1)])
+def test_a_car_in_the_next_lane_is_a_near_miss_where_it_comes_close_for_longer_than_a_moment(
+    lasts: float, room: float, times: int
+) -> None:
+    beside = 0.5 * (CAR[1] + scenario(along(T, 10.0)).vehicle.width) + room
+
+    def swerves(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        u = np.clip(t - 4.0, 0.0, lasts)
+        return 4.0 + 10.0 * t, beside + lasts - u, np.zeros(len(t))
+
+    events = found(scenario(along(T, 10.0), [car("7", swerves)]), "near_miss_ttc").get("near_miss_ttc", [])
+    assert len(events) == times
+
+
+def test_events_where_the_ego_jumps_are_in_doubt() -> None:
+    wall = car("wall", moving(52.0, 0.0, 0.0, 0.0, 0.0))
+    for decel, doubt in ((8.0, ""), (20.0, JUMPS)):
+        events = found(scenario(along(T, stopping(T, 14.0, 2.0, decel)), [wall]), "hard_braking", "near_miss_ttc")
+        assert {event.doubt for event in events["hard_braking"]} == {doubt}
 
 
 def test_lights_and_stop_signs_on_the_way() -> None:

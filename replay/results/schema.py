@@ -387,7 +387,7 @@ plan.trajectory.v  # as arrays
 list(plan.internals)  # S-T and S-L graphs, decisions, costs: logs/plan.py
 ```
 
-[examples/results.ipynb](../examples/results.ipynb) is a notebook that does this.
+[examples/results.ipynb](../examples/results.ipynb) is a notebook that does this (it needs matplotlib).
 
 | file | what | the same twice |
 |---|---|---|

@@ -1,13 +1,13 @@
-"""How kernels become machine code: numba's way, without the work whose result nobody uses.
+"""Changes of numba's compiler that leave out work of which the result is not used.
 
-Numba optimises each compiled function and generates machine code for it, even if only other compiled functions call
-it: these contain its code already (LLVM links it into them). Its own functions (`np.empty` and so on), compiled anew in
-each process, are such functions, and so are ours that `logs.kernel.inner_kernel` marks. Here:
+Numba optimises each compiled function and generates machine code for it. A function that only compiled functions call
+does not need this: LLVM links its code into its callers. Such functions are numba's own (`np.empty` and so on), which
+each process compiles again, and ours that `logs.kernel.inner_kernel` marks. Changes:
 
-1. A function is optimised, and machine code generated, when Python needs its address: not before, and for most, never.
+1. A function is optimised and gets machine code only when Python needs its address.
 2. A function without a wrapper for Python has none for C either.
-3. LLVM's passes over single functions are left out: its passes over the module do the same again.
-4. Compiler options are compared without listing the defaults; they are part of each key of numba's caches of types.
+3. LLVM's passes over single functions are left out, because its passes over the module repeat them.
+4. Compiler options, which are part of each key of numba's caches of types, are compared without their defaults.
 
 Together they save a fifth of the time. Results do not depend on them: LLVM may not reorder floating-point arithmetic.
 """
@@ -50,9 +50,10 @@ class KernelLibrary(_Library):  # type: ignore[misc]
             self._tidy()
 
     def _tidy(self) -> None:
-        """Remove what is dead: numba puts the address of each function that is called, an address of this process, too.
+        """Remove dead code, so that less is linked into callers.
 
-        It is less for the functions that this one is linked into, and they can be stored.
+        Numba loads the address of each called Python object and does not use it; code with such an address, which is
+        valid in this process only, cannot be stored.
         """
         passes, builder = llvm.create_new_module_pass_manager(), self._codegen._pass_builder()
         passes.add_sroa_pass()
@@ -67,7 +68,7 @@ class KernelLibrary(_Library):  # type: ignore[misc]
         super().finalize()
 
     def _ensure_finalized(self) -> None:
-        """Do what all that numba asks this before need, but `get_pointer_to_function`."""
+        """Only link: of numba's methods that call this, `get_pointer_to_function` alone needs machine code."""
         self._link()
 
     def get_pointer_to_function(self, name: str) -> int:
@@ -95,7 +96,7 @@ class KernelLibrary(_Library):  # type: ignore[misc]
                 self._codegen.set_env(name, held)
 
     def serialize_using_object_code(self) -> Any:
-        """What is stored: machine code if there is any, else LLVM's code, for those that call it."""
+        """The name, the kind and the code to store: machine code if there is any, otherwise LLVM's, for callers."""
         self._link()
         if self._finalized:
             return super().serialize_using_object_code()

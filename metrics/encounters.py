@@ -245,9 +245,10 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
         if trace.agents.static[i] or not len(mine) or not len(theirs):
             continue
         name, sizes = name_of(trace.agents, i), np.array([car[1:3], others.size[row]])
+        poses = np.ascontiguousarray(others.pose[:, row])
         across = 0.0 if trace.agents.kinds[i] is AgentKind.PEDESTRIAN else CROSSING_RAD
         for angle, after, before in ((0.0, "ego_first", "ego_second"), (across, "crossing", "crossing")):
-            found = encroachment(boxes, mine, np.ascontiguousarray(others.pose[:, row]), theirs, sizes, angle)
+            found = encroachment(boxes, mine, poses, theirs, sizes, angle)
             for part, steps, sign, order in ((after, found[0], 1, "second"), (before, found[1], -1, "first")):
                 at = np.flatnonzero(steps >= 0)
                 for k, pet in zip(at, np.abs(t[at + sign * steps[at]] - t[at]), strict=True):

@@ -4,8 +4,8 @@
 
 The labels were made by looking at the drives from above, a picture each second (0.7 s for Argoverse 2), without the
 events: what a person would call so, not what the definitions say. An event is right where a label of its kind has its
-main road user (or, of the ego alone, its stop line, crosswalk or side). Events in doubt
-count only where they are labelled. Kinds without label and event are left out.
+main road user (or, of the ego alone, its stop line, crosswalk or side). A table counts all events, or those that are
+not in doubt: an event in doubt is then as one that was not found. Kinds without label and event are left out.
 """
 
 from __future__ import annotations
@@ -61,41 +61,43 @@ FRESH: dict[str, tuple[tuple[str, str], ...]] = {
     "C-DEU_MONAEast-2_480_T-559.xml": (),
     "USA_US101-23_1_T-1.xml@84": (),
 }  # fmt: skip
-"""Five of Tartu and five of CommonRoad, after "@" the road user taken as the ego; labelled before they were mined."""
+"""Five of Tartu and five of CommonRoad, after "@" the road user taken as the ego.
+
+They were labelled before they were mined; some rules were changed afterwards.
+"""
 
 
-def found_in(path: Path, ego: str) -> Iterator[tuple[str, str, bool]]:
-    """Kind and main road user of each event of a log, as the labels have them, and whether it is in doubt."""
+def found_in(path: Path, ego: str, *, doubted: bool) -> Iterator[tuple[str, str]]:
+    """Kind and main road user of each event of a log, as the labels have them; `doubted`: also of those in doubt."""
     scenario = read_log(path, LogSettings(ego=ego))
     log = DrivenLog(scenario)
     for kind in KINDS.values():
         events = kind.find(log)
         for event in () if isinstance(events, Unavailable) else events:
             about = scenario.short_names(event.agents[0]) if event.agents else event.what
-            yield kind.name, about.removeprefix("crosswalk ").partition(",")[0], bool(event.doubt)
+            if doubted or not event.doubt:
+                yield kind.name, about.removeprefix("crosswalk ").partition(",")[0]
 
 
 def main(folders: list[str]) -> None:
-    """Print both tables."""
+    """Print the tables."""
     for title, drives in (
         ("drives that the thresholds were chosen with", LABELS),
         ("drives kept apart", APART),
-        ("fresh drives", FRESH),
+        ("drives labelled last", FRESH),
     ):
-        sys.stdout.write(f"\n{title}\n")
-        print_table(drives, folders)
+        for doubted in (True, False):
+            sys.stdout.write(f"\n{title}, {'all events' if doubted else 'events that are not in doubt'}\n")
+            print_table(drives, folders, doubted=doubted)
 
 
-def print_table(drives: dict[str, tuple[tuple[str, str], ...]], folders: list[str]) -> None:
-    """Precision and recall by kind."""
+def print_table(drives: dict[str, tuple[tuple[str, str], ...]], folders: list[str], *, doubted: bool) -> None:
+    """Precision and recall by kind, of all events or of those that are not in doubt."""
     right, wrong, missed = Counter[str](), Counter[str](), Counter[str]()
     for name, labels in drives.items():
         file, _, ego = name.partition("@")
         path = next(Path(folder, file) for folder in folders if Path(folder, file).exists())
-        expected, events = Counter(labels), Counter[tuple[str, str]]()
-        for kind, about, doubted in found_in(path, ego):
-            if not doubted or (kind, about) in expected:
-                events[kind, about] += 1
+        expected, events = Counter(labels), Counter(found_in(path, ego, doubted=doubted))
         for kind, about in (events | expected).elements():
             both = min(events[kind, about], expected[kind, about], 1)
             table = right if both else wrong if events[kind, about] else missed

@@ -197,7 +197,7 @@ MEASURED = (
     "route_progress", "lon_accel", "lat_accel", JERK, "lat_jerk_state", "gap", "gap_vulnerable", "ttc",
     "ade.1s", "ade.3s", "ade.5s", "plan_lon_accel", "plan_lat_accel", "plan_lon_jerk", "plan_change",
 )  # fmt: skip
-"""The metrics of which panels show the steps."""
+"""The metrics of which panels show the steps; a run hands a recording the steps of these alone."""
 
 
 def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
@@ -210,7 +210,7 @@ def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
 
     def measured(legend: str, metric: str, colour: int = BLUE, *, gaps: bool = False, spiky: bool = False) -> Curve:
         """A metric per step, without missing values; `gaps` breaks the curve where values are missing for over 1 s."""
-        t, values = steps(MEASURED[MEASURED.index(metric)])
+        t, values = steps(metric)
         known = np.isfinite(values)
         t, values = t[known], values[known]
         if gaps:

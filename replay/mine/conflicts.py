@@ -27,9 +27,11 @@ from metrics.encounters import CROSSING_RAD
 from metrics.encounters import SERIOUS_S as PET_S
 from metrics.safety import TAU_S as TTC_S
 from replay.mine.driven_log import JUMPS, DrivenLog, Event, EventKind, Neighbour, runs, steps
-from replay.mine.ego_and_road import HARD_MPS2, HARD_S
+from replay.mine.ego_and_road import HARD_MPS2
 from replay.mine.road_users import ALONG, PASS_M
 
+COURSE_S = 0.3
+"""Least duration of a collision course."""
 NEAR_S, NEAR_M = 2.0, 1.0
 """A collision course is a near miss if the boxes come within NEAR_M (vehicles along the path: `PASS_M`, as
 neighbouring lanes are 1 m apart) in NEAR_S after it, or if one brakes hard."""
@@ -49,7 +51,7 @@ TOO_LARGE = "the two hardly move against each other: the boxes may be too large"
 def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
     for one in log.neighbours:
         found = _contact_times(log.boxes, log.car, one.pose, one.k, np.array(one.size), TTC_S)
-        for first, last in runs(found < TTC_S, one.k, steps(HARD_S), steps(0.5)):
+        for first, last in runs(found < TTC_S, one.k, steps(COURSE_S), steps(0.5)):
             until = min(last + steps(NEAR_S), len(one.k) - 1)
             after = slice(first, until + 1)
             braked = min(float(np.nanmin(log.accel[one.k[after]], initial=0.0)), float(one.accel[after].min()))
@@ -218,8 +220,8 @@ CONFLICTS = (
     ),
     EventKind(
         "near_miss_ttc", _near_miss_ttc,
-        f"The time to collision is below {TTC_S} s at constant velocity vectors for {HARD_S} s, and until {NEAR_S:g} s"
-        f" later the two come within {NEAR_M:g} m ({PASS_M} m for vehicles along the path), or one of"
+        f"The time to collision is below {TTC_S} s at constant velocity vectors for {COURSE_S} s, and until"
+        f" {NEAR_S:g} s later the two come within {NEAR_M:g} m ({PASS_M} m for vehicles along the path), or one of"
         f" them, but for a vehicle beside the band, brakes with {HARD_MPS2:g} m/s2 or more.",
         "least TTC", "s",
         "criticality metrics catalogue, Westhofen et al. 2023", f"{JUMPS}; or {SHALLOW}",

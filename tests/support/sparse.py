@@ -108,4 +108,4 @@ LATER = {
     "logs/test_files.py::test_a_pipe_in_place_of_a_file_is_refused_in_one_line": 3,  # 2 s, 14
     "logs/test_forward.py::test_the_part_to_drive_is_the_first_that_goes_forward": 6,  # 2 s, 48
 }  # fmt: skip
-"""In `./dev test`, alike."""
+"""In `./dev test`, likewise; `.ci/run` runs all of their cases."""

@@ -35,7 +35,7 @@ from logs.observed import MAX_AGE_S
 from logs.repair.detections import Repair
 from logs.repair.offline import detections_of
 from metrics import series
-from replay.draw.model import NEAR_M, NEAREST, ST, Marker, in_full
+from replay.draw.model import MEASURED, NEAR_M, NEAREST, ST, Marker, in_full, panels
 from replay.draw.recording import colours, scene_times, write_log_recording, write_recording
 from replay.draw.recording.graphs import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, spread_labels
 from replay.draw.recording.pages import why
@@ -616,3 +616,16 @@ def test_an_axis_holds_two_numbers_and_is_not_much_longer(low: float, span: floa
     assert np.floor(top / step + 1e-6) - np.ceil(bottom / step - 1e-6) >= 1.0
     assert bottom <= low + 1e-9 * abs(low) and top >= low + span - 1e-9 * abs(low)
     assert top - bottom <= max(span, 0.0) + 1.2 * step
+
+
+def test_panels_ask_for_the_steps_that_a_run_hands_to_a_recording() -> None:
+    asked = set()
+
+    def steps(metric: str) -> tuple[FloatArray, FloatArray]:
+        asked.add(metric)
+        return np.empty(0), np.empty(0)
+
+    for mode in Mode:
+        done, world = drive(mode)
+        panels(done.trace, world, steps)
+    assert asked == set(MEASURED)

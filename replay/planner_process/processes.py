@@ -34,6 +34,8 @@ ENVIRONMENT = (
 """Environment variables, or prefixes of their names, that are passed on, because programs need them to start."""
 GRACE_S = 1.0
 """Time limit for a planner to end by itself after its drive, s."""
+KILLED_S = 10.0
+"""Time limit for the system to report the end of a killed process, s; on a busy machine, that takes seconds."""
 ROOT = Path(__file__).parents[2]
 
 
@@ -77,10 +79,14 @@ class Process:
     def ending(self) -> str:
         """How the process ended, in words. A process that has only closed its output is killed first."""
         status = self._forks.status(self._key, GRACE_S)
+        runs = status is None
+        if status is None:  # it runs, or its end is not reported yet: a signal does not change the status of that
+            self._forks.kill(self._key)
+            status = self._forks.status(self._key, KILLED_S)
         self.channel.read_printed()
-        if status is None:
+        code = None if status is None else os.waitstatus_to_exitcode(status)
+        if code is None or (runs and code == -signal.SIGKILL):
             return "it closed its output"
-        code = os.waitstatus_to_exitcode(status)
         if code >= 0:
             return f"its process ended with code {code}"
         name = signal.Signals(-code).name

@@ -26,6 +26,9 @@ from logs.arrays import TIE, FloatArray, IntArray, Points, frozen
 from logs.kernel import inner_kernel, kernel
 from logs.rules import Crosswalk, StopLine
 
+IN_JUNCTION = "intersection"
+"""The word of `Lane.kind` for a lane in an intersection."""
+
 
 class RoadSource(Enum):
     """Where the road came from."""
@@ -49,7 +52,8 @@ class Lane:
         speed_limit: m/s; NaN where the log has none.
         drivable: Whether a car may drive there (a sidewalk is a lane that is not drivable).
         left_crossable: Whether the left marking may be crossed; `right_crossable` likewise.
-        kind: The log's word for the lane type ("urban", "crosswalk", ...).
+        kind: The log's words for the lane type ("urban", "crosswalk", ...), joined by +; with `IN_JUNCTION` the lane is
+            in an intersection.
         yields_to: Lanes whose traffic has the right of way over this one (by sign or by side).
     """
 

@@ -24,13 +24,11 @@ import numpy as np
 from logs.arrays import BoolArray, FloatArray, Points
 from logs.kernel import kernel
 from logs.once import once
-from logs.road import Lane, Road
+from logs.road import IN_JUNCTION, Lane, Road
 from logs.shapes import point_segment
 from metrics.lanes import LaneArrays, edge_distance, lane_arrays, on_lane, points_inside
 
 NEAR_M = 5.0
-IN_JUNCTION = "intersection"
-"""A word of `Lane.kind`, whose words are joined by +."""
 Route = list[tuple[int, ...]]
 
 

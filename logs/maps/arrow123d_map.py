@@ -35,7 +35,7 @@ from logs.complete import ASSUMED, assumed_limit, road_along
 from logs.errors import LogError
 from logs.files import beside
 from logs.maps.strips import LARGEST_M, LONGEST_M, LaneStrip, dense, lanes_of, predecessors
-from logs.road import Lane, Road, inside
+from logs.road import IN_JUNCTION, Lane, Road, inside
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.states import Trajectory
 
@@ -116,7 +116,7 @@ def road_of_map(
                     right - zero,
                     successors=tuple(dict.fromkeys(_ids(onward))),
                     beside=(_id(f.get("left_lane_id")), _id(f.get("right_lane_id"))),
-                    kind=f"{word}+intersection" if f.get("lane_group_id") in crossing else word,
+                    kind=f"{word}+{IN_JUNCTION}" if f.get("lane_group_id") in crossing else word,
                     marks=(marks.get((i, "left"), ""), marks.get((i, "right"), "")),
                     drivable=word not in NOT_DRIVABLE,
                     speed_limit=float(limit) if isinstance(limit, int | float) else float("nan"),

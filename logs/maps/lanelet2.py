@@ -9,6 +9,9 @@ way into this one. An element that no lanelet names belongs to the lanelets whos
 second half. The light of a stop line has the id of the regulatory element, as in Autoware's messages; other ids that
 logs may use (its ways, `traffic_light_id`) are its aliases.
 
+Drivable ground beside the lanelets: areas (multipolygons) of the subtypes parking and freespace without holes, and
+Autoware's parking lots and intersection areas. A lanelet that names an intersection area is in an intersection.
+
 A lanelet that yields waits for the lanelets with right of way that it meets; if the element names lanelets before the
 junction, the rule applies to their successors.
 """
@@ -18,7 +21,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +42,7 @@ ASIDE_M = 1.0
 """For lines that no lanelet names, lines (on each side) and lanes (at the end) are extended by this, m."""
 _STOP = ("stop", "stop_sign", "de206", "206", "usR1-1", "R1-1")
 _YIELD = ("yield", "give_way", "de205", "205", "usR1-2", "R1-2")
+_GROUND, _AREAS = ("parking_lot", "intersection_area"), ("parking", "freespace")
 _READ = ("traffic_light", "traffic_sign", "right_of_way", "all_way_stop", "speed_limit", "crosswalk", "road_marking")
 
 
@@ -64,13 +68,15 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
             drives_on_right=sum(votes) * 2 >= len(votes),
             stop_lines=rules.stop_lines,
             crosswalks=rules.crosswalks,
+            areas=tuple(_ground(osm, rows, xy)),
         )
         for key, count in sorted(osm.blanks.items()):
             notes.append(f"{count} tags have blanks around the key '{key}': it is read without.")
         drawn = sum(1 for each in osm.relations.values() for _ in each.named("centerline"))
         if drawn:
             notes.append(f"{drawn} drawn centre lines are not read: the middle between the boundaries counts.")
-        others = Counter(each.tags.get("type", "without type") for each in osm.relations.values())
+        unread = (each for each in osm.relations.values() if not _outline(osm, each, rows))
+        others = Counter(each.tags.get("type", "without type") for each in unread)
         for kind in ("lanelet", "regulatory_element"):
             del others[kind]
         if others:
@@ -81,6 +87,30 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
         raise error if error.file is not None else error.at(path) from None
     except (ValueError, OverflowError) as error:
         raise LogError(str(error), file=path) from None
+
+
+def _ground(osm: Osm, rows: Mapping[int, int], xy: FloatArray) -> Iterator[FloatArray]:
+    """Yield the outlines `(k, 2)` of drivable ground beside the lanelets."""
+    drawn = (way_points(way, rows) for way in osm.ways.values() if way.tags.get("type") in _GROUND)
+    for outline in chain(drawn, (_outline(osm, each, rows) for each in osm.relations.values())):
+        ring = outline[:-1] if len(outline) > 1 and outline[0] == outline[-1] else outline
+        if len(ring) > 2:
+            yield xy[list(ring)]
+
+
+def _outline(osm: Osm, area: Element, rows: Mapping[int, int]) -> Sequence[int]:
+    """Return the closed outline of a drivable area; empty if it is none, has a hole, or its ways do not join."""
+    ways = [list(way_points(osm.ways[ref], rows)) for ref in area.named("outer") if ref in osm.ways]
+    if area.tags.get("type") != "multipolygon" or area.tags.get("subtype") not in _AREAS or not all(ways):
+        return ()
+    if not ways or any(True for _ in area.named("inner")):
+        return ()
+    out = ways[0] if len(ways) < 2 or ways[0][-1] in (ways[1][0], ways[1][-1]) else ways[0][::-1]
+    for way in ways[1:]:
+        if out[-1] not in (way[0], way[-1]):
+            return ()
+        out = out + (way if way[0] == out[-1] else way[::-1])[1:]
+    return out if len(out) > 3 and out[0] == out[-1] else ()
 
 
 def _height(node: Element) -> float:

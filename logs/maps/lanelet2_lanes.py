@@ -32,7 +32,7 @@ from logs.errors import LogError
 from logs.kernel import kernel
 from logs.maps.lanelet2_file import Element, Osm
 from logs.maps.strips import resampled
-from logs.road import Lane
+from logs.road import IN_JUNCTION, Lane
 
 SAME_M = 0.05
 """Ends nearer than this are one point, m: less than the distance of the two parts of a double line."""
@@ -300,7 +300,7 @@ def lanes_of(osm: Osm, strips: Sequence[DirectedLanelet], xyz: FloatArray, notes
             drivable=strip.drivable,
             left_crossable=crossable(strip.left, near=-1),
             right_crossable=crossable(strip.right, near=0),
-            kind=strip.tags.get("subtype", "lanelet"),
+            kind=strip.tags.get("subtype", "lanelet") + f"+{IN_JUNCTION}" * ("intersection_area" in strip.tags),
         )
     notes += [f"{count} {what} are ignored." for what, count in sorted((+unread).items())]
     doubled = len(beside.ends) - len(set(beside.ends.values()))

@@ -2,7 +2,7 @@
 
 Source: ASAM OpenDRIVE 1.8, chapters 9 to 11. Each lane of a lane section becomes one lane. If traffic keeps right,
 lanes with negative ids run along the reference line and the others against it; if it keeps left, the reverse.
-Signals, objects and junction priorities are not read.
+The lanes of a junction's roads are in an intersection. Signals, objects and junction priorities are not read.
 
 Roads are read one by one; one that cannot be read is left out and named. Before, each is brought into the form that
 pyxodr knows (`_normalise`). In particular, with the length L of a geometry,
@@ -25,7 +25,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.maps.base import MapFile, MapReader
-from logs.road import Lane, Road
+from logs.road import IN_JUNCTION, Lane, Road
 
 RESOLUTION_M = 0.1
 """Step of pyxodr along the reference line, m; its lanes end within a few cm of the begin of the next ones."""
@@ -368,7 +368,7 @@ def _lanes(pieces: Sequence[_Piece], joints: Joints) -> Iterator[tuple[int, Lane
                 drivable=piece.drivable,
                 left_crossable=near if piece.on_right else far,
                 right_crossable=far if piece.on_right else near,
-                kind=str(piece.lane.type),
+                kind=f"{piece.lane.type}" + f"+{IN_JUNCTION}" * (piece.road.get("junction", "-1") != "-1"),
             ),
         )
 

@@ -54,7 +54,7 @@ from logs.readers.recorded import (
     tracks_of,
     unit_of_wxyz,
 )
-from logs.road import Road
+from logs.road import IN_JUNCTION, Road
 from logs.rules import Crosswalk
 from logs.scenario import Scenario
 from logs.states import Trajectory
@@ -286,7 +286,7 @@ def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list
                     _points(lane["right_lane_boundary"]) - origin,
                     successors=tuple(dict.fromkeys(int(i) for i in lane["successors"])),
                     beside=(lane["left_neighbor_id"], lane["right_neighbor_id"]),
-                    kind=f"{kind}+intersection" if lane.get("is_intersection") else kind,
+                    kind=f"{kind}+{IN_JUNCTION}" if lane.get("is_intersection") else kind,
                     marks=(str(lane["left_lane_mark_type"]), str(lane["right_lane_mark_type"])),
                     drivable=kind not in ("bike_lane", "bus_lane"),
                 )

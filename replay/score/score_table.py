@@ -10,12 +10,13 @@ import numpy as np
 import pandas as pd
 
 from logs.errors import ConfigError
+from logs.road import IN_JUNCTION
 from logs.scenario import Scenario
 from logs.trace import EndReason
-from metrics.drivable_lanes import IN_JUNCTION
 from replay.draw.drawn_results import Results
 from replay.score.navsim import NUPLAN_CAR, PAST_S, POSE_S, VERSIONS, ScoredWindow, window
 from replay.score.trajectories import Asked
+from replay.score.two_stages import COMBINED, FOLLOWS, STAGE, two_stages, with_stages
 from replay.score.yardstick import ScoredPlan, Yardstick, scored, yardstick
 
 NUPLAN_CLS = "nuplan-cls"
@@ -84,21 +85,33 @@ def navsim_table(
     if not asked:
         raise ConfigError("no plans to score: a window needs a plan of 4 s, and 4 s of the log after its begin")
     version, done, rows = VERSIONS[name], dict[tuple[str, str, int], ScoredPlan](), []
+    staged = any(one.stage_one for one in asked)
+    if staged and "EC" not in version.columns:
+        raise ConfigError(f"stage_one: {name} has one stage; take --as navsim-v2, or leave the column out")
     here: tuple[tuple[str, float], ScoredWindow, Yardstick] | None = None
-    for one in sorted(asked, key=lambda one: (one.log, one.t, one.drive)):
+    in_order = sorted(asked, key=lambda one: (one.log, one.t, one.drive))
+    for one in in_order:
         if here is None or here[0] != (one.log, one.t):
             begin = window(logs[one.log], one.t)
             here = (one.log, one.t), begin, yardstick(begin, version)
         at = round(one.t / POSE_S * 100)
         before = done.get((one.log, one.drive, at - 100)) if "EC" in version.columns else None
-        now = scored(here[1], one.poses, version, before, here[2])
-        done[one.log, one.drive, at] = now
+        done[one.log, one.drive, at] = scored(here[1], one.poses, version, before, here[2])
+        on_plan()
+    for one in in_order:
+        at = round(one.t / POSE_S * 100)
+        now, after = done[one.log, one.drive, at], done.get((one.log, one.drive, at + 100))
+        if staged and after is not None and np.isnan(now.parts["EC"]):  # the earlier of a pair has the pair's
+            now = now.with_comfort(after.parts["EC"])
         columns = {column: now.parts[part] for part, column in version.columns.items()}
         rows.append({"token": one.token or f"{one.log}@{one.t:g}", "log_name": one.log, "agent": one.drive,
                      "start_time": one.t, **columns, "score": now.score})  # fmt: skip
-        on_plan()
-    table = pd.DataFrame(rows).sort_values(["log_name", "agent", "start_time"], kind="stable", ignore_index=True)
-    return ScoreTable(_with_means(table, "token", "agent", AVERAGE), tuple(_navsim_notes(table, asked, logs, name)))
+    table = pd.DataFrame(rows)
+    if staged:
+        table = two_stages(table, in_order, logs)
+    table = table.sort_values(["log_name", "agent", "start_time"], kind="stable", ignore_index=True)
+    notes = tuple(_navsim_notes(table, asked, logs, name))
+    return ScoreTable(with_stages(table) if staged else _with_means(table, "token", "agent", AVERAGE), notes)
 
 
 def _with_means(rows: pd.DataFrame, name: str, agent: str, word: str) -> pd.DataFrame:
@@ -121,7 +134,13 @@ def _navsim_notes(rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str,
     limits = sum(not any(np.isfinite(road.stated_limit(i)) for i in road.lanes) for road in roads)
     areas = sum(not road.areas for road in roads)
     marked = sum(not any(IN_JUNCTION in lane.kind.split("+") for lane in road.lanes.values()) for road in roads)
-    yield "one stage: navhard's second stage needs its synthetic scenes, which no log holds"
+    if STAGE not in rows:
+        yield "one stage: no trajectory names the window that it follows (column stage_one)"
+    else:
+        yield "stage two: its road users drive as logged; NAVSIM lets vehicles react, by its IDM"
+        first = rows[rows[STAGE] == 1]
+        if alone := int((~first["token"].isin(rows[FOLLOWS])).sum()):
+            yield f"{COMBINED}: {alone} of {len(first)} windows of stage one have no follow-up scene: left out"
     yield "route: lanes that the log's driver comes through, and straight on; not the roadblocks that nuPlan names"
     if car:
         yield f"vehicle: the ego of {len(car)} of {len(used)} logs is not nuPlan's Pacifica, whose box NAVSIM judges"

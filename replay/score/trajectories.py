@@ -2,7 +2,8 @@
 
 A table (CSV or Parquet) has a row for each pose: `log` (its name or file), `t_s` (begin of the window, s from the
 log's begin), `x`, `y`, `yaw` (rear axle, m, rad), the eight poses of a window every 0.5 s, in order or with `after_s`.
-`drive` (else `planner`) separates several agents; `token` is copied to the scores.
+`drive` (else `planner`) separates several agents; `token` is copied to the scores. `stage_one` names, by its token, the
+window of which a window is a follow-up scene (`two_stages`); empty: none.
 """
 
 from __future__ import annotations
@@ -31,13 +32,21 @@ AGENT = ("drive", "planner")
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A plan to be scored: log, agent and token by name, begin of the window, s, and poses x, y, yaw `(8, 3)`."""
+    """A plan to be scored.
+
+    Attributes:
+        log: The log's name; `drive` the agent's, `token` the window's.
+        t: Begin of the window, s.
+        poses: x, y, yaw in the log's world `(8, 3)`.
+        stage_one: The token of the window of which this is a follow-up scene; "": it is none.
+    """
 
     log: str
     drive: str
     token: str
     t: float
     poses: FloatArray
+    stage_one: str = ""
 
 
 def read_table(path: Path) -> pd.DataFrame:
@@ -98,8 +107,9 @@ def of_table(path: Path, logs: Mapping[str, Scenario], *, relative: bool) -> lis
             poses = window[["x", "y", "yaw"]].to_numpy(np.float64)
             name = known[log]
             placed = _in_world(poses, logs[name], t) if relative else poses
-            token = str(window["token"].iloc[0]) if "token" in window.columns else ""
-            found.append(Asked(name, str(drive), token, t, placed))
+            words = (window[column].iloc[0] if column in window.columns else None for column in ("token", "stage_one"))
+            token, stage_one = ("" if pd.isna(word) else str(word) for word in words)
+            found.append(Asked(name, str(drive), token, t, placed, stage_one))
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, nan, sin
 
 import numpy as np
@@ -36,11 +36,27 @@ def total(parts: Mapping[str, float], version: Version) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ScoredPlan:
-    """The parts and the score of a plan, and its tracked states, which the next plan's EC needs."""
+    """The parts of a plan, its tracked states, which the next plan's EC needs, and its score.
+
+    Attributes:
+        parts: After the human filter; `own` before it.
+        states: The tracked states `(41, 9)`.
+        version: The version by which it is scored.
+    """
 
     parts: Mapping[str, float]
-    score: float
+    own: Mapping[str, float]
     states: FloatArray
+    version: Version
+
+    @property
+    def score(self) -> float:
+        """The score of the parts, by the version."""
+        return total(self.parts if self.version.scores_filtered else self.own, self.version)
+
+    def with_comfort(self, extended: float) -> ScoredPlan:
+        """Return the plan with another EC."""
+        return replace(self, parts={**self.parts, "EC": extended}, own={**self.own, "EC": extended})
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,4 +106,4 @@ def scored(
     parts["HC"] = history_comfort(at, states, version)
     parts["EC"] = nan if before is None else extended_comfort(states, before.states, round(POSE_S / STEP_S))
     filtered = parts | {name: 1.0 for name, value in beside.human.items() if value == 0.0}
-    return ScoredPlan(filtered, total(filtered if version.scores_filtered else parts, version), states)
+    return ScoredPlan(filtered, parts, states, version)

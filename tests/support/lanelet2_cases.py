@@ -99,6 +99,7 @@ def crossroads() -> tuple[MapWriter, dict[str, int]]:
     Lanes by name: "west 1" (left) and "west 2" (right) lead from x = 0 to 60 into "inner 1" and "inner 2" to 72 and
     "east 1" and "east 2" to 150; "back" comes from x = 150 to 72; "side" comes from y = -60 to -8 and "turn" leads from
     it into "east 2". "walk" is a crosswalk over x = 130 to 134, "bikes" a bicycle lane beside "east 2".
+    A car park of 10 m by 10 m is at (85, 15); "turn" lies in an intersection area of 12 m by 12 m at (66, -2).
     """
     m, lanes = MapWriter(), {}
     rows = {y: f"{y}" for y in (8.0, 4.0, 0.0, -4.0)}
@@ -132,7 +133,8 @@ def crossroads() -> tuple[MapWriter, dict[str, int]]:
     yields = m.way([(70.0, -9.0), (70.5, -9.0)], type="traffic_sign", subtype="de205")
     m_yield = m.rule("traffic_sign", [("way", "refers", yields), ("way", "ref_line", waiting)])
     lanes["side"] = m.lanelet(left, right, [m_yield])
-    lanes["turn"] = m.lanelet(first, second)
+    middle = m.way([(60.0, -8.0), (72.0, -8.0), (72.0, 4.0), (60.0, 4.0)], type="intersection_area", area="yes")
+    lanes["turn"] = m.lanelet(first, second, intersection_area=str(middle))
     lanes["way"] = m.rule(
         "right_of_way",
         [("relation", "right_of_way", lanes[name]) for name in ("west 1", "west 2")]
@@ -143,5 +145,8 @@ def crossroads() -> tuple[MapWriter, dict[str, int]]:
     beside = m.way([(72.0, -6.0), (150.0, -6.0)])
     lanes["bikes"] = m.lanelet(ways["east", -4.0], beside, subtype="bicycle_lane")
     m.rule("detection_area", [])
-    m.relation([], type="multipolygon", subtype="parking")
+    m.relation([], type="multipolygon", subtype="building")
+    corners = [(80.0, 10.0), (90.0, 10.0), (90.0, 20.0), (80.0, 20.0)]
+    sides = m.way(corners[:3]), m.way([corners[0], corners[3], corners[2]])  # one runs around it, one against that
+    m.relation([("way", "outer", side) for side in sides], type="multipolygon", subtype="parking")
     return m, lanes

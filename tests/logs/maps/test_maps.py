@@ -19,6 +19,7 @@ from logs.maps.lanelet2_lanes import Bound, crossable, oriented, paired, speed_i
 from logs.maps.projections import Projection, parse_projection, utm
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log
+from logs.road import IN_JUNCTION
 from replay.run.sources import LogSource
 
 MAP, NAMES = crossroads()
@@ -115,6 +116,22 @@ def test_stop_lines_right_of_way_crosswalks_and_what_is_not_read(read: MapFile) 
     assert [walk.id for walk in read.road.crosswalks] == [NAMES["walk"]]
     text = " ".join(read.notes)
     assert "1 detection_area" in text and "1 multipolygon" in text
+    assert {CALLED[i] for i, lane in read.road.lanes.items() if IN_JUNCTION in lane.kind.split("+")} == {"turn"}
+    grounds = {tuple(area.mean(axis=0)): np.ptp(area, axis=0).tolist() for area in read.road.areas}
+    assert grounds == {(66.0, -2.0): [12.0, 12.0], (85.0, 15.0): [10.0, 10.0]}
+
+
+@pytest.mark.parametrize("broken", ["hole", "gap", "open"])
+def test_an_area_that_is_no_plain_ring_is_not_read(tmp_path: Path, broken: str) -> None:
+    m, _ = crossroads()
+    there = len(read_map(m.write(tmp_path / "map.osm")).road.areas)
+    side, far = m.way([(0.0, 30.0), (9.0, 30.0), (9.0, 39.0)]), m.way([(9.5, 39.0), (0.0, 39.0), (0.0, 30.0)])
+    whole = m.way([(9.0, 39.0), (0.0, 39.0), (0.0, 30.0)])
+    sides = {"hole": (side, whole), "gap": (side, far), "open": (side,)}[broken]
+    members = [("way", "outer", each) for each in sides] + [("way", "inner", side)] * (broken == "hole")
+    m.relation(members, type="multipolygon", subtype="parking")
+    found = read_map(m.write(tmp_path / "map.osm"))
+    assert len(found.road.areas) == there and any("2 multipolygon" in note for note in found.notes)
 
 
 def test_a_line_at_a_lanes_begin_lies_across_the_lane_before(tmp_path: Path) -> None:

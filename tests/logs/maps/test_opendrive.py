@@ -16,6 +16,7 @@ from logs import LogError
 from logs.maps import MapFile, read_map
 from logs.mcap import write_scenario
 from logs.readers import LogSettings, read_log
+from logs.road import IN_JUNCTION
 
 needs_pyxodr = pytest.mark.skipif(find_spec("pyxodr") is None, reason="pyxodr (extra opendrive) is not installed")
 CURVATURE = 0.02
@@ -75,6 +76,9 @@ def test_real_maps(shared_data: Path, tmp_path: Path) -> None:
     assert counts == {"straight_500m": (6, 2, 0), "e6mini": (14, 6, 0), "fabriksgatan": (44, 20, 24)}  # as in the XML
     path = shared_data / "osi" / "fabriksgatan.xodr"
     road = read_map(path).road
+    crossing = {i for i, lane in road.lanes.items() if IN_JUNCTION in lane.kind.split("+") and lane.drivable}
+    ends = {lane.id for lane in road.lanes.values() if lane.drivable and len(lane.successors) > 1}  # that lead into it
+    assert len(crossing) == 12 and ends and all(set(road.lanes[i].successors) <= crossing for i in ends)
     start = next(lane for lane in road.lanes.values() if lane.drivable and lane.successors and lane.length > 50.0)
     write_scenario(tmp_path / "drive.mcap", driven_along(through(road, start.id, 120.0)[1]))
     mapped = read_log(tmp_path / "drive.mcap", LogSettings(map=str(path)))

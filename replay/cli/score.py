@@ -75,7 +75,7 @@ def score(
             shown = table.rows if len(table.rows) <= MOST_ROWS else means
             if len(shown) < len(table.rows):
                 say(f"{len(table.rows) - len(means)} rows; --out writes them. The means:")
-            say(shown.to_string(index=False, float_format=lambda value: f"{value:.4f}", na_rep="-"))
+            say(shown.to_string(index=False, max_colwidth=60, float_format=lambda value: f"{value:.4f}", na_rep="-"))
             say("Not exact:")
             say("\n".join(f"  {note}" for note in table.inexact))
         if out is not None and not as_json:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import cos, sin
+from math import cos, hypot, sin
 from pathlib import Path
 from typing import cast
 
@@ -22,12 +22,15 @@ from logs.arrays import FloatArray
 from logs.errors import ConfigError, unknown_name
 from logs.files import check_regular
 from logs.scenario import Scenario
+from logs.states import EgoState
 from logs.trace import Trace
 from replay.results.tables import safe_name
 from replay.score.navsim import HORIZON_S, POSE_S, POSES
 
 NEEDED = ("log", "t_s", "x", "y", "yaw")
 AGENT = ("drive", "planner")
+FARTHEST_M = 1000.0
+"""No pose of a plan is this far from where its window begins, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +77,9 @@ def read_table(path: Path) -> pd.DataFrame:
             row = int(np.flatnonzero(~np.isfinite(numbers))[0])
             raise ConfigError(f"{path}: {name} of row {row + 1} is no finite number: {table[name].iloc[row]}")
         table[name] = numbers.astype(float)
+    for name in ("log", *(name for name in AGENT if name in table.columns)):
+        if (empty := np.flatnonzero(table[name].isna())).size:
+            raise ConfigError(f"{path}: {name} of row {empty[0] + 1} is empty")
     return table
 
 
@@ -86,7 +92,7 @@ def of_table(path: Path, logs: Mapping[str, Scenario], *, relative: bool) -> lis
         relative: Whether poses are relative to the ego at the begin of their window.
 
     Raises:
-        ConfigError: As `read_table`; a window has not eight poses; a log is unknown.
+        ConfigError: As `read_table`; a window has not eight poses, or one that is `FARTHEST_M` away; a log is unknown.
     """
     table = read_table(path)
     known = {name: log for log in logs for name in (log, safe_name(log), Path(log).stem)}
@@ -106,16 +112,22 @@ def of_table(path: Path, logs: Mapping[str, Scenario], *, relative: bool) -> lis
                 raise ConfigError(f"{where}: after_s must be {expected[0]:g}, {expected[1]:g}, ... {expected[-1]:g} s")
             poses = window[["x", "y", "yaw"]].to_numpy(np.float64)
             name = known[log]
-            placed = _in_world(poses, logs[name], t) if relative else poses
+            begin = logs[name].ego.resampled(np.clip([t], logs[name].ego.t[0], logs[name].ego.t[-1])).state(0)
+            placed = _in_world(poses, begin) if relative else poses
+            away = max(hypot(x - begin.x, y - begin.y) for x, y in placed[:, :2])
+            if away > FARTHEST_M:
+                frame = "the poses are in another frame" if relative else "poses relative to the ego need --relative"
+                raise ConfigError(
+                    f"{where}: a pose is {away:.3g} m from the ego, farther than in {HORIZON_S:g} s: {frame}"
+                )
             words = (window[column].iloc[0] if column in window.columns else None for column in ("token", "stage_one"))
             token, stage_one = ("" if pd.isna(word) else str(word) for word in words)
             found.append(Asked(name, str(drive), token, t, placed, stage_one))
     return found
 
 
-def _in_world(poses: FloatArray, scenario: Scenario, t: float) -> FloatArray:
-    """Return poses that are relative to the ego at `t` in the log's world."""
-    ego = scenario.ego.resampled(np.clip([t], scenario.ego.t[0], scenario.ego.t[-1])).state(0)
+def _in_world(poses: FloatArray, ego: EgoState) -> FloatArray:
+    """Return poses that are relative to the ego in its log's world."""
     x, y, yaw = poses.T
     c, s = cos(ego.yaw), sin(ego.yaw)
     return np.column_stack([ego.x + x * c - y * s, ego.y + x * s + y * c, ego.yaw + yaw])

@@ -93,6 +93,10 @@ def test_a_file_of_trajectories_has_the_scores_of_the_original(place: Path) -> N
         (lambda t: t.assign(x="here"), "no finite number"),
         (lambda t: t.assign(after_s=t.after_s + 0.1), "after_s"),
         (lambda t: t.iloc[:0], "no rows"),
+        (lambda t: t.assign(log=None), "log of row 1 is empty"),
+        (lambda t: t.assign(drive=None), "drive of row 1 is empty"),
+        (lambda t: t.assign(x=1e300), "--relative"),
+        (lambda t: t.assign(y=t.y + 1e4), "--relative"),
     ],
 )
 def test_a_bad_file_is_one_line(place: Path, tmp_path: Path, change: object, says: str) -> None:

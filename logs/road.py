@@ -123,6 +123,7 @@ class Road:
         crosswalks: Areas in which pedestrians have the right of way.
         areas: Other ground on which a car may drive (drivable areas, car parks), polygons `(k, 2)`; only the scores of
             `metrics.nuplan` and `replay.score` use it.
+        route: Lanes of the route that the log names, in its order; empty: it names none.
         assumed_limits: Lanes whose speed limit is assumed, because the log states none.
         assumed_priority: Lanes that yield by assumption, because neither a sign nor a light says who goes first.
 
@@ -138,6 +139,7 @@ class Road:
     stop_lines: tuple[StopLine, ...] = ()
     crosswalks: tuple[Crosswalk, ...] = ()
     areas: tuple[Points, ...] = ()
+    route: tuple[int, ...] = ()
     assumed_limits: frozenset[int] = frozenset()
     assumed_priority: frozenset[int] = frozenset()
 

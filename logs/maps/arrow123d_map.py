@@ -14,6 +14,8 @@ predecessors, and applies to the way onto the lane. A zone of a traffic light id
 Lights. A light has the id of the lane that it controls. For a light without a stop zone, the stop line is at the ends
 of that lane's predecessors.
 
+Route. nuPlan's logs name the groups of lanes (roadblocks) of their route in `custom.scenario`: `Road.route`.
+
 Maps. The log's own map is preferred to the map of its place in the data root,
 `maps/<dataset>/<dataset>_<location>.arrow` in a folder above the log.
 """
@@ -71,7 +73,11 @@ class MapObjects:
 
 
 def road_of_map(
-    path: Path, origin: tuple[float, float] = (0.0, 0.0), near: FloatArray | None = None, notes: list[str] | None = None
+    path: Path,
+    origin: tuple[float, float] = (0.0, 0.0),
+    near: FloatArray | None = None,
+    notes: list[str] | None = None,
+    route: Sequence[int] = (),
 ) -> Road:
     """Read the road of a map file (module docstring).
 
@@ -81,6 +87,7 @@ def road_of_map(
         near: Places `(k, 2)` in the map's coordinates; objects farther than `REACH_M` outside their bounding box are
             left out. None: the whole map.
         notes: List to which assumptions are added.
+        route: Ids of the groups of lanes that the log's route leads through.
 
     Raises:
         LogError: The file is no such map, or has no lanes that can be used.
@@ -137,7 +144,9 @@ def road_of_map(
         lines = stop_lines(zones, lanes, notes)
         if any(len(lane.successors) > 1 for lane in lanes.values()):
             notes.append("The map has no right of way: priority where lanes meet is not known.")
-        return Road(lanes, drives_on_right=keeps_right, stop_lines=lines, crosswalks=walks, areas=areas)
+        grouped = [(f.get("lane_group_id"), i) for i, f in chosen if i in lanes]
+        way = tuple(i for group in route for of, i in grouped if of == group)
+        return Road(lanes, drives_on_right=keeps_right, stop_lines=lines, crosswalks=walks, areas=areas, route=way)
 
 
 def read_objects(path: Path) -> MapObjects:
@@ -292,7 +301,7 @@ def _entry_into_outline(lane: Lane, ring: FloatArray) -> float | None:
     return within.index(True) / (len(points) - 1) if any(within) else None
 
 
-LIGHTS = "traffic_light_detections"
+LIGHTS, SCENARIO = "traffic_light_detections", "custom.scenario.arrow"
 COLOURS = (Colour.GREEN, Colour.YELLOW, Colour.RED, Colour.OFF)
 UNKNOWN = 4
 UP = 6
@@ -311,6 +320,18 @@ def map_of(folder: Path, about: Mapping[Any, Any]) -> Path | None:
     return next((path for path in above if path.is_file()), None)
 
 
+def _route_of(folder: Path) -> tuple[int, ...]:
+    """Return the groups of lanes of the route that nuPlan's logs name; empty where there is none."""
+    path = folder / SCENARIO
+    if not path.is_file():
+        return ()
+    table = ipc_table(path, (f"{path.stem}.data",))
+    with reading(path):
+        said = msgspec.msgpack.decode(table[f"{path.stem}.data"][0].as_py()) if len(table) else {}
+        names = said.get("route_roadblock_ids") if isinstance(said, dict) else None
+        return tuple(int(name) for name in map(str, names or ()) if name.isdecimal() and len(name) < 19)
+
+
 def road_of(
     folder: Path,
     about: Mapping[Any, Any],
@@ -324,7 +345,8 @@ def road_of(
     path, road = map_of(folder, about), None
     if path is not None:
         try:
-            road = road_of_map(path, origin, np.column_stack([ego.x, ego.y]) + origin, notes)
+            near = np.column_stack([ego.x, ego.y]) + origin
+            road = road_of_map(path, origin, near, notes, _route_of(folder))
         except LogError as error:
             if "lanes" not in error.what:
                 raise

@@ -199,7 +199,7 @@ class Crosswalk(msgspec.Struct, rename=serialised):
 class Road(msgspec.Struct, rename=serialised):
     """Lanes and rules; source "driven_path": made from the ego's path; "assumed_limits", "assumed_priority": lanes.
 
-    "areas": more drivable ground.
+    "areas": more drivable ground. "route": lanes of the route that the log names.
     """
 
     lanes: list[LaneColumns]
@@ -211,6 +211,7 @@ class Road(msgspec.Struct, rename=serialised):
     assumed_limits: list[int] = []
     assumed_priority: list[int] = []
     areas: list[Region] = []
+    route: list[int] = []
 
 
 class LightColumns(msgspec.Struct, rename=serialised):

@@ -13,7 +13,8 @@ them with differences between the frames before and after (0.1.0: with zeros). T
 later frame: the ego's velocities are derived from the poses before each state, the agents' by backward differences, and
 the scenario begins at the second frame, so that every state has earlier poses.
 
-`route_position.arrow` is the ego's future path, and `custom.*` are fields of single data sets: neither is read.
+`route_position.arrow` is the ego's future path, and `custom.*` are fields of single data sets: neither is read, but for
+the route in nuPlan's (`arrow123d_map`).
 
 Labels. The files store a number of the data set's enumeration, and the dotted path of its class (`KINDS` has the
 classes of py123d 0.1.0 to 0.7.0, by the last part of that path). The class is never imported. For an unknown class, the

@@ -141,7 +141,8 @@ def _navsim_notes(rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str,
         first = rows[rows[STAGE] == 1]
         if alone := int((~first["token"].isin(rows[FOLLOWS])).sum()):
             yield f"{COMBINED}: {alone} of {len(first)} windows of stage one have no follow-up scene: left out"
-    yield "route: lanes that the log's driver comes through, and straight on; not the roadblocks that nuPlan names"
+    if guessed := sum(not road.route for road in roads):
+        yield f"route: {guessed} of {len(used)} logs name none: the lanes of their driver, and straight on"
     if car:
         yield f"vehicle: the ego of {len(car)} of {len(used)} logs is not nuPlan's Pacifica, whose box NAVSIM judges"
     if lights and name != "navsim-v1":

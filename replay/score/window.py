@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, pi
 from typing import NamedTuple
@@ -36,8 +37,13 @@ class RoadblockRoute:
 
 @once
 def route_of(scenario: Scenario, lanes: DrivableLanes) -> RoadblockRoute:
-    """Return the route of the whole log, and on straight for `BEYOND_M`: nuPlan's routes do not end with a log."""
+    """Return the route that the log names; else that of its driver, and on straight for `BEYOND_M`.
+
+    nuPlan's routes do not end with a log.
+    """
     boxes, index = ego_boxes(scenario.ego, scenario), {lane.id: i for i, lane in enumerate(lanes.lanes)}
+    if named := [lanes.block[index[i]] for i in scenario.road.route if i in index]:
+        return _through(lanes, named)
     first = route_lanes(lanes, boxes[0], boxes[1])
     blocks = list(dict.fromkeys(lanes.block[i] for i in first))
     after, beyond = straight_on(scenario.road, lanes.lanes[first[-1]].id) if first else None, 0.0
@@ -45,7 +51,12 @@ def route_of(scenario: Scenario, lanes: DrivableLanes) -> RoadblockRoute:
         blocks.append(lanes.block[index[after]])
         beyond += lanes.lanes[index[after]].length
         after = straight_on(scenario.road, after)
-    return RoadblockRoute(tuple(blocks), frozenset(i for i, block in enumerate(lanes.block) if block in blocks))
+    return _through(lanes, blocks)
+
+
+def _through(lanes: DrivableLanes, blocks: Sequence[int]) -> RoadblockRoute:
+    found = tuple(dict.fromkeys(blocks))
+    return RoadblockRoute(found, frozenset(i for i, block in enumerate(lanes.block) if block in found))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -198,6 +199,24 @@ def test_early_connectors_of_nuplan_are_put_right(tmp_path: Path) -> None:
     assert any("swapped" in note for note in notes)
     write_map(tmp_path / "map.arrow", swapped, version="0.5.0")
     assert road_of_map(tmp_path / "map.arrow").lanes[2].successors == (1,)
+
+
+def test_the_route_of_nuplan_is_the_lanes_of_its_groups(tmp_path: Path) -> None:
+    """Groups in the route's order; a group without lanes here, and a name that is no number, name none."""
+    groups = {1: 71, 2: 72, 3: 73, 9: 73}
+    objects = [(i, layer, {**f, "lane_group_id": groups.get(i)}, g) for i, layer, f, g in street()]
+    write_map(tmp_path / "maps" / "nuplan" / "nuplan_here.arrow", objects)
+    folder = write_123d(tmp_path / "logs" / "nuplan_val" / "street")
+    assert read_log(folder).road.route == ()
+    for named, expected in ((["73", "71", "5", "end"], (3, 9, 1)), ([], ()), (None, ())):
+        said = [msgspec.msgpack.encode({"route_roadblock_ids": named, "lidar_token": "a"})] * 2
+        columns = {"custom.scenario.timestamp_us": pa.array([0, 1], pa.int64()), "custom.scenario.data": pa.array(said)}
+        write_ipc(folder / "custom.scenario.arrow", columns, {})
+        road = read_log(folder).road
+        assert road.route == expected
+    write_ipc(folder / "custom.scenario.arrow", {**columns, "custom.scenario.data": pa.array([b"\xc1", b""])}, {})
+    with pytest.raises(LogError, match=r"custom.scenario.arrow"):
+        read_log(folder)
 
 
 def test_singapore_drives_on_the_left_and_far_lanes_are_left_out(tmp_path: Path) -> None:

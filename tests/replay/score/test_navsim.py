@@ -116,6 +116,20 @@ def test_a_longer_log_does_not_change_a_windows_score() -> None:
         )
 
 
+def test_a_route_that_the_log_names_is_the_route() -> None:
+    """Naming the lanes of the driver's route changes nothing; lanes beyond its begin alone lose the score."""
+    name, drive, t = "everyday_junction", "everyday_junction__dp_qp", 6.0
+    whole = one(log(name), t, poses(drive, t))
+    ground = window(log(name), t).ground
+    driven = tuple(ground.lanes.lanes[i].id for block in ground.route.blocks
+                   for i in sorted(ground.route.lanes) if ground.lanes.block[i] == block)  # fmt: skip
+    named = replace(log(name), road=replace(log(name).road, route=(*driven, 10**6)))
+    assert one(named, t, poses(drive, t)).parts == pytest.approx(whole.parts, nan_ok=True)
+    assert len(driven) > 1 and set(driven) < {lane.id for lane in ground.lanes.lanes}
+    short = replace(log(name), road=replace(log(name).road, route=driven[-1:]))
+    assert window(short, t).ground.route.lanes < ground.route.lanes
+
+
 def test_the_humans_trajectory_is_excused_what_it_does() -> None:
     """A human who drives over a red light: their own trajectory, and any other that does so too, is not marked down."""
     light = catalogue("everyday/traffic_light")

@@ -1,6 +1,6 @@
 """What each kernel costs to compile, and what it saves: calls and CPU time of a log, compiled and as plain Python.
 
-    python benchmarks/kernels.py [LOG ...] [--calls 3]
+    python benchmarks/kernels.py [LOG ...] [--calls 20]
 
 LOGs are files and folders; without any, the built-in suite. Three processes drive them in both loops without recording,
 from a copy of the sources without machine code. One compiles everything; one counts the calls that come from Python and
@@ -36,8 +36,8 @@ from replay.run.evaluate import evaluate_logs
 
 ROOT = Path(__file__).resolve().parents[1]
 LOG_S, PAYS_WITHIN = 20.0, 100.0
-SPACED = 97
-"""Of a kernel's calls every this many is kept, from the first one on."""
+MOST_S = 20.0
+"""No more calls of a kernel are repeated after this time, s."""
 ROOMS = ("replay", "metrics", "planners", "logs", "replan")
 
 
@@ -68,18 +68,20 @@ class Compilations(event.Listener):
 
 
 class Counted:
-    """Stands for a kernel in the modules that call it from Python."""
+    """Stands for a kernel in the modules that call it from Python; keeps evenly spaced calls."""
 
     def __init__(self, kernel: Any, most: int) -> None:
-        self.kernel, self.most, self.calls, self.seconds, self.kept = kernel, most, 0, 0.0, list[Any]()
+        self.kernel, self.most, self.calls, self.seconds, self.kept, self.spaced = kernel, most, 0, 0.0, list[Any](), 1
 
     def __call__(self, *args: Any, **named: Any) -> Any:
         """Call the kernel."""
-        if self.calls % SPACED == 0 and len(self.kept) < self.most:
+        if self.calls % self.spaced == 0:
             self.kept.append(deepcopy((args, named)))
-        begin = time.perf_counter()
+            if len(self.kept) > self.most:
+                self.kept, self.spaced = self.kept[::2], 2 * self.spaced
+        begin = time.thread_time()
         found = self.kernel(*args, **named)
-        self.seconds += time.perf_counter() - begin
+        self.seconds += time.thread_time() - begin
         self.calls += 1
         return found
 
@@ -121,10 +123,13 @@ def repeat(found: Path, out: Path) -> None:
     for name, (_, _, kept) in rows.items():
         module, function = name.rsplit(".", 1)
         call: Callable[..., Any] = getattr(__import__(module, fromlist=[function]), function)
-        begin = time.process_time()
+        begin, done = time.process_time(), 0
         for args, named in kept:
+            if time.process_time() - begin > MOST_S:
+                break
             call(*args, **named)
-        python[name] = (time.process_time() - begin) / len(kept)
+            done += 1
+        python[name] = (time.process_time() - begin) / done
     out.write_bytes(pickle.dumps(python))
 
 
@@ -132,7 +137,7 @@ def main() -> None:
     """Run the three processes, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("logs", nargs="*")
-    parser.add_argument("--calls", type=int, default=3, help="calls of each kernel that are repeated in Python")
+    parser.add_argument("--calls", type=int, default=20, help="calls of each kernel that are repeated in Python")
     parser.add_argument("--part", nargs="+", help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.part:

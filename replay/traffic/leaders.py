@@ -183,7 +183,7 @@ def moved_on(paths: Paths, phase: FloatArray, way: FloatArray, now: float) -> Fl
     return out
 
 
-@kernel
+@inner_kernel
 def taken(boxes: FloatArray, coming: BoolArray, others: BoolArray) -> BoolArray:
     """Which boxes `coming` overlap one of the `others`."""
     out = np.zeros(len(coming), np.bool_)

@@ -11,7 +11,7 @@ The other road users have no effect: they are neither present nor entering.
 
 from __future__ import annotations
 
-from math import cos, inf, isfinite, isnan, sin
+from math import cos, inf, isfinite, isnan, sin, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,9 @@ from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.kernel import inner_kernel, kernel
 from replay.traffic.leaders import (
     ACCEL_MPS2,
+    DECEL_MPS2,
     STANDING_MPS,
+    STANDSTILL_M,
     Leaders,
     Paths,
     TrafficScene,
@@ -31,6 +33,7 @@ from replay.traffic.leaders import (
     enhanced_idm,
     leaders,
     moved_on,
+    taken,
 )
 from replay.traffic.phase_replay import PERIOD_S, LoggedTracks, play, played
 
@@ -139,13 +142,13 @@ def paths_of(agents: ReplayedAgents) -> Paths:
     return Paths(agents.tracks.first, agents.tracks.end, agents.tracks.t, columns[0], columns[1], columns[2])
 
 
-@kernel
+@inner_kernel
 def logged_speeds(agents: ReplayedAgents, now: Phases) -> FloatArray:
     """Their speeds in the log over the next period `(n,)`, m/s."""
     return covered(paths_of(agents), now.phase, PERIOD_S) / PERIOD_S
 
 
-@kernel
+@inner_kernel
 def scene_of(agents: ReplayedAgents, now: Phases, ego: Ego) -> TrafficScene:
     """Boxes and motion of all agents and of the ego."""
     n = len(now.phase)
@@ -167,7 +170,7 @@ def scene_of(agents: ReplayedAgents, now: Phases, ego: Ego) -> TrafficScene:
     return TrafficScene(boxes, motion, present, as_logged)
 
 
-@kernel
+@inner_kernel
 def leaders_of(agents: ReplayedAgents, now: Phases, ego: Ego, whose: BoolArray, t: float, longest: float) -> Leaders:
     """The leaders of the agents `whose` `(n,)`; the ego leads an agent once it has been ahead of it for `longest` s.
 
@@ -188,13 +191,12 @@ def leaders_of(agents: ReplayedAgents, now: Phases, ego: Ego, whose: BoolArray, 
 def advance(
     agents: ReplayedAgents, now: Phases, ego: Ego, held: FloatArray, room: FloatArray, t: float, longest: float,
     only_needed: bool, gone: float, pose: FloatArray, here: BoolArray,
-) -> bool:  # fmt: skip
-    """Move all agents by one period from `t`; return whether an agent may enter then, else sample them (`sample`).
+) -> None:  # fmt: skip
+    """Move all agents by one period from `t`, then let others in (`enter`).
 
     `held` `(n,)` are the greatest accelerations that lights allow, m/s2; `room` `(n,)` the distances to where agents
     must wait for the ego, m (inf: they need not). With `only_needed`, an agent on its log reacts only where it would
-    drive into its leader. Late agents leave the scene at `gone`, s. `longest` is as in `leaders_of`, `pose` and `here`
-    as in `sample`.
+    drive into its leader.
     """
     n, until = len(now.phase), t + PERIOD_S
     logged = logged_speeds(agents, now)
@@ -220,12 +222,49 @@ def advance(
         now.speed[i] = speed[i]
         ends = agents.ends[i] if now.late[i] else agents.left[i]
         now.there[i] = now.there[i] and now.phase[i] <= ends + 1e-9 and (until <= gone + 1e-9 or not now.late[i])
-    comes = False
+    enter(agents, now, ego, until, gone, longest, pose, here)
+
+
+@kernel
+def enter(
+    agents: ReplayedAgents, now: Phases, ego: Ego, t: float, gone: float, longest: float, pose: FloatArray,
+    here: BoolArray,
+) -> None:  # fmt: skip
+    """Let in the agents whose log begins by `t` and whose place is free, and sample all (`sample`).
+
+    Late agents leave the scene at `gone`, s. `longest` is as in `leaders_of`, `pose` and `here` as in `sample`.
+    """
+    n, first, comes = len(now.phase), agents.tracks.first, False
+    coming = np.zeros(n, np.bool_)
     for i in range(n):
-        comes = comes or (enters(agents, now, i, until) and (until <= gone + 1e-9 or not now.late[i]))
+        coming[i] = enters(agents, now, i, t)
+        comes = comes or (coming[i] and (t <= gone + 1e-9 or not now.late[i]))
     if not comes:
         sample(agents, now, pose, here)
-    return comes
+        return
+    for i in range(n):
+        if coming[i]:
+            now.phase[i] = agents.tracks.t[first[i]] if waited(agents, now, i) else t
+            coming[i] = t <= gone + 1e-9 or not now.late[i]
+    scene = scene_of(agents, now, ego)
+    occupied = taken(scene.boxes, coming, scene.present & ~scene.as_logged)  # by an agent that is off its log
+    free = coming & ~(agents.reacts & occupied)
+    for i in range(n):
+        if free[i]:
+            now.there[i] = True
+        elif coming[i]:
+            begin = agents.tracks.t[first[i]]
+            now.late[i], now.since[i], now.phase[i] = True, min(now.since[i], begin), begin
+    logged = logged_speeds(agents, now)
+    for i in range(n):
+        now.speed[i] = logged[i] if free[i] else now.speed[i]
+    found = leaders_of(agents, now, ego, free & agents.reacts, -inf, longest)
+    for i in range(n):
+        if free[i] and isfinite(found.gap[i]):
+            safe = sqrt(found.speed[i] ** 2 + 2.0 * DECEL_MPS2 * max(found.gap[i] - STANDSTILL_M, 0.0))
+            if safe < logged[i]:
+                now.late[i], now.since[i], now.speed[i] = True, min(now.since[i], t), safe
+    sample(agents, now, pose, here)
 
 
 @inner_kernel
@@ -240,17 +279,6 @@ def enters(agents: ReplayedAgents, now: Phases, i: int, t: float) -> bool:
     if now.late[i] or now.there[i] or agents.tracks.static[i]:
         return waited(agents, now, i)
     return agents.tracks.t[agents.tracks.first[i]] <= t + 1e-9 and agents.left[i] >= t - 1e-9
-
-
-@kernel
-def entering(agents: ReplayedAgents, now: Phases, t: float) -> BoolArray:
-    """Which agents may enter at `t` `(n,)`; sets their phases to `t`, or to where they waited."""
-    out = np.zeros(len(now.phase), np.bool_)
-    for i in range(len(out)):
-        out[i] = enters(agents, now, i, t)
-        if out[i]:
-            now.phase[i] = agents.tracks.t[agents.tracks.first[i]] if waited(agents, now, i) else t
-    return out
 
 
 @inner_kernel
@@ -272,7 +300,7 @@ def wanted_speed(
     return wanted, slower
 
 
-@kernel
+@inner_kernel
 def sample(agents: ReplayedAgents, now: Phases, pose: FloatArray, here: BoolArray) -> None:
     """Write poses and presence (`phase_replay.play`): the log at the phases, played at a rate of 1 at most."""
     logged = logged_speeds(agents, now)

@@ -36,7 +36,6 @@ from math import cos, hypot, inf, nan, sin
 import numpy as np
 
 from logs.agents import AgentKind, Agents
-from logs.arrays import BoolArray, FloatArray
 from logs.scenario import Scenario
 from logs.states import EgoState
 from logs.tracks import Tracks
@@ -44,24 +43,11 @@ from metrics.boxes import name_of
 from metrics.reference_drivers import CC_REACT_S
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import FOLLOWING, followers
-from replay.traffic.leaders import DECEL_MPS2, STANDSTILL_M, taken
-from replay.traffic.period import (
-    Coming,
-    Ego,
-    ReplayedAgents,
-    advance,
-    entering,
-    leaders_of,
-    logged_speeds,
-    sample,
-    scene_of,
-)
+from replay.traffic.period import Coming, Ego, ReplayedAgents, advance, enter
 from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
 from replay.traffic.right_of_way import RedLights, Yielding
 from replay.world import box_center
 
-Sampled = tuple[FloatArray, BoolArray]
-"""The arrays that `period.sample` writes."""
 EGO_M = 1.0
 """The ego is as in the log where it is no farther than this from where the log has it."""
 BEYOND_M = 100.0
@@ -134,7 +120,8 @@ class Reactive:
         if self._next == -inf:
             self._next = ego.t
             self._coming.until(ego.t, ego.t)
-            self._enter(ego.t, box, self._replay.row(ego.t, self._coming.who))
+            coming, sampled = self._coming, self._replay.row(ego.t, self._coming.who)
+            enter(coming.agents, coming.now, box, ego.t, self._gone, self._longest, *sampled)
         while self._next <= ego.t + 1e-9:
             now, self._next = self._next, self._next + PERIOD_S
             self._coming.until(now, self._next)
@@ -144,8 +131,7 @@ class Reactive:
             held = self._lights.accelerations(now, who, states.phase, states.speed, late)
             room = self._yielding.gaps(ego, who, states.phase, states.speed, states.there & (not as_logged))
             needed, gone = self._rule.only_needed, self._gone
-            if advance(agents, states, box, held, room, now, self._longest, needed, gone, *sampled):
-                self._enter(self._next, box, sampled)
+            advance(agents, states, box, held, room, now, self._longest, needed, gone, *sampled)
         self._tracks = self._replay.tracks(self._coming.all.since)
         return self._tracks
 
@@ -160,36 +146,6 @@ class Reactive:
             return ()
         more = [f"{len(who) - NAMED} more"] if len(who) > NAMED else []
         return (f"not as in the log because of the ego (since when, hardest braking): {'; '.join(named + more)}",)
-
-    def _enter(self, t: float, box: Ego, sampled: Sampled) -> None:
-        """Let agents in whose log begins by `t` and whose place is free, and sample."""
-        now, agents = self._coming.now, self._coming.agents
-        coming = entering(agents, now, t) & ((t <= self._gone + 1e-9) | ~now.late)
-        if not coming.any():
-            sample(agents, now, *sampled)
-            return
-        scene = scene_of(agents, now, box)
-        occupied = taken(scene.boxes, coming, scene.present & ~scene.as_logged)  # by an agent that is off its log
-        blocked = coming & agents.reacts & occupied
-        begins = agents.tracks.t[agents.tracks.first]
-        self._delay(blocked, begins)
-        now.phase[blocked] = begins[blocked]
-        free = coming & ~blocked
-        now.there[free] = True
-        logged = logged_speeds(agents, now)
-        now.speed[free] = logged[free]
-        found = leaders_of(agents, now, box, free & agents.reacts, -inf, self._longest)
-        safe = np.sqrt(found.speed**2 + 2.0 * DECEL_MPS2 * np.maximum(found.gap - STANDSTILL_M, 0.0))
-        slowed = free & np.isfinite(found.gap) & (safe < logged)
-        self._delay(slowed, t)
-        now.speed[slowed] = safe[slowed]
-        sample(agents, now, *sampled)
-
-    def _delay(self, who: BoolArray, since: FloatArray | float) -> None:
-        """From `since` on, the agents `who` are off their log."""
-        now = self._coming.now
-        now.late[who] = True
-        now.since[:] = np.where(who, np.minimum(now.since, since), now.since)
 
 
 def extended(log: Tracks, lanes: LaneMap) -> Tracks:

@@ -29,7 +29,7 @@ from google.protobuf.message import DecodeError
 from logs.agents import USUAL_SIZE_M, AgentKind
 from logs.arrays import FloatArray
 from logs.complete import ASSUMED, assumed_limit, completed, derived_curvature, road_along
-from logs.errors import LogError
+from logs.errors import LogError, reading
 from logs.mcap.container import COPY_AGAIN, Stream
 from logs.observed import of_stream
 from logs.road import Lane, Road, paired
@@ -139,7 +139,7 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
     for values in rows.values():
         values[:, 1:3] -= origin
     t = (np.array(seen.times, dtype=np.int64) - seen.times[0]) / 1e9
-    try:
+    with reading(topic=stream.topic):
         vehicle, rear = _vehicle(seen.moving[seen.host], notes)
         ego = _ego(rows[seen.host], t, rear, notes)
         tracks = _tracks(seen, rows, t, origin, notes)
@@ -173,8 +173,6 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
             notes=tuple(notes),
             traffic=of_stream(t),
         )
-    except ValueError as error:
-        raise LogError(str(error), topic=stream.topic) from None
 
 
 def _message_class(stream: Stream) -> type[Any]:

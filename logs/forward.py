@@ -23,6 +23,7 @@ import numpy as np
 
 from logs.arrays import FloatArray
 from logs.errors import LogError
+from logs.names import listed
 from logs.road import RoadSource, thinned
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, Trajectory, wrapped
@@ -136,5 +137,4 @@ def tighter_than_vehicle(scenario: Scenario) -> str:
 
 def described(ego: Trajectory, backward: tuple[tuple[int, int], ...], most: int = 3) -> str:
     """Return the times of reversals as text: "14.0 to 24.0 s, 31.0 to 33.5 s and 2 more"."""
-    times = ", ".join(f"{ego.t[first]:.1f} to {ego.t[last]:.1f} s" for first, last in backward[:most])
-    return times + (f" and {len(backward) - most} more" if len(backward) > most else "")
+    return listed([f"{ego.t[first]:.1f} to {ego.t[last]:.1f} s" for first, last in backward], most)

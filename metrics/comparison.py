@@ -42,6 +42,7 @@ import numpy as np
 import pandas as pd
 
 from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.names import listed
 from metrics.evidence import ENSEMBLE
 from metrics.judge.aggregate import SUITE, LogLabels, membership
 from metrics.judge.excuses import REFERENCE
@@ -225,8 +226,7 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
         ("metrics in the candidate only", [name for name in metrics[1] if name not in metrics[0]]),
     ):
         if names:
-            more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-            differences.append(f"{what}: {', '.join(names[:NAMED])}{more}")
+            differences.append(f"{what}: {listed(names, NAMED)}")
     return Comparison(
         baseline.label, candidate.label, tuple(differences),
         _missing_drives(baseline, candidate), _missing_drives(candidate, baseline), pairs, flips,

@@ -96,6 +96,15 @@ class Lane:
         return float(np.hypot(*np.diff(self.center, axis=0).T).sum())
 
 
+def predecessors(lanes: Mapping[int, Lane]) -> dict[int, list[int]]:
+    """Return the ids of the lanes that lead into each lane."""
+    out: dict[int, list[int]] = {}
+    for lane in lanes.values():
+        for after in lane.successors:
+            out.setdefault(after, []).append(lane.id)
+    return out
+
+
 @kernel
 def inside(x: float, y: float, polygon: FloatArray) -> bool:
     """Whether a point lies in a simple polygon `(n, 2)` (even-odd rule)."""

@@ -36,8 +36,8 @@ from logs.arrow_tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_o
 from logs.complete import ASSUMED, assumed_limit, road_along
 from logs.errors import LogError
 from logs.files import beside
-from logs.maps.strips import LARGEST_M, LONGEST_M, LaneStrip, dense, lanes_of, predecessors
-from logs.road import IN_JUNCTION, Lane, Road, inside
+from logs.maps.strips import LARGEST_M, LONGEST_M, LaneStrip, dense, lanes_of
+from logs.road import IN_JUNCTION, Lane, Road, inside, predecessors
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.states import Trajectory
 

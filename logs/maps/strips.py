@@ -7,7 +7,7 @@ left if more lanes have the oncoming lane on their right than on their left.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -125,12 +125,3 @@ def resampled(line: FloatArray, count: int) -> FloatArray:
     s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
     at = np.linspace(0.0, s[-1], count)
     return np.column_stack([np.interp(at, s, line[:, k]) for k in (0, 1)])
-
-
-def predecessors(lanes: Mapping[int, Lane]) -> dict[int, list[int]]:
-    """Return the ids of the lanes that lead into each lane."""
-    out: dict[int, list[int]] = {}
-    for lane in lanes.values():
-        for after in lane.successors:
-            out.setdefault(after, []).append(lane.id)
-    return out

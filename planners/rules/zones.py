@@ -34,7 +34,7 @@ from logs.agents import AgentKind
 from logs.arrays import BoolArray, FloatArray
 from logs.frame import Frame
 from logs.kernel import kernel
-from logs.road import Lane, ReferenceLine, Road, inside, line_project_many
+from logs.road import Lane, ReferenceLine, Road, inside, line_project_many, predecessors
 from logs.rules import RED, Crosswalk, StopLine
 from logs.shapes import overlap, point_segment
 from logs.states import wrap
@@ -200,10 +200,7 @@ def _stop_station(mark: StopLine, line: ReferenceLine, width: float) -> float | 
 def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> list[Zone]:
     """The zones (2); one per priority lane, even where two consecutive lanes of the ego meet it."""
     yielding = [road.lanes[i] for i in reference.lanes if road.lanes[i].yields_to]
-    before: dict[int, list[int]] = {}
-    for lane in road.lanes.values() if yielding else ():
-        for after in lane.successors:
-            before.setdefault(after, []).append(lane.id)
+    before = predecessors(road.lanes) if yielding else {}
     found: list[Zone] = []
     for own, first in [(mine, other) for mine in yielding for other in mine.yields_to]:
         if first not in road.lanes or first in reference.lanes:

@@ -25,6 +25,7 @@ import numpy as np
 from logs.arrays import TIE, FloatArray, IntArray, Points, frozen
 from logs.kernel import inner_kernel, kernel
 from logs.rules import Crosswalk, StopLine
+from logs.shapes import corners
 
 IN_JUNCTION = "intersection"
 """The word of `Lane.kind` for a lane in an intersection."""
@@ -208,6 +209,10 @@ class Road:
         return cls({0: lane}, RoadSource.DRIVEN_PATH, default_speed_limit=speed_limit)
 
 
+GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
+"""The region around a goal that is a pose, along and across."""
+
+
 @dataclass(frozen=True, eq=False)
 class Goal:
     """Where, when and how the ego should arrive; None: no condition.
@@ -239,6 +244,11 @@ class Goal:
                 hull = None if None in bounds else (min(b[0] for b in bounds), max(b[1] for b in bounds))
                 object.__setattr__(self, name, hull)
         object.__setattr__(self, "regions", tuple(frozen(region) for region in self.regions))
+
+    @classmethod
+    def around(cls, x: float, y: float, yaw: float) -> Goal:
+        """Return the goal with a region of `GOAL_LENGTH_M` by `GOAL_WIDTH_M` around a pose of the ego's box."""
+        return cls((np.asarray(corners(x, y, yaw, GOAL_LENGTH_M, GOAL_WIDTH_M)),))
 
     @classmethod
     def any_of(cls, goals: Sequence[Goal]) -> Goal:

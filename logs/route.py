@@ -159,7 +159,7 @@ def goal_fault(road: Road, drive: Trajectory, goal: Goal, ahead: float) -> GoalF
         ahead: Distance from the rear axle to the middle of the ego's box, m.
     """
     ego, regions = drive.state(0), goal.regions
-    x, y = ego.x + ahead * cos(ego.yaw), ego.y + ahead * sin(ego.yaw)
+    x, y = ego.ahead(ahead)
     asks = bool(regions) or any(bound is not None for bound in (goal.t, goal.v, goal.yaw))
     returns = goal.way > 0.0 or counting_stay(goal, drive, ahead) is not None
     if asks and not returns and goal.reached(ego.t, x, y, ego.yaw, ego.v):

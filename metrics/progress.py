@@ -44,7 +44,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, partial
-from math import cos, pi, sin
+from math import pi
 
 import numpy as np
 
@@ -112,7 +112,7 @@ def route_of(scenario: Scenario) -> ProgressLine:
 @last(2)  # changes of metadata make new scenarios with the same road
 def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float) -> ProgressLine:
     path, end = thinned(np.column_stack([log.x, log.y]), SPACING_M), log.state(len(log) - 1)
-    onward = np.array([[end.x + JOIN_M * cos(end.yaw), end.y + JOIN_M * sin(end.yaw)]])  # straight on
+    onward = np.array([end.ahead(JOIN_M)])  # straight on
     if road.lanes:  # along the centre lines of the route, beginning `JOIN_M` after the log's end
         lanes, beyond = list(find_route(road, end, goal).lanes), 0.0
         while beyond < BEYOND_M and (after := straight_on(road, lanes[-1])) is not None:
@@ -322,8 +322,7 @@ def _goal(trace: Trace, scenario: Scenario) -> Measured:
     last = min(scenario.duration, goal.t[1] if goal.t else scenario.duration)
     if goal.t and goal.t[0] > scenario.duration:
         return Unavailable(f"the log ends at {scenario.duration:.1f} s, and the goal begins at {goal.t[0]:.1f} s")
-    ahead = scenario.vehicle.axle_to_center
-    x, y = start.x + ahead * cos(start.yaw), start.y + ahead * sin(start.yaw)
+    x, y = start.ahead(scenario.vehicle.axle_to_center)
     if not goal.regions or goal.holds_place(x, y):
         return _missed(trace, scenario, goal)
     edges = [(a, b) for region in goal.regions for a, b in zip(region, np.roll(region, -1, axis=0), strict=True)]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, floor, sin, tan
+from math import cos, floor, tan
 
 import numpy as np
 
@@ -169,7 +169,7 @@ def futures_of(scene: Scene, ego: FrenetStart, config: LatticeConfig) -> NearFut
     rows = np.stack([futures.x[used], futures.y[used], futures.yaw[used]])
     pose = np.ascontiguousarray(rows[:, :, first] + u * (rows[:, :, after] - rows[:, :, first]))
     sizes = np.vstack([agents.length[agent], agents.width[agent], np.zeros(len(agent))])
-    x, y = start.x + car.axle_to_center * cos(start.yaw), start.y + car.axle_to_center * sin(start.yaw)
+    x, y = start.ahead(car.axle_to_center)
     for j, i in enumerate(agent):
         margin = config.vulnerable_margin_m if scene.vulnerable[i] else config.margin_m
         length, width = car.length + 2.0 * margin, car.width + 2.0 * margin

@@ -49,10 +49,9 @@ from logs.readers.ros.objects import read_messages, samples_of
 from logs.readers.ros.schemas import STAMP
 from logs.readers.ros.tracks import identified, tracks_of
 from logs.repair.detections import Detections
-from logs.road import Goal
+from logs.road import GOAL_LENGTH_M, GOAL_WIDTH_M, Goal
 from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario
-from logs.shapes import corners
 from logs.states import Controls, OnboardPlan, Trajectory
 from logs.tracks import Tracks
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
@@ -267,8 +266,6 @@ def _tracks(part: BagPart, ego: EgoLog, start: int, origin: FloatArray) -> tuple
     return tracks_of(replace(samples, x=x, y=y), since, notes), None, of_stream(since)
 
 
-GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
-"""The region around a goal pose, along and across."""
 UNSEEN_S = 2.0
 """A light is OFF (unknown) when it was not reported for this time, s."""
 CREEPS_MPS = 0.1
@@ -354,7 +351,6 @@ def goal(part: BagPart, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle:
         pose = composed(ego.frames.poses(ego.map, frame, ego.clock(log[k : k + 1]), HELD), pose)
     x, y = pose.p[0, :2] - origin
     yaw, ahead = float(pose.yaw[0]), vehicle.axle_to_center
-    place = corners(x + ahead * cos(yaw), y + ahead * sin(yaw), yaw, GOAL_LENGTH_M, GOAL_WIDTH_M)
     others = f"; its {len(good) - 1} other goals are not used" if len(good) > 1 else ""
     notes.append(f"The goal is {GOAL_LENGTH_M:g} m by {GOAL_WIDTH_M:g} m around the pose of {topic.name}{others}.")
     late = (row[0] * 1_000_000_000 + row[1] - log[k]) / 1e9
@@ -362,7 +358,7 @@ def goal(part: BagPart, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle:
         notes.append(
             f"The goal's stamp is {late:.1f} s after its record: it was set when it was known where the drive led."
         )
-    return Goal((np.asarray(place),))
+    return Goal.around(x + ahead * cos(yaw), y + ahead * sin(yaw), yaw)
 
 
 def controls(part: BagPart, ego: EgoLog, t0: int) -> Controls | None:

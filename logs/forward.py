@@ -24,6 +24,7 @@ import numpy as np
 from logs.arrays import FloatArray
 from logs.errors import LogError
 from logs.names import listed
+from logs.once import once
 from logs.road import RoadSource, thinned
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, Trajectory, wrapped
@@ -117,6 +118,7 @@ def drivable_part(scenario: Scenario) -> Scenario:
     return replace(scenario, ego=Trajectory(*rows), duration=duration, goal=goal)
 
 
+@once
 def tighter_than_vehicle(scenario: Scenario) -> str:
     """Return that a driven path without lanes is tighter than the vehicle (4), as text; "" if it is not."""
     path = thinned(np.column_stack([scenario.ego.x, scenario.ego.y]), 1.0)

@@ -59,8 +59,8 @@ from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import metric
 from metrics.boxes import ego_boxes
-from metrics.lanes import drivable_lanes, limits_at, stated_lanes, where_followed
-from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
+from metrics.lanes import drivable_lanes, limits_at, stated_lanes
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable, where_followed
 
 SPACING_M, WINDOW_M, BESIDE_M = 1.0, 30.0, 3.0
 STRETCH, SLACK_M = 2.0, 0.1

@@ -186,11 +186,11 @@ class Comparison:
         worse = self.pairs[self.pairs["worse"] > 0.0]
         return worse[worse.groupby(DRIVE).cumcount() < each].head(most)
 
-    def improvements(self, most: int, each: int = 2) -> pd.DataFrame:
-        """Return the greatest improvements, otherwise as `regressions`."""
+    def improvements(self, most: int) -> pd.DataFrame:
+        """Return the greatest improvements, at most two per drive."""
         better = self.pairs[self.pairs["worse"] < 0.0]
         better = better.sort_values(["asked", "relative"], ascending=[False, True], kind="stable")
-        return better[better.groupby(DRIVE).cumcount() < each].head(most)
+        return better[better.groupby(DRIVE).cumcount() < 2].head(most)
 
 
 def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()) -> Comparison:

@@ -194,11 +194,11 @@ SCENARIO_COLUMNS: dict[str, str] = {
 }
 
 
-def scenario_table(vehicles: Sequence[str], controllers: Sequence[str] = tuple(CONTROLLER.builtin)) -> pd.DataFrame:
+def scenario_table(vehicles: Sequence[str]) -> pd.DataFrame:
     """A row per vehicle model, scenario of the paper and controller; last the perfect vehicle, as the bound."""
     wanted = {name.partition(".")[0] for name in SCENARIO_COLUMNS.values()}
     metrics = {name: METRICS[name] for name in METRICS if name in wanted}
-    pairs = [(vehicle, name) for vehicle in vehicles if vehicle != "perfect" for name in controllers]
+    pairs = [(vehicle, name) for vehicle in vehicles if vehicle != "perfect" for name in CONTROLLER.builtin]
     rows: list[dict[str, object]] = []
     for family in paper.FAMILIES:
         scenario = family.scenario()

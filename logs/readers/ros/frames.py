@@ -93,11 +93,6 @@ class FrameTree:
         """All frames, sorted."""
         return tuple(sorted({name for edge in self.edges for name in edge}))
 
-    @property
-    def roots(self) -> tuple[str, ...]:
-        """Frames that have no parent, sorted."""
-        return tuple(name for name in self.names if name not in self.parents)
-
     def path(self, name: str) -> list[str]:
         """Return the frame, its parent, and so on up to the root; a cycle ends the path."""
         out = [name]

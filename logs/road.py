@@ -22,7 +22,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.arrays import TIE, FloatArray, IntArray, Points, frozen
+from logs.arrays import TIE, FloatArray, IntArray, Points, arc_lengths, frozen
 from logs.kernel import inner_kernel, kernel
 from logs.rules import Crosswalk, StopLine
 from logs.shapes import corners
@@ -314,7 +314,7 @@ def thinned(points: FloatArray, spacing: float) -> FloatArray:
 
 def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Resample both lines at the union of their relative arc lengths: corners remain, and point i faces point i."""
-    ways = [np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))] for line in (left, right)]
+    ways = [arc_lengths(*line.T) for line in (left, right)]
     parts = [way / way[-1] for way in ways]
     both = np.union1d(np.round(parts[0], 9), np.round(parts[1], 9))
     out = [
@@ -477,7 +477,7 @@ class ReferenceLine:
         from scipy.interpolate import CubicSpline  # imported late: SciPy takes as long to load as all of `logs`
 
         for _ in range(3):
-            chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+            chord = arc_lengths(*points.T)
             spline = CubicSpline(chord, points)
             fine = np.linspace(0.0, chord[-1], 8 * len(points))
             speed = np.hypot(*spline(fine, 1).T)

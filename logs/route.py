@@ -24,7 +24,7 @@ from math import atan2, cos, hypot, inf, pi, sin
 
 import numpy as np
 
-from logs.arrays import TIE, BoolArray, FloatArray, frozen
+from logs.arrays import TIE, BoolArray, FloatArray, arc_lengths, frozen
 from logs.kernel import kernel
 from logs.road import Goal, Lane, Road, inside, nearest
 from logs.shapes import point_segment
@@ -233,7 +233,7 @@ def counting_stay(goal: Goal, drive: Trajectory, ahead: float) -> tuple[int, int
 
 def sampled(line: FloatArray) -> FloatArray:
     """Return a line `(n, 2)` with further points, so that there is one every 1 m."""
-    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    chord = arc_lengths(*line.T)
     at = np.union1d(chord, np.arange(0.0, chord[-1], 1.0))
     return np.column_stack([np.interp(at, chord, line[:, k]) for k in (0, 1)])
 

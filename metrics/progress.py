@@ -48,7 +48,7 @@ from math import pi
 
 import numpy as np
 
-from logs.arrays import FloatArray
+from logs.arrays import FloatArray, arc_lengths
 from logs.complete import MIN_PATH
 from logs.once import last
 from logs.road import Goal, ReferenceLine, Road, RoadSource, inside, line_project_many, thinned
@@ -127,7 +127,7 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
             if not begun:
                 away = np.hypot(center[:, 0] - end.x, center[:, 1] - end.y)
                 center = center[int(np.argmin(away)) if len(log) > 1 else first_nearest(center, end.x, end.y) :]
-            chord, begun = np.r_[0.0, np.cumsum(np.hypot(*np.diff(center, axis=0).T))], True
+            chord, begun = arc_lengths(*center.T), True
             points, skipped = np.vstack([points, center[chord >= skipped]]), max(skipped - float(chord[-1]), 0.0)
         onward = thinned(points, SPACING_M) if len(points) else onward
     line = ReferenceLine.through(np.vstack([path, onward]), SPACING_M)
@@ -176,7 +176,7 @@ _ALONE = Unavailable("the log holds one ego state only: there is no drive to com
 
 
 def _distance(trace: Trace, scenario: Scenario) -> Measured:
-    return Series(trace.ego.t, np.r_[0.0, np.cumsum(np.hypot(np.diff(trace.ego.x), np.diff(trace.ego.y)))])
+    return Series(trace.ego.t, arc_lengths(trace.ego.x, trace.ego.y))
 
 
 @where_followed

@@ -27,7 +27,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 
 from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.arrays import FloatArray
+from logs.arrays import FloatArray, arc_lengths
 from logs.complete import ASSUMED, assumed_limit, completed, derived_curvature, road_along
 from logs.errors import LogError, reading
 from logs.mcap.container import COPY_AGAIN, Stream
@@ -443,7 +443,7 @@ def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
     NaN if the middle does not project onto `other`.
     """
     steps = np.diff(line, axis=0)
-    way = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
+    way = arc_lengths(*line.T)
     half = 0.5 * way[-1]
     k = min(int(np.searchsorted(way, half, side="right")) - 1, len(steps) - 1)
     tangent = steps[k] / np.hypot(*steps[k])

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from logs.arrays import TIE, FloatArray, frozen
+from logs.arrays import TIE, FloatArray, arc_lengths, frozen
 from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.road import Lane, ReferenceLine, Road, nearest, thinned
@@ -206,7 +206,7 @@ def _sharpest(line: ReferenceLine) -> float:
 
 def smooth_points(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float = BENDING_WEIGHT) -> FloatArray:
     """The polyline `(n, 2)`, equally spaced and smoothed by (1); unchanged if it is too short or the QP fails."""
-    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+    chord = arc_lengths(*points.T)
     count = floor(chord[-1] / SPACING_M + 0.5 - TIE) + 1
     if count < 4:
         return points
@@ -242,7 +242,7 @@ def _blend_centers(group: list[Lane], ego: EgoState | None) -> FloatArray:
     u = np.linspace(0.0, 1.0, max(2, floor(group[0].length + TIE) + 1))
     resampled = []
     for points in (group[0].center, group[-1].center):
-        chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+        chord = arc_lengths(*points.T)
         resampled.append(np.column_stack([np.interp(u * chord[-1], chord, points[:, k]) for k in (0, 1)]))
     first, last = resampled
     begin = 0.0

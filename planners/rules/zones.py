@@ -31,7 +31,7 @@ from math import hypot, inf
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray, arc_lengths
 from logs.frame import Frame
 from logs.kernel import kernel
 from logs.road import Lane, ReferenceLine, Road, inside, line_project_many, predecessors
@@ -236,7 +236,7 @@ def _conflict(line: ReferenceLine, lane: Lane, other: Lane, width: float) -> Zon
     if not len(met):
         return None
     first, last = int(met[0]), int(met[-1])
-    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(other.center, axis=0).T))]
+    chord = arc_lengths(*other.center.T)
     p = np.arange(0.0, chord[-1] + STEP_M, STEP_M)
     points = np.column_stack([np.interp(p, chord, other.center[:, k]) for k in (0, 1)])
     theirs = np.flatnonzero(distances(points, np.ascontiguousarray(frames[first : last + 1, :2])) < reach)

@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray, arc_lengths
 from logs.kernel import kernel
 from logs.road import ReferenceLine, line_frame, line_project, thinned
 from logs.scenario import Scenario
@@ -170,7 +170,7 @@ class DrivenLog:
         self.ego: Trajectory = scenario.ego.resampled(self.t)
         self.boxes, self.car = ego_boxes(self.ego, scenario), car_of(scenario)
         self.half = 0.5 * self.car.width
-        way = np.r_[0.0, np.cumsum(np.hypot(np.diff(self.ego.x), np.diff(self.ego.y)))]
+        way = arc_lengths(self.ego.x, self.ego.y)
         points = thinned(np.column_stack([self.ego.x, self.ego.y]), 1.0)
         if way[-1] < SHORT_M or len(points) < 2:
             ahead = SHORT_M * np.array([np.cos(self.ego.yaw[0]), np.sin(self.ego.yaw[0])])

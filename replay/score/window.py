@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray, arc_lengths
 from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.road import inside
@@ -70,7 +70,7 @@ class Polyline:
     @classmethod
     def through(cls, points: FloatArray, yaw: FloatArray) -> Polyline:
         """A path through points with headings."""
-        way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+        way = arc_lengths(*points.T)
         return cls(np.ascontiguousarray(points), np.unwrap(yaw), way)
 
     def beside(self, offset: float) -> Polyline:

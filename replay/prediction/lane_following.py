@@ -71,7 +71,7 @@ def _predict_vehicles(agents: Agents, t: FloatArray, lanes: LaneMap, *, others: 
     return Predictions(t, agent, probability, way[0], way[1], way[2], "lane_following")
 
 
-class Ways(NamedTuple):
+class LaneWays(NamedTuple):
     """Lane sequences that vehicles may drive.
 
     Attributes:
@@ -131,12 +131,14 @@ def _predict_all(
 
 
 @inner_kernel
-def _no_ways(count: int) -> Ways:
-    return Ways(np.empty((count, DEEPEST), np.int64), np.zeros(count, np.int64), np.ones(count), np.empty((count, 3)))
+def _no_ways(count: int) -> LaneWays:
+    return LaneWays(
+        np.empty((count, DEEPEST), np.int64), np.zeros(count, np.int64), np.ones(count), np.empty((count, 3))
+    )
 
 
 @inner_kernel
-def _copy_way(ways: Ways, h: int, to: Ways, k: int, share: float) -> None:
+def _copy_way(ways: LaneWays, h: int, to: LaneWays, k: int, share: float) -> None:
     """Copy sequence `h` to place `k` of `to`, with another weight."""
     depth = ways.depth[h]
     to.lanes[k, :depth], to.depth[k] = ways.lanes[h, :depth], depth
@@ -144,7 +146,7 @@ def _copy_way(ways: Ways, h: int, to: Ways, k: int, share: float) -> None:
 
 
 @inner_kernel
-def _find_ways(map_: LaneSamples, vehicle: FloatArray, horizon: float, ways: Ways) -> int:
+def _find_ways(map_: LaneSamples, vehicle: FloatArray, horizon: float, ways: LaneWays) -> int:
     """Find the lane sequences that a vehicle (`COLUMNS`) may drive within the horizon (s); return their number."""
     lanes, found = np.empty(MATCHED, np.int64), np.empty((MATCHED, 4))
     count = matches(map_, vehicle[X], vehicle[Y], vehicle[YAW], lanes, found)
@@ -199,7 +201,7 @@ def _turn(map_: LaneSamples, lane: int, s: float) -> float:
 
 
 @inner_kernel
-def _extend_way(map_: LaneSamples, h: int, made: int, reach: float, speed: float, ways: Ways) -> int:
+def _extend_way(map_: LaneSamples, h: int, made: int, reach: float, speed: float, ways: LaneWays) -> int:
     """Extend sequence `h` to `reach` m from its start; forks add sequences. Return the number of sequences."""
     lanes, depth, share = ways.lanes, ways.depth, ways.share
     covered = -ways.start[h, 0]

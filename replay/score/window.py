@@ -20,7 +20,7 @@ from logs.scenario import Scenario
 from logs.shapes import distance, overlap
 from logs.states import wrap, wrapped
 from logs.tracks import Tracks
-from metrics.boxes import EgoOutline, ego_boxes, others_at
+from metrics.boxes import ego_boxes, others_at
 from metrics.drivable_lanes import DrivableLanes, along_line
 from metrics.nuplan import route_lanes
 
@@ -147,11 +147,10 @@ class WindowAgents(NamedTuple):
     agent: BoolArray
     size: FloatArray
 
-    def apart(self, x: float, y: float, yaw: float, car: EgoOutline) -> WindowAgents:
-        """Return them without those that touch the ego at the first step."""
+    def apart(self, box: tuple[float, float, float, float, float]) -> WindowAgents:
+        """Return them without those that touch the ego's box (centre x, y, yaw, length, width) at the first step."""
         touching = [
-            bool(self.there[i, 0]) and overlap(x, y, yaw, car.length, car.width, *self.pose[:, i, 0], *self.size[i])
-            for i in range(len(self.size))
+            bool(self.there[i, 0]) and overlap(*box, *self.pose[:, i, 0], *self.size[i]) for i in range(len(self.size))
         ]
         return WindowAgents(
             self.there & ~np.array(touching, np.bool_)[:, None], self.pose, self.speed, self.agent, self.size

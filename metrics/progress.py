@@ -114,7 +114,7 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
     path, end = thinned(np.column_stack([log.x, log.y]), SPACING_M), log.state(len(log) - 1)
     onward = np.array([end.ahead(JOIN_M)])  # straight on
     if road.lanes:  # along the centre lines of the route, beginning `JOIN_M` after the log's end
-        lanes, beyond = list(find_route(road, end, goal).lanes), 0.0
+        lanes, beyond = list(find_route(road, end, goal)), 0.0
         while beyond < BEYOND_M and (after := straight_on(road, lanes[-1])) is not None:
             beyond += max(road.lanes[after].length, SPACING_M)
             lanes.append(after)

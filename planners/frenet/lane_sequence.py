@@ -16,7 +16,7 @@ import numpy as np
 from logs.arrays import TIE
 from logs.frame import PlannerContext
 from logs.road import predecessors
-from logs.route import CostToGo, Route, costs_to_go, start_lanes, straight_on
+from logs.route import CostToGo, costs_to_go, start_lanes, straight_on
 from logs.states import EgoState
 from planners.frenet.reference_path import BEYOND_M, ReferencePath, make_reference_path
 
@@ -102,7 +102,7 @@ class LaneSequences:
             behind.insert(0, before)
             length += self._road.lanes[before].length
         lanes = (*behind, *onward)
-        reference = make_reference_path(self._road, Route(lanes, False, 0.0), self._start, self._car)
+        reference = make_reference_path(self._road, lanes, self._start, self._car)
         if not self._to_go:
             return LaneSequence(lanes, reference, 0, np.inf)
         needs = [self._to_go[each].changes if each in self._to_go else None for each in lanes]

@@ -28,7 +28,7 @@ from logs.arrays import TIE, FloatArray, arc_lengths, frozen
 from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.road import Lane, ReferenceLine, Road, nearest, thinned
-from logs.route import Route, straight_on
+from logs.route import straight_on
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from planners.solver import QuadraticProgram
@@ -140,7 +140,9 @@ def write_sections(knots: FloatArray, table: FloatArray, s: FloatArray, out: Flo
 
 
 @once  # planners and reference drives of one log follow the same route
-def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None) -> ReferencePath:
+def make_reference_path(
+    road: Road, route: tuple[int, ...], ego: EgoState, car: VehicleParameters | None = None
+) -> ReferencePath:
     """The reference path of a route for an ego at its start; a `car` can follow it if the lanes are wide enough."""
     lanes, line = make_line(road, route, ego, car)
     extents = _lane_extents(road, line)
@@ -169,16 +171,16 @@ def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehiclePar
 
 
 def make_line(
-    road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None
+    road: Road, route: tuple[int, ...], ego: EgoState, car: VehicleParameters | None = None
 ) -> tuple[tuple[int, ...], ReferenceLine]:
     """The lanes of a route, extended straight on for `BEYOND_M` or to the end of the map, and the line along them.
 
     The line is smoothed more where the car could not follow it and the lanes are wide enough.
     """
-    lanes, beyond = list(route.lanes), 0.0
+    lanes, beyond = list(route), 0.0
     while beyond < BEYOND_M:
         onward = straight_on(road, lanes[-1])
-        if onward is None or onward in lanes[len(route.lanes) :]:
+        if onward is None or onward in lanes[len(route) :]:
             break
         lanes.append(onward)
         beyond += road.lanes[onward].length

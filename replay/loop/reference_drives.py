@@ -73,11 +73,11 @@ def reference_line(scenario: Scenario) -> ReferenceLine:
 def _line(road: Road, start: EgoState, goal: Goal | None) -> ReferenceLine:
     route = find_route(road, start, goal)
     kept = 1
-    for before, now in pairwise(route.lanes):
+    for before, now in pairwise(route):
         if now not in road.lanes[before].successors:
             break
         kept += 1
-    return make_line(road, replace(route, lanes=route.lanes[:kept]), start)[1]
+    return make_line(road, route[:kept], start)[1]
 
 
 def with_avoidability(scenario: Scenario) -> Scenario:

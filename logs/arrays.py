@@ -1,4 +1,4 @@
-"""Types of arrays, read-only arrays, and the tolerance of comparisons."""
+"""Types of arrays, read-only arrays, lengths along polylines, and the tolerance of comparisons."""
 
 from __future__ import annotations
 
@@ -19,6 +19,11 @@ TIE = 1e-6
 It is far above rounding and far below any measurement. Round figures are common in maps and scenarios, so thresholds
 must not lie exactly on them: each comparison is shifted by this, in the direction that its code shows.
 """
+
+
+def arc_lengths(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return the length of a polyline from its first point to each of its points `(n,)`, m."""
+    return np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
 
 
 def frozen(values: object, dtype: Any = np.float64) -> NDArray[Any]:

@@ -194,19 +194,17 @@ HARDLY = 0.5
 """Positions in degrees change by less than this within a log."""
 FASTEST_MPS = 150.0
 """Positions in metres would be faster than this if they were degrees, m/s."""
-TWICE = 2.0
-"""Two ways agree within this factor."""
+SAME_WAY = 2.0
+"""Two ways are the same within this factor."""
 
 
-def are_degrees(
-    offsets: IntArray, columns: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], origin: FloatArray
-) -> bool:
+def are_degrees(paths: Trajectory | Tracks, offsets: IntArray, v: FloatArray, origin: tuple[float, float]) -> bool:
     """Return whether positions are degrees of longitude and latitude, in any order.
 
-    `columns` are t, x, y, yaw, v `(n,)` of paths with the samples `offsets[i] : offsets[i + 1]`, v >= 0 or NaN; the
-    positions are relative to `origin` `(2,)`.
+    Path i has the samples `offsets[i] : offsets[i + 1]`; the speeds `v` `(n,)` are not negative, or NaN; positions are
+    relative to `origin`.
     """
-    t, x, y, yaw, v = columns
+    t, x, y = paths.t, paths.x, paths.y
     first = np.repeat(offsets[:-1], np.diff(offsets))
     dx, dy = x - x[first], y - y[first]
     if not len(x) or not max(np.abs(dx).max(), np.abs(dy).max()) < HARDLY:
@@ -222,11 +220,13 @@ def are_degrees(
         if not chords.shows or not (chords.way <= FASTEST_MPS * chords.dt).all():
             continue
         way = float(chords.way.sum())
-        if way / TWICE < by_speed < way * TWICE:
+        if way / SAME_WAY < by_speed < way * SAME_WAY:
             return True
-        headings = [yaw, *(offset + factor * yaw for factor, offset in READINGS.values())]
+        headings = [paths.yaw, *(offset + factor * paths.yaw for factor, offset in READINGS.values())]
         along = max(float(np.mean(np.abs(chords.off(each)) < FITS_RAD)) for each in headings)
-        if along >= MOST and by_speed != 0.0 and not by_speed > TWICE * in_metres:  # the speed is derived, or unknown
+        if (
+            along >= MOST and by_speed != 0.0 and not by_speed > SAME_WAY * in_metres
+        ):  # the speed is derived, or unknown
             return True
     return False
 
@@ -316,7 +316,7 @@ def checked(scenario: Scenario) -> Scenario:
         ("ego", ego, mine, np.array([0, len(ego)]), ego.v),
         ("agents", tracks, theirs, tracks.offsets, np.hypot(tracks.vx, tracks.vy)),
     ):
-        if are_degrees(offsets, (some.t, some.x, some.y, some.yaw, np.abs(v)), np.array(scenario.origin)):
+        if are_degrees(some, offsets, np.abs(v), scenario.origin):
             remedy = "project them to metres (UTM, or a plane at the start)"
             raise LogError("the positions are degrees of latitude and longitude", topic=topic, remedy=remedy)
         reading = reading_of(some.yaw, chords, chords.mean(v) < 0.0)

@@ -93,6 +93,15 @@ def writing(path: Path) -> Iterator[None]:
         raise OutputError(f"{path}: cannot be written: {os.strerror(error.errno) if error.errno else error}") from error
 
 
+@contextmanager
+def reading(kinds: tuple[type[Exception], ...] = (ValueError,), **place: Any) -> Iterator[None]:
+    """Turn an error of `kinds` in the `with` block into a LogError, with `place` as the arguments of `LogError`."""
+    try:
+        yield
+    except kinds as error:
+        raise LogError(str(error), **place) from None
+
+
 OWN_FOLDERS = tuple(
     str(Path(__file__).parents[1] / name) for name in ("logs", "metrics", "planners", "replan", "replay")
 )

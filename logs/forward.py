@@ -23,6 +23,8 @@ import numpy as np
 
 from logs.arrays import FloatArray
 from logs.errors import LogError
+from logs.names import listed
+from logs.once import once
 from logs.road import RoadSource, thinned
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, Trajectory, wrapped
@@ -116,6 +118,7 @@ def drivable_part(scenario: Scenario) -> Scenario:
     return replace(scenario, ego=Trajectory(*rows), duration=duration, goal=goal)
 
 
+@once
 def tighter_than_vehicle(scenario: Scenario) -> str:
     """Return that a driven path without lanes is tighter than the vehicle (4), as text; "" if it is not."""
     path = thinned(np.column_stack([scenario.ego.x, scenario.ego.y]), 1.0)
@@ -136,5 +139,4 @@ def tighter_than_vehicle(scenario: Scenario) -> str:
 
 def described(ego: Trajectory, backward: tuple[tuple[int, int], ...], most: int = 3) -> str:
     """Return the times of reversals as text: "14.0 to 24.0 s, 31.0 to 33.5 s and 2 more"."""
-    times = ", ".join(f"{ego.t[first]:.1f} to {ego.t[last]:.1f} s" for first, last in backward[:most])
-    return times + (f" and {len(backward) - most} more" if len(backward) > most else "")
+    return listed([f"{ego.t[first]:.1f} to {ego.t[last]:.1f} s" for first, last in backward], most)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any
 
-from logs.errors import LogError
+from logs.errors import reading
 from logs.vehicle import VehicleParameters
 
 SIZES = ("length", "width", "wheelbase", "rear_overhang")
@@ -75,10 +75,8 @@ class LogSettings:
             LogError: The sizes do not fit each other.
         """
         sizes: dict[str, Any] = dict(self.car)
-        try:
+        with reading(topic="[log]"):
             return replace(VehicleParameters(), **sizes)
-        except ValueError as error:
-            raise LogError(str(error), topic="[log]") from None
 
     def between(self, begin: float, end: float) -> LogSettings:
         """Return the settings for another part of the log."""

@@ -1,4 +1,4 @@
-"""Formats names and counts for messages: short names of road users, printable text, "2 agents".
+"""Formats names and counts for messages: short names of road users, printable text, "2 agents", "a, b and 3 more".
 
 For the id "car 23f7a1c8-0d5e-4b8e-9a53-6a3ef1f0c2b4" in a log, the short name is "car 23f7". Sentences and pictures
 show short names. Files, and columns of tables that hold an id, keep the whole id. Only codes are shortened: runs of
@@ -11,7 +11,7 @@ or more on average.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import pairwise, takewhile
 from operator import eq
 
@@ -56,6 +56,11 @@ def _prefixes(words: list[str]) -> dict[str, str]:
 def counted(count: int, thing: str) -> str:
     """Return a count with its noun: "1 agent", "2 agents", "0 buses"."""
     return f"{count} {thing}" if count == 1 else f"{count} {thing}{'es' if thing.endswith(('s', 'x', 'ch')) else 's'}"
+
+
+def listed(texts: Sequence[str], most: int) -> str:
+    """Join the first `most` texts; the others are counted: "a, b and 3 more"."""
+    return ", ".join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
 
 
 _UNSEEN = [*range(0x80, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A), 0xFEFF]

@@ -1,4 +1,4 @@
-"""What reference drivers do in a scenario: a yardstick for planners. The replay finds it; no file holds it."""
+"""What reference drivers do in a scenario: a yardstick for planners. Replay computes it; it is not part of a log."""
 
 from __future__ import annotations
 

@@ -22,9 +22,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.arrays import TIE, FloatArray, IntArray, Points, frozen
+from logs.arrays import TIE, FloatArray, IntArray, Points, arc_lengths, frozen
 from logs.kernel import inner_kernel, kernel
 from logs.rules import Crosswalk, StopLine
+from logs.shapes import corners
 
 IN_JUNCTION = "intersection"
 """The word of `Lane.kind` for a lane in an intersection."""
@@ -94,6 +95,15 @@ class Lane:
     def length(self) -> float:
         """Length of the centre line, m."""
         return float(np.hypot(*np.diff(self.center, axis=0).T).sum())
+
+
+def predecessors(lanes: Mapping[int, Lane]) -> dict[int, list[int]]:
+    """Return the ids of the lanes that lead into each lane."""
+    out: dict[int, list[int]] = {}
+    for lane in lanes.values():
+        for after in lane.successors:
+            out.setdefault(after, []).append(lane.id)
+    return out
 
 
 @kernel
@@ -199,6 +209,10 @@ class Road:
         return cls({0: lane}, RoadSource.DRIVEN_PATH, default_speed_limit=speed_limit)
 
 
+GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
+"""The region around a goal that is a pose, along and across."""
+
+
 @dataclass(frozen=True, eq=False)
 class Goal:
     """Where, when and how the ego should arrive; None: no condition.
@@ -230,6 +244,11 @@ class Goal:
                 hull = None if None in bounds else (min(b[0] for b in bounds), max(b[1] for b in bounds))
                 object.__setattr__(self, name, hull)
         object.__setattr__(self, "regions", tuple(frozen(region) for region in self.regions))
+
+    @classmethod
+    def around(cls, x: float, y: float, yaw: float) -> Goal:
+        """Return the goal with a region of `GOAL_LENGTH_M` by `GOAL_WIDTH_M` around a pose of the ego's box."""
+        return cls((np.asarray(corners(x, y, yaw, GOAL_LENGTH_M, GOAL_WIDTH_M)),))
 
     @classmethod
     def any_of(cls, goals: Sequence[Goal]) -> Goal:
@@ -295,7 +314,7 @@ def thinned(points: FloatArray, spacing: float) -> FloatArray:
 
 def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Resample both lines at the union of their relative arc lengths: corners remain, and point i faces point i."""
-    ways = [np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))] for line in (left, right)]
+    ways = [arc_lengths(*line.T) for line in (left, right)]
     parts = [way / way[-1] for way in ways]
     both = np.union1d(np.round(parts[0], 9), np.round(parts[1], 9))
     out = [
@@ -458,7 +477,7 @@ class ReferenceLine:
         from scipy.interpolate import CubicSpline  # imported late: SciPy takes as long to load as all of `logs`
 
         for _ in range(3):
-            chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+            chord = arc_lengths(*points.T)
             spline = CubicSpline(chord, points)
             fine = np.linspace(0.0, chord[-1], 8 * len(points))
             speed = np.hypot(*spline(fine, 1).T)

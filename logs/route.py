@@ -10,8 +10,8 @@ A step goes to a successor (its price is the length of the lane driven) or to a 
 at the lane under the ego with the least cost to go; if costs are equal, at the best aligned one.
 
 `on_lane` is the rule that metrics and traffic share: a point with a heading is on a lane, and drives along it, if it
-lies in the lane's outline and its heading is within
-`ASKEW_RAD` of the piece of the centre line whose middle is nearest.
+lies in the lane's outline and its heading is within `ASKEW_RAD` of the piece of the centre line whose middle is
+nearest.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from math import atan2, cos, hypot, inf, pi, sin
 
 import numpy as np
 
-from logs.arrays import TIE, BoolArray, FloatArray, frozen
+from logs.arrays import TIE, BoolArray, FloatArray, arc_lengths, frozen
 from logs.kernel import kernel
 from logs.road import Goal, Lane, Road, inside, nearest
 from logs.shapes import point_segment
@@ -32,21 +32,6 @@ from logs.states import EgoState, Trajectory, wrap
 
 LANE_CHANGE_M = 50.0
 """Cost of a lane change, in metres of detour."""
-
-
-@dataclass(frozen=True, slots=True)
-class Route:
-    """Lanes in driving order; between two neighbours, the route changes lanes.
-
-    Attributes:
-        lanes: Ids of at least one lane.
-        reaches_goal: Whether the last lane contains the goal.
-        cost: Cost (1), m.
-    """
-
-    lanes: tuple[int, ...]
-    reaches_goal: bool
-    cost: float
 
 
 def start_lanes(road: Road, ego: EgoState) -> tuple[int, ...]:
@@ -69,16 +54,19 @@ def start_lanes(road: Road, ego: EgoState) -> tuple[int, ...]:
     return (min(drivable, key=lambda lane: (away(lane), lane.id)).id,)
 
 
-def find_route(road: Road, ego: EgoState, goal: Goal | None) -> Route:
-    """Return the route to the goal (1); without a goal, or a way to it, only the lane under the ego."""
+def find_route(road: Road, ego: EgoState, goal: Goal | None) -> tuple[int, ...]:
+    """Return the lanes to the goal (1), in driving order; without a goal, or a way to it, only the lane under the ego.
+
+    Between two neighbours, the route changes lanes.
+    """
     starts, to_go = start_lanes(road, ego), costs_to_go(road, goal)
     leading = [lane for lane in starts if lane in to_go]
     if not leading:
-        return Route(starts[:1], False, 0.0)
+        return starts[:1]
     lanes = [min(leading, key=lambda lane: _level(to_go[lane].cost))]
     while (after := to_go[lanes[-1]].next) is not None:
         lanes.append(after)
-    return Route(tuple(lanes), True, to_go[lanes[0]].cost)
+    return tuple(lanes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +147,7 @@ def goal_fault(road: Road, drive: Trajectory, goal: Goal, ahead: float) -> GoalF
         ahead: Distance from the rear axle to the middle of the ego's box, m.
     """
     ego, regions = drive.state(0), goal.regions
-    x, y = ego.x + ahead * cos(ego.yaw), ego.y + ahead * sin(ego.yaw)
+    x, y = ego.ahead(ahead)
     asks = bool(regions) or any(bound is not None for bound in (goal.t, goal.v, goal.yaw))
     returns = goal.way > 0.0 or counting_stay(goal, drive, ahead) is not None
     if asks and not returns and goal.reached(ego.t, x, y, ego.yaw, ego.v):
@@ -233,7 +221,7 @@ def counting_stay(goal: Goal, drive: Trajectory, ahead: float) -> tuple[int, int
 
 def sampled(line: FloatArray) -> FloatArray:
     """Return a line `(n, 2)` with further points, so that there is one every 1 m."""
-    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    chord = arc_lengths(*line.T)
     at = np.union1d(chord, np.arange(0.0, chord[-1], 1.0))
     return np.column_stack([np.interp(at, chord, line[:, k]) for k in (0, 1)])
 

@@ -12,7 +12,7 @@ World frame W, SI units, time in seconds since the scenario's start. The ego's r
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from math import floor, pi
+from math import cos, floor, pi, sin
 
 import numpy as np
 
@@ -57,6 +57,10 @@ class EgoState:
     steer: float = 0.0
     yaw_rate: float = 0.0
     v_lat: float = 0.0
+
+    def ahead(self, way: float) -> tuple[float, float]:
+        """Return the point `way` m before the rear axle along the body, world, m."""
+        return self.x + way * cos(self.yaw), self.y + way * sin(self.yaw)
 
 
 @dataclass(frozen=True, slots=True)

@@ -176,7 +176,7 @@ def driven_line(scenario: Scenario) -> ReferenceLine:
     ego, start = scenario.ego, scenario.ego.state(0)
     path = thinned(np.column_stack([ego.x, ego.y]), 1.0)
     if len(path) < 3:
-        path = np.array([[start.x + s * cos(start.yaw), start.y + s * sin(start.yaw)] for s in (0.0, 1.0, 2.0)])
+        path = np.array([start.ahead(s) for s in (0.0, 1.0, 2.0)])
     return ReferenceLine.through(path)
 
 
@@ -190,7 +190,7 @@ def ego_start(scenario: Scenario, agents: Sequence[str], value: float) -> Scenar
     """The scenario with the start of the ego moved along its path (4)."""
     start = scenario.ego.state(0)
     if value < 0.0:
-        x, y, yaw, kappa = start.x + value * cos(start.yaw), start.y + value * sin(start.yaw), start.yaw, 0.0
+        (x, y), yaw, kappa = start.ahead(value), start.yaw, 0.0
     else:
         x, y, yaw, kappa = driven_line(scenario).frame(value)
     columns, goal = (start.t, x, y, yaw, start.v, 0.0, kappa), scenario.goal
@@ -219,7 +219,7 @@ def check_start(was: Scenario, now: Scenario) -> None:
 
 def _touched_agents(scenario: Scenario) -> list[str]:
     start, car = scenario.ego.state(0), scenario.vehicle
-    x, y = start.x + car.axle_to_center * cos(start.yaw), start.y + car.axle_to_center * sin(start.yaw)
+    x, y = start.ahead(car.axle_to_center)
     others = scenario.tracks.truth(start.t)
     boxes = np.column_stack([others.x, others.y, others.yaw, others.length, others.width]).tolist()
     found = [overlap(x, y, start.yaw, car.length, car.width, *box) for box in boxes]

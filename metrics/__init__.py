@@ -148,11 +148,11 @@ def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = 
 
 
 def evaluate_with_series(
-    trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS, broken: OnError | None = None
+    trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the tables of `evaluate` and `series`; each metric is measured once."""
     steps_of: dict[str, Series] = {}
-    table = evaluate(trace, scenario, metrics=metrics, broken=broken, found=steps_of.__setitem__)
+    table = evaluate(trace, scenario, metrics=metrics, found=steps_of.__setitem__)
     found = sorted(steps_of.items(), key=lambda item: item[0])
     none = np.empty(0)
     return table, pd.DataFrame(

@@ -16,10 +16,9 @@ from math import cos, sin
 import numpy as np
 
 from logs.arrays import FloatArray
-from logs.road import Goal
+from logs.road import GOAL_LENGTH_M, Goal
 from logs.route import GoalFault, goal_fault, visits
 from logs.scenario import Scenario
-from logs.shapes import corners
 from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import metric
@@ -28,7 +27,6 @@ from metrics.progress import FLOOR_M, LEAST_COVERED, ProgressLine, gain_along, r
 
 SHORTEST_DRIVE_M = 10.0
 """The end of a drive becomes the goal only if the log's driver gains at least this along the route."""
-GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
 NEARLY = 0.9
 """Share of the log's gain from which on the end of its drive counts as the goal: a drive that cuts corners, or whose
 position jumps, gains a little less than the log's driver."""
@@ -44,8 +42,7 @@ def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
     if gained < SHORTEST_DRIVE_M:
         return None, ""
     last, ahead = scenario.ego.state(len(scenario.ego) - 1), scenario.vehicle.axle_to_center
-    x, y = last.x + ahead * cos(last.yaw), last.y + ahead * sin(last.yaw)
-    place = Goal((np.asarray(corners(x, y, last.yaw, GOAL_LENGTH_M, GOAL_WIDTH_M)),))
+    place = Goal.around(*last.ahead(ahead), last.yaw)
     way = max(way_of(place, scenario.ego, route, ahead), min(NEARLY * gained, gained - GOAL_LENGTH_M))
     return replace(place, way=way), NO_GOAL_NOTE
 

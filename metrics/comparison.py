@@ -42,6 +42,7 @@ import numpy as np
 import pandas as pd
 
 from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.names import listed
 from metrics.evidence import ENSEMBLE
 from metrics.judge.aggregate import SUITE, LogLabels, membership
 from metrics.judge.excuses import REFERENCE
@@ -185,11 +186,11 @@ class Comparison:
         worse = self.pairs[self.pairs["worse"] > 0.0]
         return worse[worse.groupby(DRIVE).cumcount() < each].head(most)
 
-    def improvements(self, most: int, each: int = 2) -> pd.DataFrame:
-        """Return the greatest improvements, otherwise as `regressions`."""
+    def improvements(self, most: int) -> pd.DataFrame:
+        """Return the greatest improvements, at most two per drive."""
         better = self.pairs[self.pairs["worse"] < 0.0]
         better = better.sort_values(["asked", "relative"], ascending=[False, True], kind="stable")
-        return better[better.groupby(DRIVE).cumcount() < each].head(most)
+        return better[better.groupby(DRIVE).cumcount() < 2].head(most)
 
 
 def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()) -> Comparison:
@@ -225,8 +226,7 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
         ("metrics in the candidate only", [name for name in metrics[1] if name not in metrics[0]]),
     ):
         if names:
-            more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-            differences.append(f"{what}: {', '.join(names[:NAMED])}{more}")
+            differences.append(f"{what}: {listed(names, NAMED)}")
     return Comparison(
         baseline.label, candidate.label, tuple(differences),
         _missing_drives(baseline, candidate), _missing_drives(candidate, baseline), pairs, flips,

@@ -20,8 +20,7 @@ from logs.trace import Mode, Trace
 from metrics import metric
 from metrics.boxes import phantoms
 from metrics.comfort import WINDOW_S
-from metrics.lanes import where_followed
-from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
+from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable, where_followed
 from metrics.plans import NO_PLANS, frame_times
 
 PRESSED = 1e-6  # A pedal is pressed if its command exceeds this

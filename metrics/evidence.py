@@ -39,8 +39,8 @@ from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, Trace
 from metrics import metric
 from metrics.boxes import each, ego_boxes, name_of, phantoms, some_at
-from metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes, where_followed
-from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
+from metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes
+from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable, where_followed
 from metrics.plans import NO_PLANS, frame_times
 
 AWAY_S, LENGTH_M, WIDTH_M = 1.0, 5.0, 3.5

@@ -6,23 +6,17 @@ cars' lengths), and a lane without a predecessor is extended backwards likewise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import wraps
+from collections.abc import Sequence
 from math import ceil, cos, hypot, inf, nan, pi, sin, sqrt
-from typing import NamedTuple, ParamSpec
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.arrays import BoolArray, FloatArray, IntArray, frozen
-from logs.forward import tighter_than_vehicle
 from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.road import Road, RoadSource, inside
-from logs.scenario import Scenario
 from logs.shapes import point_segment
-from metrics.metric import Measured, Unavailable
-
-P = ParamSpec("P")
 
 BEYOND_M = 10.0
 SURE_M = 1e-6  # Tolerance of the test that skips boxes, m: rounding must not change results
@@ -76,25 +70,6 @@ def points_inside(polygon: FloatArray, x: FloatArray, y: FloatArray) -> BoolArra
 def mapped_lanes(road: Road) -> LaneArrays | None:
     """Return the lanes of the log's own map that a car may drive on; None if it has none."""
     return None if road.source is RoadSource.DRIVEN_PATH else drivable_lanes(road)
-
-
-@once
-def not_followed(scenario: Scenario) -> Unavailable | None:
-    """Return why no planner can follow the path that is the road of a log without lanes; None if one can."""
-    why = tighter_than_vehicle(scenario)
-    return Unavailable(why) if why else None
-
-
-def where_followed(measure: Callable[P, Measured]) -> Callable[P, Measured]:
-    """Make a measure, whose last argument is the scenario, unavailable where `not_followed`."""
-
-    @wraps(measure)
-    def asked(*args: P.args, **kwargs: P.kwargs) -> Measured:
-        scenario = args[-1]
-        assert isinstance(scenario, Scenario)
-        return not_followed(scenario) or measure(*args, **kwargs)
-
-    return asked
 
 
 @once

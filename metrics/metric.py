@@ -17,14 +17,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from functools import wraps
+from typing import Literal, ParamSpec, get_args
 
 import numpy as np
 
 from logs.arrays import BoolArray, FloatArray, frozen
+from logs.forward import tighter_than_vehicle
 from logs.once import last
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
+
+P = ParamSpec("P")
 
 Direction = Literal["lower", "higher", "none"]  # The direction that is better
 
@@ -188,6 +192,19 @@ def _measure(trace: Trace, scenario: Scenario, measure: Measure) -> Measured | M
 _remember_all, _remember_newest = last(1024)(_measure), last(8)(_measure)
 LONG_STEPS = 60_000  # Drives with more steps (1 MB per series) keep only the newest series
 LEAST_S = 4.0  # For `share_beyond`: the horizon over which plans are judged
+
+
+def where_followed(measure: Callable[P, Measured]) -> Callable[P, Measured]:
+    """Make a measure, whose last argument is the scenario, unavailable where no planner can follow the log's path."""
+
+    @wraps(measure)
+    def asked(*args: P.args, **kwargs: P.kwargs) -> Measured:
+        scenario = args[-1]
+        assert isinstance(scenario, Scenario)
+        tight = tighter_than_vehicle(scenario)
+        return Unavailable(tight) if tight else measure(*args, **kwargs)
+
+    return asked
 
 
 def _extreme(series: Series, score: FloatArray, value: FloatArray) -> tuple[float, int]:

@@ -44,7 +44,7 @@ from math import cos, sin
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray, arc_lengths
 from logs.kernel import kernel
 from logs.once import once
 from logs.road import ReferenceLine, line_project_many
@@ -305,7 +305,7 @@ def _false_braking(trace: Trace, scenario: Scenario) -> Measured:
     for k in hard_episodes(ego):
         begin = float(ego.t[k])
         drive = trace.ego.resampled(np.r_[begin, trace.ego.t[trace.ego.t > begin]])
-        s = np.r_[0.0, np.cumsum(np.hypot(np.diff(drive.x), np.diff(drive.y)))]
+        s = arc_lengths(drive.x, drive.y)
         at = np.arange(0.0, max(float(drive.v[0]), 0.0) * CAUSE_S + SPACING_M, SPACING_M)
         beyond = np.maximum(at - s[-1], 0.0)
         x, y, yaw = (np.interp(at, s, column) for column in (drive.x, drive.y, drive.yaw))

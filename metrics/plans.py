@@ -52,8 +52,7 @@ from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, wrapped
 from logs.trace import Mode, Trace
 from metrics import metric
-from metrics.lanes import where_followed
-from metrics.metric import Measured, Metric, Series, Unavailable
+from metrics.metric import Measured, Metric, Series, Unavailable, where_followed
 
 STEP_S = 0.1  # Plans are compared at multiples of this after their frame, s
 SHORT_M = 5.0  # A plan that is shorter in its first 4 s is that of a standing ego (NAVSIM), m

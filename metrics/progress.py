@@ -44,11 +44,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, partial
-from math import cos, pi, sin
+from math import pi
 
 import numpy as np
 
-from logs.arrays import FloatArray
+from logs.arrays import FloatArray, arc_lengths
 from logs.complete import MIN_PATH
 from logs.once import last
 from logs.road import Goal, ReferenceLine, Road, RoadSource, inside, line_project_many, thinned
@@ -59,8 +59,8 @@ from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import metric
 from metrics.boxes import ego_boxes
-from metrics.lanes import drivable_lanes, limits_at, stated_lanes, where_followed
-from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
+from metrics.lanes import drivable_lanes, limits_at, stated_lanes
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable, where_followed
 
 SPACING_M, WINDOW_M, BESIDE_M = 1.0, 30.0, 3.0
 STRETCH, SLACK_M = 2.0, 0.1
@@ -112,9 +112,9 @@ def route_of(scenario: Scenario) -> ProgressLine:
 @last(2)  # changes of metadata make new scenarios with the same road
 def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float) -> ProgressLine:
     path, end = thinned(np.column_stack([log.x, log.y]), SPACING_M), log.state(len(log) - 1)
-    onward = np.array([[end.x + JOIN_M * cos(end.yaw), end.y + JOIN_M * sin(end.yaw)]])  # straight on
+    onward = np.array([end.ahead(JOIN_M)])  # straight on
     if road.lanes:  # along the centre lines of the route, beginning `JOIN_M` after the log's end
-        lanes, beyond = list(find_route(road, end, goal).lanes), 0.0
+        lanes, beyond = list(find_route(road, end, goal)), 0.0
         while beyond < BEYOND_M and (after := straight_on(road, lanes[-1])) is not None:
             beyond += max(road.lanes[after].length, SPACING_M)
             lanes.append(after)
@@ -127,7 +127,7 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
             if not begun:
                 away = np.hypot(center[:, 0] - end.x, center[:, 1] - end.y)
                 center = center[int(np.argmin(away)) if len(log) > 1 else first_nearest(center, end.x, end.y) :]
-            chord, begun = np.r_[0.0, np.cumsum(np.hypot(*np.diff(center, axis=0).T))], True
+            chord, begun = arc_lengths(*center.T), True
             points, skipped = np.vstack([points, center[chord >= skipped]]), max(skipped - float(chord[-1]), 0.0)
         onward = thinned(points, SPACING_M) if len(points) else onward
     line = ReferenceLine.through(np.vstack([path, onward]), SPACING_M)
@@ -176,7 +176,7 @@ _ALONE = Unavailable("the log holds one ego state only: there is no drive to com
 
 
 def _distance(trace: Trace, scenario: Scenario) -> Measured:
-    return Series(trace.ego.t, np.r_[0.0, np.cumsum(np.hypot(np.diff(trace.ego.x), np.diff(trace.ego.y)))])
+    return Series(trace.ego.t, arc_lengths(trace.ego.x, trace.ego.y))
 
 
 @where_followed
@@ -322,8 +322,7 @@ def _goal(trace: Trace, scenario: Scenario) -> Measured:
     last = min(scenario.duration, goal.t[1] if goal.t else scenario.duration)
     if goal.t and goal.t[0] > scenario.duration:
         return Unavailable(f"the log ends at {scenario.duration:.1f} s, and the goal begins at {goal.t[0]:.1f} s")
-    ahead = scenario.vehicle.axle_to_center
-    x, y = start.x + ahead * cos(start.yaw), start.y + ahead * sin(start.yaw)
+    x, y = start.ahead(scenario.vehicle.axle_to_center)
     if not goal.regions or goal.holds_place(x, y):
         return _missed(trace, scenario, goal)
     edges = [(a, b) for region in goal.regions for a, b in zip(region, np.roll(region, -1, axis=0), strict=True)]

@@ -188,7 +188,6 @@ class ReferenceDrive:
 
     Attributes:
         meets: Step of its first touch, -1: none; `agent` is the agent touched, -1: none.
-        touched: First step at which an agent that is not counted touches it, -1: none.
         least: Least distance to the agent `about`, m (6); after a touch, minus its depth.
     """
 
@@ -197,7 +196,6 @@ class ReferenceDrive:
     a: FloatArray
     meets: int
     agent: int
-    touched: int
     least: float
 
 
@@ -385,8 +383,8 @@ def _drive(
     vulnerable: BoolArray,
     about: int,
     late: float,
-) -> tuple[FloatArray, int, int, int, float]:
-    """Return rows s, v, a from `start` (s, l, v) to the first touch or end, and the last 4 fields of `ReferenceDrive`.
+) -> tuple[FloatArray, int, int, float]:
+    """Return rows s, v, a from `start` (s, l, v) to the first touch or end, and the last 3 fields of `ReferenceDrive`.
 
     After the first touch the drive continues through the agent until both are apart, to measure the depth.
     """
@@ -394,7 +392,7 @@ def _drive(
     n, steps = there.shape
     out, seen = np.zeros((3, steps)), np.full((n, 7), np.nan)
     clock, nearer, left_out = np.zeros(n), np.zeros(n), np.zeros(n, np.bool_)
-    s, v, a, waited, braking, touched, meets, least = start[0], start[2], 0.0, 0.0, False, -1, -1, np.nan
+    s, v, a, waited, braking, meets, least = start[0], start[2], 0.0, 0.0, False, -1, np.nan
     k = 0
     for k in range(steps):
         out[0, k], out[1, k], out[2, k] = s, v, a
@@ -402,7 +400,6 @@ def _drive(
         l = start[1] * (1.0 - u * u * (3.0 - 2.0 * u))  # noqa: E741
         x, y, yaw, _ = line_frame(knots, coef, s)
         x, y = x - l * sin(yaw), y + l * cos(yaw)
-        out_before = left_out.sum()
         hit = _first_touch((x, y, yaw, v), k, car, others, left_out)
         if hit >= 0 and meets < 0:
             meets, about, least = k, hit, np.nan
@@ -412,9 +409,7 @@ def _drive(
                 apart = _least_clearance(apart, x, y, yaw, car, pose[:, i, k], others.size[i])
         least = least if least <= apart or np.isnan(apart) else apart  # (6)
         if meets >= 0 and not apart <= 0.0:
-            return out[:, : meets + 1], meets, about, touched, least
-        if touched < 0 and k > 0 and meets < 0 and left_out.sum() > out_before:
-            touched = k
+            return out[:, : meets + 1], meets, about, least
         if s >= knots[-1]:
             break
         wish = 0.0
@@ -434,7 +429,7 @@ def _drive(
         v_next = max(v + 0.5 * STEP_S * (a + a_next), 0.0)
         s += 0.5 * STEP_S * (v + v_next)
         v, a = v_next, (a_next if v_next > 0.0 else 0.0)
-    return out[:, : (k if meets < 0 else meets) + 1], meets, about if meets >= 0 else -1, touched, least
+    return out[:, : (k if meets < 0 else meets) + 1], meets, about if meets >= 0 else -1, least
 
 
 AVOIDS = Reduction("avoids", lambda series: (float(series.value[0] > 0.0), -1), "1", "none")

@@ -66,7 +66,7 @@ from math import hypot
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray, arc_lengths
 from logs.kernel import kernel
 from logs.once import once
 from logs.road import inside
@@ -168,7 +168,7 @@ def _crossings(line: StopLine, trace: Trace, scenario: Scenario) -> Iterator[int
     half = 0.5 * hypot(*(line.points[1] - line.points[0])) + ASIDE_M
     over = (ahead[:-1] < 0.0) & (ahead[1:] >= 0.0) & (np.abs(beside[1:]) <= half)
     for step in (np.flatnonzero(over) + 1).tolist():
-        driven = np.r_[0.0, np.cumsum(np.hypot(np.diff(ego.x[step:]), np.diff(ego.y[step:])))]
+        driven = arc_lengths(ego.x[step:], ego.y[step:])
         at = step + np.unique(np.searchsorted(driven, np.arange(0.0, min(float(driven[-1]), BEHIND_M), 1.0)))
         x, y = ego_boxes(ego, scenario)[:2, at]
         on = {way.id: int(on_lane(way, x, y, ego.yaw[at]).sum()) for way in ways}

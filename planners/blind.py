@@ -5,7 +5,7 @@ way. `replay.loop.reference_drives` drives both in every log, and `metrics.judge
 
 `blind` is the Intelligent Driver Model (`planners.idm`) on the same route, within the limits and curves of its lanes,
 without road users, lights, stop lines, crosswalks, and right of way. `parked` follows the same path: with its speed v,
-the wished speed u and t from the frame on,
+the desired speed u and t from the frame on,
 
 (1) v(t) = u + the comfortable braking profile of v - u       where v > u
 (2) v(t) = min(u, v + `GAIN_MPS2` t)                          else
@@ -28,6 +28,7 @@ from planners.frenet.scene import start_of
 from planners.idm import Idm, IdmConfig
 
 GAIN_MPS2 = 1.0
+"""Acceleration of `parked` up to its desired speed."""
 NO_AGENTS = np.zeros(0, np.int64)
 
 
@@ -56,28 +57,28 @@ class Parked:
 
     Args:
         context: As every planner's.
-        speed_mps: The wished speed, m/s; not negative.
+        speed_mps: The desired speed, m/s; not negative.
     """
 
     def __init__(self, context: PlannerContext, *, speed_mps: float = 0.0) -> None:
         if not speed_mps >= 0.0:
             raise ValueError(f"speed_mps is {speed_mps:g}, below 0")
-        self._blind, self._wish = Blind(context), speed_mps
+        self._blind, self._desired = Blind(context), speed_mps
 
     def plan(self, frame: Frame) -> Plan:
         """Return the path of `blind` at the speeds (1), (2), in its frame."""
         plan = self._blind.plan(frame)
         way, t = plan.trajectory, STEP_S * np.arange(HORIZON_KNOTS)
-        start = start_of(frame)[0]  # `blind` begins with an acceleration of its own
-        excess = start.v - self._wish
-        if excess > 0.0:
-            slower = braking(excess, start.a, COMFORT.decel_mps2, COMFORT.jerk_mps3, STEP_S, HORIZON_KNOTS)
-            profile = slower + np.stack([self._wish * t, np.full(len(t), self._wish), np.zeros(len(t))])  # (1)
-        else:
-            v = np.minimum(self._wish, max(start.v, 0.0) + GAIN_MPS2 * t)  # (2)
-            s = np.r_[0.0, np.cumsum(0.5 * STEP_S * (v[1:] + v[:-1]))]
-            profile = np.stack([s, v, np.where(v < self._wish, GAIN_MPS2, 0.0)])
         path = path_through(way.x, way.y, way.yaw, way.kappa)
         if len(path.sigma) < 2:  # `blind` stands: so does the parked driver
             return plan
+        start = start_of(frame)[0]  # `blind` begins with an acceleration of its own
+        excess = start.v - self._desired
+        if excess > 0.0:
+            slower = braking(excess, start.a, COMFORT.decel_mps2, COMFORT.jerk_mps3, STEP_S, HORIZON_KNOTS)
+            profile = slower + np.stack([self._desired * t, np.full(len(t), self._desired), np.zeros(len(t))])  # (1)
+        else:
+            v = np.minimum(self._desired, max(start.v, 0.0) + GAIN_MPS2 * t)  # (2)
+            s = np.r_[0.0, np.cumsum(0.5 * STEP_S * (v[1:] + v[:-1]))]
+            profile = np.stack([s, v, np.where(v < self._desired, GAIN_MPS2, 0.0)])
         return replace(plan, trajectory=trajectory_along(path, profile, frame.t))

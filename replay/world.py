@@ -31,8 +31,7 @@ class World:
 
 def box_center(ego: EgoState, vehicle: VehicleParameters) -> tuple[float, float]:
     """Centre of the ego's box, world, m."""
-    ahead = vehicle.axle_to_center
-    return ego.x + ahead * cos(ego.yaw), ego.y + ahead * sin(ego.yaw)
+    return ego.ahead(vehicle.axle_to_center)
 
 
 def logged_ego(log: Trajectory, vehicle: VehicleParameters, t: float) -> EgoState:

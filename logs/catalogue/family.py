@@ -14,7 +14,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
-from math import cos, isfinite, sin
+from math import isfinite
 from types import MappingProxyType
 
 from logs.errors import ConfigError
@@ -161,8 +161,7 @@ def _contact(scenario: Scenario) -> tuple[int, str] | None:
     ego, car = scenario.ego, scenario.vehicle
     for i in range(len(ego)):
         state, others = ego.state(i), scenario.tracks.truth(float(ego.t[i]))
-        x, y = state.x + car.axle_to_center * cos(state.yaw), state.y + car.axle_to_center * sin(state.yaw)
-        box = (x, y, state.yaw, car.length, car.width)
+        box = (*state.ahead(car.axle_to_center), state.yaw, car.length, car.width)
         for k in range(len(others)):
             other = (others.x[k], others.y[k], others.yaw[k], others.length[k], others.width[k])
             if overlap(*box, *(float(value) for value in other)):

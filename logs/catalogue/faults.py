@@ -15,7 +15,7 @@ from math import cos, radians, sin, tan
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray, arc_lengths
 from logs.catalogue import everyday, paper
 from logs.catalogue.driver import SAMPLE_S
 from logs.catalogue.family import Family, family
@@ -200,7 +200,7 @@ def kinked_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
 @_lanes("lane_ends", "the lane ends before the log does", {"length_m": 60.0}, {"length_m": (30.0, 60.0, 100.0)})
 def ended_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
     """The lane ends after a length in metres."""
-    keep = np.r_[0.0, np.cumsum(np.hypot(*np.diff(0.5 * (lines[0] + lines[1]), axis=0).T))] <= p["length_m"]
+    keep = arc_lengths(*(0.5 * (lines[0] + lines[1])).T) <= p["length_m"]
     return lines[0][keep], lines[1][keep]
 
 
@@ -208,7 +208,7 @@ def ended_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
 def narrow_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
     """The lane is narrower from a station (m) on."""
     middle, half = 0.5 * (lines[0] + lines[1]), 0.5 * (lines[0] - lines[1])
-    s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(middle, axis=0).T))]
+    s = arc_lengths(*middle.T)
     narrower = p["width_m"] / LANE_WIDTH_M
     share = np.asarray(np.interp(s, [p["from_m"], p["from_m"] + 10.0], [1.0, narrower]))[:, None]
     return middle + share * half, middle - share * half

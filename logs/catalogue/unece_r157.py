@@ -46,6 +46,7 @@ EGO = {"ego_kmh": speeds(5, 60)}
 OTHER = Target("car", AgentKind.CAR, CAR)
 TRIGGER_S = 2.0
 HEADWAY_S = 2.0
+LATERAL_MPS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 BASE: Mapping[str, float] = {"ego_kmh": 60.0, "reaction_s": 0.4, "duration_s": 18.0}
 CHANGES: Mapping[str, float] = {
     **BASE, "headway_s": HEADWAY_S, "brake_s": TRIGGER_S, "brake_mps2": 6.0, "change_kmh": -60.0, "lateral_m": 0.0,
@@ -75,7 +76,7 @@ def free(p: Mapping[str, float]) -> Scenario:
 
 @_family(
     "4.1_2", "swerving_lead", "the car ahead swings in its lane",
-    {**BASE, "swing_m": 1.5, "lateral_mps2": 0.3, "headway_s": 2.0},
+    {**BASE, "swing_m": 1.5, "lateral_mps2": 0.3, "headway_s": HEADWAY_S},
 )  # fmt: skip
 def swerves(p: Mapping[str, float]) -> Scenario:
     """4.1_2: a lead swings in its lane, once to each side, with a lateral acceleration of at most `lateral_mps2`."""
@@ -143,7 +144,7 @@ def _clears(p: Mapping[str, float]) -> bool:
     "4.4_1", "cut_in", "a slower car cuts in",
     {**BASE, "relative_kmh": -20.0, "gap_m": 30.0, "lateral_mps": 2.0, "accel_mps2": 0.0},
     {"ego_kmh": speeds(20, 60, 10), "relative_kmh": speeds(-50, -10, 10), "gap_m": speeds(0, 60, 10),
-     "lateral_mps": (0.5, 1.0, 1.5, 2.0, 2.5, 3.0), "accel_mps2": (-3.0, -1.5, 0.0, 1.5, 3.0)},
+     "lateral_mps": LATERAL_MPS, "accel_mps2": (-3.0, -1.5, 0.0, 1.5, 3.0)},
     _forward,
 )  # fmt: skip
 def cut_in(p: Mapping[str, float]) -> Scenario:
@@ -172,8 +173,7 @@ def cut_in(p: Mapping[str, float]) -> Scenario:
 @_family(
     "4.5_1", "cut_out", "the car ahead leaves the lane, in which another stands",
     {**BASE, "distance_m": 50.0, "lateral_mps": 2.0},
-    {"ego_kmh": speeds(10, 60, 10), "distance_m": speeds(10, 100, 10),
-     "lateral_mps": (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)},
+    {"ego_kmh": speeds(10, 60, 10), "distance_m": speeds(10, 100, 10), "lateral_mps": LATERAL_MPS},
     _clears,
 )  # fmt: skip
 def cut_out(p: Mapping[str, float]) -> Scenario:

@@ -31,13 +31,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from logs.arrays import FloatArray
+from logs.arrays import FloatArray, arc_lengths
 from logs.arrow_tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, whole
 from logs.complete import ASSUMED, assumed_limit, road_along
 from logs.errors import LogError
 from logs.files import beside
-from logs.maps.strips import LARGEST_M, LONGEST_M, LaneStrip, dense, lanes_of, predecessors
-from logs.road import IN_JUNCTION, Lane, Road, inside
+from logs.maps.strips import LARGEST_M, LONGEST_M, LaneStrip, dense, lanes_of
+from logs.road import IN_JUNCTION, Lane, Road, inside, predecessors
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.states import Trajectory
 
@@ -253,7 +253,7 @@ def _is_line(points: FloatArray) -> bool:
 
 def ends_at(lane: Lane, part: float) -> FloatArray:
     """Return the ends `(2, 2)` of a line across a lane at a relative length of 0 to 1."""
-    way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))] / lane.length
+    way = arc_lengths(*lane.center.T) / lane.length
     return np.array([[np.interp(part, way, side[:, k]) for k in (0, 1)] for side in (lane.left, lane.right)])
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.arrays import BoolArray
+from logs.arrays import BoolArray, arc_lengths
 from logs.complete import ASSUMED, NO_LANES, assumed_limit
 from logs.errors import LogError
 from logs.road import Lane, Road, RoadSource
@@ -137,7 +137,7 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
 
 def _check_fit(found: MapFile, path: Path, lanes: list[Lane], ego: Trajectory) -> BoolArray:
     """Return which points of the path (1) lie on lanes; LogError if the map lies elsewhere or points the other way."""
-    driven = np.r_[0.0, np.cumsum(np.hypot(np.diff(ego.x), np.diff(ego.y)))]
+    driven = arc_lengths(ego.x, ego.y)
     at = np.unique(np.searchsorted(driven, np.arange(0.0, driven[-1] + 1e-9, STEP_M)))
     x, y, yaw = ego.x[at], ego.y[at], ego.yaw[at]
     on, along = np.zeros(len(x), np.bool_), np.zeros(len(x), np.bool_)

@@ -31,8 +31,8 @@ from logs.errors import LogError
 from logs.maps.base import MapFile, MapReader
 from logs.maps.lanelet2_file import PROJECTOR_INFO, Element, Osm, placed_points, read_osm
 from logs.maps.lanelet2_lanes import LONGEST_M, DirectedLanelet, divided, lanes_of, strips_of, way_points
-from logs.maps.strips import CAR_WIDTH_M, predecessors
-from logs.road import Lane, Road
+from logs.maps.strips import CAR_WIDTH_M
+from logs.road import Lane, Road, predecessors
 from logs.rules import Crosswalk, StopLine
 
 AT_BEGIN_M = 1.5

@@ -27,7 +27,7 @@ from math import hypot, isfinite, nan
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray
+from logs.arrays import FloatArray, IntArray, arc_lengths
 from logs.errors import LogError
 from logs.kernel import kernel
 from logs.maps.lanelet2_file import Element, Osm
@@ -212,7 +212,7 @@ def _pairs(a: FloatArray, b: FloatArray) -> tuple[IntArray, IntArray]:
 
 def divided(line: FloatArray, longest: float, most: float) -> FloatArray:
     """Divide a polyline into pieces of at most `longest` m; if there are more than `most`, resample it evenly."""
-    s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    s = arc_lengths(*line.T)
     parts = np.maximum(1.0, np.ceil(np.diff(s) / longest))
     if parts.sum() > most:
         at = np.linspace(0.0, s[-1], int(most))

@@ -7,12 +7,12 @@ left if more lanes have the oncoming lane on their right than on their left.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from logs.arrays import FloatArray
+from logs.arrays import FloatArray, arc_lengths
 from logs.road import Lane, paired
 
 LARGEST_M = 1e7
@@ -116,21 +116,12 @@ def _same_way(lane: Lane, other: Lane) -> bool:
 
 def dense(line: FloatArray, step: float) -> FloatArray:
     """Resample a polyline `(n, 2)` at equal arc lengths, with points at most `step` m apart."""
-    length = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))][-1]
+    length = arc_lengths(*line.T)[-1]
     return resampled(line, max(2, 1 + int(np.ceil(length / step))))
 
 
 def resampled(line: FloatArray, count: int) -> FloatArray:
     """Resample a polyline `(n, 2)` at `count` points, equally spaced in arc length."""
-    s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    s = arc_lengths(*line.T)
     at = np.linspace(0.0, s[-1], count)
     return np.column_stack([np.interp(at, s, line[:, k]) for k in (0, 1)])
-
-
-def predecessors(lanes: Mapping[int, Lane]) -> dict[int, list[int]]:
-    """Return the ids of the lanes that lead into each lane."""
-    out: dict[int, list[int]] = {}
-    for lane in lanes.values():
-        for after in lane.successors:
-            out.setdefault(after, []).append(lane.id)
-    return out

@@ -27,9 +27,9 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 
 from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.arrays import FloatArray
+from logs.arrays import FloatArray, arc_lengths
 from logs.complete import ASSUMED, assumed_limit, completed, derived_curvature, road_along
-from logs.errors import LogError
+from logs.errors import LogError, reading
 from logs.mcap.container import COPY_AGAIN, Stream
 from logs.observed import of_stream
 from logs.road import Lane, Road, paired
@@ -139,7 +139,7 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
     for values in rows.values():
         values[:, 1:3] -= origin
     t = (np.array(seen.times, dtype=np.int64) - seen.times[0]) / 1e9
-    try:
+    with reading(topic=stream.topic):
         vehicle, rear = _vehicle(seen.moving[seen.host], notes)
         ego = _ego(rows[seen.host], t, rear, notes)
         tracks = _tracks(seen, rows, t, origin, notes)
@@ -173,8 +173,6 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
             notes=tuple(notes),
             traffic=of_stream(t),
         )
-    except ValueError as error:
-        raise LogError(str(error), topic=stream.topic) from None
 
 
 def _message_class(stream: Stream) -> type[Any]:
@@ -445,7 +443,7 @@ def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
     NaN if the middle does not project onto `other`.
     """
     steps = np.diff(line, axis=0)
-    way = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
+    way = arc_lengths(*line.T)
     half = 0.5 * way[-1]
     k = min(int(np.searchsorted(way, half, side="right")) - 1, len(steps) - 1)
     tangent = steps[k] / np.hypot(*steps[k])

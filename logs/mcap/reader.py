@@ -20,7 +20,7 @@ from logs.agents import codes_of
 from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.codec import noun_of
 from logs.complete import completed, road_along
-from logs.errors import LogError
+from logs.errors import LogError, reading
 from logs.mcap import native, osi
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
 from logs.names import counted
@@ -86,10 +86,8 @@ def _native(container: Container) -> Scenario:
     start_ns = _from_record(record, "start_ns", int, streams["/ego"].times[0])
     if not 0 <= start_ns <= LAST_TIME_NS:
         raise LogError(f"start_ns is {start_ns}", topic=native.SCENARIO_RECORD, remedy="a log time, nanoseconds")
-    try:
+    with reading(topic="/ego", remedy=MEND):
         ego = completed(sampled(streams["/ego"], native.Ego, start_ns), notes)
-    except ValueError as error:
-        raise LogError(str(error), topic="/ego", remedy=MEND) from None
     tracks, extended = marked_tracks(streams, start_ns, notes)
     detections, repair = _detections(streams, start_ns, tracks, extended)
     road = _road(_one(streams, "/road", native.Road), ego, notes)
@@ -100,9 +98,11 @@ def _native(container: Container) -> Scenario:
         notes.append(
             f"The log does not show the lights of {lost} of {len(road.stop_lines)} stop lines: not known is off."
         )
-    vehicle = _one(streams, "/vehicle", native.Vehicle)
-    if vehicle is None:
+    parameters = _one(streams, "/vehicle", native.Vehicle)
+    if parameters is None:
         notes.append(f"{VEHICLE_ASSUMED}.")
+    with reading(topic="/vehicle"):
+        vehicle = VehicleParameters(**msgspec.structs.asdict(parameters)) if parameters else VehicleParameters()
     controls, agents = streams.get("/controls", streams.get("/actuation")), streams.get("/agents")
     traffic = _from_record(record, "traffic_s", tuple[tuple[float, float], ...], None)
     if traffic is None and agents and not all(message.id for message in agents.decoded(native.AgentColumns)):
@@ -110,7 +110,7 @@ def _native(container: Container) -> Scenario:
     noted = _from_record(record, "notes", list[str], [])
     free = container.metadata.get(native.FREE_RECORD, {})
     driven = {f"trace_{key}": value for key, value in container.metadata.get(native.TRACE_RECORD, {}).items()}
-    try:
+    with reading():
         return Scenario(
             name=record.get("name", container.path.stem),
             ego=ego,
@@ -118,7 +118,7 @@ def _native(container: Container) -> Scenario:
             road=road,
             duration=_from_record(record, "duration_s", float, float(ego.t[-1])),
             goal=_goal(_one(streams, "/goal", native.Goal)),
-            vehicle=VehicleParameters() if vehicle is None else VehicleParameters(**msgspec.structs.asdict(vehicle)),
+            vehicle=vehicle,
             controls=Controls(**sampled(controls, native.Controls, start_ns)) if controls else None,
             tags=tuple(_from_record(record, "tags", list[str], [])),
             source=record.get("source", ""),
@@ -133,8 +133,6 @@ def _native(container: Container) -> Scenario:
             detections=detections,
             repair=repair,
         )
-    except ValueError as error:
-        raise LogError(str(error), topic="/vehicle" if str(error).startswith("vehicle") else None) from None
 
 
 def _from_record(record: dict[str, str], key: str, kind: type[T], default: T) -> T:
@@ -217,14 +215,12 @@ def marked_tracks(
         notes.append(f"{len(rows) - len(there)} of {len(rows)} {UNSEEN}")
     offsets = np.r_[0, np.cumsum(np.bincount(row, minlength=len(rows))[there])]
     *values, extended = (np.array(column, dtype=np.float64)[order] for column in columns)
-    try:
+    with reading(topic=who, remedy=MEND):
         tracks = Tracks(
             tuple(table.id[i] for i in there), tuple(table.kind[i] for i in there), np.array(table.length)[there],
             np.array(table.width)[there], np.array(table.static, dtype=np.bool_)[there], offsets,
             (times - start_ns) / 1e9, *values,
         )  # fmt: skip
-    except ValueError as error:
-        raise LogError(str(error), topic=who, remedy=MEND) from None
     return tracks, extended.astype(np.bool_)
 
 
@@ -267,10 +263,8 @@ def _detections(
         ids, kinds = joined.pop("id"), joined.pop("kind")
         t = np.repeat(frames, [len(each.id) for each in messages])
         columns = {name: np.array(some, np.float64) for name, some in joined.items()}
-        try:
+        with reading(topic=stream.topic, remedy=MEND):
             found = Detections(t=t, frames=frames, ids=tuple(ids), codes=codes_of(tuple(kinds)), **columns)
-        except ValueError as error:
-            raise LogError(str(error), topic=stream.topic, remedy=MEND) from None
     message = _one(streams, "/repair", native.Repair)
     if message is None:
         return found, None
@@ -304,10 +298,8 @@ def _road(message: native.Road | None, ego: Trajectory, notes: list[str]) -> nou
         raise LogError("default_speed_limit_mps must be positive", topic="/road", remedy=MEND)
     if len({lane.id for lane in message.lanes}) < len(message.lanes):
         raise LogError("two lanes have the same id", topic="/road", remedy="ids are unique in a road")
-    try:
+    with reading(topic="/road", remedy=MEND):
         return noun_of(nouns.Road, message)
-    except ValueError as error:
-        raise LogError(str(error), topic="/road", remedy=MEND) from None
 
 
 def _lights(stream: Stream | None, start_ns: int) -> tuple[TrafficLight, ...]:
@@ -335,10 +327,8 @@ def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
     out = []
     for at, time, message in zip(known, stream.times, stream.decoded(native.OnboardPlan), strict=True):
         _equal_lengths(message.trajectory, stream.topic, time)
-        try:
+        with reading(topic=stream.topic, time_ns=time, remedy=MEND):
             out.append(noun_of(OnboardPlan, message, known=at))
-        except ValueError as error:
-            raise LogError(str(error), topic=stream.topic, time_ns=time, remedy=MEND) from None
     return tuple(out)
 
 

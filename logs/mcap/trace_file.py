@@ -23,7 +23,7 @@ import numpy as np
 
 from logs import plan as nouns
 from logs.codec import message_of, noun_of
-from logs.errors import LogError
+from logs.errors import LogError, reading
 from logs.frame import Predictions
 from logs.mcap import native
 from logs.mcap.container import MEND, Container, Stream, read_container
@@ -205,10 +205,8 @@ def read_moment(path: Path, t: float) -> tuple[Trace, Scenario, tuple[nouns.Plan
         plans.check_order(strictly=True)
         times = seconds(plans.times, start).tolist()
         for time, at, message in zip(plans.times, times, plans.decoded(native.PlanHead), strict=True):
-            try:
+            with reading((KeyError,), topic="/plan", time_ns=time, remedy=MEND):
                 summaries.append(noun_of(nouns.PlanSummary, message, t=at, internals=tuple(artefacts_of(message))))
-            except KeyError as error:
-                raise LogError(str(error), topic="/plan", time_ns=time, remedy=MEND) from None
         newest = int(np.searchsorted([one.t for one in summaries], t + 1e-9, side="right")) - 1
         some = {}
         for topic in ("/plan", "/predictions") if newest >= 0 else ():
@@ -268,7 +266,7 @@ def _frames(streams: dict[str, Stream], start_ns: int) -> Iterator[PlannedFrame]
     for time, t, message in zip(
         plans.times, seconds(plans.times, start_ns).tolist(), plans.decoded(native.Plan), strict=True
     ):
-        try:
+        with reading((KeyError, ValueError), topic="/plan", time_ns=time, remedy=MEND):
             shown, agents, futures = predictions.get(time), tuple[str, ...](), None
             if shown is not None:
                 agents = tuple(dict.fromkeys(shown.id))
@@ -279,5 +277,3 @@ def _frames(streams: dict[str, Stream], start_ns: int) -> Iterator[PlannedFrame]
                 futures = noun_of(Predictions, shown, agent=rows, x=x, y=y, yaw=np.full(shape, np.nan))
             plan = noun_of(nouns.Plan, message, internals=tuple(artefacts_of(message)))
             yield PlannedFrame(t, plan, agents, futures)
-        except (KeyError, ValueError) as error:
-            raise LogError(str(error), topic="/plan", time_ns=time, remedy=MEND) from None

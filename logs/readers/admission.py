@@ -37,7 +37,7 @@ from logs.arrays import BoolArray, FloatArray
 from logs.complete import passed_width
 from logs.cut import framed
 from logs.errors import LogError
-from logs.names import counted, visible_name
+from logs.names import counted, listed, visible_name
 from logs.repair.detections import Detections
 from logs.repair.identities import named_as_tracked, needs_repair
 from logs.repair.offline import detections_of, repair
@@ -288,8 +288,7 @@ def _detections_within(scenario: Scenario, found: Detections) -> tuple[Detection
 def _names_of(tracks: Tracks, whose: BoolArray) -> str:
     """Describe some road users: their number and the first names."""
     names = [visible_name(tracks.ids[i]) for i in np.flatnonzero(whose)]
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return f"{counted(len(names), 'road user')} ({', '.join(names[:NAMED])}{more})"
+    return f"{counted(len(names), 'road user')} ({listed(names, NAMED)})"
 
 
 def printable(scenario: Scenario) -> Scenario:

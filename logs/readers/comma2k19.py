@@ -16,7 +16,7 @@ import numpy as np
 
 from logs.arrays import FloatArray
 from logs.complete import completed, road_along
-from logs.errors import LogError
+from logs.errors import LogError, reading
 from logs.log_settings import LogSettings
 from logs.readers.base import LogContents, Reader, TopicSummary
 from logs.scenario import Scenario
@@ -83,7 +83,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
     ]
     columns = {"t": t, "x": x, "y": y, "yaw": yaw, "v": (velocity * forward).sum(axis=1)}
     columns |= {"a": np.full(len(t), np.nan), "kappa": np.full(len(t), np.nan)}
-    try:
+    with reading((ValueError, OverflowError), topic=POSE):
         ego = completed(columns, notes)
         start_ns = int(GPS_EPOCH_S + gps[0, 0] * WEEK_S) * 10**9 + round(float(gps[0, 1]) * 1e9)
         return Scenario(
@@ -100,8 +100,6 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
             notes=tuple(notes),
             traffic=(),
         )
-    except (ValueError, OverflowError) as error:
-        raise LogError(str(error), topic=POSE) from None
 
 
 def _east_north(place: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from logs.errors import LogError
 from logs.files import check_regular
+from logs.names import listed
 from logs.readers.csv_table import SUFFIXES, header_of
 
 FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"
@@ -99,8 +100,7 @@ def foreign(path: Path) -> LogError:
             return known
         if path.is_dir():
             names = sorted(entry.name for entry in path.iterdir())
-            held = ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
-            what = f"not a log that replan reads; the folder holds {held or 'nothing'}"
+            what = f"not a log that replan reads; the folder holds {listed(names, _SHOWN) or 'nothing'}"
             return LogError(what, file=path, remedy=FORMATS)
         with path.open("rb") as stream:
             begin = stream.read(8)

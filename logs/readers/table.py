@@ -24,7 +24,7 @@ import pandas as pd
 from logs.agents import USUAL_SIZE_M, AgentKind
 from logs.arrays import FloatArray
 from logs.complete import completed, road_along
-from logs.errors import LogError
+from logs.errors import LogError, reading
 from logs.files import beside
 from logs.log_settings import EGO_POINTS, LogSettings
 from logs.observed import Spans
@@ -128,7 +128,7 @@ def from_frames(
     if vehicle is None:
         notes.append(f"{VEHICLE_ASSUMED}.")
     names = "steer", "throttle", "brake"
-    try:
+    with reading(topic="ego"):
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             driven = completed({"t": t, **state}, notes)
         tracks = _tracks(others, (theirs - start_ns) / 1e9, origin, notes)
@@ -152,8 +152,6 @@ def from_frames(
             notes=tuple(notes),
             traffic=traffic,
         )
-    except ValueError as error:
-        raise LogError(str(error), topic="ego") from None
 
 
 def _tracks(table: NamedColumns | None, t: FloatArray, origin: FloatArray, notes: list[str]) -> Tracks:

@@ -47,7 +47,7 @@ since."""
 
 @dataclass
 class Association:
-    """The known tracks `(n,)`: the state between two frames."""
+    """The state between two frames: the known `tracks` `(n,)`, the last frame's time, s, and the number of names."""
 
     tracks: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, _TRACK))
     time: float = 0.0
@@ -71,9 +71,7 @@ class Association:
             state[:, ALONG + 2], state[:, ACROSS + 2] = FIRST_ALONG[group] ** 2, FIRST_ACROSS[group] ** 2
             found["size"] = np.sort(np.column_stack([boxes.length[rows], boxes.width[rows]]))
             found["group"], found["last"], found["hits"] = group, t, 1
-            cost = _costs(
-                tracks["state"], tracks["group"], tracks["size"], place, found["group"], variance, found["size"], REACH
-            )
+            cost = _costs(tracks["state"], tracks["group"], tracks["size"], place, group, found["size"], variance)
             from scipy.optimize import linear_sum_assignment  # here: it takes long to load
 
             old, new = linear_sum_assignment(cost)
@@ -93,22 +91,25 @@ class Association:
 
 @kernel
 def _costs(
-    states: FloatArray, group: IntArray, size: FloatArray, place: FloatArray, groups: IntArray, variance: FloatArray,
-    sizes: FloatArray, reach: FloatArray,
+    states: FloatArray, known: IntArray, sizes: FloatArray,
+    place: FloatArray, seen: IntArray, seen_sizes: FloatArray, variance: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """Return the cost (2) of each pair of track and detection `(n, k)`; `_NEVER` if they are different objects."""
+    """Return the cost (2) of each pair of track and detection `(n, k)`; `_NEVER` if they are different objects.
+
+    Tracks: `states`, their groups `known`, `sizes`; detections: `place`, their groups `seen`, `seen_sizes`, `variance`.
+    """
     out = np.full((len(states), len(place)), _NEVER)
     for i in range(len(states)):
         for j in range(len(place)):
             ex, ey = place[j, X] - states[i, X], place[j, Y] - states[i, Y]
-            other = group[i] != groups[j]
-            most = max(reach[group[i]], reach[groups[j]])
-            if ex * ex + ey * ey > most * most or (other and (group[i] == VEHICLE or groups[j] == VEHICLE)):
+            other = known[i] != seen[j]
+            most = max(REACH[known[i]], REACH[seen[j]])
+            if ex * ex + ey * ey > most * most or (other and (known[i] == VEHICLE or seen[j] == VEHICLE)):
                 continue
             along, across = states[i, COS] * ex + states[i, SIN] * ey, states[i, COS] * ey - states[i, SIN] * ex
             sa, sc = states[i, ALONG] + variance[j], states[i, ACROSS] + variance[j]
             m = along * along / sa + across * across / sc
-            growth = max(abs(np.log(size[i, 0] / sizes[j, 0])), abs(np.log(size[i, 1] / sizes[j, 1])))
+            growth = max(abs(np.log(sizes[i, 0] / seen_sizes[j, 0])), abs(np.log(sizes[i, 1] / seen_sizes[j, 1])))
             if m <= GATE and growth <= MOST_GROWTH:
                 out[i, j] = m + np.log(sa * sc) + OTHER_GROUP * other + OTHER_SIZE * growth
     return out

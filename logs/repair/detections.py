@@ -47,15 +47,12 @@ class Detections:
     score: FloatArray
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            if each.name != "ids":
-                dtype = np.int64 if each.name == "codes" else np.float64
-                object.__setattr__(self, each.name, frozen(getattr(self, each.name), dtype))
-        shapes = {getattr(self, each.name).shape for each in fields(self) if each.name not in ("ids", "frames")}
-        if shapes != {(len(self.ids),)}:
+        for name in ("frames", *_BOXES):
+            object.__setattr__(self, name, frozen(getattr(self, name), np.int64 if name == "codes" else np.float64))
+        if {getattr(self, name).shape for name in _BOXES} != {(len(self.ids),)}:
             raise ValueError("detections: columns differ in length")
         if (np.diff(self.t) < 0.0).any() or (np.diff(self.frames) <= 0.0).any():
-            raise ValueError("detections: times fall")
+            raise ValueError("detections: times decrease")
         if not np.isin(self.t, self.frames).all():
             raise ValueError("detections: a box belongs to no frame")
         if not np.isfinite(np.array([self.t, self.x, self.y, self.yaw])).all():

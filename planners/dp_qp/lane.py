@@ -78,8 +78,8 @@ class LanePlan:
     @property
     def time_lost(self) -> float:
         """The time lost (1) and the lateness (5), s."""
-        (_, lost), *_, (_, late) = self.costs.terms
-        return lost + late
+        terms = dict(self.costs.terms)
+        return terms["time lost"] + terms["late"]
 
     @property
     def braking(self) -> float:

@@ -15,7 +15,8 @@ import numpy as np
 
 from logs.arrays import TIE
 from logs.frame import PlannerContext
-from logs.route import CostToGo, Route, costs_to_go, start_lanes, straight_on
+from logs.road import predecessors
+from logs.route import CostToGo, costs_to_go, start_lanes, straight_on
 from logs.states import EgoState
 from planners.frenet.reference_path import BEYOND_M, ReferencePath, make_reference_path
 
@@ -46,18 +47,14 @@ class LaneSequences:
     def __init__(self, context: PlannerContext) -> None:
         self._road = context.road
         self._to_go = costs_to_go(context.road, context.goal)
-        self._before: dict[int, list[int]] = {}
-        for lane in context.road.lanes.values():
-            for after in lane.successors if lane.drivable else ():
-                self._before.setdefault(after, []).append(lane.id)
+        self._before = predecessors({i: lane for i, lane in context.road.lanes.items() if lane.drivable})
         self._sequences: dict[int, LaneSequence] = {}
         self._start, self._car = context.start, context.vehicle
 
     def start(self, ego: EgoState) -> LaneSequence:
         """The first sequence: that of the lane nearest to the goal among the lanes under the ego."""
-        under = start_lanes(self._road, ego)
-        aligned = under[:1] if not self._to_go else under
-        best = min(aligned, key=lambda lane: (*_rank(self._to_go.get(lane)), under.index(lane)))
+        under = start_lanes(self._road, ego)[: None if self._to_go else 1]
+        best = min(under, key=lambda lane: (*_rank(self._to_go.get(lane)), under.index(lane)))
         return self.of(best)
 
     def of(self, lane: int) -> LaneSequence:
@@ -78,11 +75,11 @@ class LaneSequences:
             ("right", lane.right_neighbour, lane.right_crossable),
         )
         ordered = sides if self._road.drives_on_right else sides[::-1]
-        found = []
-        for side, other, crossable in ordered:
-            if other is not None and crossable and other in self._road.lanes and self._road.lanes[other].drivable:
-                found.append((side, self.of(other)))
-        return tuple(found)
+        return tuple(
+            (side, self.of(other))
+            for side, other, crossable in ordered
+            if other is not None and crossable and other in self._road.lanes and self._road.lanes[other].drivable
+        )
 
     def _make_sequence(self, lane: int) -> LaneSequence:
         """The sequence of a lane: on towards the goal, straight on if no successor leads there, and back behind it."""
@@ -105,7 +102,7 @@ class LaneSequences:
             behind.insert(0, before)
             length += self._road.lanes[before].length
         lanes = (*behind, *onward)
-        reference = make_reference_path(self._road, Route(lanes, False, 0.0), self._start, self._car)
+        reference = make_reference_path(self._road, lanes, self._start, self._car)
         if not self._to_go:
             return LaneSequence(lanes, reference, 0, np.inf)
         needs = [self._to_go[each].changes if each in self._to_go else None for each in lanes]

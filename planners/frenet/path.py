@@ -18,7 +18,7 @@ from math import atan2, ceil, cos, hypot, inf, pi, sin, tan
 
 import numpy as np
 
-from logs.arrays import FloatArray
+from logs.arrays import FloatArray, arc_lengths
 from logs.kernel import inner_kernel, kernel
 from logs.road import ReferenceLine, line_curvature, line_frame
 from logs.states import EgoState, wrap
@@ -118,7 +118,7 @@ def path_through(x: FloatArray, y: FloatArray, yaw: FloatArray, kappa: FloatArra
     """The path through points `(n,)`, without those nearer than a millimetre to the one before."""
     keep = np.r_[True, np.hypot(np.diff(x), np.diff(y)) > 1e-3]
     x, y, yaw, kappa = (column[keep] for column in (x, y, yaw, kappa))
-    sigma = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
+    sigma = arc_lengths(x, y)
     return Path(sigma, x, y, yaw, kappa, sigma)
 
 

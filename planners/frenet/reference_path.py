@@ -24,11 +24,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from logs.arrays import TIE, FloatArray, frozen
+from logs.arrays import TIE, FloatArray, arc_lengths, frozen
 from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.road import Lane, ReferenceLine, Road, nearest, thinned
-from logs.route import Route, straight_on
+from logs.route import straight_on
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from planners.solver import QuadraticProgram
@@ -140,7 +140,9 @@ def write_sections(knots: FloatArray, table: FloatArray, s: FloatArray, out: Flo
 
 
 @once  # planners and reference drives of one log follow the same route
-def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None) -> ReferencePath:
+def make_reference_path(
+    road: Road, route: tuple[int, ...], ego: EgoState, car: VehicleParameters | None = None
+) -> ReferencePath:
     """The reference path of a route for an ego at its start; a `car` can follow it if the lanes are wide enough."""
     lanes, line = make_line(road, route, ego, car)
     extents = _lane_extents(road, line)
@@ -169,16 +171,16 @@ def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehiclePar
 
 
 def make_line(
-    road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None
+    road: Road, route: tuple[int, ...], ego: EgoState, car: VehicleParameters | None = None
 ) -> tuple[tuple[int, ...], ReferenceLine]:
     """The lanes of a route, extended straight on for `BEYOND_M` or to the end of the map, and the line along them.
 
     The line is smoothed more where the car could not follow it and the lanes are wide enough.
     """
-    lanes, beyond = list(route.lanes), 0.0
+    lanes, beyond = list(route), 0.0
     while beyond < BEYOND_M:
         onward = straight_on(road, lanes[-1])
-        if onward is None or onward in lanes[len(route.lanes) :]:
+        if onward is None or onward in lanes[len(route) :]:
             break
         lanes.append(onward)
         beyond += road.lanes[onward].length
@@ -206,7 +208,7 @@ def _sharpest(line: ReferenceLine) -> float:
 
 def smooth_points(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float = BENDING_WEIGHT) -> FloatArray:
     """The polyline `(n, 2)`, equally spaced and smoothed by (1); unchanged if it is too short or the QP fails."""
-    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+    chord = arc_lengths(*points.T)
     count = floor(chord[-1] / SPACING_M + 0.5 - TIE) + 1
     if count < 4:
         return points
@@ -242,7 +244,7 @@ def _blend_centers(group: list[Lane], ego: EgoState | None) -> FloatArray:
     u = np.linspace(0.0, 1.0, max(2, floor(group[0].length + TIE) + 1))
     resampled = []
     for points in (group[0].center, group[-1].center):
-        chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+        chord = arc_lengths(*points.T)
         resampled.append(np.column_stack([np.interp(u * chord[-1], chord, points[:, k]) for k in (0, 1)]))
     first, last = resampled
     begin = 0.0

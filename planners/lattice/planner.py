@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, floor, sin, tan
+from math import cos, floor, tan
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray
+from logs.arrays import FloatArray, IntArray, arc_lengths
 from logs.frame import Frame, PlannerContext
 from logs.plan import (
     Artefact,
@@ -169,7 +169,7 @@ def futures_of(scene: Scene, ego: FrenetStart, config: LatticeConfig) -> NearFut
     rows = np.stack([futures.x[used], futures.y[used], futures.yaw[used]])
     pose = np.ascontiguousarray(rows[:, :, first] + u * (rows[:, :, after] - rows[:, :, first]))
     sizes = np.vstack([agents.length[agent], agents.width[agent], np.zeros(len(agent))])
-    x, y = start.x + car.axle_to_center * cos(start.yaw), start.y + car.axle_to_center * sin(start.yaw)
+    x, y = start.ahead(car.axle_to_center)
     for j, i in enumerate(agent):
         margin = config.vulnerable_margin_m if scene.vulnerable[i] else config.margin_m
         length, width = car.length + 2.0 * margin, car.width + 2.0 * margin
@@ -420,7 +420,7 @@ def _graph_along(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, .
     exact = StGraphConfig(config.margin_m, config.vulnerable_margin_m, early_s=0.0, late_s=0.0)
     blocks = st_boundaries(scene, path, skip, frozenset(), exact)
     t = STEP_S * np.arange(at.shape[1])
-    driven = np.r_[0.0, np.cumsum(np.hypot(np.diff(at[0]), np.diff(at[1])))]
+    driven = arc_lengths(at[0], at[1])
     decisions = decide_speed(blocks, scene, np.interp(blocks.t, t, driven))
     graph = StGraph(None, None, np.empty((0, 2)), np.column_stack([t, driven]), outlines(blocks, decisions))
     return (graph, *({decision.agent: decision for decision in decisions}.values()))

@@ -31,10 +31,10 @@ from math import hypot, inf
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray, arc_lengths
 from logs.frame import Frame
 from logs.kernel import kernel
-from logs.road import Lane, ReferenceLine, Road, inside, line_project_many
+from logs.road import Lane, ReferenceLine, Road, inside, line_project_many, predecessors
 from logs.rules import RED, Crosswalk, StopLine
 from logs.shapes import overlap, point_segment
 from logs.states import wrap
@@ -200,10 +200,7 @@ def _stop_station(mark: StopLine, line: ReferenceLine, width: float) -> float | 
 def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> list[Zone]:
     """The zones (2); one per priority lane, even where two consecutive lanes of the ego meet it."""
     yielding = [road.lanes[i] for i in reference.lanes if road.lanes[i].yields_to]
-    before: dict[int, list[int]] = {}
-    for lane in road.lanes.values() if yielding else ():
-        for after in lane.successors:
-            before.setdefault(after, []).append(lane.id)
+    before = predecessors(road.lanes) if yielding else {}
     found: list[Zone] = []
     for own, first in [(mine, other) for mine in yielding for other in mine.yields_to]:
         if first not in road.lanes or first in reference.lanes:
@@ -239,7 +236,7 @@ def _conflict(line: ReferenceLine, lane: Lane, other: Lane, width: float) -> Zon
     if not len(met):
         return None
     first, last = int(met[0]), int(met[-1])
-    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(other.center, axis=0).T))]
+    chord = arc_lengths(*other.center.T)
     p = np.arange(0.0, chord[-1] + STEP_M, STEP_M)
     points = np.column_stack([np.interp(p, chord, other.center[:, k]) for k in (0, 1)])
     theirs = np.flatnonzero(distances(points, np.ascontiguousarray(frames[first : last + 1, :2])) < reach)

@@ -17,10 +17,6 @@ from logs.mcap.writer import Entry
 from logs.readers import READER, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
 from logs.repair.detections import TrackChange
 from logs.scenario import Scenario
-from metrics.judge import load_gates
-from metrics.judge.discrimination import Discrimination
-from replay.config import DEFAULT_LOOP
-from replay.loop.reference_drives import discriminate
 from replay.results.tables import write_text
 from replay.run.claim import check_file, claimed_file
 
@@ -185,11 +181,6 @@ def changes_as_text(scenario: Scenario) -> Iterator[str]:
     width = max((len(change.agent) for change in changes(scenario)), default=0)
     for change in changes(scenario):
         yield f"    {change.what:10} {change.agent:{width}} {change.begin:7.2f} to {change.end:7.2f} s  {change.why}"
-
-
-def told_apart(scenario: Scenario) -> tuple[Discrimination, ...]:
-    """Whether the bad drivers break a packaged gate of a log (`discriminate`)."""
-    return discriminate(scenario, DEFAULT_LOOP, load_gates(None))
 
 
 def unrepaired(log: Path, settings: LogSettings, scenario: Scenario) -> Scenario | None:

@@ -163,8 +163,9 @@ def inspect(
     with handle_errors():
         from logs.files import here
         from logs.summary import summarise
-        from replay.cli.convert import told_apart, unrepaired
+        from replay.cli.convert import unrepaired
         from replay.cli.progress_bar import sign_of_life
+        from replay.loop.reference_drives import discriminate
 
         with here(log) as near, sign_of_life(progress_lines(), lambda: f"reading {log}"):
             if not near.exists():
@@ -175,7 +176,7 @@ def inspect(
         if as_json:
             from metrics.health import findings
 
-            apart = () if summary.read is None else told_apart(summary.read)
+            apart = () if summary.read is None else discriminate(summary.read)
             health = None if summary.read is None else findings(summary.read)
             before = None if raw is None else {"agents": len(raw.tracks), "health": findings(raw)}
             document = {key: value for key, value in vars(summary).items() if key != "read"}
@@ -191,7 +192,7 @@ def inspect(
 
             with sign_of_life(progress_lines(), lambda: f"checking {log}"):
                 say("\n".join(report(summary.read, raw)))
-                say("\n".join(f"drivers: {one.text}" for one in told_apart(summary.read)))
+                say("\n".join(f"drivers: {one.text}" for one in discriminate(summary.read)))
 
 
 @app.command()

@@ -179,7 +179,7 @@ def _files(
     from logs.files import check_named
     from logs.readers import reader_of
     from replay.draw.drawn_results import load
-    from replay.draw.view import pair, save_log, to_open, write_pair
+    from replay.draw.view import choose_pair, save_log, save_pair, to_open
     from replay.mine.mine import markers
 
     for target in targets:
@@ -191,9 +191,9 @@ def _files(
     if any(which) and all(target.is_file() for target in targets):
         raise ConfigError("--log, --planner and --mode choose drives of a folder of results")
     if len(targets) == 2:
-        both = pair(targets[0], targets[1], *(_recordings(target, which) for target in targets))
+        both = choose_pair(targets[0], targets[1], *(_recordings(target, which) for target in targets))
         recording = _place(save) or scratch / "pair.rrd"
-        write_pair(recording, both)
+        save_pair(recording, both)
         return [recording], ""
     (target,) = targets
     if target.suffix != ".rrd" and (target.is_file() or reader_of(target) is not None):

@@ -128,7 +128,7 @@ def _rows(scenario: Scenario, found: Detections) -> Iterator[Row]:
     goal, ahead = scenario.goal, scenario.vehicle.axle_to_center
     for i in range(len(scenario.ego) if goal is not None else 0):
         s = scenario.ego.state(i)
-        if goal is not None and goal.holds_place(s.x + ahead * cos(s.yaw), s.y + ahead * sin(s.yaw)):
+        if goal is not None and goal.holds_place(*s.ahead(ahead)):
             ns = _ns(scenario, 0.0)
             values = {"header": _header(ns), "pose": pose(s.x, s.y, s.yaw)}
             yield "/planning/goal", "geometry_msgs/msg/PoseStamped", ns, values

@@ -109,8 +109,8 @@ class DlqrConfig:
             raise unknown_name("discretisation", self.discretisation, DISCRETISATIONS)
 
 
-class Regulator(NamedTuple):
-    """A solved (1)-(3) at one speed, or at k (`(k, ...)`): A `(n, n)`, B `(n, 1)`, Q, R, P, and the gain K `(1, n)`."""
+class Regulators(NamedTuple):
+    """A solved (1)-(3) at each of k speeds: A `(k, n, n)`, B `(k, n, 1)`, Q, R, P, and the gain K `(k, 1, n)`."""
 
     A: FloatArray
     B: FloatArray
@@ -120,17 +120,12 @@ class Regulator(NamedTuple):
     K: FloatArray
 
 
-def regulator(v: float, p: VehicleParameters, period: float, config: DlqrConfig) -> Regulator:
-    """The regulator (1)-(3) of a vehicle at one speed, m/s: five states, or three where its tyres are rigid.
+def regulators(speeds: Sequence[float], p: VehicleParameters, period: float, config: DlqrConfig) -> Regulators:
+    """The regulators (1)-(3) of a vehicle at speeds `(k,)`, m/s: five states, or three where its tyres are rigid.
 
     Raises:
         ConfigError: The weights, or a speed of 0, allow no stable gain.
     """
-    return Regulator(*(each[0] for each in regulators([v], p, period, config)))
-
-
-def regulators(speeds: Sequence[float], p: VehicleParameters, period: float, config: DlqrConfig) -> Regulator:
-    """As `regulator`, at each of the speeds."""
     if not min(speeds) > 0.0:
         raise ConfigError(f"DLQR: no stable gain at {min(speeds)} m/s")
     lag, weights = max(float(p.steer_lag), SHORTEST_LAG_S), [config.lateral_weight, config.heading_weight]
@@ -148,7 +143,7 @@ def regulators(speeds: Sequence[float], p: VehicleParameters, period: float, con
         weighed = f"the weights {(*weights, 0.0)} and steer_weight {config.steer_weight:g}"
         raise ConfigError(f"DLQR: no stable gain at {float(v[unstable][0, 0])} m/s with {weighed}")
     K = [np.linalg.solve(r + b.T @ s @ b, b.T @ s @ a) for (a, b), r, s in zip(models, R, P, strict=True)]  # (3)
-    return Regulator(A, B, np.broadcast_to(Q, A.shape), R, P, np.stack(K))
+    return Regulators(A, B, np.broadcast_to(Q, A.shape), R, P, np.stack(K))
 
 
 def _slipping_model(

@@ -36,7 +36,7 @@ import numpy as np
 from logs.arrays import FloatArray
 from logs.kernel import inner_kernel, kernel
 from logs.vehicle import VehicleParameters
-from replay.control.lateral_model import Series, at_speed, kappa_rate, lateral_table, steer_for
+from replay.control.lateral_model import SteerSeries, at_speed, kappa_rate, lateral_table, steer_for
 from replay.vehicle.base import MotionState
 from replay.vehicle.drivetrain import SHORTEST_LAG_S
 from replay.vehicle.plan_path import Deviation, path_kappa
@@ -210,7 +210,7 @@ def lateral_deviation(now: MotionState, off: Deviation, knots: FloatArray, slip:
 @kernel
 def predicted(
     y: Lateral, state: DelayState, model: DelayModel, knots: FloatArray, foot: float,
-    v: float, angle: Series,
+    v: float, angle: SteerSeries,
 ) -> Lateral:  # fmt: skip
     """Return the deviation when a present command takes effect.
 
@@ -268,6 +268,6 @@ class SteeringDelay:
         """Take in `command`, which holds for a period, rad."""
         record(self.state, self.model, command)
 
-    def predict(self, y: Lateral, knots: FloatArray, foot: float, v: float, angle: Series) -> Lateral:
+    def predict(self, y: Lateral, knots: FloatArray, foot: float, v: float, angle: SteerSeries) -> Lateral:
         """Return the deviation when a present command takes effect; arguments as `predicted`."""
         return predicted(y, self.state, self.model, knots, foot, v, angle)

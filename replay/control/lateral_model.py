@@ -51,7 +51,7 @@ SPREAD_S = 0.15
 SLOPE_S = 0.05
 """Half of the time over which the curvature's rate is taken."""
 
-Series = tuple[float, float, float]
+SteerSeries = tuple[float, float, float]
 """d_0 rad m, d_1 rad m s, d_2 rad m s2."""
 
 
@@ -120,11 +120,8 @@ def paper_form(A: FloatArray, B: FloatArray, period: float) -> tuple[FloatArray,
 
 def bilinear(A: FloatArray, B: FloatArray, period: float) -> tuple[FloatArray, FloatArray]:
     """The paper's eq. 11 with the midpoint rule for A and B alike (Tustin)."""
-    eye = np.eye(len(A))
-    return (
-        np.linalg.solve(eye - 0.5 * period * A, eye + 0.5 * period * A),
-        np.linalg.solve(eye - 0.5 * period * A, period * B),
-    )
+    midpoint, forward = paper_form(A, B, period)
+    return midpoint, np.linalg.solve(np.eye(len(A)) - 0.5 * period * A, forward)
 
 
 def following(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -210,7 +207,7 @@ def slip_table(p: VehicleParameters) -> FloatArray:
 @kernel
 def following_at(
     slips: FloatArray, wheelbase: float, ratios: tuple[float, float], v: float
-) -> tuple[float, tuple[float, float, float]]:
+) -> tuple[float, SteerSeries]:
     """p_0 rad m and the series d of exact following; `ratios` of front and rear compliance (`Slip`)."""
     i, u = at_speed(slips, v)
     rear = ratios[1] * (slips[i, 0] + u * (slips[i + 1, 0] - slips[i, 0]))
@@ -221,7 +218,7 @@ def following_at(
 
 
 @kernel
-def command_series(d: tuple[float, float, float], lag: float, hold: float) -> tuple[float, float, float]:
+def command_series(d: SteerSeries, lag: float, hold: float) -> SteerSeries:
     """The series (7) of the command whose wheel angle has the series d."""
     ahead = lag + 0.5 * hold
     second = d[2] + ahead * d[1] + (0.5 * lag * hold + 0.125 * hold * hold) * d[0]
@@ -235,7 +232,7 @@ def within(knots: FloatArray, s: float, reach: float) -> float:
 
 
 @kernel
-def steer_for(knots: FloatArray, s: float, v: float, d: tuple[float, float, float]) -> float:
+def steer_for(knots: FloatArray, s: float, v: float, d: SteerSeries) -> float:
     """Wheel angle at station `s` of a path, speed `v`, rad."""
     at, reach = s + v * d[1] / d[0], v * SPREAD_S
     mid = within(knots, at, reach)

@@ -24,8 +24,8 @@ from logs.readers import LogSettings, read_log
 from logs.scenario import Scenario
 from replay.draw.drawn_results import load
 from replay.draw.model import Marker
-from replay.draw.recording import pair as pairs
 from replay.draw.recording import write_log_recording
+from replay.draw.recording.pair import write_pair
 from replay.draw.recording.pictures import LOOPBACK, Picture, Theme, environment, free_port, in_use, take_pictures
 from replay.draw.recording.tape import MARKDOWN, cell, document, link, recording_file, table
 from replay.draw.report.overview import overview
@@ -38,8 +38,8 @@ MOST = 12
 """Recordings opened at once: each takes memory in the viewer; the index has links to all."""
 
 
-def write_index(path: Path, folder: Path, most: int) -> tuple[Path, list[Path]]:
-    """Write the index of a folder; returns it, and the recordings of the worst drives, at most `most`, the worst last.
+def write_index(path: Path, folder: Path, most: int) -> list[Path]:
+    """Write the index of a folder; returns the recordings of the worst drives, at most `most`, the worst last.
 
     The viewer shows the recording that was opened last, and lists recordings by name.
 
@@ -72,7 +72,7 @@ def write_index(path: Path, folder: Path, most: int) -> tuple[Path, list[Path]]:
     )
     with recording_file(path, "replan index", "index", digest, layout) as tape:
         tape.static("index", rr.TextDocument(document(lines), media_type=MARKDOWN))
-    return path, [folder / row.recording for row in opened[::-1]]
+    return [folder / row.recording for row in opened[::-1]]
 
 
 def recordings(target: Path, log: str | None = None) -> list[Path]:
@@ -105,8 +105,8 @@ def to_open(target: Path, found: list[Path], folder: Path, *, index: bool) -> li
         ConfigError: There are too many.
     """
     if index:
-        page, worst = write_index(folder / "index.rrd", target, MOST)
-        return [*worst, page]
+        page = folder / "index.rrd"
+        return [*write_index(page, target, MOST), page]
     if len(found) > MOST:
         raise ConfigError(
             f"{target}: {len(found)} recordings are too many to open at once (at most {MOST});"
@@ -115,7 +115,7 @@ def to_open(target: Path, found: list[Path], folder: Path, *, index: bool) -> li
     return found
 
 
-def pair(one: Path, two: Path, found: list[Path], others: list[Path]) -> tuple[Path, Path]:
+def choose_pair(one: Path, two: Path, found: list[Path], others: list[Path]) -> tuple[Path, Path]:
     """The recordings of two drives: two files, or those in `found` and `others` at the same place in two folders.
 
     Raises:
@@ -137,7 +137,7 @@ def pair(one: Path, two: Path, found: list[Path], others: list[Path]) -> tuple[P
     return first[both[0]], second[both[0]]
 
 
-def write_pair(out: Path, files: tuple[Path, Path]) -> None:
+def save_pair(out: Path, files: tuple[Path, Path]) -> None:
     """Write two recordings of one log as one; ConfigError if their traces are not beside them."""
     for file in files:
         if not file.with_suffix(".mcap").is_file():
@@ -146,7 +146,7 @@ def write_pair(out: Path, files: tuple[Path, Path]) -> None:
     names = [f"{trace.planner}, {trace.mode.value} loop" for trace in (one, two)]
     if names[0] == names[1]:
         names = [f"{name} ({file.parent.parent.name})" for name, file in zip(names, files, strict=True)]
-    pairs.write_pair(out, files, (one, two), (names[0], names[1]))
+    write_pair(out, files, (one, two), (names[0], names[1]))
 
 
 def save_log(

@@ -18,7 +18,7 @@ import msgspec
 import pandas as pd
 
 from logs.errors import ConfigError
-from logs.names import counted
+from logs.names import counted, listed
 from replay.draw.drawn_results import Results
 from replay.experiments.changes import NOT_FOUND, UNAVOIDABLE, ChangedRun, FailureCause
 from replay.experiments.failure import DriveFailure, Wait
@@ -85,8 +85,7 @@ def settings_of(run: ChangedRun) -> str:
     """The settings that a change sets, with their values; of another planner, not its own ones."""
     other = any(key == "planners" for key, _ in run.keys)
     keys = [f"{key} = {value}" for key, value in sorted(run.keys) if not (other and key.startswith("planner."))]
-    more = f" and {len(keys) - MOST_KEYS} more" if len(keys) > MOST_KEYS else ""
-    return f"{', '.join(keys[:MOST_KEYS])}{more}"
+    return listed(keys, MOST_KEYS)
 
 
 @dataclass(frozen=True, eq=False)

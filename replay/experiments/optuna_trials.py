@@ -99,9 +99,8 @@ class OptunaTrials:
             if one.is_whole:
                 step = int(one.step or 1)
                 self._distributions[one.key] = kinds.IntDistribution(int(low), int(high), log=one.log, step=step)
-            else:
-                distribution = kinds.FloatDistribution(float(low), float(high), log=one.log, step=one.step)
-                self._distributions[one.key] = distribution
+                continue
+            self._distributions[one.key] = kinds.FloatDistribution(float(low), float(high), log=one.log, step=one.step)
         self._trial: Any = None
         if all(one.holds_default for one in plan.settings):
             self._study.enqueue_trial({one.key: one.default for one in plan.settings})

@@ -32,7 +32,7 @@ from math import cos, hypot, inf, nan, radians, sin
 import numpy as np
 
 from logs.agents import Agents
-from logs.arrays import BoolArray, FloatArray, frozen
+from logs.arrays import BoolArray, FloatArray, arc_lengths, frozen
 from logs.frame import PlannerContext, Predictions
 from logs.plan import Plan
 from logs.road import line_project_many
@@ -185,11 +185,6 @@ class Held:
         """The least constant deceleration to stop within `ahead` m of the plan's start, m/s2; NaN if it stands."""
         room = ahead - self.s_from
         return self.v**2 / (2.0 * room) if room > 0.0 and not self.drives_off else np.nan
-
-
-def arc_lengths(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Arc length `(n,)` along points, m."""
-    return np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
 
 
 def path_rows(path: Trajectory) -> FloatArray:

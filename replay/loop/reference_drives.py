@@ -45,13 +45,13 @@ from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.discrimination import BAD_DRIVERS, Discrimination, discrimination
 from metrics.judge.excuses import CLEAN, needs_follower
-from metrics.judge.gates import Gates
+from metrics.judge.gates import load_gates
 from metrics.metric import Series
 from metrics.progress import gain_along, route_of
 from metrics.reference_drivers import DRIVERS, RETURN_S, STEP_S, careful_drive
 from metrics.safety import CLOSE_S, TTC, contacts
 from planners.frenet.reference_path import make_line
-from replay.config import LoopConfig
+from replay.config import DEFAULT_LOOP, LoopConfig
 from replay.loop.closed_loop import run_closed_loop
 
 SHORTEST = 2
@@ -73,11 +73,11 @@ def reference_line(scenario: Scenario) -> ReferenceLine:
 def _line(road: Road, start: EgoState, goal: Goal | None) -> ReferenceLine:
     route = find_route(road, start, goal)
     kept = 1
-    for before, now in pairwise(route.lanes):
+    for before, now in pairwise(route):
         if now not in road.lanes[before].successors:
             break
         kept += 1
-    return make_line(road, replace(route, lanes=route.lanes[:kept]), start)[1]
+    return make_line(road, route[:kept], start)[1]
 
 
 def with_avoidability(scenario: Scenario) -> Scenario:
@@ -133,8 +133,8 @@ def discriminating_tables(scenario: Scenario, loop: LoopConfig) -> list[pd.DataF
     return tables
 
 
-def discriminate(scenario: Scenario, loop: LoopConfig, gates: Gates) -> tuple[Discrimination, ...]:
-    """Return whether the bad drivers break a gate of a log, in the part of it that is driven.
+def discriminate(scenario: Scenario, loop: LoopConfig = DEFAULT_LOOP) -> tuple[Discrimination, ...]:
+    """Return whether the bad drivers break a packaged gate of a log, in the part of it that is driven.
 
     Nothing is returned for a log that only reverses, or that is too short to be driven.
     """
@@ -146,6 +146,7 @@ def discriminate(scenario: Scenario, loop: LoopConfig, gates: Gates) -> tuple[Di
         scenario = with_follower(scenario, loop)[0]
     labels = LogLabels(scenario.family, scenario.dataset, scenario.tags)
     tables = discriminating_tables(scenario, loop)
+    gates = load_gates(None)
     values = [dict(zip(table["metric"], table["value"], strict=True)) for table in tables]
     return tuple(discrimination(driver, gates, labels, each) for driver, each in zip(BAD_DRIVERS, values, strict=False))
 

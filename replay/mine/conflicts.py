@@ -17,7 +17,7 @@ from math import hypot, inf
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray, arc_lengths
 from logs.kernel import kernel
 from logs.once import once
 from logs.shapes import clearance, overlap, time_to_contact
@@ -109,7 +109,7 @@ def _ego_is_yielded_to(log: DrivenLog) -> Iterator[Event]:
         whole = one.k[at] - one.k[0] == at  # seen without a gap until then
         if i >= j or not whole:
             continue
-        way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(one.pose[:2], axis=1)))]
+        way = arc_lengths(*one.pose[:2])
         first = int(np.searchsorted(one.k, i))
         slowed = _step_of_slowing(one.speed, way, min(first, at), at)
         if slowed >= 0:

@@ -25,7 +25,7 @@ import tomli_w
 from logs.catalogue import families
 from logs.errors import ConfigError
 from logs.files import local_path, url_of
-from logs.names import counted, visible_name
+from logs.names import counted, listed, visible_name
 from replay.draw.charts.axes import rows_plane
 from replay.draw.charts.canvas import Chart
 from replay.draw.charts.layout import GAP_PX, together
@@ -104,9 +104,8 @@ def lines(have: pd.DataFrame, missing: pd.DataFrame, source: str) -> list[str]:
     """The cells in words: their number, and the gaps by kind with a log of `source` that fills each."""
     found = [f"{counted(len(have), 'cell')} covered; {counted(len(missing), 'cell')} of {source} not"]
     for kind, group in missing.groupby("kind", sort=True):
-        examples: Sequence[str] = list(dict.fromkeys(group["example"]))
-        shown = ", ".join(examples[:3]) + (f" and {len(examples) - 3} more" if len(examples) > 3 else "")
-        found.append(f"    {kind}: {counted(len(group), 'cell')}, for example in {shown}")
+        examples = listed(list(dict.fromkeys(group["example"])), 3)
+        found.append(f"    {kind}: {counted(len(group), 'cell')}, for example in {examples}")
     return found
 
 

@@ -5,9 +5,8 @@ of your own is an `EventKind` in a module, named as "module:NAME" (`replan mine 
 point of the group `replan.events`.
 
 The path is the way that the recorded rear axle took, as a reference line (straight on before its begin and beyond its
-end). It contains the log's future, because mining looks at a whole log; no planner sees
-it. With a road user's box centre at
-(s, l) on that path and its heading turned by d against it:
+end). It contains the log's future, because mining looks at a whole log; no planner sees it. With a road user's box
+centre at (s, l) on that path and its heading turned by d against it:
 
 (1) half_s = (|cos d| length + |sin d| width) / 2     half_l = (|sin d| length + |cos d| width) / 2
 (2) rear, front = s -+ half_s     low, high = l -+ half_l
@@ -25,7 +24,7 @@ from functools import cached_property
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray, arc_lengths
 from logs.kernel import kernel
 from logs.road import ReferenceLine, line_frame, line_project, thinned
 from logs.scenario import Scenario
@@ -36,6 +35,8 @@ from metrics.metric import Unavailable, rate_of_change
 NEAR_M = 80.0
 SEARCH_M, FOLLOW_M = 120.0, 15.0
 """The first foot is searched within SEARCH_M of the ego's station, each later one within FOLLOW_M of the last."""
+OWN_M = 10.0
+"""The ego's foot is searched within this of the one before."""
 SHORT_M = 2.0
 """An ego that moves less than this stands: its path is straight along its heading."""
 FELT_S = 0.5
@@ -56,7 +57,7 @@ class Event:
         value: The number that the kind measures, in its unit; NaN if it measures none.
         agents: Ids of the road users that took part, the main one first; empty if only the ego did.
         what: More in words ("left", "crosswalk 7"); may be empty.
-        doubt: Why it may be none; empty if nothing speaks against it.
+        doubt: Why it may not have happened; empty if nothing speaks against it.
     """
 
     begin: float
@@ -169,7 +170,7 @@ class DrivenLog:
         self.ego: Trajectory = scenario.ego.resampled(self.t)
         self.boxes, self.car = ego_boxes(self.ego, scenario), car_of(scenario)
         self.half = 0.5 * self.car.width
-        way = np.r_[0.0, np.cumsum(np.hypot(np.diff(self.ego.x), np.diff(self.ego.y)))]
+        way = arc_lengths(self.ego.x, self.ego.y)
         points = thinned(np.column_stack([self.ego.x, self.ego.y]), 1.0)
         if way[-1] < SHORT_M or len(points) < 2:
             ahead = SHORT_M * np.array([np.cos(self.ego.yaw[0]), np.sin(self.ego.yaw[0])])
@@ -276,10 +277,10 @@ def steps(seconds: float) -> int:
 
 @kernel
 def _own_stations(knots: FloatArray, coef: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Stations `(n,)` of the rear axle, each looked for near the one before."""
+    """Stations `(n,)` of the rear axle, m."""
     out, s = np.empty(len(x)), 0.0
     for i in range(len(x)):
-        s, _ = line_project(knots, coef, x[i], y[i], s, 10.0)
+        s, _ = line_project(knots, coef, x[i], y[i], s, OWN_M)
         out[i] = s
     return out
 

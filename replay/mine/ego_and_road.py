@@ -15,7 +15,7 @@ import numpy as np
 from logs.agents import AgentKind
 from logs.arrays import BoolArray, FloatArray
 from logs.once import once
-from logs.road import Lane, Road, RoadSource, inside
+from logs.road import Lane, Road, RoadSource, inside, predecessors
 from logs.route import on_lane
 from logs.rules import RED, StopLine
 from logs.states import wrap
@@ -204,17 +204,14 @@ def _merge(log: DrivenLog) -> Iterable[Event] | Unavailable:
     if not _has_map(log):
         return NO_LANES
     road, found = log.scenario.road, []
-    into: dict[int, list[Lane]] = {}
-    for lane in road.lanes.values():
-        for after in lane.successors if lane.drivable else ():
-            into.setdefault(after, []).append(lane)
+    into = predecessors({i: lane for i, lane in road.lanes.items() if lane.drivable})
     lanes = stays(log)
     for before, now in pairwise(lanes):
         if now.lane.id not in before.lane.successors:
             continue
         heading = _heading_at(before.lane, *before.lane.center[-1])
         others = [
-            lane for lane in into[now.lane.id]
+            lane for lane in map(road.lanes.__getitem__, into[now.lane.id])
             if lane.id != before.lane.id and abs(wrap(_heading_at(lane, *lane.center[-1]) - heading)) < MERGE_RAD
         ]  # fmt: skip
         met: dict[str, float] = {}

@@ -26,7 +26,6 @@ from logs.names import counted
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from metrics import health
-from metrics.judge import load_gates
 from metrics.judge.discrimination import BAD_DRIVERS
 from metrics.metric import Unavailable
 from replay.config import RunConfig, dump_run
@@ -254,7 +253,7 @@ def mine_log(
             failures.append(f"{scenario.name}: {error} [{planner}]")
     about, apart = scenario.metadata, dict[str, str]()
     if log is not None:
-        breaks = discriminate(scenario, run.drive_loop, load_gates(None))
+        breaks = discriminate(scenario, run.drive_loop)
         apart = {f"{one.driver}_breaks": str(one.breaks or "") for one in breaks}
     row = {
         "log": scenario.name, "source": source.label, "sha256": digest, "duration_s": float(scenario.duration),

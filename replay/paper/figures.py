@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from logs.arrays import FloatArray
+from logs.arrays import FloatArray, arc_lengths
 from logs.errors import ConfigError
 from logs.scenario import Scenario
 from logs.states import EgoState
@@ -48,7 +48,7 @@ def path_figure(traces: Sequence[tuple[str, Trace]], planned: FloatArray, scenar
     errors = []
     for label, trace in traces:
         if trace.tracking is not None:
-            station = np.r_[0.0, np.cumsum(np.hypot(np.diff(trace.ego.x), np.diff(trace.ego.y)))]
+            station = arc_lengths(trace.ego.x, trace.ego.y)
             errors.append(Curve(label, label, station, 1e3 * trace.tracking.lateral))
     if errors:
         panel = Panel("error", "Lateral error, driven minus planned, left positive [mm]", tuple(errors), 0.1)

@@ -39,7 +39,7 @@ from replay.paper import figures
 from replay.paper.manoeuvres import compare
 from replay.paper.pedestrian_grid import CELLS, LOOP, PLANNER, GridCrossing, braking_for_walker, grid
 from replay.parts import CONTROLLER, VEHICLE
-from replay.results.tables import write_csv, write_text
+from replay.results.tables import make_result_folder, write_csv, write_text
 
 Say = Callable[[str], None]
 DIGITS = "%.6g"
@@ -84,10 +84,7 @@ def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda lin
     Raises:
         ConfigError: The folder cannot be made.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
+    make_result_folder(out)
     say("scenario 1: the free road")
     first = free_road(out, config.vehicles[0])
     say("scenario 2: the crossing pedestrian")
@@ -194,11 +191,11 @@ SCENARIO_COLUMNS: dict[str, str] = {
 }
 
 
-def scenario_table(vehicles: Sequence[str], controllers: Sequence[str] = tuple(CONTROLLER.builtin)) -> pd.DataFrame:
+def scenario_table(vehicles: Sequence[str]) -> pd.DataFrame:
     """A row per vehicle model, scenario of the paper and controller; last the perfect vehicle, as the bound."""
     wanted = {name.partition(".")[0] for name in SCENARIO_COLUMNS.values()}
     metrics = {name: METRICS[name] for name in METRICS if name in wanted}
-    pairs = [(vehicle, name) for vehicle in vehicles if vehicle != "perfect" for name in controllers]
+    pairs = [(vehicle, name) for vehicle in vehicles if vehicle != "perfect" for name in CONTROLLER.builtin]
     rows: list[dict[str, object]] = []
     for family in paper.FAMILIES:
         scenario = family.scenario()

@@ -21,6 +21,7 @@ pedestrians follow no lane.
 from __future__ import annotations
 
 from math import atan2, cos, exp, hypot, pi, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from logs.frame import Predictions
 from logs.kernel import inner_kernel, kernel
 from logs.states import wrap
 from replay.prediction.lane_map import LaneMap, LaneSamples, lane_point, lane_project, matches
-from replay.prediction.off_lanes import turn_rate, turned
+from replay.prediction.off_lanes import ACCEL, RATE, VX, VY, WIDTH, YAW, X, Y, turn_rate, turned
 
 CHANGE_S = 1.5
 DRIFTING_MPS = 0.3
@@ -64,44 +65,52 @@ def everybody(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
 
 def _predict_vehicles(agents: Agents, t: FloatArray, lanes: LaneMap, *, others: bool) -> Predictions:
     a = agents
-    columns = a.x, a.y, a.yaw, a.vx, a.vy, a.yaw_rate, a.width, a.accel, np.arctan2(a.vy, a.vx)
-    agent, probability, way = _predict_all(lanes.arrays, a.codes, columns, t, others)
+    rows = np.column_stack([a.x, a.y, a.yaw, a.vx, a.vy, a.yaw_rate, a.width, a.accel, np.arctan2(a.vy, a.vx)])
+    agent, probability, way = _predict_all(lanes.arrays, a.codes, rows, t, others)
     way = frozen(way)  # once: its rows are not copied again
     return Predictions(t, agent, probability, way[0], way[1], way[2], "lane_following")
 
 
+class LaneWays(NamedTuple):
+    """Lane sequences that vehicles may drive.
+
+    Attributes:
+        lanes: `(w, DEEPEST)` lanes of each.
+        depth: `(w,)` their number; 0: none.
+        share: `(w,)` weights.
+        start: `(w, 3)` station and offset on the first lane, and half of its width, m.
+    """
+
+    lanes: IntArray
+    depth: IntArray
+    share: FloatArray
+    start: FloatArray
+
+
 @kernel
 def _predict_all(
-    map_: LaneSamples, codes: IntArray, columns: tuple[FloatArray, ...], t: FloatArray, others: bool
+    map_: LaneSamples, codes: IntArray, rows: FloatArray, t: FloatArray, others: bool
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return hypotheses in the order of the agents: agent `(h,)`, probability `(h,)`, rows x, y, yaw `(3, h, k)`.
 
-    `columns` `(n,)`: x, y, yaw, vx, vy, yaw rate, width, acceleration, direction of the velocity; `t` `(k,)`: times, s,
-    from now on. `others`: whether agents without a lane keep a constant turn rate; otherwise they are left out.
+    `rows` `(n, 9)`: the agents (`COLUMNS`), whose yaw rates are limited in place; `t` `(k,)`: times, s, from now on.
+    `others`: whether agents without a lane keep a constant turn rate; otherwise they are left out.
     """
-    n, most = len(codes), 0
-    rows, follows, ahead = np.empty((n, 9)), FOLLOW[codes], t - t[0]
-    x, y, yaw, vx, vy, yaw_rate, width, accel, direction = columns
+    n, most, follows, ahead = len(codes), 0, FOLLOW[codes], t - t[0]
     for i in range(n):
-        rate = turn_rate(codes[i], hypot(vx[i], vy[i]), yaw_rate[i])
-        rows[i] = (x[i], y[i], yaw[i], vx[i], vy[i], rate, width[i], accel[i], direction[i])
+        rows[i, RATE] = turn_rate(codes[i], hypot(rows[i, VX], rows[i, VY]), rows[i, RATE])
         most += WAYS if follows[i] else 1
-    agent, share, first = np.empty(most, np.int64), np.ones(most), np.empty((most, 3))
-    lanes, length = np.empty((most, DEEPEST), np.int64), np.zeros(most, np.int64)
-    ways, depth = np.empty((WAYS, DEEPEST), np.int64), np.empty(WAYS, np.int64)
-    shares, start = np.empty(WAYS), np.empty((WAYS, 3))
-    count = 0
+    agent = np.empty(most, np.int64)
+    all_ways, ways, count = _no_ways(most), _no_ways(WAYS), 0
     for i in range(n):
-        found = _ways(map_, rows[i], ahead[-1], ways, depth, shares, start) if follows[i] else 0
-        total, kept = 0.0, 0.0
+        found = _find_ways(map_, rows[i], ahead[-1], ways) if follows[i] else 0
+        total, kept = ways.share[:found].sum(), 0.0
         for h in range(found):
-            total += shares[h]
+            kept += ways.share[h] if ways.share[h] >= LEAST * total else 0.0
         for h in range(found):
-            kept += shares[h] if shares[h] >= LEAST * total else 0.0
-        for h in range(found):
-            if shares[h] >= LEAST * total:
-                agent[count], share[count], first[count] = i, shares[h] / kept, start[h]
-                length[count], lanes[count, : depth[h]] = depth[h], ways[h, : depth[h]]
+            if ways.share[h] >= LEAST * total:
+                agent[count] = i
+                _copy_way(ways, h, all_ways, count, ways.share[h] / kept)
                 count += 1
         if found == 0 and others:
             agent[count] = i
@@ -113,26 +122,35 @@ def _predict_all(
         dying[k] = 1.0 - exp(-middle / FADE_S)
     for h in range(count):
         one = rows[agent[h]]
-        if length[h] > 0:
-            _roll_out(map_, one, lanes[h, : length[h]], first[h], ahead, dying, out[:, h])
+        if all_ways.depth[h] > 0:
+            way = all_ways.lanes[h, : all_ways.depth[h]]
+            _roll_out(map_, one, way, all_ways.start[h], ahead, dying, out[:, h])
         else:
-            turned(one, one[8], ahead, out[:, h])
-    return agent[:count], share[:count], out
+            turned(one, ahead, out[:, h])
+    return agent[:count], all_ways.share[:count], out
 
 
 @inner_kernel
-def _ways(
-    map_: LaneSamples, vehicle: FloatArray, horizon: float,
-    ways: IntArray, depth: IntArray, shares: FloatArray, start: FloatArray,
-) -> int:  # fmt: skip
-    """Find the lane sequences that a vehicle may drive within the horizon (s); return their number.
+def _no_ways(count: int) -> LaneWays:
+    return LaneWays(
+        np.empty((count, DEEPEST), np.int64), np.zeros(count, np.int64), np.ones(count), np.empty((count, 3))
+    )
 
-    `vehicle` is a row of `_predict_all`. Out: `ways` `(w, deepest)` lanes of each sequence, `depth` `(w,)` their
-    number, `shares` `(w,)` the weights, `start` `(w, 3)` station and offset on the first lane, and half of its width.
-    """
+
+@inner_kernel
+def _copy_way(ways: LaneWays, h: int, to: LaneWays, k: int, share: float) -> None:
+    """Copy sequence `h` to place `k` of `to`, with another weight."""
+    depth = ways.depth[h]
+    to.lanes[k, :depth], to.depth[k] = ways.lanes[h, :depth], depth
+    to.share[k], to.start[k] = share, ways.start[h]
+
+
+@inner_kernel
+def _find_ways(map_: LaneSamples, vehicle: FloatArray, horizon: float, ways: LaneWays) -> int:
+    """Find the lane sequences that a vehicle (`COLUMNS`) may drive within the horizon (s); return their number."""
     lanes, found = np.empty(MATCHED, np.int64), np.empty((MATCHED, 4))
-    count = matches(map_, vehicle[0], vehicle[1], vehicle[2], lanes, found)
-    reach = hypot(vehicle[3], vehicle[4]) * horizon
+    count = matches(map_, vehicle[X], vehicle[Y], vehicle[YAW], lanes, found)
+    speed = hypot(vehicle[VX], vehicle[VY])
     made = 0
     for m in range(count):
         lane, s, left, half = lanes[m], found[m, 0], found[m, 1], found[m, 2]
@@ -144,21 +162,21 @@ def _ways(
             side = map_.beside[lane, 0 if across > 0.0 else 1]
             target = side if side >= 0 else lane
         if target != lane:
-            s, left, half = lane_project(map_, target, vehicle[0], vehicle[1], FAR_M)
+            s, left, half = lane_project(map_, target, vehicle[X], vehicle[Y], FAR_M)
         known = False
         for h in range(made):
-            known = known or ways[h, 0] == target
+            known = known or ways.lanes[h, 0] == target
         if known:
             continue
-        ways[made, 0], depth[made] = target, 1
-        start[made, 0], start[made, 1], start[made, 2] = s, left, half
-        shares[made] = exp(-0.5 * (found[m, 3] - found[0, 3]) - _turn(map_, target, s) / TURN_RAD)
+        ways.lanes[made, 0], ways.depth[made] = target, 1
+        ways.start[made, 0], ways.start[made, 1], ways.start[made, 2] = s, left, half
+        ways.share[made] = exp(-0.5 * (found[m, 3] - found[0, 3]) - _turn(map_, target, s) / TURN_RAD)
         made += 1
         if made == WAYS:
             break
     h = 0
     while h < made:
-        made = _extend_way(map_, h, made, reach, hypot(vehicle[3], vehicle[4]), ways, depth, shares, start)
+        made = _extend_way(map_, h, made, speed * horizon, speed, ways)
         h += 1
     return made
 
@@ -167,8 +185,8 @@ def _ways(
 def _velocity_along_lane(map_: LaneSamples, lane: int, s: float, vehicle: FloatArray) -> tuple[float, float]:
     """Return the velocity of a vehicle along and across (to the left of) a lane at its foot, m/s."""
     yaw = lane_point(map_, lane, s)[2]
-    c, n = cos(yaw), sin(yaw)
-    return vehicle[3] * c + vehicle[4] * n, vehicle[4] * c - vehicle[3] * n
+    cosine, sine = cos(yaw), sin(yaw)
+    return vehicle[VX] * cosine + vehicle[VY] * sine, vehicle[VY] * cosine - vehicle[VX] * sine
 
 
 @inner_kernel
@@ -183,16 +201,14 @@ def _turn(map_: LaneSamples, lane: int, s: float) -> float:
 
 
 @inner_kernel
-def _extend_way(
-    map_: LaneSamples, h: int, made: int, reach: float, speed: float,
-    ways: IntArray, depth: IntArray, shares: FloatArray, start: FloatArray,
-) -> int:  # fmt: skip
+def _extend_way(map_: LaneSamples, h: int, made: int, reach: float, speed: float, ways: LaneWays) -> int:
     """Extend sequence `h` to `reach` m from its start; forks add sequences. Return the number of sequences."""
-    covered = -start[h, 0]
+    lanes, depth, share = ways.lanes, ways.depth, ways.share
+    covered = -ways.start[h, 0]
     for d in range(depth[h]):
-        covered += _length(map_, ways[h, d])
+        covered += _length(map_, lanes[h, d])
     while covered < reach and depth[h] < DEEPEST:
-        last = ways[h, depth[h] - 1]
+        last = lanes[h, depth[h] - 1]
         begin, end = map_.next_first[last], map_.next_first[last + 1]
         if begin == end:
             break
@@ -205,13 +221,13 @@ def _extend_way(
         for k in range(begin, end):
             weight = _weight(map_, map_.following[k], speed, covered)
             if k != best and made < WAYS and weight >= LEAST * total > 0.0:
-                ways[made, : depth[h]], depth[made] = ways[h, : depth[h]], depth[h] + 1
-                ways[made, depth[h]] = map_.following[k]
-                start[made], shares[made] = start[h], shares[h] * weight / total
+                _copy_way(ways, h, ways, made, share[h] * weight / total)
+                lanes[made, depth[h]] = map_.following[k]
+                depth[made] += 1
                 made += 1
         if total > 0.0:
-            shares[h] *= _weight(map_, map_.following[best], speed, covered) / total
-        ways[h, depth[h]] = map_.following[best]
+            share[h] *= _weight(map_, map_.following[best], speed, covered) / total
+        lanes[h, depth[h]] = map_.following[best]
         depth[h] += 1
         covered += _length(map_, map_.following[best])
     return made
@@ -288,14 +304,14 @@ def _roll_out(
     s, left, half = start[0], start[1], start[2]
     along, across = _velocity_along_lane(map_, way[0], s, vehicle)
     speed = max(along, 0.0)
-    gone = _stations(map_, way, s, speed, vehicle[7], ahead, dying)
+    gone = _stations(map_, way, s, speed, vehicle[ACCEL], ahead, dying)
     paced = max(speed, SLOW_MPS)
     drift = across * paced / speed if speed > DRIFTING_MPS else 0.0
-    room = max(half - 0.5 * vehicle[6], 0.3)
+    room = max(half - 0.5 * vehicle[WIDTH], 0.3)
     end = min(max(left + drift * SETTLE_S, -room), room)
     off = left - end
     rate = drift + off / SETTLE_S
-    turned, shift_x, shift_y = 0.0, 0.0, 0.0
+    askew, shift_x, shift_y, full_turns = 0.0, 0.0, 0.0, 0.0
     for k in range(len(ahead)):
         if k > 1 and gone[k] == gone[k - 1]:
             out[:, k] = out[:, k - 1]  # standing vehicles stay
@@ -307,7 +323,7 @@ def _roll_out(
         x, y = x - offset * sin(yaw), y + offset * cos(yaw)
         yaw += atan2((rate - (off + rate * theta) / SETTLE_S) * fade, paced)
         if k == 0:
-            turned, shift_x, shift_y = wrap(vehicle[2] - yaw), vehicle[0] - x, vehicle[1] - y
-            full_turns = 2.0 * pi * np.round((vehicle[2] - yaw - turned) / (2.0 * pi))
+            askew, shift_x, shift_y = wrap(vehicle[YAW] - yaw), vehicle[X] - x, vehicle[Y] - y
+            full_turns = 2.0 * pi * np.round((vehicle[YAW] - yaw - askew) / (2.0 * pi))
         out[0, k], out[1, k] = x + shift_x, y + shift_y
-        out[2, k] = yaw + full_turns + turned * exp(-gone[k] / TURN_M)
+        out[2, k] = yaw + full_turns + askew * exp(-gone[k] / TURN_M)

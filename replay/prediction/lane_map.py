@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import TIE, FloatArray, IntArray, frozen
+from logs.arrays import TIE, FloatArray, IntArray, arc_lengths, frozen
 from logs.kernel import kernel
 from logs.once import once
 from logs.road import Road
@@ -89,7 +89,7 @@ def _arrays(road: Road) -> LaneSamples:
     index = {lane.id: i for i, lane in enumerate(lanes)}
     sampled = []  # rows x, y, yaw, kappa, half width `(5, k)` of each centre line at equal steps, and the step, m
     for lane in lanes:
-        chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))]
+        chord = arc_lengths(*lane.center.T)
         keep = np.r_[True, np.diff(chord) > 1e-9]
         count = max(1, round(chord[-1] / SPACING_M)) + 1
         s, step = np.linspace(0.0, chord[-1], count, retstep=True)

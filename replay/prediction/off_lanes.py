@@ -33,6 +33,8 @@ from logs.frame import Predictions
 from logs.kernel import inner_kernel
 from replay.prediction.lane_map import LaneMap, road_ahead
 
+COLUMNS = X, Y, YAW, VX, VY, RATE, WIDTH, ACCEL, COURSE = range(9)
+"""Columns of road users in kernels: pose, velocity, yaw rate, width, acceleration, direction of the velocity."""
 SLOWEST_MPS = 1.0
 """Below this speed, changes of the heading are mostly noise: the turn rate is taken as zero."""
 MAX_LATERAL_MPS2 = 5.0
@@ -73,20 +75,19 @@ def turn_rate(code: int, speed: float, yaw_rate: float) -> float:
 
 
 @inner_kernel
-def turned(one: FloatArray, direction: float, ahead: FloatArray, out: FloatArray) -> None:
-    """Predict motion along a circle (2).
+def turned(one: FloatArray, ahead: FloatArray, out: FloatArray) -> None:
+    """Predict motion along a circle (2): rows x, y, yaw `(3, k)` in `out` of a road user (`COLUMNS`).
 
-    `one` `(6,)`: x, y, yaw, vx, vy and the yaw rate to continue; `direction` of its velocity; `ahead` `(k,)`: times
-    from now, s; `out` `(3, k)`: rows x, y, yaw.
+    `ahead` `(k,)`: times from now, s.
     """
-    speed = np.hypot(one[3], one[4])
+    speed = np.hypot(one[VX], one[VY])
     for k in range(len(ahead)):
-        half = 0.5 * one[5] * ahead[k]
+        half = 0.5 * one[RATE] * ahead[k]
         bent = pi * (half / pi)
         chord = speed * ahead[k] * (sin(bent) / bent if bent != 0.0 else 1.0)
-        toward = direction + half
-        out[0, k], out[1, k] = one[0] + chord * cos(toward), one[1] + chord * sin(toward)
-        out[2, k] = one[2] + 2.0 * half
+        toward = one[COURSE] + half
+        out[0, k], out[1, k] = one[X] + chord * cos(toward), one[Y] + chord * sin(toward)
+        out[2, k] = one[YAW] + 2.0 * half
 
 
 class PedestrianPlace(Enum):

@@ -121,7 +121,7 @@ class LogResult:
         notes: Assumptions that were made when it was read.
         drives: The drives, planners in the order of the run, open before closed loop.
         failures: Drives that failed.
-        seconds: Its duration, for display only; NaN if the result is from an earlier run.
+        seconds: How long the evaluation took, for display only; NaN if the result is from an earlier run.
         stopped: The reason why the result could not be written, which stops the run; empty if it was written.
         twin: Whether the folder is that of another log of the run with the same content; this one was not driven.
     """

@@ -15,7 +15,7 @@ from replay.control.pedals import Calibration
 from replay.draw.charts.axes import Plane
 from replay.draw.charts.canvas import Chart
 from replay.parts import VEHICLE, Part
-from replay.results.tables import write_file
+from replay.results.tables import make_result_folder, write_file
 from replay.vehicle import build_vehicle
 
 STANDING = EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -40,10 +40,7 @@ def calibrate(
     run = load_run(config, {} if car is None else {"vehicle": {"set": car}})
     parameters = run.driven(VehicleParameters())
     table = Calibration.of(build_vehicle(Part(VEHICLE, model), parameters, STANDING, {}).powertrain)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
+    make_result_folder(out)
     csv, png = out / "calibration.csv", out / "calibration.png"
     write_file(csv, table.save)
     picture(table).save(png)

@@ -41,7 +41,6 @@ from replay.run.resume import stamp_of
 from replay.run.sources import LogSource
 
 T = TypeVar("T")
-R = TypeVar("R")
 
 RETRIES = 3
 """Retries of a task whose worker or node died (Ray's own default); an error that replan raises is not retried."""

@@ -19,6 +19,7 @@ from typing import Any
 from logs.errors import ConfigError, LogError
 from logs.extension import ExtensionKind
 from logs.files import read_toml
+from logs.names import listed
 from logs.readers import READER
 from metrics import METRIC
 from replan.own import PACKAGES
@@ -112,8 +113,7 @@ def changes(before: Mapping[str, Any], now: Mapping[str, Any], besides: str = ""
     """The keys, except `besides`, in which two configurations differ, in words; "" if there are none."""
     was, now = dict(flat(before)), dict(flat(now))
     changed = [key for key in dict.fromkeys([*was, *now]) if was.get(key) != now.get(key) and key != besides]
-    text = ", ".join(f"{key} was {_describe(was, key)}, is {_describe(now, key)}" for key in changed[:3])
-    return f"{text} and {len(changed) - 3} more" if len(changed) > 3 else text
+    return listed([f"{key} was {_describe(was, key)}, is {_describe(now, key)}" for key in changed], 3)
 
 
 def _describe(table: Mapping[str, Any], key: str) -> str:

@@ -123,6 +123,12 @@ class ScoredWindow:
     ground: Ground
     states: FloatArray = field(default_factory=lambda: np.empty((0, 9)))
 
+    @property
+    def box(self) -> tuple[float, float, float, float, float]:
+        """The ego's box at the begin: centre x, y and yaw in the world, length and width."""
+        (x, y, yaw), car = self.start[[X, Y, YAW]].tolist(), self.scenario.vehicle
+        return x + car.axle_to_center * cos(yaw), y + car.axle_to_center * sin(yaw), yaw, car.length, car.width
+
 
 def window(scenario: Scenario, t: float) -> ScoredWindow:
     """Return the window of a log that begins at `t`, s.

@@ -21,10 +21,10 @@ import numpy as np
 from logs.arrays import FloatArray
 from logs.shapes import distance
 from logs.states import wrapped
-from metrics.boxes import EgoOutline
+from metrics.boxes import EgoOutline, car_of
 from planners.pdm.planner import PdmConfig
 from replay.score.navsim import STEPS, ScoredWindow, Version, history_comfort, judged, multiplied, progress
-from replay.score.navsim_tracker import STEP_S, YAW, V, X, Y, simulated
+from replay.score.navsim_tracker import STEP_S, V, X, Y, simulated
 from replay.score.window import Polyline, WindowAgents, box_on_polygon, centroid, in_corridor, predicted_others
 
 CONFIG = PdmConfig()
@@ -36,10 +36,8 @@ OFFSETS_M = (0.0, -1.0, 1.0)
 
 def plan_of(at: ScoredWindow, version: Version) -> FloatArray:
     """Return the poses x, y, yaw `(41, 3)` of the best proposal in a window; of equals the first."""
-    car = at.scenario.vehicle
-    x, y = at.start[X] + car.axle_to_center * cos(at.start[YAW]), at.start[Y] + car.axle_to_center * sin(at.start[YAW])
-    own = EgoOutline(car.axle_to_center, car.length, car.width, car.axle_to_front)
-    others = predicted_others(at.scenario, at.t, float(x), float(y), KNOTS + 2).apart(x, y, at.start[YAW], own)
+    car, own = at.scenario.vehicle, car_of(at.scenario)
+    others = predicted_others(at.scenario, at.t, *at.box[:2], KNOTS + 2).apart(at.box)
     proposals = [one for offset in OFFSETS_M for one in _proposals(at, at.ground.center.beside(offset), own, others)]
     driven = [simulated(poses[:STEPS], at.start, car.wheelbase) for poses in proposals]
     ground = replace(at.ground, red=at.ground.red[:1])
@@ -87,8 +85,6 @@ def _proposals(at: ScoredWindow, path: Polyline, car: EgoOutline, others: Window
 def _in_the_way(at: ScoredWindow, corridor: FloatArray, car: EgoOutline) -> list[FloatArray]:
     """Return the outlines of lanes with a red light that touch the corridor, without one that holds the ego's box."""
     outlines = [at.ground.lanes.lanes[i].polygon for i in sorted(at.ground.red[0])]
-    yaw = at.start[YAW]
-    x, y = at.start[X] + car.axle * cos(yaw), at.start[Y] + car.axle * sin(yaw)
     out = []
     for outline in outlines:
         ends = np.hstack([np.roll(outline, 1, axis=0), outline])
@@ -97,7 +93,7 @@ def _in_the_way(at: ScoredWindow, corridor: FloatArray, car: EgoOutline) -> list
                         float(np.hypot(c - a, d - b)), 0.0)
             for a, b, c, d in ends.tolist()
         )  # fmt: skip
-        holds = box_on_polygon(x, y, yaw, car.length, car.width, outline) == 0.0
+        holds = box_on_polygon(*at.box, outline) == 0.0
         out += [outline] if crosses and not holds else []
     return out
 

@@ -20,8 +20,6 @@ from replay.score.two_stages import COMBINED, FOLLOWS, STAGE, two_stages, with_s
 from replay.score.yardstick import ScoredPlan, Yardstick, scored, yardstick
 
 NUPLAN_CLS = "nuplan-cls"
-NAMES = (NUPLAN_CLS, *VERSIONS)
-"""The scores by the name of `--as`."""
 CLS_COLUMNS: Mapping[str, str] = MappingProxyType({
     "collisions": "no_ego_at_fault_collisions", "drivable": "drivable_area_compliance",
     "direction": "driving_direction_compliance", "making_progress": "ego_is_making_progress",

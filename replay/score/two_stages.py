@@ -23,6 +23,7 @@ from logs.scenario import Scenario
 from replay.score.trajectories import Asked
 
 SIGMA2 = 0.1
+"""Variance of (1), m2."""
 STAGE, FOLLOWS, WEIGHT = "stage", "stage_one", "weight"
 STAGE_ONE, STAGE_TWO, COMBINED = (f"extended_pdm_score_{word}" for word in ("stage_one", "stage_two", "combined"))
 """Names of the summary's rows in NAVSIM's tables."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray
+from logs.arrays import BoolArray, FloatArray, arc_lengths
 from logs.kernel import inner_kernel, kernel
 from logs.once import once
 from logs.road import inside
@@ -20,7 +20,7 @@ from logs.scenario import Scenario
 from logs.shapes import distance, overlap
 from logs.states import wrap, wrapped
 from logs.tracks import Tracks
-from metrics.boxes import EgoOutline, ego_boxes, others_at
+from metrics.boxes import ego_boxes, others_at
 from metrics.drivable_lanes import DrivableLanes, along_line
 from metrics.nuplan import route_lanes
 
@@ -70,7 +70,7 @@ class Polyline:
     @classmethod
     def through(cls, points: FloatArray, yaw: FloatArray) -> Polyline:
         """A path through points with headings."""
-        way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+        way = arc_lengths(*points.T)
         return cls(np.ascontiguousarray(points), np.unwrap(yaw), way)
 
     def beside(self, offset: float) -> Polyline:
@@ -147,11 +147,10 @@ class WindowAgents(NamedTuple):
     agent: BoolArray
     size: FloatArray
 
-    def apart(self, x: float, y: float, yaw: float, car: EgoOutline) -> WindowAgents:
-        """Return them without those that touch the ego at the first step."""
+    def apart(self, box: tuple[float, float, float, float, float]) -> WindowAgents:
+        """Return them without those that touch the ego's box (centre x, y, yaw, length, width) at the first step."""
         touching = [
-            bool(self.there[i, 0]) and overlap(x, y, yaw, car.length, car.width, *self.pose[:, i, 0], *self.size[i])
-            for i in range(len(self.size))
+            bool(self.there[i, 0]) and overlap(*box, *self.pose[:, i, 0], *self.size[i]) for i in range(len(self.size))
         ]
         return WindowAgents(
             self.there & ~np.array(touching, np.bool_)[:, None], self.pose, self.speed, self.agent, self.size

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import cos, nan, sin
+from math import nan
 
 import numpy as np
 
 from logs.arrays import FloatArray
-from metrics.boxes import EgoOutline
 from replay.score.navsim import (
     POSE_S,
     ScoredWindow,
@@ -22,7 +21,7 @@ from replay.score.navsim import (
     multiplied,
     progress,
 )
-from replay.score.navsim_tracker import STEP_S, YAW, X, Y, simulated
+from replay.score.navsim_tracker import STEP_S, simulated
 from replay.score.pdm_closed import plan_of
 from replay.score.window import WindowAgents, logged_others
 
@@ -77,10 +76,8 @@ class Yardstick:
 def yardstick(at: ScoredWindow, version: Version) -> Yardstick:
     """Return what all plans of a window are compared with."""
     car = at.scenario.vehicle
-    x, y = at.start[X] + car.axle_to_center * cos(at.start[YAW]), at.start[Y] + car.axle_to_center * sin(at.start[YAW])
-    own = EgoOutline(car.axle_to_center, car.length, car.width, car.axle_to_front)
     others = logged_others(at.scenario, at.t, version.seen_s)
-    others = others.apart(x, y, at.start[YAW], own) if version.drops else others
+    others = others.apart(at.box) if version.drops else others
     rival, way = judged(simulated(plan_of(at, version), at.start, car.wheelbase), others, at.ground, version)
     human = judged(driven(at, human_poses(at)), others, at.ground, version)[0] if version.filters else {}
     return Yardstick(others, multiplied(rival, version) * way, human)

@@ -36,6 +36,7 @@ from math import cos, hypot, inf, nan, sin
 import numpy as np
 
 from logs.agents import AgentKind, Agents
+from logs.arrays import arc_lengths
 from logs.scenario import Scenario
 from logs.states import EgoState
 from logs.tracks import Tracks
@@ -162,7 +163,7 @@ def extended(log: Tracks, lanes: LaneMap) -> Tracks:
         mine = np.flatnonzero(way.agent == i)
         best = mine[np.argmax(way.probability[mine])]
         x, y = way.x[best], way.y[best]
-        gone = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
+        gone = arc_lengths(x, y)
         keep = (gone <= BEYOND_M) & (np.diff(gone, prepend=-1.0) > 0.05) & (ahead > 0.0)
         v = np.gradient(gone, ahead)
         yaw = way.yaw[best]

@@ -35,7 +35,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.agents import AgentKind, Agents
-from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray, arc_lengths
 from logs.kernel import inner_kernel, kernel
 from logs.route import ASIDE_M, ASKEW_RAD, BEHIND_M, on_lane
 from logs.rules import RED, Colour
@@ -115,7 +115,7 @@ class RedLights:
 
 def _stations(paths: Tracks) -> FloatArray:
     """Length `(samples,)` along all paths, one after the other, m; only differences within one path are meaningful."""
-    return np.r_[0.0, np.cumsum(np.hypot(np.diff(paths.x), np.diff(paths.y)))] if len(paths.t) else np.empty(0)
+    return arc_lengths(paths.x, paths.y) if len(paths.t) else np.empty(0)
 
 
 def _crossings(scenario: Scenario, paths: Tracks, reacts: BoolArray) -> Iterator[Crossing]:

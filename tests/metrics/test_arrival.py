@@ -17,10 +17,11 @@ from worlds import strip
 from logs import EndReason, Goal, Road, Scenario, Trajectory
 from logs.cut import cut
 from logs.mcap import read_scenario, write_scenario
+from logs.road import GOAL_LENGTH_M
 from logs.states import TRAJECTORY_COLUMNS
 from logs.variations import varied
 from metrics import METRICS, evaluate
-from metrics.arrival import GOAL_LENGTH_M, Arrival, fault_of, goal_of, passed_early
+from metrics.arrival import Arrival, fault_of, goal_of, passed_early
 from metrics.health import FaultKind, findings
 from metrics.judge import Outcome, judge, load_gates, worst
 from metrics.judge.aggregate import LogLabels

@@ -11,11 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import AgentKind, RoadSource
-from metrics.judge import judge, load_gates, worst
+from metrics.judge import judge, worst
 from metrics.judge.aggregate import LogLabels
 from metrics.judge.discrimination import BLIND, BLIND_FAILS, PARKED, PARKED_FAILS, with_discrimination
 from metrics.judge.gates import Gate, Gates, Outcome
-from replay.config import DEFAULT_LOOP
 from replay.loop.reference_drives import discriminate
 
 PROGRESS, CRASH = Gate("route_progress.final", min=0.5), Gate("collision_at_fault.count", max=0.0)
@@ -72,7 +71,7 @@ def test_a_standing_car_is_an_interaction_and_a_free_road_is_none(ahead: float |
     t = grid(12.0)
     agents = [("1", AgentKind.CAR, (4.5, 1.8), moving(ahead, 0.0, 0.0, 0.0, yaw=0.0))] if ahead else []
     log = scenario(along(t, 10.0), agents, road=straight_road(limit=13.9))
-    found = {one.driver: one.breaks for one in discriminate(log, DEFAULT_LOOP, load_gates(None))}
+    found = {one.driver: one.breaks for one in discriminate(log)}
     assert found[PARKED] is not None
     assert (found[BLIND] is not None) is (ahead is not None)
 
@@ -80,16 +79,16 @@ def test_a_standing_car_is_an_interaction_and_a_free_road_is_none(ahead: float |
 @pytest.mark.parametrize("seconds", [0.02, 0.12])
 def test_a_log_too_short_for_the_reference_drives_has_none(seconds: float) -> None:
     log = scenario(along(grid(seconds), 5.0), [], road=straight_road(limit=13.9))
-    assert discriminate(log, DEFAULT_LOOP, load_gates(None)) == ()
+    assert discriminate(log) == ()
 
 
 def test_a_log_that_only_reverses_tells_nothing() -> None:
     t = grid(10.0, 0.1)
     log = scenario(along(t, -2.0), [], road=replace(straight_road(), source=RoadSource.DRIVEN_PATH))
-    assert discriminate(log, DEFAULT_LOOP, load_gates(None)) == ()
+    assert discriminate(log) == ()
 
 
 def test_a_log_in_which_the_driver_stands_does_not_tell_drivers_apart() -> None:
     log = scenario(along(grid(6.0), 0.0), [], road=straight_road(limit=13.9))
-    found = {one.driver: one.breaks for one in discriminate(replace(log, goal=None), DEFAULT_LOOP, load_gates(None))}
+    found = {one.driver: one.breaks for one in discriminate(replace(log, goal=None))}
     assert found[PARKED] is None or found[PARKED].metric == "needless_standing.worst_episode"

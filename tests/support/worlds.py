@@ -26,7 +26,7 @@ from logs import (
     Visibility,
 )
 from logs.arrays import FloatArray
-from logs.route import Route, find_route
+from logs.route import find_route
 from logs.shapes import distance
 from logs.transform import mirrored
 from planners.base import Planner
@@ -147,7 +147,7 @@ def reference(
 ) -> ReferencePath:
     """The reference path from an ego on a road, or on `count` lanes along points; of one lane only, if it is named."""
     road = road if isinstance(road, Road) else lanes(road, count)
-    route = find_route(road, ego, None) if lane is None else Route((lane,), False, 0.0)
+    route = find_route(road, ego, None) if lane is None else (lane,)
     return make_reference_path(road, route, ego, CAR)
 
 

@@ -138,6 +138,11 @@ class EgoLog:
     restarts: IntArray
     restarted: str
 
+    def in_map(self, poses: Poses, frame: str) -> Poses:
+        """Return poses in a frame, as a message names it, as poses in the frame `map`; "" is that frame."""
+        name = frame.lstrip("/")
+        return poses if name in (self.map, "") else composed(self.frames.poses(self.map, name, poses.t, HELD), poses)
+
 
 def read_edges(part: BagPart) -> dict[tuple[str, str], Edge]:
     """Read all transforms of the part; static ones from the log's begin on."""

@@ -28,6 +28,7 @@ import numpy as np
 
 from logs.arrays import FloatArray, IntArray
 from logs.errors import LogError
+from logs.names import listed
 from logs.readers.recorded import heading, product, rotated, unit_or_identity
 
 HELD, BETWEEN = "held", "between"
@@ -91,11 +92,6 @@ class FrameTree:
     def names(self) -> tuple[str, ...]:
         """All frames, sorted."""
         return tuple(sorted({name for edge in self.edges for name in edge}))
-
-    @property
-    def roots(self) -> tuple[str, ...]:
-        """Frames that have no parent, sorted."""
-        return tuple(name for name in self.names if name not in self.parents)
 
     def path(self, name: str) -> list[str]:
         """Return the frame, its parent, and so on up to the root; a cycle ends the path."""
@@ -250,9 +246,8 @@ def describe_timing(topic: str, log: IntArray, stamps: IntArray, start_ns: int) 
         usual = float(np.median(apart))
         lost = np.flatnonzero(apart > max(DROPOUT_S, DROPOUT_INTERVALS * usual))
         if len(lost):
-            places = ", ".join(
-                f"{apart[i]:.2f} s from {(log[i] - start_ns) / 1e9:.2f} s" for i in lost[:_DROPOUTS_SHOWN]
+            places = [f"{apart[i]:.2f} s from {(log[i] - start_ns) / 1e9:.2f} s" for i in lost]
+            out.append(
+                f"{topic} drops out: nothing for {listed(places, _DROPOUTS_SHOWN)} (usually every {usual:.3f} s)."
             )
-            more = f" and {len(lost) - _DROPOUTS_SHOWN} more" if len(lost) > _DROPOUTS_SHOWN else ""
-            out.append(f"{topic} drops out: nothing for {places}{more} (usually every {usual:.3f} s).")
     return out

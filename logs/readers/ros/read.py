@@ -1,9 +1,9 @@
 """Reads a bag as a scenario: chooses topics, clock and part; reads lights, goal, steering and on-board plans.
 
 For a part between `begin` and `end` only the messages around it are read: from `DETECTED_S` before it where the bag has
-detections that may be repaired, else from `HISTORY_S` before it, which show who is present and how they move;
-and the first seconds of the log, which define t = 0 and the origin. Where the log's clock is faster or slower than the
-senders' (a simulation slower than real time), log times do not define a part, and all messages are read.
+detections that may be repaired, else from `HISTORY_S` before it, which show who is present and how they move; and the
+first seconds of the log, which define t = 0 and the origin. Where the log's clock is faster or slower than the senders'
+(a simulation slower than real time), log times do not define a part, and all messages are read.
 
 A bag in which the ego's clock restarts holds several drives, of which one is read: that to which the part between
 `begin` and `end` belongs, which then are seconds of the bag's recording.
@@ -34,25 +34,14 @@ from logs.readers.recorded import car_of, unit_or_identity
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, opened
 from logs.readers.ros.ego import POSITION, BagPart, EgoLog, at_poses, begin_of, read_ego, signal, states
-from logs.readers.ros.frames import (
-    HELD,
-    LASTS_S,
-    LOG_CLOCK,
-    OTHER_CLOCK_S,
-    Clock,
-    Poses,
-    composed,
-    describe_timing,
-    times_of,
-)
+from logs.readers.ros.frames import HELD, LASTS_S, LOG_CLOCK, OTHER_CLOCK_S, Clock, Poses, describe_timing, times_of
 from logs.readers.ros.objects import read_messages, samples_of
 from logs.readers.ros.schemas import STAMP
 from logs.readers.ros.tracks import identified, tracks_of
 from logs.repair.detections import Detections
-from logs.road import Goal
+from logs.road import GOAL_LENGTH_M, GOAL_WIDTH_M, Goal
 from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario
-from logs.shapes import corners
 from logs.states import Controls, OnboardPlan, Trajectory
 from logs.tracks import Tracks
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
@@ -174,19 +163,19 @@ def _drive_to_read(whole: BagPart, ego: EgoLog) -> BagPart:
     at = ((ego.restarts - bag.start_ns) / 1e9).tolist()
     count = {2: "two", 3: "three", 4: "four"}.get(len(at) + 1, str(len(at) + 1))
     times = ", ".join(f"{t:.1f} s" for t in at)
-    what = f"the clock of {ego.restarted} restarts at {times} of the bag: {count} drives"
+    what = f"clock of {ego.restarted} restarts at {times} of the bag: {count} drives"
     if settings.clock == "log":
-        whole.notes.append(f"T{what[1:]}, which are joined, because clock = log is set.")
+        whole.notes.append(f"The {what}, which are joined, because clock = log is set.")
         return whole
     bounds = pairwise([0.0, *at, (bag.end_ns - bag.start_ns) / 1e9])
     shared = [min(end, settings.end) - max(begin, settings.begin) for begin, end in bounds]
     if sum(each > LASTS_S for each in shared) > 1:
-        raise LogError(what, remedy="--from/--to chooses one, and clock = log in [log] joins them")
+        raise LogError(f"the {what}", remedy="--from/--to chooses one, and clock = log in [log] joins them")
     chosen = int(np.argmax(shared))
     begin, end = [bag.start_ns, *ego.restarts.tolist(), bag.end_ns + 1][chosen : chosen + 2]
     if settings.end < inf:
         end = min(end, bag.start_ns + round(1e9 * settings.end))
-    note = f"T{what[1:]}; this is number {chosen + 1}, and --from and --to are seconds of the bag."
+    note = f"The {what}; this is number {chosen + 1}, and --from and --to are seconds of the bag."
     return BagPart(bag, settings, begin, end - 1, [note], drive=True)
 
 
@@ -267,11 +256,14 @@ def _tracks(part: BagPart, ego: EgoLog, start: int, origin: FloatArray) -> tuple
     return tracks_of(replace(samples, x=x, y=y), since, notes), None, of_stream(since)
 
 
-GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
-"""The region around a goal pose, along and across."""
 UNSEEN_S = 2.0
 """A light is OFF (unknown) when it was not reported for this time, s."""
 CREEPS_MPS = 0.1
+PLAN_POINT = (
+    "time_from_start.sec", "time_from_start.nanosec", *(f"pose.{name}" for name in POSITION),
+    "longitudinal_velocity_mps", "acceleration_mps2",
+)  # fmt: skip
+"""The fields of a point of an on-board plan."""
 LATE_GOAL_S = 1.0
 
 
@@ -346,23 +338,19 @@ def goal(part: BagPart, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle:
         return None
     known = [k for k in good if log[k] <= begin_ns]
     k = known[-1] if known else good[0]
-    row = rows[k]
-    values = np.array([row[3:]], dtype=np.float64)
-    pose = Poses(log[k : k + 1], values[:, :3], unit_or_identity(values[:, 3:]))
-    frame = row[2].lstrip("/")
-    if frame not in (ego.map, ""):
-        pose = composed(ego.frames.poses(ego.map, frame, ego.clock(log[k : k + 1]), HELD), pose)
+    sec, nsec, frame, *logged = rows[k]
+    p, q = np.hsplit(np.array([logged], dtype=np.float64), [3])
+    pose = ego.in_map(Poses(ego.clock(log[k : k + 1]), p, unit_or_identity(q)), frame)
     x, y = pose.p[0, :2] - origin
     yaw, ahead = float(pose.yaw[0]), vehicle.axle_to_center
-    place = corners(x + ahead * cos(yaw), y + ahead * sin(yaw), yaw, GOAL_LENGTH_M, GOAL_WIDTH_M)
     others = f"; its {len(good) - 1} other goals are not used" if len(good) > 1 else ""
     notes.append(f"The goal is {GOAL_LENGTH_M:g} m by {GOAL_WIDTH_M:g} m around the pose of {topic.name}{others}.")
-    late = (row[0] * 1_000_000_000 + row[1] - log[k]) / 1e9
-    if row[0] and late > LATE_GOAL_S:
+    late = (sec * 1_000_000_000 + nsec - log[k]) / 1e9
+    if sec and late > LATE_GOAL_S:
         notes.append(
             f"The goal's stamp is {late:.1f} s after its record: it was set when it was known where the drive led."
         )
-    return Goal((np.asarray(place),))
+    return Goal.around(x + ahead * cos(yaw), y + ahead * sin(yaw), yaw)
 
 
 def controls(part: BagPart, ego: EgoLog, t0: int) -> Controls | None:
@@ -386,9 +374,7 @@ def onboard(part: BagPart, ego: EgoLog, t0: int, origin: FloatArray) -> tuple[On
         return ()
     usual = [t for t in topics if t.name.endswith(("/scenario_planning/trajectory", "/planning/trajectory"))]
     topic = usual[0] if usual and "plan" not in part.settings.topics else topics[0]
-    names = ("longitudinal_velocity_mps", "acceleration_mps2")
-    point = ("time_from_start.sec", "time_from_start.nanosec", *(f"pose.{name}" for name in POSITION), *names)
-    log, stamps, rows = part.read(topic, ("header.frame_id", ("points", point)))
+    log, stamps, rows = part.read(topic, ("header.frame_id", ("points", PLAN_POINT)))
     t, keep = times_of(topic.name, log, stamps, ego.clock, notes)
     known = np.maximum(ego.clock(log[keep]), t) if len(keep) else t
     plans: dict[int, OnboardPlan] = {}
@@ -405,19 +391,17 @@ def onboard(part: BagPart, ego: EgoLog, t0: int, origin: FloatArray) -> tuple[On
 
 
 def _plan(row: tuple[object, ...], time: int, t0: int, ego: EgoLog, origin: FloatArray) -> Trajectory | None:
-    points = row[3]
+    *_, frame, points = row
     assert isinstance(points, list)
-    values = np.array(points, dtype=np.float64).reshape(-1, 11)
+    values = np.array(points, dtype=np.float64).reshape(-1, len(PLAN_POINT))
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
         return None
-    pose = Poses(np.full(len(values), time), values[:, 2:5], unit_or_identity(values[:, 5:9]))
-    frame = str(row[2]).lstrip("/")
-    if frame not in (ego.map, ""):
-        pose = composed(ego.frames.poses(ego.map, frame, pose.t, HELD), pose)
+    after, p, q, motion = np.hsplit(values, [2, 5, 9])  # as in `PLAN_POINT`
+    pose = ego.in_map(Poses(np.full(len(values), time), p, unit_or_identity(q)), str(frame))
     x, y = (pose.p[:, :2] - origin).T
-    yaw, v = np.unwrap(pose.yaw), values[:, 9]
-    t: FloatArray = np.asarray(values[:, 0] + 1e-9 * values[:, 1])
+    yaw, (v, a) = np.unwrap(pose.yaw), motion.T
+    t: FloatArray = np.asarray(after[:, 0] + 1e-9 * after[:, 1])
     if not t.any():
         t = np.zeros(len(x))  # (1); NaN from where the plan stands, but for the point at which it comes to its stand
         if len(x) > 1:
@@ -433,7 +417,7 @@ def _plan(row: tuple[object, ...], time: int, t0: int, ego: EgoLog, origin: Floa
         keep = np.r_[True, np.diff(np.maximum.accumulate(t)) > 0.0]
     if not keep.any():
         return None
-    t, x, y, yaw, v, a = (np.asarray(column[keep]) for column in (t, x, y, yaw, v, values[:, 10]))
+    t, x, y, yaw, v, a = (np.asarray(column[keep]) for column in (t, x, y, yaw, v, a))
     if not a.any() and len(t) > 1:
         a = derived_acceleration(t, v)
     return Trajectory(t + (time - t0) / 1e9, x, y, yaw, v, a, derived_curvature(x, y, yaw, v))

@@ -75,9 +75,9 @@ class ObjectSchema:
     existence: str = ""
 
 
-def _autoware(kinematics: str, prefix: str = "") -> ObjectSchema:
+def _autoware(prefix: str = "kinematics.") -> ObjectSchema:
     return ObjectSchema(
-        "objects", f"{kinematics}{prefix}pose_with_covariance.pose", f"{kinematics}{prefix}twist_with_covariance.twist",
+        "objects", f"{prefix}pose_with_covariance.pose", f"{prefix}twist_with_covariance.twist",
         "object_id.uuid", "label", "shape.dimensions", classes="classification", score="probability",
         shape="shape.type", outline="shape.footprint.points", existence="existence_probability",
     )  # fmt: skip
@@ -89,9 +89,9 @@ OBJECTS = {
         "objects", "pose", "velocity", "id", "label", "dimensions", twist_frame="log",
         outline="convex_hull.polygon.points", outline_frame="frame", trusted="velocity_reliable", existence="score",
     ),
-    **{f"{p}TrackedObjects": _autoware("kinematics.") for p in _PACKAGES},
-    **{f"{p}PredictedObjects": _autoware("kinematics.", "initial_") for p in _PACKAGES},
-    **{f"{p}DetectedObjects": _autoware("kinematics.") for p in _PACKAGES},
+    **{f"{p}TrackedObjects": _autoware() for p in _PACKAGES},
+    **{f"{p}PredictedObjects": _autoware("kinematics.initial_") for p in _PACKAGES},
+    **{f"{p}DetectedObjects": _autoware() for p in _PACKAGES},
     "derived_object_msgs/msg/ObjectArray": ObjectSchema(
         "objects", "pose", "twist", "id", "classification", twist_frame="log", solid="shape",
     ),

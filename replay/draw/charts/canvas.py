@@ -289,8 +289,8 @@ def _after(tenths: int) -> str:
     return _tenths(tenths) if tenths < 0 else f" {_tenths(tenths)}"
 
 
-def simplified(points: FloatArray, tolerance: float = KEPT_PX) -> IntArray:
-    """Which points of a line `(n, 2)` draw it within `tolerance` (Douglas and Peucker 1973), level by level."""
+def simplified(points: FloatArray) -> IntArray:
+    """Which points of a line `(n, 2)` draw it within `KEPT_PX` (Douglas and Peucker 1973), level by level."""
     kept = [np.array([0, len(points) - 1] if len(points) > 1 else [0])]
     begin, end = kept[0][:-1], kept[0][1:]
     while True:
@@ -309,7 +309,7 @@ def simplified(points: FloatArray, tolerance: float = KEPT_PX) -> IntArray:
         np.divide(across, length, out=distance, where=length > 0.0)
         worst = np.maximum.reduceat(distance, start)
         hits = np.flatnonzero(distance == worst[owner])
-        split, bent = at[hits[np.searchsorted(hits, start)]], worst > tolerance
+        split, bent = at[hits[np.searchsorted(hits, start)]], worst > KEPT_PX
         kept.append(split[bent])
         begin, end = np.r_[begin[bent], split[bent]], np.r_[split[bent], end[bent]]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from logs.names import counted
+from logs.names import counted, listed
 from logs.plan import Decision, Graph, PlanStatus
 from logs.scenario import Scenario
 from logs.trace import PlannedFrame, Trace
@@ -82,9 +82,8 @@ def why(
         moves.append(f"hardest braking {course.a_least:.1f} m/s² at t = {explained.t + course.t_hardest:.1f} s")
     lines += ["", f"{'; '.join(moves)}. Starts {plan.start.value}."]
     if missing:
-        named = ", ".join(f"{cell(name)} ({away:.0f} m)" for name, away in missing[:MAX_MISSING])
-        more = f" and {len(missing) - MAX_MISSING} more" if len(missing) > MAX_MISSING else ""
-        lines += ["", f"**Not seen by the sensor:** {named}{more}"]
+        named = listed([f"{cell(name)} ({away:.0f} m)" for name, away in missing], MAX_MISSING)
+        lines += ["", f"**Not seen by the sensor:** {named}"]
     return lines + _sections(explained, lambda section: section.title not in NUMBERS)
 
 

@@ -91,6 +91,8 @@ def in_use(port: int) -> bool:
     return False
 
 
+TIMEOUT_S = 60.0
+"""Time limit for the start of the viewer, for loading, and for each picture."""
 PAUSE_S = 0.3
 HEADER_PX = 36
 """Height of the viewer's header."""
@@ -137,12 +139,7 @@ class Picture:
 
 
 def take_pictures(
-    recording: Path,
-    pictures: Sequence[Picture],
-    *,
-    size: str = "1920x1080",
-    theme: Theme = "dark",
-    timeout: float = 60.0,
+    recording: Path, pictures: Sequence[Picture], *, size: str = "1920x1080", theme: Theme = "dark"
 ) -> list[str]:
     """Take pictures of a recording.
 
@@ -151,7 +148,6 @@ def take_pictures(
         pictures: The pictures to take, in this order.
         size: Size of a picture of the whole window, pixels: WIDTHxHEIGHT.
         theme: Theme of the viewer.
-        timeout: Time limit for the start, for loading, and for each picture, s.
 
     Returns:
         The viewer's reports about its views after the last picture, one line each; empty for a healthy recording.
@@ -164,9 +160,9 @@ def take_pictures(
     if re.fullmatch(r"[1-9]\d{2,3}x[1-9]\d{2,3}", size) is None:
         raise ConfigError(f"--size {size}: WIDTHxHEIGHT in pixels, for example 1920x1080")
     width, height = (int(part) for part in size.split("x"))
-    with _viewer(f"{width}x{height + HEADER_PX}", theme, timeout) as (client, alive):
+    with _viewer(f"{width}x{height + HEADER_PX}", theme) as (client, alive):
         client.open([str(recording.resolve())])
-        _until(lambda: not client.get_state().loading, timeout, alive, "the recording does not load")
+        _until(lambda: not client.get_state().loading, alive, "the recording does not load")
         kept = client.get_blueprint("recording").blueprint
         shown = None
         for picture in pictures:
@@ -176,7 +172,7 @@ def take_pictures(
                 shown = picture.layout, picture.view
             if any(recording.timelines for recording in client.get_state().recordings):
                 client.set_time(SIM_TIME, duration=picture.t, play_state="paused")
-            _settle(client, picture, view, timeout, alive)
+            _settle(client, picture, view, alive)
         return [f"{view.name}: {report.summary}" for view in client.get_state().views for report in view.reports]
 
 
@@ -234,7 +230,7 @@ def _above(name: str, parents: Mapping[str, str]) -> list[str]:
     return out
 
 
-def _settle(client: Any, picture: Picture, view: str | None, timeout: float, alive: Callable[[], None]) -> None:
+def _settle(client: Any, picture: Picture, view: str | None, alive: Callable[[], None]) -> None:
     last = b""
 
     def settled() -> bool:
@@ -243,7 +239,7 @@ def _settle(client: Any, picture: Picture, view: str | None, timeout: float, ali
         before, last = last, client.take_screenshot(view_id=view)
         return before == last
 
-    _until(settled, timeout, alive, f"the picture at {picture.t} s never settled")
+    _until(settled, alive, f"the picture at {picture.t} s never settled")
     if view is None:  # the place of the hidden header is empty
         shot, cut = Image.open(BytesIO(last)), BytesIO()
         shot.crop((0, HEADER_PX, shot.width, shot.height)).save(cut, "PNG")
@@ -251,17 +247,17 @@ def _settle(client: Any, picture: Picture, view: str | None, timeout: float, ali
     write_file(picture.out, lambda partial: partial.write_bytes(last))
 
 
-def _until(done: Callable[[], bool], timeout: float, alive: Callable[[], None], complaint: str) -> None:
-    end = time.monotonic() + timeout
+def _until(done: Callable[[], bool], alive: Callable[[], None], complaint: str) -> None:
+    end = time.monotonic() + TIMEOUT_S
     while not done():
         alive()
         if time.monotonic() > end:
-            raise ScreenshotError(f"{complaint} within {timeout:g} s")
+            raise ScreenshotError(f"{complaint} within {TIMEOUT_S:g} s")
         time.sleep(0.02)
 
 
 @contextmanager
-def _viewer(size: str, theme: Theme, timeout: float) -> Iterator[tuple[Any, Callable[[], None]]]:
+def _viewer(size: str, theme: Theme) -> Iterator[tuple[Any, Callable[[], None]]]:
     """A headless viewer, its client, and a check that it is alive; it ends with the block."""
     binary = Path(str(files("rerun_cli").joinpath("rerun")))
     port = free_port()
@@ -275,10 +271,10 @@ def _viewer(size: str, theme: Theme, timeout: float) -> Iterator[tuple[Any, Call
                 raise ScreenshotError(f"the viewer ended with code {process.returncode}: {_why_ended(log.read())}")
 
         try:
-            client = _connect(port, timeout, alive)
+            client = _connect(port, alive)
             if theme != "dark":  # the default
                 client.set_location("about:settings")
-                if error := click_theme(theme, binary, port, variables, timeout):
+                if error := click_theme(theme, binary, port, variables, TIMEOUT_S):
                     raise ScreenshotError(f"the viewer's theme cannot be set: {error}")
             yield client, alive
         except (OSError, RuntimeError) as error:  # the client lost the viewer
@@ -305,8 +301,8 @@ def _why_ended(said: str) -> str:
     return " ".join(" ".join(lines[first : first + 5]).split())[:400]
 
 
-def _connect(port: int, timeout: float, alive: Callable[[], None]) -> Any:
-    end = time.monotonic() + timeout
+def _connect(port: int, alive: Callable[[], None]) -> Any:
+    end = time.monotonic() + TIMEOUT_S
     while True:
         alive()
         try:
@@ -315,7 +311,7 @@ def _connect(port: int, timeout: float, alive: Callable[[], None]) -> Any:
             return client
         except (ConnectionError, RuntimeError, OSError, ValueError) as error:
             if time.monotonic() > end:
-                raise ScreenshotError(f"the viewer did not answer within {timeout:g} s: {error}") from error
+                raise ScreenshotError(f"the viewer did not answer within {TIMEOUT_S:g} s: {error}") from error
             time.sleep(0.05)
 
 

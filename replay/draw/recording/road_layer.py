@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import rerun as rr
 
-from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, FloatArray, IntArray, arc_lengths
 from logs.kernel import kernel
 from logs.road import Lane, Road, inside
 from logs.rules import Colour
@@ -47,7 +47,7 @@ def draw_lines(tape: Tape, entity: str, lines: Sequence[FloatArray], colour: int
 
 def dashes(line: FloatArray) -> list[FloatArray]:
     """The dashes of a broken marking along a polyline `(n, 2)`."""
-    along = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    along = arc_lengths(*line.T)
     out: list[FloatArray] = []
     for start in np.arange(0.0, along[-1], DASH_M + GAP_M):
         stop = min(start + DASH_M, along[-1])

@@ -14,7 +14,7 @@ from worlds import PERIOD, along_x, lanes, strip
 from logs import AgentKind, EgoState, Frame, Goal, Plan, PlannerContext, Road, Scenario
 from logs.catalogue import CATALOGUE
 from logs.road import ReferenceLine, nearest, thinned
-from logs.route import Route, find_route, goal_lanes, start_lanes, straight_on
+from logs.route import find_route, goal_lanes, start_lanes, straight_on
 from logs.transform import jittered, rotated
 from planners.dp_qp import DpQp
 from planners.dp_qp.path.dp import PathDpConfig, path_dp
@@ -109,7 +109,7 @@ def test_a_course_is_as_wide_at_its_ends_as_beside() -> None:
         shift = np.array([off, 0.0])
         other = replace(left, left=left.left + shift, right=left.right + shift)
         road = Road({0: strip(0, along_x(), left_neighbour=1), 1: other})
-        reference = make_reference_path(road, Route((0,), False, 0.0), EgoState(0.0, 0.0, 0.0, 0.0, 5.0))
+        reference = make_reference_path(road, (0,), EgoState(0.0, 0.0, 0.0, 0.0, 5.0))
         np.testing.assert_allclose(reference.road_left, 5.25, atol=1e-4)
 
 
@@ -121,7 +121,7 @@ def test_a_fork_as_sharp_to_both_sides_goes_to_the_lane_with_the_lower_id(off: f
     road = Road({0: strip(0, along_x(), successors=(2, 1)), 1: up, 2: down})
     assert straight_on(road, 0) == 1
     goal = Goal((np.array([[418.0, -9.0], [421.0, -9.0], [421.0, 9.0], [418.0, 9.0]]),))
-    assert find_route(road, EgoState(0.0, 0.0, 0.0, 0.0, 5.0), goal).lanes == (0, 1)
+    assert find_route(road, EgoState(0.0, 0.0, 0.0, 0.0, 5.0), goal) == (0, 1)
 
 
 def test_who_stands_where_a_lane_ends_is_on_the_next() -> None:

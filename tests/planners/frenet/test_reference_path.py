@@ -10,7 +10,7 @@ from worlds import CAR, along_x, beside, curve, lanes, strip
 
 from logs import EgoState, Lane, ReferenceLine, Road, VehicleParameters
 from logs.arrays import FloatArray
-from logs.route import Route, find_route
+from logs.route import find_route
 from planners.frenet.reference_path import (
     BENDING_WEIGHT,
     MAX_SHIFT_M,
@@ -167,7 +167,7 @@ def test_the_limit_follows_the_lanes_and_the_route_goes_on_straight() -> None:
 
 def test_a_lane_change_on_the_route_is_blended_from_the_ego_on() -> None:
     road = lanes(along_x(), 2)
-    line = make_reference_path(road, Route((0, 1), True, 50.0), EGO).line
+    line = make_reference_path(road, (0, 1), EGO).line
     offsets = np.interp([-20.0, 0.0, 100.0, 200.0], line.xy[:, 0], line.xy[:, 1])
     np.testing.assert_allclose(offsets, (0.0, 0.0, 3.5, 3.5), atol=0.1)
     assert np.abs(line.kappa).max() < 0.05
@@ -194,7 +194,7 @@ def test_a_kinked_lane_is_smoothed_until_a_car_can_be_steered_along(turn: float,
 
     def line(width: float, car: VehicleParameters | None) -> ReferenceLine:
         road = Road({0: strip(0, kinked, 0.5 * width, -0.5 * width)})
-        return make_reference_path(road, Route((0,), False, 0.0), EGO, car).line
+        return make_reference_path(road, (0,), EGO, car).line
 
     for width in (1.9, 5.0):
         plain, steerable = line(width, None), line(width, CAR)

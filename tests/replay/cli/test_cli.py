@@ -302,7 +302,7 @@ def test_the_index_lists_the_worst_first_and_says_how_others_are_opened(recorded
 
     from replay.draw.view import write_index
 
-    _, worst = write_index(tmp_path / "index.rrd", recorded, 1)
+    worst = write_index(tmp_path / "index.rrd", recorded, 1)
     (page,) = Recording(tmp_path / "index.rrd").static("/index", "TextDocument:text").to_pylist()
     assert page.index("test/blocked") < page.index("test/free") and "1 of 2 recordings" in page
     for row in load(recorded).drives.query("mode == 'closed'").itertuples():

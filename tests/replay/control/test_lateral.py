@@ -13,7 +13,7 @@ from scipy.linalg import solve_discrete_are
 from worlds import controlled
 
 from logs import ConfigError, EgoState, Trajectory, VehicleParameters
-from replay.control.dlqr import DlqrConfig, gain, gain_table, regulator, rolling_model, solve_riccati
+from replay.control.dlqr import DlqrConfig, Regulators, gain, gain_table, regulators, rolling_model, solve_riccati
 from replay.control.estimation import NO_SLIP, learned, slip_model
 from replay.control.lateral_model import (
     DISCRETISATIONS,
@@ -131,10 +131,15 @@ def test_the_papers_input_matrix_is_off_by_percents_and_the_consistent_one_is_no
 # --- the regulator
 
 
+def regulator(v: float, car: VehicleParameters) -> Regulators:
+    """At one speed."""
+    return Regulators(*(each[0] for each in regulators([v], car, PERIOD, DlqrConfig())))
+
+
 @pytest.mark.parametrize("car", [CAR, ROLLING], ids=["slipping", "rolling"])
 @given(st.floats(0.5, 45.0), st.lists(st.floats(-2.0, 2.0), min_size=5, max_size=5))
 def test_predicted_cost_is_the_rolled_out_cost(car: VehicleParameters, v: float, start: list[float]) -> None:
-    r = regulator(v, car, PERIOD, DlqrConfig())
+    r = regulator(v, car)
     moves, cost = r.A - r.B @ r.K, r.Q + r.K.T @ r.R @ r.K
     for _ in range(18):  # the first 2, 4, ... 2^18 steps of the roll-out
         cost, moves = cost + moves.T @ cost @ moves, moves @ moves
@@ -164,15 +169,15 @@ def test_the_tabulated_gain_is_stable_at_all_speeds(v: float) -> None:
 
 def test_gains_between_the_rows_are_close_to_the_solution() -> None:
     for v in (2.25, 7.75, 20.3, 44.9):
-        exact = regulator(v, ROLLING, PERIOD, DlqrConfig()).K[0]
+        exact = regulator(v, ROLLING).K[0]
         np.testing.assert_allclose(gains_at(v, ROLLING), exact, rtol=2e-2)
 
 
 def test_stiff_tyres_give_the_kinematic_gains() -> None:
     stiff = replace(CAR, cornering_front=1e9, cornering_rear=1e9)
     for v in (2.0, 10.0, 20.0):
-        K = regulator(v, stiff, PERIOD, DlqrConfig()).K[0]
-        k = regulator(v, ROLLING, PERIOD, DlqrConfig()).K[0]
+        K = regulator(v, stiff).K[0]
+        k = regulator(v, ROLLING).K[0]
         # e_d' = v e_phi and e_phi' = v / L e_steer: their gains are the heading's and the steering's
         merged = [K[0], K[2] + v * K[1], K[4] + v / CAR.wheelbase * K[3]]
         np.testing.assert_allclose(merged, k, rtol=2e-2)
@@ -187,7 +192,7 @@ def test_settings_that_make_no_sense_are_refused() -> None:
         DlqrConfig(steer_weight=0.0)
     for car in (CAR, ROLLING):
         with pytest.raises(ConfigError, match="no stable gain"):
-            regulator(0.0, car, PERIOD, DlqrConfig())
+            regulator(0.0, car)
     A, B, one = np.array([[[2.0]], [[0.5]]]), np.array([[[0.0]], [[1.0]]]), np.ones((2, 1, 1))
     solved = solve_riccati(A, B, np.eye(1), one)  # the first has no solution, which spoils no other
     assert np.isnan(solved[0]).all() and solved[1] == pytest.approx(solve_discrete_are(A[1], B[1], np.eye(1), one[1]))

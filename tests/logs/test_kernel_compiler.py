@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba.core.compiler import Flags
 
 from logs.kernel import inner_kernel, kernel
 from logs.kernel_compiler import KernelLibrary
@@ -127,3 +128,11 @@ def test_an_inner_kernel_on_disk_serves_the_kernels_of_other_processes(tmp_path:
         run = [sys.executable, "-B", str(tmp_path / f"{name}.py")]
         said.append(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.split())
     assert said == [["7.0", "2", "below", "zero"], ["8.0", "1", "below", "zero"], ["8.0", "0", "below", "zero"]]
+
+
+def test_options_are_compared_with_their_defaults() -> None:
+    plain, told, other = Flags(), Flags(), Flags()
+    told.nrt, other.nrt = Flags.options["nrt"].default, not Flags.options["nrt"].default
+    assert plain == told and told == plain and hash(plain) == hash(told)
+    assert plain != other and other != told
+    assert other == other.copy()

@@ -10,7 +10,9 @@ when the first gate fails, or the end of the shorter one.
 (5) left       = how far P's path is to the left of F's place at t_x; asked where (4) is not
 (6) predicted  = way of the most probable future of the road user in F's frame at t_P, else AHEAD_S before t_x, up to
                  the last predicted time that their track reaches, at most AHEAD_S;  moved = as they move in F
-(7) waits      = the time in which plans slow down, crawl or stand, by their first cause, of a drive that does not get
+(7) made way   = how much harder the road user brakes in P than in F, up to t_x: the greatest fall of their speed in P
+                 beyond that in F within WAY_S, per second
+(8) waits      = the time in which plans slow down, crawl or stand, by their first cause, of a drive that does not get
                  far enough
 """
 
@@ -25,6 +27,7 @@ import numpy as np
 from logs.arrays import FloatArray
 from logs.states import EgoState, Trajectory
 from logs.trace import Trace
+from metrics.boxes import GRID_S, some_at
 from replay.explain.causes import KEEP, Account
 from replay.explain.course import Action
 from replay.explain.explanation import lane_options, taken_option
@@ -37,6 +40,8 @@ MISSED_M = 1.0
 """A road user shown or predicted this far from their true place is treated as shown or predicted elsewhere."""
 STAYS_M = 0.5
 """A road user that moves less than this within `AHEAD_S` stands."""
+FORCED_MPS2, WAY_S = 3.0, 0.5
+"""A road user who brakes harder than this for the ego is forced to (UN R79, 5.6.4.7: a critical lane change)."""
 SOMEONE = "a road user"
 BRAKES = ("does not brake", "brakes late", "brakes too weakly")
 OUTCOMES = {
@@ -156,6 +161,21 @@ class DriveDifference:
         return "", ""
 
 
+def made_way(failing: Trace, passing: Trace, who: str, until: float) -> float:
+    """The braking (7) of a road user, m/s2; 0 if one of the drives does not have them."""
+    if who not in failing.agents.ids or who not in passing.agents.ids:
+        return 0.0
+    t = np.arange(0.0, min(until, float(failing.ego.t[-1]), float(passing.ego.t[-1])) + SAME_S, GRID_S)
+    there, speed = [], []
+    for agents in (failing.agents, passing.agents):
+        one = some_at(agents, np.array([agents.ids.index(who)]), t)
+        there.append(one.there[0])
+        speed.append(np.hypot(*one.pose[3:5, 0]))
+    slower, steps = np.where(there[0] & there[1], speed[0] - speed[1], np.nan), round(WAY_S / GRID_S)
+    falls = (slower[steps:] - slower[:-steps]) / WAY_S
+    return float(np.max(falls, initial=0.0, where=np.isfinite(falls)))
+
+
 def _relative(ego: EgoState, x: float | FloatArray, y: float | FloatArray) -> tuple[FloatArray, FloatArray]:
     """Places in the frame of an ego: ahead and to the left, m."""
     dx, dy, c, sn = x - ego.x, y - ego.y, np.cos(ego.yaw), np.sin(ego.yaw)
@@ -242,7 +262,7 @@ SLOW = (Action.STANDS, Action.CRAWLS, Action.SLOWS)
 
 @dataclass(frozen=True)
 class Wait:
-    """The time that a drive spends slow for one cause (7).
+    """The time that a drive spends slow for one cause (8).
 
     Attributes:
         who: The road user, stop line or other cause.
@@ -256,7 +276,7 @@ class Wait:
 
 
 def waits(found: Sequence[Account], end: float) -> list[Wait]:
-    """The waits (7) of a drive that ends at `end`, s, from the accounts of its plans; the longest first."""
+    """The waits (8) of a drive that ends at `end`, s, from the accounts of its plans; the longest first."""
     spent: dict[str, Wait] = {}
     ends = [*(one.t for one in found[1:]), end]
     for one, until in zip(found, ends, strict=False):

@@ -33,7 +33,7 @@ MOST = 3
 MOST_KEYS = 4
 """Largest number of settings of a change in a sentence; diagnosis.json has all."""
 DRIVES = ("log", "cause", "why", "happens", "gates", "about", "time_s", "parts_s", "parts_stage", "passes_with")
-ANSWERS = ("log", "change", "cause", "rank", "passes", "fails", "end", "parts_s", "parts_stage")
+ANSWERS = ("log", "change", "cause", "rank", "passes", "fails", "against", "end", "parts_s", "parts_stage")
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,7 @@ class Found:
         because: The reason why the planner slowed down there, from its explanation.
         passing: Names of all changes with which it passes.
         waits: Where the time went, if it gets too little far.
+        almost: Changes with which it fails none of these gates and is not mended, and why.
     """
 
     log: str
@@ -63,6 +64,7 @@ class Found:
     because: str
     passing: tuple[str, ...]
     waits: tuple[Wait, ...] = ()
+    almost: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def look_s(self) -> float:
@@ -154,6 +156,10 @@ class Diagnosis:
             said.append(f"{share}: {first.failure.sentence}.")
             said.append(f"  Cause: {first.cause.name}; {self.words_of(first.cause)}; fails {gates}.")
             said.append(f"  Look first at {first.place}")
+            if first.almost and not first.cause.changes:
+                words = {run.change.name: run.change.words for run in self.runs}
+                nearly = "; ".join(f"{words[name]}: {why}" for name, why in first.almost.items())
+                said.append(f"  Holds these gates, but is no better: {nearly}.")
             if first.cause.name == NOT_FOUND and not first.cause.fragile:
                 at = f" --at {first.look_s:.1f}" if isfinite(first.look_s) else ""
                 look = f"replan explain {self.run} --log {first.log} -p {self.planner}{at}"
@@ -201,7 +207,7 @@ class Diagnosis:
         ]  # fmt: skip
         answers = [
             (found.log, run.change.name, run.change.cause, run.change.rank, one["passes"], "; ".join(one["gates"]),
-             one["end"], one["parts"].get("t_s"), one["parts"].get("stage", ""))
+             one["against"], one["end"], one["parts"].get("t_s"), one["parts"].get("stage", ""))
             for found in self.drives
             for run in self.runs
             for one in [self.answers[run.change.name][found.log]]

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from logs import AgentKind, Trajectory
 from logs.frame import Predictions
 from logs.plan import LaneOption, Plan
-from logs.trace import PlannedFrame, Trace
+from logs.trace import EndReason, PlannedFrame, Trace
 from metrics.judge import Outcome, load_gates
-from replay.experiments.drives import worsens
+from replay.experiments.drives import CUT, cut_short, worse_peak
 from replay.experiments.failure import (
     LATE_S,
     MISSED_M,
@@ -27,6 +27,7 @@ from replay.experiments.failure import (
     DriveFailure,
     Foresight,
     lane_change,
+    made_way,
     waits,
 )
 from replay.explain.causes import Account, Cause, CauseKind
@@ -191,9 +192,34 @@ def test_the_waits_are_the_time_of_slow_plans_by_cause(steps: list[tuple[str, Ac
         assert one.since_s == next(begins)
 
 
+@given(st.floats(1.0, 6.0), st.floats(0.5, 3.0))
+def test_a_road_user_makes_way_by_as_much_as_they_brake_harder_until_the_failure(decel: float, at: float) -> None:
+    def behind(hardest: float) -> Trace:
+        v = np.maximum(V - hardest * np.maximum(T - at, 0.0), 0.0)
+        x = np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (v[1:] + v[:-1]))] - 20.0
+        places = x, 0.0 * T + 3.0, 0.0 * T
+        return drive(scenario(AS_LOGGED, [("7", AgentKind.CAR, (4.5, 1.8), lambda t: places)]))
+
+    undisturbed, braking = behind(0.0), behind(decel)
+    assert made_way(undisturbed, braking, "7", at + 1.0) == pytest.approx(decel, abs=0.05)
+    assert made_way(braking, undisturbed, "7", at + 1.0) == pytest.approx(0.0, abs=0.05)
+    assert made_way(undisturbed, braking, "7", at - 0.2) == pytest.approx(0.0, abs=0.05)
+    assert made_way(undisturbed, braking, "8", at + 1.0) == 0.0
+
+
+@given(st.sampled_from(EndReason), st.sampled_from(EndReason), st.floats(0.0, 10.0), st.floats(0.0, 10.0))
+def test_a_drive_that_is_cut_before_the_failure_or_by_what_did_not_end_that_one_is_no_evidence(
+    before: EndReason, now: EndReason, until: float, lasted: float
+) -> None:
+    cut = cut_short(before.value, until, now.value, lasted)
+    assert not cut or now.value in CUT
+    assert now.value not in CUT or cut == (before.value not in CUT or lasted < until)
+    assert not cut_short(before.value, until, EndReason.GOAL.value, lasted)
+
+
 def test_a_peak_that_is_farther_out_is_worse() -> None:
     before = {"lon_accel.max_abs": 3.0, "lon_accel.min": -3.0, "gap.min": 0.5}
-    assert not worsens(before, before) and not worsens(before, {})
-    assert not worsens(before, {"lon_accel.max_abs": 3.2, "lon_accel.min": -3.2, "gap.min": 0.46})
-    assert worsens(before, {"lon_accel.max_abs": 9.0}) and worsens(before, {"lon_accel.min": -9.0})
-    assert worsens(before, {"gap.min": 0.4}) and not worsens(before, {"gap.min": 5.0})
+    assert not worse_peak(before, before) and not worse_peak(before, {})
+    assert not worse_peak(before, {"lon_accel.max_abs": 3.2, "lon_accel.min": -3.2, "gap.min": 0.46})
+    assert worse_peak(before, {"lon_accel.max_abs": 9.0}) and worse_peak(before, {"lon_accel.min": -9.0})
+    assert worse_peak(before, {"gap.min": 0.4}) and not worse_peak(before, {"gap.min": 5.0})

@@ -46,6 +46,8 @@ from replay.experiments.failure import (
     DriveDifference,
     DriveFailure,
     Foresight,
+    GoalMiss,
+    Pace,
     Wait,
     lane_change,
     made_way,
@@ -274,6 +276,8 @@ class _DiagnosisDrives:
                 was, now, until = self._drive_of(name), made.drive(file), self._base_rows[name]["time_s"]
                 difference = DriveDifference.of(was.trace, now.trace, inf if until is None else until)
                 answers[name].update(parts=parting(was, now), difference=asdict(difference))
+                if self._base_rows[name]["metric"].partition(".")[0] in PROGRESS:
+                    answers[name]["pace"] = asdict(Pace.of(now.trace.ego, now.scenario))
         return answers
 
     def _against(self, name: str, made: DrivenLogs) -> str | None:
@@ -312,6 +316,7 @@ class _DiagnosisDrives:
         at = parts.get("t_s", time)
         k = _frame_at(frames, at)
         because = Explanation.of(frames[k], explained[k], bounds=False).because if frames and isfinite(at) else ()
+        late = base["metric"].partition(".")[0] in PROGRESS
         kind, _, agent = base["about"].partition(" ")
         known = kind in {one.value for one in AgentKind} and agent in drive.trace.agents.ids
         begun = None if difference.brakes_s is None or not frames else explained[_frame_at(frames, difference.brakes_s)]
@@ -326,12 +331,19 @@ class _DiagnosisDrives:
             lane_change(drive.trace, fails), difference,
             begun is not None and any(one.who == agent for one in begun.causes),
             Foresight.of(drive.trace, agent, seen) if known else Foresight(),
+            GoalMiss.of(drive.trace, drive.scenario) if late else None,
         )  # fmt: skip
         first = drive.scenario.short_names(because[0]) if because else ""
-        slow: tuple[Wait, ...] = ()
-        if base["metric"].partition(".")[0] in PROGRESS:
-            slow = tuple(replace(one, who=drive.scenario.short_names(one.who)) for one in waits(explained, last))
-        return Found(name, tuple(base["gates"]), time, beyond, cause, failure, parts, first, passing, slow, almost)
+        slow: list[Wait] = []
+        pace = Pace(**shows["pace"]) if "pace" in shows else Pace.needed(drive.scenario) if late else None
+        if pace is not None:
+            lost, wanted = pace.lost(drive.trace.ego, drive.scenario, [frame.t for frame in frames])
+            loop = drive.result.run.drive_loop
+            slow = waits(list(accounts(drive.trace, drive.scenario, loop, wanted=wanted)), lost.tolist())
+        slow = [replace(one, who=drive.scenario.short_names(one.who)) for one in slow]
+        return Found(
+            name, tuple(base["gates"]), time, beyond, cause, failure, parts, first, passing, tuple(slow), almost
+        )
 
     def remedy(self, name: str, settings: Sequence[Setting], say: Callable[[str], None]) -> Remedy:
         """The smallest change of a setting with which a drive passes, and its effect on the other drives."""

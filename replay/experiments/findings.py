@@ -30,6 +30,8 @@ from replay.results.version import replan_version
 AS_IT_WAS = "as_it_was"
 MOST = 3
 """Largest number of waits that are told."""
+MUCH = 0.5
+"""A wait of this share of the longest one is long."""
 MOST_KEYS = 4
 """Largest number of settings of a change in a sentence; diagnosis.json has all."""
 DRIVES = ("log", "cause", "why", "happens", "gates", "about", "time_s", "parts_s", "parts_stage", "passes_with")
@@ -50,7 +52,7 @@ class Found:
         parts: First difference of the drive with the change that points to the cause: t_s, stage, what.
         because: The reason why the planner slowed down there, from its explanation.
         passing: Names of all changes with which it passes.
-        waits: Where the time went, if it gets too little far.
+        waits: The time lost by cause, if it gets too little far.
         almost: Changes with which it fails none of these gates and is not mended, and why.
     """
 
@@ -68,8 +70,10 @@ class Found:
 
     @property
     def look_s(self) -> float:
-        """The time to look at first: of a drive that gets too little far, when its first long wait begins."""
-        return min((one.since_s for one in self.waits[:MOST]), default=self.time_s)
+        """The time to look at first: of a drive that gets too little far, when it first loses much time, or parts."""
+        if self.waits:
+            return min(one.since_s for one in self.waits if one.seconds >= MUCH * self.waits[0].seconds)
+        return self.time_s if self.failure.missed is None else float(self.parts.get("t_s", self.time_s))
 
     @property
     def place(self) -> str:
@@ -78,8 +82,8 @@ class Found:
         parts = f"; it parts at {self.parts['what']}" if self.parts else ""
         because = f" {self.because}" if self.because else ""
         details = f": {self.failure.details}" if self.failure.details else ""
-        slow = ", ".join(f"{one.seconds:.1f} s for {one.who} from {one.since_s:.1f} s on" for one in self.waits[:MOST])
-        went = f" Slow or standing: {slow}." if slow else ""
+        slow = ", ".join(f"{one.seconds:.1f} s to {one.who} from {one.since_s:.1f} s on" for one in self.waits[:MOST])
+        went = f" Loses {slow}." if slow else ""
         return f"{self.log}{at}{details}{parts}.{because}{went}"
 
 

@@ -28,6 +28,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import chain, repeat
 from math import isfinite, nan
 
 import numpy as np
@@ -41,6 +42,7 @@ from replay.explain.course import (
     BRAKES_MPS2,
     LOOK_S,
     STANDING_MPS,
+    START_TO_MPS,
     STEP_S,
     Course,
     Held,
@@ -160,11 +162,16 @@ class Account:
 
 
 def accounts(
-    trace: Trace, scenario: Scenario, loop: LoopConfig | None = None, earlier: Iterable[float] = ()
-) -> Iterator[Account]:
-    """The account of each frame of a drive; arguments as `planner_inputs`."""
-    explainer = Explainer(scenario)
-    return (explainer.account(frame) for frame in planner_inputs(trace, scenario, loop, earlier))
+    trace: Trace, scenario: Scenario, loop: LoopConfig | None = None, earlier: Iterable[float] = (),
+    wanted: Iterable[float] = (),
+) -> Iterator[Account]:  # fmt: skip
+    """The account of each frame of a drive; arguments as `planner_inputs`.
+
+    `wanted` has a speed for each frame, m/s: why a plan is not that fast is then asked also where it does not brake;
+    NaN, or none: it is not.
+    """
+    explainer, inputs = Explainer(scenario), planner_inputs(trace, scenario, loop, earlier)
+    return (explainer.account(frame, speed) for frame, speed in zip(inputs, chain(wanted, repeat(nan)), strict=False))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -205,21 +212,21 @@ class Explainer:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario, self._ways = scenario, Ways(scenario)
 
-    def account(self, frame: PlannerInput) -> Account:
-        """Why the plan of a frame slows down or stands."""
+    def account(self, frame: PlannerInput, wanted: float = nan) -> Account:
+        """Why the plan of a frame slows down or stands, or is not as fast as a wanted speed, m/s."""
         plan = frame.planned.plan
         course = Course.of(plan)
         predicted = frame.predictions is not None
         failed = [
             Cause(CauseKind.FALLBACK, plan.status.value, reason=plan.reason, inferred=False)
         ] if plan.status.is_fallback else []  # fmt: skip
-        if not course.is_asked:
+        if not course.is_asked and not isfinite(wanted):
             return Account(frame.planned.t, course, predicted, tuple(failed))
         decided: dict[str, Decision] = {}
         for each in plan.internals:
             if isinstance(each, Decision) and each.kind in STAYS_BEHIND:
                 decided.setdefault(each.agent, each)
-        held = Held.of(plan, course)
+        held = Held.of(plan, course, wanted)
         case = _Case(frame, course, held, self._ways.of(plan, held.reach), decided, self._scenario)
         met: list[Meeting] = []
         if frame.predictions is not None and len(frame.predictions):
@@ -299,7 +306,7 @@ def _stops(case: _Case) -> Iterator[Cause]:
 def _limit_and_curve(case: _Case) -> Iterator[Cause]:
     """(3) and (4): the speed limit and the curve along the way that require the hardest braking."""
     held, way = case.held, case.way
-    if held.drives_off:
+    if held.drives_off and held.v <= START_TO_MPS:
         return
     limit, bend = way.limit, np.abs(way.kappa)
     ahead = np.maximum(way.s - held.s_from, max(held.v * SOON_S, 1e-3))
@@ -311,9 +318,10 @@ def _limit_and_curve(case: _Case) -> Iterator[Cause]:
         for kind, target, value in allowed:
             asks = (target < held.v) & (way.s >= held.s_from) & (way.s <= held.reach)
             need = np.where(asks, (held.v**2 - target**2) / (2.0 * ahead), 0.0)
-            i = int(np.argmax(need))
+            i = int(np.argmax(asks if held.drives_off else need))
             if need[i] >= LEAST_MPS2:
-                yield case.cause(kind, float(way.s[i]), float(need[i]), value=float(value[i]))
+                needed = nan if held.drives_off else float(need[i])
+                yield case.cause(kind, float(way.s[i]), needed, value=float(value[i]))
 
 
 def _goal_and_end(case: _Case) -> Iterator[Cause]:

@@ -14,13 +14,14 @@ stops for
 (6) end     the map ends on the way, and the plan stops before it
 (7) word    the planner's STOP or YIELD for an agent near the way that the ego would not meet, or for an object without
     a position
-(8) passed  none of these, but a planner's OVERTAKE of an agent near the way: the plan brakes before it overtakes
-(9) begun   none of these, and the plan brakes hardest at its start and less before it stands: it eases a braking that
+(8) beside  the planner's FOLLOW of an agent within `BESIDE_M` who would not be met, where none of these needs so much
+(9) passed  none of these, but a planner's OVERTAKE of an agent near the way: the plan brakes before it overtakes
+(10) begun  none of these, and the plan brakes hardest at its start and less before it stands: it eases a braking that
     began in an earlier plan
 
 A cause accounts for the braking if the planner named it, or if it needs `SHARE` of the hardest braking of the plan, or
-that braking is below `FELT_MPS2`. Causes that do not account for it come last; if none does, (8), (9), or that no cause
-was found, comes first.
+that braking is below `FELT_MPS2`. Causes that do not account for it come last; if none does, (8), (9), (10), or that no
+cause was found, comes first.
 """
 
 from __future__ import annotations
@@ -29,13 +30,14 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import chain, repeat
-from math import isfinite, nan
+from math import cos, isfinite, nan, sin
 
 import numpy as np
 
 from logs.plan import Candidates, Decision, DecisionKind, LaneOption, Plan, StGraph
 from logs.rules import RED, Colour
 from logs.scenario import Scenario
+from logs.shapes import distance
 from logs.trace import Trace
 from replay.config import LoopConfig
 from replay.explain.course import (
@@ -71,6 +73,8 @@ FELT_MPS2 = 1.5
 """Weaker braking is accounted for by any cause."""
 SAME_M = 0.1
 """An obstacle of the S-T graph whose lower station changes by less than this is standing."""
+BESIDE_M = 1.0
+"""Largest distance between the boxes of the ego and an agent who may come into its way from beside it."""
 NEAR_M = 3.0
 """Largest distance from the way of an agent that is near it."""
 KEEP, PASSING, PASS = "keep", "passing", "pass: "
@@ -103,7 +107,7 @@ class Cause:
         reason: The planner's reason for the decision.
         inferred: Whether the planner did not name it.
         hold_mps: The speed that is held; for a plan that stands or crawls, the speed that it would reach.
-        away_m: AGENT: distance between the boxes now.
+        away_m: AGENT, and WORD of an agent beside: distance between the boxes now.
         time_s: Time at which it would be met or reached, s from the frame.
         distance_m: Distance that the ego would have driven until then, m.
         need_mps2: The least constant deceleration that avoids it.
@@ -248,6 +252,9 @@ class Explainer:
             if named_only and (name not in frame.agents.ids or case.is_near(name)):
                 found.append(Cause(CauseKind.WORD, name, d.kind.value, d.reason, False, held.v))
         found = sorted(found, key=lambda cause: (not cause.accounts_for(course.a_least), cause.rank))
+        enough = max(FELT_MPS2, SHARE * -course.a_least)
+        if not failed and -course.a_least >= enough and not any(cause.need_mps2 >= enough for cause in found):
+            found = [*(cause for cause in _beside(case) if cause.who not in explained), *found]
         if not failed and not (found and found[0].accounts_for(course.a_least)):
             near = min(met, key=lambda one: one.away_m, default=None)
             one = Cause(CauseKind.AGENT, hold_mps=held.v) if near is None or found else _met_agent(near, case)
@@ -352,8 +359,23 @@ def _goal_and_end(case: _Case) -> Iterator[Cause]:
         yield case.cause(CauseKind.ROAD_END, way.end, held.need(way.end))
 
 
+def _beside(case: _Case) -> Iterator[Cause]:
+    """(8): agents beside the ego whom the planner follows, the nearest first."""
+    car, agents, ego = case.scenario.vehicle, case.frame.agents, case.plan.trajectory.state(0)
+    box = ego.x + car.axle_to_center * cos(ego.yaw), ego.y + car.axle_to_center * sin(ego.yaw), ego.yaw
+    away: dict[str, float] = {}
+    for name, each in case.decided.items():
+        if each.kind is DecisionKind.FOLLOW and name in agents.ids:
+            i = agents.ids.index(name)
+            other = agents.x[i], agents.y[i], agents.yaw[i], agents.length[i], agents.width[i]
+            away[name] = float(distance(*box, car.length, car.width, *other))
+    for name in sorted((name for name in away if away[name] <= BESIDE_M), key=away.__getitem__):
+        reason = case.decided[name].reason
+        yield Cause(CauseKind.WORD, name, DecisionKind.FOLLOW.value, reason, False, case.held.v, away_m=away[name])
+
+
 def _passed_or_begun(case: _Case) -> list[Cause]:
-    """(8): agents that the plan overtakes; otherwise (9): braking that began in an earlier plan."""
+    """(9): agents that the plan overtakes; otherwise (10): braking that began in an earlier plan."""
     passed = [
         Cause(CauseKind.WORD, each.agent, each.kind.value, each.reason, True, case.held.v)
         for each in case.plan.internals

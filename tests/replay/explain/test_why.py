@@ -282,6 +282,21 @@ def test_a_word_about_who_is_near_the_way_is_the_planners() -> None:
     assert said == ["Slows down for waits (yield): may step out; a decision of the planner alone."]
 
 
+@pytest.mark.parametrize(
+    ("x", "y", "hard"), [(-1.0, 2.4, True), (-1.0, 2.4, False), (-1.0, 6.0, True), (-9.0, 2.4, True)]
+)
+def test_hard_braking_is_for_who_is_beside_and_followed(x: float, y: float, hard: bool) -> None:
+    """Whoever is beside is not met: they are behind the middle of the ego."""
+    world = world_with(track("beside", [0.0], [x], [y], static=True))
+    plan = braking(world, (Decision("beside", DecisionKind.FOLLOW, "speed", "comes in"),))
+    path = plan.trajectory
+    plan = replace(plan, trajectory=replace(path, a=np.where(path.v > 0.0, -9.0, 0.0))) if hard else plan
+    first = why_of(world, plan).causes[0]
+    near = hard and (x, y) == (-1.0, 2.4)
+    assert (first.kind is CauseKind.WORD and first.who == "beside" and not first.inferred) == near
+    assert not near or first.away_m == pytest.approx(y - 0.5 * world.vehicle.width - 0.5 * world.tracks.width[0])
+
+
 @pytest.mark.parametrize(("y", "kind"), [(3.2, CauseKind.WORD), (12.0, CauseKind.NONE)])
 def test_who_is_overtaken_near_the_way_is_inferred_where_nothing_else_is_found(y: float, kind: CauseKind) -> None:
     world = world_with(track("walks", [0.0], [30.0], [y], static=True))

@@ -43,6 +43,7 @@ from replay.experiments.failure import (
     AHEAD_S,
     FORCED_MPS2,
     PROGRESS,
+    REACTIONS,
     DriveDifference,
     DriveFailure,
     Foresight,
@@ -51,6 +52,7 @@ from replay.experiments.failure import (
     Wait,
     lane_change,
     made_way,
+    unseen,
     waits,
 )
 from replay.experiments.findings import AS_IT_WAS, Diagnosis, Found
@@ -292,9 +294,13 @@ class _DiagnosisDrives:
             return f"fails {others[0]}"
         if peak := worse_peak(base["peaks"], made.peaks(file, base["gates"])):
             return f"{peak} is worse"
-        was, now, until = self._drive_of(name), made.drive(file), base["time_s"]
-        way = made_way(was.trace, now.trace, who, inf if until is None else until)
-        return f"{was.scenario.short_names(base['about'])} brakes by {way:.1f} m/s² more" if way > FORCED_MPS2 else ""
+        was, now, until = self._drive_of(name), made.drive(file), base["time_s"] or base["lasted"]
+        they, way = was.scenario.short_names(base["about"]), made_way(was.trace, now.trace, who, until)
+        if way > FORCED_MPS2:
+            return f"{they} brakes by {way:.1f} m/s² more"
+        reacts = base["metric"].partition(".")[0] in REACTIONS
+        mute = reacts and unseen(was.trace, now.trace, self._scenario(name).tracks, who, until)
+        return f"{they} reacts to nothing" if mute else ""
 
     def _mended(self, name: str, made: DrivenLogs) -> bool:
         """Whether a failing drive passes with a change."""

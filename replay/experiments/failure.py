@@ -11,7 +11,8 @@ when the first gate fails, or the end of the shorter one.
 (6) predicted  = way of the most probable future of the road user in F's frame at t_P, else AHEAD_S before t_x, up to
                  the last predicted time that their track reaches, at most AHEAD_S;  moved = as they move in F
 (7) made way   = how much harder the road user brakes in P than in F, up to t_x: the greatest fall of their speed in P
-                 beyond that in F within WAY_S, per second
+                 beyond that in F within WAY_S, per second;  unseen = a reaction (`REACTIONS`) that P cannot show: the
+                 ego drives as in F up to t_x, and the road user as in the log, whatever it does
 (8) lost       = t_F' - t_P' from frame to frame: what F takes longer than P for the same way along the route; without
                  P, than the recorded driver, else than at the speed that reaches the goal when its time ends. It is
                  lost to the first cause for which the plan is not as fast; what is made up is taken off the last one
@@ -29,7 +30,9 @@ from logs.arrays import FloatArray
 from logs.scenario import Scenario
 from logs.states import EgoState, Trajectory
 from logs.trace import EndReason, Trace
+from logs.tracks import Tracks
 from metrics.boxes import GRID_S, some_at
+from metrics.cut_in import AS_LOGGED_M, HORIZON_S
 from metrics.progress import gain_along, route_of
 from replay.explain.causes import KEEP, Account, CauseKind
 from replay.explain.explanation import lane_options, taken_option
@@ -44,6 +47,8 @@ STAYS_M = 0.5
 """A road user that moves less than this within `AHEAD_S` stands."""
 FORCED_MPS2, WAY_S = 3.0, 0.5
 """A road user who brakes harder than this for the ego is forced to (UN R79, 5.6.4.7: a critical lane change)."""
+REACTIONS = ("forced_braking", "braked_behind")
+"""Metrics of what road users behind the ego do because of it."""
 SOMEONE = "a road user"
 BRAKES = ("does not brake", "brakes late", "brakes too weakly")
 OUTCOMES = {
@@ -176,6 +181,20 @@ def made_way(failing: Trace, passing: Trace, who: str, until: float) -> float:
     slower, steps = np.where(there[0] & there[1], speed[0] - speed[1], np.nan), round(WAY_S / GRID_S)
     falls = (slower[steps:] - slower[:-steps]) / WAY_S
     return float(np.max(falls, initial=0.0, where=np.isfinite(falls)))
+
+
+def unseen(failing: Trace, passing: Trace, logged: Tracks, who: str, until: float) -> bool:
+    """Whether a reaction of a road user cannot be seen in a drive (7)."""
+    if who not in passing.agents.ids or who not in logged.ids or passing.ego.t[-1] < until:
+        return False
+    t = np.arange(0.0, until + SAME_S, GRID_S)
+    egos = [np.interp(t, ego.t, row) for ego in (failing.ego, passing.ego) for row in (ego.x, ego.y)]
+    if np.hypot(egos[0] - egos[2], egos[1] - egos[3]).max() > APART_M:
+        return False
+    t = np.arange(until, min(until + HORIZON_S, float(passing.ego.t[-1])) + SAME_S, GRID_S)
+    now, then = (some_at(agents, np.array([agents.ids.index(who)]), t) for agents in (passing.agents, logged))
+    both = now.there[0] & then.there[0]
+    return bool((np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0]))[both] <= AS_LOGGED_M).all())
 
 
 def _relative(ego: EgoState, x: float | FloatArray, y: float | FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -16,9 +16,11 @@ from logs.frame import Predictions
 from logs.plan import LaneOption, Plan
 from logs.road import Goal
 from logs.trace import EndReason, PlannedFrame, Trace
+from metrics.cut_in import AS_LOGGED_M
 from metrics.judge import Outcome, load_gates
 from replay.experiments.drives import CUT, cut_short, worse_peak
 from replay.experiments.failure import (
+    APART_M,
     LATE_S,
     MISSED_M,
     OUTCOMES,
@@ -30,6 +32,7 @@ from replay.experiments.failure import (
     Pace,
     lane_change,
     made_way,
+    unseen,
     waits,
 )
 from replay.explain.causes import Account, Cause, CauseKind
@@ -229,6 +232,22 @@ def test_where_a_goal_is_missed_is_seen_from_the_ego(
     else:
         assert aside == 0.0 and ahead <= 0.2 and found.unmet == ("speed",)
     assert GoalMiss.of(drive(world, ego, end=EndReason.GOAL), world) is None
+
+
+@given(st.floats(0.0, 4.0), st.floats(-1.0, 1.0))
+def test_a_reaction_is_unseen_where_the_ego_is_as_before_and_the_road_user_as_in_the_log(
+    off: float, aside: float
+) -> None:
+    places = -20.0 + V * T, 0.0 * T, 0.0 * T
+    shifted = places[0] - np.where(T > 2.5, off, 0.0), *places[1:]
+    logged, braking = (
+        scenario(AS_LOGGED, [("7", AgentKind.CAR, (4.5, 1.8), lambda t, at=at: at)]) for at in (places, shifted)
+    )
+    failing, ego = drive(braking), braked(9.0, 0.0, aside)
+    assert unseen(failing, drive(logged), logged.tracks, "7", 2.0)
+    assert unseen(failing, drive(logged, ego), logged.tracks, "7", 2.0) == (abs(aside) <= APART_M)
+    assert unseen(failing, drive(braking), logged.tracks, "7", 2.0) == (off <= AS_LOGGED_M)
+    assert not unseen(failing, drive(logged), logged.tracks, "8", 2.0)
 
 
 @given(st.floats(1.0, 6.0), st.floats(0.5, 3.0))

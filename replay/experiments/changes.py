@@ -16,7 +16,8 @@ planner = "dp_qp"                           # only for this planner; left out: f
                         "prediction or control" where they point to several
 (3) fragile             it passes with a perturbation that should change nothing (`replay.run.perturb`): then no change
                         shows anything, and the cause is not found
-(4) unavoidable         it passes with no change, and the careful driver of UN R157 does not avoid the contact either
+(4) unavoidable         with every change it fails a gate that it failed before, and the careful driver of UN R157 does
+                        not avoid the contact either
 (5) not found           it passes with no change, and (4) does not hold
 """
 
@@ -164,7 +165,7 @@ def cause_of(
         runs: The changes that were driven.
         passing: Names of the changes with which it passes.
         fragile: Perturbations with which it passes.
-        avoidable: Whether the careful driver avoids the contact, or there is none.
+        avoidable: Whether the careful driver avoids the contact, or there is none, or the gates hold with a change.
     """
     if fragile:
         return FailureCause(NOT_FOUND, fragile=tuple(fragile))  # (3)

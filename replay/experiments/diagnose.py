@@ -28,15 +28,31 @@ from logs.trace import Mode, PlannedFrame
 from replay.config import RunConfig
 from replay.draw.drawn_results import DriveResult, Results, load
 from replay.experiments.changes import ChangedRun, TriedChange, cause_of, changed_runs, driven
-from replay.experiments.drives import DrivenLogs, as_driven, drive_again, failed_gates, parting, passes, worsens
+from replay.experiments.drives import (
+    DrivenLogs,
+    as_driven,
+    cut_short,
+    drive_again,
+    failed_gates,
+    parting,
+    passes,
+    still_failing,
+    worse_peak,
+)
 from replay.experiments.failure import (
     AHEAD_S,
+    FORCED_MPS2,
     PROGRESS,
+    REACTIONS,
     DriveDifference,
     DriveFailure,
     Foresight,
+    GoalMiss,
+    Pace,
     Wait,
     lane_change,
+    made_way,
+    unseen,
     waits,
 )
 from replay.experiments.findings import AS_IT_WAS, Diagnosis, Found
@@ -220,16 +236,23 @@ class _DiagnosisDrives:
             return {"gates": []}
         first, gate = rows[rows["gate"] == gates[0]].iloc[0], made.gates[gates[0]]
         time, beyond = float(first["time_s"]), -gate.margin(float(first["value"]))
-        return {
+        row = {
             "gates": list(gates),
             "metric": gate.metric,
             "about": made.about(file, gate.metric),
             "time_s": time if isfinite(time) else None,
             "beyond": beyond if isfinite(beyond) else None,
+            "end": made.ended(file),
+            "lasted": made.lasted(file),
             "avoidable": made.avoidable(file),
             "peaks": made.peaks(file, gates),
-            "fragile": [one for one in CONTROLS if passes(gates, made.of(_control(file, one)))],
         }
+        row["fragile"] = [
+            one for one in CONTROLS
+            for control in [_control(file, one)]
+            if passes(gates, made.of(control)) and not _is_cut(row, made, control)
+        ]  # fmt: skip
+        return row
 
     def _drive_of(self, name: str) -> DriveResult:
         """The drive without a change; its trace is read once."""
@@ -248,26 +271,48 @@ class _DiagnosisDrives:
         made = drive_again(files, run.run, self._asked.planner, place, workers=self._workers)
         answers: dict[str, dict[str, Any]] = {}
         for name, file in zip(self.failing, files, strict=True):
-            answer = {"passes": self._mended(name, made), "gates": list(failed_gates(made.of(file)))}
-            answers[name] = {**answer, "end": made.ended(file), "parts": {}}
-            if answer["passes"]:
+            against = self._against(name, made)
+            answers[name] = {"passes": against == "", "gates": list(failed_gates(made.of(file)))}
+            answers[name].update(against=against or "", end=made.ended(file), parts={})
+            if answers[name]["passes"]:
                 was, now, until = self._drive_of(name), made.drive(file), self._base_rows[name]["time_s"]
                 difference = DriveDifference.of(was.trace, now.trace, inf if until is None else until)
                 answers[name].update(parts=parting(was, now), difference=asdict(difference))
+                if self._base_rows[name]["metric"].partition(".")[0] in PROGRESS:
+                    answers[name]["pace"] = asdict(Pace.of(now.trace.ego, now.scenario))
         return answers
 
-    def _mended(self, name: str, made: DrivenLogs) -> bool:
-        """Whether a failing drive passes with a change, and no peak is worse."""
+    def _against(self, name: str, made: DrivenLogs) -> str | None:
+        """Why a drive is not mended by a change with which it fails none of its gates; "" if it is; else None."""
         base, file = self._base_rows[name], self.files[name]
-        held = passes(base["gates"], made.of(file))
-        return held and not worsens(base["peaks"], made.peaks(file, base["gates"]))
+        rows, who = made.of(file), base["about"].partition(" ")[2]
+        if still_failing(base["gates"], rows):
+            return None
+        if _is_cut(base, made, file):
+            return f"{made.ended(file)} at {made.lasted(file):.1f} s"
+        if others := failed_gates(rows):
+            return f"fails {others[0]}"
+        if peak := worse_peak(base["peaks"], made.peaks(file, base["gates"])):
+            return f"{peak} is worse"
+        was, now, until = self._drive_of(name), made.drive(file), base["time_s"] or base["lasted"]
+        they, way = was.scenario.short_names(base["about"]), made_way(was.trace, now.trace, who, until)
+        if way > FORCED_MPS2:
+            return f"{they} brakes by {way:.1f} m/s² more"
+        reacts = base["metric"].partition(".")[0] in REACTIONS
+        mute = reacts and unseen(was.trace, now.trace, self._scenario(name).tracks, who, until)
+        return f"{they} reacts to nothing" if mute else ""
+
+    def _mended(self, name: str, made: DrivenLogs) -> bool:
+        """Whether a failing drive passes with a change."""
+        return self._against(name, made) == ""
 
     def found(self, name: str, runs: Sequence[ChangedRun]) -> Found:
         """The findings of all changes about a drive."""
         base, drive = self._base_rows[name], self._drive_of(name)
         answers = {run.change.name: self.answers[run.change.name][name] for run in runs}
         passing = tuple(change for change, answer in answers.items() if answer["passes"])
-        cause = cause_of(runs, passing, base["fragile"], avoidable=base["avoidable"])
+        almost = {change: str(answer["against"]) for change, answer in answers.items() if answer["against"]}
+        cause = cause_of(runs, passing, base["fragile"], avoidable=base["avoidable"] or bool(almost))
         shows = answers[cause.changes[0]] if cause.changes else {"parts": {}}
         difference, parts = DriveDifference(**shows.get("difference", {})), shows["parts"]
         time, beyond = (nan if base[key] is None else base[key] for key in ("time_s", "beyond"))
@@ -277,6 +322,7 @@ class _DiagnosisDrives:
         at = parts.get("t_s", time)
         k = _frame_at(frames, at)
         because = Explanation.of(frames[k], explained[k], bounds=False).because if frames and isfinite(at) else ()
+        late = base["metric"].partition(".")[0] in PROGRESS
         kind, _, agent = base["about"].partition(" ")
         known = kind in {one.value for one in AgentKind} and agent in drive.trace.agents.ids
         begun = None if difference.brakes_s is None or not frames else explained[_frame_at(frames, difference.brakes_s)]
@@ -291,12 +337,19 @@ class _DiagnosisDrives:
             lane_change(drive.trace, fails), difference,
             begun is not None and any(one.who == agent for one in begun.causes),
             Foresight.of(drive.trace, agent, seen) if known else Foresight(),
+            GoalMiss.of(drive.trace, drive.scenario) if late else None,
         )  # fmt: skip
         first = drive.scenario.short_names(because[0]) if because else ""
-        slow: tuple[Wait, ...] = ()
-        if base["metric"].partition(".")[0] in PROGRESS:
-            slow = tuple(replace(one, who=drive.scenario.short_names(one.who)) for one in waits(explained, last))
-        return Found(name, tuple(base["gates"]), time, beyond, cause, failure, parts, first, passing, slow)
+        slow: list[Wait] = []
+        pace = Pace(**shows["pace"]) if "pace" in shows else Pace.needed(drive.scenario) if late else None
+        if pace is not None:
+            lost, wanted = pace.lost(drive.trace.ego, drive.scenario, [frame.t for frame in frames])
+            loop = drive.result.run.drive_loop
+            slow = waits(list(accounts(drive.trace, drive.scenario, loop, wanted=wanted)), lost.tolist())
+        slow = [replace(one, who=drive.scenario.short_names(one.who)) for one in slow]
+        return Found(
+            name, tuple(base["gates"]), time, beyond, cause, failure, parts, first, passing, tuple(slow), almost
+        )
 
     def remedy(self, name: str, settings: Sequence[Setting], say: Callable[[str], None]) -> Remedy:
         """The smallest change of a setting with which a drive passes, and its effect on the other drives."""
@@ -340,6 +393,12 @@ class _DiagnosisDrives:
             row = self._study.row(f"all logs: {setting.key} = {value!r}", lambda: everywhere(setting, value))
         mended, broken = tuple(row["mended"]), tuple(row["broken"])
         return Remedy(name, setting.key, setting.default, value, u, mended, broken, row["drives"])
+
+
+def _is_cut(base: Mapping[str, Any], made: DrivenLogs, file: Path) -> bool:
+    """Whether a drive ended too early to be compared with the failing one, of which `base` is the row."""
+    until = base["lasted"] if base["time_s"] is None else base["time_s"]
+    return cut_short(base["end"], until, made.ended(file), made.lasted(file))
 
 
 def _control(file: Path, name: str) -> Path:

@@ -1,10 +1,10 @@
 """Failing drives, driven again with changes and judged by the gates of their run.
 
-A drive passes with a change if no gate fails, no gate that it failed before is inconclusive, and no peak of a metric of
-the gates that it failed is worse (`worsens`): one that stays beyond a bound for less time, but three times as far, is
-not mended. The gates are the same
-for every change: a drive with the true futures of road users is judged as any other, and another planner as the one
-that failed.
+A drive passes with a change if no gate fails, no gate that it failed before is inconclusive, no peak of a metric of the
+gates that it failed is worse (`worse_peak`: one that stays beyond a bound for less time, but three times as far, is not
+mended), and it is not cut short (`cut_short`: what it would have failed later is not known). The gates are the same for
+every change: a drive with the true futures of road users is judged as any other, and another planner as the one that
+failed.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from metrics.metric import Direction
 from replay.config import RunConfig
 from replay.draw.drawn_results import DriveResult, Results
 from replay.experiments.trial import MODE, Trial
+from replay.explain.explanation import GRAVE
 from replay.explain.first_difference import first_difference, planners_part
 from replay.run.evaluate import evaluate_logs
 from replay.run.judging import gates_of
@@ -38,6 +39,8 @@ PEAKS: Mapping[str, Direction] = {"max": "higher", "max_abs": "higher", "min": "
 """Reductions that are extremes, and the direction in which no value of them is worse than another."""
 WORSE = 0.1
 """A peak is worse if it is this share farther out."""
+CUT = tuple(end.value for end in GRAVE)
+"""Ends that leave open what the rest of a drive would have been."""
 COLUMNS = ("drive", "gate", "outcome", "value", "time_s", "reason")
 
 
@@ -87,6 +90,10 @@ class DrivenLogs:
         failures = self.results.failures
         said = failures.loc[failures["log"].isin([name, str(file)]), "message"]
         return str(said.iloc[0]) if len(said) else "not driven"
+
+    def lasted(self, file: Path) -> float:
+        """The time at which a drive ended, s; 0 if it was not driven."""
+        return float(self.trial(file).drive["t_end_s"]) if file.name in self.driven else 0.0
 
     def peaks(self, file: Path, gates: Sequence[str]) -> dict[str, float]:
         """The extreme values of the metrics of some gates, those whose excess is worse: `PEAKS`, by name."""
@@ -145,18 +152,34 @@ def failed_gates(rows: pd.DataFrame) -> tuple[str, ...]:
     return tuple(rows.loc[rows["outcome"] == Outcome.FAIL.value, "gate"])
 
 
+def still_failing(before: Sequence[str], rows: pd.DataFrame) -> tuple[str, ...]:
+    """The gates of `before` that a drive fails, or that are inconclusive on it."""
+    now = dict(zip(rows["gate"], rows["outcome"], strict=True))
+    return tuple(gate for gate in before if now.get(gate, INCONCLUSIVE) in (INCONCLUSIVE, Outcome.FAIL.value))
+
+
 def passes(before: Sequence[str], rows: pd.DataFrame) -> bool:
     """Whether a drive fails no gate, and none of the gates that it failed before is inconclusive."""
-    now = dict(zip(rows["gate"], rows["outcome"], strict=True))
-    answered = all(now.get(gate, INCONCLUSIVE) != INCONCLUSIVE for gate in before)
-    return answered and Outcome.FAIL.value not in now.values()
+    return not still_failing(before, rows) and not failed_gates(rows)
 
 
-def worsens(before: Mapping[str, float], now: Mapping[str, float]) -> bool:
-    """Whether a peak (`DrivenLogs.peaks`) is farther out than before by `WORSE` of it."""
+def worse_peak(before: Mapping[str, float], now: Mapping[str, float]) -> str:
+    """The first peak (`DrivenLogs.peaks`) that is farther out than before by `WORSE` of it; "" if none is."""
     out = {name: now[name] - value for name, value in before.items() if name in now}
     signs = {name: -1.0 if name.endswith(".min") else 1.0 for name in out}
-    return any(signs[name] * out[name] > WORSE * abs(before[name]) + TIE for name in out)
+    return next((name for name in out if signs[name] * out[name] > WORSE * abs(before[name]) + TIE), "")
+
+
+def cut_short(before: str, until: float, now: str, lasted: float) -> bool:
+    """Whether a drive with a change ended too early (`CUT`) to be compared with the one that failed.
+
+    Args:
+        before: The end of the failing drive.
+        until: The time at which it failed, s.
+        now: The end of the drive with the change; `lasted` its time, s.
+        lasted: The time of that end.
+    """
+    return now in CUT and (before not in CUT or lasted < until)
 
 
 def parting(one: DriveResult, two: DriveResult) -> dict[str, Any]:

@@ -218,7 +218,7 @@ class Falsified:
         counts = Counter(self.table["outcome"])
         drives = ", ".join(f"{n} {WORDS.get(name, name)}" for name, n in counts.most_common())
         tried = f"{counted(len(self.table), 'drive')}: {drives}."
-        if len(self.table) >= asked.budget:
+        if found.is_spent:
             tried += f" The budget of {counted(asked.budget, 'drive')} ended the search: --budget N --resume goes on."
         if found.point is None:
             over = ", ".join(f"{axis.name} {axis.low:g} to {axis.high:g}" for axis in asked.axes)
@@ -377,6 +377,7 @@ def _write(result: Falsified, workers: int) -> None:
         "passes_at": found.passes if isfinite(found.passes) else None,
         "case": {axis.name: result.case[axis.name] for axis in asked.axes} if result.case else None,
         "gates": result.case.get("gates", "").split("; ") if result.case else [], "drives": len(result.table),
+        "budget_spent": result.found.is_spent,
         "outcomes": dict(Counter(result.table["outcome"])), "said": result.lines(),
         "exit_code": result.exit_code,
     }  # fmt: skip

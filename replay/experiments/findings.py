@@ -30,10 +30,12 @@ from replay.results.version import replan_version
 AS_IT_WAS = "as_it_was"
 MOST = 3
 """Largest number of waits that are told."""
+MUCH = 0.5
+"""A wait of this share of the longest one is long."""
 MOST_KEYS = 4
 """Largest number of settings of a change in a sentence; diagnosis.json has all."""
 DRIVES = ("log", "cause", "why", "happens", "gates", "about", "time_s", "parts_s", "parts_stage", "passes_with")
-ANSWERS = ("log", "change", "cause", "rank", "passes", "fails", "end", "parts_s", "parts_stage")
+ANSWERS = ("log", "change", "cause", "rank", "passes", "fails", "against", "end", "parts_s", "parts_stage")
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ class Found:
         parts: First difference of the drive with the change that points to the cause: t_s, stage, what.
         because: The reason why the planner slowed down there, from its explanation.
         passing: Names of all changes with which it passes.
-        waits: Where the time went, if it gets too little far.
+        waits: The time lost by cause, if it gets too little far.
+        almost: Changes with which it fails none of these gates and is not mended, and why.
     """
 
     log: str
@@ -63,11 +66,14 @@ class Found:
     because: str
     passing: tuple[str, ...]
     waits: tuple[Wait, ...] = ()
+    almost: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def look_s(self) -> float:
-        """The time to look at first: of a drive that gets too little far, when its first long wait begins."""
-        return min((one.since_s for one in self.waits[:MOST]), default=self.time_s)
+        """The time to look at first: of a drive that gets too little far, when it first loses much time, or parts."""
+        if self.waits:
+            return min(one.since_s for one in self.waits if one.seconds >= MUCH * self.waits[0].seconds)
+        return self.time_s if self.failure.missed is None else float(self.parts.get("t_s", self.time_s))
 
     @property
     def place(self) -> str:
@@ -76,8 +82,8 @@ class Found:
         parts = f"; it parts at {self.parts['what']}" if self.parts else ""
         because = f" {self.because}" if self.because else ""
         details = f": {self.failure.details}" if self.failure.details else ""
-        slow = ", ".join(f"{one.seconds:.1f} s for {one.who} from {one.since_s:.1f} s on" for one in self.waits[:MOST])
-        went = f" Slow or standing: {slow}." if slow else ""
+        slow = ", ".join(f"{one.seconds:.1f} s to {one.who} from {one.since_s:.1f} s on" for one in self.waits[:MOST])
+        went = f" Loses {slow}." if slow else ""
         return f"{self.log}{at}{details}{parts}.{because}{went}"
 
 
@@ -153,6 +159,10 @@ class Diagnosis:
             said.append(f"{share}: {first.failure.sentence}.")
             said.append(f"  Cause: {first.cause.name}; {self.words_of(first.cause)}; fails {gates}.")
             said.append(f"  Look first at {first.place}")
+            if first.almost and not first.cause.changes:
+                words = {run.change.name: run.change.words for run in self.runs}
+                nearly = "; ".join(f"{words[name]}: {why}" for name, why in first.almost.items())
+                said.append(f"  Holds these gates, but is no better: {nearly}.")
             if first.cause.name == NOT_FOUND and not first.cause.fragile:
                 at = f" --at {first.look_s:.1f}" if isfinite(first.look_s) else ""
                 look = f"replan explain {self.run} --log {first.log} -p {self.planner}{at}"
@@ -200,7 +210,7 @@ class Diagnosis:
         ]  # fmt: skip
         answers = [
             (found.log, run.change.name, run.change.cause, run.change.rank, one["passes"], "; ".join(one["gates"]),
-             one["end"], one["parts"].get("t_s"), one["parts"].get("stage", ""))
+             one["against"], one["end"], one["parts"].get("t_s"), one["parts"].get("stage", ""))
             for found in self.drives
             for run in self.runs
             for one in [self.answers[run.change.name][found.log]]

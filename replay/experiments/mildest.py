@@ -66,12 +66,14 @@ class Mildest:
         passes: The greatest distance below it, on the line to the origin, at which a point was evaluated and does not
             count; NaN if there is none (the origin itself counts).
         evaluations: Number of evaluations.
+        is_spent: Whether the budget ended the search: too little of it is left for the next evaluations.
     """
 
     point: Point | None
     distance: float
     passes: float
     evaluations: int
+    is_spent: bool
 
 
 class _EvaluatedPoints:
@@ -156,14 +158,14 @@ def search(box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resol
         _approach_origin(trials, resolution)
     point = trials.mildest()
     if point is None:
-        return Mildest(None, inf, np.nan, len(trials.found))
+        return Mildest(None, inf, np.nan, len(trials.found), trials.left < BATCH)
     length, passes = norm(point), np.nan
     if length > 0.0:
         along = np.array(point) / length
         others = [np.array(one) for one, scored in trials.found.items() if not scored.counts]
         near = [float(one @ along) for one in others if norm(one - (one @ along) * along) <= 2.0 * 10.0**-DIGITS]
         passes = max((s for s in near if 0.0 <= s < length), default=np.nan)
-    return Mildest(point, length, passes, len(trials.found))
+    return Mildest(point, length, passes, len(trials.found), not trials.left)
 
 
 def cma_class(budget: int) -> Any:

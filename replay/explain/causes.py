@@ -14,13 +14,14 @@ stops for
 (6) end     the map ends on the way, and the plan stops before it
 (7) word    the planner's STOP or YIELD for an agent near the way that the ego would not meet, or for an object without
     a position
-(8) passed  none of these, but a planner's OVERTAKE of an agent near the way: the plan brakes before it overtakes
-(9) begun   none of these, and the plan brakes hardest at its start and less before it stands: it eases a braking that
+(8) beside  the planner's FOLLOW of an agent within `BESIDE_M` who would not be met, where none of these needs so much
+(9) passed  none of these, but a planner's OVERTAKE of an agent near the way: the plan brakes before it overtakes
+(10) begun  none of these, and the plan brakes hardest at its start and less before it stands: it eases a braking that
     began in an earlier plan
 
 A cause accounts for the braking if the planner named it, or if it needs `SHARE` of the hardest braking of the plan, or
-that braking is below `FELT_MPS2`. Causes that do not account for it come last; if none does, (8), (9), or that no cause
-was found, comes first.
+that braking is below `FELT_MPS2`. Causes that do not account for it come last; if none does, (8), (9), (10), or that no
+cause was found, comes first.
 """
 
 from __future__ import annotations
@@ -28,19 +29,22 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
-from math import isfinite, nan
+from itertools import chain, repeat
+from math import cos, isfinite, nan, sin
 
 import numpy as np
 
 from logs.plan import Candidates, Decision, DecisionKind, LaneOption, Plan, StGraph
 from logs.rules import RED, Colour
 from logs.scenario import Scenario
+from logs.shapes import distance
 from logs.trace import Trace
 from replay.config import LoopConfig
 from replay.explain.course import (
     BRAKES_MPS2,
     LOOK_S,
     STANDING_MPS,
+    START_TO_MPS,
     STEP_S,
     Course,
     Held,
@@ -69,6 +73,8 @@ FELT_MPS2 = 1.5
 """Weaker braking is accounted for by any cause."""
 SAME_M = 0.1
 """An obstacle of the S-T graph whose lower station changes by less than this is standing."""
+BESIDE_M = 1.0
+"""Largest distance between the boxes of the ego and an agent who may come into its way from beside it."""
 NEAR_M = 3.0
 """Largest distance from the way of an agent that is near it."""
 KEEP, PASSING, PASS = "keep", "passing", "pass: "
@@ -101,7 +107,7 @@ class Cause:
         reason: The planner's reason for the decision.
         inferred: Whether the planner did not name it.
         hold_mps: The speed that is held; for a plan that stands or crawls, the speed that it would reach.
-        away_m: AGENT: distance between the boxes now.
+        away_m: AGENT, and WORD of an agent beside: distance between the boxes now.
         time_s: Time at which it would be met or reached, s from the frame.
         distance_m: Distance that the ego would have driven until then, m.
         need_mps2: The least constant deceleration that avoids it.
@@ -160,11 +166,16 @@ class Account:
 
 
 def accounts(
-    trace: Trace, scenario: Scenario, loop: LoopConfig | None = None, earlier: Iterable[float] = ()
-) -> Iterator[Account]:
-    """The account of each frame of a drive; arguments as `planner_inputs`."""
-    explainer = Explainer(scenario)
-    return (explainer.account(frame) for frame in planner_inputs(trace, scenario, loop, earlier))
+    trace: Trace, scenario: Scenario, loop: LoopConfig | None = None, earlier: Iterable[float] = (),
+    wanted: Iterable[float] = (),
+) -> Iterator[Account]:  # fmt: skip
+    """The account of each frame of a drive; arguments as `planner_inputs`.
+
+    `wanted` has a speed for each frame, m/s: why a plan is not that fast is then asked also where it does not brake;
+    NaN, or none: it is not.
+    """
+    explainer, inputs = Explainer(scenario), planner_inputs(trace, scenario, loop, earlier)
+    return (explainer.account(frame, speed) for frame, speed in zip(inputs, chain(wanted, repeat(nan)), strict=False))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -205,21 +216,21 @@ class Explainer:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario, self._ways = scenario, Ways(scenario)
 
-    def account(self, frame: PlannerInput) -> Account:
-        """Why the plan of a frame slows down or stands."""
+    def account(self, frame: PlannerInput, wanted: float = nan) -> Account:
+        """Why the plan of a frame slows down or stands, or is not as fast as a wanted speed, m/s."""
         plan = frame.planned.plan
         course = Course.of(plan)
         predicted = frame.predictions is not None
         failed = [
             Cause(CauseKind.FALLBACK, plan.status.value, reason=plan.reason, inferred=False)
         ] if plan.status.is_fallback else []  # fmt: skip
-        if not course.is_asked:
+        if not course.is_asked and not isfinite(wanted):
             return Account(frame.planned.t, course, predicted, tuple(failed))
         decided: dict[str, Decision] = {}
         for each in plan.internals:
             if isinstance(each, Decision) and each.kind in STAYS_BEHIND:
                 decided.setdefault(each.agent, each)
-        held = Held.of(plan, course)
+        held = Held.of(plan, course, wanted)
         case = _Case(frame, course, held, self._ways.of(plan, held.reach), decided, self._scenario)
         met: list[Meeting] = []
         if frame.predictions is not None and len(frame.predictions):
@@ -241,6 +252,9 @@ class Explainer:
             if named_only and (name not in frame.agents.ids or case.is_near(name)):
                 found.append(Cause(CauseKind.WORD, name, d.kind.value, d.reason, False, held.v))
         found = sorted(found, key=lambda cause: (not cause.accounts_for(course.a_least), cause.rank))
+        enough = max(FELT_MPS2, SHARE * -course.a_least)
+        if not failed and -course.a_least >= enough and not any(cause.need_mps2 >= enough for cause in found):
+            found = [*(cause for cause in _beside(case) if cause.who not in explained), *found]
         if not failed and not (found and found[0].accounts_for(course.a_least)):
             near = min(met, key=lambda one: one.away_m, default=None)
             one = Cause(CauseKind.AGENT, hold_mps=held.v) if near is None or found else _met_agent(near, case)
@@ -299,7 +313,7 @@ def _stops(case: _Case) -> Iterator[Cause]:
 def _limit_and_curve(case: _Case) -> Iterator[Cause]:
     """(3) and (4): the speed limit and the curve along the way that require the hardest braking."""
     held, way = case.held, case.way
-    if held.drives_off:
+    if held.drives_off and held.v <= START_TO_MPS:
         return
     limit, bend = way.limit, np.abs(way.kappa)
     ahead = np.maximum(way.s - held.s_from, max(held.v * SOON_S, 1e-3))
@@ -311,9 +325,10 @@ def _limit_and_curve(case: _Case) -> Iterator[Cause]:
         for kind, target, value in allowed:
             asks = (target < held.v) & (way.s >= held.s_from) & (way.s <= held.reach)
             need = np.where(asks, (held.v**2 - target**2) / (2.0 * ahead), 0.0)
-            i = int(np.argmax(need))
+            i = int(np.argmax(asks if held.drives_off else need))
             if need[i] >= LEAST_MPS2:
-                yield case.cause(kind, float(way.s[i]), float(need[i]), value=float(value[i]))
+                needed = nan if held.drives_off else float(need[i])
+                yield case.cause(kind, float(way.s[i]), needed, value=float(value[i]))
 
 
 def _goal_and_end(case: _Case) -> Iterator[Cause]:
@@ -344,8 +359,23 @@ def _goal_and_end(case: _Case) -> Iterator[Cause]:
         yield case.cause(CauseKind.ROAD_END, way.end, held.need(way.end))
 
 
+def _beside(case: _Case) -> Iterator[Cause]:
+    """(8): agents beside the ego whom the planner follows, the nearest first."""
+    car, agents, ego = case.scenario.vehicle, case.frame.agents, case.plan.trajectory.state(0)
+    box = ego.x + car.axle_to_center * cos(ego.yaw), ego.y + car.axle_to_center * sin(ego.yaw), ego.yaw
+    away: dict[str, float] = {}
+    for name, each in case.decided.items():
+        if each.kind is DecisionKind.FOLLOW and name in agents.ids:
+            i = agents.ids.index(name)
+            other = agents.x[i], agents.y[i], agents.yaw[i], agents.length[i], agents.width[i]
+            away[name] = float(distance(*box, car.length, car.width, *other))
+    for name in sorted((name for name in away if away[name] <= BESIDE_M), key=away.__getitem__):
+        reason = case.decided[name].reason
+        yield Cause(CauseKind.WORD, name, DecisionKind.FOLLOW.value, reason, False, case.held.v, away_m=away[name])
+
+
 def _passed_or_begun(case: _Case) -> list[Cause]:
-    """(8): agents that the plan overtakes; otherwise (9): braking that began in an earlier plan."""
+    """(9): agents that the plan overtakes; otherwise (10): braking that began in an earlier plan."""
     passed = [
         Cause(CauseKind.WORD, each.agent, each.kind.value, each.reason, True, case.held.v)
         for each in case.plan.internals

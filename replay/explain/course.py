@@ -5,7 +5,7 @@ With the time t from the frame and the arc length s along the plan's path, m, th
 (1) t_b    = the first time at which the plan brakes by `BRAKES_MPS2` or more while it moves
 (2) s_h(t) = s(t) for t <= t_b,  s(t_b) + v(t_b) (t - t_b) after it
 (3) s_h(t) = v_0 t + t^2 START_MPS2 / 2 up to `START_TO_MPS`, then at that speed: for a plan that stands or crawls, as
-    if it drove off now
+    if it drove off now; likewise up to a speed that is wanted, for a plan that does not brake
 
 A plan that stops has a path that ends before its reason to stop. The way goes on from there along the reference line of
 the lane that the ego is in (the one nearest to the goal), at the lateral offset of the end of the path; it goes
@@ -141,7 +141,7 @@ class Held:
         planned: `(n,)` the plan's own arc length, m; after its end, that of its last point.
         t_from: t_b, s; 0 for a plan that stands or crawls.
         s_from: Arc length at `t_from`, m.
-        v: The speed that is held, m/s; for a plan that stands or crawls, the speed that it would reach.
+        v: The speed that is held, m/s; with (3) the speed that it would reach.
         drives_off: Whether (3) applies.
     """
 
@@ -154,18 +154,16 @@ class Held:
     drives_off: bool
 
     @classmethod
-    def of(cls, plan: Plan, course: Course) -> Held:
-        """Hold a plan that brakes, stands or crawls."""
+    def of(cls, plan: Plan, course: Course, wanted: float = nan) -> Held:
+        """Hold a plan that brakes, stands or crawls, or is slower than a wanted speed, m/s."""
         path, t = plan.trajectory, STEP_S * np.arange(round(LOOK_S / STEP_S) + 1)
         own, sigma = path.t - path.t[0], arc_lengths(path.x, path.y)
         planned = np.interp(t, own, sigma)
-        if course.is_slow:
-            v0 = course.v_start if course.action is Action.CRAWLS else 0.0
-            ramp = (START_TO_MPS - v0) / START_MPS2
-            s = np.where(
-                t < ramp, v0 * t + 0.5 * START_MPS2 * t**2, START_TO_MPS * t - 0.5 * START_MPS2 * ramp**2
-            )  # (3)
-            return cls(t, s, planned, 0.0, 0.0, START_TO_MPS, True)
+        if course.is_slow or (np.isfinite(wanted) and np.isnan(course.t_brakes)):
+            v0, to = 0.0 if course.action is Action.STANDS else course.v_start, float(np.fmax(START_TO_MPS, wanted))
+            ramp = max((to - v0) / START_MPS2, 0.0)
+            s = np.where(t < ramp, v0 * t + 0.5 * START_MPS2 * t**2, to * t - 0.5 * START_MPS2 * ramp**2)  # (3)
+            return cls(t, s, planned, 0.0, 0.0, to, True)
         begin = course.t_brakes
         s_from, v = float(np.interp(begin, own, sigma)), max(float(np.interp(begin, own, path.v)), 0.0)
         s = np.where(t <= begin, planned, s_from + v * (t - begin))  # (2)

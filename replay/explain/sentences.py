@@ -135,7 +135,8 @@ def _numbers(account: Account, cause: Cause) -> str:
             )
         case CauseKind.ROAD_END:
             return _join(f"the map ends {place}", _describe_needed_braking("stopping before it", cause))
-    return f"near its way, but not met {held}" if cause.inferred else "a decision of the planner alone"
+    away = f"{cause.away_m:.1f} m away" if isfinite(cause.away_m) else ""
+    return f"near its way, but not met {held}" if cause.inferred else _join(away, "a decision of the planner alone")
 
 
 def _describe_needed_braking(what: str, cause: Cause) -> str:

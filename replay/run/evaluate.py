@@ -86,7 +86,7 @@ def evaluate_logs(
                     remedy = "which is cleared; give --out another folder"
                     raise ConfigError(f"{path}: lies in the result folder {out}, {remedy}")
             emptied(out)
-        write_text(out / "run.toml", explained(run))
+        write_text(out / "run.toml", explained(run, out))
         write_origin(out)
         on_start(selection, out)
         evaluate = partial(engine.evaluate, run=run, out=out, stamp=stamp)

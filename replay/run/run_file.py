@@ -6,21 +6,26 @@ as their modules may only be loaded where they run.
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
+from pathlib import Path
 from typing import Any, get_type_hints
 
 import tomli_w
 
 from logs.vehicle import VehicleParameters
+from metrics.judge.gates import PACKAGED
 from replay.config import HEADER, RunConfig, dump_run
 from replay.parts import PARTS, config_class
 from replay.settings import dotted, meaning
 
 
-def explained(run: RunConfig) -> str:
-    """The text of run.toml; `load_run` reads it as that of `dump_run`."""
+def explained(run: RunConfig, folder: Path) -> str:
+    """The text of run.toml in a folder; `load_run` reads it as that of `dump_run`: a path of gates begins there."""
+    if run.gates not in PACKAGED:
+        run = replace(run, gates=os.path.relpath(run.gates, folder))
     return f"{HEADER}{chr(10).join(_lines(tomllib.loads(dump_run(run)), RunConfig, ''))}\n"
 
 

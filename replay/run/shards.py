@@ -39,6 +39,7 @@ from replay.run.claim import MERGED, claimed_folder, emptied
 from replay.run.judging import gates_of, judge_and_write
 from replay.run.output import begun_in, write_origin
 from replay.run.resume import changes, identity_of, stamp_of
+from replay.run.run_file import explained
 from replay.run.sources import LogSource, Selection
 
 
@@ -170,13 +171,12 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
         theirs, ours = part.folder.resolve(), out.resolve()
         if theirs.is_relative_to(ours) or ours.is_relative_to(theirs):
             raise ConfigError(f"{out}: the shard {part.folder} lies there; give -o another folder")
-    text = (found[0].folder / "run.toml").read_text(encoding="utf-8")
-    run = replace(load_run(found[0].folder / "run.toml"), gates=str(read_toml(found[0].folder / "run.toml")["gates"]))
+    run = load_run(found[0].folder / "run.toml")
     with gates_in(found[0].folder) as path:
         gates = gates_of(run, path)
     with claimed_folder(out, MERGED):
         emptied(out)
-        write_text(out / "run.toml", text)
+        write_text(out / "run.toml", explained(run, out))
         write_origin(out, begun_in(found[0].folder, (result.source for result in found[0].results)))
         placed: dict[int, LogResult] = {}
         for part in found:

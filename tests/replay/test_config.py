@@ -99,6 +99,16 @@ def test_gates_are_relative_to_their_configuration(tmp_path: Path) -> None:
     assert RunConfig().gates_path is None
 
 
+def test_gates_of_a_run_are_found_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("mine.toml", "default"):
+        folder = tmp_path / "results" / name
+        folder.mkdir(parents=True)
+        (folder / "run.toml").write_text(explained(RunConfig(gates=name), folder), encoding="utf-8")
+        found, given = load_run(folder / "run.toml").gates_path, RunConfig(gates=name).gates_path
+        assert (found and found.resolve()) == (given and given.resolve())
+
+
 def test_vehicle_replaces_what_the_log_says() -> None:
     log = VehicleParameters(mass=900.0, width=2.0)
     driven = RunConfig(vehicle={"mass": 1200.0}).driven(log)
@@ -191,7 +201,7 @@ def test_a_keyword_of_a_part_has_its_type(value: str) -> None:
 def test_a_run_file_explains_every_setting_and_is_the_same_run(name: str, period: float) -> None:
     """Law: it is read as the configuration, and each setting of a built-in part has its meaning beside it."""
     run = checked(RunConfig(planners=(name,), loop=LoopConfig(plan_period_s=round(period, 2))))[0]
-    text = explained(run)
+    text = explained(run, Path())
     assert tomllib.loads(text) == tomllib.loads(dump_run(run))
     lines = [line for line in text.splitlines() if " = " in line and not line.startswith("#")]
     before = dict(zip(text.splitlines()[1:], text.splitlines(), strict=False))

@@ -14,19 +14,25 @@ from hypothesis import strategies as st
 from logs import AgentKind, Trajectory
 from logs.frame import Predictions
 from logs.plan import LaneOption, Plan
-from logs.trace import PlannedFrame, Trace
+from logs.road import Goal
+from logs.trace import EndReason, PlannedFrame, Trace
+from metrics.cut_in import AS_LOGGED_M
 from metrics.judge import Outcome, load_gates
-from replay.experiments.drives import worsens
+from replay.experiments.drives import CUT, cut_short, worse_peak
 from replay.experiments.failure import (
+    APART_M,
     LATE_S,
     MISSED_M,
     OUTCOMES,
-    SLOW,
     STAYS_M,
     DriveDifference,
     DriveFailure,
     Foresight,
+    GoalMiss,
+    Pace,
     lane_change,
+    made_way,
+    unseen,
     waits,
 )
 from replay.explain.causes import Account, Cause, CauseKind
@@ -175,25 +181,103 @@ def test_a_lane_change_is_that_of_the_plan() -> None:
 # where the time went ----------------------------------------------------------------------------------------------
 
 
-@given(st.lists(st.tuples(st.sampled_from(["17", "18", ""]), st.sampled_from(Action)), min_size=1, max_size=12))
-def test_the_waits_are_the_time_of_slow_plans_by_cause(steps: list[tuple[str, Action]]) -> None:
+@given(st.lists(st.tuples(st.sampled_from(["17", "18", ""]), st.floats(-1.0, 2.0)), min_size=1, max_size=12))
+def test_lost_time_is_that_of_its_causes_and_what_is_made_up_is_taken_off(steps: list[tuple[str, float]]) -> None:
     course = Course(Action.HOLDS, 1.0, 1.0, 1.0, 8.0, 0.0, 0.0, 0.0, nan)
     found = [
-        Account(0.5 * k, replace(course, action=action), True, (Cause(CauseKind.AGENT, who),) if who else ())
-        for k, (who, action) in enumerate(steps)
+        Account(0.5 * k, course, True, (Cause(CauseKind.AGENT, who),) if who else ())
+        for k, (who, _) in enumerate(steps)
     ]
-    slow = {who: 0.5 * sum(one == who and action in SLOW for one, action in steps) for who in ("17", "18")}
-    spent = waits(found, 0.5 * len(steps))
-    assert {one.who: one.seconds for one in spent} == {who: seconds for who, seconds in slow.items() if seconds}
+    spent = waits(found, [seconds for _, seconds in steps])
     assert [one.seconds for one in spent] == sorted((one.seconds for one in spent), reverse=True)
     for one in spent:
-        begins = (0.5 * k for k, (who, action) in enumerate(steps) if who == one.who and action in SLOW)
-        assert one.since_s == next(begins)
+        lost = [(0.5 * k, seconds) for k, (who, seconds) in enumerate(steps) if who == one.who and seconds > 0.0]
+        assert one.since_s == lost[0][0]
+        assert one.seconds <= sum(seconds for _, seconds in lost) + 1e-5
+    if all(seconds >= 0.0 for _, seconds in steps):
+        for one in spent:
+            assert one.seconds == pytest.approx(sum(each for who, each in steps if who == one.who), abs=1e-5)
+
+
+@given(st.floats(2.0, 9.0), st.floats(0.0, 3.0), st.floats(0.5, 2.5))
+def test_the_time_lost_from_frame_to_frame_sums_to_the_delay(slow: float, at: float, lasts: float) -> None:
+    v = np.where((at <= T) & (at + lasts > T), slow, V)
+    failing = Trajectory(T, np.r_[0.0, np.cumsum(0.01 * v[:-1])], 0.0 * T, 0.0 * T, v, 0.0 * T, 0.0 * T)
+    frames = np.arange(0.0, 6.0, 0.1).tolist()
+    lost, wanted = Pace.of(AS_LOGGED, LOG).lost(failing, LOG, frames)
+    assert sum(lost) == pytest.approx(lasts * (1.0 - slow / V), abs=0.03)
+    inside = [at + 0.1 < t < at + lasts - 0.1 for t in frames]
+    assert all(each == pytest.approx(V, abs=0.1) for each in wanted[inside]), "the speed that it does not have"
+    outside = [not at - 0.1 < t < at + lasts + 0.1 for t in frames]
+    assert np.isnan(wanted[outside]).all() and np.abs(lost[outside]).max(initial=0.0) < 0.02
+    assert Pace.needed(LOG) == Pace.of(AS_LOGGED, LOG), "the recorded driver"
+
+
+@given(st.floats(-4.0, 4.0), st.floats(-3.0, 20.0), st.floats(-3.0, 3.0), st.floats(-1e3, 1e3), st.floats(0.0, 6.0))
+def test_where_a_goal_is_missed_is_seen_from_the_ego(
+    left: float, ahead: float, turn: float, shift: float, speed: float
+) -> None:
+    middle = LOG.vehicle.axle_to_center
+    x, y = AS_LOGGED.x[-1] + middle + ahead, left
+    place = np.array([[x, y], [x + 1.0, y], [x + 1.0, y + 1.0], [x, y + 1.0]])
+    missed = replace(LOG, goal=Goal((place,), v=(speed, speed)))
+    world, ego = moved(missed, turn, shift, -shift), moved_ego(AS_LOGGED, turn, shift, -shift)
+    found = GoalMiss.of(drive(world, ego), world)
+    assert found is not None
+    aside = left if left > 0.0 else min(left + 1.0, 0.0)
+    if "place" in found.unmet:
+        assert found.left_m == pytest.approx(aside, abs=1e-3)
+        assert found.ahead_m == pytest.approx(max(ahead, 0.0), abs=0.2)
+        assert found.at_s == pytest.approx(6.0) or ahead < 0.0
+    else:
+        assert aside == 0.0 and ahead <= 0.2 and found.unmet == ("speed",)
+    assert GoalMiss.of(drive(world, ego, end=EndReason.GOAL), world) is None
+
+
+@given(st.floats(0.0, 4.0), st.floats(-1.0, 1.0))
+def test_a_reaction_is_unseen_where_the_ego_is_as_before_and_the_road_user_as_in_the_log(
+    off: float, aside: float
+) -> None:
+    places = -20.0 + V * T, 0.0 * T, 0.0 * T
+    shifted = places[0] - np.where(T > 2.5, off, 0.0), *places[1:]
+    logged, braking = (
+        scenario(AS_LOGGED, [("7", AgentKind.CAR, (4.5, 1.8), lambda t, at=at: at)]) for at in (places, shifted)
+    )
+    failing, ego = drive(braking), braked(9.0, 0.0, aside)
+    assert unseen(failing, drive(logged), logged.tracks, "7", 2.0)
+    assert unseen(failing, drive(logged, ego), logged.tracks, "7", 2.0) == (abs(aside) <= APART_M)
+    assert unseen(failing, drive(braking), logged.tracks, "7", 2.0) == (off <= AS_LOGGED_M)
+    assert not unseen(failing, drive(logged), logged.tracks, "8", 2.0)
+
+
+@given(st.floats(1.0, 6.0), st.floats(0.5, 3.0))
+def test_a_road_user_makes_way_by_as_much_as_they_brake_harder_until_the_failure(decel: float, at: float) -> None:
+    def behind(hardest: float) -> Trace:
+        v = np.maximum(V - hardest * np.maximum(T - at, 0.0), 0.0)
+        x = np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (v[1:] + v[:-1]))] - 20.0
+        places = x, 0.0 * T + 3.0, 0.0 * T
+        return drive(scenario(AS_LOGGED, [("7", AgentKind.CAR, (4.5, 1.8), lambda t: places)]))
+
+    undisturbed, braking = behind(0.0), behind(decel)
+    assert made_way(undisturbed, braking, "7", at + 1.0) == pytest.approx(decel, abs=0.05)
+    assert made_way(braking, undisturbed, "7", at + 1.0) == pytest.approx(0.0, abs=0.05)
+    assert made_way(undisturbed, braking, "7", at - 0.2) == pytest.approx(0.0, abs=0.05)
+    assert made_way(undisturbed, braking, "8", at + 1.0) == 0.0
+
+
+@given(st.sampled_from(EndReason), st.sampled_from(EndReason), st.floats(0.0, 10.0), st.floats(0.0, 10.0))
+def test_a_drive_that_is_cut_before_the_failure_or_by_what_did_not_end_that_one_is_no_evidence(
+    before: EndReason, now: EndReason, until: float, lasted: float
+) -> None:
+    cut = cut_short(before.value, until, now.value, lasted)
+    assert not cut or now.value in CUT
+    assert now.value not in CUT or cut == (before.value not in CUT or lasted < until)
+    assert not cut_short(before.value, until, EndReason.GOAL.value, lasted)
 
 
 def test_a_peak_that_is_farther_out_is_worse() -> None:
     before = {"lon_accel.max_abs": 3.0, "lon_accel.min": -3.0, "gap.min": 0.5}
-    assert not worsens(before, before) and not worsens(before, {})
-    assert not worsens(before, {"lon_accel.max_abs": 3.2, "lon_accel.min": -3.2, "gap.min": 0.46})
-    assert worsens(before, {"lon_accel.max_abs": 9.0}) and worsens(before, {"lon_accel.min": -9.0})
-    assert worsens(before, {"gap.min": 0.4}) and not worsens(before, {"gap.min": 5.0})
+    assert not worse_peak(before, before) and not worse_peak(before, {})
+    assert not worse_peak(before, {"lon_accel.max_abs": 3.2, "lon_accel.min": -3.2, "gap.min": 0.46})
+    assert worse_peak(before, {"lon_accel.max_abs": 9.0}) and worse_peak(before, {"lon_accel.min": -9.0})
+    assert worse_peak(before, {"gap.min": 0.4}) and not worse_peak(before, {"gap.min": 5.0})

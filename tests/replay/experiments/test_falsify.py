@@ -76,7 +76,7 @@ def test_what_is_said_is_what_the_table_holds(found: Path) -> None:
     assert f"at distance {card['distance']:.3f} from parked, at side {card['case']['side']:.6g} m" in card["said"][0]
     first = failing.sort_values("distance").iloc[0]
     assert f"the value is {first['value']:.4g}" in card["said"][1] and str(first["why"]) in card["said"][1]
-    assert ("--budget N" in card["said"][-1]) == (len(table) >= card["budget"])
+    assert ("--budget N" in card["said"][-1]) == card["budget_spent"] == (len(table) >= card["budget"])
     assert f"{len(failing)} fail" in card["said"][-1] and card["outcomes"][FAIL] == len(failing)
     assert table["part"].iloc[0] == "recorded" and (table.loc[0, ["side", "ego_speed"]] == [0.0, 1.0]).all()
     assert (table.loc[table["outcome"] == PASS, "score"] >= 1.0).all() and (failing["score"] <= 1.0).all()

@@ -74,9 +74,9 @@ def test_the_same_seed_asks_for_the_same_points_and_another_for_others() -> None
 def test_without_a_hole_none_is_found_and_all_of_the_budget_is_used() -> None:
     result, evaluate = found(lambda u: -1.0 - norm(u), budget=48)
     assert (result.point, result.distance) == (None, inf) and isnan(result.passes)
-    assert 40 <= len(evaluate.asked) == result.evaluations <= 48
+    assert 40 <= len(evaluate.asked) == result.evaluations <= 48 and result.is_spent
 
 
 def test_a_recorded_failure_ends_the_search_at_once() -> None:
     result, evaluate = found(lambda u: 1.0)
-    assert (result.point, result.distance, evaluate.asked) == ((0.0, 0.0), 0.0, [(0.0, 0.0)])
+    assert (result.point, result.distance, evaluate.asked) == ((0.0, 0.0), 0.0, [(0.0, 0.0)]) and not result.is_spent

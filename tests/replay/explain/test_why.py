@@ -210,12 +210,35 @@ def world_with(*others: dict[str, object], speed: float = 10.0, **more: object) 
     return replace(made, tracks=tracks(*others)) if others else made
 
 
-def why_of(world: Scenario, plan: Plan) -> Account:
-    """Why this plan is made of the first frame."""
+def why_of(world: Scenario, plan: Plan, wanted: float = nan) -> Account:
+    """Why this plan is made of the first frame, and is not as fast as wanted."""
     trace = run_open_loop(world, f"{__name__}:SlowDown", config=TRUSTED).trace
     (first, *_) = trace.frames
     (case,) = planner_inputs(replace(trace, frames=(replace(first, plan=plan),)), world)
-    return Explainer(world).account(case)
+    return Explainer(world).account(case, wanted)
+
+
+def steady(world: Scenario) -> Plan:
+    """Straight on at the speed of the log."""
+    t, first = np.linspace(0.0, 8.0, 81), world.ego.state(0)
+    return Plan(Trajectory(t, first.x + first.v * t, 0.0 * t, 0.0 * t, first.v + 0.0 * t, 0.0 * t, 0.0 * t))
+
+
+@pytest.mark.parametrize(
+    ("away", "limit", "kind"), [(40.0, nan, CauseKind.AGENT), (inf, nan, CauseKind.NONE), (inf, 10.0, CauseKind.LIMIT)]
+)
+def test_why_a_steady_plan_is_not_faster_is_asked_where_a_speed_is_wanted(
+    away: float, limit: float, kind: CauseKind
+) -> None:
+    """A car that is 40 m ahead is not met at 3 m/s within the time that is looked at, and is at 15 m/s."""
+    others = (track("ahead", [0.0], [away], [0.0], static=True),) if isfinite(away) else ()
+    world = world_with(*others, speed=2.5)
+    lanes = {i: replace(lane, speed_limit=limit) for i, lane in world.road.lanes.items()}
+    world = replace(world, road=replace(world.road, lanes=lanes))
+    assert not why_of(world, steady(world)).causes
+    first = why_of(world, steady(world), 15.0).causes[0]
+    assert first.kind is kind and first.hold_mps == 15.0
+    assert first.who == ("ahead" if others else "") and (kind is not CauseKind.LIMIT or first.value == limit)
 
 
 def braking(world: Scenario, internals: tuple[Decision, ...] = ()) -> Plan:
@@ -257,6 +280,21 @@ def test_a_word_about_who_is_near_the_way_is_the_planners() -> None:
     may = Decision("waits", DecisionKind.YIELD, "speed", "may step out")
     said = sentences(why_of(world, braking(world, (may,))))
     assert said == ["Slows down for waits (yield): may step out; a decision of the planner alone."]
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "hard"), [(-1.0, 2.4, True), (-1.0, 2.4, False), (-1.0, 6.0, True), (-9.0, 2.4, True)]
+)
+def test_hard_braking_is_for_who_is_beside_and_followed(x: float, y: float, hard: bool) -> None:
+    """Whoever is beside is not met: they are behind the middle of the ego."""
+    world = world_with(track("beside", [0.0], [x], [y], static=True))
+    plan = braking(world, (Decision("beside", DecisionKind.FOLLOW, "speed", "comes in"),))
+    path = plan.trajectory
+    plan = replace(plan, trajectory=replace(path, a=np.where(path.v > 0.0, -9.0, 0.0))) if hard else plan
+    first = why_of(world, plan).causes[0]
+    near = hard and (x, y) == (-1.0, 2.4)
+    assert (first.kind is CauseKind.WORD and first.who == "beside" and not first.inferred) == near
+    assert not near or first.away_m == pytest.approx(y - 0.5 * world.vehicle.width - 0.5 * world.tracks.width[0])
 
 
 @pytest.mark.parametrize(("y", "kind"), [(3.2, CauseKind.WORD), (12.0, CauseKind.NONE)])

@@ -11,7 +11,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from logs.errors import ConfigError, LogError, writing
+from logs.errors import ConfigError, LogError
 from logs.mcap import is_written_here, write_scenario
 from logs.mcap.writer import Entry
 from logs.readers import READER, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
@@ -22,7 +22,7 @@ from metrics.judge.discrimination import Discrimination
 from replay.config import DEFAULT_LOOP
 from replay.loop.reference_drives import discriminate
 from replay.results.tables import write_text
-from replay.run.claim import check_file, claimed_file
+from replay.run.claim import claimed_file, claimed_files
 
 CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(TrackChange))
 """Columns of the table: the fields of `logs.repair.detections.TrackChange`."""
@@ -80,21 +80,20 @@ def convert_all(
     if single and len(found) > 1:
         raise ConfigError(f"{len(found)} logs do not go into one log: give a folder with -o")
     names = [f"{log.name if log.is_dir() else log.stem.removesuffix('.cr')}.mcap" for log in found]
-    targets = [out if single else out / name for name in names]
-    _check_targets(found, targets, settings)
+    _check_targets(found, [out if single else out / name for name in names], settings)
     channels = _channels(foxglove=foxglove)
     all_read = True
-    for log, target in zip(found, targets, strict=True):
-        try:
-            scenario = read_log(log, settings, reader)
-            with writing(target):
-                target.parent.mkdir(parents=True, exist_ok=True)
-            write_scenario(target, scenario, beside=channels(scenario))
-        except LogError as error:
-            say_error(str(error))
-            all_read = False
-            continue
-        say("\n".join([str(target), *(f"    note: {note}" for note in scenario.notes)]))
+    with claimed_files(out, (".mcap",), is_written_here) as place:
+        targets = [place(name) for name in names]
+        for log, target in zip(found, targets, strict=True):
+            try:
+                scenario = read_log(log, settings, reader)
+                write_scenario(target, scenario, beside=channels(scenario))
+            except LogError as error:
+                say_error(str(error))
+                all_read = False
+                continue
+            say("\n".join([str(target), *(f"    note: {note}" for note in scenario.notes)]))
     return all_read
 
 
@@ -127,9 +126,6 @@ def _check_targets(logs: Sequence[Path], targets: Sequence[Path], settings: LogS
     readers_of = ((log, reader_of(log, settings)) for log in logs)
     files = (file for log, reader in readers_of for file in ((log,) if reader is None else reader.files(log)))
     inputs = {Path(os.path.realpath(file)) for file in files}
-    for target in targets:
-        if target.resolve() not in inputs:
-            check_file(target, (".mcap",), is_written_here)
     taken: dict[Path, Path] = {}
     for log, target in zip(logs, targets, strict=True):
         place = target.resolve()

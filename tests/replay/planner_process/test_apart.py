@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -73,6 +74,15 @@ def test_what_is_driven_does_not_depend_on_the_process(name: str, built_in: str,
             assert plan_message(a.plan, "full") == plan_message(b.plan, "full")
         tables = [evaluate(trace, log).drop(columns="planner") for trace in (one, two)]
         assert tables[0].equals(tables[1])
+
+
+def test_threads_that_start_planners_at_once_share_one_launcher(monkeypatch: pytest.MonkeyPatch) -> None:
+    """250 programs at once drove alike, too; before, each of the first threads had a launcher that the next one ended."""
+    monkeypatch.setattr("replay.planner_process.processes._warm", {})
+    program = f"exec:{sys.executable} {Path(__file__).parents[3] / 'examples' / 'planner_exec.py'}"
+    with ThreadPoolExecutor(12) as pool:
+        traces = list(pool.map(lambda planner: ended(planner, LoopConfig()), [program] * 12))
+    assert {trace.end for trace in traces} == {EndReason.END_OF_LOG}
 
 
 SAID = {

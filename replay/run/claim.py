@@ -170,7 +170,7 @@ def check_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bo
     except (OSError, ValueError):
         ours = False
     if not ours:
-        raise ConfigError(f"{path}: exists, and this command did not write it; name another file")
+        raise ConfigError(f"{path}: exists, and this command did not write it, or reads it; name another file")
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     return path

@@ -89,21 +89,21 @@ class Study:
         new = {row["key"]: row for row in rows}
         self._known.update(new)
         with writing(self._path), self._path.open("a", encoding="utf-8", newline="\n") as file:
-            file.write("".join(map(_line, new.values())))
+            file.write("".join(map(_checked, new.values())))
 
     def keep(self, keys: Iterable[str]) -> None:
         """Write the file anew with these trials, in this order."""
         self._known = {key: self._known[key] for key in keys}
-        write_text(self._path, "".join([f"{_text(self._head)}\n", *map(_line, self._known.values())]))
-
-
-def _text(row: Mapping[str, Any]) -> str:
-    return json.dumps(row, ensure_ascii=False, allow_nan=False)
+        write_text(self._path, "".join([_line(self._head), *map(_checked, self._known.values())]))
 
 
 def _checksum(row: Mapping[str, Any]) -> int:
     return crc32(json.dumps(row).encode())
 
 
+def _checked(row: Mapping[str, Any]) -> str:
+    return _line({**row, CHECKSUM: _checksum(row)})
+
+
 def _line(row: Mapping[str, Any]) -> str:
-    return f"{_text({**row, CHECKSUM: _checksum(row)})}\n"
+    return json.dumps(row, ensure_ascii=False, allow_nan=False) + "\n"

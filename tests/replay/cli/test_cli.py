@@ -211,8 +211,8 @@ def test_convert_writes_over_no_log(folder: Path, tmp_path: Path) -> None:
         path.write_bytes((folder / "free.mcap").read_bytes())
     before = log.read_bytes()
     for words, said in (
-        ((log, "--to", 1, "-o", log), "is one of the logs and would be overwritten"),
-        ((log.parent, "--to", 1, "-o", log.parent), "is one of the logs and would be overwritten"),
+        ((log, "--to", 1, "-o", log), "this command did not write it, or reads it"),
+        ((log.parent, "--to", 1, "-o", log.parent), "this command did not write it, or reads it"),
         ((tmp_path, "-o", tmp_path / "out"), f"{log} and {twin} would both become {tmp_path / 'out' / 'drive.mcap'}"),
         ((log, tmp_path / "nowhere", "-o", tmp_path / "out"), "nowhere: no such file or folder"),
     ):

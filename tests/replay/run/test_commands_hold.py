@@ -11,7 +11,7 @@ import os
 import re
 import shlex
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -29,7 +29,7 @@ from logs.mcap import read_scenario, write_scenario
 from replay.cli import app, options
 from replay.cli.logs import export_app
 from replay.mine.driven_log import Event, EventKind
-from replay.paper import reproduce
+from replay.paper import pedestrian_grid, reproduce
 from replay.results.tables import LOCK, write_text
 from replay.run.output import held, locked
 
@@ -39,6 +39,7 @@ ROOT = Path(__file__).parents[3]
 URL, WORK = "url", "work"
 """Columns with a stated no: refused URLs; and all in which a command works: full, interrupted, again."""
 WRITTEN = {URL: "it is written there: test_urls.py"}
+SLOW, NIGHTLY = (pytest.mark.slow,), (pytest.mark.slow, pytest.mark.nightly)
 VIEWER = {WORK: "needs a graphics driver; the file is claimed and written as that of --save"}
 
 
@@ -52,7 +53,7 @@ class Row:
         resumes: Whether it has --resume.
         file: A file of it in a folder that may have other files; "": the folder is its own.
         no: Columns that it does not have, and why.
-        slow: Whether its work takes long.
+        marks: Of the tests of its work, which takes long.
     """
 
     words: str
@@ -60,7 +61,7 @@ class Row:
     resumes: bool = False
     file: str = ""
     no: Mapping[str, str] = field(default_factory=dict)
-    slow: bool = False
+    marks: Sequence[pytest.MarkDecorator] = ()
 
     def given(self, place: Path, out: object) -> list[str]:
         return [word.format(place=place).replace("OUT", str(out)) for word in shlex.split(self.words)]
@@ -77,13 +78,13 @@ ROWS = {
     ),
     "falsify": Row(
         "falsify {place}/blocked.mcap -p idm --workers 0 --axis ego_speed=0.9:1.1 --budget 16 -o OUT",
-        resumes=True, slow=True,
+        resumes=True, marks=SLOW,
     ),
     "tune": Row(
         "tune {place}/many -p idm --space {place}/space.toml --trials 1 --held-out 0.75 --workers 0 -o OUT",
-        resumes=True, slow=True,
+        resumes=True, marks=SLOW,
     ),
-    "diagnose": Row("diagnose {place}/run --workers 0 -o OUT", resumes=True, slow=True),
+    "diagnose": Row("diagnose {place}/run --workers 0 -o OUT", resumes=True, marks=SLOW),
     "report": Row("report {place}/run -o OUT"),
     "query": Row("query {place}/mined 'SELECT * FROM range(500)' -o OUT", ".csv"),
     "suite": Row("suite {place}/mined -o OUT", ".toml"),
@@ -109,7 +110,7 @@ ROWS = {
     "view --save": Row("view {place}/free.mcap --save OUT", ".rrd"),
     "view --screenshot": Row("view {place}/free.mcap --screenshot OUT", ".png", no=VIEWER),
     "view --video": Row("view {place}/free.mcap --video OUT", ".gif", no=VIEWER),
-    "paper": Row("paper --roads 0 --workers 0 -o OUT", slow=True),
+    "paper": Row("paper --roads 0 --workers 0 -o OUT", marks=NIGHTLY),
     "calibrate": Row("calibrate -o OUT"),
 }  # fmt: skip
 READS = {
@@ -123,8 +124,11 @@ FOLDERS = [name for name, row in ROWS.items() if not row.ending and not row.file
 
 def rows(column: str) -> list[Any]:
     """The rows that have a column, as parameters of its test."""
-    marks = {name: [pytest.mark.slow] if row.slow and column == WORK else [] for name, row in ROWS.items()}
-    return [pytest.param(name, marks=marks[name]) for name, row in ROWS.items() if column not in row.no]
+    return [
+        pytest.param(name, marks=row.marks if column == WORK else ())
+        for name, row in ROWS.items()
+        if column not in row.no
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +181,7 @@ def test_every_command_that_writes_has_a_row() -> None:
     commands = [*app.registered_commands, *export_app.registered_commands]
     found = {command.name or command.callback.__name__: command.callback for command in commands if command.callback}
     found["export"] = found.pop("commonroad-solution")
-    writes, reads = set(), set()
+    writes, reads = set[tuple[str, str]](), set[tuple[str, str]]()
     for command, callback in found.items():
         for name, is_written in paths(callback):
             (writes if is_written else reads).add((command, name))
@@ -344,7 +348,7 @@ def whole(place: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cal
         return made[name]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reproduce, "PaperConfig", partial(reproduce.PaperConfig, cells=reproduce.CELLS[:4]))
+        patch.setattr(reproduce, "PaperConfig", partial(reproduce.PaperConfig, cells=pedestrian_grid.CELLS[:4]))
         yield of
 
 

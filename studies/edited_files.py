@@ -105,7 +105,7 @@ def one(name: str, rng: random.Random, number: str) -> tuple[object, str]:
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         place = traceback.extract_tb(result.exception.__traceback__)[-1]
         end = f"{result.exception!r} ({Path(place.filename).name}:{place.lineno})"[:300]
-    elif "Traceback" in result.output or (end in (2, 3) and not errors):
+    elif "Traceback" in result.output or (end == 2 and not errors):
         end = f"exit code {end}: {result.output[-200:]}"
     for path in Path().glob(f"*-{number}*"):
         shutil.rmtree(path) if path.is_dir() else path.unlink()

@@ -77,7 +77,7 @@ def test_what_is_driven_does_not_depend_on_the_process(name: str, built_in: str,
 
 
 def test_threads_that_start_planners_at_once_share_one_launcher(monkeypatch: pytest.MonkeyPatch) -> None:
-    """250 programs at once drove alike, too; before, each of the first threads had a launcher that the next one ended."""
+    """Before, each of the first threads had a launcher of its own, which ended as the next one began."""
     monkeypatch.setattr("replay.planner_process.processes._warm", {})
     program = f"exec:{sys.executable} {Path(__file__).parents[3] / 'examples' / 'planner_exec.py'}"
     with ThreadPoolExecutor(12) as pool:

@@ -84,7 +84,7 @@ repair IT -o OUT.mcap | vary IT --list-agents | view IT --save OUT.rrd""",
     "space.toml": """
 tune many -p idm --space IT --trials 1 --held-out 0.7 --workers 0 -o OUT | diagnose run --space IT -o OUT""",
     "changes.toml": "diagnose run --changes IT --workers 0 -o OUT",
-    "poses.csv": "score log.mcap --trajectories IT --as navsim-v1",
+    "poses.csv": "score all/everyday/cut_in.mcap --trajectories IT --as navsim-v1",
 }
 """Commands that read a file or a folder, separated by bars."""
 

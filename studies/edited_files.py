@@ -38,12 +38,13 @@ convert all/paper all/everyday --to 2 -o many
 convert all/paper/crossing_pedestrian.mcap all/everyday/cut_in.mcap --to 3 -o logs
 convert all/everyday/cut_in.mcap --to 3 -o log.mcap
 evaluate logs -p constant_speed --workers 0 -o run
+evaluate logs/cut_in.mcap -p parked --mode closed --no-recording --workers 0 -o failed
 evaluate logs {DRIVE} --shard 1/2 -o shard
 evaluate logs {DRIVE} --shard 2/2 -o shard-2
 baseline run -o baseline.parquet
 mine all/everyday --workers 0 -o mined
 suite mined -o suite.toml
-diagnose run --workers 0 -o diagnosed
+diagnose failed --workers 0 -o diagnosed
 vary logs/cut_in.mcap -p constant_speed --workers 0 --vary ego_speed=0.9:1.1:2 -o varied
 falsify logs/cut_in.mcap -p idm --workers 0 --axis ego_speed=0.9:1.1 --budget 16 -o falsified
 tune many -p idm --space space.toml --trials 1 --held-out 0.7 --workers 0 -o tuned
@@ -56,7 +57,7 @@ FILES = {
     "changes.toml": '[[change]]\nname = "a"\nwords = "b"\ncause = "comfort bound"\nrank = "limits"\n'
     'default = ["loop.traffic"]\n'
     "set.planner.idm = { time_gap_s = 2.0 }\n",
-    "poses.csv": "log,t_s,x,y,yaw\n" + "".join(f"everyday/cut_in,{k / 2},{5 * k}.0,0.0,0.0\n" for k in range(1, 9)),
+    "poses.csv": "log,t_s,x,y,yaw\n" + "".join(f"everyday/cut_in,0.5,{5 * k}.0,0.0,0.0\n" for k in range(1, 9)),
 }
 COMMANDS = {
     "run": f"""
@@ -69,7 +70,7 @@ evaluate logs {DRIVE} --baseline IT -o OUT | export commonroad-solution IT -o OU
 query IT 'SELECT count(*) AS n FROM events, logs, health' | cut IT --where true -o OUT | suite IT -o OUT.toml
 coverage IT --against mined | mine all/everyday --workers 0 -o IT --resume | coverage mined --against IT -o OUT""",
     "shard": "merge IT shard-2 -o OUT | merge shard-2 IT -o OUT",
-    "diagnosed": "diagnose run --workers 0 -o IT --resume | report run --diagnosis IT -o OUT",
+    "diagnosed": "diagnose failed --workers 0 -o IT --resume | report failed --diagnosis IT -o OUT",
     "varied": "vary logs/cut_in.mcap -p constant_speed --workers 0 --vary ego_speed=0.9:1.1:2 -o IT --resume",
     "falsified": "falsify logs/cut_in.mcap -p idm --workers 0 --axis ego_speed=0.9:1.1 --budget 16 -o IT --resume",
     "tuned": "tune many -p idm --space space.toml --trials 1 --held-out 0.7 --workers 0 -o IT --resume",
@@ -82,8 +83,9 @@ repair IT -o OUT.mcap | vary IT --list-agents | view IT --save OUT.rrd""",
     "suite.toml": f"evaluate --suite IT {DRIVE} -o OUT",
     "gates.toml": f"evaluate log.mcap {DRIVE} --gates IT -o OUT | compare run run --gates IT",
     "space.toml": """
-tune many -p idm --space IT --trials 1 --held-out 0.7 --workers 0 -o OUT | diagnose run --space IT -o OUT""",
-    "changes.toml": "diagnose run --changes IT --workers 0 -o OUT",
+tune many -p idm --space IT --trials 1 --held-out 0.7 --workers 0 -o OUT
+diagnose failed --space IT --workers 0 -o OUT""",
+    "changes.toml": "diagnose failed --changes IT --workers 0 -o OUT",
     "poses.csv": "score all/everyday/cut_in.mcap --trajectories IT --as navsim-v1",
 }
 """Commands that read a file or a folder, separated by bars."""

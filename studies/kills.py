@@ -39,6 +39,7 @@ synth paper everyday -o all
 convert all/paper all/everyday --to 2 -o many
 convert all/paper/crossing_pedestrian.mcap all/everyday/cut_in.mcap --to 3 -o logs
 evaluate logs {DRIVE} -o run
+evaluate logs/cut_in.mcap -p parked --mode closed --no-recording -o failed
 evaluate logs {DRIVE} --shard 1/2 -o shard-1
 evaluate logs {DRIVE} --shard 2/2 -o shard-2
 evaluate cr.mcap {DRIVE} --mode closed --vehicle kinematic_bicycle --car bmw_320i -o solved
@@ -52,7 +53,7 @@ cut mined --where true --before 0.5 --after 0.5 -o out --resume
 vary logs/cut_in.mcap -p constant_speed --workers 0 --vary ego_speed=0.9:1.1:3 -o out --resume
 falsify logs/crossing_pedestrian.mcap -p idm --workers 0 --axis ego_speed=0.9:1.1 --budget 16 -o out --resume
 tune many -p idm --space space.toml --trials 2 --held-out 0.7 --workers 0 -o out --resume
-diagnose run --workers 0 -o out --resume
+diagnose failed --workers 0 -o out --resume
 report run -o out
 query mined 'SELECT * FROM range(300000)' -o out.csv
 suite mined -o out.toml

@@ -2,10 +2,11 @@
 
     python -m studies.kills OUT --kills 300 --seconds 1800 --seed 0
 
-A round kills a command one to three times (SIGKILL to its process group), resumes it or runs it again to its end, and
-compares all files but those that hold a clock, and looks for locks, unfinished files and processes. The command with
-the least time spent has the next round. Of each command: rounds, kills that met it alive, entries left in TMPDIR (no
-program can remove them as it is killed), and what fell.
+A round kills a command one to three times (a signal to its process group), resumes it or runs it again to its end, and
+compares all files but those that hold a clock, and looks for locks, unfinished files and processes. After an
+interruption (`--signal INT` or TERM) it has to end with 130, and none may be left at once. The command with the least
+time spent has the next round. Of each command: rounds, kills that met it alive, entries left in TMPDIR (no program can
+remove them as it is killed), and what fell.
 """
 
 from __future__ import annotations
@@ -122,22 +123,32 @@ def cleared(place: Path) -> int:
     return left
 
 
-def one_round(place: Path, words: str, rng: random.Random, whole: Done, whole_s: float, seen: Counter[str]) -> None:
+def left(place: Path) -> list[str]:
+    """Locks and unfinished files."""
+    return [f"left: {path.relative_to(place)}" for path in place.rglob("*") if path.name.startswith(".")]
+
+
+def one_round(
+    place: Path, words: str, rng: random.Random, number: signal.Signals, whole: Done, whole_s: float, seen: Counter[str]
+) -> None:
     """Kill a command one to three times, run it to its end, and compare; counts `seen`."""
     for _ in range(rng.randint(1, 3)):
         run = begun(place, words)
         try:
             run.communicate(timeout=rng.uniform(0.3, whole_s))
         except subprocess.TimeoutExpired:
-            os.killpg(run.pid, signal.SIGKILL)
-            run.communicate()
+            os.killpg(run.pid, number)
+            said = run.communicate()[1]
             seen["kills"] += 1
+            if number != signal.SIGKILL and run.returncode not in (130, whole[0]):
+                seen[f"interrupted: exit code {run.returncode}: {said[-300:]}"] += 1
+            seen.update(left(place) if number != signal.SIGKILL else ())
         seen.update(f"orphan: {one}" for one in alive(place))
     code, files, errors = finished(place, words)
     names = [name for name in sorted(files.keys() | whole[1].keys()) if files.get(name) != whole[1].get(name)]
     if code != whole[0] or names:
         seen[f"exit code {code} for {whole[0]}, other bytes: {names[:4]} {errors[-300:]}"] += 1
-    seen.update(f"left: {path.relative_to(place)}" for path in place.rglob("*") if path.name.startswith("."))
+    seen.update(left(place))
     seen["in TMPDIR"] += cleared(place)
     seen["rounds"] += 1
 
@@ -149,6 +160,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=300)
     parser.add_argument("--seconds", type=float, default=1800.0)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--signal", choices=["KILL", "INT", "TERM"], default="KILL")
     parser.add_argument("--only", nargs="*", default=["."], help="Patterns, of which a command has one.")
     asked = parser.parse_args()
     place, rng = asked.out.resolve(), random.Random(asked.seed)
@@ -169,7 +181,7 @@ def main() -> None:
             assert whole[words][0][0] in (0, 1, 4), (words, whole[words][0][2])
             cleared(place)
         else:
-            one_round(place, words, rng, *whole[words], seen[words])
+            one_round(place, words, rng, signal.Signals[f"SIG{asked.signal}"], *whole[words], seen[words])
         spent[words] += time.monotonic() - begin
         sys.stdout.write(f"{words.split(' -')[0]} ({spent[words]:.0f} s): {dict(seen[words])}\n")
         sys.stdout.flush()

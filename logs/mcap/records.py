@@ -62,6 +62,8 @@ HEAD = 9
 CHUNK_BYTES = 1024 * 1024
 CRC = slice(HEAD + 24, HEAD + 28)
 """Where a chunk's checksum is in its record; 0: none."""
+SALVAGED = "replan salvage"
+"""What the header of a salvaged file names as its writer."""
 ROS2_SCHEMAS = frozenset({"ros2msg", "ros2idl"})
 PERIODIC = ("/ego", "/agents", "/controls", "/actuation", "/detections", "/removed")
 TAIL_BYTES = 16 * 1024
@@ -112,6 +114,12 @@ class Salvage:
         if not self.lost:
             return [f"{kept}; nothing was lost", *unchecked]
         return [kept, *map(str, self.lost), *nameless, *unchecked]
+
+
+def is_salvaged(path: Path) -> bool:
+    """Return whether `salvage` wrote an MCAP file; OSError if it cannot be read."""
+    with path.open("rb") as stream:
+        return SALVAGED.encode() in stream.read(4096)
 
 
 def salvage(source: Path, target: Path) -> Salvage:
@@ -186,7 +194,7 @@ class _Copy:
         with path.open("wb") as file:
             writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
             encodings = {schema.encoding for schema in self.schemas.values()}
-            writer.start(self.profile or ("ros2" if encodings & ROS2_SCHEMAS else ""), library="replan salvage")
+            writer.start(self.profile or ("ros2" if encodings & ROS2_SCHEMAS else ""), library=SALVAGED)
             for record in self.metadata:
                 writer.add_metadata(record.name, record.metadata)
             schemas, channels = {0: 0}, {}

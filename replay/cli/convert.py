@@ -11,14 +11,14 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from logs.errors import ConfigError, LogError, writing
+from logs.errors import ConfigError, LogError
 from logs.mcap import is_written_here, write_scenario
 from logs.mcap.writer import Entry
 from logs.readers import READER, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
 from logs.repair.detections import TrackChange
 from logs.scenario import Scenario
 from replay.results.tables import write_text
-from replay.run.claim import check_file, claimed_file
+from replay.run.claim import claimed_file, claimed_files
 
 CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(TrackChange))
 """Columns of the table: the fields of `logs.repair.detections.TrackChange`."""
@@ -72,25 +72,26 @@ def convert_all(
     found = [log for path in logs for log in _logs_at(path, reader, settings, say)]
     if not found:
         raise ConfigError("no logs to convert; `replan convert --formats` lists what replan reads")
-    single = out.suffix == ".mcap"
-    if single and len(found) > 1:
+    if out.suffix == ".mcap" and len(found) > 1:
         raise ConfigError(f"{len(found)} logs do not go into one log: give a folder with -o")
     names = [f"{log.name if log.is_dir() else log.stem.removesuffix('.cr')}.mcap" for log in found]
-    targets = [out if single else out / name for name in names]
-    _check_targets(found, targets, settings)
+    last = dict(zip(names, found, strict=True))
+    for name, log in zip(names, found, strict=True):
+        if last[name] != log:
+            raise ConfigError(f"{log} and {last[name]} would both become {out / name}; convert them into two folders")
     channels = _channels(foxglove=foxglove)
     all_read = True
-    for log, target in zip(found, targets, strict=True):
-        try:
-            scenario = read_log(log, settings, reader)
-            with writing(target):
-                target.parent.mkdir(parents=True, exist_ok=True)
-            write_scenario(target, scenario, beside=channels(scenario))
-        except LogError as error:
-            say_error(str(error))
-            all_read = False
-            continue
-        say("\n".join([str(target), *(f"    note: {note}" for note in scenario.notes)]))
+    with claimed_files(out, (".mcap",), _is_ours((log, reader_of(log, settings)) for log in found)) as place:
+        targets = [place(name) for name in names]
+        for log, target in zip(found, targets, strict=True):
+            try:
+                scenario = read_log(log, settings, reader)
+                write_scenario(target, scenario, beside=channels(scenario))
+            except LogError as error:
+                say_error(str(error))
+                all_read = False
+                continue
+            say("\n".join([str(target), *(f"    note: {note}" for note in scenario.notes)]))
     return all_read
 
 
@@ -118,22 +119,12 @@ def _logs_at(path: Path, asked: Reader | None, settings: LogSettings, say: Calla
             yield log
 
 
-def _check_targets(logs: Sequence[Path], targets: Sequence[Path], settings: LogSettings) -> None:
-    """Refuse to write a log over a file of the logs, and two logs into one file."""
-    readers_of = ((log, reader_of(log, settings)) for log in logs)
-    files = (file for log, reader in readers_of for file in ((log,) if reader is None else reader.files(log)))
-    inputs = {Path(os.path.realpath(file)) for file in files}
-    for target in targets:
-        if target.resolve() not in inputs:
-            check_file(target, (".mcap",), is_written_here)
-    taken: dict[Path, Path] = {}
-    for log, target in zip(logs, targets, strict=True):
-        place = target.resolve()
-        if place in inputs:
-            raise ConfigError(f"{log}: {target} is one of the logs and would be overwritten; give -o another place")
-        if place in taken:
-            raise ConfigError(f"{taken[place]} and {log} would both become {target}; convert them into two folders")
-        taken[place] = log
+def _is_ours(logs: Iterable[tuple[Path, Reader | None]]) -> Callable[[Path], bool]:
+    """Whether an earlier file is a log of replan, and none of these logs, which are read."""
+    read = {
+        os.path.realpath(file) for log, reader in logs for file in ((log,) if reader is None else reader.files(log))
+    }
+    return lambda file: os.path.realpath(file) not in read and is_written_here(file)
 
 
 def repair_log(log: Path, target: Path, table: Path | None, settings: LogSettings) -> Scenario:
@@ -147,15 +138,8 @@ def repair_log(log: Path, target: Path, table: Path | None, settings: LogSetting
     if not log.exists():
         raise ConfigError(f"{log}: no such file or folder")
     reader = reader_of(log, settings)
-    inputs = {file.resolve() for file in (reader.files(log) if reader is not None else (log,))}
-    places = [place for place in (target, table) if place is not None]
-    for place in places:
-        if place.resolve() in inputs:
-            raise ConfigError(f"{place} is the log itself and would be overwritten; give another place")
-    if len({place.resolve() for place in places}) < len(places):
-        raise ConfigError(f"{target} is to be the log and the table: give two places")
     with ExitStack() as claims:
-        claims.enter_context(claimed_file(target, (".mcap",), is_written_here))
+        claims.enter_context(claimed_file(target, (".mcap",), _is_ours([(log, reader)])))
         if table is not None:
             claims.enter_context(claimed_file(table, (".csv",), _has_changes))
         scenario = read_log(log, settings, reader)

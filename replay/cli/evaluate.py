@@ -271,10 +271,12 @@ def paper(
     This takes a few minutes. docs/paper.md compares the results with the paper.
     """
     with handle_errors():
-        from replay.paper.reproduce import PaperConfig, reproduce
+        from replay.paper.reproduce import CONTENTS, PaperConfig, reproduce
+        from replay.run.claim import claimed_folder
 
         config = PaperConfig(tuple(vehicle or ("single_track",)), roads=roads, workers=worker_count(workers))
-        say(reproduce(out, config, say=progress_lines()))
+        with claimed_folder(out, CONTENTS):
+            say(reproduce(out, config, say=progress_lines()))
 
 
 @app.command()

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from logs.errors import ConfigError, unknown_name, writing
+from logs.errors import ConfigError, unknown_name
 from replay.cli import options as opt
 from replay.cli.app import app, handle_errors, progress_lines, say, say_error, say_json
 from replay.cli.options import log_table, run_config
@@ -41,6 +41,8 @@ def synth(
       replan synth raw --as ros2 -o my_bags
     """
     with handle_errors():
+        from contextlib import closing
+
         from logs.catalogue import numbers
         from replay.cli.synth import FORMS, chosen, listed, markdown_page, synthesise, table, write_suite
 
@@ -61,9 +63,10 @@ def synth(
         if form not in FORMS:
             raise unknown_name("form", form, FORMS)
         changed = numbers(settings or [], "--set")
-        written = write_suite(suite, out, form) if suite else synthesise(chosen(names or ()), out, changed, form)
-        for path in written:
-            say(path)
+        logs = write_suite(suite, out, form) if suite else synthesise(chosen(names or ()), out, changed, form)
+        with closing(logs) as written:
+            for path in written:
+                say(path)
 
 
 @app.command()
@@ -122,7 +125,7 @@ def repair(
     out: Annotated[Path, opt.out_option("The FILE.mcap to write.")],
     table: Annotated[
         Path | None,
-        typer.Option("--table", help="Write the changes as FILE.csv, not to stdout.", callback=opt.local_path),
+        opt.output("Write the changes as FILE.csv, not to stdout.", "--table"),
     ] = None,
     ego: opt.Ego = None,
     road_map: opt.Map = None,
@@ -202,13 +205,14 @@ def salvage(
 ) -> None:
     """Keep every intact chunk of a damaged MCAP file, and name what was lost."""
     with handle_errors():
+        from logs.mcap.records import is_salvaged
         from logs.mcap.records import salvage as save
+        from replay.run.claim import claimed_file
 
         if not damaged.is_file():
             raise ConfigError(f"{damaged}: no such file")
-        if out.exists():
-            raise ConfigError(f"{out}: exists already; name a new file")
-        say("\n".join([str(out), *(f"    {line}" for line in save(damaged, out).lines())]))
+        with claimed_file(out, (".mcap",), lambda file: is_salvaged(file) and not file.samefile(damaged)):
+            say("\n".join([str(out), *(f"    {line}" for line in save(damaged, out).lines())]))
 
 
 export_app = typer.Typer(help="Write drives in the formats of other projects.", no_args_is_help=True)
@@ -239,20 +243,20 @@ def commonroad_solution(
         from replay.cli.export import COSTS, solutions
         from replay.cli.export import commonroad_solution as solution
         from replay.results.tables import write_text
+        from replay.run.claim import claimed_files
 
         if cost not in COSTS:
             raise unknown_name("cost function", cost, COSTS)
-        if run.is_dir():
-            found, skipped = solutions(run, cost)
-            for line in skipped:
-                say(f"skipped {line}", err=True)
-            texts = {out / name: text for name, text in found.items()}
-        else:
-            texts = {out if out.suffix == ".xml" else out / f"{run.parent.name}.xml": solution(run, cost)}
-        for file, text in texts.items():
-            with writing(file):
-                file.parent.mkdir(parents=True, exist_ok=True)
+        with claimed_files(out, (".xml",)) as place:
+            if run.is_dir():
+                found, skipped = solutions(run, cost)
+                for line in skipped:
+                    say(f"skipped {line}", err=True)
+            else:
+                found = {f"{run.parent.name}.xml": solution(run, cost)}
+            texts = {place(name): text for name, text in found.items()}
+            for file, text in texts.items():
                 write_text(file, text)
-            say(file)
+                say(file)
         if not texts:
             raise typer.Exit(3)

@@ -97,14 +97,15 @@ def view(
     planner: opt.OfPlanner = None,
     mode: opt.OfMode = None,
     save: Annotated[
-        Path | None, typer.Option(help="Write the recording of the log, or of both drives, and open nothing.")
+        Path | None,
+        opt.output("Write the recording (FILE.rrd) of the log, or of both drives, and open nothing.", "--save"),
     ] = None,
     screenshot: Annotated[
         Path | None,
-        typer.Option("--screenshot", help="Write a picture (PNG) and open nothing; of a run: of the worst drive."),
+        opt.output("Write a picture (PNG) and open nothing; of a run: of the worst drive.", "--screenshot"),
     ] = None,
     video: Annotated[
-        Path | None, typer.Option("--video", help="Write a video: FILE.gif, or with ffmpeg FILE.mp4; --from, --to.")
+        Path | None, opt.output("Write a video: FILE.gif, or with ffmpeg FILE.mp4; --from, --to.", "--video")
     ] = None,
     at: Annotated[float | None, opt.at_option("For --screenshot. Default: 0.")] = None,
     layout: Annotated[str, typer.Option(help="Layout of picture and video: overview, planner, control.")] = "overview",
@@ -136,10 +137,12 @@ def view(
     """
     with handle_errors():
         import tempfile
+        from contextlib import ExitStack
 
         from logs.files import Near
-        from replay.draw.recording.pictures import LAYOUTS
+        from replay.draw.recording.pictures import BY_FFMPEG, BY_PILLOW, LAYOUTS
         from replay.draw.view import picture, show
+        from replay.run.claim import claimed_file
 
         if layout not in LAYOUTS:
             raise ConfigError(f"--layout {layout}: there are {', '.join(LAYOUTS)}")
@@ -149,7 +152,11 @@ def view(
             )
         drawn = screenshot is not None or video is not None
         which = (log, planner, None if mode == "both" else mode)
-        with tempfile.TemporaryDirectory() as scratch:
+        with ExitStack() as claims:
+            for place, suffixes in ((save, (".rrd",)), (screenshot, (".png",)), (video, BY_PILLOW + BY_FFMPEG)):
+                if place is not None:
+                    claims.enter_context(claimed_file(place, suffixes))
+            scratch = claims.enter_context(tempfile.TemporaryDirectory())
             span = (None, None) if video is not None else (begin, end)
             settings = run_config(config, {"log": log_table(ego, road_map, *span, repair)}).log
             copies = [Near(target) for target in targets]
@@ -192,12 +199,12 @@ def _files(
         raise ConfigError("--log, --planner and --mode choose drives of a folder of results")
     if len(targets) == 2:
         both = choose_pair(targets[0], targets[1], *(_recordings(target, which) for target in targets))
-        recording = _place(save) or scratch / "pair.rrd"
+        recording = save or scratch / "pair.rrd"
         save_pair(recording, both)
         return [recording], ""
     (target,) = targets
     if target.suffix != ".rrd" and (target.is_file() or reader_of(target) is not None):
-        recording = _place(save) or scratch / f"{target.stem}.rrd"
+        recording = save or scratch / f"{target.stem}.rrd"
         save_log(target, recording, settings, markers)
         return [recording], ""
     if save is not None:
@@ -235,18 +242,6 @@ def _recordings(target: Path, which: Which) -> list[Path]:
             f"{target}: these drives have no recording; replan evaluate without --no-recording writes them"
         )
     return found
-
-
-def _place(save: Path | None) -> Path | None:
-    """Create the folder of a recording and return its path; ConfigError if the suffix is not .rrd."""
-    from logs.errors import writing
-
-    if save is not None and save.suffix != ".rrd":
-        raise ConfigError(f"--save {save}: a recording is called FILE.rrd")
-    if save is not None:
-        with writing(save):
-            save.parent.mkdir(parents=True, exist_ok=True)
-    return save
 
 
 class Look(StrEnum):
@@ -287,10 +282,12 @@ def plot(
       replan plot results/run-001 -p dp_qp -p idm --chart curves
     """
     with handle_errors():
+        from replay.draw.charts.canvas import FORMATS
         from replay.draw.charts.layout import charts_of, together
         from replay.draw.charts.subject import subject
         from replay.draw.drawn_results import load
         from replay.results.tables import safe_name
+        from replay.run.claim import claimed_files
 
         run, planners = load(result), list(dict.fromkeys(planner or ()))
         chosen = chosen_drive(run, log, next(iter(planners), None), mode)
@@ -298,16 +295,16 @@ def plot(
         seen = subject(drive, at, [run.drive(drive.log, other, drive.mode) for other in planners[1:]])
         name = "-".join([safe_name(drive.log), *map(safe_name, planners or [drive.planner]), drive.mode])
         path = Path(f"{name}-{safe_name(chart)}.png") if out is None else out
-        if path.suffix not in ("", ".png", ".svg") and not path.is_dir():
+        if path.suffix not in ("", *FORMATS) and not path.is_dir():
             raise ConfigError(f"{path}: a picture ends with .png or .svg, a folder has no ending")
-        charts = charts_of(seen, chart, width)
-        if path.suffix in (".png", ".svg") and not path.is_dir():
-            together(charts, seen.title, seen.says, width).save(path, theme=theme.value, width=width)
-            say(f"{path}  ({seen.title}, {seen.says}){chosen.remark}")
-            return
-        for one in charts:
-            for ending in (".png", ".svg"):
-                file = path / f"{name}-{one.name}{ending}"
+        with claimed_files(path, FORMATS) as place:
+            charts = charts_of(seen, chart, width)
+            if path.suffix in FORMATS and not path.is_dir():
+                together(charts, seen.title, seen.says, width).save(path, theme=theme.value, width=width)
+                say(f"{path}  ({seen.title}, {seen.says}){chosen.remark}")
+                return
+            files = [(place(f"{name}-{one.name}{ending}"), one) for one in charts for ending in FORMATS]
+            for file, one in files:
                 one.save(file, theme=theme.value, width=width)
                 say(file)
 
@@ -363,7 +360,7 @@ def frame(
         str | None,
         option(None, "Plan the frame with this planner instead.", "--with", metavar="NAME", complete="planner"),
     ] = None,
-    dump: Annotated[Path | None, typer.Option(help="Write frames, plan and QPs to FILE.msgpack.")] = None,
+    dump: Annotated[Path | None, opt.output("Write frames, plan and QPs to FILE.msgpack.", "--dump")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Open the debugger before the frame is planned.")] = False,
 ) -> None:
     """Drive up to a frame again, in one process, and plan it with a report: stages, times, sizes, residuals.
@@ -374,7 +371,10 @@ def frame(
       replan frame results/run-001 --at 6.5 --with idm
     """
     with handle_errors():
+        from contextlib import nullcontext
+
         from replay.draw.drawn_results import load
+        from replay.run.claim import claimed_file
         from replay.run.frame_again import replan_frame, report_of
         from replay.run.frame_dump import dump as write_dump
 
@@ -384,10 +384,11 @@ def frame(
                 f"no drive of '{planner}' in the run ({', '.join(sorted(there))}); to plan with it: --with"
             )
         chosen = chosen_drive(results, log, planner, mode)
-        again = replan_frame(chosen.drive, at, other, debug=debug)
-        say(f"{chosen.title}{chosen.remark}")
-        for line in report_of(again):
-            say(line)
-        if dump is not None:
-            write_dump(dump, again.dump)
-            say(f"\n{dump}: {dump.stat().st_size / 1e6:.1f} MB; replay.run.frame_dump.load reads it")
+        with nullcontext() if dump is None else claimed_file(dump, (".msgpack",)):
+            again = replan_frame(chosen.drive, at, other, debug=debug)
+            say(f"{chosen.title}{chosen.remark}")
+            for line in report_of(again):
+                say(line)
+            if dump is not None:
+                write_dump(dump, again.dump)
+                say(f"\n{dump}: {dump.stat().st_size / 1e6:.1f} MB; replay.run.frame_dump.load reads it")

@@ -101,9 +101,14 @@ def local_path(place: Path | None) -> Path | None:
         return None if place is None else on_this_machine(place)
 
 
+def output(words: str, *names: str) -> Any:
+    """An option that names what a command writes, on this machine."""
+    return option(None, words, *names, metavar="PATH", callback=local_path)
+
+
 def out_option(words: str) -> Any:
     """The option --out, -o of a command that writes files of its own, on this machine."""
-    return option(None, words, "--out", "-o", metavar="PATH", callback=local_path)
+    return output(words, "--out", "-o")
 
 
 def config_option(words: str) -> Any:

@@ -10,6 +10,7 @@ Velocities and scores that a detector does not give are 0. Lanes are not in a ba
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from math import cos, isfinite, sin
 from pathlib import Path
@@ -24,6 +25,7 @@ from logs.agents import AgentKind
 from logs.errors import ConfigError, writing
 from logs.repair.detections import Detections
 from logs.scenario import Scenario
+from replay.results.tables import PARTIAL
 
 START_NS = 1_700_000_000_000_000_000
 """Start time of logs that begin at 0, because a bag's times are wall-clock times."""
@@ -46,28 +48,39 @@ Row = tuple[str, str, int, dict[str, Any]]
 
 
 def write_bag(path: Path, scenario: Scenario) -> None:
-    """Write the folder of a bag; an existing folder is not overwritten.
+    """Write the folder of a bag, completely or not at all; only a bag that was written here is replaced.
 
     Raises:
-        ConfigError: The scenario has no raw detections, or the folder exists.
+        ConfigError: The scenario has no raw detections, or something else has this name.
         OutputError: The bag cannot be written.
     """
     if scenario.detections is None:
         raise ConfigError(f"{scenario.name} has tracks and no raw detections: a bag holds those (synth raw --as ros2)")
-    if path.exists():
-        raise ConfigError(f"{path} exists already; name a new folder")
+    card = path / "metadata.yaml"
+    if path.exists() and not (card.is_file() and b"replan synth" in card.read_bytes()):
+        raise ConfigError(f"{path}: exists, and this command did not write it; name another folder")
     types = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in DEFINITIONS.items():
         types.register(get_types_from_msg(text, name))
-    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    partial = path.with_name(f"{PARTIAL}{path.name}")
+    shutil.rmtree(partial, ignore_errors=True)  # of a command that was killed
+    writer = Writer(partial / path.name, version=9, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    writer.set_custom_data("made by", "replan synth")
     rows = sorted(_rows(scenario, scenario.detections), key=lambda row: row[2])
-    with writing(path), writer:
-        topics: dict[str, Any] = {}
-        for topic, kind, time, values in rows:
-            if topic not in topics:
-                topics[topic] = writer.add_connection(topic, kind, typestore=types)
-            writer.write(topics[topic], time, types.serialize_cdr(message(kind, types, **values), kind))
+    try:
+        with writing(path):
+            with writer:
+                topics: dict[str, Any] = {}
+                for topic, kind, time, values in rows:
+                    if topic not in topics:
+                        topics[topic] = writer.add_connection(topic, kind, typestore=types)
+                    writer.write(topics[topic], time, types.serialize_cdr(message(kind, types, **values), kind))
+            if path.exists():
+                shutil.rmtree(path)
+            (partial / path.name).replace(path)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def message(kind: str, types: Any, **values: Any) -> Any:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,20 @@ from logs.mcap import is_written_here, write_scenario
 from logs.names import counted
 from logs.scenario import Scenario
 from replay.results.tables import safe_name, write_text
-from replay.run.claim import check_file
+from replay.run.claim import claimed_files
 
 TABLE = "suite.csv"
 NATIVE, ROS2 = "native", "ros2"
 FORMS = (NATIVE, ROS2)
 """The forms in which logs are written."""
 COLUMNS = ("log", "file", "family", "parameters", "seed", "tags", "accepted_decisions")
+
+
+def _files(out: Path) -> AbstractContextManager[Callable[[str], Path]]:
+    """The claimed files of a folder: logs of replan, and the table of a suite."""
+    return claimed_files(
+        out, (".mcap", ".csv"), lambda file: is_written_here(file) or file.read_text().startswith(",".join(COLUMNS))
+    )
 
 
 def chosen(names: Sequence[str]) -> tuple[Family, ...]:
@@ -43,7 +51,7 @@ def chosen(names: Sequence[str]) -> tuple[Family, ...]:
 
 def synthesise(
     families: Sequence[Family], out: Path, parameters: Mapping[str, float], form: str = NATIVE
-) -> Iterator[Path]:
+) -> Generator[Path]:
     """Write one log per family into `out`, as GROUP/NAME.mcap or, of the form ROS2, as the bag GROUP/NAME.
 
     Yields each path when it is written.
@@ -53,42 +61,42 @@ def synthesise(
             form.
     """
     scenarios = [family.scenario(**parameters) for family in families]
-    for one in scenarios:
-        yield _written(one, out, form)
+    with _files(out) as place:
+        for one in scenarios:
+            yield _written(one, place, form)
 
 
-def write_suite(name: str, out: Path, form: str = NATIVE) -> Iterator[Path]:
+def write_suite(name: str, out: Path, form: str = NATIVE) -> Generator[Path]:
     """Write the logs of a suite (or of a family or group, all cells) into `out`, and last their table, `TABLE`.
 
     Raises:
         ConfigError: No suite, family or group has this name, or a log does not exist in this form.
     """
-    rows = []
-    for label in suite(name):
-        one = scenario(label)
-        path = _written(one, out, form)
-        family, _, words = label.partition("@")
-        file, seed = path.relative_to(out).as_posix(), one.metadata.get("parameter.seed", "")
-        accepted = one.metadata.get("expected_decisions", "{}")
-        rows.append((label, file, family, words.replace(",", " "), seed, " ".join(one.tags), accepted))
-        yield path
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *rows])
-    write_text(out / TABLE, text.getvalue())
-    yield out / TABLE
+    rows, labels = [], suite(name)
+    with _files(out) as place:
+        table_file = place(TABLE)
+        for label in labels:
+            one = scenario(label)
+            path = _written(one, place, form)
+            family, _, words = label.partition("@")
+            file, seed = path.relative_to(out).as_posix(), one.metadata.get("parameter.seed", "")
+            accepted = one.metadata.get("expected_decisions", "{}")
+            rows.append((label, file, family, words.replace(",", " "), seed, " ".join(one.tags), accepted))
+            yield path
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([COLUMNS, *rows])
+        write_text(table_file, text.getvalue())
+        yield table_file
 
 
-def _written(one: Scenario, out: Path, form: str) -> Path:
+def _written(one: Scenario, place: Callable[[str], Path], form: str) -> Path:
     group, _, name = one.name.partition("/")
-    path = out / safe_name(group) / safe_name(name)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path = place(f"{safe_name(group)}/{safe_name(name)}.mcap")
     if form == ROS2:
         from replay.cli.ros_bag import write_bag
 
-        write_bag(path, one)
+        write_bag(path := path.with_suffix(""), one)
         return path
-    path = path.with_name(f"{path.name}.mcap")
-    check_file(path, (".mcap",), is_written_here)
     write_scenario(path, one)
     return path
 

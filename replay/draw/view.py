@@ -17,7 +17,7 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
-from logs.errors import ConfigError, ReplanError, writing
+from logs.errors import ConfigError, ReplanError
 from logs.mcap import read_trace
 from logs.names import counted
 from logs.readers import LogSettings, read_log
@@ -190,6 +190,4 @@ def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int =
 
 def picture(recording: Path, out: Path, at: float, layout: str, tile: str | None, size: str, theme: Theme) -> None:
     """A picture of a recording at a time, s; ConfigError if it has no such layout or tile."""
-    with writing(out):
-        out.parent.mkdir(parents=True, exist_ok=True)
     take_pictures(recording, [Picture(out, at, tile, layout)], size=size, theme=theme)

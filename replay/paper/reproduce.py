@@ -39,9 +39,15 @@ from replay.paper import figures
 from replay.paper.manoeuvres import compare
 from replay.paper.pedestrian_grid import CELLS, LOOP, PLANNER, GridCrossing, braking_for_walker, grid
 from replay.parts import CONTROLLER, VEHICLE
-from replay.results.tables import make_result_folder, write_csv, write_text
+from replay.results.tables import write_csv, write_text
+from replay.run.claim import FolderContents
 
 Say = Callable[[str], None]
+FILES = (
+    "fig09_path.png", "fig10_st.png", "fig12_pedals.png", "free_road.rrd", "crossing_pedestrian.rrd", "manoeuvres.csv",
+    "scenarios.csv", "pedestrian_grid.*", "paper.md",
+)  # fmt: skip
+CONTENTS = FolderContents("paper", FILES, resumes=False)
 DIGITS = "%.6g"
 """The format of numbers in the tables."""
 
@@ -79,12 +85,8 @@ DEFAULT = PaperConfig()
 def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda line: None) -> Path:
     """Run all experiments; `say` is called with each step. Returns the page `paper.md`.
 
-    Files of these names are replaced; other files in the folder are kept.
-
-    Raises:
-        ConfigError: The folder cannot be made.
+    The folder exists, and is claimed by the caller (`CONTENTS`).
     """
-    make_result_folder(out)
     say("scenario 1: the free road")
     first = free_road(out, config.vehicles[0])
     say("scenario 2: the crossing pedestrian")

@@ -200,19 +200,21 @@ class ApartPlanner:
         limit = self._limits.plan_timeout_s
         if not self._has_planned:
             limit, self._has_planned = max(limit, self._limits.start_timeout_s), True
+        begin = time.monotonic()
         answer = self._connection.ask(messages.frame_message(frame), limit, f"at t = {frame.t:.2f} s")
         broken = f"broke its contract at {frame.t:.2f} s"
         if isinstance(answer, messages.Failed):
             raise self._failure(answer, broken if answer.what == "contract" else f"raised at {frame.t:.2f} s")
         if not isinstance(answer, messages.Plan):
             raise self._connection.fault(f"{broken}: it did not answer a frame with a plan")
-        begin = time.monotonic()
         try:
             plan = messages.plan_of(answer)
         except (ValueError, KeyError) as error:
             raise self._connection.fault(f"{broken}: {clean_text(str(error))}") from None
         if time.monotonic() - begin > limit:
-            raise self._connection.fault(f"sent a plan that takes more than {limit:g} s to read at t = {frame.t:.2f} s")
+            raise self._connection.fault(
+                f"took more than {limit:g} s with the time to read its plan at t = {frame.t:.2f} s"
+            )
         for stage, seconds in answer.laps.items():
             self._watch.took(stage, seconds)
         return plan

@@ -15,6 +15,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import weakref
 from collections.abc import Mapping
@@ -113,15 +114,16 @@ def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfi
     path = dict.fromkeys([*(str(Path(entry).absolute()) for entry in sys.path if "://" not in entry), str(ROOT)])
     environment |= {"PYTHONPATH": os.pathsep.join(path), "PYTHONHASHSEED": "0"}
     wanted = os.getpid(), str(Path.cwd()), environment
-    if _warm.get("for") != wanted or not _warm["launcher"].alive:  # the launcher is restarted if those change
-        _warm.update({"for": wanted, "launcher": Launcher(environment)})
-    launcher: Launcher = _warm["launcher"]
-    request = {"argv": argv, "memory": round(limits.memory_gb * 1e9)}
-    template = launcher.template(load, limits) if load and _warm.get("run") else None
-    if template is not None:
-        with suppress(OSError):  # it has just died
-            return template.start(request, kind)
-    return launcher.forks.start(request, kind)
+    with _starting:
+        if _warm.get("for") != wanted or not _warm["launcher"].alive:  # the launcher is restarted if those change
+            _warm.update({"for": wanted, "launcher": Launcher(environment)})
+        launcher: Launcher = _warm["launcher"]
+        request = {"argv": argv, "memory": round(limits.memory_gb * 1e9)}
+        template = launcher.template(load, limits) if load and _warm.get("run") else None
+        if template is not None:
+            with suppress(OSError):  # it has just died
+                return template.start(request, kind)
+        return launcher.forks.start(request, kind)
 
 
 def set_template_run(run: str) -> None:
@@ -149,7 +151,7 @@ class ForkClient:
         self._control, self.key = control, key
         self._ended: dict[int, int] = {}
         self._unfit: str | None = None
-        self._count, self._rest = 0, b""
+        self._count, self._rest, self._reading = 0, b"", threading.Lock()
         self.close = weakref.finalize(self, control.close)
 
     def start(self, request: Mapping[str, Any], kind: Any) -> Process:
@@ -197,17 +199,21 @@ class ForkClient:
         """Read messages; False if none came until `until`, or the socket is closed."""
         try:
             ready, _, _ = select.select([self._control], [], [], max(until - time.monotonic(), 0.0))
-            data = self._control.recv(1 << 16, socket.MSG_DONTWAIT) if ready else b""
         except (OSError, ValueError):  # it is closed
             return False
-        if not data:
-            return False
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        for message in map(json.loads, lines):
-            self._unfit = message.get("unfit", self._unfit)
-            if "ended" in message:
-                self._ended[message["ended"]] = message["status"]
-        return True
+        with self._reading:
+            try:
+                data = self._control.recv(1 << 16, socket.MSG_DONTWAIT) if ready else b""
+            except BlockingIOError:  # another thread has read it
+                return True
+            except OSError:
+                return False
+            *lines, self._rest = (self._rest + data).split(b"\n")
+            for message in map(json.loads, lines):
+                self._unfit = message.get("unfit", self._unfit)
+                if "ended" in message:
+                    self._ended[message["ended"]] = message["status"]
+            return bool(data)
 
     def kill(self, key: int) -> None:
         """End a process and its group."""
@@ -267,5 +273,7 @@ def _end_launcher(
     process.wait()
 
 
+_starting = threading.Lock()
+"""Held while a process is started: threads that start planners at once share the launcher."""
 _warm: dict[str, Any] = {}
 """State of this process: `launcher`; `for`: the settings that it was started with; `run`: the current run."""

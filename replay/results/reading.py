@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from logs.errors import ConfigError, LogError
 from logs.files import check_regular
 from metrics.judge.gates import Outcome
-from replay.results.schema import SCHEMA_VERSION, TABLES, VERSION_KEY, is_of_kind, pa_type
+from replay.results.schema import SCHEMA_VERSION, TABLES, VERSION_KEY, is_of_kind, names_of, pa_type
 
 AGAIN = "evaluate again"
 WORDS: dict[str, Collection[str]] = {
@@ -74,7 +74,7 @@ def checked(file: Path, found: Any, kind: type[T], again: str) -> tuple[dict[str
 
 
 def read_table(file: Path, without: Sequence[str] = (), again: str = AGAIN, *, words: Sequence[str] = ()) -> pa.Table:
-    """A table, checked by the schema of its name.
+    """A table, checked by the schema of its name; columns that the schema does not know are left out.
 
     Args:
         file: The file.
@@ -100,7 +100,7 @@ def read_table(file: Path, without: Sequence[str] = (), again: str = AGAIN, *, w
     for at, column in enumerate(TABLES[file.name].columns):
         if column.name not in table.column_names and column.older is not None:
             table = table.add_column(at, column.name, pa.array([column.older] * len(table), pa_type(column.kind)))
-    return table
+    return table.select([name for name in names_of(file.name) if name in table.column_names])
 
 
 def check_table(table: pa.Table, file: Path, name: str, without: Sequence[str] = (), again: str = AGAIN) -> None:

@@ -31,6 +31,7 @@ from hashlib import sha256
 from itertools import count
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import pandas as pd
 import pyarrow as pa
@@ -46,6 +47,8 @@ PARTIAL = ".partial-"
 LOG_CARD = "log.json"
 """A file that replan puts beside the traces of a log: a log beside it is a result, not an input."""
 OUTCOMES = {0: "pass", 1: "fail", 2: "configuration error", 3: "not all could be evaluated", 4: "inconclusive"}
+PNG_MARK = b"tEXtSoftware\0replan"
+"""The chunk of a PNG file that says who wrote it."""
 LOCK = ".lock"
 """The file by which a run locks its folder (`replay.run.output`)."""
 
@@ -126,6 +129,12 @@ def write_folder(folder: Path, fill: Callable[[Path], object]) -> bool:
         return finish_folder(partial, folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def write_png(path: Path, data: bytes) -> None:
+    """Write a PNG file, completely or not at all, with `PNG_MARK` behind its first chunk (8 + 25 bytes)."""
+    mark = (len(PNG_MARK) - 4).to_bytes(4) + PNG_MARK + crc32(PNG_MARK).to_bytes(4)
+    write_file(path, lambda partial: partial.write_bytes(data[:33] + mark + data[33:]))
 
 
 def write_text(path: Path, text: str) -> None:

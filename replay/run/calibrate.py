@@ -15,9 +15,11 @@ from replay.control.pedals import Calibration
 from replay.draw.charts.axes import Plane
 from replay.draw.charts.canvas import Chart
 from replay.parts import VEHICLE, Part
-from replay.results.tables import make_result_folder, write_file
+from replay.results.tables import write_file
+from replay.run.claim import FolderContents, claimed_folder
 from replay.vehicle import build_vehicle
 
+CONTENTS = FolderContents("calibrate", ("calibration.csv", "calibration.png"), resumes=False)
 STANDING = EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -33,17 +35,17 @@ def calibrate(
         config: A run's configuration, of which [vehicle] is used.
 
     Raises:
-        ConfigError: A name is unknown, the model has no power train, or the folder cannot be made.
+        ConfigError: A name is unknown, the model has no power train, or the folder must not be written.
     """
     if model == "perfect":
         raise ConfigError("the perfect vehicle has no pedals: there is nothing to calibrate")
     run = load_run(config, {} if car is None else {"vehicle": {"set": car}})
     parameters = run.driven(VehicleParameters())
-    table = Calibration.of(build_vehicle(Part(VEHICLE, model), parameters, STANDING, {}).powertrain)
-    make_result_folder(out)
-    csv, png = out / "calibration.csv", out / "calibration.png"
-    write_file(csv, table.save)
-    picture(table).save(png)
+    csv, png = (out / name for name in CONTENTS.names)
+    with claimed_folder(out, CONTENTS):
+        table = Calibration.of(build_vehicle(Part(VEHICLE, model), parameters, STANDING, {}).powertrain)
+        write_file(csv, table.save)
+        picture(table).save(png)
     return csv, png
 
 

@@ -1,8 +1,9 @@
 """What a command may write: a folder or a file of its own, claimed before any work. All commands that write use this.
 
 A folder is claimed if it is new, empty, or has only what the same command writes (`FolderContents`); a file, if it is
-new or has the command's own header, and does not lie in a result folder. Both are locked while the command runs, so
-that of two commands at once the second is refused. A URL is refused, except by `replan evaluate` and `replan merge`.
+new or has the command's own header, and does not lie in a result folder. Files may also be claimed among others, in a
+folder that several commands write (`claimed_files`). All are locked while the command runs, so that of two commands at
+once the second is refused. A URL is refused, except by `replan evaluate` and `replan merge`.
 
 If the disk is full or the command is interrupted, the error says how to go on: of folders in folders (a tuning drives
 runs), the outermost one counts, since it is the one that the user named.
@@ -12,17 +13,22 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from logs.errors import ConfigError, OutputError, writing
 from logs.files import check_named, on_this_machine
-from replay.results.tables import LOCK, ORIGIN, PARTIAL, next_free
+from replay.results.tables import LOCK, ORIGIN, PARTIAL, PNG_MARK, next_free
 from replay.results.tables import is_ours as is_of_a_run
 from replay.run.output import held, locked
 
+MARKS: Mapping[str, bytes] = {
+    ".png": PNG_MARK, ".svg": b' class="chart" ', ".rrd": b"replan ", ".xml": b"<CommonRoadSolution ",
+    ".msgpack": b"\xa7version", **dict.fromkeys((".gif", ".mp4", ".mkv", ".mov", ".webm"), b"replan"),
+}  # fmt: skip
+"""What files of replan hold, and others of the same kind do not, by the end of their names."""
 STUDY = "study.jsonl"
 """The file of a study (`replay.run.study`): its first line names the command that wrote the folder."""
 
@@ -109,8 +115,29 @@ def emptied(out: Path) -> Path:
     return out
 
 
+def is_marked(file: Path) -> bool:
+    """Whether a file has the mark of its kind (`MARKS`); OSError if it cannot be read."""
+    return MARKS[file.suffix] in file.read_bytes()
+
+
 @contextmanager
-def claimed_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool]) -> Iterator[Path]:
+def claimed_files(
+    out: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool] = is_marked
+) -> Iterator[Callable[[str], Path]]:
+    """The function that gives the path of a file by its name: `out` if that is a file, else a file in the folder `out`.
+
+    The folder is locked, and may have other files. Raises as `claimed_file`, the function as `check_file`.
+    """
+    if out.suffix in suffixes and not out.is_dir():
+        with claimed_file(out, suffixes, is_ours):
+            yield lambda name: out
+    else:
+        with held(out):
+            yield lambda name: check_file(out / name, suffixes, is_ours)
+
+
+@contextmanager
+def claimed_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool] = is_marked) -> Iterator[Path]:
     """The locked file of a command, which the body writes; its folder is created.
 
     Raises:
@@ -118,14 +145,12 @@ def claimed_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], 
         OutputError: It cannot be written.
     """
     check_file(path, suffixes, is_ours)
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
     with locked(path.with_name(f".{path.name}{LOCK}"), path):
         yield path
 
 
-def check_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool]) -> None:
-    """Raise ConfigError unless a command may write a file.
+def check_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool]) -> Path:
+    """Return the path of a file, of which the folder is created; ConfigError if a command must not write it.
 
     Args:
         path: The file.
@@ -145,7 +170,10 @@ def check_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bo
     except (OSError, ValueError):
         ours = False
     if not ours:
-        raise ConfigError(f"{path}: exists, and this command did not write it; name another file")
+        raise ConfigError(f"{path}: exists, and this command did not write it, or reads it; name another file")
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    return path
 
 
 def result_folder_of(path: Path) -> Path | None:

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 
 from logs.codec import WIRE, packed
-from logs.errors import LogError, writing
+from logs.errors import LogError
 from logs.frame import Frame, PlannerContext
 from logs.plan import Plan, SolverReport
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
@@ -30,6 +30,7 @@ from planners.solver import QPResult
 from replay.loop.plan_check import checked
 from replay.planner_process import messages
 from replay.planner_process.planner_config import planner_part
+from replay.results.tables import write_file
 
 VERSION = 1
 
@@ -120,8 +121,8 @@ def dump(path: Path, one: FrameDump) -> None:
         plan=messages.plan_message(one.plan, inside=True),
         problems=problems,
     )
-    with writing(path):
-        path.write_bytes(messages.encode(file))
+    data = messages.encode(file)
+    write_file(path, lambda partial: partial.write_bytes(data))
 
 
 def load(path: Path) -> FrameDump:

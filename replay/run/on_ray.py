@@ -48,8 +48,9 @@ AHEAD = 2
 """Tasks in flight per core of the cluster: each core has its next one waiting, and an autoscaler sees a queue."""
 CONNECT_S = 10.0
 BEGIN = "`ray start --head` begins a cluster; versions of Ray and Python must be the same on all nodes"
-CLUSTERS = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
-"""Environment variable of Ray, on any system, read when Ray is imported: 0: it listens on the loopback address only."""
+ALONE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
+"""Environment of Ray on this machine, read when Ray is imported: it listens on the loopback address only (the first
+variable, on any system), and sends no usage statistics."""
 LONGEST_SESSION_PATH = 25
 LEFT_OUT = ("__pycache__", ".*", "*.pyc")
 
@@ -100,7 +101,7 @@ class OnRay:
     def _ray_connection(self, run: RunConfig) -> Iterator[Any]:
         """Ray, with a connection for the time of the run; an existing connection of the caller is used."""
         if not self.address:
-            os.environ.setdefault(CLUSTERS, "0")
+            os.environ.update(ALONE | os.environ)
         try:
             import ray
         except ImportError:

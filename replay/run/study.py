@@ -1,6 +1,7 @@
 """The file of a study: JSON lines, first the head with the inputs, then a line per trial.
 
-A line is added as each batch ends; the last line, if an interruption has cut it, is left out. A search is
+A line is added as each batch ends, with a checksum of what it says: a trial that was edited is refused. The last line,
+if an interruption has cut it, is left out. A search is
 deterministic: with `--resume` it makes the same trials again, and those in the file are not driven a second time. So it
 gives the same bytes as a search that was never interrupted.
 """
@@ -11,12 +12,16 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 from logs.errors import ConfigError, writing
 from replay.config import RunConfig, dump_run
 from replay.results.tables import clear_partial, write_text
 from replay.run.claim import STUDY, emptied
 from replay.run.resume import changes, stamp_of
+
+CHECKSUM = "crc32"
+"""The key of the checksum of a trial's line."""
 
 
 def study_head(kind: str, run: RunConfig, inputs: Mapping[str, Any]) -> dict[str, Any]:
@@ -64,6 +69,9 @@ class Study:
             raise ConfigError(f"{self._path}: cannot be read as a study: {error}; {again}") from None
         if not (rows and all(isinstance(row, dict) for row in rows) and all("key" in row for row in rows[1:])):
             raise ConfigError(f"{self._path}: contains no study; {again}")
+        for number, row in enumerate(rows[1:], 2):
+            if row.pop(CHECKSUM, None) != _checksum(row):
+                raise ConfigError(f"{self._path}: line {number} is not as replan wrote it; {again}")
         return rows
 
     def known(self, key: str) -> dict[str, Any] | None:
@@ -81,12 +89,20 @@ class Study:
         new = {row["key"]: row for row in rows}
         self._known.update(new)
         with writing(self._path), self._path.open("a", encoding="utf-8", newline="\n") as file:
-            file.write("".join(map(_line, new.values())))
+            file.write("".join(map(_checked, new.values())))
 
     def keep(self, keys: Iterable[str]) -> None:
         """Write the file anew with these trials, in this order."""
         self._known = {key: self._known[key] for key in keys}
-        write_text(self._path, "".join(map(_line, (self._head, *self._known.values()))))
+        write_text(self._path, "".join([_line(self._head), *map(_checked, self._known.values())]))
+
+
+def _checksum(row: Mapping[str, Any]) -> int:
+    return crc32(json.dumps(row).encode())
+
+
+def _checked(row: Mapping[str, Any]) -> str:
+    return _line({**row, CHECKSUM: _checksum(row)})
 
 
 def _line(row: Mapping[str, Any]) -> str:

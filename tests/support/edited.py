@@ -9,6 +9,8 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 VALUES: tuple[Any, ...] = (
     None, True, -1, 3, 1e308, 10**30, "", "x", "../../..", "/etc/passwd", "a\0b", "\ud800", "é" * 300, [], ["x"], [[]],
@@ -16,21 +18,13 @@ VALUES: tuple[Any, ...] = (
 )  # fmt: skip
 TOKENS = ("NaN", "Infinity", "-Infinity", "1e999", "[" * 100_000, '{"a":' * 50_000, "")
 WORDS = ("1", "-1", "nan", "inf", '"x"', '"../.."', "[]", "{}", "true", "[[1]]")
-EDITED = (".json", ".toml", ".parquet")
 
 
 def edit(rng: random.Random, folder: Path) -> str:
     """Change one file of a folder (or the file itself), and say what was done."""
-    files = [folder] if folder.is_file() else sorted(file for file in folder.rglob("*") if file.suffix in EDITED)
+    files = [folder] if folder.is_file() else sorted(file for file in folder.rglob("*") if file.suffix in EDITS)
     file = rng.choice(files)
-    if rng.random() < 0.25:
-        what = _edit_bytes(rng, file)
-    elif file.suffix == ".json":
-        what = _edit_json(rng, file)
-    elif file.suffix == ".parquet":
-        what = _edit_table(rng, file)
-    else:
-        what = _edit_text(rng, file)
+    what = (_edit_bytes if rng.random() < 0.25 else EDITS.get(file.suffix, _edit_bytes))(rng, file)
     return f"{file.name}: {what}"
 
 
@@ -58,9 +52,60 @@ def _places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 
 def _edit_json(rng: random.Random, file: Path) -> str:
-    document = json.loads(file.read_text(encoding="utf-8"))
+    text, what = _edited_json(rng, file.read_text(encoding="utf-8"))
+    file.write_text(text, encoding="utf-8")
+    return what
+
+
+def _edit_lines(rng: random.Random, file: Path) -> str:
+    """Edit a line of JSON lines."""
+    lines = file.read_text(encoding="utf-8").splitlines()
+    k = rng.randrange(len(lines))
+    lines[k], what = _edited_json(rng, lines[k])
+    file.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return f"line {k}: {what}"
+
+
+def _edit_log(rng: random.Random, file: Path) -> str:
+    """Edit a message or a record of a native log; its checksums hold."""
+    with file.open("rb") as stream:
+        reader = make_reader(stream)
+        header, records = reader.get_header(), list(reader.iter_metadata())
+        messages = list(reader.iter_messages(log_time_order=False))
+    k = rng.randrange(-len(records), len(messages))
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(header.profile, header.library)
+        schemas, channels, what = dict[int, int](), dict[int, int](), ""
+        for i, record in enumerate(records):
+            if i == -1 - k:
+                key = rng.choice(sorted(record.metadata))
+                value = what = rng.choice(["", "x", "-1", "1e999", "nan", "[" * 100_000, record.metadata[key][:-1]])
+                record.metadata[key], what = value, f"{key} = {what[:40]}"
+            writer.add_metadata(record.name, record.metadata)
+        for i, (schema, channel, message) in enumerate(messages):
+            data, time = message.data, message.log_time
+            if i == k and rng.random() < 0.2:
+                time = what = rng.choice([0, 1, 2**63, time + 10**12])
+                what = f"{channel.topic} at {what}"
+            elif i == k and channel.message_encoding == "json":
+                text, what = _edited_json(rng, data.decode())
+                data, what = text.encode(), f"{channel.topic} {what}"
+            if schema and schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            if channel.id not in channels:
+                known = schemas[schema.id] if schema else 0
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, known)
+            writer.add_message(channels[channel.id], time, data, message.publish_time, message.sequence)
+        writer.finish()
+    return what
+
+
+def _edited_json(rng: random.Random, text: str) -> tuple[str, str]:
+    """The text of a document with one value changed, and what was done."""
+    document = json.loads(text)
     if not (places := _places(document)[1:]):
-        return "nothing"
+        return text, "nothing"
     *way, key = rng.choice(places)
     inner = document
     for step in way:
@@ -75,12 +120,10 @@ def _edit_json(rng: random.Random, file: Path) -> str:
         case 2:
             inner[key] = "TOKEN"
             what = rng.choice(TOKENS)
-            file.write_text(json.dumps(document).replace('"TOKEN"', what), encoding="utf-8")
-            return f"{[*way, key]} = {what[:20]}"
+            return json.dumps(document).replace('"TOKEN"', what), f"{[*way, key]} = {what[:20]}"
         case _:
             inner[key] = what = rng.choice(VALUES)
-    file.write_text(json.dumps(document), encoding="utf-8")
-    return f"{[*way, key]}: {what!r}"[:300]
+    return json.dumps(document), f"{[*way, key]}: {what!r}"[:300]
 
 
 def _edit_text(rng: random.Random, file: Path) -> str:
@@ -121,3 +164,9 @@ def _edit_table(rng: random.Random, file: Path) -> str:
             table = table.append_column(rng.choice([column, "new"]), values)
     pq.write_table(table, file)
     return f"column {column}"
+
+
+EDITS = {
+    ".json": _edit_json, ".jsonl": _edit_lines, ".toml": _edit_text, ".parquet": _edit_table, ".mcap": _edit_log,
+}  # fmt: skip
+"""What edits a file with its checks in mind, by the end of its name; other files get other bytes."""

@@ -12,8 +12,6 @@ SPARSE = {
     "replay/planner_process/test_templates.py::"
     "test_a_run_loads_it_twice_in_a_worker_and_still_sees_what_is_not_deterministic": 2,  # 14 s, 2
     "replay/run/test_resume.py::test_a_resumed_run_gives_the_bytes_of_one_that_was_never_interrupted": 3,  # 64 s, 3
-    "replay/run/test_claim.py::test_a_full_disk_says_the_command_that_helps_and_it_does": 4,  # 61 s, 13
-    "replay/run/test_claim.py::test_run_again_it_gives_the_same_bytes_and_leaves_nothing": 4,  # 49 s, 12
     "replay/run/test_batch.py::test_a_killed_planner_costs_its_drives_only": 0,  # 14 s; a killed worker runs
     "replay/run/test_full_disk.py::test_a_worker_that_finds_the_disk_full_ends_the_run": 0,  # 13 s
     "replay/run/test_full_disk.py::test_a_run_ends_in_one_line_and_is_resumed": 4,  # 8 s, 4

@@ -22,7 +22,7 @@ import numpy as np
 
 from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.errors import ConfigError, writing
-from replay.results.tables import write_file, write_text
+from replay.results.tables import write_png, write_text
 
 Theme = Literal["auto", "light", "dark"]
 
@@ -229,7 +229,7 @@ class Chart:
             data = bytes(resvg_py.svg_to_bytes(
                 svg_string=svg, skip_system_fonts=True, font_files=fonts, font_family="DejaVu Sans"
             ))  # fmt: skip
-            write_file(path, lambda partial: partial.write_bytes(data))
+            write_png(path, data)
 
 
 def px(value: float) -> str:

@@ -40,9 +40,9 @@ from PIL import Image
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
-from logs.errors import ConfigError, ReplanError, writing
+from logs.errors import ConfigError, ReplanError
 from replay.draw.recording.tape import SIM_TIME
-from replay.results.tables import write_file
+from replay.results.tables import write_file, write_png
 
 Theme = Literal["dark", "light"]
 LAYOUTS = ("overview", "planner", "control")
@@ -100,8 +100,8 @@ AWAY = (1, 1)
 """Final position of the pointer: in the header, which is cut off."""
 FRAMES_PER_S = 10.0
 """The usual planning rate."""
-BY_PILLOW = (".gif", ".png")
-"""Suffixes of videos that Pillow writes; any other suffix needs ffmpeg."""
+BY_PILLOW, BY_FFMPEG = (".gif",), (".mp4", ".mkv", ".mov", ".webm")
+"""Suffixes of videos that Pillow writes, and those that need ffmpeg."""
 EVEN = "pad=ceil(iw/2)*2:ceil(ih/2)*2"
 """Filter of ffmpeg for even width and height: most players need colours with half the resolution."""
 
@@ -244,7 +244,7 @@ def _settle(client: Any, picture: Picture, view: str | None, alive: Callable[[],
         shot, cut = Image.open(BytesIO(last)), BytesIO()
         shot.crop((0, HEADER_PX, shot.width, shot.height)).save(cut, "PNG")
         last = cut.getvalue()
-    write_file(picture.out, lambda partial: partial.write_bytes(last))
+    write_png(picture.out, last)
 
 
 def _until(done: Callable[[], bool], alive: Callable[[], None], complaint: str) -> None:
@@ -398,15 +398,19 @@ def film(
     with tempfile.TemporaryDirectory() as folder:
         pictures = [Picture(Path(folder) / f"{i:05d}.png", float(t), layout=layout) for i, t in enumerate(times)]
         take_pictures(recording, pictures, size=size, theme=theme)
-        with writing(out):
-            out.parent.mkdir(parents=True, exist_ok=True)
+
+        def write(partial: Path) -> None:
             if out.suffix in BY_PILLOW:
                 frame, *others = [Image.open(picture.out).convert("RGB") for picture in pictures]
-                frame.save(out, save_all=True, append_images=others, duration=round(1e3 / FRAMES_PER_S), loop=0)
-            else:
-                command = ["ffmpeg", "-y", "-loglevel", "error", "-framerate", f"{FRAMES_PER_S:g}"]
-                command += ["-i", str(Path(folder) / "%05d.png"), "-vf", EVEN, "-pix_fmt", "yuv420p", str(out)]
-                done = subprocess.run(command, capture_output=True, text=True, check=False)
-                if done.returncode:
-                    raise ReplanError(f"{out}: ffmpeg failed: {' '.join(done.stderr[-400:].split())}")
+                more: dict[str, Any] = {"append_images": others, "duration": round(1e3 / FRAMES_PER_S), "loop": 0}
+                frame.save(partial, save_all=True, comment="replan", **more)
+                return
+            command = ["ffmpeg", "-y", "-loglevel", "error", "-framerate", f"{FRAMES_PER_S:g}"]
+            command += ["-i", str(Path(folder) / "%05d.png"), "-vf", EVEN, "-pix_fmt", "yuv420p"]
+            command += ["-metadata", "comment=replan", str(partial)]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            if done.returncode:
+                raise ReplanError(f"{out}: ffmpeg failed: {' '.join(done.stderr[-400:].split())}")
+
+        write_file(out, write)
     return len(pictures)

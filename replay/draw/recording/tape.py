@@ -223,7 +223,7 @@ def recording_file(
     Raises:
         OutputError: The file cannot be written.
     """
-    unfinished = path.with_name(f"{path.name}.part")
+    unfinished = path.with_name(f".{path.name}.part")
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     strict = rr.strict_mode()

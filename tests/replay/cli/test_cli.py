@@ -211,8 +211,8 @@ def test_convert_writes_over_no_log(folder: Path, tmp_path: Path) -> None:
         path.write_bytes((folder / "free.mcap").read_bytes())
     before = log.read_bytes()
     for words, said in (
-        ((log, "--to", 1, "-o", log), "is one of the logs and would be overwritten"),
-        ((log.parent, "--to", 1, "-o", log.parent), "is one of the logs and would be overwritten"),
+        ((log, "--to", 1, "-o", log), "this command did not write it, or reads it"),
+        ((log.parent, "--to", 1, "-o", log.parent), "this command did not write it, or reads it"),
         ((tmp_path, "-o", tmp_path / "out"), f"{log} and {twin} would both become {tmp_path / 'out' / 'drive.mcap'}"),
         ((log, tmp_path / "nowhere", "-o", tmp_path / "out"), "nowhere: no such file or folder"),
     ):
@@ -231,8 +231,8 @@ def test_convert_names_what_it_cannot_take_or_write(folder: Path, tmp_path: Path
     assert result.stdout.startswith(f"left out {tmp_path / 'in' / 'cut.bag'}: no reader recognises it\n")
     (tmp_path / "file").touch()
     result = replan("convert", folder / "free.mcap", "-o", tmp_path / "file")
-    assert result.exit_code == 3
-    assert "free.mcap: cannot be written" in one_error(result)
+    assert result.exit_code == 2
+    assert "file: cannot be the result folder" in one_error(result)
 
 
 def test_view_saves_over_nothing_but_recordings(folder: Path, tmp_path: Path) -> None:
@@ -240,7 +240,7 @@ def test_view_saves_over_nothing_but_recordings(folder: Path, tmp_path: Path) ->
     other.write_bytes(b"mine")
     result = replan("view", folder / "free.mcap", "--save", other)
     assert result.exit_code == 2
-    assert "a recording is called FILE.rrd" in one_error(result)
+    assert "name a file that ends in .rrd" in one_error(result)
     assert other.read_bytes() == b"mine"
     result = replan("view", folder / "free.mcap", "--save", other / "free.rrd")
     assert result.exit_code == 3

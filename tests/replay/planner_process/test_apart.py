@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -75,6 +76,15 @@ def test_what_is_driven_does_not_depend_on_the_process(name: str, built_in: str,
         assert tables[0].equals(tables[1])
 
 
+def test_threads_that_start_planners_at_once_share_one_launcher(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before, each of the first threads had a launcher of its own, which ended as the next one began."""
+    monkeypatch.setattr("replay.planner_process.processes._warm", {})
+    program = f"exec:{sys.executable} {Path(__file__).parents[3] / 'examples' / 'planner_exec.py'}"
+    with ThreadPoolExecutor(12) as pool:
+        traces = list(pool.map(lambda planner: ended(planner, LoopConfig()), [program] * 12))
+    assert {trace.end for trace in traces} == {EndReason.END_OF_LOG}
+
+
 SAID = {
     "Raises": "raised at 0.50 s: ValueError: no way ahead?[31m (bad_planners.py:",
     "ReturnsNone": "broke its contract at 0.50 s: it returned NoneType instead of a Plan",
@@ -116,7 +126,7 @@ def test_the_time_to_read_an_answer_counts(monkeypatch: pytest.MonkeyPatch) -> N
     plan_of = messages.plan_of
     monkeypatch.setattr(messages, "plan_of", slowly)
     assert (
-        "sent a plan that takes more than 0.4 s to read at t = "
+        "took more than 0.4 s with the time to read its plan at t = "
         in ended("planners.constant_speed:ConstantSpeed").detail
     )
 

@@ -22,6 +22,7 @@ from logs.errors import ConfigError
 from replay.compare import BASELINE
 from replay.draw.drawn_results import load
 from replay.mine.mine import read_mined
+from replay.results.reading import read_table
 from replay.run.output import begun_in
 
 pytest.importorskip("duckdb")
@@ -100,6 +101,12 @@ def test_another_version_is_refused_in_every_file(place: Path, tmp_path: Path) -
         (folder / file).write_text(json.dumps({**card, "schema_version": 99}), encoding="utf-8")
         with pytest.raises(ConfigError, match=f"{file}: is of version 99, this replan reads"):
             read(folder)
+
+
+def test_a_column_that_nobody_knows_is_left_out(place: Path, tmp_path: Path) -> None:
+    table = pq.read_table(place / "run" / "metrics.parquet")
+    pq.write_table(table.append_column("new", table["log"]), tmp_path / "metrics.parquet")
+    assert read_table(tmp_path / "metrics.parquet").column_names == table.column_names
 
 
 @pytest.mark.parametrize("name", ["run", "mined"])

@@ -114,33 +114,6 @@ def test_a_worker_that_finds_the_disk_full_ends_the_run(
     assert identical(whole.path, again.path)
 
 
-@pytest.fixture(scope="module")
-def results(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return run(logs / "b.mcap", tmp_path_factory.mktemp("results") / "out", QUICK).path
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        "view {log} --save {tmp}/log.rrd",
-        "convert {log} -o {tmp}/copy.mcap",
-        "plot {results} -o {tmp}/plot.svg",
-        "plot {results} -o {tmp}/plot.png",
-        "salvage {log} {tmp}/salvaged.mcap",
-        "synth paper/free_road -o {tmp}/logs",
-    ],
-)
-def test_a_command_ends_in_one_line(logs: Path, results: Path, tmp_path: Path, words: str) -> None:
-    """As those that claim what they write: test_claim.py."""
-    said = words.format(log=logs / "b.mcap", tmp=tmp_path, results=results).split()
-    with room(700):
-        done = replan(*said)
-    assert done.exit_code == 3, done.output
-    assert "cannot be written: File too large" in done.stderr and str(tmp_path) in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
-
-
 def test_a_full_standard_output_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*words: object, err: bool = False, **more: object) -> None:
         if not err:

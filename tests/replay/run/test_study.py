@@ -36,6 +36,7 @@ def test_trials_are_known_again_and_another_head_is_refused(tmp_path: Path) -> N
         (FILE, "no json", False, "not results of `replan tune`"),
         (FILE, '{"study": "tune"}\n{"value": 1}\n', True, "contains no study"),
         (FILE, '{"study": "tune"}\n[[[\n', True, "cannot be read as a study"),
+        (FILE, '{"study": "tune"}\n{"key": "a", "value": 1.5, "crc32": 7}\n', True, "line 2 is not as replan wrote it"),
         (None, "", True, "contains no study to resume"),
     ],
 )

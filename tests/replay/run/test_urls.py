@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import pandas as pd
 import pytest
 from command_line import replan
+from process_tree import started
 from short_logs import short
 
 from logs.files import listed, local_path, url_of
@@ -104,6 +106,28 @@ def test_results_at_a_url_are_those_of_a_folder_and_are_resumed(bucket: Any, log
         assert (bucket.info(key)["LastModified"] == before) or key.startswith(card.rpartition("/")[0])
     bucket.get("fleet/results/one", str(tmp_path / "again"), recursive=True)
     assert files_of(tmp_path / "here") == files_of(tmp_path / "again")
+    assert not bucket.exists("fleet/results/one/.lock")
+
+
+@pytest.mark.parametrize("objects", [1, 4, 9])
+def test_a_run_that_is_killed_as_it_sends_is_resumed(bucket: Any, logs: Path, tmp_path: Path, objects: int) -> None:
+    """Killed with so many objects at the URL: `--resume` takes its lock over and gives the bytes of a folder here."""
+    code = replan("evaluate", str(logs), *QUICK, "-o", "here").exit_code
+    words = ("evaluate", str(logs), *QUICK, "-o", "s3://fleet/results/one")
+    running, until = started(*words, cwd=tmp_path), time.monotonic() + 120.0
+    while (
+        len(bucket.find("fleet/results/one", refresh=True)) < objects + 1 and time.monotonic() < until
+    ):  # and its lock
+        time.sleep(0.01)
+    assert running.poll() is None
+    running.kill()
+    running.communicate()
+    bucket.invalidate_cache()
+    assert bucket.exists("fleet/results/one/.lock") and not bucket.exists("fleet/results/one/summary.json")
+    assert replan(*words, "--resume").exit_code == code
+    bucket.invalidate_cache()
+    bucket.get("fleet/results/one", str(tmp_path / "there"), recursive=True)
+    assert files_of(tmp_path / "here") == files_of(tmp_path / "there")
     assert not bucket.exists("fleet/results/one/.lock")
 
 

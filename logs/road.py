@@ -272,6 +272,17 @@ class Goal:
         """Return whether the point lies in one of the regions; True if there is no region."""
         return not self.regions or any(inside(x, y, region) for region in self.regions)
 
+    def nearest_place(self, x: float, y: float) -> tuple[float, float]:
+        """Return the vector from the point to the nearest one of the regions, m; (0, 0) within them."""
+        if self.holds_place(x, y):
+            return 0.0, 0.0
+        a = np.vstack(self.regions) - (x, y)
+        sides = np.vstack([np.roll(region, -1, axis=0) - region for region in self.regions])
+        share = -(a * sides).sum(axis=1) / np.maximum((sides**2).sum(axis=1), TIE)
+        to = a + np.clip(share, 0.0, 1.0)[:, None] * sides
+        dx, dy = to[int(np.argmin(np.hypot(*to.T)))].tolist()
+        return dx, dy
+
     def reached(self, t: float, x: float, y: float, yaw: float, v: float) -> bool:
         """Whether a state (box centre) satisfies the goal, or one of its alternatives; its `way` is not tested."""
         return not self.unmet(t, x, y, yaw, v)

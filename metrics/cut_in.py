@@ -18,6 +18,13 @@ With the follower's speed u at the entry and the distance g(t) from its front at
     the follower deviates from the log, it reacts: then forced is at least its deceleration after the entry
 (3) a hit from behind is the ego's fault where the entry before it has forced > `BRAKE_MPS2`
 
+Of two drives of one log, a failing and a passing one, up to the time t_x at which the first fails:
+
+(4) made way = how much harder a road user brakes in the passing one: the greatest fall of their speed beyond that in
+    the failing one within `WAY_S`, per second
+(5) unseen = a reaction that the passing one cannot show: the ego is within `SAME_PLACE_M` of where it is in the failing
+    one up to t_x, and the road user within `AS_LOGGED_M` of the log for `HORIZON_S` after it, whatever the ego does
+
 For an ego at constant speed, (3) is the bound of UN R157, 5.2.5.2: TTC <= v_rel / (2 * 6 m/s2) + 0.35 s.
 """
 
@@ -47,7 +54,7 @@ SAME_WAY = cos(0.25 * pi)
 REACT_S, BRAKE_MPS2, HORIZON_S = 0.35, 6.0, 5.0
 LOOK_BACK_S = 15.0  # Time before a hit that is searched for an entry: from 50 m/s, (3) gives a follower 9 s
 MOST_MPS2 = 9.81  # Forced braking is computed up to this
-AS_LOGGED_M = 0.5
+AS_LOGGED_M, SAME_PLACE_M, WAY_S = 0.5, 0.3, 0.5
 ALONGSIDE_M = 10.0  # A road user whose centre is farther ahead of the ego's centre does not follow the ego, m
 
 
@@ -232,6 +239,35 @@ def worst_forced(trace: Trace, stays: Iterable[CutInStay], scenario: Scenario, w
         if not value[k] >= forced:
             value[k], labels[k] = forced, f"{name_of(trace.agents, stay.agent)}: {why}"
     return Series(t, value, tuple(labels), missing)
+
+
+def made_way(failing: Trace, passing: Trace, who: str, until: float) -> float:
+    """Return the braking (4) of a road user, m/s2; 0 if one of the drives does not have them."""
+    if who not in failing.agents.ids or who not in passing.agents.ids:
+        return 0.0
+    t = np.arange(0.0, min(until, float(failing.ego.t[-1]), float(passing.ego.t[-1])) + 1e-9, GRID_S)
+    there, speed = [], []
+    for agents in (failing.agents, passing.agents):
+        one = some_at(agents, np.array([agents.ids.index(who)]), t)
+        there.append(one.there[0])
+        speed.append(np.hypot(*one.pose[3:5, 0]))
+    slower, steps = np.where(there[0] & there[1], speed[0] - speed[1], np.nan), round(WAY_S / GRID_S)
+    falls = (slower[steps:] - slower[:-steps]) / WAY_S
+    return float(np.max(falls, initial=0.0, where=np.isfinite(falls)))
+
+
+def unseen(failing: Trace, passing: Trace, logged: Tracks, who: str, until: float) -> bool:
+    """Return whether a reaction of a road user cannot be seen in a drive (5)."""
+    if who not in passing.agents.ids or who not in logged.ids or passing.ego.t[-1] < until:
+        return False
+    t = np.arange(0.0, until + 1e-9, GRID_S)
+    egos = [np.interp(t, ego.t, row) for ego in (failing.ego, passing.ego) for row in (ego.x, ego.y)]
+    if np.hypot(egos[0] - egos[2], egos[1] - egos[3]).max() > SAME_PLACE_M:
+        return False
+    t = np.arange(until, min(until + HORIZON_S, float(passing.ego.t[-1])) + 1e-9, GRID_S)
+    now, then = (some_at(agents, np.array([agents.ids.index(who)]), t) for agents in (passing.agents, logged))
+    both = now.there[0] & then.there[0]
+    return bool((np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0]))[both] <= AS_LOGGED_M).all())
 
 
 def _forced_braking(trace: Trace, scenario: Scenario) -> Measured:

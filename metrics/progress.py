@@ -38,10 +38,13 @@ With the gain of a drive along the route; the yardstick is the whole log, even i
 (8) covered = max(duration of the drive / duration of the log, gain / gain of the log's driver, without a logged drive
     of 2 m: gain / length of the route) of a drive that ended at a goal that is a place; 1 where it ended with the log,
     or at a goal without a place
+(9) lost(t_k) = t_(k+1) - t_k - what another drive takes from gain(t_k) to gain(t_(k+1)), with the times at which it is
+    there for the last time
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from math import pi
@@ -66,6 +69,7 @@ SPACING_M, WINDOW_M, BESIDE_M = 1.0, 30.0, 3.0
 STRETCH, SLACK_M = 2.0, 0.1
 JOIN_M, CHANGE_M = 10.0, 20.0  # Length of the transition to a lane, and to a neighbouring lane
 BEYOND_M = 200.0  # The line follows lanes for this distance beyond the path or goal, then goes straight
+AHEAD_M, BEYOND_END_M, SAME_M, LAGS_MPS = 5.0, 1000.0, 1e-6, 0.5
 SHORTEST_M = 10.0  # A shorter drive defines no route
 
 
@@ -163,6 +167,46 @@ def gain_along(route: ProgressLine, drive: Trajectory, begin: float = 0.0) -> Ga
     counted = np.where(np.abs(step) > reach + SLACK_M, np.copysign(reach, step), step)
     cut = float(np.maximum(step - counted, 0.0).sum())
     return Gain(np.r_[0.0, np.cumsum(counted)], cut, float(station[-1]))
+
+
+@dataclass(frozen=True)
+class RoutePace:
+    """The time at which a drive is for the last time at a gain along the route: increasing, m and s."""
+
+    gain: tuple[float, ...]
+    t: tuple[float, ...]
+
+    @classmethod
+    def of(cls, drive: Trajectory, scenario: Scenario) -> RoutePace:
+        """Return the pace of a drive; beyond its end it goes on as fast as on average."""
+        gain = np.maximum.accumulate(gain_along(route_of(scenario), drive).metres)
+        last = np.flatnonzero(np.r_[np.diff(gain) > SAME_M, True])
+        last = last[np.unique(np.r_[np.arange(0, len(last), 10), len(last) - 1])]
+        g, t = gain[last], drive.t[last]
+        slope = (t[-1] - drive.t[0]) / max(float(g[-1]), SAME_M)
+        rows = np.round([np.r_[g, g[-1] + BEYOND_END_M], np.r_[t, t[-1] + BEYOND_END_M * slope]], 6).tolist()
+        return cls(tuple(rows[0]), tuple(rows[1]))
+
+    @classmethod
+    def needed(cls, scenario: Scenario) -> RoutePace | None:
+        """Return the recorded driver's pace, else the steady one that reaches the goal; None if there is neither."""
+        if len(scenario.ego) > 1:
+            return cls.of(scenario.ego, scenario)
+        way, goal = route_of(scenario).length, scenario.goal
+        end = min(scenario.duration, goal.t[1] if goal is not None and goal.t else np.inf)
+        return cls((0.0, way), (0.0, end)) if way > 0.0 and end > 0.0 else None
+
+    def lost(self, drive: Trajectory, scenario: Scenario, frames: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+        """Return the time (9) that a drive loses from each frame to the next, s, and the speed of this pace, m/s.
+
+        The speed is NaN where the drive is not slower by `LAGS_MPS`.
+        """
+        t = np.r_[frames, drive.t[-1]]
+        gain: FloatArray = np.asarray(np.interp(t, drive.t, gain_along(route_of(scenario), drive).metres))
+        taken = np.diff(np.interp(gain, self.gain, self.t))
+        ahead = np.interp(gain[:-1] + AHEAD_M, self.gain, self.t) - np.interp(gain[:-1], self.gain, self.t)
+        speed = AHEAD_M / np.maximum(ahead, SAME_M)
+        return np.diff(t) - taken, np.where(speed - np.interp(frames, drive.t, drive.v) > LAGS_MPS, speed, np.nan)
 
 
 FLOOR_M = 2.0

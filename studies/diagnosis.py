@@ -2,11 +2,11 @@
 
 python -m studies.diagnosis -o OUT [--suite NAME] [--most N] [--only NAME ...] [--planner NAME] [--workers N]
 
-One fault (`PLANTS`) is planted in a run over a suite of the catalogue. The failing drives that pass without it fail for
-it; at most N of them, evenly drawn from their sorted names, are diagnosed twice: with all changes, where a change back
-to the defaults undoes the fault; and "hidden", without those changes, where only ideal parts (no latency is one, too),
-wider limits and other planners can show it. A diagnosis is right where it names the planted cause, and wrong where it
-does not; it may name it among others, or say "not found".
+One fault (`PLANTS`) is planted in a run over a suite of the catalogue. Drives that pass without it all gates that they
+fail with it fail for it; at most N of them, evenly drawn from their sorted names, are diagnosed twice: with all
+changes, where a change back to the defaults undoes the fault; and "hidden", without those changes, where only ideal
+parts (no latency is one, too), wider limits and other planners can show it. A diagnosis is right where it names the
+planted cause, and wrong where it does not; it may name it among others, or say "not found".
 
     OUT/diagnosis.csv     a row per fault: failing drives, and how many have each of `ANSWERS`; the same hidden
     OUT/sound/, OUT/NAME/run/, OUT/NAME/all/, OUT/NAME/hidden/    the runs and the diagnoses
@@ -87,9 +87,13 @@ ANSWERS = ("right", "among", "not_found", "wrong")
 COLUMNS = ("fault", "cause", "drives", *ANSWERS, *(f"hidden_{name}" for name in ANSWERS))
 
 
-def failing(results: Results) -> set[str]:
-    """Logs whose drives fail a gate."""
-    return set(results.verdicts.loc[results.verdicts["outcome"] == "fail", "log"])
+def broken(faulty: Results, sound: Results) -> list[str]:
+    """Logs, sorted, whose drives fail gates in a run, all of which they pass in another one."""
+    names = ["log", "gate"]
+    passed = sound.verdicts.loc[sound.verdicts["outcome"] == "pass", names]
+    failed = faulty.verdicts.loc[faulty.verdicts["outcome"] == "fail", names]
+    both = failed.merge(passed, how="left", on=names, indicator="where")
+    return sorted(set(failed["log"]) - set(both.loc[both["where"] != "both", "log"]))
 
 
 def counts(found: Diagnosis, cause: str) -> list[int]:
@@ -109,7 +113,7 @@ def row(name: str, asked: argparse.Namespace, sound: Results) -> dict[str, Any]:
     planners = {key: table for key, table in plant.table.get("planner", {}).items() if key == planner}
     run = load_run(None, {**plant.table, "planner": planners, **_asked(planner)})
     faulty = evaluate_logs(run=run, out=folder / "run", workers=workers, suite=asked.suite)
-    mine = sorted(failing(faulty) - failing(sound))
+    mine = broken(faulty, sound)
     mine = mine[:: -(-len(mine) // asked.most)] if mine else mine
     found: list[int] = []
     hidden = [change for change in load_changes() if change.rank != "default" or change.name == IDEAL]

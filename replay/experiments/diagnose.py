@@ -25,6 +25,8 @@ from logs.mcap import write_scenario
 from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Mode, PlannedFrame
+from metrics.cut_in import made_way, unseen
+from metrics.progress import RoutePace
 from replay.config import RunConfig
 from replay.draw.drawn_results import DriveResult, Results, load
 from replay.experiments.changes import ChangedRun, TriedChange, cause_of, changed_runs, driven
@@ -48,11 +50,8 @@ from replay.experiments.failure import (
     DriveFailure,
     Foresight,
     GoalMiss,
-    Pace,
     Wait,
     lane_change,
-    made_way,
-    unseen,
     waits,
 )
 from replay.experiments.findings import AS_IT_WAS, Diagnosis, Found
@@ -279,7 +278,7 @@ class _DiagnosisDrives:
                 difference = DriveDifference.of(was.trace, now.trace, inf if until is None else until)
                 answers[name].update(parts=parting(was, now), difference=asdict(difference))
                 if self._base_rows[name]["metric"].partition(".")[0] in PROGRESS:
-                    answers[name]["pace"] = asdict(Pace.of(now.trace.ego, now.scenario))
+                    answers[name]["pace"] = asdict(RoutePace.of(now.trace.ego, now.scenario))
         return answers
 
     def _against(self, name: str, made: DrivenLogs) -> str | None:
@@ -341,7 +340,7 @@ class _DiagnosisDrives:
         )  # fmt: skip
         first = drive.scenario.short_names(because[0]) if because else ""
         slow: list[Wait] = []
-        pace = Pace(**shows["pace"]) if "pace" in shows else Pace.needed(drive.scenario) if late else None
+        pace = RoutePace(**shows["pace"]) if "pace" in shows else RoutePace.needed(drive.scenario) if late else None
         if pace is not None:
             lost, wanted = pace.lost(drive.trace.ego, drive.scenario, [frame.t for frame in frames])
             loop = drive.result.run.drive_loop

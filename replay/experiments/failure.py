@@ -10,12 +10,9 @@ when the first gate fails, or the end of the shorter one.
 (5) left       = how far P's path is to the left of F's place at t_x; asked where (4) is not
 (6) predicted  = way of the most probable future of the road user in F's frame at t_P, else AHEAD_S before t_x, up to
                  the last predicted time that their track reaches, at most AHEAD_S;  moved = as they move in F
-(7) made way   = how much harder the road user brakes in P than in F, up to t_x: the greatest fall of their speed in P
-                 beyond that in F within WAY_S, per second;  unseen = a reaction (`REACTIONS`) that P cannot show: the
-                 ego drives as in F up to t_x, and the road user as in the log, whatever it does
-(8) lost       = t_F' - t_P' from frame to frame: what F takes longer than P for the same way along the route; without
-                 P, than the recorded driver, else than at the speed that reaches the goal when its time ends. It is
-                 lost to the first cause for which the plan is not as fast; what is made up is taken off the last one
+(7) lost       = time lost to P ((9) of `metrics.progress`); without P, to the recorded driver, else to the steady speed
+                 that reaches the goal when its time ends: to the first cause for which the plan is not as fast. What is
+                 made up is taken off the last one
 """
 
 from __future__ import annotations
@@ -30,10 +27,6 @@ from logs.arrays import FloatArray
 from logs.scenario import Scenario
 from logs.states import EgoState, Trajectory
 from logs.trace import EndReason, Trace
-from logs.tracks import Tracks
-from metrics.boxes import GRID_S, some_at
-from metrics.cut_in import AS_LOGGED_M, HORIZON_S
-from metrics.progress import gain_along, route_of
 from replay.explain.causes import KEEP, Account, CauseKind
 from replay.explain.explanation import lane_options, taken_option
 from replay.explain.sentences import NAMES
@@ -45,7 +38,7 @@ MISSED_M = 1.0
 """A road user shown or predicted this far from their true place is treated as shown or predicted elsewhere."""
 STAYS_M = 0.5
 """A road user that moves less than this within `AHEAD_S` stands."""
-FORCED_MPS2, WAY_S = 3.0, 0.5
+FORCED_MPS2 = 3.0
 """A road user who brakes harder than this for the ego is forced to (UN R79, 5.6.4.7: a critical lane change)."""
 REACTIONS = ("forced_braking", "braked_behind")
 """Metrics of what road users behind the ego do because of it."""
@@ -168,35 +161,6 @@ class DriveDifference:
         return "", ""
 
 
-def made_way(failing: Trace, passing: Trace, who: str, until: float) -> float:
-    """The braking (7) of a road user, m/s2; 0 if one of the drives does not have them."""
-    if who not in failing.agents.ids or who not in passing.agents.ids:
-        return 0.0
-    t = np.arange(0.0, min(until, float(failing.ego.t[-1]), float(passing.ego.t[-1])) + SAME_S, GRID_S)
-    there, speed = [], []
-    for agents in (failing.agents, passing.agents):
-        one = some_at(agents, np.array([agents.ids.index(who)]), t)
-        there.append(one.there[0])
-        speed.append(np.hypot(*one.pose[3:5, 0]))
-    slower, steps = np.where(there[0] & there[1], speed[0] - speed[1], np.nan), round(WAY_S / GRID_S)
-    falls = (slower[steps:] - slower[:-steps]) / WAY_S
-    return float(np.max(falls, initial=0.0, where=np.isfinite(falls)))
-
-
-def unseen(failing: Trace, passing: Trace, logged: Tracks, who: str, until: float) -> bool:
-    """Whether a reaction of a road user cannot be seen in a drive (7)."""
-    if who not in passing.agents.ids or who not in logged.ids or passing.ego.t[-1] < until:
-        return False
-    t = np.arange(0.0, until + SAME_S, GRID_S)
-    egos = [np.interp(t, ego.t, row) for ego in (failing.ego, passing.ego) for row in (ego.x, ego.y)]
-    if np.hypot(egos[0] - egos[2], egos[1] - egos[3]).max() > APART_M:
-        return False
-    t = np.arange(until, min(until + HORIZON_S, float(passing.ego.t[-1])) + SAME_S, GRID_S)
-    now, then = (some_at(agents, np.array([agents.ids.index(who)]), t) for agents in (passing.agents, logged))
-    both = now.there[0] & then.there[0]
-    return bool((np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0]))[both] <= AS_LOGGED_M).all())
-
-
 def _relative(ego: EgoState, x: float | FloatArray, y: float | FloatArray) -> tuple[FloatArray, FloatArray]:
     """Places in the frame of an ego: ahead and to the left, m."""
     dx, dy, c, sn = x - ego.x, y - ego.y, np.cos(ego.yaw), np.sin(ego.yaw)
@@ -278,53 +242,13 @@ class Foresight:
 
 PROGRESS = ("goal", "route_progress")
 """Metrics of how far a drive gets."""
-WAY_M, BEYOND_M, FEW_S = 5.0, 1000.0, 0.05
-MISSED_STEPS = 500
+FEW_S, MISSED_STEPS = 0.05, 500
 NOTHING = "nothing found in its way"
 
 
 @dataclass(frozen=True)
-class Pace:
-    """The time at which a drive is for the last time at a gain along the route: increasing, m and s."""
-
-    gain: tuple[float, ...]
-    t: tuple[float, ...]
-
-    @classmethod
-    def of(cls, drive: Trajectory, scenario: Scenario) -> Pace:
-        """The pace of a drive; beyond its end it goes on as fast as on average."""
-        gain = np.maximum.accumulate(gain_along(route_of(scenario), drive).metres)
-        last = np.flatnonzero(np.r_[np.diff(gain) > SAME_S, True])
-        last = last[np.unique(np.r_[np.arange(0, len(last), 10), len(last) - 1])]
-        g, t = gain[last], drive.t[last]
-        slope = (t[-1] - drive.t[0]) / max(float(g[-1]), SAME_S)
-        rows = np.round([np.r_[g, g[-1] + BEYOND_M], np.r_[t, t[-1] + BEYOND_M * slope]], 6).tolist()
-        return cls(tuple(rows[0]), tuple(rows[1]))
-
-    @classmethod
-    def needed(cls, scenario: Scenario) -> Pace | None:
-        """The recorded driver's pace, else the steady one that reaches the goal; None if there is neither."""
-        if len(scenario.ego) > 1:
-            return cls.of(scenario.ego, scenario)
-        way, goal = route_of(scenario).length, scenario.goal
-        end = min(scenario.duration, goal.t[1] if goal is not None and goal.t else inf)
-        return cls((0.0, way), (0.0, end)) if way > 0.0 and end > 0.0 else None
-
-    def lost(self, drive: Trajectory, scenario: Scenario, frames: Sequence[float]) -> tuple[FloatArray, FloatArray]:
-        """The time (8) that a drive loses from each frame to the next, s, and the speed that it does not have, m/s.
-
-        NaN: it is not slower by `APART_MPS`.
-        """
-        t = np.r_[frames, drive.t[-1]]
-        gain = np.interp(t, drive.t, gain_along(route_of(scenario), drive).metres)
-        taken = np.diff(np.interp(gain, self.gain, self.t))
-        speed = WAY_M / np.maximum(np.diff(np.interp([gain, gain + WAY_M], self.gain, self.t), axis=0)[0, :-1], SAME_S)
-        return np.diff(t) - taken, np.where(speed - np.interp(frames, drive.t, drive.v) > APART_MPS, speed, np.nan)
-
-
-@dataclass(frozen=True)
 class Wait:
-    """The time that a drive loses to one cause (8).
+    """The time that a drive loses to one cause (7).
 
     Attributes:
         who: The road user, stop line or other cause.
@@ -338,7 +262,7 @@ class Wait:
 
 
 def waits(found: Sequence[Account], lost: Sequence[float]) -> list[Wait]:
-    """The time that is lost (8), by cause, from the accounts of plans and the time lost in each; the most first."""
+    """The time that is lost (7), by cause, from the accounts of plans and the time lost in each; the most first."""
     spent: dict[str, Wait] = {}
     last = ""
     for one, seconds in zip(found, lost, strict=True):
@@ -373,20 +297,13 @@ class GoalMiss:
         goal, ego, middle = scenario.goal, trace.ego, scenario.vehicle.axle_to_center
         if goal is None or not goal.regions or trace.end is EndReason.GOAL:
             return None
-        k = np.unique(np.linspace(0, len(ego) - 1, MISSED_STEPS).round().astype(int))
-        x, y = ego.x[k] + middle * np.cos(ego.yaw[k]), ego.y[k] + middle * np.sin(ego.yaw[k])
-        places = np.stack([x, y], axis=1)[:, None]
-        a = np.vstack(list(goal.regions))
-        b = np.vstack([np.roll(region, -1, axis=0) for region in goal.regions])
-        share = ((places - a) * (b - a)).sum(axis=2) / np.maximum(((b - a) ** 2).sum(axis=1), SAME_S)
-        to = a + np.clip(share, 0.0, 1.0)[..., None] * (b - a) - places
-        away = np.hypot(to[..., 0], to[..., 1])
-        away[[goal.holds_place(*place) for place in places[:, 0].tolist()]] = 0.0
-        i = int(np.argmin(away.min(axis=1)))
-        at = ego.at(float(ego.t[k[i]]))
-        dx, dy = to[i, int(np.argmin(away[i]))] * (away[i].min() > 0.0)
-        ahead, left = _relative(at, at.x + dx, at.y + dy)
-        return cls(at.t, float(ahead), float(left), goal.unmet(at.t, float(x[i]), float(y[i]), at.yaw, at.v))
+        steps = np.unique(np.linspace(0, len(ego) - 1, MISSED_STEPS).round().astype(int)).tolist()
+        x, y = ego.x + middle * np.cos(ego.yaw), ego.y + middle * np.sin(ego.yaw)
+        to = [goal.nearest_place(float(x[k]), float(y[k])) for k in steps]
+        i = min(range(len(steps)), key=lambda i: hypot(*to[i]))
+        at, k = ego.state(steps[i]), steps[i]
+        ahead, left = _relative(at, at.x + to[i][0], at.y + to[i][1])
+        return cls(at.t, float(ahead), float(left), goal.unmet(at.t, float(x[k]), float(y[k]), at.yaw, at.v))
 
     @property
     def behaviour(self) -> tuple[str, str]:

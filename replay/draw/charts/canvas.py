@@ -202,7 +202,7 @@ class Chart:
             f'<rect class="ground" width="100%" height="100%"/>{self.body}</svg>\n'
         )
 
-    def save(self, path: Path, *, theme: Theme = "light", width: float | None = None) -> None:
+    def save(self, path: Path | str, *, theme: Theme = "light", width: float | None = None) -> None:
         """Write the picture in the format of the path's suffix. The same picture gives the same bytes.
 
         Args:
@@ -214,6 +214,7 @@ class Chart:
             ConfigError: The suffix is neither .png nor .svg.
             OutputError: The file cannot be written.
         """
+        path = Path(path)
         if path.suffix not in FORMATS:
             raise ConfigError(f"{path}: a picture ends with .png or .svg")
         wide = width or 1.5 * self.width

@@ -16,11 +16,11 @@ from logs.frame import Predictions
 from logs.plan import LaneOption, Plan
 from logs.road import Goal
 from logs.trace import EndReason, PlannedFrame, Trace
-from metrics.cut_in import AS_LOGGED_M
+from metrics.cut_in import AS_LOGGED_M, SAME_PLACE_M, made_way, unseen
 from metrics.judge import Outcome, load_gates
+from metrics.progress import RoutePace
 from replay.experiments.drives import CUT, cut_short, worse_peak
 from replay.experiments.failure import (
-    APART_M,
     LATE_S,
     MISSED_M,
     OUTCOMES,
@@ -29,10 +29,7 @@ from replay.experiments.failure import (
     DriveFailure,
     Foresight,
     GoalMiss,
-    Pace,
     lane_change,
-    made_way,
-    unseen,
     waits,
 )
 from replay.explain.causes import Account, Cause, CauseKind
@@ -204,13 +201,13 @@ def test_the_time_lost_from_frame_to_frame_sums_to_the_delay(slow: float, at: fl
     v = np.where((at <= T) & (at + lasts > T), slow, V)
     failing = Trajectory(T, np.r_[0.0, np.cumsum(0.01 * v[:-1])], 0.0 * T, 0.0 * T, v, 0.0 * T, 0.0 * T)
     frames = np.arange(0.0, 6.0, 0.1).tolist()
-    lost, wanted = Pace.of(AS_LOGGED, LOG).lost(failing, LOG, frames)
+    lost, wanted = RoutePace.of(AS_LOGGED, LOG).lost(failing, LOG, frames)
     assert sum(lost) == pytest.approx(lasts * (1.0 - slow / V), abs=0.03)
     inside = [at + 0.1 < t < at + lasts - 0.1 for t in frames]
     assert all(each == pytest.approx(V, abs=0.1) for each in wanted[inside]), "the speed that it does not have"
     outside = [not at - 0.1 < t < at + lasts + 0.1 for t in frames]
     assert np.isnan(wanted[outside]).all() and np.abs(lost[outside]).max(initial=0.0) < 0.02
-    assert Pace.needed(LOG) == Pace.of(AS_LOGGED, LOG), "the recorded driver"
+    assert RoutePace.needed(LOG) == RoutePace.of(AS_LOGGED, LOG), "the recorded driver"
 
 
 @given(st.floats(-4.0, 4.0), st.floats(-3.0, 20.0), st.floats(-3.0, 3.0), st.floats(-1e3, 1e3), st.floats(0.0, 6.0))
@@ -245,7 +242,7 @@ def test_a_reaction_is_unseen_where_the_ego_is_as_before_and_the_road_user_as_in
     )
     failing, ego = drive(braking), braked(9.0, 0.0, aside)
     assert unseen(failing, drive(logged), logged.tracks, "7", 2.0)
-    assert unseen(failing, drive(logged, ego), logged.tracks, "7", 2.0) == (abs(aside) <= APART_M)
+    assert unseen(failing, drive(logged, ego), logged.tracks, "7", 2.0) == (abs(aside) <= SAME_PLACE_M)
     assert unseen(failing, drive(braking), logged.tracks, "7", 2.0) == (off <= AS_LOGGED_M)
     assert not unseen(failing, drive(logged), logged.tracks, "8", 2.0)
 

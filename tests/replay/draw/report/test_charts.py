@@ -374,6 +374,8 @@ def test_plot_draws_several_planners_and_so_does_the_drive(run: Results, tmp_pat
     drives = [load(run.path).drive(LOG, name) for name in ("dp_qp", "constant_speed")]
     chart = drives[0].plot(3.0, "curves", beside=drives[1:])
     assert (tmp_path / "two.svg").read_text(encoding="utf-8") == chart.alone("auto", 1400)
+    chart.save(str(tmp_path / "by_text.svg"), theme="auto", width=1400)
+    assert (tmp_path / "by_text.svg").read_text(encoding="utf-8") == chart.alone("auto", 1400)
     assert replan("plot", run.path, *asked[:4], "--chart", "st", "-o", tmp_path / "each").exit_code == 0
     names = sorted(file.name for file in (tmp_path / "each").iterdir())
     assert names == [f"paper_crossing_pedestrian-dp_qp-constant_speed-closed-st{end}" for end in (".png", ".svg")]

@@ -87,12 +87,17 @@ def begun(place: Path, words: str, code: str = PRELUDE) -> subprocess.Popen[str]
     return subprocess.Popen(command, cwd=place, env=env, text=True, start_new_session=True, stdout=to, stderr=to)
 
 
+def fresh(words: str) -> str:
+    """A command that begins anew."""
+    return words.removesuffix(" --resume")
+
+
 def finished(place: Path, words: str, code: str = PRELUDE) -> Done:
     """What comes of a command; one of which nothing was begun cannot be resumed, and is started anew."""
     run = begun(place, words, code)
     errors = run.communicate(timeout=600)[1]
     if run.returncode == 2 and "no study to resume" in errors:
-        return finished(place, words.removesuffix(" --resume"))
+        return finished(place, fresh(words))
     files = [file for out in place.glob("*out*") for file in (out, *out.rglob("*")) if file.is_file()]
     held = {str(file.relative_to(place)): b"" if file.name.endswith(CLOCKS) else file.read_bytes() for file in files}
     return run.returncode, held, errors
@@ -134,7 +139,7 @@ def one_round(
 ) -> None:
     """Kill a command one to three times, run it to its end, and compare; counts `seen`."""
     for _ in range(rng.randint(1, 3)):
-        run = begun(place, words)
+        run = begun(place, words if (place / "out").exists() else fresh(words))
         try:
             run.communicate(timeout=rng.uniform(0.3, whole_s))
         except subprocess.TimeoutExpired:
@@ -185,10 +190,10 @@ def main() -> None:
     while sum(count["kills"] for count in seen.values()) < asked.kills and time.monotonic() < until:
         words, begin = min(commands, key=spent.__getitem__), time.monotonic()
         if words not in whole:
-            first = finished(place, words)  # it compiles kernels
+            first = finished(place, fresh(words))  # it compiles kernels
             cleared(place)
             again = time.monotonic()
-            whole[words], seen[words] = (finished(place, words), time.monotonic() - again), Counter()
+            whole[words], seen[words] = (finished(place, fresh(words)), time.monotonic() - again), Counter()
             assert whole[words][0][0] in (0, 1, 4) and first[:2] == whole[words][0][:2], (words, first[2])
             cleared(place)
         else:

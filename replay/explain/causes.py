@@ -44,7 +44,6 @@ from replay.explain.course import (
     BRAKES_MPS2,
     LOOK_S,
     STANDING_MPS,
-    START_TO_MPS,
     STEP_S,
     Course,
     Held,
@@ -313,7 +312,7 @@ def _stops(case: _Case) -> Iterator[Cause]:
 def _limit_and_curve(case: _Case) -> Iterator[Cause]:
     """(3) and (4): the speed limit and the curve along the way that require the hardest braking."""
     held, way = case.held, case.way
-    if held.drives_off and held.v <= START_TO_MPS:
+    if held.is_start:
         return
     limit, bend = way.limit, np.abs(way.kappa)
     ahead = np.maximum(way.s - held.s_from, max(held.v * SOON_S, 1e-3))

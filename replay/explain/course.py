@@ -174,6 +174,11 @@ class Held:
         return float(np.interp(s, self.s, self.t)) + max(s - float(self.s[-1]), 0.0) / max(self.v, STANDING_MPS)
 
     @property
+    def is_start(self) -> bool:
+        """Whether it drives off without a wanted speed: then limits, curves and followed agents are no reasons."""
+        return self.drives_off and self.v <= START_TO_MPS
+
+    @property
     def reach(self) -> float:
         """The distance ahead within which causes are searched, m."""
         far = 0.0 if self.drives_off else self.s_from + 0.5 * self.v**2 / EASE_MPS2
@@ -373,7 +378,7 @@ def _meeting(held: Held, way: PlanWay, agents: Agents, taken: _Taken, car: Vehic
         met = np.flatnonzero(here & (held.s > lower - GAP_M) & (held.s < upper))  # (4)
         close = np.flatnonzero(here & (held.s > lower - HEADWAY_S * held.v) & (held.s < upper))  # (5)
         left = np.where(held.planned <= lower, lower - held.planned, np.nan)
-    follows = taken.along > ALONG * speed and speed > AGENT_STANDS_MPS and not held.drives_off
+    follows = taken.along > ALONG * speed and speed > AGENT_STANDS_MPS and not held.is_start
     k = int(met[0]) if len(met) else int(close[0]) if len(close) and follows else -1
     if len(met) and _is_behind(way, held.s[k], taken.pose[:, k], car):
         return None

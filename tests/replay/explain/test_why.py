@@ -225,19 +225,25 @@ def steady(world: Scenario) -> Plan:
 
 
 @pytest.mark.parametrize(
-    ("away", "limit", "kind"), [(40.0, nan, CauseKind.AGENT), (inf, nan, CauseKind.NONE), (inf, 10.0, CauseKind.LIMIT)]
-)
+    ("away", "drives", "limit", "kind"),
+    [
+        (40.0, 0.0, nan, CauseKind.AGENT), (20.0, 15.0, nan, CauseKind.AGENT), (inf, 0.0, nan, CauseKind.NONE),
+        (inf, 0.0, 10.0, CauseKind.LIMIT),
+    ],
+)  # fmt: skip
 def test_why_a_steady_plan_is_not_faster_is_asked_where_a_speed_is_wanted(
-    away: float, limit: float, kind: CauseKind
+    away: float, drives: float, limit: float, kind: CauseKind
 ) -> None:
-    """A car that is 40 m ahead is not met at 3 m/s within the time that is looked at, and is at 15 m/s."""
-    others = (track("ahead", [0.0], [away], [0.0], static=True),) if isfinite(away) else ()
+    """At the wanted 15 m/s a car that stands is met, and one as fast is followed by less than 2 s; at 2.5 m/s not."""
+    t = np.array([0.0, 1.0])
+    ahead = track("ahead", t, away + drives * t, 0.0 * t, vx=drives + 0.0 * t, vy=0.0 * t)
+    others = (ahead,) if isfinite(away) else ()
     world = world_with(*others, speed=2.5)
     lanes = {i: replace(lane, speed_limit=limit) for i, lane in world.road.lanes.items()}
     world = replace(world, road=replace(world.road, lanes=lanes))
     assert not why_of(world, steady(world)).causes
     first = why_of(world, steady(world), 15.0).causes[0]
-    assert first.kind is kind and first.hold_mps == 15.0
+    assert first.kind is kind and first.hold_mps == 15.0 and first.is_met == (away == 40.0)
     assert first.who == ("ahead" if others else "") and (kind is not CauseKind.LIMIT or first.value == limit)
 
 

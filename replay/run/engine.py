@@ -69,7 +69,7 @@ class Local:
             return
         drive = partial(
             run_all, job, workers=max(1, min(self.workers, len(teams))), one_first=is_cache_cold(),
-            meanwhile=partial(compile_planning, run),
+            meanwhile=partial(compile_planning, run) if self.workers > 1 else None,
         )  # fmt: skip
         ended = longest_first(teams, drive, lambda team: sum(source.expected_s for source in team))
         for index, results in ended:

@@ -69,7 +69,7 @@ def run_all(
         items: Picklable; handed out in order.
         workers: Number of child processes, at least 1.
         one_first: The last item is processed alone before the others, so that files that all need are made only once.
-        meanwhile: Picklable; called once in a process of its own that begins with this item, if there are workers left.
+        meanwhile: Picklable; called once, beside that item, in a process of its own.
 
     Closing the iterator, or an exception in its consumer (KeyboardInterrupt), kills the workers.
     """
@@ -78,7 +78,7 @@ def run_all(
         waiting.append(waiting.pop(0))
     crew: list[_Worker[T, R]] = []
     beside = None
-    if one_first and meanwhile is not None and workers > 1 and len(items) > 1:
+    if one_first and meanwhile is not None:
         beside = _CONTEXT.Process(target=_call, args=(meanwhile,), daemon=True)
         beside.start()
     try:

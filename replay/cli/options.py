@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand
 
-from logs.errors import unknown_name
+from logs.errors import ConfigError, unknown_name
 from logs.files import on_this_machine
-from replay.cli.app import handle_errors, say, say_json
+from replay.cli.app import say, say_error, say_json
 from replay.parts import PARTS, Part, loaded
 
 if TYPE_CHECKING:
@@ -97,8 +97,11 @@ def at_option(words: str) -> Any:
 
 def local_path(place: Path | None) -> Path | None:
     """The callback of an option or argument that names what a command writes: a URL ends the command."""
-    with handle_errors():
+    try:
         return None if place is None else on_this_machine(place)
+    except ConfigError as error:  # not by `handle_errors`: what follows it is not interrupted any more
+        say_error(str(error))
+        raise typer.Exit(2) from None
 
 
 def output(words: str, *names: str) -> Any:

@@ -187,14 +187,6 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     write_text(path, text + "\n")
 
 
-def make_result_folder(out: Path) -> None:
-    """Create a result folder that does not exist yet; ConfigError if that fails."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
-
-
 def next_free() -> Path:
     """Create the first of `results/run-001`, `results/run-002`, ... that does not exist.
 

@@ -44,7 +44,7 @@ from logs.readers import LogSettings
 from logs.scenario import Scenario
 from replay.results.log_result import LogResult
 from replay.results.reading import Place, read_json
-from replay.results.tables import FILES, LOCK, LOG_CARD, ORIGIN, PARTIAL, make_result_folder, write_json
+from replay.results.tables import FILES, LOCK, LOG_CARD, ORIGIN, PARTIAL, write_json
 from replay.run.sources import LogSource, log_hash, select
 
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
@@ -63,7 +63,10 @@ def held(out: Path) -> Iterator[None]:
     """
     on_this_machine(out)
     made = not out.exists()
-    make_result_folder(out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
     try:
         with locked(out / LOCK, out):
             yield

@@ -4,8 +4,9 @@
 
 A round kills a command one to three times (a signal to its process group), resumes it or runs it again to its end, and
 compares all files but those that hold a clock, and looks for locks, unfinished files and processes. After an
-interruption (`--signal INT` or TERM) it has to end with 130, and none may be left at once. The command with the least
-time spent has the next round. Of each command: rounds, kills that met it alive, entries left in TMPDIR (no program can
+interruption (`--signal INT` or TERM) it has to end with 130, and none may be left at once; one that ends with its own
+exit code is counted apart: the signal came too late, or was ignored. The command with the least time spent has the next
+round. Of each command: rounds, kills that met it alive, entries left in TMPDIR (no program can
 remove them as it is killed), and what fell.
 """
 
@@ -146,8 +147,9 @@ def one_round(
             os.killpg(run.pid, number)
             said = run.communicate()[1]
             seen["kills"] += 1
-            if number != signal.SIGKILL and run.returncode not in (130, whole[0]):
-                seen[f"interrupted: exit code {run.returncode}: {said[-300:]}"] += 1
+            if number != signal.SIGKILL and run.returncode != 130:
+                late = run.returncode == whole[0]
+                seen["ended by itself" if late else f"interrupted: exit code {run.returncode}: {said[-300:]}"] += 1
             seen.update(left(place) if number != signal.SIGKILL else ())
         seen.update(f"orphan: {one}" for one in alive(place))
     code, files, errors = finished(place, words)

@@ -19,9 +19,9 @@ junction, the rule applies to their successors.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, product
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +61,11 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
         if not any(lane.drivable for lane in lanes.values()):
             raise LogError("no lanelet on which a car may drive", remedy="give a map of lanelets with subtype road")
         rules = rules_of(osm, strips, lanes, rows, xy, notes)
+        shapes = (way_points(way, rows) for way in osm.ways.values() if way.tags.get("type") in _GROUND)
+        areas = {
+            i: _outline(osm, each, rows) for i, each in osm.relations.items()
+            if each.tags.get("type") == "multipolygon" and each.tags.get("subtype") in _AREAS
+        }  # fmt: skip
         # traffic drives on the right if more lanes have the opposite direction on their left
         votes = [lane.left_opposite for lane in lanes.values() if lane.left_opposite != lane.right_opposite]
         road = Road(
@@ -68,14 +73,14 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
             drives_on_right=sum(votes) * 2 >= len(votes),
             stop_lines=rules.stop_lines,
             crosswalks=rules.crosswalks,
-            areas=tuple(_ground(osm, rows, xy)),
+            areas=_grounds([*shapes, *areas.values()], xy),
         )
         for key, count in sorted(osm.blanks.items()):
             notes.append(f"{count} tags have blanks around the key '{key}': it is read without.")
         drawn = sum(1 for each in osm.relations.values() for _ in each.named("centerline"))
         if drawn:
             notes.append(f"{drawn} drawn centre lines are not read: the middle between the boundaries counts.")
-        unread = (each for each in osm.relations.values() if not _outline(osm, each, rows))
+        unread = (each for name, each in osm.relations.items() if not areas.get(name))
         others = Counter(each.tags.get("type", "without type") for each in unread)
         for kind in ("lanelet", "regulatory_element"):
             del others[kind]
@@ -89,21 +94,16 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
         raise LogError(str(error), file=path) from None
 
 
-def _ground(osm: Osm, rows: Mapping[int, int], xy: FloatArray) -> Iterator[FloatArray]:
-    """Yield the outlines `(k, 2)` of drivable ground beside the lanelets."""
-    drawn = (way_points(way, rows) for way in osm.ways.values() if way.tags.get("type") in _GROUND)
-    for outline in chain(drawn, (_outline(osm, each, rows) for each in osm.relations.values())):
-        ring = outline[:-1] if len(outline) > 1 and outline[0] == outline[-1] else outline
-        if len(ring) > 2:
-            yield xy[list(ring)]
+def _grounds(outlines: Iterable[Sequence[int]], xy: FloatArray) -> tuple[FloatArray, ...]:
+    """Return the polygons `(k, 2)` of outlines with at least three points, without a repeated last point."""
+    rings = (line[:-1] if len(line) > 1 and line[0] == line[-1] else line for line in outlines)
+    return tuple(xy[list(ring)] for ring in rings if len(ring) > 2)
 
 
 def _outline(osm: Osm, area: Element, rows: Mapping[int, int]) -> Sequence[int]:
-    """Return the closed outline of a drivable area; empty if it is none, has a hole, or its ways do not join."""
+    """Return the closed outline of a multipolygon; empty if it has a hole, or its ways do not join."""
     ways = [list(way_points(osm.ways[ref], rows)) for ref in area.named("outer") if ref in osm.ways]
-    if area.tags.get("type") != "multipolygon" or area.tags.get("subtype") not in _AREAS or not all(ways):
-        return ()
-    if not ways or any(True for _ in area.named("inner")):
+    if not ways or not all(ways) or any(True for _ in area.named("inner")):
         return ()
     out = ways[0] if len(ways) < 2 or ways[0][-1] in (ways[1][0], ways[1][-1]) else ways[0][::-1]
     for way in ways[1:]:

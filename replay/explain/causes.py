@@ -30,7 +30,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import chain, repeat
-from math import cos, isfinite, nan, sin
+from math import isfinite, nan
 
 import numpy as np
 
@@ -359,9 +359,9 @@ def _goal_and_end(case: _Case) -> Iterator[Cause]:
 
 
 def _beside(case: _Case) -> Iterator[Cause]:
-    """(8): agents beside the ego whom the planner follows, the nearest first."""
+    """(8): agents beside the ego that the planner follows, the nearest first."""
     car, agents, ego = case.scenario.vehicle, case.frame.agents, case.plan.trajectory.state(0)
-    box = ego.x + car.axle_to_center * cos(ego.yaw), ego.y + car.axle_to_center * sin(ego.yaw), ego.yaw
+    box = *ego.ahead(car.axle_to_center), ego.yaw
     away: dict[str, float] = {}
     for name, each in case.decided.items():
         if each.kind is DecisionKind.FOLLOW and name in agents.ids:

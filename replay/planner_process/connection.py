@@ -213,7 +213,7 @@ class ApartPlanner:
             raise self._connection.fault(f"{broken}: {clean_text(str(error))}") from None
         if time.monotonic() - begin > limit:
             raise self._connection.fault(
-                f"took more than {limit:g} s with the time to read its plan at t = {frame.t:.2f} s"
+                f"needed more than {limit:g} s, reading of its plan included, at t = {frame.t:.2f} s"
             )
         for stage, seconds in answer.laps.items():
             self._watch.took(stage, seconds)

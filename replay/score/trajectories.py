@@ -112,18 +112,21 @@ def of_table(path: Path, logs: Mapping[str, Scenario], *, relative: bool) -> lis
                 raise ConfigError(f"{where}: after_s must be {expected[0]:g}, {expected[1]:g}, ... {expected[-1]:g} s")
             poses = window[["x", "y", "yaw"]].to_numpy(np.float64)
             name = known[log]
-            begin = logs[name].ego.resampled(np.clip([t], logs[name].ego.t[0], logs[name].ego.t[-1])).state(0)
+            begin = ego_at(logs[name], t)
             placed = _in_world(poses, begin) if relative else poses
             away = max(hypot(x - begin.x, y - begin.y) for x, y in placed[:, :2])
             if away > FARTHEST_M:
                 frame = "the poses are in another frame" if relative else "poses relative to the ego need --relative"
-                raise ConfigError(
-                    f"{where}: a pose is {away:.3g} m from the ego, farther than in {HORIZON_S:g} s: {frame}"
-                )
+                raise ConfigError(f"{where}: a pose is {away:.3g} m from where the window begins: {frame}")
             words = (window[column].iloc[0] if column in window.columns else None for column in ("token", "stage_one"))
             token, stage_one = ("" if pd.isna(word) else str(word) for word in words)
             found.append(Asked(name, str(drive), token, t, placed, stage_one))
     return found
+
+
+def ego_at(scenario: Scenario, t: float) -> EgoState:
+    """Return the ego of a log at `t`, s; before its first and after its last state, that state."""
+    return scenario.ego.resampled(np.clip([t], scenario.ego.t[0], scenario.ego.t[-1])).state(0)
 
 
 def _in_world(poses: FloatArray, ego: EgoState) -> FloatArray:

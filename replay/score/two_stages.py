@@ -20,7 +20,7 @@ import pandas as pd
 from logs.arrays import FloatArray
 from logs.errors import ConfigError
 from logs.scenario import Scenario
-from replay.score.trajectories import Asked
+from replay.score.trajectories import Asked, ego_at
 
 SIGMA2 = 0.1
 """Variance of (1), m2."""
@@ -53,15 +53,11 @@ def two_stages(rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str, Sc
         if (agent, token) not in first:
             raise ConfigError(f"stage_one: {agent or 'the agent'} has no window of stage one with the token {token}")
         before = first[agent, token]
-        begins = [_begin(logs[asked[k].log], asked[k].t) for k in group.index]
-        rows.loc[group.index, WEIGHT] = weights(before.poses[-1, :2] + logs[before.log].origin, np.array(begins))
+        scenes = [(logs[asked[k].log], asked[k].t) for k in group.index]
+        starts = [(ego_at(log, t), log.origin) for log, t in scenes]
+        end = before.poses[-1, :2] + logs[before.log].origin
+        rows.loc[group.index, WEIGHT] = weights(end, np.array([(ego.x + x, ego.y + y) for ego, (x, y) in starts]))
     return rows
-
-
-def _begin(scenario: Scenario, t: float) -> FloatArray:
-    """Return where the ego of a log is at `t`, in the map's plane."""
-    ego = scenario.ego.resampled(np.clip([t], scenario.ego.t[0], scenario.ego.t[-1])).state(0)
-    return np.array([ego.x, ego.y]) + scenario.origin
 
 
 def with_stages(rows: pd.DataFrame) -> pd.DataFrame:

@@ -131,8 +131,8 @@ def test_an_inner_kernel_on_disk_serves_the_kernels_of_other_processes(tmp_path:
 
 
 def test_options_are_compared_with_their_defaults() -> None:
-    plain, told, other = Flags(), Flags(), Flags()
-    told.nrt, other.nrt = Flags.options["nrt"].default, not Flags.options["nrt"].default
-    assert plain == told and told == plain and hash(plain) == hash(told)
-    assert plain != other and other != told
+    plain, explicit, other = Flags(), Flags(), Flags()
+    explicit.nrt, other.nrt = Flags.options["nrt"].default, not Flags.options["nrt"].default
+    assert plain == explicit and explicit == plain and hash(plain) == hash(explicit)
+    assert plain != other and other != explicit
     assert other == other.copy()

@@ -126,7 +126,7 @@ def test_the_time_to_read_an_answer_counts(monkeypatch: pytest.MonkeyPatch) -> N
     plan_of = messages.plan_of
     monkeypatch.setattr(messages, "plan_of", slowly)
     assert (
-        "took more than 0.4 s with the time to read its plan at t = "
+        "needed more than 0.4 s, reading of its plan included, at t = "
         in ended("planners.constant_speed:ConstantSpeed").detail
     )
 

@@ -103,7 +103,7 @@ def test_another_version_is_refused_in_every_file(place: Path, tmp_path: Path) -
             read(folder)
 
 
-def test_a_column_that_nobody_knows_is_left_out(place: Path, tmp_path: Path) -> None:
+def test_an_unknown_column_is_left_out(place: Path, tmp_path: Path) -> None:
     table = pq.read_table(place / "run" / "metrics.parquet")
     pq.write_table(table.append_column("new", table["log"]), tmp_path / "metrics.parquet")
     assert read_table(tmp_path / "metrics.parquet").column_names == table.column_names

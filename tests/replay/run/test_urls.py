@@ -111,7 +111,7 @@ def test_results_at_a_url_are_those_of_a_folder_and_are_resumed(bucket: Any, log
 
 @pytest.mark.parametrize("objects", [1, 4, 9])
 def test_a_run_that_is_killed_as_it_sends_is_resumed(bucket: Any, logs: Path, tmp_path: Path, objects: int) -> None:
-    """Killed with so many objects at the URL: `--resume` takes its lock over and gives the bytes of a folder here."""
+    """A run is killed after some objects are sent: `--resume` takes over its lock and gives the same bytes."""
     code = replan("evaluate", str(logs), *QUICK, "-o", "here").exit_code
     words = ("evaluate", str(logs), *QUICK, "-o", "s3://fleet/results/one")
     running, until = started(*words, cwd=tmp_path), time.monotonic() + 120.0

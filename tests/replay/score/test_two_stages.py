@@ -93,7 +93,7 @@ def test_the_score_of_a_window_counts_with_what_follows() -> None:
     pd.testing.assert_frame_equal(backwards, table.rows)
 
 
-def test_a_window_without_follow_ups_is_left_out_and_told() -> None:
+def test_a_window_without_follow_ups_is_left_out_and_noted() -> None:
     alone = asked()[:1] + [one for one in asked() if "N" in one.token]
     found = navsim_table("navsim-v2", alone, {log().name: log(), "shifted": shifted()})
     rows = found.rows.set_index("token")

@@ -182,6 +182,8 @@ def main() -> None:
     parser.add_argument("--signal", choices=["KILL", "INT", "TERM"], default="KILL")
     parser.add_argument("--only", nargs="*", default=["."], help="Patterns, of which a command has one.")
     asked = parser.parse_args()
+    for one in (signal.SIGINT, signal.SIGTERM):  # a shell ignores them for what it starts in the background
+        signal.signal(one, signal.default_int_handler)
     place, rng = asked.out.resolve(), random.Random(asked.seed)
     if not (place / "cut_off.mcap").exists():
         make_inputs(place)

@@ -81,8 +81,9 @@ class Planning:
         self._name = f"planner '{spec}' on {scenario.name}"
         self._watch = Stopwatch()
         period = config.plan_period_ns / 1e9
-        lanes = {i: replace(lane) for i, lane in scenario.road.lanes.items()}
-        road = replace(scenario.road, lanes=lanes)  # drives share no objects that a planner could change
+        road = scenario.road
+        if not is_built_in(spec):  # such a planner could change objects that drives share
+            road = replace(road, lanes={i: replace(lane) for i, lane in road.lanes.items()})
         self.context = PlannerContext(road, goal, scenario.vehicle, period, start, self._watch.lap)
         try:
             if apart:

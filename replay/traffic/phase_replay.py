@@ -29,6 +29,7 @@ from logs.arrays import BoolArray, FloatArray, IntArray, frozen
 from logs.errors import LogError
 from logs.kernel import kernel
 from logs.memory import BACK_S, Recent, Spans, heads
+from logs.once import once
 from logs.road import ReferenceLine, thinned
 from logs.scenario import Scenario
 from logs.states import EgoState
@@ -89,12 +90,8 @@ class PhaseReplay:
     """
 
     def __init__(self, log: Tracks, extended: Tracks | None = None) -> None:
-        path, self._own = extended or log, log
-        owner, last = np.repeat(np.arange(len(path)), np.diff(path.offsets)), np.arange(len(path.t))
-        vx, vy = path.velocity(owner, last) if len(log) else (path.vx, path.vy)
-        self.logged = logged_tracks(path, vx, vy)
-        x, y, yaw, vx, vy = self.logged.columns
-        self.log = replace(path, x=x, y=y, yaw=yaw, vx=vx, vy=vy)  # of the same memory
+        self._own = log
+        self.logged, self.log = _with_velocities(extended or log)
         self._rows, self._seen = list[ReplaySample](), 0
         self._taken, self._count = np.zeros(len(log), np.bool_), 0
         self._who, self._played = np.empty(ROOM, np.int64), np.empty((ROOM, 6))
@@ -158,6 +155,16 @@ class PhaseReplay:
     @cached_property
     def _logged_own(self) -> LoggedTracks:
         return logged_tracks(self._own, self._own.vx, self._own.vy)
+
+
+@once
+def _with_velocities(path: Tracks) -> tuple[LoggedTracks, Tracks]:
+    """The tracks for kernels, with the velocities of their motion, and as tracks of the same memory."""
+    owner, last = np.repeat(np.arange(len(path)), np.diff(path.offsets)), np.arange(len(path.t))
+    vx, vy = path.velocity(owner, last) if len(path) else (path.vx, path.vy)
+    logged = logged_tracks(path, vx, vy)
+    x, y, yaw, vx, vy = logged.columns
+    return logged, replace(path, x=x, y=y, yaw=yaw, vx=vx, vy=vy)
 
 
 @kernel

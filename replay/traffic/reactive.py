@@ -37,6 +37,8 @@ import numpy as np
 
 from logs.agents import AgentKind, Agents
 from logs.arrays import arc_lengths
+from logs.once import once
+from logs.road import Road
 from logs.scenario import Scenario
 from logs.states import EgoState
 from logs.tracks import Tracks
@@ -90,8 +92,7 @@ class Reactive:
         self._rule = rule
         n = len(log)
         left = log.t[log.offsets[1:] - 1].copy() if n else np.empty(0)
-        lanes = LaneMap.of(scenario.road)
-        self._replay = PhaseReplay(log, extended(log, lanes))
+        self._replay = PhaseReplay(log, extended(log, scenario.road))
         paths = self._replay.log
         reacts = np.array([kind in rule.kinds for kind in log.kinds], bool) & ~log.static
         ends = paths.t[paths.offsets[1:] - 1].copy() if n else left
@@ -99,7 +100,7 @@ class Reactive:
         self._longest = nan if rule.only_ahead is None else rule.only_ahead
         self._gone = scenario.traffic_spans[-1][1] if scenario.traffic_spans else inf
         self._lights = RedLights(scenario, paths, reacts)
-        self._yielding = Yielding(scenario, paths, reacts & rule.yields, lanes)
+        self._yielding = Yielding(scenario, paths, reacts & rule.yields)
         self._next, self._tracks = -inf, Tracks.empty()
 
     @property
@@ -149,15 +150,18 @@ class Reactive:
         return (f"not as in the log because of the ego (since when, hardest braking): {'; '.join(named + more)}",)
 
 
-def extended(log: Tracks, lanes: LaneMap) -> Tracks:
+def extended(log: Tracks, road: Road) -> Tracks:
     """The tracks, and after the end of each vehicle's log where its lane most probably leads it, `BEYOND_M` far."""
+    return _extended(log, road) if len(log) and len(LaneMap.of(road)) else log
+
+
+@once
+def _extended(log: Tracks, road: Road) -> Tracks:
     last = log.offsets[1:] - 1
-    if not len(log) or not len(lanes):
-        return log
     vx, vy = log.velocity(np.arange(len(log)), last)
     ends = Agents(log.ids, log.kinds, log.length, log.width, log.x[last], log.y[last], log.yaw[last], vx, vy)
     ahead = np.arange(0.0, 30.0, 0.5)
-    way = followers(ends, ahead, lanes)
+    way = followers(ends, ahead, LaneMap.of(road))
     rows = [np.vstack([getattr(log, c)[log.samples(i)] for c in _COLUMNS]) for i in range(len(log))]
     for i in np.unique(way.agent):
         mine = np.flatnonzero(way.agent == i)

@@ -28,7 +28,6 @@ drives on.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from math import atan2, cos, hypot, sin, sqrt
 from typing import NamedTuple
 
@@ -37,8 +36,10 @@ import numpy as np
 from logs.agents import AgentKind, Agents
 from logs.arrays import BoolArray, FloatArray, IntArray, arc_lengths
 from logs.kernel import inner_kernel, kernel
+from logs.once import once
+from logs.road import Road
 from logs.route import ASIDE_M, ASKEW_RAD, BEHIND_M, on_lane
-from logs.rules import RED, Colour
+from logs.rules import RED, Colour, TrafficLight
 from logs.scenario import Scenario
 from logs.shapes import overlap_turned
 from logs.states import EgoState
@@ -76,7 +77,8 @@ class RedLights:
 
     def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray) -> None:
         self._lights = scenario.lights
-        found = list(_crossings(scenario, paths, reacts)) if scenario.lights and len(paths) else []
+        who = tuple(np.flatnonzero(reacts).tolist())
+        found = _crossings(paths, scenario.road, scenario.lights, who) if scenario.lights and len(paths) else ()
         self._owner = np.array([one.owner for one in found], np.int64)
         self._light = np.array([one.light for one in found], np.int64)
         self._at = np.array([one.station for one in found])
@@ -118,19 +120,23 @@ def _stations(paths: Tracks) -> FloatArray:
     return arc_lengths(paths.x, paths.y) if len(paths.t) else np.empty(0)
 
 
-def _crossings(scenario: Scenario, paths: Tracks, reacts: BoolArray) -> Iterator[Crossing]:
-    """Where the paths cross lines that apply to them: also where a way is on none of the lanes after the line."""
+@once
+def _crossings(
+    paths: Tracks, road: Road, signals: tuple[TrafficLight, ...], who: tuple[int, ...]
+) -> tuple[Crossing, ...]:
+    """Where the paths of `who` cross lines that apply to them: also where a way is on no lane after the line."""
+    found = []
     owner = np.repeat(np.arange(len(paths)), np.diff(paths.offsets))
-    within = (owner[1:] == owner[:-1]) & reacts[owner[1:]]
+    within = (owner[1:] == owner[:-1]) & np.isin(owner[1:], who)
     ahead = 0.5 * paths.length[owner]
     front = np.column_stack([paths.x + ahead * np.cos(paths.yaw), paths.y + ahead * np.sin(paths.yaw)])
     station = _stations(paths)
     stands = np.diff(station) < leaders.STANDING_MPS * np.diff(paths.t)
-    lights = {light.id: i for i, light in enumerate(scenario.lights)}
-    for line in scenario.road.stop_lines:
+    lights = {light.id: i for i, light in enumerate(signals)}
+    for line in road.stop_lines:
         if line.light not in lights:
             continue
-        lane, over = scenario.road.lanes[line.lane], set[int]()
+        lane, over = road.lanes[line.lane], set[int]()
         half = 0.5 * hypot(*(line.points[1] - line.points[0]))
         middle, across = line.points.mean(axis=0), (line.points[1] - line.points[0]) / max(2.0 * half, 1e-9)
         normal = np.array([across[1], -across[0]])
@@ -146,13 +152,14 @@ def _crossings(scenario: Scenario, paths: Tracks, reacts: BoolArray) -> Iterator
             over.add(i)
             behind = slice(k + 1, int(np.searchsorted(station[: paths.offsets[i + 1]], station[k] + BEHIND_M)))
             way = paths.x[behind], paths.y[behind], paths.yaw[behind]
-            ways = [n for n in lane.successors if n in scenario.road.lanes]
-            on = {n: int(on_lane(scenario.road.lanes[n], *way).sum()) for n in ways if line.towards}
+            ways = [n for n in lane.successors if n in road.lanes]
+            on = {n: int(on_lane(road.lanes[n], *way).sum()) for n in ways if line.towards}
             if not any(on.values()) or max(ways, key=lambda n: (on[n], -n)) in line.towards:
                 stood = np.flatnonzero(stands[paths.offsets[i] : k + 1])
                 until = paths.t[paths.offsets[i] + stood[-1] + 1] if len(stood) else -np.inf
                 at = station[k] + u * (station[k + 1] - station[k])
-                yield Crossing(i, lights[line.light], float(at), float(until))
+                found.append(Crossing(i, lights[line.light], float(at), float(until)))
+    return tuple(found)
 
 
 @kernel
@@ -182,20 +189,12 @@ class Yielding:
         scenario: Its road and the ego's size.
         paths: The logged paths, each extended along its lane.
         reacts: `(n,)` which agents may drive by the model.
-        lanes: Of the road; the ego is predicted along them.
     """
 
-    def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray, lanes: LaneMap) -> None:
-        self._road, self._car, self._tracks, self._lanes = scenario.road, scenario.vehicle, paths, lanes
-        self._paths = leaders.paths_along(paths)
-        self._ways: list[YieldingWay] = []
-        for i in np.flatnonzero(reacts).tolist():
-            mine = paths.samples(i)
-            for lane in scenario.road.lanes.values():
-                first = tuple(k for k in lane.yields_to if k in scenario.road.lanes)
-                on = on_lane(lane, paths.x[mine], paths.y[mine], paths.yaw[mine]) if first else np.zeros(1, np.bool_)
-                if on.any():
-                    self._ways.append(YieldingWay(i, first, float(paths.t[mine][on].max())))
+    def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray) -> None:
+        self._road, self._car, self._tracks = scenario.road, scenario.vehicle, paths
+        self._lanes, self._paths = LaneMap.of(scenario.road), leaders.paths_along(paths)
+        self._ways = _yielding_ways(paths, scenario.road, tuple(np.flatnonzero(reacts).tolist()))
         self._owner = np.array([way.owner for way in self._ways], np.int64)
         self._until = np.array([way.until for way in self._ways])
 
@@ -227,6 +226,20 @@ class Yielding:
                 mine = np.array([self._tracks.length[i], self._tracks.width[i]])
                 out[k] = min(out[k], _wait(self._paths, i, phase[k], speed[k], mine, boxes, by_right, size))
         return out
+
+
+@once
+def _yielding_ways(paths: Tracks, road: Road, who: tuple[int, ...]) -> tuple[YieldingWay, ...]:
+    """The ways of `who` over lanes that yield."""
+    found = []
+    for i in who:
+        mine = paths.samples(i)
+        for lane in road.lanes.values():
+            first = tuple(k for k in lane.yields_to if k in road.lanes)
+            on = on_lane(lane, paths.x[mine], paths.y[mine], paths.yaw[mine]) if first else np.zeros(1, np.bool_)
+            if on.any():
+                found.append(YieldingWay(i, first, float(paths.t[mine][on].max())))
+    return tuple(found)
 
 
 @kernel

@@ -89,10 +89,14 @@ class QuadraticProgram:
         self._stage, self._config, self._equalities = stage, config or QPConfig(), equalities
         rows, columns = A.shape
         self._scale = np.ones(columns) if scale is None else scale
-        S = sparse.diags(self._scale)
-        cost, limited = (P, A) if scale is None else (S @ P @ S, A @ S)
-        self._row_scale: FloatArray = 1.0 / abs(limited).max(axis=1).toarray().ravel()
-        self._P, self._A = sparse.csc_matrix(cost), sparse.csc_matrix(sparse.diags(self._row_scale) @ limited)
+        if scale is not None:
+            S = sparse.diags(self._scale)
+            P, A = S @ P @ S, A @ S
+        self._P, self._A = sparse.csc_matrix(P), sparse.csc_matrix(A, copy=True)
+        size = np.zeros(rows)
+        np.maximum.at(size, self._A.indices, np.abs(self._A.data))
+        self._row_scale: FloatArray = 1.0 / size
+        self._A.data *= self._row_scale[self._A.indices]
         self._P.sort_indices()
         self._A.sort_indices()
         self._rows = self._A.tocsr()

@@ -38,6 +38,10 @@ class DpQp:
         self._lanes = LaneSequences(context)
         self._planners: dict[LaneSequence, LanePlanner] = {}
         self._memory = PlannerMemory(self._lanes.start(context.start))
+        first, here = self._memory.driven, context.start
+        station, _ = first.reference.line.project(here.x, here.y)
+        for lane in (first, *(lane for _, lane in self._lanes.beside(first, station))):
+            self._planner(lane)  # made before the first frame, which would be late
 
     def plan(self, frame: Frame) -> Plan:
         """Plan from the previous plan or the ego; a fallback has its status and reason.

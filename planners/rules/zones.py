@@ -151,7 +151,13 @@ def zones_along(road: Road, reference: ReferencePath, vehicle: VehicleParameters
         if not len(close):
             continue
         s = np.arange(float(line.s[close[0]]) - 1.0, float(line.s[close[-1]]) + 1.0, 0.5 * STEP_M)
-        over = [at for at in s if any(inside(*line.point(at, l), polygon) for l in (0.0, half, -half))]  # (1)  # noqa: E741
+        x, y, yaw, _ = np.array([line.frame(at) for at in s]).T
+        near = (low[0] <= x) & (x <= high[0]) & (low[1] <= y) & (y <= high[1])
+        c, d = np.cos(yaw), np.sin(yaw)
+        over = [
+            s[k] for k in np.flatnonzero(near)
+            if any(inside(x[k] - l * d[k], y[k] + l * c[k], polygon) for l in (0.0, half, -half))  # (1)  # noqa: E741
+        ]  # fmt: skip
         if over:
             middle = 0.5 * (over[0] + over[-1])
             edges = reference.lane_right, reference.lane_left

@@ -281,26 +281,30 @@ def _first_touched(
     k = sample_at(paths, i, phase)
     begin, leap = boxes[i].copy(), np.zeros(3)
     station, own = 0.0, 0.5 * (begin[3] + begin[4]) + 1.0  # half of length and width: more than half of the diagonal
+    free = 0.0  # the station up to which no other box is within reach
     while k < paths.end[i] - 1 and station < reach:
         leap[0], leap[1] = paths.x[k + 1] - begin[0], paths.y[k + 1] - begin[1]
         leap[2] = paths.yaw[k + 1] - begin[2]
         length = hypot(leap[0], leap[1])
         steps = int(length / FINE_M) + 1
         for m in range(1, steps + 1):
-            best, who = 2.0, -1
+            here = station + m / steps * length
+            if here < free:
+                continue
+            best, who, apart = 2.0, -1, inf
             x, y = begin[0] + m / steps * leap[0], begin[1] + m / steps * leap[1]
             for j in near:
                 brush = EGO_BRUSH_M if j == len(boxes) - 1 else BRUSH_M
-                reaches = own + 0.5 * (boxes[j, 3] + boxes[j, 4])
-                if abs(boxes[j, 0] - x) > reaches or abs(boxes[j, 1] - y) > reaches:
-                    continue
-                if _touch(_box_after(begin, leap, m / steps), boxes[j], brush):
+                away = hypot(boxes[j, 0] - x, boxes[j, 1] - y) - own - 0.5 * (boxes[j, 3] + boxes[j, 4])
+                apart = min(apart, away)
+                if away <= 0.0 and _touch(_box_after(begin, leap, m / steps), boxes[j], brush):
                     u = _touch_at(begin, leap, (m - 1.0) / steps, m / steps, boxes[j], brush)
                     if u < best:
                         best, who = u, j
             if who >= 0:
                 there = _box_after(begin, leap, best)
                 return station + best * length, who, there[0], there[1], there[2]
+            free = here + apart
         begin = _box_after(begin, leap, 1.0)
         station += length
         k += 1

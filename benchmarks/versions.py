@@ -147,6 +147,16 @@ def _evaluated(paths: list[str], recording: bool) -> float:
         return sum(os.times()[:4]) - begin
 
 
+def _as_file(label: str, folder: Path) -> str:
+    """A log of the suite as a file: versions have suites of their own."""
+    from logs.mcap import write_scenario
+    from replay.run.sources import LogSource
+
+    path = folder / f"{label.replace('/', '_')}.mcap"
+    write_scenario(path, LogSource(label, None).read())
+    return str(path)
+
+
 def one_round(versions: list[Version], logs: list[str], crowd: int) -> list[dict[str, list[float]]]:
     """Per version: quantiles of each stage and of the frame, ms; "closed loop": times real time."""
     found: list[Measured] = [{}, {}]
@@ -200,9 +210,10 @@ def main() -> None:
     asked = parser.parse_args()
     versions = [Version(checkout.resolve()) for checkout in (asked.old, asked.new)]
     paths = [str(path.resolve()) for path in asked.logs]
-    suite = versions[0].ask(what="logs", paths=[])
+    folder = tempfile.TemporaryDirectory()
+    suite = [_as_file(label, Path(folder.name)) for label in versions[0].ask(what="logs", paths=[])]
     given = versions[0].ask(what="logs", paths=paths) if paths else []
-    sets = [(SUITE, [], suite, 0), *([("logs given", paths, given, 0)] if given else [])]
+    sets = [(SUITE, suite, suite, 0), *([("logs given", paths, given, 0)] if given else [])]
     crowds = [] if asked.skip_crowds else [(f"{n} agents", [], given or suite, n) for n in CROWDS]
     for title, where, logs, crowd in (*sets, *crowds):
         rounds = [one_round(versions, logs, crowd) for _ in range(asked.rounds + 1)][1:]
@@ -214,6 +225,7 @@ def main() -> None:
         print_table(f"\n{title}: {len(logs)} logs", rounds)
     for version in versions:
         version.close()
+    folder.cleanup()
 
 
 if __name__ == "__main__":

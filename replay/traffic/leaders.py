@@ -305,7 +305,7 @@ def _first_touched(
                 there = _box_after(begin, leap, best)
                 return station + best * length, who, there[0], there[1], there[2]
             free = here + apart
-        begin = _box_after(begin, leap, 1.0)
+        begin[0], begin[1], begin[2] = begin[0] + leap[0], begin[1] + leap[1], begin[2] + leap[2]
         station += length
         k += 1
     return inf, -1, 0.0, 0.0, 0.0

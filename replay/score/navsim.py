@@ -3,14 +3,15 @@
 A window begins at a state of the log's ego. The plan, linear between its eight poses, is driven by `tracker`; so is the
 plan of PDM-Closed (`pdm_closed`). The 41 states at 10 Hz are judged beside the others as logged (`scene`):
 
-    NC   1, 1/2, 0: at-fault contact with an object, with another agent. Kinds and fault as in `metrics.nuplan`, but
-         what stands is what stood when first seen, and astray is: off the road, or the corners in several lanes and
-         all four in none. A contact without fault ends the agent; one at the start does in v2
+    NC   1, 1/2, 0: at-fault contact with an object, with another agent. Kinds and fault as in
+         `metrics.driving_scores`, but what stands is what stood when first seen, and astray is: off the road, or the
+         corners in several lanes and all four in none. A contact without fault ends the agent; one at the start does in
+         v2
     DAC  0 where a corner is on no lane, intersection or other drivable area
     DDC  1, 1/2, 0: in a span of 1 s the centre drives less than 2 m, 6 m, more off the route's lanes and intersections
     TLC  0 where the ego touches a lane of the route behind a red light
     TTC  0 if the ego, moved on along its heading for 0, .3, .6, .9 s, touches an agent where that then is, seen as in
-         `metrics.nuplan`; the first contact with another agent ends that
+         `metrics.driving_scores`; the first contact with another agent ends that
     LK   0 where the centre is above 0.5 m off PDM-Closed's centre line in 20 states in a row, intersections left out
     EP   own way along that line over the greater of the own and PDM-Closed's, both times their multipliers; 1 up to 5 m
     HC   1 where nuPlan's six signals keep their bounds, with 1.5 s of recorded past before (v2)
@@ -39,8 +40,8 @@ from logs.scenario import Scenario
 from logs.shapes import overlap
 from metrics.boxes import BEHIND, NO_TTC_MPS, STANDING_MPS, EgoOutline
 from metrics.comfort import savgol
-from metrics.drivable_lanes import DrivableLanes, along_line, lane_map
-from metrics.nuplan import AHEAD, comfort_signals, comfortable, corners_of
+from metrics.driving_scores import AHEAD, comfort_signals, comfortable, corners_of
+from metrics.lanes import DrivableLanes, along_line, lane_map
 from replay.score.navsim_tracker import LATERAL, STEP_S, TURN, TURN_RATE, YAW, A, V, X, Y, simulated
 from replay.score.window import Polyline, RoadblockRoute, WindowAgents, box_on_polygon, center_line, red_lanes, route_of
 
@@ -66,7 +67,7 @@ class Version:
         drops: Whether agents that touch the ego at the start are left out.
         seen_s: For how long others are seen, s; `ttc_steps` is the number of states that TTC looks at.
         past: Whether comfort begins with the recorded past, and is that of the centre.
-        windows: Filters of acceleration and jerk (`metrics.nuplan.comfort_signals`).
+        windows: Filters of acceleration and jerk (`metrics.driving_scores.comfort_signals`).
     """
 
     columns: Mapping[str, str]

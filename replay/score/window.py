@@ -21,8 +21,8 @@ from logs.shapes import distance, overlap
 from logs.states import wrap, wrapped
 from logs.tracks import Tracks
 from metrics.boxes import ego_boxes, others_at
-from metrics.drivable_lanes import DrivableLanes, along_line
-from metrics.nuplan import route_lanes
+from metrics.driving_scores import route_lanes
+from metrics.lanes import DrivableLanes, along_line
 
 STEP_S, SAMPLE_S, NEAR_M, BEYOND_M = 0.1, 0.5, 100.0, 100.0
 

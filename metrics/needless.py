@@ -112,10 +112,8 @@ CURVE_MPS2, CURVE_RADIUS_M = 2.0, 50.0
 SLACK_MPS, STANDS_MPS = 0.3, 0.5
 SWING_M, CHANGE_M, FALL_MPS = 0.5, 2.0, 0.5
 HARD_MPS2, APART_S, CAUSE_S, CAUSE_M = 3.5, 0.5, 5.0, 0.3
-SPACING_M = 0.5
-"""Distance between the boxes of the ego whose union approximates the strip."""
-TOUCHING_M = 0.5
-"""Least gap in (7): nearer road users are contacts."""
+SPACING_M = 0.5  # Distance between the boxes of the ego whose union approximates the strip
+TOUCHING_M = 0.5  # Least gap in (7): nearer road users are contacts
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -177,8 +177,7 @@ def _verdict(
 
 careful_driver = partial(_verdict, "cc", CC)
 """Returns the verdict of "cc" on a scenario along a line, for an ego that starts at a state (None: the log's first)."""
-fuzzy_driver = partial(_verdict, "fsm", FSM)
-"""Returns the verdict of "fsm"; arguments as `careful_driver`."""
+fuzzy_driver = partial(_verdict, "fsm", FSM)  # Returns the verdict of "fsm"; arguments as `careful_driver`
 DRIVERS = {"cc": careful_driver, "fsm": fuzzy_driver}
 
 

@@ -27,8 +27,7 @@ from planners.frenet.profiles import COMFORT, HORIZON_KNOTS, STEP_S, braking
 from planners.frenet.scene import start_of
 from planners.idm import Idm, IdmConfig
 
-GAIN_MPS2 = 1.0
-"""Acceleration of `parked` up to its desired speed."""
+GAIN_MPS2 = 1.0  # Acceleration of `parked` up to its desired speed
 NO_AGENTS = np.zeros(0, np.int64)
 
 

@@ -42,14 +42,10 @@ from planners.frenet.st_boundaries import (
 )
 from planners.rules import Rulebook, RuleMemory
 
-KNOT_M = 2.0
-"""Spacing of the knots of the path, m."""
-TOUCHING_M = 0.1
-"""Least gap in (1) and (3), m."""
-SLOWEST_MPS = 0.5
-"""Least v0 in (1) and (3), m/s."""
-TRACK_LIMIT_S = 0.5
-"""tau of (3), s."""
+KNOT_M = 2.0  # Spacing of the knots of the path, m
+TOUCHING_M = 0.1  # Least gap in (1) and (3), m
+SLOWEST_MPS = 0.5  # Least v0 in (1) and (3), m/s
+TRACK_LIMIT_S = 0.5  # tau of (3), s
 EXACT = StGraphConfig(early_s=0.0, late_s=0.0)
 """No time margins around predictions: IDM's time gap covers their uncertainty."""
 

@@ -22,10 +22,8 @@ from scipy import sparse
 from logs.arrays import FloatArray, IntArray
 from logs.plan import SolverReport
 
-SOLVED = 1
-"""OSQP's status of a solved problem."""
-RHO = 0.1
-"""OSQP's first step size (rho), which is its default."""
+SOLVED = 1  # OSQP's status of a solved problem
+RHO = 0.1  # OSQP's first step size (rho), which is its default
 WORDS = {
     piqp.PIQP_SOLVED: "solved",
     piqp.PIQP_MAX_ITER_REACHED: "iterations spent",

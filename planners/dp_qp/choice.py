@@ -34,18 +34,12 @@ from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import Scene
 from planners.rules.rulebook import YIELD_MPS2
 
-MIN_GAP_M = 2.0
-"""Least gap to a follower (1) or an agent beside the ego (2), m."""
-REACTION_S = 1.0
-"""Reaction time of a follower before it brakes with `YIELD_MPS2` (1), s."""
-INSIDE_M = 1.0
-"""An ego nearer than this to a lane's reference line drives in that lane, m."""
-SLOWEST_CHANGE_MPS = 1.0
-"""A slower ego does not begin a lane change, m/s: it would stop across the marking."""
-TURNS = 3
-"""Most turns of path and speed in one frame."""
-SETTLED_M = 1.0
-"""The turns end when the last one has moved each box by less than this, m."""
+MIN_GAP_M = 2.0  # Least gap to a follower (1) or an agent beside the ego (2), m
+REACTION_S = 1.0  # Reaction time of a follower before it brakes with `YIELD_MPS2` (1), s
+INSIDE_M = 1.0  # An ego nearer than this to a lane's reference line drives in that lane, m
+SLOWEST_CHANGE_MPS = 1.0  # A slower ego does not begin a lane change, m/s: it would stop across the marking
+TURNS = 3  # Most turns of path and speed in one frame
+SETTLED_M = 1.0  # The turns end when the last one has moved each box by less than this, m
 
 
 def worth_looking(keep: LanePlan, config: LaneConfig, *, since_change: float) -> bool:

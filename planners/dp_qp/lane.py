@@ -30,8 +30,7 @@ from planners.frenet.lane_sequence import LaneSequence
 from planners.frenet.scene import TRACK_M, Scene, StartPlace, behind, on_path, scene_of
 from planners.rules import Rulebook, RuleMemory
 
-FORGET_S = 0.5
-"""The memory of a lane that was not planned for this long is dropped, s."""
+FORGET_S = 0.5  # The memory of a lane that was not planned for this long is dropped, s
 
 
 @dataclass(frozen=True, eq=False, slots=True)

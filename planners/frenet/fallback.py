@@ -22,8 +22,7 @@ from logs.vehicle import VehicleParameters
 from planners.frenet.path import Path, path_through, states_on_path
 from planners.frenet.profiles import COMFORT, EMERGENCY, HORIZON_KNOTS, STEP_S, SpeedLimits, braking
 
-MIN_REST_S = 3.0
-"""The ego drives the rest of the previous plan if it lasts at least this long, s."""
+MIN_REST_S = 3.0  # The ego drives the rest of the previous plan if it lasts at least this long, s
 
 
 def trajectory_along(path: Path, profile: FloatArray, t: float) -> Trajectory:

@@ -20,8 +20,7 @@ from logs.route import CostToGo, costs_to_go, start_lanes, straight_on
 from logs.states import EgoState
 from planners.frenet.reference_path import BEYOND_M, ReferencePath, make_reference_path
 
-BEHIND_M = 60.0
-"""Length of a sequence behind the lane that it was made for, m, so that it contains agents that follow."""
+BEHIND_M = 60.0  # Length of a sequence behind the lane that it was made for, m, so that it contains agents that follow
 
 
 @dataclass(frozen=True, eq=False, slots=True)

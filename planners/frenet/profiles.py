@@ -18,8 +18,7 @@ import numpy as np
 from logs.arrays import FloatArray
 from logs.kernel import kernel
 
-STEP_S = 0.1
-"""Time between two knots of a speed profile, and between two samples of a plan, s."""
+STEP_S = 0.1  # Time between two knots of a speed profile, and between two samples of a plan, s
 
 
 class KnotLimits(NamedTuple):
@@ -54,14 +53,10 @@ class SpeedLimits:
         return braking(start[0], start[1], share * self.decel_mps2, share * self.jerk_mps3, STEP_S, knots)
 
 
-COMFORT = SpeedLimits(1.8, 3.0, 3.0)
-"""Limits of a comfortable profile."""
-EMERGENCY = SpeedLimits(1.8, 7.5, 15.0)
-"""Limits of a profile that must brake harder."""
-HORIZON_STEPS = 80
-"""Steps of a plan: 8 s."""
-HORIZON_KNOTS = HORIZON_STEPS + 1
-"""Knots of a profile."""
+COMFORT = SpeedLimits(1.8, 3.0, 3.0)  # Limits of a comfortable profile
+EMERGENCY = SpeedLimits(1.8, 7.5, 15.0)  # Limits of a profile that must brake harder
+HORIZON_STEPS = 80  # Steps of a plan: 8 s
+HORIZON_KNOTS = HORIZON_STEPS + 1  # Knots of a profile
 
 
 @kernel

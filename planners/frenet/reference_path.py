@@ -33,30 +33,20 @@ from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from planners.solver import QuadraticProgram
 
-SPACING_M = 2.0
-"""Spacing of the points of (1), m."""
-BENDING_WEIGHT = 50.0
-"""w of (1)."""
+SPACING_M = 2.0  # Spacing of the points of (1), m
+BENDING_WEIGHT = 50.0  # w of (1)
 MAX_SHIFT_M = 0.3
 """Largest shift, m: about the mean over all headings that bounds of 0.25 m on x and y permit across a line (0.32)."""
-BEND = np.array([1.0, -2.0, 1.0])
-"""Coefficients of three points in the bending term of (1)."""
-ACROSS = 0.97
-"""Share of the shift that a point may make across the line; the rest is along it, as a sharp corner needs."""
+BEND = np.array([1.0, -2.0, 1.0])  # Coefficients of three points in the bending term of (1)
+ACROSS = 0.97  # Share of the shift that a point may make across the line; the rest is along it, as a sharp corner needs
 HARDER = ((0.5, 200.0), (0.75, 1000.0), (1.0, 1000.0), (1.5, 3000.0))
 """Shift (m) and bending weight of further attempts, where the line bends more than a car can steer."""
-LOCK_SHARE = 0.9
-"""Share of the steering lock that a reference line may need."""
-EDGE_M = 0.1
-"""Distance of the car to the lane's edge that a shift keeps, m."""
-BEYOND_M = 300.0
-"""Length of the line after the route, m; a plan of 8 s at 130 km/h is shorter."""
-HALF_LANE_M = 1.75
-"""Half the width of a lane without a width in the map, m; the least half width is half of that."""
-REACH_M = 16.0
-"""Lane edges farther beside the line than this are ignored, m: about four lanes."""
-JOINT_M = 0.6
-"""Boundaries nearer than this are one marking, m."""
+LOCK_SHARE = 0.9  # Share of the steering lock that a reference line may need
+EDGE_M = 0.1  # Distance of the car to the lane's edge that a shift keeps, m
+BEYOND_M = 300.0  # Length of the line after the route, m; a plan of 8 s at 130 km/h is shorter
+HALF_LANE_M = 1.75  # Half the width of a lane without a width in the map, m; the least half width is half of that
+REACH_M = 16.0  # Lane edges farther beside the line than this are ignored, m: about four lanes
+JOINT_M = 0.6  # Boundaries nearer than this are one marking, m
 
 
 class CrossSections(NamedTuple):

@@ -32,26 +32,19 @@ from logs.vehicle import VehicleParameters
 from planners.frenet.path import Path, frenet_start, interpolated, out_of_frame
 from planners.frenet.reference_path import CrossSections, ReferencePath, make_reference_path, write_sections
 
-STITCH_M = 0.5
-"""A plan starts on the previous one where the ego is nearer to it than this, m ..."""
-STITCH_MPS = 1.0
-"""... and its speed nearer than this, m/s."""
+STITCH_M = 0.5  # A plan starts on the previous one where the ego is nearer to it than this, m ...
+STITCH_MPS = 1.0  # ... and its speed nearer than this, m/s.
 WINDOW_SHARE = 1.5
 """An agent's foot point is searched ahead of and behind the ego's within this times their distance ..."""
 WINDOW_M = (80.0, 370.0)
 """... plus the first, m, but at most the second, m, so that it is not on another branch of a winding road."""
-FOOT_M = 30.0
-"""The ego's foot point is searched within this distance of its expected station, m."""
+FOOT_M = 30.0  # The ego's foot point is searched within this distance of its expected station, m
 STANDING_MPS = 0.5
 """An agent slower than this stands, m/s: the path passes it, or the ego stops; the speed stage does not follow it."""
-UNLIKELY = 0.2
-"""A predicted hypothesis that is not more probable than this is unlikely."""
-TRACK_M = 1.0
-"""The ego keeps its track where its offset changes by less than this, m."""
-TRACK_ROOM_M = 0.3
-"""An agent beside the ego's track by more than this is not in it, m."""
-OVERLAP_M = 0.5
-"""An agent whose front is past the ego's rear by less than this follows the ego, m."""
+UNLIKELY = 0.2  # A predicted hypothesis that is not more probable than this is unlikely
+TRACK_M = 1.0  # The ego keeps its track where its offset changes by less than this, m
+TRACK_ROOM_M = 0.3  # An agent beside the ego's track by more than this is not in it, m
+OVERLAP_M = 0.5  # An agent whose front is past the ego's rear by less than this follows the ego, m
 VULNERABLE = among(*(kind for kind in AgentKind if kind.is_vulnerable))
 """The vulnerable kinds (on foot or riding), by code."""
 

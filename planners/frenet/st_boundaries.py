@@ -37,20 +37,14 @@ from planners.frenet.scene import STANDING_MPS, Bodies, Futures, Occupancy, Scen
 
 ALONG = 0.8
 """An agent with this share of its speed along the path is followed, not yielded to; at 45 degrees it crosses."""
-ONCOMING_RAD = 0.75 * pi
-"""A vehicle that is turned against the lane by more than this comes towards the ego, rad."""
-HALVINGS = 4
-"""Halvings of the path's spacing, about 0.4 m, in the search for the edge of an interval."""
-JUMP = 0.999
-"""Share of a gap that the search skips, so that rounding does not skip a touch."""
+ONCOMING_RAD = 0.75 * pi  # A vehicle that is turned against the lane by more than this comes towards the ego, rad
+HALVINGS = 4  # Halvings of the path's spacing, about 0.4 m, in the search for the edge of an interval
+JUMP = 0.999  # Share of a gap that the search skips, so that rounding does not skip a touch
 PART, SAMPLES = 16, 8
 """Number of points of the path, and of samples of a prediction, in one envelope; envelopes are tested first."""
-ROUNDING_M = 1e-6
-"""Envelopes nearer than this touch, m."""
-KINDS = (DecisionKind.OVERTAKE, DecisionKind.STOP, DecisionKind.FOLLOW, DecisionKind.YIELD)
-"""The decisions (4) ..."""
-OVERTAKE, STOP, FOLLOW, YIELD = range(len(KINDS))
-"""... and their codes."""
+ROUNDING_M = 1e-6  # Envelopes nearer than this touch, m
+KINDS = (DecisionKind.OVERTAKE, DecisionKind.STOP, DecisionKind.FOLLOW, DecisionKind.YIELD)  # The decisions (4) ...
+OVERTAKE, STOP, FOLLOW, YIELD = range(len(KINDS))  # ... and their codes.
 
 
 @dataclass(frozen=True)

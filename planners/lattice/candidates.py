@@ -41,16 +41,11 @@ from logs.states import wrap
 from planners.frenet.path import MAX_TURN, MIN_REGULAR, quintic
 from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 
-LEAST_M = 8.0
-"""Least length of a lateral move (3), m: at low speeds a shorter one would be too sharp to steer."""
-REST_MPS = 0.05
-"""Below this speed the ego stands: an agent that then runs into it is not the ego's fault."""
-SIDE_M = 0.1
-"""An agent nearer than this beside a track is on it."""
-COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")
-"""The names of the terms of (4) in traces."""
-STRIDE = 4
-"""Samples of the plan per sample of the agents' Frenet coordinates."""
+LEAST_M = 8.0  # Least length of a lateral move (3), m: at low speeds a shorter one would be too sharp to steer
+REST_MPS = 0.05  # Below this speed the ego stands: an agent that then runs into it is not the ego's fault
+SIDE_M = 0.1  # An agent nearer than this beside a track is on it
+COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")  # The names of the terms of (4) in traces
+STRIDE = 4  # Samples of the plan per sample of the agents' Frenet coordinates
 
 
 class Fault(IntEnum):
@@ -82,8 +77,7 @@ REASONS = {
     Fault.STOP_LINE: "passes a place where it must stop",
 }
 """The faults in words."""
-FAULTS = len(Fault)
-"""Length of a count by fault: kernels cannot count an enumeration."""
+FAULTS = len(Fault)  # Length of a count by fault: kernels cannot count an enumeration
 
 
 @kernel

@@ -61,16 +61,11 @@ from planners.lattice.candidates import (
 )
 from planners.rules import Rulebook, RuleMemory
 
-SHORT = 4.0
-"""Weight of each metre short of a stop that the rules require, so that the ego stops visibly at that place."""
-STOP_S = 1.0
-"""The ego brakes for a stop that the rules demand from this time, s ..."""
-STOP_M = 2.0
-"""... and this distance, m, before gentle braking would have to begin."""
-NEAR_M = 30.0
-"""Agents that stay farther than this from the ego's reach are left out, m."""
-EVERY = 4
-"""Samples of the plan per point of the S-L graph."""
+SHORT = 4.0  # Weight of each metre short of a stop that the rules require, so that the ego stops visibly at that place
+STOP_S = 1.0  # The ego brakes for a stop that the rules demand from this time, s ...
+STOP_M = 2.0  # ... and this distance, m, before gentle braking would have to begin.
+NEAR_M = 30.0  # Agents that stay farther than this from the ego's reach are left out, m
+EVERY = 4  # Samples of the plan per point of the S-L graph
 Row = tuple[float, float, float, float, float, float, float]
 """A longitudinal polynomial: c3, c4, c5, duration, end speed, missed distance, track or -1."""
 

@@ -61,8 +61,7 @@ from planners.piecewise_jerk.problem import (
     rows_of,
 )
 
-SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = 1, 2, 3, 4, 5, 6
-"""Status codes; `STATUS` has them in words."""
+SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = 1, 2, 3, 4, 5, 6  # Status codes; `STATUS` has them in words
 STATUS = {
     SOLVED: "solved",
     SPENT: "iterations spent",
@@ -75,31 +74,21 @@ STATUS = {
 ACCURACY_M = 1e-4
 """Distance from the optimum in (10), far below what a car can steer. Where bounds are nearly equal, residuals and
 `NARROW_M` add to it (measured: benchmarks/README.md)."""
-MAX_ITERATIONS = 60
-"""Several times the iterations that problems from roads need (benchmarks/README.md)."""
-RESIDUAL = 1e-2
-"""Greatest residuals of (4) and (5) in a solution, as a share of the accuracy."""
+MAX_ITERATIONS = 60  # Several times the iterations that problems from roads need (benchmarks/README.md)
+RESIDUAL = 1e-2  # Greatest residuals of (4) and (5) in a solution, as a share of the accuracy
 FARKAS = 1e-7
 """Residual of the forces in (11), as a share of the contradiction, which holds for coefficients up to 1 / this, m."""
-TO_BOUNDARY = 0.995
-"""Share of the way to the boundary that a step goes (9)."""
-NEARLY = 1e3
-"""The gap is nearly closed where it is less than this multiple of the accuracy squared."""
-FLOOR = 0.1
-"""Least target of the products z f, as a share of what (10) needs: smaller ones only lose digits."""
+TO_BOUNDARY = 0.995  # Share of the way to the boundary that a step goes (9)
+NEARLY = 1e3  # The gap is nearly closed where it is less than this multiple of the accuracy squared
+FLOOR = 0.1  # Least target of the products z f, as a share of what (10) needs: smaller ones only lose digits
 PROXIMAL = 1e-10
 """The give of every row in a step: the matrix stays positive definite in floating point, and the solution is the same
 (proximal method of multipliers) ..."""
-PROXIMAL_M = 1e-6
-"""... it is smaller where its product with the largest multiplier would exceed this, m."""
-START_SHARE = 0.1
-"""First slacks are at least this share of the distance between two bounds ..."""
-START_LEAST_M = 0.01
-"""... which is taken as at least this, m ..."""
-START_MOST_M = 2.0
-"""... and at most this, m."""
-START_MU = 1.0
-"""First products z f, m2."""
+PROXIMAL_M = 1e-6  # ... it is smaller where its product with the largest multiplier would exceed this, m.
+START_SHARE = 0.1  # First slacks are at least this share of the distance between two bounds ...
+START_LEAST_M = 0.01  # ... which is taken as at least this, m ...
+START_MOST_M = 2.0  # ... and at most this, m.
+START_MU = 1.0  # First products z f, m2
 
 
 class Point(NamedTuple):

@@ -43,12 +43,9 @@ import numpy as np
 from logs.arrays import FloatArray
 from logs.kernel import inner_kernel, kernel
 
-X, DX, DDX, DDDX, LEADS = 0, 1, 2, 3, 4
-"""Rows of the bounds; rows x + lead x' from `LEADS` on."""
-NARROW_M = 1e-6
-"""Bounds less than twice this apart are moved to twice this apart: the method needs an interior."""
-FAR_M = 1e6
-"""Scaled bounds are clipped to +- this, m."""
+X, DX, DDX, DDDX, LEADS = 0, 1, 2, 3, 4  # Rows of the bounds; rows x + lead x' from `LEADS` on
+NARROW_M = 1e-6  # Bounds less than twice this apart are moved to twice this apart: the method needs an interior
+FAR_M = 1e6  # Scaled bounds are clipped to +- this, m
 ROUNDING, HUGE = 1e-15, 1e128
 """Pivots that are less than this share of their diagonal are rounding errors; a huge one replaces them."""
 

@@ -42,32 +42,19 @@ from logs.vehicle import VehicleParameters
 from planners.frenet.reference_path import ReferencePath
 from planners.frenet.scene import STANDING_MPS, UNLIKELY
 
-SIDE_M = 0.3
-"""Space beside the ego's body in (1) and (2), m."""
-HALF_CAR_M = 1.0
-"""Half the width of agents that go first in (2), m."""
-STEP_M = 0.5
-"""Spacing of the stations that are tried, m."""
-ROOM_M = 1.0
-"""Space that a waiting ego keeps before and behind itself, to zones and to the agent ahead, m."""
-LINE_BEFORE_M = 15.0
-"""The ego waits for a zone at a stop line that is nearer than this before it, m."""
-FEED_M = 100.0
-"""An agent nearer than this to a priority lane, on lanes that lead to it, may claim it, m."""
-ASIDE_M = 1.0
-"""A stop line applies where the reference line runs within this of it, m."""
-MERGED_M = 1.5
-"""Two lanes whose ends are nearer than this merge, m."""
-EDGE_M = 1.5
-"""A pedestrian who stands within this of a crosswalk may want to cross, m."""
-TOWARDS_MPS = 0.3
-"""A pedestrian whose distance to it falls faster than this walks towards it; a slower one stands, m/s."""
-KEPT_M = 0.3
-"""Width by which the ego's half of a crosswalk is extended on each side, m."""
-START_MPS = 1.2
-"""Speed with which a standing pedestrian sets off, m/s: that of the clearing times in RiLSA 2010."""
-ASKEW_RAD = 1.0
-"""A vehicle drives along a lane where its heading differs less than this, rad."""
+SIDE_M = 0.3  # Space beside the ego's body in (1) and (2), m
+HALF_CAR_M = 1.0  # Half the width of agents that go first in (2), m
+STEP_M = 0.5  # Spacing of the stations that are tried, m
+ROOM_M = 1.0  # Space that a waiting ego keeps before and behind itself, to zones and to the agent ahead, m
+LINE_BEFORE_M = 15.0  # The ego waits for a zone at a stop line that is nearer than this before it, m
+FEED_M = 100.0  # An agent nearer than this to a priority lane, on lanes that lead to it, may claim it, m
+ASIDE_M = 1.0  # A stop line applies where the reference line runs within this of it, m
+MERGED_M = 1.5  # Two lanes whose ends are nearer than this merge, m
+EDGE_M = 1.5  # A pedestrian who stands within this of a crosswalk may want to cross, m
+TOWARDS_MPS = 0.3  # A pedestrian whose distance to it falls faster than this walks towards it; a slower one stands, m/s
+KEPT_M = 0.3  # Width by which the ego's half of a crosswalk is extended on each side, m
+START_MPS = 1.2  # Speed with which a standing pedestrian sets off, m/s: that of the clearing times in RiLSA 2010
+ASKEW_RAD = 1.0  # A vehicle drives along a lane where its heading differs less than this, rad
 
 
 @dataclass(frozen=True, slots=True)

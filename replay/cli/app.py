@@ -50,8 +50,7 @@ def _name_of(command: CommandInfo | TyperInfo) -> str:
     return command.name or command.callback.__name__  # type: ignore[union-attr]
 
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Error numbers of a full disk."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # Error numbers of a full disk
 
 
 @contextmanager
@@ -73,10 +72,8 @@ def handle_errors() -> Iterator[None]:
         raise typer.Exit(EXIT_CODE) from None
 
 
-INTERNAL = 70
-"""Exit code of a bug in replan (EX_SOFTWARE of sysexits.h); 1 always means that a gate failed."""
-TRACEBACK = "REPLAN_TRACEBACK"
-"""Environment variable: if it is set, the traceback of a bug is printed."""
+INTERNAL = 70  # Exit code of a bug in replan (EX_SOFTWARE of sysexits.h); 1 always means that a gate failed
+TRACEBACK = "REPLAN_TRACEBACK"  # Environment variable: if it is set, the traceback of a bug is printed
 
 
 def bug(error: Exception) -> NoReturn:

@@ -27,8 +27,7 @@ from logs.vehicle import vehicle_parameters
 from replay.draw.drawn_results import load
 from replay.results.tables import safe_names
 
-TYPES = {"bmw_320i": 2, "vw_vanagon": 3}
-"""Vehicle type in a benchmark id, by the vehicle's name in replan."""
+TYPES = {"bmw_320i": 2, "vw_vanagon": 3}  # Vehicle type in a benchmark id, by the vehicle's name in replan
 COSTS = ("JB1", "SA1", "WX1", "SM1", "SM2", "SM3", "MW1", "TR1")
 """Cost functions of CommonRoad: the file only names them, and CommonRoad computes the cost."""
 VERSION = "2020a"

@@ -175,8 +175,7 @@ def view(
                 show(files, memory_limit, web=web, port=port)
 
 
-Which = tuple[str | None, str | None, opt.Loop | None]
-"""Log, planner and loop that the user named; None: any."""
+Which = tuple[str | None, str | None, opt.Loop | None]  # Log, planner and loop that the user named; None: any
 
 
 def _files(

@@ -27,8 +27,7 @@ from logs.repair.detections import Detections
 from logs.scenario import Scenario
 from replay.results.tables import PARTIAL
 
-START_NS = 1_700_000_000_000_000_000
-"""Start time of logs that begin at 0, because a bag's times are wall-clock times."""
+START_NS = 1_700_000_000_000_000_000  # Start time of logs that begin at 0, because a bag's times are wall-clock times
 LABELS = {
     AgentKind.CAR: "car", AgentKind.TRUCK: "truck", AgentKind.BUS: "bus", AgentKind.MOTORCYCLE: "motorcycle",
     AgentKind.BICYCLE: "bicycle", AgentKind.PEDESTRIAN: "pedestrian", AgentKind.OBJECT: "unknown",
@@ -43,8 +42,7 @@ DEFINITIONS = {
     "autoware_msgs/msg/DetectedObjectArray": "std_msgs/Header header\nDetectedObject[] objects\n",
 }
 """Fields of Autoware Mini's messages that replan writes and reads."""
-Row = tuple[str, str, int, dict[str, Any]]
-"""Topic, type, log time ns, fields."""
+Row = tuple[str, str, int, dict[str, Any]]  # Topic, type, log time ns, fields
 
 
 def write_bag(path: Path, scenario: Scenario) -> None:

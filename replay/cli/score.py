@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from replay.draw.drawn_results import Results
     from replay.score.trajectories import Asked
 
-MOST_ROWS = 40
-"""More rows are not printed."""
+MOST_ROWS = 40  # More rows are not printed
 Names = Literal["nuplan-cls", "navsim-v1", "navsim-v2", "navsim-v2-old-filter"]
 
 

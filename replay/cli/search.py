@@ -12,8 +12,7 @@ from replay.cli import options as opt
 from replay.cli.app import app, handle_errors, progress_lines, say, say_json, worker_count
 from replay.cli.options import JUDGE, LOGS, LOOP, RUNNING, log_table, option, run_config
 
-SHOWN = 20
-"""Largest number of trials of a Pareto front that are printed; pareto.csv has all."""
+SHOWN = 20  # Largest number of trials of a Pareto front that are printed; pareto.csv has all
 FALSIFY_CODES = (
     "Exit codes: 0 no such case found; 1 one is found: falsified; 2 wrong usage or configuration; 3 the recorded case"
     " could not be driven; 130 interrupted."

@@ -20,8 +20,7 @@ from replay.run.claim import claimed_files
 
 TABLE = "suite.csv"
 NATIVE, ROS2 = "native", "ros2"
-FORMS = (NATIVE, ROS2)
-"""The forms in which logs are written."""
+FORMS = (NATIVE, ROS2)  # The forms in which logs are written
 COLUMNS = ("log", "file", "family", "parameters", "seed", "tags", "accepted_decisions")
 
 

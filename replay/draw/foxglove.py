@@ -58,8 +58,7 @@ except ModuleNotFoundError:
     raise ConfigError("--foxglove needs foxglove-schemas-protobuf: pip install 'replan[foxglove]'") from None
 
 MAP, BASE = "map", "base_link"
-STEP_S = 0.02
-"""Least interval between samples of the ego and of agents: 50 Hz is more than a screen shows."""
+STEP_S = 0.02  # Least interval between samples of the ego and of agents: 50 Hz is more than a screen shows
 HEIGHT_M = {
     AgentKind.CAR: 1.5, AgentKind.TRUCK: 3.2, AgentKind.BUS: 3.2, AgentKind.MOTORCYCLE: 1.5, AgentKind.BICYCLE: 1.7,
     AgentKind.PEDESTRIAN: 1.75, AgentKind.OBJECT: 1.0,

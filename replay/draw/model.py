@@ -57,14 +57,12 @@ def widened(low: float, high: float, least: float, room: float = 0.06) -> Span:
 
 
 JERK = LON_JERK_STATE.name
-SPIKE = 99.5
-"""Percentile of the absolute values of a spiky curve up to which the axis reaches."""
+SPIKE = 99.5  # Percentile of the absolute values of a spiky curve up to which the axis reaches
 BLUE, YELLOW, RED, GREEN, VIOLET, TEAL, PINK, GREY = SERIES = (
     0x4AB8F5FF, 0xE8AC30FF, 0xFF6E64FF, 0x78DC82FF, 0xC896FFFF, 0x50D2C8FF, 0xFF96C8FF, 0x9E9E9EFF,
 )  # fmt: skip
 """Colours of curves in recordings, 0xRRGGBBAA; charts tell curves apart by their order."""
-DIM = 0xFFFFFF78
-"""Mask that makes a colour more transparent: `RED & DIM`."""
+DIM = 0xFFFFFF78  # Mask that makes a colour more transparent: `RED & DIM`
 
 Steps = Callable[[str], tuple[FloatArray, FloatArray]]
 """Maps the name of a metric to its times and values `(n,)`; both are empty if it was not measured."""
@@ -385,8 +383,7 @@ ST = GraphKind("st", StGraph, "S-T graph", "time from the plan [s]", "station al
 SL = GraphKind(
     "sl", SlGraph, "S-L graph", "station of the reference line [m]", "lateral offset [m], left positive", 4.0, True
 )
-FAR_M = 6.0
-"""Axes show obstacles and bounds up to this far beyond the solutions."""
+FAR_M = 6.0  # Axes show obstacles and bounds up to this far beyond the solutions
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -34,8 +34,7 @@ from replay.results.load import named_logs
 ELSEWHERE = (
     "copy the .rrd to a machine with one and open it there with `rerun FILE.rrd`, or add --web to see it in a browser"
 )
-MOST = 12
-"""Recordings opened at once: each takes memory in the viewer; the index has links to all."""
+MOST = 12  # Recordings opened at once: each takes memory in the viewer; the index has links to all
 
 
 def write_index(path: Path, folder: Path, most: int) -> list[Path]:

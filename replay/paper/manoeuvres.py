@@ -41,8 +41,7 @@ from replay.vehicle.plan_path import PlanPath
 STEP_M = 0.5
 BEFORE_M, AFTER_M = 60.0, 60.0
 JERK_WEIGHT = 100.0
-SPARE_M = 0.1
-"""Space between the path and the cones: the body does not point along the path where the tyres slip."""
+SPARE_M = 0.1  # Space between the path and the cones: the body does not point along the path where the tyres slip
 
 
 def cones_hit(places: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, car: VehicleParameters) -> int:
@@ -91,8 +90,7 @@ def _differences(n: int, order: int) -> FloatArray:
 
 PERIOD_S = 0.01
 SAMPLE_S = 0.1
-JERK_OVER = 10
-"""Number of control periods over which the jerk is averaged, because gear shifts and pedals are steps."""
+JERK_OVER = 10  # Number of control periods over which the jerk is averaged, because gear shifts and pedals are steps
 ALAT_MPS2 = 3.0
 LOST_M = 5.0
 FASTEST_KMH = 90

@@ -45,14 +45,11 @@ EGO_KMH = (20.0, 30.0, 40.0, 50.0)
 WALKER_MPS = (0.8, 1.15, 1.5, 1.85, 2.2)
 LATE_S = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
 REACTION_S = 0.0
-WALK_RAMP_S = 0.4
-"""Time in which the walker of the family reaches its speed, s."""
+WALK_RAMP_S = 0.4  # Time in which the walker of the family reaches its speed, s
 RELEASE_S = 1.0
-JERK_MPS3 = 4.13
-"""Comfort bound of the longitudinal jerk (metrics.comfort)."""
+JERK_MPS3 = 4.13  # Comfort bound of the longitudinal jerk (metrics.comfort)
 PRESSED = 1e-3
-JOINED_S = 0.5
-"""Releases of the brake that are shorter than this do not end the braking."""
+JOINED_S = 0.5  # Releases of the brake that are shorter than this do not end the braking
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,7 @@ FILES = (
     "scenarios.csv", "pedestrian_grid.*", "paper.md",
 )  # fmt: skip
 CONTENTS = FolderContents("paper", FILES, resumes=False)
-DIGITS = "%.6g"
-"""The format of numbers in the tables."""
+DIGITS = "%.6g"  # The format of numbers in the tables
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ T = TypeVar("T")
 HEADER = struct.Struct("<I")
 PIPE_BYTES = 1 << 20
 """Size of a pipe, which holds a whole frame (the default is 64 KiB; Linux allows 1 MiB without privileges)."""
-PRINTED_BYTES = 4096
-"""Number of last bytes of the planner's output that are kept."""
+PRINTED_BYTES = 4096  # Number of last bytes of the planner's output that are kept
 
 
 class LateError(Exception):

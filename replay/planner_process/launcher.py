@@ -46,8 +46,7 @@ from replay.planner_process import child
 
 PDEATHSIG, CHILD_SUBREAPER = 1, 36
 """Options of `prctl` (Linux): the signal when the parent dies; whether orphans become children of the process."""
-ENDING_S = 2.0
-"""Time limit for a template to end with all its processes when this process ends, s."""
+ENDING_S = 2.0  # Time limit for a template to end with all its processes when this process ends, s
 
 
 def main() -> None:

@@ -33,8 +33,7 @@ ENVIRONMENT = (
     "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "CUDA_", "VIRTUAL_ENV", "COVERAGE_",
 )  # fmt: skip
 """Environment variables, or prefixes of their names, that are passed on, because programs need them to start."""
-GRACE_S = 1.0
-"""Time limit for a planner to end by itself after its drive, s."""
+GRACE_S = 1.0  # Time limit for a planner to end by itself after its drive, s
 KILLED_S = 10.0
 """Time limit for the system to report the end of a killed process, s; on a busy machine, that takes seconds."""
 ROOT = Path(__file__).parents[2]
@@ -273,7 +272,6 @@ def _end_launcher(
     process.wait()
 
 
-_starting = threading.Lock()
-"""Held while a process is started: threads that start planners at once share the launcher."""
+_starting = threading.Lock()  # Held while a process is started: threads that start planners at once share the launcher
 _warm: dict[str, Any] = {}
 """State of this process: `launcher`; `for`: the settings that it was started with; `run`: the current run."""

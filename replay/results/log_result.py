@@ -34,12 +34,9 @@ from replay.results.tables import LOG_CARD, write_file, write_json, write_parque
 
 METRICS, MEMBERS, HEALTH, TIMINGS = "metrics.parquet", "ensemble.parquet", "health.parquet", "timings.parquet"
 FRAMES = "frames.parquet"
-NOT_OF_A_LOG = ("schema_version",)
-"""Columns that the tables in a log's folder lack."""
-SPOOL_BYTES = 16 * 2**20
-"""The largest number of bytes of steps in memory; more are stored in the file."""
-GROUP_ROWS = 1 << 18
-"""Number of rows that are in memory at once, and the least that a reader of a part reads."""
+NOT_OF_A_LOG = ("schema_version",)  # Columns that the tables in a log's folder lack
+SPOOL_BYTES = 16 * 2**20  # The largest number of bytes of steps in memory; more are stored in the file
+GROUP_ROWS = 1 << 18  # Number of rows that are in memory at once, and the least that a reader of a part reads
 
 
 @dataclass(frozen=True)

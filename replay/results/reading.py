@@ -33,8 +33,7 @@ Name = Annotated[str, msgspec.Meta(pattern=r"^(?:[A-Za-z0-9_-][A-Za-z0-9._-]*)?\
 """A plain name, as `replay.results.tables.safe_name` makes it; may be empty."""
 FileName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*/[A-Za-z0-9_-][A-Za-z0-9._-]*\Z")]
 """The plain name of a file in a log's folder."""
-Place = Annotated[str, msgspec.Meta(pattern=r"^[^\0]*\Z")]
-"""A path or URL."""
+Place = Annotated[str, msgspec.Meta(pattern=r"^[^\0]*\Z")]  # A path or URL
 
 
 T = TypeVar("T")

@@ -13,10 +13,8 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
-SCHEMA_VERSION = 1
-"""Version of the tables and JSON files; it increases when a column changes its meaning or is removed."""
-VERSION_KEY = "replan_schema_version"
-"""Key of the version in the metadata of a table."""
+SCHEMA_VERSION = 1  # Version of the tables and JSON files; it increases when a column changes its meaning or is removed
+VERSION_KEY = "replan_schema_version"  # Key of the version in the metadata of a table
 METADATA = {VERSION_KEY: str(SCHEMA_VERSION)}
 
 _TYPES = {"text": pa.large_string(), "number": pa.float64(), "count": pa.int64(), "yes/no": pa.bool_()}

@@ -22,8 +22,7 @@ from replay.results.log_result import Failure
 from replay.vehicle import build_vehicle, split_plant
 
 SCENE = "paper/crossing_pedestrian"
-REFUSALS = (ValueError, TypeError)
-"""The errors with which a factory refuses a setting."""
+REFUSALS = (ValueError, TypeError)  # The errors with which a factory refuses a setting
 _OF_THE_LOG = ("length", "wheelbase", "rear_overhang")
 """Plant parameters that are not checked here: whether they are consistent depends on the log's vehicle."""
 

@@ -44,8 +44,7 @@ T = TypeVar("T")
 
 RETRIES = 3
 """Retries of a task whose worker or node died (Ray's own default); an error that replan raises is not retried."""
-AHEAD = 2
-"""Tasks in flight per core of the cluster: each core has its next one waiting, and an autoscaler sees a queue."""
+AHEAD = 2  # Tasks in flight per core of the cluster: each core has its next one waiting, and an autoscaler sees a queue
 CONNECT_S = 10.0
 BEGIN = "`ray start --head` begins a cluster; versions of Ray and Python must be the same on all nodes"
 ALONE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}

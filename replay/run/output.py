@@ -49,8 +49,7 @@ from replay.run.sources import LogSource, log_hash, select
 
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
 _CARD_BYTES = 4096
-_FAR = 1 << 30
-"""Windows locks bytes, which then cannot be read: this byte is behind all written bytes."""
+_FAR = 1 << 30  # Windows locks bytes, which then cannot be read: this byte is behind all written bytes
 
 
 @contextmanager

@@ -20,8 +20,7 @@ from replay.results.tables import clear_partial, write_text
 from replay.run.claim import STUDY, emptied
 from replay.run.resume import changes, stamp_of
 
-CHECKSUM = "crc32"
-"""The key of the checksum of a trial's line."""
+CHECKSUM = "crc32"  # The key of the checksum of a trial's line
 
 
 def study_head(kind: str, run: RunConfig, inputs: Mapping[str, Any]) -> dict[str, Any]:

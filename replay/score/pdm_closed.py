@@ -29,8 +29,7 @@ from replay.score.window import Polyline, WindowAgents, box_on_polygon, centroid
 
 CONFIG = PdmConfig()
 FREE_MPS = 15.0
-KNOTS = STEPS + 10
-"""States of a proposal: 5 s."""
+KNOTS = STEPS + 10  # States of a proposal: 5 s
 OFFSETS_M = (0.0, -1.0, 1.0)
 
 

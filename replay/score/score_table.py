@@ -27,8 +27,7 @@ CLS_COLUMNS: Mapping[str, str] = MappingProxyType({
     "speed_limit": "speed_limit_compliance", "comfort": "ego_is_comfortable", "score": "score",
 })  # fmt: skip
 """nuPlan's column of each part of `nuplan_closed`."""
-AVERAGE, FINAL = "average_all_frames", "final_score"
-"""Names of the summary's row in NAVSIM's and in nuPlan's tables."""
+AVERAGE, FINAL = "average_all_frames", "final_score"  # Names of the summary's row in NAVSIM's and in nuPlan's tables
 TIME_ONLY = 1e-3
 
 

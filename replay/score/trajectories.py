@@ -29,8 +29,7 @@ from replay.score.navsim import HORIZON_S, POSE_S, POSES
 
 NEEDED = ("log", "t_s", "x", "y", "yaw")
 AGENT = ("drive", "planner")
-FARTHEST_M = 1000.0
-"""No pose of a plan is this far from where its window begins, m."""
+FARTHEST_M = 1000.0  # No pose of a plan is this far from where its window begins, m
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,7 @@ from logs.errors import ConfigError
 from logs.scenario import Scenario
 from replay.score.trajectories import Asked, ego_at
 
-SIGMA2 = 0.1
-"""Variance of (1), m2."""
+SIGMA2 = 0.1  # Variance of (1), m2
 STAGE, FOLLOWS, WEIGHT = "stage", "stage_one", "weight"
 STAGE_ONE, STAGE_TWO, COMBINED = (f"extended_pdm_score_{word}" for word in ("stage_one", "stage_two", "combined"))
 """Names of the summary's rows in NAVSIM's tables."""

@@ -30,14 +30,10 @@ from planners.frenet.scene import Bodies, Occupancy, Scene
 
 SIDES = {DecisionKind.NUDGE_LEFT: 1.0, DecisionKind.NUDGE_RIGHT: -1.0}
 """The decisions to pass, and the side in the form that kernels take."""
-TOLERANCE_M = 0.05
-"""Shortfall of a clearance that a solution may have, m."""
-NEAR_PATH_M = 30.0
-"""Standing agents farther from the ego than this plus the path's length are ignored, m."""
-NEAR_ROAD_M = 1.0
-"""An agent that stands off the road by less than this is still an obstacle, m."""
-NOTHING = Borrowed(np.empty((0, 3)), left=True, right=True)
-"""No road beside the lane is used."""
+TOLERANCE_M = 0.05  # Shortfall of a clearance that a solution may have, m
+NEAR_PATH_M = 30.0  # Standing agents farther from the ego than this plus the path's length are ignored, m
+NEAR_ROAD_M = 1.0  # An agent that stands off the road by less than this is still an obstacle, m
+NOTHING = Borrowed(np.empty((0, 3)), left=True, right=True)  # No road beside the lane is used
 
 
 @dataclass(frozen=True)

@@ -25,24 +25,18 @@ from planners.frenet.st_boundaries import StBoundaries, StGraphConfig
 from planners.piecewise_jerk.solvers import DEFAULT
 from planners.solver import QPResult
 
-RESERVE = 0.85
-"""Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth."""
-LEAST_RESERVE = 0.97
-"""The same where braking would otherwise be hard."""
+RESERVE = 0.85  # Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth
+LEAST_RESERVE = 0.97  # The same where braking would otherwise be hard
 TOUCHING = StGraphConfig(margin_m=0.05, vulnerable_margin_m=0.05, passed_margin_m=0.05, early_s=0.0, late_s=0.0)
 """Nearly the bare footprints: for braking that can do no better than not to touch."""
 BARE = StGraphConfig(margin_m=0.0, vulnerable_margin_m=0.0, passed_margin_m=0.0, early_s=0.0, late_s=0.0)
 """The footprints as predicted."""
-UTMOST_MPS3 = 30.0
-"""Jerk of full braking, m/s3."""
-ONWARD_S = 0.8
-"""An ego that drives on releases the brake and reaches its acceleration within this time, s ..."""
-RESTING_MPS = 0.5
-"""... and does not come to rest: it stays faster than this, m/s."""
+UTMOST_MPS3 = 30.0  # Jerk of full braking, m/s3
+ONWARD_S = 0.8  # An ego that drives on releases the brake and reaches its acceleration within this time, s ...
+RESTING_MPS = 0.5  # ... and does not come to rest: it stays faster than this, m/s.
 
 
-Attempts = tuple[tuple[SpeedProblem, QPResult], ...]
-"""QPs that were tried, with their results."""
+Attempts = tuple[tuple[SpeedProblem, QPResult], ...]  # QPs that were tried, with their results
 
 
 @dataclass(frozen=True, eq=False, slots=True)

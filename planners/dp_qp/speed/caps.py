@@ -51,26 +51,17 @@ from planners.frenet.scene import Occupancy, Scene, open_end
 from planners.frenet.st_boundaries import StBoundaries
 from planners.rules.zones import TOWARDS_MPS
 
-WORTH_MPS = 0.5
-"""A cap is reported as a decision where it lowers the limit by more than this, m/s."""
-REACTION_S = 0.5
-"""T, s, until the ego brakes: a frame, the sensor's latency, the brake's dead time and lag."""
-LEAST_MPS = 2.5
-"""Least cap (5), at which the ego creeps past, m/s."""
-PERSON_M = 0.3
-"""Radius of a person who steps out of hidden ground, m."""
-LOOK_M = 60.0
-"""Distance ahead within which hidden ground and people beside the path are considered, m ..."""
-STEP_M = 1.0
-"""... in steps of this, m."""
+WORTH_MPS = 0.5  # A cap is reported as a decision where it lowers the limit by more than this, m/s
+REACTION_S = 0.5  # T, s, until the ego brakes: a frame, the sensor's latency, the brake's dead time and lag
+LEAST_MPS = 2.5  # Least cap (5), at which the ego creeps past, m/s
+PERSON_M = 0.3  # Radius of a person who steps out of hidden ground, m
+LOOK_M = 60.0  # Distance ahead within which hidden ground and people beside the path are considered, m ...
+STEP_M = 1.0  # ... in steps of this, m.
 SIDE_M = 0.25 * np.arange(1, 15)
 """Distances from the ego's side at which ground is tested, m; ground beyond the last does not limit a car's speed."""
-ROOM_M = 0.5
-"""Space beside standing agents with which the ego passes at the speed limit (6), m."""
-NUDGE_SHARE = 0.6
-"""Least share of the speed limit in (6)."""
-SWERVE_MPS2 = 1.6
-"""Lateral acceleration of a swerve (7), m/s2."""
+ROOM_M = 0.5  # Space beside standing agents with which the ego passes at the speed limit (6), m
+NUDGE_SHARE = 0.6  # Least share of the speed limit in (6)
+SWERVE_MPS2 = 1.6  # Lateral acceleration of a swerve (7), m/s2
 
 
 @dataclass(frozen=True)

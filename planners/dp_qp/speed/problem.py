@@ -30,8 +30,7 @@ SPEED_ROOM_MPS = 0.8
 """Excess of the bound of v over the limit, m/s, so that the profile is smooth; a cap that is a bound has none."""
 TILT_MPS2 = 4.0
 """Lateral acceleration above which the ego brakes for a curve with comfort's limits, not with `ease_mps2`, m/s2."""
-STAY_M = 0.05
-"""Least upper bound of s, so that standing still is always allowed, m."""
+STAY_M = 0.05  # Least upper bound of s, so that standing still is always allowed, m
 
 
 class PathLimits(NamedTuple):

@@ -27,20 +27,13 @@ from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.solver import QPResult
 
-Rows = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""The result of `rows_of`."""
-NO_LEADS = np.empty(0)
-"""A speed profile has no points ahead of the rear axle."""
-LIMIT_ROOM_MPS = 0.05
-"""Distance of the speed's bound above the braking profile that must stay below it, m/s."""
-REST_MPS = 1e-3
-"""Speed below which a profile rests, m/s ..."""
-REST_MPS2 = 0.02
-"""... and acceleration, m/s2."""
-TOLERANCE = 0.05
-"""Largest violation of a bound in a solution, in the units of the row."""
-RELEASE_MPS3 = 15.0
-"""Jerk with which braking that is harder than comfort may be released, m/s3."""
+Rows = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # The result of `rows_of`
+NO_LEADS = np.empty(0)  # A speed profile has no points ahead of the rear axle
+LIMIT_ROOM_MPS = 0.05  # Distance of the speed's bound above the braking profile that must stay below it, m/s
+REST_MPS = 1e-3  # Speed below which a profile rests, m/s ...
+REST_MPS2 = 0.02  # ... and acceleration, m/s2.
+TOLERANCE = 0.05  # Largest violation of a bound in a solution, in the units of the row
+RELEASE_MPS3 = 15.0  # Jerk with which braking that is harder than comfort may be released, m/s3
 
 
 @dataclass(frozen=True)

@@ -47,23 +47,18 @@ from planners.frenet.st_boundaries import (
 )
 from planners.piecewise_jerk.solvers import DEFAULT
 
-CHANGE_S = 0.5
-"""Delay with which the ego must still be first to overtake an agent that it yielded to, s."""
+CHANGE_S = 0.5  # Delay with which the ego must still be first to overtake an agent that it yielded to, s
 FIRST_S = 1.0
 """The same for an agent that crosses, if braking with `LETS_MPS2` is enough to yield: it may come sooner, s."""
-LETS_MPS2 = 3.0, 4.5
-"""Deceleration with which the ego yields to a vehicle, and to a pedestrian or rider, m/s2."""
+LETS_MPS2 = 3.0, 4.5  # Deceleration with which the ego yields to a vehicle, and to a pedestrian or rider, m/s2
 DOUBTED = "that is doubted: comfortable braking is all that is done"
 
 
 ORDERS = {DecisionKind.YIELD: ("yielding", 1e6), DecisionKind.OVERTAKE: ("going first", -1e6)}
 """The orders of passing between which the speed DP decides: name, and the bound (m) that leaves only this order."""
-COLLIDES = 0.01 * COLLISION
-"""A solution of the DP that costs more is inside a blocked interval."""
-NO_STOPS = np.empty((0, 2))
-"""No stops."""
-DRAWN_ROWS = 4
-"""Step between the grid's rows in the S-T graph: a picture does not need more."""
+COLLIDES = 0.01 * COLLISION  # A solution of the DP that costs more is inside a blocked interval
+NO_STOPS = np.empty((0, 2))  # No stops
+DRAWN_ROWS = 4  # Step between the grid's rows in the S-T graph: a picture does not need more
 
 
 @dataclass(frozen=True)

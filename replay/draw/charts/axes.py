@@ -26,15 +26,12 @@ from replay.draw.charts.canvas import (
 )
 from replay.draw.model import Span, ticks
 
-Ticks = Sequence[tuple[float, str]]
-"""Words at values."""
+Ticks = Sequence[tuple[float, str]]  # Words at values
 
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 46.0, 10.0, 38.0, 30.0
 """Margins of a plot area: for y ticks, for the last x tick, for title and legend, for x ticks and their title."""
-FAINT = 0.08
-"""Opacity of a box of the value 0."""
-TICK_PX = 62.0, 30.0
-"""Smallest distance between ticks in x and in y if there are more than two ticks, pixels."""
+FAINT = 0.08  # Opacity of a box of the value 0
+TICK_PX = 62.0, 30.0  # Smallest distance between ticks in x and in y if there are more than two ticks, pixels
 
 
 def number(value: float) -> str:

@@ -18,13 +18,10 @@ from replay.draw.model import Panel, compared_panels, panels
 from replay.explain.explanation import STATUS_WORDS
 
 WIDTH_PX, HEIGHT_PX = 440.0, 168.0
-KINDS = ("a", "b", "c", "d")
-"""Classes of the curves of a panel, in their order: solid, long dashes, dots, thin."""
+KINDS = ("a", "b", "c", "d")  # Classes of the curves of a panel, in their order: solid, long dashes, dots, thin
 LEAST_PX = 3.0
-BOLD_PX = 6.8
-"""Width of a letter of a warning, pixels."""
-NAME_PX = 90.0
-"""Largest width of a drive's name before a warning, pixels."""
+BOLD_PX = 6.8  # Width of a letter of a warning, pixels
+NAME_PX = 90.0  # Largest width of a drive's name before a warning, pixels
 
 
 def curves(subject: Subject) -> list[Chart]:
@@ -106,8 +103,7 @@ def now_line(plane: Plane, t: float) -> str:
 
 ROWS_PX, ROW_PX, TOP_PX = 900.0, 20.0, 22.0
 LABEL_PX = 210.0
-MAX_ROWS = 12
-"""Largest number of rows of road users; the list of events beside the picture has all of them."""
+MAX_ROWS = 12  # Largest number of rows of road users; the list of events beside the picture has all of them
 CALM = tuple(STATUS_WORDS[status] for status in (PlanStatus.PLANNED, PlanStatus.CORRECTED))
 """Statuses that are not drawn as alarms."""
 

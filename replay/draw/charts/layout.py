@@ -29,12 +29,10 @@ LAYOUT: Mapping[str, tuple[str, ...]] = {
     "curves": ("curves",),
 }
 """Names of charts by their place in the page of a drive, from top to bottom."""
-OWN = "pictures"
-"""The place in the page for charts of users."""
+OWN = "pictures"  # The place in the page for charts of users
 TOGETHER = ("scene", "curves")
 """Charts that show several drives in one; the others are drawn for each drive, under its name."""
-BROKEN, BROKEN_PX = "broken", (440.0, 40.0)
-"""Name and size of the placeholder of a chart that could not be drawn."""
+BROKEN, BROKEN_PX = "broken", (440.0, 40.0)  # Name and size of the placeholder of a chart that could not be drawn
 
 
 def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:

@@ -12,8 +12,7 @@ from replay.draw.model import SL, ST, DrawnGraph, GraphKind, graph_axes
 
 WIDTH_PX, HEIGHT_PX = 440.0, 250.0
 MAX_LABELS = 6
-LABEL_PX = 12.0
-"""Smallest vertical distance between two labels."""
+LABEL_PX = 12.0  # Smallest vertical distance between two labels
 
 
 def st_graph(subject: Subject) -> Chart:

@@ -46,8 +46,7 @@ class RecordingContents:
         return 0.35 + 0.24 * len(self.lanes)
 
 
-NUMBERS = 0.032
-"""Share of the width of a panel that the numbers of its axis take, in a window of usual size."""
+NUMBERS = 0.032  # Share of the width of a panel that the numbers of its axis take, in a window of usual size
 
 
 def blueprint(contents: RecordingContents) -> rrb.Blueprint:

@@ -25,18 +25,13 @@ from replay.draw.recording.tape import Instants, PlaneWindow, Tape, joined, outl
 
 WIDTH, HEIGHT = 160.0, 96.0
 MARGIN_LEFT, MARGIN_BOTTOM, MARGIN_RIGHT, MARGIN_TOP = 15.0, 14.0, 7.0, 9.0
-LABEL_GAP = 7.0
-"""Labels nearer to each other in height than this are moved apart, view units."""
-LETTER = 1.9
-"""Width of a letter of a label in a window of usual size, view units."""
-STROKE = 0.8
-"""Distance of the strokes that fill an obstacle, view units."""
+LABEL_GAP = 7.0  # Labels nearer to each other in height than this are moved apart, view units
+LETTER = 1.9  # Width of a letter of a label in a window of usual size, view units
+STROKE = 0.8  # Distance of the strokes that fill an obstacle, view units
 MAX_LABELS = 8
 MOST_TICKS = 10
-FEW_LABELS = 3
-"""Ignored obstacles are labelled in frames with at most this many obstacles."""
-MAX_ROWS = 40
-"""A grid with more rows than this is thinned for drawing."""
+FEW_LABELS = 3  # Ignored obstacles are labelled in frames with at most this many obstacles
+MAX_ROWS = 40  # A grid with more rows than this is thinned for drawing
 NO_POINTS = np.empty((0, 2))
 
 

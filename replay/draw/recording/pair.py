@@ -37,8 +37,7 @@ DIFFERENCES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("Distance between them [m]", ("gap",)),
     ("B minus A", ("v", "a")),
 )
-APART_M = 0.5
-"""Drives that are farther apart than this look different."""
+APART_M = 0.5  # Drives that are farther apart than this look different
 MARK = 0xFF463CFF
 
 

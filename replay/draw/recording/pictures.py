@@ -45,8 +45,7 @@ from replay.draw.recording.tape import SIM_TIME
 from replay.results.tables import write_file, write_png
 
 Theme = Literal["dark", "light"]
-LAYOUTS = ("overview", "planner", "control")
-"""The tabs of a recording, each a whole window."""
+LAYOUTS = ("overview", "planner", "control")  # The tabs of a recording, each a whole window
 LOOPBACK = "127.0.0.1"
 CLOSED = f"http://{LOOPBACK}:9"
 """A proxy that does not exist: port 9 (discard, RFC 863) has no server on current systems."""
@@ -91,15 +90,11 @@ def in_use(port: int) -> bool:
     return False
 
 
-TIMEOUT_S = 60.0
-"""Time limit for the start of the viewer, for loading, and for each picture."""
+TIMEOUT_S = 60.0  # Time limit for the start of the viewer, for loading, and for each picture
 PAUSE_S = 0.3
-HEADER_PX = 36
-"""Height of the viewer's header."""
-AWAY = (1, 1)
-"""Final position of the pointer: in the header, which is cut off."""
-FRAMES_PER_S = 10.0
-"""The usual planning rate."""
+HEADER_PX = 36  # Height of the viewer's header
+AWAY = (1, 1)  # Final position of the pointer: in the header, which is cut off
+FRAMES_PER_S = 10.0  # The usual planning rate
 BY_PILLOW, BY_FFMPEG = (".gif",), (".mp4", ".mkv", ".mov", ".webm")
 """Suffixes of videos that Pillow writes, and those that need ffmpeg."""
 EVEN = "pad=ceil(iw/2)*2:ceil(ih/2)*2"

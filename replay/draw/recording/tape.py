@@ -108,10 +108,8 @@ def application_name(words: str) -> str:
 
 SIM_TIME = "sim_time"
 FRAME = "frame"
-SPACER = "room"
-"""Entity of an empty text view that reserves layout space."""
-REMOVED = "world/removed"
-"""Entity of the tracks that a repair of the log removed."""
+SPACER = "room"  # Entity of an empty text view that reserves layout space
+REMOVED = "world/removed"  # Entity of the tracks that a repair of the log removed
 NO_NAMES = ShortNames(())
 CHUNK_BYTES = 1 << 20
 

@@ -15,11 +15,9 @@ from replay.draw.model import Span, widened
 from replay.draw.report.contents import DriveRow, MetricColumn, PassShare
 
 WIDTH_PX, WIDE_PX, ROW_PX = 440.0, 640.0, 19.0
-LABEL_SHARE = 0.4
-"""The largest share of the width for names."""
+LABEL_SHARE = 0.4  # The largest share of the width for names
 MAX_SHARES, MAX_PAIRS = 40, 20
-FEW = 5
-"""A box of quartiles is drawn for more values than this."""
+FEW = 5  # A box of quartiles is drawn for more values than this
 
 
 def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:

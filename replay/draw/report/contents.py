@@ -70,8 +70,7 @@ COLUMNS = (
 )
 """Columns of the open loop first; the end of the closed loop is shown before the columns of the closed loop."""
 
-FREE = "*"
-"""Mark of a pass without an interaction (`metrics.judge.discrimination`)."""
+FREE = "*"  # Mark of a pass without an interaction (`metrics.judge.discrimination`)
 LEGEND = (
     ("open", "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s."),
     ("closed", f"{FREE}: no interaction: a blind driver passes this log, too, as nothing was in the way."),
@@ -124,8 +123,7 @@ ANSWERED: tuple[tuple[str, Callable[[list[float]], str]], ...] = (
     ("nuplan_closed.score.final", lambda v: f"nuPlan's score {sum(v) / len(v):.2f}"),
 )
 """Metric of the closed loop, and its values over the logs in words: the answer of a report."""
-MOST_FIRST = 3
-"""Number of drives that a report shows first."""
+MOST_FIRST = 3  # Number of drives that a report shows first
 
 
 @dataclass(frozen=True)

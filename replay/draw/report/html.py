@@ -40,10 +40,8 @@ from replay.results.tables import safe_name, write_text
 
 T = TypeVar("T")
 
-MOST_MOVED = 6
-"""Largest number of metrics of a comparison that are drawn."""
-MOST_EVENTS = 60
-"""Largest number of events that are listed; the page gives the number of the others."""
+MOST_MOVED = 6  # Largest number of metrics of a comparison that are drawn
+MOST_EVENTS = 60  # Largest number of events that are listed; the page gives the number of the others
 _WEIGHT = {outcome.value: weight for weight, outcome in enumerate(Outcome)}
 
 

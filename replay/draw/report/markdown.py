@@ -22,10 +22,8 @@ T = TypeVar("T")
 
 STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
 """The environment variable with the path of the file that CI shows as the summary of a step."""
-STEP_BYTES = 1 << 20
-"""GitHub's limit for a step summary; it shows nothing of a longer one."""
-MAX_OPEN = 25
-"""Longest table or list that is not folded."""
+STEP_BYTES = 1 << 20  # GitHub's limit for a step summary; it shows nothing of a longer one
+MAX_OPEN = 25  # Longest table or list that is not folded
 
 
 def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:

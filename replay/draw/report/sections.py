@@ -21,8 +21,7 @@ from metrics.judge.gates import Outcome
 from metrics.judge.verdicts import DRIVE
 from replay.draw.report.contents import BROKEN, NOTHING, Cell, GateRow, Overview, PassShare, legend, worst_flips
 
-MOST_ROWS = 30
-"""Largest number of drives in a terminal."""
+MOST_ROWS = 30  # Largest number of drives in a terminal
 MOST_PAIRS, MOST_GROUPS = 50, 80
 """Largest numbers of regressions and improvements, and of means over groups of logs, that are kept."""
 

@@ -110,9 +110,7 @@ class QuadraticProgram:
         """Replace the stored entries of A `(nnz,)`, in the order of its columns (`A.data`, sorted indices).
 
         The scale of the rows stays that of the set-up.
-
-        Raises:
-            ValueError: The number of entries differs, or one is not finite.
+        ValueError if the number of entries differs, or one is not finite.
         """
         if values.shape != self._A.data.shape or not np.isfinite(values).all():
             raise ValueError(f"A has {len(self._A.data)} entries, got {values.shape}, or one that is not finite")

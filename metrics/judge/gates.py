@@ -247,9 +247,7 @@ def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
 def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> tuple[GateRule, ...]:
     """Load the rules of a TOML file; the packaged rules if it has none, or for None.
 
-    Raises:
-        ConfigError: The file cannot be read, a key or metric is unknown, or a rule is contradictory; names file and
-            rule.
+    ConfigError if the file cannot be read, a key or metric is unknown, or a rule is contradictory; names file and rule.
     """
     return _read_tables(path, "compare", GateRule, metrics)[1] or _read_tables(None, "compare", GateRule, metrics)[1]
 
@@ -259,8 +257,7 @@ def _read_tables(
 ) -> tuple[str, tuple[R, ...]]:
     """Return the name of a file of gates (None: the packaged one), and its tables [[gate]] or [[compare]] as objects.
 
-    Raises:
-        ConfigError: The file cannot be read, has other tables, or a table has an invalid key, value or metric.
+    ConfigError if the file cannot be read, has other tables, or a table has an invalid key, value or metric.
     """
     source = "default gates" if path is None else str(path)
     content = read_toml(Path(__file__).with_name("default_gates.toml") if path is None else path)

@@ -53,8 +53,7 @@ def commonroad_solution(trace: Path, cost: str = COSTS[0]) -> str:
 def solutions(run: Path, cost: str = COSTS[0]) -> tuple[dict[str, str], list[str]]:
     """The solution files of the closed drives of a run by name, and why other closed drives have none.
 
-    Raises:
-        ConfigError: The path is not a result folder.
+    ConfigError if the path is not a result folder.
     """
     results, found, skipped = load(run), dict[str, str](), list[str]()
     closed = results.drives.loc[results.drives["mode"] == "closed", ["log", "planner"]]

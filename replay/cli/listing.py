@@ -60,9 +60,7 @@ def entries(kind: str) -> tuple[ListedName, ...]:
 def described(name: str) -> list[DescribedName]:
     """A name in each kind that has it, or a planner, controller ... "module:NAME" of a user.
 
-    Raises:
-        ConfigError: Nothing has this name.
-        PlannerError: The user's module cannot be imported.
+    ConfigError if nothing has this name; PlannerError if the user's module cannot be imported.
     """
     if all(name.partition(":")):
         thing = ANY.find(name)

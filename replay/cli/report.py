@@ -26,8 +26,7 @@ EXIT_CODES = (
 def load_baseline(path: Path, run: RunConfig, gates: Path | None, out: Path | None) -> Run:
     """Read the run to compare with, and the rules, before anything is driven, so that an error in them is found first.
 
-    Raises:
-        ConfigError: One of them cannot be read, or the baseline lies in the result folder.
+    ConfigError if one of them cannot be read, or the baseline lies in the result folder.
     """
     from metrics.judge.gates import load_rules
     from replay.compare import read_run

@@ -68,11 +68,7 @@ LINE_M, LABEL_PX = 0.1, 12.0
 
 
 def scenario_channels(scenario: Scenario, markers: Sequence[Marker] = ()) -> Iterator[Entry]:
-    """The messages of a log, with its markers.
-
-    Raises:
-        LogError: A log time is before the epoch.
-    """
+    """The messages of a log, with its markers; LogError if a log time is before the epoch."""
     start = scenario.start_ns
     begun = sorted(markers, key=lambda one: one.begin)
     times = log_times(np.array([one.begin for one in begun]), start, "/foxglove/events")

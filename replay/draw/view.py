@@ -41,10 +41,7 @@ def write_index(path: Path, folder: Path, most: int) -> list[Path]:
     """Write the index of a folder; returns the recordings of the worst drives, at most `most`, the worst last.
 
     The viewer shows the recording that was opened last, and lists recordings by name.
-
-    Raises:
-        ConfigError: The folder is not a result folder.
-        OutputError: The file cannot be written.
+    ConfigError if the folder is not a result folder; OutputError if the file cannot be written.
     """
     over = overview(load(folder))
     rows = over.ranked
@@ -117,8 +114,7 @@ def to_open(target: Path, found: list[Path], folder: Path, *, index: bool) -> li
 def choose_pair(one: Path, two: Path, found: list[Path], others: list[Path]) -> tuple[Path, Path]:
     """The recordings of two drives: two files, or those in `found` and `others` at the same place in two folders.
 
-    Raises:
-        ConfigError: There is no such pair, or there are several.
+    ConfigError if there is no such pair, or there are several.
     """
     if one.is_file() and two.is_file():
         return one, two
@@ -153,9 +149,7 @@ def save_log(
 ) -> None:
     """Write a log of any format as a recording, with its markers.
 
-    Raises:
-        LogError: The log cannot be read.
-        OutputError: The recording cannot be written.
+    LogError if the log cannot be read; OutputError if the recording cannot be written.
     """
     scenario = read_log(log, settings)
     write_log_recording(out, scenario, markers(scenario))

@@ -55,8 +55,7 @@ def cones_hit(places: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray,
 def cone_path(sections: tuple[iso3888.ConeLane, ...], car: VehicleParameters) -> FloatArray:
     """The path (1) `(n, 2)` of the rear axle, STEP_M apart in x.
 
-    Raises:
-        ConfigError: The vehicle does not fit between the cones.
+    ConfigError if the vehicle does not fit between the cones.
     """
     x = np.arange(-BEFORE_M, sections[-1].end + AFTER_M + 0.5 * STEP_M, STEP_M)
     n = len(x)

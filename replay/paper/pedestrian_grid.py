@@ -220,8 +220,7 @@ def grid(
 ) -> pd.DataFrame:
     """The table, a row per cell in their order; the same whatever the number of `workers` (0: in this process).
 
-    Raises:
-        PlannerError: A worker died.
+    PlannerError if a worker died.
     """
     rows: dict[int, dict[str, object]] = {}
     found = run_all(measured, cells, workers) if workers else ((i, measured(cell)) for i, cell in enumerate(cells))

@@ -165,8 +165,7 @@ def planned_points(trace: Trace) -> FloatArray:
 def blocked_moments(frames: Sequence[PlannedFrame]) -> list[tuple[str, PlannedFrame]]:
     """The first frame in which an agent is in the S-T graph, the middle one, and the first one after the last.
 
-    Raises:
-        ConfigError: No agent is ever in the S-T graph, or one is until the end.
+    ConfigError if no agent is ever in the S-T graph, or one is until the end.
     """
     graphs = [[one for one in frame.plan.internals if isinstance(one, StGraph)] for frame in frames]
     blocked = [i for i, some in enumerate(graphs) if any(graph.obstacles for graph in some)]

@@ -315,8 +315,7 @@ def arrow_schema(file: str) -> pa.Schema:
 def arrow(file: str, table: pd.DataFrame) -> pa.Table:
     """The table with the types of its schema, even without rows; other files get the types of pandas.
 
-    Raises:
-        KeyError: It has a column that the schema does not know.
+    KeyError if it has a column that the schema does not know.
     """
     if file not in TABLES:
         return pa.Table.from_pandas(table, preserve_index=False)

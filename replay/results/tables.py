@@ -182,8 +182,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 def next_free() -> Path:
     """Create the first of `results/run-001`, `results/run-002`, ... that does not exist.
 
-    Raises:
-        ConfigError: The folder cannot be created.
+    ConfigError if the folder cannot be created.
     """
     for number in count(1):
         out = Path("results", f"run-{number:03d}")

@@ -128,11 +128,7 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
 
 
 def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
-    """The built-in metrics and the run's own.
-
-    Raises:
-        ConfigError: A metric cannot be loaded, or has the name of another.
-    """
+    """The built-in metrics and the run's own; ConfigError if a metric cannot be loaded, or has the name of another."""
     found = dict(METRICS)
     for metric in map(load_metric, run.metrics):
         if metric.name in found:

@@ -300,9 +300,7 @@ def begun_in(out: Path, sources: Iterable[str]) -> Path:
 def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Scenario:
     """The driven part of the log of a row of `Results.logs`: of the copy in the results, otherwise of the original.
 
-    Raises:
-        ConfigError: The log was moved or changed.
-        LogError: The log cannot be read.
+    ConfigError if the log was moved or changed; LogError if the log cannot be read.
     """
     folder = str(row.get("folder", ""))
     if folder and (out / folder / "log.mcap").is_file():

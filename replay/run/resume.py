@@ -64,8 +64,7 @@ def stamp_of(run: RunConfig, also: Iterable[tuple[ExtensionKind[Any], str]] = ()
 def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Stamp) -> dict[int, LogResult]:
     """The results that an interrupted run left in `out`, by index of their source; removes unfinished folders.
 
-    Raises:
-        ConfigError: `out` is not an interrupted run of these logs with this configuration and this code.
+    ConfigError if `out` is not an interrupted run of these logs with this configuration and this code.
     """
     folders = [folder for folder in sorted(out.iterdir()) if (folder / LOG_CARD).is_file()]
     if folders or (out / "run.toml").is_file():

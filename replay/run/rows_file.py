@@ -30,10 +30,7 @@ def rows_file(path: Path) -> Iterator[Callable[[pd.DataFrame], None]]:
     """The function that writes rows as .csv, .parquet or .json, by the suffix of a claimed file.
 
     An earlier file is replaced if it has the same columns.
-
-    Raises:
-        ConfigError: The file must not be written.
-        OutputError: It cannot be written.
+    ConfigError if the file must not be written; OutputError if it cannot be written.
     """
     with claimed_file(path, tuple(WRITERS), lambda file: True) as file:
 

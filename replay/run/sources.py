@@ -172,8 +172,7 @@ def named_suite(name: str) -> Selection:
 def suite_file(path: Path) -> list[Path | str]:
     """The logs that a suite's file names: TOML with one key, `logs`, a list of paths (relative to the file) or URLs.
 
-    Raises:
-        ConfigError: It cannot be read, or has other keys.
+    ConfigError if it cannot be read, or has other keys.
     """
     table = read_toml(path)
     logs = table.get("logs")
@@ -194,9 +193,7 @@ def select(
     are left out: the same bytes, or the same drive in another container or under another name, if the reader knows
     its span without reading it. With `window`, each log is split into windows of this length, s, that begin every
     `every` s (by default `window`).
-
-    Raises:
-        ConfigError: A path does not exist, no reader knows its format, or no log is left.
+    ConfigError if a path does not exist, no reader knows its format, or no log is left.
     """
     settings = settings or LogSettings()
     kept: dict[str, LogSource] = {}

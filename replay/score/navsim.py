@@ -134,8 +134,7 @@ class ScoredWindow:
 def window(scenario: Scenario, t: float) -> ScoredWindow:
     """Return the window of a log that begins at `t`, s.
 
-    Raises:
-        ConfigError: The log has no lanes, its driver is on none of them, or it does not last for 4 s more.
+    ConfigError if the log has no lanes, its driver is on none of them, or it does not last for 4 s more.
     """
     lanes = None if scenario.road.source is RoadSource.DRIVEN_PATH else lane_map(scenario.road)
     if lanes is None:

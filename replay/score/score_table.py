@@ -42,8 +42,7 @@ class ScoreTable:
 def nuplan_table(results: Results) -> ScoreTable:
     """Return nuPlan's closed-loop scores of the drives of a run.
 
-    Raises:
-        ConfigError: The run has no closed loop, or was made without the metric.
+    ConfigError if the run has no closed loop, or was made without the metric.
     """
     found = results.metrics
     found = found[found["metric"].str.match(r"nuplan_closed\.\w+\.final") & (found["mode"] == "closed")]

@@ -54,8 +54,7 @@ class Asked:
 def read_table(path: Path) -> pd.DataFrame:
     """Read the table of a file.
 
-    Raises:
-        ConfigError: The file cannot be read, lacks a column, or has a value that is no number.
+    ConfigError if the file cannot be read, lacks a column, or has a value that is no number.
     """
     check_regular(path)
     if path.suffix not in (".csv", ".parquet"):

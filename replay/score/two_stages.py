@@ -37,8 +37,7 @@ def weights(end: FloatArray, begins: FloatArray) -> FloatArray:
 def two_stages(rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str, Scenario]) -> pd.DataFrame:
     """Return the rows of plans with their stage, the token that they follow, and their weight.
 
-    Raises:
-        ConfigError: Two plans of an agent have one token; a plan follows none of stage one.
+    ConfigError if two plans of an agent have one token; a plan follows none of stage one.
     """
     rows = rows.copy()
     rows[FOLLOWS], rows[WEIGHT] = [one.stage_one for one in asked], 1.0

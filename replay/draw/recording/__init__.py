@@ -117,8 +117,7 @@ def _draw_part(
 def write_log_recording(path: Path, scenario: Scenario, markers: Sequence[Marker] = ()) -> None:
     """Write a log by itself: the scene, the ego's speed, acceleration and steering, and markers on the timeline.
 
-    Raises:
-        OutputError: The file cannot be written.
+    OutputError if the file cannot be written.
     """
     trace = Trace(scenario.name, "log", Mode.OPEN, False, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG)
     times = scene_times(trace, scenario.duration)

@@ -161,8 +161,7 @@ class Tape:
     ) -> None:
         """Write one row per instant, with `counts` `(n,)` instances (None: one instance per row).
 
-        Raises:
-            ValueError: The counts do not add up to the instances of a column.
+        ValueError if the counts do not add up to the instances of a column.
         """
         kept = list(columns)
         if counts is not None:
@@ -216,10 +215,7 @@ def recording_file(
 ) -> Iterator[Tape]:
     """An open recording under a temporary name, renamed when it is complete; errors of the library are raised.
 
-    Its texts use the names `short`.
-
-    Raises:
-        OutputError: The file cannot be written.
+    Its texts use the names `short`. OutputError if the file cannot be written.
     """
     unfinished = path.with_name(f".{path.name}.part")
     with writing(path):

@@ -35,11 +35,8 @@ class ChosenDrive(NamedTuple):
 def matching_drives(results: Results, log: str | None, planner: str | None, mode: opt.Loop | None) -> list[DriveResult]:
     """The drives of a run that fit some options.
 
-    Args:
-        results: The run.
-        log: Name of a log, or a part of it (`named_logs`); None: any.
-        planner: Name of a planner; None: any.
-        mode: "open" or "closed"; "both" and None: either.
+    `log`: name of a log, or a part of it (`named_logs`); None: any. `planner`: name of a planner; None: any. `mode`:
+    "open" or "closed"; "both" and None: either.
 
     Raises:
         ConfigError: None fits.

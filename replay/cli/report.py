@@ -43,14 +43,8 @@ def finish_run(
 ) -> int:
     """Write the reports of a run, print its report, and return the exit code.
 
-    Args:
-        results: The run.
-        before: The run to compare with.
-        url: The URL to which the results are sent; "" if they stay in their folder.
-        gates: The file of thresholds and rules; None: the packaged ones.
-        as_json: Print one JSON document.
-        quiet: Print only the outcome.
-        report: Write the report files.
+    `url`: the URL to which the results are sent; "" if they stay in their folder. `gates`: the file of thresholds and
+    rules; None: the packaged ones.
     """
     from replay.api import finished
     from replay.cli.compare import print_tables

@@ -493,12 +493,7 @@ def in_full(
 ) -> IntArray:
     """Rows of the agents drawn in full, increasing: the `NEAREST` within `NEAR_M`, and those with a decision.
 
-    Args:
-        ids: `(n,)`.
-        x: World coordinate, m, `(n,)`.
-        y: World coordinate, m, `(n,)`.
-        about: The agents that the plan decides about.
-        ego: Position of the ego.
+    `ids`: `(n,)`. `x`: world coordinate, m, `(n,)`. `y`: world coordinate, m, `(n,)`.
     """
     if len(ids) <= NEAREST:
         return np.arange(len(ids))

@@ -91,11 +91,8 @@ def recordings(target: Path, log: str | None = None) -> list[Path]:
 def to_open(target: Path, found: list[Path], folder: Path, *, index: bool) -> list[Path]:
     """The files to open: the recordings of a folder, at most `MOST`, or the index and those of the worst drives.
 
-    Args:
-        target: A folder of results, or any folder with recordings.
-        found: The recordings.
-        folder: Folder for the index.
-        index: Whether to write and open the index of a result folder.
+    `target`: a folder of results, or any folder with recordings. `index`: whether to write and open the index of a
+    result folder.
 
     Raises:
         ConfigError: There are too many.
@@ -158,11 +155,7 @@ def save_log(
 def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int = 9090) -> None:
     """Run the viewer on recordings until it is closed; it listens on this machine only.
 
-    Args:
-        files: The recordings.
-        memory_limit: Memory of the viewer ("2GB", "50%").
-        web: Show them in the browser.
-        port: Port of the page, with `web`.
+    `memory_limit`: memory of the viewer ("2GB", "50%"). `port`: port of the page, with `web`.
 
     Raises:
         ConfigError: The port is in use.

@@ -71,11 +71,8 @@ def pedals_figure(
 ) -> Chart:
     """Fig. 12: throttle, brake and speed over time; braking intervals shaded, with their duration.
 
-    Args:
-        trace: A closed loop.
-        braking: Begin and end of each braking interval, s.
-        clear: Time at which the walker has left the path, s.
-        limits: Limits of the time axis, s.
+    `braking`: begin and end of each braking interval, s. `clear`: time at which the walker has left the path, s.
+    `limits`: limits of the time axis, s.
     """
     asked, done = trace.commands, trace.actuation
     if asked is None or done is None:

@@ -37,12 +37,8 @@ class GarbageError(Exception):
 class Channel(Generic[T]):
     """Sends any message, and receives messages of one type.
 
-    Args:
-        into: Descriptor from which the other side reads.
-        out: Descriptor to which it writes.
-        stderr: Descriptor to which it prints, read meanwhile so that it never blocks; -1: none.
-        kind: Type of the received messages.
-        patient: Whether this side waits without deadlines, as a planner does.
+    `into`: descriptor from which the other side reads. `stderr`: descriptor to which it prints, read meanwhile so that
+    it never blocks; -1: none. `patient`: whether this side waits without deadlines, as a planner does.
     """
 
     def __init__(self, into: int, out: int, kind: Any, stderr: int = -1, *, patient: bool = False) -> None:

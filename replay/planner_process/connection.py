@@ -103,11 +103,8 @@ def _open(spec: str, limits: PlannerProcessConfig, load: Load | None = None) -> 
 class Connection:
     """The connection to a planner that is started or reached for one drive, or for a batch of drives.
 
-    Args:
-        spec: "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
-        limits: Limits of time and memory.
-        load: The module and settings that a Python planner loads.
-        drives: Number of drives that it serves; the time limit of a drive is multiplied by it.
+    `spec`: "module:Class", "exec:COMMAND" or "tcp://HOST:PORT". `load`: the module and settings that a Python planner
+    loads. `drives`: number of drives that it serves; the time limit of a drive is multiplied by it.
 
     Raises:
         ConfigError: The command or address is invalid.

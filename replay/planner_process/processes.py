@@ -97,11 +97,8 @@ class Process:
 def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfig, load: Load | None = None) -> Process:
     """A new process of a program or of a Python planner (`replay.planner_process.child`).
 
-    Args:
-        argv: The program and its arguments; None: a Python planner.
-        kind: The type of its answers.
-        limits: Limits of its memory, and of the time to load its template.
-        load: The planner of its template, within a run; None: it starts without a template.
+    `argv`: the program and its arguments; None: a Python planner. `limits`: limits of its memory, and of the time to
+    load its template. `load`: the planner of its template, within a run; None: it starts without a template.
 
     Raises:
         ConfigError: The system cannot pass descriptors between processes.

@@ -185,12 +185,8 @@ class Stamp:
 def write_result(folder: Path, result: LogResult, tables: LogTables, identity: str, stamp: Stamp) -> None:
     """Write a result into its (still unfinished) folder.
 
-    Args:
-        folder: The folder, which already contains the files of the drives.
-        result: The result.
-        tables: Its tables.
-        identity: Identity of the input (`LogSource.identity`).
-        stamp: Version and code of replan.
+    `folder`: the folder, which already contains the files of the drives. `identity`: identity of the input
+    (`LogSource.identity`).
     """
     write_parquet(folder / METRICS, tables.metrics)
     write_parquet(folder / TIMINGS, tables.timings)
@@ -248,9 +244,6 @@ class Steps:
 
 class StepsFile:
     """Stores the steps of metrics until all drives of a log are complete.
-
-    Args:
-        folder: The unfinished folder of the log.
 
     Raises:
         OutputError: The file cannot be written; every method may raise it.

@@ -42,10 +42,7 @@ T = TypeVar("T")
 def read_json(file: Path, kind: type[T], again: str = AGAIN) -> tuple[dict[str, Any], T]:
     """The contents of a JSON file, as they are and as a type.
 
-    Args:
-        file: The file.
-        kind: The type of its contents, a Struct; further keys are allowed.
-        again: What the user can do.
+    `kind`: the type of its contents, a Struct; further keys are allowed.
 
     Raises:
         ConfigError: It cannot be read, is of another version, or not of the type.
@@ -75,11 +72,7 @@ def checked(file: Path, found: Any, kind: type[T], again: str) -> tuple[dict[str
 def read_table(file: Path, without: Sequence[str] = (), again: str = AGAIN, *, words: Sequence[str] = ()) -> pa.Table:
     """A table, checked by the schema of its name; columns that the schema does not know are left out.
 
-    Args:
-        file: The file.
-        without: Columns that it may lack.
-        words: Columns of few different texts, which are read as dictionaries.
-        again: What the user can do.
+    `words`: columns of few different texts, which are read as dictionaries.
 
     Raises:
         LogError: It cannot be read, or is not as replan writes it.

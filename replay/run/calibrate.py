@@ -28,11 +28,8 @@ def calibrate(
 ) -> tuple[Path, Path]:
     """Write `calibration.csv` and `.png` of a vehicle into a folder.
 
-    Args:
-        out: The folder; it is created if needed.
-        model: Name of a vehicle model.
-        car: Name of a set of parameters in `logs/vehicles`; None: that of the configuration, else the default vehicle.
-        config: A run's configuration, of which [vehicle] is used.
+    `out`: the folder; it is created if needed. `car`: name of a set of parameters in `logs/vehicles`; None: that of the
+    configuration, else the default vehicle. `config`: a run's configuration, of which [vehicle] is used.
 
     Raises:
         ConfigError: A name is unknown, the model has no power train, or the folder must not be written.

@@ -152,11 +152,8 @@ def claimed_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], 
 def check_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool]) -> Path:
     """Return the path of a file, of which the folder is created; ConfigError if a command must not write it.
 
-    Args:
-        path: The file.
-        suffixes: Allowed ends of its name.
-        is_ours: Whether an earlier file has the header of the command; it is then replaced. It may raise OSError or
-            ValueError.
+    `is_ours`: whether an earlier file has the header of the command; it is then replaced. It may raise OSError or
+    ValueError.
     """
     path = on_this_machine(path)
     if path.suffix not in suffixes:

@@ -73,11 +73,8 @@ class ReplannedFrame:
 def replan_frame(drive: DriveResult, at: float, planner: str | None = None, *, debug: bool = False) -> ReplannedFrame:
     """Drive up to a frame as the run did, in this process, and plan it again.
 
-    Args:
-        drive: A drive of a run.
-        at: Time, s; the last frame that is not later is planned again.
-        planner: Another planner, which gets this frame only; None: the drive's own.
-        debug: Open the debugger before the frame is planned.
+    `at`: time, s; the last frame that is not later is planned again. `planner`: another planner, which gets this frame
+    only; None: the drive's own. `debug`: open the debugger before the frame is planned.
 
     Raises:
         ConfigError: There is no such frame; the log was moved or changed; the planner is a program, or an oracle.

@@ -313,11 +313,7 @@ def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Sce
 def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenario:
     """The original log that a run read.
 
-    Args:
-        out: The result folder.
-        source: The log's path or URL as it was given.
-        digest: SHA-256 of its bytes.
-        settings: The settings for reading it.
+    `source`: the log's path or URL as it was given. `digest`: SHA-256 of its bytes.
 
     Raises:
         ConfigError: The log was moved or changed.

@@ -85,14 +85,8 @@ def write_card(
 ) -> None:  # fmt: skip
     """Write `shard.json` into a shard's folder, which marks it as complete.
 
-    Args:
-        out: The folder.
-        shard: Which it is.
-        whole: The logs of all shards.
-        run: The configuration of the drives.
-        stamp: Version and code on which the results depend.
-        failures: Failures that are not about a log.
-        results: Results in the order of the shard's logs, under the names in their own folders.
+    `stamp`: version and code on which the results depend. `results`: results in the order of the shard's logs, under
+    the names in their own folders.
     """
     card: dict[str, Any] = {
         **asdict(shard),

@@ -69,11 +69,7 @@ def navsim_table(
 ) -> ScoreTable:
     """Return NAVSIM's scores of plans.
 
-    Args:
-        name: A name of `VERSIONS`.
-        asked: The plans.
-        logs: Their logs by name.
-        on_plan: Called after each plan.
+    `name`: a name of `VERSIONS`.
 
     Raises:
         ConfigError: There are no plans; a window does not fit its log.

@@ -84,10 +84,7 @@ def read_table(path: Path) -> pd.DataFrame:
 def of_table(path: Path, logs: Mapping[str, Scenario], *, relative: bool) -> list[Asked]:
     """Return the plans of a file, for logs by name.
 
-    Args:
-        path: The file.
-        logs: Logs by name.
-        relative: Whether poses are relative to the ego at the begin of their window.
+    `relative`: whether poses are relative to the ego at the begin of their window.
 
     Raises:
         ConfigError: As `read_table`; a window has not eight poses, or one that is `FARTHEST_M` away; a log is unknown.

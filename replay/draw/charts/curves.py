@@ -55,15 +55,8 @@ def panel_chart(
 ) -> Chart:  # fmt: skip
     """The curves of a panel.
 
-    Args:
-        panel: The panel; curves without a class are not drawn.
-        x: Range of the axis.
-        shaded: Intervals that are shaded, each with a word above, and in a tooltip why.
-        now: A time that is marked.
-        kinds: The classes of the curves.
-        shade: The class of the intervals.
-        x_title: Title of the axis.
-        size: Pixels.
+    `panel`: the panel; curves without a class are not drawn. `shaded`: intervals that are shaded, each with a word
+    above, and in a tooltip why. `size`: pixels.
     """
     plane = Plane(x, panel.range, *size)
     shown = list(zip(panel.curves, kinds, strict=False))

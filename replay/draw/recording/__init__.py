@@ -45,12 +45,8 @@ def write_recording(
 ) -> None:
     """Write one drive as a recording: scene, graphs, curves, decisions and the reasons for them.
 
-    Args:
-        path: The .rrd file; it appears only when it is complete.
-        drive: The trace and the stage times.
-        scenario: The log that was driven.
-        table: Rows of `metrics.evaluate` for this trace; None: no metrics in the summary.
-        steps: Rows of `metrics.series` for this trace; None: no curves of metrics.
+    `path`: the .rrd file; it appears only when it is complete. `table`: rows of `metrics.evaluate` for this trace;
+    None: no metrics in the summary. `steps`: rows of `metrics.series` for this trace; None: no curves of metrics.
 
     Raises:
         OutputError: The file cannot be written.

@@ -283,10 +283,7 @@ def _label_style(colour: int | None) -> rr.Points2D:
 def label_position(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
     """The position of a label that does not cover its obstacle: above its left end, otherwise below it.
 
-    Args:
-        strokes: Visible part `(k, 2, 2)` of the obstacle, from left to right, x relative to the begin of the graph.
-        letters: Length of the label.
-        axes: The axes of the graph.
+    `strokes`: visible part `(k, 2, 2)` of the obstacle, from left to right, x relative to the begin of the graph.
     """
     kx, ky = axes.scale
     half, tall = 0.5 * LETTER * letters / kx, LABEL_GAP / ky

@@ -53,11 +53,7 @@ def why(
 ) -> list[str]:
     """The page of a frame: the plan and its causes, then decisions, lanes and candidates.
 
-    Args:
-        frame: The plan.
-        explained: Its explanation.
-        missing: Agents that are near but were not shown to the planner, and their distances, m.
-        change: The lane change that is under way.
+    `missing`: agents that are near but were not shown to the planner, and their distances, m.
     """
     plan, course = frame.plan, explained.account.course
     words = [] if plan.status is PlanStatus.PLANNED else [STATUS_WORDS[plan.status]]

@@ -44,12 +44,6 @@ MARK = 0xFF463CFF
 def write_pair(path: Path, recordings: tuple[Path, Path], traces: tuple[Trace, Trace], names: tuple[str, str]) -> None:
     """Write two recordings as one.
 
-    Args:
-        path: The .rrd file.
-        recordings: A and B.
-        traces: The traces of A and B.
-        names: The names of A and B in the window.
-
     Raises:
         ConfigError: The drives are of different logs.
         OutputError: The file cannot be written.

@@ -138,11 +138,7 @@ def take_pictures(
 ) -> list[str]:
     """Take pictures of a recording.
 
-    Args:
-        recording: The .rrd file.
-        pictures: The pictures to take, in this order.
-        size: Size of a picture of the whole window, pixels: WIDTHxHEIGHT.
-        theme: Theme of the viewer.
+    `size`: size of a picture of the whole window, pixels: WIDTHxHEIGHT.
 
     Returns:
         The viewer's reports about its views after the last picture, one line each; empty for a healthy recording.
@@ -313,12 +309,7 @@ def _connect(port: int, alive: Callable[[], None]) -> Any:
 def click_theme(theme: Theme, binary: Path, port: int, variables: Mapping[str, str], timeout: float) -> str:
     """Click a theme in the settings, which must be visible; returns the error, "" if there is none.
 
-    Args:
-        theme: The theme.
-        binary: The executable of the viewer.
-        port: The port of the running viewer.
-        variables: The environment.
-        timeout: Time limit, s.
+    `timeout`: time limit, s.
     """
     actions = [
         {"name": "wait_for", "args": {"label_contains": theme.title()}},

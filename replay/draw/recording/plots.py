@@ -194,12 +194,7 @@ class LaneChange:
 
 
 def changes_under_way(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list[LaneChange | None]:
-    """For each frame the lane change that is under way: from its decision until the ego has left its lane.
-
-    Args:
-        frames: The frames of the trace.
-        lanes: The lane under the ego at each of them.
-    """
+    """For each frame the lane change that is under way: from its decision until the ego has left its lane."""
     out: list[LaneChange | None] = []
     change, left = None, None
     for frame, lane in zip(frames, lanes, strict=True):

@@ -300,11 +300,8 @@ def _edges(points: FloatArray, lengths: IntArray) -> tuple[FloatArray, FloatArra
 def strokes(points: FloatArray, lengths: IntArray, window: PlaneWindow, spacing: float) -> tuple[FloatArray, IntArray]:
     """The vertical strokes that fill closed outlines inside a window.
 
-    Args:
-        points: `(m, 2)` corners, outline after outline.
-        lengths: `(n,)` corners of each outline, at least 1.
-        window: The visible part; strokes lie on its vertical lines and end at its borders.
-        spacing: Distance of the lines, in units of x.
+    `points`: `(m, 2)` corners, outline after outline. `lengths`: `(n,)` corners of each outline, at least 1. `window`:
+    the visible part; strokes lie on its vertical lines and end at its borders.
 
     Returns:
         The strokes `(k, 2, 2)` from bottom to top, and the outline `(k,)` of each, sorted by outline, then x, then y.

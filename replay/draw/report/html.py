@@ -75,11 +75,8 @@ class Attempts:
 def write_html(overview: Overview, results: Results, path: Path, *, drives: int = 100) -> tuple[str, ...]:
     """Write the report as one HTML file; the same run gives the same bytes.
 
-    Args:
-        overview: The overview of the results, with its comparison, if there is one.
-        results: The run.
-        path: The file; links to recordings are relative to it.
-        drives: The number of drives with a page, the worst first; the table has all of them.
+    `overview`: the overview of the results, with its comparison, if there is one. `path`: the file; links to recordings
+    are relative to it. `drives`: the number of drives with a page, the worst first; the table has all of them.
 
     Returns:
         A sentence for each chart that could not be drawn, with the number of drives.
@@ -262,11 +259,7 @@ class DrivePage:
 def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> DrivePage:
     """The page of a log and a planner; the pictures are of the loop in which a gate failed, the closed one first.
 
-    Args:
-        results: The run.
-        row: Its row in the overview.
-        anchor: Its id in the report.
-        page: The file of the report: links are relative to it.
+    `page`: the file of the report: links are relative to it.
     """
     mine = results.drives[(results.drives["log"] == row.log) & (results.drives["planner"] == row.planner)]
     drives = [results.drive(row.log, row.planner, mode) for mode in ("closed", "open") if mode in set(mine["mode"])]

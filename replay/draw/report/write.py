@@ -152,10 +152,7 @@ MARKDOWN, JUNIT, HTML = REPORTS
 def write_reports(results: Results, over: Overview, out: Path) -> Overview:
     """Write the reports of a run, and the summary of the CI step if there is one.
 
-    Args:
-        results: The run.
-        over: The overview of the run.
-        out: Folder for the reports; created if needed. report.md has links only if it is the result folder.
+    `out`: folder for the reports; created if needed. report.md has links only if it is the result folder.
 
     Returns:
         The overview, with the charts and files that could not be made: an error in one affects no other.

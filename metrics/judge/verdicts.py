@@ -109,7 +109,6 @@ class Verdict:
     """The outcome of a gate for one planner in one mode, and why.
 
     Attributes:
-        gate: The rule.
         outcome: Pass, fail, inconclusive or not asked.
         reason: One sentence that names planner, worst log, value and time.
         planner: "" if no planner could be judged; `mode` likewise.

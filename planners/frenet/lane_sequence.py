@@ -29,7 +29,6 @@ class LaneSequence:
 
     Attributes:
         lanes: Its lanes in driving order, including a stretch behind.
-        reference: Its reference line and widths.
         changes: (1); 0 if it leads to the goal or there is no goal, None if the goal cannot be reached from it.
         change_by: (2), m; inf where no change is needed.
     """

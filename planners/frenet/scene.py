@@ -96,8 +96,6 @@ class Scene:
 
     Attributes:
         frame: The planner's input now; `start` is the state at which the plan begins.
-        reference: The lane's reference path.
-        vehicle: The ego.
         s: Station of the start, m; `l` its offset, m.
         trouble: Why the start has no l', l'' in the Frenet frame; empty if it has.
         frenet: l, l', l'' of the start; zeros where there is `trouble`.

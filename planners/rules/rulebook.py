@@ -98,7 +98,6 @@ class RuleMemory:
     Attributes:
         stopping: Lines and zones that the ego stops for.
         rested: Stop signs at which it came to rest.
-        taken: Zones whose gap it took.
         since: When it came to rest before crosswalks at which pedestrians stand, by zone.
     """
 

@@ -81,7 +81,6 @@ class Priority:
     """A lane whose vehicles go first.
 
     Attributes:
-        lane: The lane.
         feeds: Lanes that lead to it, itself included, each with the lights that hold its vehicles.
         p_in: Station on its centre line where the zone begins, m; `p_out` where it ends.
         boxes: The zone as boxes along the reference line: x, y, yaw, length, width `(k, 5)`.

@@ -44,7 +44,6 @@ class ListedSetting:
         default: Its value if it is not set; None also if it has to be set.
         unit: Its unit; "" for a number without one, a weight, a text.
         range: Its bounds, named as in JSON Schema ("minimum", "exclusiveMinimum", ...); empty: none is checked.
-        meaning: What it does.
         group: What its table is for; "" without one.
     """
 

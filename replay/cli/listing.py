@@ -29,8 +29,6 @@ class ListedName:
     """A name.
 
     Attributes:
-        name: The name in options and files.
-        says: Its description in one line.
         where: "package.module:line", or a file.
     """
 

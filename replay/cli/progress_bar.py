@@ -35,7 +35,6 @@ class Pace:
     """Decides when to print the progress of a run, and makes the line.
 
     Attributes:
-        total: The number of logs.
         begin: Time at which the first log was started, s; later by the time in which kernels were compiled.
         done: Number of logs that have ended.
         left: Expected cost of the logs that have not ended, in the unit of `step`'s `cost`; None: 1 per log.

@@ -73,11 +73,8 @@ class Curve:
     """One curve.
 
     Attributes:
-        name: One word.
-        legend: Its name in the legend.
         t: `(n,)` s.
         values: `(n,)`.
-        colour: Colour in recordings.
         width: Width in recordings, pixels.
         steps: Whether a value holds until the next.
         spiky: Whether the axis may cut off its rarest values.
@@ -106,7 +103,6 @@ class Marker:
 
     Attributes:
         begin: s since the log's start; `end` likewise.
-        kind: The kind of event, one word.
         about: Who takes part, and more in words; may be empty.
     """
 
@@ -126,8 +122,6 @@ class Panel:
     """Curves that share an axis.
 
     Attributes:
-        name: One word.
-        title: The title, with the unit.
         curves: The curves with a finite value, the most important first: a chart shows at most four.
         least: The axis is never shorter than this, so that a constant curve looks constant.
         about: Prefixes of the names of metrics; charts shade the times at which their gates fail.
@@ -362,9 +356,6 @@ class GraphKind:
     """A kind of graph: its names and axes.
 
     Attributes:
-        name: One word.
-        graph: The artefact.
-        title: Title of the graph.
         x_title: Title of the axis, with the unit; `y_title` likewise.
         least: The y axis is not shorter than this.
         scrolls: Whether the graphs of a drive begin at different x.

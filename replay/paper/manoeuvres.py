@@ -102,8 +102,6 @@ class Manoeuvre:
     """A reference to follow.
 
     Attributes:
-        name: Name in the table.
-        reference: The plan, at the rear axle.
         cones: Places `(n, 2)` that must not be touched, m.
         plant: Plant parameters that are hidden from the controller, such as the road's friction.
     """
@@ -228,7 +226,6 @@ class FollowedManoeuvre:
 
     Attributes:
         columns: t, x, y, yaw, lateral, heading, speed, station error, a, wheel angle.
-        notes: Notes of the controller.
     """
 
     columns: Mapping[str, FloatArray]

@@ -57,8 +57,6 @@ class GridCrossing:
     """One crossing.
 
     Attributes:
-        ego_kmh: Speed of the ego and of the road.
-        walker_mps: Speed of the walker.
         late_s: Time at which the walker is in the middle of the lane, minus the time at which the front bumper of an
             ego that keeps its speed reaches the walker's line.
     """

@@ -33,11 +33,8 @@ class Request:
     """A request of the drive of a log.
 
     Attributes:
-        place: The drive.
         message: `schema.Hello` at its begin, or `schema.Frame`.
         limit: Time limit of the answer, s.
-        limits: Limits of the planner's process.
-        load: What the process loads.
     """
 
     place: DriveKey
@@ -52,10 +49,8 @@ class BatchLog(Generic[R]):
 
     Attributes:
         request: The request that it waits for.
-        answer: The answer, or the planner's fault.
         took_s: Duration of the answer, s.
         ended: Whether its evaluation has returned.
-        result: The result of its evaluation.
     """
 
     request: Request

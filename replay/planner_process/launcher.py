@@ -65,7 +65,6 @@ class ForkServer:
     """Serves the requests on a control socket: forks processes and kills them.
 
     Attributes:
-        control: The socket.
         seed: Whether a fork keeps the state of `random`, which the planner's module may have set, and which Python
             reseeds.
         live: The requests of running processes, by process id.

@@ -221,7 +221,6 @@ class Launcher:
     """The process of `replay.planner_process.launcher`, and its templates.
 
     Attributes:
-        forks: The end of its control socket.
         templates: The templates by what they load; None if one cannot be made.
     """
 

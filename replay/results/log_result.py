@@ -44,7 +44,6 @@ class Failure:
     """A log, or a drive of it, that could not be evaluated.
 
     Attributes:
-        log: Label or name of the log.
         message: One line that names the subject, the place and the remedy.
         planner: The planner; None for the log itself.
         mode: The loop; None if it failed before any loop.
@@ -114,7 +113,6 @@ class LogResult:
         digest: SHA-256 of the log's bytes; empty if it could not be read.
         folder: Name of its folder in the result folder; empty if there is none.
         family: Family of the scenario (`Scenario.family`); `dataset` likewise.
-        tags: Tags of the scenario.
         notes: Assumptions that were made when it was read.
         drives: The drives, planners in the order of the run, open before closed loop.
         failures: Drives that failed.
@@ -174,7 +172,6 @@ class Stamp:
     """Version and code, on which the results of a log depend besides the configuration.
 
     Attributes:
-        replan: Version.
         code: Hash of the source of replan and of the user's planners and metrics.
     """
 

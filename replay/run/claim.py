@@ -38,7 +38,6 @@ class FolderContents:
     """What a command writes into a folder of its own.
 
     Attributes:
-        command: The name of the command.
         names: Patterns of the names of its files and folders, beside `STUDY`.
         is_ours: Instead of names: whether an entry of the folder is of the command.
         resumes: Whether the command has the option --resume.

@@ -88,8 +88,6 @@ class Job:
     """`evaluate_log` with all arguments except the log; a process that calls it loads a planner's module once.
 
     Attributes:
-        run: The configuration of the run.
-        out: The result folder.
         stamp: See `evaluate_log`.
         name: A name that no other run has.
     """

@@ -31,12 +31,7 @@ SAME_TIME_S = 1e-6
 
 
 class WatchedPlanning(Planning):
-    """A planning that keeps its frames, and the QPs of the last; a debugger opens at the frame of `stop_s`.
-
-    Attributes:
-        frames: The frames so far.
-        asked: The QPs of the last plan.
-    """
+    """A planning that keeps its frames, and the QPs of the last; a debugger opens at the frame of `stop_s`."""
 
     def __init__(self, stop_s: float, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
@@ -58,7 +53,6 @@ class ReplannedFrame:
     """A frame planned again.
 
     Attributes:
-        scenario: The log.
         dump: The frames up to it, the plan, the QPs.
         seconds: Duration of each stage, and "total", s.
         is_same: Whether the trajectory is the one in the results, to the bit; None for another planner.

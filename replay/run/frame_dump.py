@@ -61,7 +61,6 @@ class File(msgspec.Struct):
     """The contents of the file.
 
     Attributes:
-        version: Version of this format.
         log: Name; `planner` and `config` (its table) are as in a run's configuration.
         context: The context with which the planner was built.
         frames: The frames in order of time; the last is the one of interest.

@@ -62,7 +62,6 @@ class LogSource:
     Attributes:
         label: Its name for the user; for the catalogue, the name of a scenario (`logs.catalogue.scenario`).
         path: The file or folder; None for the catalogue.
-        settings: The settings for reading it.
         digest: Its `log_hash`, so that a log with many windows is hashed once; "" if unknown.
         remote: Its files if it is named by URL; `fetched` gives it as a path.
         format: Format of a remote log, as known from its name.

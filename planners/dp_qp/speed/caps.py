@@ -91,7 +91,6 @@ class SpeedCap:
         s_from: Arc length of the rear axle from which it applies, m; `s_to` to which.
         v: The speed, m/s.
         agent: Its cause, as the report names it (an agent, "hidden ground"); empty: it is not reported.
-        reason: The reason in words.
         is_bound: Whether the profile keeps the speed exactly (2).
     """
 
@@ -129,15 +128,12 @@ class PathView:
     """A scene on the chosen path: the input of the producers of caps.
 
     Attributes:
-        scene: The scene.
-        path: The path.
         task: The agents that it passes, the stops and the goal.
         limit: The road's speed limit along it `(m,)`, m/s.
         taken: When which part of it is taken, and by which agent.
         came: When each pedestrian or rider was last in the path, s.
         hard_mps2: Deceleration with which the ego must be able to stop for a person who steps out (b).
         margin_m: The ego follows an agent that the path comes nearer to than this.
-        caution: How fast agents may come into the way.
     """
 
     scene: Scene

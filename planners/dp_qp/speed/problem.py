@@ -75,7 +75,6 @@ class Settings(NamedTuple):
 
     Attributes:
         knots: Number of knots of the profile; `curve_accel` and `ease`, m/s2.
-        soft: Limits of comfort.
         columns: Columns of the speed DP; `weights`, `gap` m, `standstill_gap` m, `w_near` likewise.
     """
 
@@ -94,7 +93,6 @@ class BuiltProblem(NamedTuple):
     """A problem and the data that it was built from.
 
     Attributes:
-        problem: The problem for the ladder.
         kinds: Codes of the decisions about the boundaries `(n,)` (`st_boundaries`, (4)).
         free_m: Distance that the ego would drive with no road user in the way, m.
         cost: Cost of the speed DP's grid `(columns + 1, rows)`, complete if `is_drawn`; empty where the DP did not run.

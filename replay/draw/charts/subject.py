@@ -54,7 +54,6 @@ class Violation:
     """A gate that a drive broke.
 
     Attributes:
-        gate: The rule.
         series: The series of its metric ("lon_accel").
         spans: Intervals in which its steps are out of bounds, s; without steps, the time of its value.
     """
@@ -127,7 +126,6 @@ class SceneSubject:
     Attributes:
         moment: The time to look at, and the reason.
         trace: The trace, with only the newest plan at the moment.
-        scenario: Road, goal, vehicle, lights.
     """
 
     moment: Moment
@@ -150,7 +148,6 @@ class Subject(SceneSubject):
     """A drive and the moment to look at.
 
     Attributes:
-        drive: The drive in the results.
         plans: The summaries of all plans.
         beside: Other drives of the log at this moment, or at their end if it was earlier.
     """

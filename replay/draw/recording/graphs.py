@@ -40,7 +40,6 @@ class Axes:
     """The axes of one graph over a whole recording.
 
     Attributes:
-        kind: The kind of graph.
         x: Range, relative to the begin of the graph; `y` likewise.
     """
 

@@ -121,7 +121,6 @@ class Picture:
     """One picture to take.
 
     Attributes:
-        out: The PNG file.
         t: Time in the recording, s.
         view: Name of one view; None: the whole window.
         layout: One of `LAYOUTS`; a view that it does not have is taken from another.

@@ -26,10 +26,7 @@ class MetricColumn:
     """One metric of the table of drives.
 
     Attributes:
-        title: The title with the unit, in short lines.
-        metric: Name of the metric.
         mode: Loop in which it was measured.
-        show: Formats a value.
         bad: Whether a value is marked.
     """
 
@@ -166,7 +163,6 @@ class DriveRow:
         verdict: The worst outcome of the gates on this log; "" if no gate applies.
         gravity: The place of its gravest failed gate among the rules by harm; their number if none fails.
         asked: The number of gates that apply, of all: "24/41", with a mark where nothing was in the way.
-        end: How the closed loop ended.
         cells: One per column of `Overview.columns`.
         files: Traces and recordings, relative to the result folder.
         folder: Folder of the log, relative to the result folder.
@@ -209,13 +205,10 @@ class GateRow:
         rule: "gap.min >= 0.5 [closed]".
         over: The values that must pass: "worst" (every log), or an aggregate of the logs.
         found: In short: if it passes, the value nearest to the bound, otherwise the reason.
-        reason: The whole sentence.
-        why: The reason for the gate.
         planner, mode: "" if there was no drive to judge.
         group: The group of logs, for a gate over groups; otherwise "".
         log: The worst log; "" if there is none.
         value: The judged value; NaN if there is none.
-        unit: Unit of the value.
         time_s: When it occurred; NaN if it has no time.
     """
 
@@ -281,9 +274,7 @@ class Answer:
     """How a planner did: the logs that it passes, and `ANSWERED` in the closed loop.
 
     Attributes:
-        planner: Its name, with marks.
         share: The logs that it passes; None where nothing was judged.
-        values: Only what is available.
     """
 
     planner: str
@@ -365,10 +356,8 @@ class Overview:
         shard: "2/5": the part of a run that this is, which is not judged; otherwise "".
         replan: Version of replan that ran the drives.
         config: First 12 hex digits of the SHA-256 of the resolved configuration.
-        logs: The number of requested logs.
         drives: The drives in the order of the run; `columns` are the columns of their table.
         planners: Names of the planners, with marks; `answers` has a line about each.
-        compared: A label, and a text per planner.
         frames: The number of plans behind the latencies.
         latency: Stage times by planner and stage, the whole plan last.
         gates: Failed and inconclusive gates first, without gates that apply to no log.

@@ -198,14 +198,9 @@ class DrivePage:
     """The contents of the page of a drive.
 
     Attributes:
-        anchor: Its id in the report.
-        row: Its row in the overview.
-        mode: The loop of the pictures.
-        tags: Tags of the log.
         time_s: The moment of the pictures; NaN if there are none.
         why: The reason for this moment; if there are no pictures, the reason for that.
         because: The action of the plan at this moment, and its reasons, in sentences.
-        end: How the drive ended.
         verdicts: The rows of `DriveResult.verdicts` of both loops, failed ones first.
         pictures: Charts of scenes and graphs; `decided` and `curves` follow them.
         scene: Index of the scene at the moment among them.
@@ -213,7 +208,6 @@ class DrivePage:
         more_events: The number of events that are left out.
         metrics: The rows of the available metrics of each loop.
         missing: Each reason, and the metrics that are not available because of it.
-        files: Recordings, otherwise traces.
         plot: The command that draws the same pictures.
         broken: Charts that could not be drawn, a sentence each.
     """

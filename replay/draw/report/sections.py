@@ -31,7 +31,6 @@ class ReportColumn:
     """A column of a section.
 
     Attributes:
-        title: Its title in one line.
         is_number: Whether its cells are numbers: aligned to the right, and sorted by their value.
         short: The title in short lines, where there is little room; "": `title`.
         about: More about it, where a pointer can rest on the title.
@@ -48,11 +47,8 @@ class ReportSection:
     """A part of a report.
 
     Attributes:
-        title: The title.
         columns: The columns of its table; none: it has no table.
         rows: Rows of cells, the ones to look at first.
-        lines: A list, below the table.
-        says: Sentences about the table.
         folded: Whether it is only for those who look for it: folded where a report can fold.
         most: Largest number of rows and of lines that a terminal shows.
         rest: The file that has all rows.

@@ -15,7 +15,7 @@ picture.
 Source: Zhang, "DP and QP Based Decision-making and Planning for Autonomous Vehicle", section II-F.
 """
 
-from planners.dp_qp.parameters import DpQpConfig
+from planners.dp_qp.lane import DpQpConfig
 from planners.dp_qp.planner import DpQp
 
 __all__ = ["DpQp", "DpQpConfig"]

@@ -26,8 +26,7 @@ import numpy as np
 
 from logs.arrays import FloatArray
 from logs.plan import Artefact, Candidates, CostTerms, LaneOption
-from planners.dp_qp.lane import FORGET_S, LaneMemory, LanePlan, LanePlanner, PassWay
-from planners.dp_qp.parameters import DpQpConfig, LaneConfig
+from planners.dp_qp.lane import FORGET_S, DpQpConfig, LaneConfig, LaneMemory, LanePlan, LanePlanner, PassWay
 from planners.dp_qp.path.bounds import CorridorConfig
 from planners.dp_qp.path.passing import find_slow_agents, free_stations, obstacles_to_pass, pass_targets
 from planners.frenet.profiles import STEP_S

@@ -9,8 +9,7 @@ from logs.frame import Frame, PlannerContext
 from logs.plan import Artefact, Internals, Plan, PlanStatus
 from logs.states import EgoState
 from planners.dp_qp.choice import PassMemory, choose, hopeless, passing, worth_looking
-from planners.dp_qp.lane import LaneMemory, LanePlan, LanePlanner
-from planners.dp_qp.parameters import DpQpConfig
+from planners.dp_qp.lane import DpQpConfig, LaneMemory, LanePlan, LanePlanner
 from planners.frenet.fallback import Stops, fall_back, trajectory_along
 from planners.frenet.lane_sequence import LaneSequence, LaneSequences
 from planners.frenet.scene import start_of

@@ -240,8 +240,8 @@ def commonroad_solution(
       replan export commonroad-solution results/us101 -o solutions
     """
     with handle_errors():
-        from replay.cli.export import COSTS, solutions
-        from replay.cli.export import commonroad_solution as solution
+        from replay.cli.convert import COSTS, solutions
+        from replay.cli.convert import commonroad_solution as solution
         from replay.results.tables import write_text
         from replay.run.claim import claimed_files
 

@@ -116,7 +116,7 @@ def query(
     """
     with handle_errors():
         from replay.mine.query import query as ask
-        from replay.run.rows_file import rows_file
+        from replay.run.claim import rows_file
 
         if out is not None:
             with rows_file(out) as write:

@@ -50,7 +50,7 @@ def complete_setting(incomplete: str) -> list[str]:
     table, _, rest = incomplete.partition(".")
     for name in tables[table].builtin if table in tables else ():
         if rest.startswith(f"{name}."):  # this one is imported, with its settings
-            from replay.cli.listed_settings import settings_of
+            from replay.cli.listing import settings_of
 
             keys += [f"{one.key}=" for one in settings_of(Part(tables[table], name))]
     for key in dotted_keys(RunConfig):

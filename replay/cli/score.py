@@ -47,7 +47,7 @@ def score(
       replan score my_logs/ --trajectories agent.parquet --as navsim-v2
     """
     with handle_errors(), ExitStack() as writes:
-        from replay.run.rows_file import rows_file
+        from replay.run.claim import rows_file
         from replay.score.score_table import AVERAGE, FINAL, NUPLAN_CLS, navsim_table, nuplan_table
 
         write = writes.enter_context(rows_file(out)) if out is not None else None

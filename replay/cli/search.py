@@ -144,8 +144,8 @@ def tune(
       replan evaluate my_logs/ --config results/tuned/best.toml
     """
     with handle_errors():
-        from replay.cli.compare import print_tables
         from replay.cli.evaluate import engine_of
+        from replay.cli.report import print_tables
         from replay.draw.drawn_results import load
         from replay.experiments.gains import DEFAULT_OBJECTIVES, objectives
         from replay.experiments.optuna_trials import TuningInputs

@@ -4,8 +4,7 @@ Modules:
     navsim_tracker.py  how NAVSIM drives a plan
     window.py          what a window of a log holds: route, other road users, red lights
     navsim.py          NAVSIM's parts, by version
-    pdm_closed.py      PDM-Closed, with which NAVSIM compares progress
-    yardstick.py       NAVSIM's scores of plans
+    yardstick.py       NAVSIM's scores of plans, and PDM-Closed, with which it compares progress
     trajectories.py    the trajectories of a file or a run
-    score_table.py     the table of scores
+    score_table.py     the table of scores; two stages
 """

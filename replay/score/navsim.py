@@ -1,7 +1,7 @@
 """NAVSIM's scores of a plan of 4 s: PDMS (v1) and EPDMS (v2), part by part as navsim 0a380a90 and its branch v1.1 do.
 
 A window begins at a state of the log's ego. The plan, linear between its eight poses, is driven by `tracker`; so is the
-plan of PDM-Closed (`pdm_closed`). The 41 states at 10 Hz are judged beside the others as logged (`scene`):
+plan of PDM-Closed (`yardstick`). The 41 states at 10 Hz are judged beside the others as logged (`scene`):
 
     NC   1, 1/2, 0: at-fault contact with an object, with another agent. Kinds and fault as in
          `metrics.driving_scores`, but what stands is what stood when first seen, and astray is: off the road, or the

@@ -13,8 +13,7 @@ from logs.errors import raised
 from logs.extension import ExtensionKind
 from replay.draw.charts.bird_view import scenes
 from replay.draw.charts.canvas import Chart, group, shortened, text
-from replay.draw.charts.curves import curves, decisions
-from replay.draw.charts.plan_graphs import sl_graph, st_graph
+from replay.draw.charts.curves import curves, decisions, sl_graph, st_graph
 from replay.draw.charts.subject import Subject
 from replay.results.tables import safe_name
 

@@ -35,8 +35,7 @@ from logs.states import TRAJECTORY_COLUMNS, wrapped
 from logs.transform import mirrored, moved
 from planners.base import Planner
 from planners.dp_qp import DpQp, DpQpConfig
-from planners.dp_qp.lane import LaneMemory, LanePlanner
-from planners.dp_qp.parameters import LaneConfig
+from planners.dp_qp.lane import LaneConfig, LaneMemory, LanePlanner
 from planners.dp_qp.path.qp import PathQp
 from planners.dp_qp.speed.qp import SpeedQp, SpeedQpConfig
 from planners.dp_qp.speed.stage import DOUBTED
